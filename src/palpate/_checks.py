@@ -1,0 +1,96 @@
+"""Argument checks shared by the whole package; each error names the fix.
+
+Only numpy is imported here, so that `import palpate` stays cheap.
+"""
+
+from collections.abc import Iterable
+from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def check_count(name: str, value: object, *, at_least: int = 1) -> int:
+    """Return `value` as an int, or say what `name` should have been."""
+    if isinstance(value, bool) or not isinstance(value, Integral):
+        raise TypeError(f"{name} must be an integer, got {type(value).__name__}.")
+    if value < at_least:
+        raise ValueError(f"{name} must be at least {at_least}, got {value}.")
+    return int(value)
+
+
+def check_number(
+    name: str, value: object, *, low: float = -np.inf, high: float = np.inf
+) -> float:
+    """Return `value` as a finite float within [low, high], or explain."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise TypeError(f"{name} must be a number, got {type(value).__name__}.")
+    number = float(value)
+    if not (np.isfinite(number) and low <= number <= high):
+        raise ValueError(
+            f"{name} must be finite and between {low} and {high}, got {value}."
+        )
+    return number
+
+
+def check_positive(name: str, value: object) -> float:
+    """Return `value` as a float, or say what `name` should have been."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise TypeError(f"{name} must be a number, got {type(value).__name__}.")
+    number = float(value)
+    if not 0 < number < float("inf"):
+        raise ValueError(f"{name} must be positive and finite, got {value}.")
+    return number
+
+
+def check_option(name: str, value: object, options: Iterable[object]) -> Any:
+    """Return `value` when it is one of `options`; the error lists them."""
+    valid = list(options)
+    if not any(value is option or value == option for option in valid):
+        listed = ", ".join(map(repr, valid))
+        raise ValueError(f"{name} must be one of {listed}, got {value!r}.")
+    return value
+
+
+def check_images(
+    X: ArrayLike, *, shape: tuple[int, int] | None = None, allow_nan: bool = False
+) -> NDArray[np.float64]:
+    """Return `X` as float images (n_touches, n_rows, n_cols), or explain.
+
+    With `shape`, also insist on the image size the encoder was fitted on; NaN
+    marks a dead taxel and is refused unless `allow_nan`.
+    """
+    images = np.asarray(X)
+    if images.dtype.kind not in "biuf":
+        raise TypeError(f"Images must be numbers, got an array of {images.dtype}.")
+    if images.ndim != 3:
+        hint = " For one touch pass X[np.newaxis]." if images.ndim == 2 else ""
+        raise ValueError(
+            "Expected images of shape (n_touches, n_rows, n_cols), "
+            f"got an array of shape {images.shape}.{hint}"
+        )
+    if 0 in images.shape:
+        raise ValueError(f"Expected at least one touch, got shape {images.shape}.")
+    if shape is not None and images.shape[1:] != shape:
+        got = " x ".join(map(str, images.shape[1:]))
+        raise ValueError(
+            f"Images have {got} taxels, but the encoder was fitted on "
+            f"{shape[0]} x {shape[1]}; resize them or fit again."
+        )
+    checked = images.astype(np.float64, copy=False)
+    _refuse_not_finite(checked, allow_nan=allow_nan)
+    return checked
+
+
+def _refuse_not_finite(images: NDArray[np.float64], *, allow_nan: bool) -> None:
+    if np.isfinite(images).all():
+        return
+    bad = np.isinf(images) if allow_nan else ~np.isfinite(images)
+    touches = np.flatnonzero(bad.any(axis=(1, 2)))
+    if len(touches):
+        fix = "" if allow_nan else " Fill dead taxels (NaN) first."
+        raise ValueError(
+            f"Images must be finite, got NaN or infinity in touch {touches[0]}"
+            f" ({len(touches)} of {len(images)} touches).{fix}"
+        )

@@ -1,0 +1,33 @@
+"""Speed and memory beside peers, measured in one run: `palpate bench NAME`.
+
+One file per benchmark; each returns rows of plain values. `_timing` holds what
+they share: CPU time, equal total durations, one thread.
+"""
+
+from importlib import import_module
+from typing import Any
+
+from .._checks import check_option
+
+BENCHES: dict[str, tuple[str, str, str]] = {
+    "decode": ("_decode", "bench_decode", "reading a folder of pictures, peak memory"),
+    "likelihood": ("_likelihood", "bench_likelihood", "kernel densities per touch"),
+    "zernike": ("_zernike", "bench_zernike", "Zernike moments beside three peers"),
+}
+
+
+def run_bench(name: str) -> list[dict[str, Any]]:
+    """Run the benchmark called `name` and return its rows.
+
+    Each row has `name`, `ours_ms`, `peer`, `peer_ms` and `ratio` = peer_ms /
+    ours_ms; `ratio` is None, with a `reason`, where the peer is absent.
+    """
+    check_option("name", name, BENCHES)
+    module, function, _ = BENCHES[name]
+    rows: list[dict[str, Any]] = getattr(
+        import_module(f"{__name__}.{module}"), function
+    )()
+    return rows
+
+
+__all__ = ["BENCHES", "run_bench"]

@@ -1,0 +1,5 @@
+"""Vector -> class: classifiers with log-likelihoods a belief can add up."""
+
+from ._kernel_ridge import KernelRidgeClassifier
+
+__all__ = ["KernelRidgeClassifier"]

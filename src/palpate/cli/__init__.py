@@ -1,0 +1,5 @@
+"""The command `palpate`: one verb per file, each a thin layer over the library."""
+
+from ._app import main
+
+__all__ = ["main"]

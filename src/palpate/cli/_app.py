@@ -1,0 +1,46 @@
+"""The command and its verbs; what goes wrong becomes one sentence and exit code 1.
+
+Nothing heavy is imported here: each verb imports what it needs when it runs, so
+that `palpate --help` answers at once.
+"""
+
+import os
+import sys
+
+import typer
+
+from .bench import bench
+from .demo import demo
+from .doctor import doctor
+from .evaluate import evaluate
+from .learn import learn
+from .recognise import recognise
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Recognise things by touch: learn objects from touches, recognise them "
+    "touch by touch, and say when something is unknown.",
+)
+for verb in (learn, recognise, evaluate, demo, bench, doctor):
+    app.command()(verb)
+
+
+@app.callback()
+def _root() -> None:
+    """Take the verbs as they are."""
+
+
+def main() -> None:
+    """Run the command line; exit 1 for a failure, 2 for wrong usage.
+
+    PALPATE_DEBUG=1 in the environment shows the whole traceback of a failure.
+    """
+    try:
+        app()
+    except (ValueError, TypeError, OSError, ImportError, MemoryError) as error:
+        if os.environ.get("PALPATE_DEBUG"):
+            raise
+        print(f"palpate: {error}", file=sys.stderr)
+        sys.exit(1)

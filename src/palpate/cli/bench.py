@@ -1,0 +1,45 @@
+"""`palpate bench`: speed and memory beside peers, measured in one run."""
+
+from typing import Annotated, Any
+
+import typer
+
+from ._options import AsJson
+from ._output import print_json, table
+
+
+def bench(
+    name: Annotated[str, typer.Argument(help="Which benchmark; see --list.")] = "",
+    list_names: Annotated[bool, typer.Option("--list", help="List them.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Measure speed beside peers: CPU time, one thread, ratios within one run."""
+    from ..bench import BENCHES, run_bench
+    from ._stages import Stages
+
+    if list_names or not name:
+        for known, (_, _, what) in BENCHES.items():
+            print(f"{known:12s} {what}")
+        return
+    with Stages() as stage:
+        stage(f"measuring {name}")
+        rows = run_bench(name)
+    if as_json:
+        print_json({"bench": name, "rows": rows})
+        return
+    table(
+        f"{name}: CPU ms, one thread; ratio = how much faster ours is",
+        ["what", "ours", "peer", "peer's", "ratio"],
+        [_cells(row) for row in rows],
+    )
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    peer = row["peer_ms"]
+    return [
+        str(row["name"]),
+        f"{row['ours_ms']:.3g}",
+        str(row["peer"] or "-"),
+        str(row.get("reason", "-")) if peer is None else f"{peer:.3g}",
+        "-" if row["ratio"] is None else f"{row['ratio']:.3g}",
+    ]

@@ -1,0 +1,143 @@
+"""`palpate evaluate`: accuracy against touches, calibration, controls, report."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ._options import (
+    AsJson,
+    Floor,
+    Label,
+    MaxMegapixels,
+    NamePattern,
+    NoContact,
+    Preset,
+    Seed,
+    read_touches,
+)
+from ._output import percent, print_json, table
+
+
+def evaluate(
+    train: Annotated[Path, typer.Option("--train", help="Training touches.")],
+    test: Annotated[
+        Path | None, typer.Option("--test", help="Test touches; or give --split.")
+    ] = None,
+    split: Annotated[
+        str | None,
+        typer.Option(
+            "--split", help="Split --train itself: between, last or unseen-objects."
+        ),
+    ] = None,
+    label: Label = "object",
+    preset: Preset = "default",
+    touches: Annotated[
+        str, typer.Option("--touches", help="Give figures after so many touches.")
+    ] = "1,5,15,30",
+    train_touches: Annotated[
+        int | None,
+        typer.Option("--train-touches", help="Draw so many per object to train."),
+    ] = None,
+    orders: Annotated[
+        int, typer.Option("--orders", help="Random orders of each object's touches.")
+    ] = 20,
+    unknown: Annotated[
+        Path | None,
+        typer.Option("--unknown", help="Touches of objects that are not trained on."),
+    ] = None,
+    error: Annotated[
+        float, typer.Option("--error", help="Accepted share of wrong decisions.")
+    ] = 0.01,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Write one self-contained .html.")
+    ] = None,
+    floor: Floor = None,
+    name_pattern: NamePattern = None,
+    no_contact: NoContact = None,
+    max_megapixels: MaxMegapixels = 50,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Learn, recognise and score, with spread, calibration and nuisance controls."""
+    from ..evaluation import Plan, check_report_path, write_report
+    from ..evaluation import evaluate as run
+    from ._stages import Stages
+
+    plan = Plan(
+        preset=preset,
+        label=label,
+        touches=_counts(touches),
+        orders=orders,
+        train_touches=train_touches,
+        error=error,
+        floor=floor,
+        seed=seed,
+    )
+    if report is not None:
+        check_report_path(report)
+
+    def read(path: Path | None) -> Any:
+        if path is None:
+            return None
+        stage(f"reading {path}")
+        return read_touches(path, name_pattern, no_contact, max_megapixels)
+
+    with Stages() as stage:
+        training, testing, strange = read(train), read(test), read(unknown)
+        figures, trials = run(
+            training, testing, split=split, unknown=strange, plan=plan, progress=stage
+        )
+        if report is not None:
+            stage(f"writing {report}")
+            write_report(report, figures, trials)
+    if as_json:
+        print_json(figures)
+    else:
+        _print_figures(figures)
+    if report is not None and not as_json:
+        print(report)
+
+
+def _counts(text: str) -> tuple[int, ...]:
+    try:
+        return tuple(int(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(
+            f"--touches must be whole numbers with commas, got {text!r}; "
+            "write --touches 1,5,15."
+        ) from None
+
+
+def _print_figures(figures: dict[str, Any]) -> None:
+    keys = list(figures["accuracy"])
+    spread = "folds" if figures["n_folds"] > 1 else "objects"
+    rows = [
+        ["accuracy, %", *(percent(figures["accuracy"][k]) for k in keys)],
+        [f"sd over {spread}", *(percent(figures["accuracy_sd"][k]) for k in keys)],
+        ["objects", *(str(figures["n_objects"][k]) for k in keys)],
+        ["log loss, nats", *(f"{figures['log_loss'][k]:.2f}" for k in keys)],
+        ["calibration error", *(f"{figures['ece'][k]:.3f}" for k in keys)],
+    ]
+    for name, curve in figures["controls"].items():
+        values = [percent((curve or {}).get(k)) for k in keys]
+        rows.append([f"{name} alone, %" if name != "no contact" else
+                     "touches without contact, %", *values])
+    if "unknown_auroc" in figures:
+        for name, key in (("unknown, ROC area", "unknown_auroc"),):
+            rows.append([name, *(f"{figures[key].get(k, float('nan')):.3f}" for k in keys)])
+        refused = figures["unknown_refused"]
+        rows.append(["unknown refused, %", *(percent(refused.get(k)) for k in keys)])
+    title = (
+        f"{figures['preset']}: {figures['n_labels']} {figures['label']} labels, "
+        f"{figures['n_train_touches']} training and {figures['n_test_touches']} test "
+        f"touches, chance {percent(figures['chance'])} %"
+    )
+    table(title, ["after touches", *keys], rows)
+    decision = figures["decision"]
+    print(
+        f"Deciding at an error of {decision['error']:g}: "
+        f"{percent(decision['accuracy'])} % right after "
+        f"{decision['mean_touches']:.1f} touches on average, "
+        f"{percent(decision['undecided'])} % undecided."
+    )

@@ -1,0 +1,93 @@
+"""`palpate recognise`: model and touches -> a belief after each touch."""
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ._options import (
+    AsJson,
+    MaxMegapixels,
+    ModelPath,
+    NamePattern,
+    NoContact,
+    TouchesPath,
+    read_touches,
+)
+from ._output import belief_line, print_json
+
+if TYPE_CHECKING:
+    from ..recognition import ObjectRecogniser
+    from ..touches import Touches
+
+
+def recognise(
+    model: ModelPath,
+    touches: TouchesPath,
+    error: Annotated[
+        float, typer.Option("--error", help="Accepted share of wrong decisions.")
+    ] = 0.01,
+    name_pattern: NamePattern = None,
+    no_contact: NoContact = None,
+    max_megapixels: MaxMegapixels = 50,
+    as_json: AsJson = False,
+) -> None:
+    """Recognise touch by touch: one episode per object (and session) of TOUCHES."""
+    from ..recognition import ObjectRecogniser
+    from ._stages import Stages
+
+    with Stages() as stage:
+        stage(f"reading {model}")
+        recogniser = ObjectRecogniser.load(model)
+        stage(f"reading {touches}")
+        tested = read_touches(touches, name_pattern, no_contact, max_megapixels)
+        stage(f"recognising {len(tested)} touches")
+        episodes = recognise_episodes(recogniser, tested, error)
+    if as_json:
+        print_json({"episodes": episodes})
+        return
+    for episode in episodes:
+        print_episode(episode)
+
+
+def recognise_episodes(
+    recogniser: "ObjectRecogniser", touches: "Touches", error: float
+) -> list[dict[str, Any]]:
+    """Return the beliefs, the decision and its reasons for every episode."""
+    log_likelihood = recogniser.log_likelihood(touches)
+    result = []
+    for label, _, rows in touches.episodes():
+        belief = recogniser.start()
+        beliefs: list[dict[str, Any]] = []
+        decision, used, reasons = None, len(rows), []
+        for number, row in enumerate(log_likelihood[rows], start=1):
+            belief.update_from_log_likelihood(row)
+            beliefs.append(
+                {
+                    "touch": number,
+                    "posterior": belief.posterior,
+                    "unknown": belief.unknown,
+                }
+            )
+            if decision is None and (decision := belief.decide(error)) is not None:
+                used, reasons = number, [belief.reason(error)]
+        result.append(
+            {
+                "object": label,
+                "beliefs": beliefs,
+                "decision": decision,
+                "touches_used": used,
+                "reasons": reasons or [belief.reason(error)],
+            }
+        )
+    return result
+
+
+def print_episode(episode: dict[str, Any], *, at_most: int = 8) -> None:
+    """Print how the belief moved: the first touches, then ever fewer."""
+    name = episode["object"]
+    print(f"{'Touches of ' + name if name is not None else 'Touches'}:")
+    beliefs = episode["beliefs"]
+    shown = [b for b in beliefs if b["touch"] <= at_most or b is beliefs[-1]]
+    for belief in shown:
+        print(belief_line(belief["touch"], belief["posterior"]))
+    print(f"  {episode['reasons'][-1]}\n")

@@ -1,0 +1,210 @@
+"""Kernel PCA: fuse features into the directions in which touches differ most.
+
+A Gaussian kernel measures how alike two touches are; the scores are projections on
+the leading principal directions of its feature space. New touches are centred by
+the training touches, never by each other.
+"""
+
+from numbers import Integral
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import eigh
+from scipy.spatial.distance import pdist
+from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin
+from sklearn.base import TransformerMixin
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from .._checks import check_count, check_number, check_option, check_positive
+
+# Eigenvalues below this share of the largest are rounding noise.
+_RANK_TOLERANCE = 1e-12
+
+
+class KernelPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
+    """Kernel PCA with the Gaussian kernel exp(-|x - y|^2 / (2 sigma^2)).
+
+    Parameters
+    ----------
+    n_components : int or float, optional
+        An integer keeps that many components, or as many as there are; a number
+        between 0 and 1 keeps as few as hold that share of the variance. By default
+        all are kept. Components whose variance is below 1e-12 of the largest do
+        not exist.
+    sigma : float, optional
+        Width of the kernel, in the unit of the features; by default the median
+        distance between two training touches.
+    scaling : {"unit", "paper"}, default="unit"
+        "unit" projects on directions of length 1 in the feature space. "paper"
+        takes the normalisation of Liu et al. literally, which makes the scores of M
+        training touches sqrt(M) times larger; kernels of fixed widths after it
+        notice.
+
+    Attributes
+    ----------
+    sigma_ : float
+        The kernel's width.
+    eigenvalues_ : ndarray of shape (n_components_,)
+        Eigenvalues of the centred kernel matrix, falling: M times the variances.
+    explained_variance_ratio_ : ndarray of shape (n_components_,)
+        Share of the variance in the feature space.
+    touches_ : ndarray of shape (n_touches, n_features)
+        The training touches, less `mean_`.
+    mean_ : ndarray of shape (n_features,)
+        Mean of the training touches.
+    coefficients_ : ndarray of shape (n_touches, n_components_)
+        Weights of the training touches in each direction. Of each column the entry
+        that is largest in size is positive.
+    offset_ : ndarray of shape (n_components_,)
+        What centring subtracts from every score.
+    n_components_ : int
+
+    References
+    ----------
+    .. [1] B. Schoelkopf, A. Smola and K.-R. Mueller, "Nonlinear component analysis
+       as a kernel eigenvalue problem", Neural Comput. 10(5), 1998.
+       doi:10.1162/089976698300017467
+    .. [2] Y.-H. Liu et al., "Low-resolution tactile image recognition for automated
+       robotic assembly using kernel PCA-based feature fusion and multiple kernel
+       learning-based support vector machine", Math. Probl. Eng., 2014.
+       doi:10.1155/2014/497275
+
+    Examples
+    --------
+    >>> from palpate.encodings import KernelPCA
+    >>> KernelPCA(sigma=1.0).fit_transform([[0.0], [2.0]]).round(3)
+    array([[ 0.658],
+           [-0.658]])
+    """
+
+    def __init__(
+        self,
+        n_components: int | float | None = None,
+        *,
+        sigma: float | None = None,
+        scaling: str = "unit",
+    ) -> None:
+        self.n_components = n_components
+        self.sigma = sigma
+        self.scaling = scaling
+
+    def fit(self, X: ArrayLike, y: object = None) -> Self:
+        """Learn the principal directions of `X`; `y` is ignored."""
+        self._fit(X)
+        return self
+
+    def fit_transform(
+        self, X: ArrayLike, y: object = None, **params: object
+    ) -> NDArray[np.float64]:
+        """Learn the directions of `X` and return its scores."""
+        return self._fit(X) @ self.coefficients_ - self.offset_
+
+    def transform(self, X: ArrayLike) -> NDArray[np.float64]:
+        """Return the scores of `X`, shape (n_touches, n_components_)."""
+        check_is_fitted(self)
+        touches = validate_data(self, X, dtype=np.float64, reset=False)
+        kernel = _kernel(touches - self.mean_, self.touches_, self.sigma_)
+        return kernel @ self.coefficients_ - self.offset_
+
+    @property
+    def _n_features_out(self) -> int:
+        return self.n_components_
+
+    def _fit(self, X: ArrayLike) -> NDArray[np.float64]:
+        """Fit, and return the kernel of the training touches."""
+        touches = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
+        check_option("scaling", self.scaling, ("unit", "paper"))
+        wanted = _check_components(self.n_components)
+        self.mean_ = touches.mean(axis=0)
+        self.touches_ = touches - self.mean_
+        self.sigma_ = self._choose_sigma()
+        kernel = _kernel(self.touches_, self.touches_, self.sigma_)
+        self._learn(kernel, wanted)
+        return kernel
+
+    def _choose_sigma(self) -> float:
+        if self.sigma is not None:
+            return check_positive("sigma", self.sigma)
+        distance = pdist(self.touches_)
+        apart = distance[distance > 0]
+        if not len(apart):
+            raise ValueError(
+                "X must hold touches that differ, got the same features "
+                f"{len(self.touches_)} times. Check the encoding before this step."
+            )
+        return float(np.median(apart))
+
+    def _learn(self, kernel: NDArray[np.float64], wanted: int | float | None) -> None:
+        column_mean = kernel.mean(axis=0)
+        centred = kernel - column_mean
+        centred -= centred.mean(axis=1, keepdims=True)
+        values, vectors = _leading(centred, wanted)
+        total = float(np.trace(centred))
+        if not len(values) or not total > 0:
+            raise ValueError(
+                "X must hold touches that the kernel tells apart, got touches that "
+                f"are all alike at sigma = {self.sigma_}. Choose another sigma."
+            )
+        n_kept = _count_kept(values, total, wanted)
+        self.eigenvalues_ = values[:n_kept]
+        self.explained_variance_ratio_ = self.eigenvalues_ / total
+        self.n_components_ = n_kept
+        scale = np.sqrt(self.eigenvalues_)
+        if self.scaling == "paper":
+            scale = scale / np.sqrt(len(kernel))
+        # Scores are (k(x) - column mean) times centred weights: the weights of a
+        # direction sum to zero, so the other two terms of centring drop out.
+        weights = vectors[:, :n_kept] / scale
+        self.coefficients_ = weights - weights.mean(axis=0)
+        self.offset_ = column_mean @ self.coefficients_
+
+
+def _check_components(value: object) -> int | float | None:
+    if value is None:
+        return None
+    if isinstance(value, Integral) and not isinstance(value, bool):
+        return check_count("n_components", value)
+    share = check_number("n_components", value, low=0, high=1)
+    if share == 0:
+        raise ValueError(
+            "n_components must be a count or a share of variance above 0, got 0.0. "
+            "Pass an integer for a count."
+        )
+    return share
+
+
+def _kernel(
+    left: NDArray[np.float64], right: NDArray[np.float64], sigma: float
+) -> NDArray[np.float64]:
+    """Gaussian kernel less 1, which centring removes: wide kernels keep digits."""
+    squared = (left**2).sum(axis=1)[:, None] + (right**2).sum(axis=1)
+    squared -= 2 * left @ right.T
+    return np.expm1(np.maximum(squared, 0) / (-2 * sigma**2))
+
+
+def _leading(
+    centred: NDArray[np.float64], wanted: int | float | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Eigenvalues (falling, above rounding) and eigenvectors with fixed signs."""
+    n = len(centred)
+    subset = None
+    if isinstance(wanted, int) and wanted < n:
+        subset = (n - wanted, n - 1)
+    values, vectors = eigh(centred, subset_by_index=subset)
+    values, vectors = values[::-1], vectors[:, ::-1]
+    real = values > _RANK_TOLERANCE * max(values[0], np.finfo(float).tiny)
+    values, vectors = values[real], vectors[:, real]
+    size = np.abs(vectors)
+    # The first of nearly equal entries decides, so that rounding does not.
+    pivot = (size >= size.max(axis=0, initial=0) * (1 - 1e-6)).argmax(axis=0)
+    return values, vectors * np.sign(vectors[pivot, np.arange(len(values))])
+
+
+def _count_kept(
+    values: NDArray[np.float64], total: float, wanted: int | float | None
+) -> int:
+    if isinstance(wanted, float):
+        share = np.cumsum(values) / total
+        return min(int(np.searchsorted(share, wanted - 1e-12)) + 1, len(values))
+    return len(values) if wanted is None else min(wanted, len(values))

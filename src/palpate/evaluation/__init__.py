@@ -1,0 +1,36 @@
+"""How well it recognises: splits, figures, nuisance controls and reports."""
+
+from ._controls import brightness, disc_centres, sorted_pixels, without_contact
+from ._decisions import Decisions, decide_episodes
+from ._episodes import Episodes, Outcome, outcome, run_episodes, single_touches
+from ._evaluate import Plan, Trial, evaluate
+from ._metrics import calibration_bins, calibration_error, roc_area
+from ._report import check_report_path, write_report
+from ._splits import SPLITS, Fold, draw_touches, split_by_count, split_touches
+
+__all__ = [
+    "SPLITS",
+    "Decisions",
+    "Episodes",
+    "Fold",
+    "Outcome",
+    "Plan",
+    "Trial",
+    "brightness",
+    "calibration_bins",
+    "calibration_error",
+    "check_report_path",
+    "decide_episodes",
+    "disc_centres",
+    "draw_touches",
+    "evaluate",
+    "outcome",
+    "roc_area",
+    "run_episodes",
+    "single_touches",
+    "sorted_pixels",
+    "split_by_count",
+    "split_touches",
+    "without_contact",
+    "write_report",
+]

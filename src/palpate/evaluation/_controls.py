@@ -1,0 +1,88 @@
+"""Nuisance controls: what values that are not touch achieve by themselves.
+
+A recogniser that beats none of these has learnt the recording, not the objects.
+Each control learns and tests on the same touches as the recogniser, with the same
+classifier, from nothing but its own values.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..classifiers import KernelRidgeClassifier
+from ..images import find_rims
+from ..recognition import find_geometry
+from ..touches import Touches
+
+Floats = NDArray[np.float64]
+NO_CONTACT_CORRELATION = 0.98
+N_QUANTILES = 64
+BLOCK = 256
+
+
+def disc_centres(touches: Touches) -> Floats | None:
+    """Return (row, column) of each image's rim in pixels; None without a dome."""
+    if find_geometry(touches) != "dome":
+        return None
+    rims = find_rims(touches.images, no_contact=touches.no_contact)
+    return np.stack([rims.row, rims.col], axis=1)
+
+
+def brightness(touches: Touches) -> Floats:
+    """Return mean and standard deviation of each image, (n_touches, 2)."""
+    images = _flat(touches.images)
+    return np.stack([np.nanmean(images, axis=1), np.nanstd(images, axis=1)], axis=1)
+
+
+def sorted_pixels(touches: Touches) -> Floats:
+    """Return quantiles of each image's pixels divided by its total.
+
+    All taxels in order of size where there are at most 64 of them, else 64
+    quantiles (of every n-th row and column, where a side is above 64): what is
+    known without any geometry. Shape (n_touches, n_values).
+    """
+    step = -(-max(touches.images.shape[1:]) // N_QUANTILES)
+    images = touches.images[:, ::step, ::step]
+    n_pixels = images[0].size
+    levels = np.linspace(0, 1, min(N_QUANTILES, n_pixels))
+    rows = []
+    for start in range(0, len(touches), BLOCK):
+        block = _flat(images[start : start + BLOCK])
+        values = np.nanquantile(block, levels, axis=1).T
+        total = np.nansum(np.abs(block), axis=1, keepdims=True)
+        rows.append(values / np.where(total > 0, total, 1) * n_pixels)
+    return np.concatenate(rows)
+
+
+def without_contact(touches: Touches) -> NDArray[np.bool_] | None:
+    """Return which touches look like the no-contact frame; None without one.
+
+    Those whose correlation with it is above 0.98.
+    """
+    frame = touches.no_contact
+    if frame is None:
+        return None
+    reference = np.asarray(frame, dtype=np.float64).ravel()
+    reference = reference - reference.mean()
+    result = np.empty(len(touches), dtype=bool)
+    for start in range(0, len(touches), BLOCK):
+        block = np.nan_to_num(_flat(touches.images[start : start + BLOCK]))
+        block -= block.mean(axis=1, keepdims=True)
+        norms = np.linalg.norm(block, axis=1) * np.linalg.norm(reference)
+        correlation = block @ reference / np.where(norms > 0, norms, 1)
+        result[start : start + BLOCK] = correlation > NO_CONTACT_CORRELATION
+    return result
+
+
+def control_log_likelihood(
+    train: Floats, labels: NDArray, groups: NDArray, test: Floats
+) -> Floats:
+    """Learn labels from nuisance values; return log-likelihoods of test touches."""
+    centre, spread = train.mean(axis=0), train.std(axis=0)
+    spread = np.where(spread > 0, spread, 1)
+    classifier = KernelRidgeClassifier(widths=(0.5, 2.0, 8.0))
+    classifier.fit((train - centre) / spread, labels, groups=groups)
+    return classifier.log_likelihood((test - centre) / spread)
+
+
+def _flat(images: NDArray) -> Floats:
+    return images.reshape(len(images), -1).astype(np.float64)

@@ -1,0 +1,111 @@
+"""The pictures of a report, as SVG text and PNG data; matplotlib is the extra `plot`."""
+
+import base64
+import io
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+INK = "#1f2933"
+OURS = "#0b6e8a"
+CONTROLS = ("#b8572a", "#8a6d0b", "#6b4e9b", "#5a6572")
+
+
+def require_matplotlib() -> None:
+    """Refuse clearly where the extra is missing."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        raise ImportError(
+            "Reports need matplotlib: pip install palpate[plot]."
+        ) from None
+
+
+def accuracy_curve(figures: dict[str, Any], curve: NDArray, spread: NDArray) -> str:
+    """Return accuracy against touches with its spread, chance and the controls.
+
+    `curve` and `spread` hold mean and standard deviation after 1, 2, 3... touches.
+    """
+    figure, axes = _figure(6.4, 4.0)
+    touches = np.arange(1, len(curve) + 1)
+    low, high = np.clip(curve - spread, 0, 1), np.clip(curve + spread, 0, 1)
+    axes.fill_between(touches, 100 * low, 100 * high, color=OURS, alpha=0.15, lw=0)
+    axes.plot(touches, 100 * curve, color=OURS, lw=2.2, label=figures["preset"])
+    for colour, (name, control) in zip(CONTROLS, figures["controls"].items(), strict=False):
+        if control:
+            label = "without contact" if name == "no contact" else f"{name} alone"
+            points = [(int(k), 100 * v) for k, v in control.items()]
+            axes.plot(*zip(*points, strict=True), "o--", color=colour, ms=4, lw=1, label=label)
+    axes.axhline(100 * figures["chance"], color=INK, lw=0.8, ls=":", label="chance")
+    axes.set(xlabel="touches", ylabel="right, %", ylim=(0, 101), xlim=(1, max(2, len(curve))))
+    axes.legend(frameon=False, loc="center right", fontsize=8)
+    return _svg(figure)
+
+
+def calibration_plot(bins: dict[str, tuple[NDArray, NDArray, NDArray]]) -> str:
+    """Return share right against belief, one line per number of touches."""
+    figure, axes = _figure(4.2, 4.0)
+    axes.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
+    shades = np.linspace(0.35, 1.0, max(1, len(bins)))
+    for shade, (name, (means, shares, _)) in zip(shades, bins.items(), strict=True):
+        axes.plot(means, shares, "o-", color=OURS, alpha=float(shade), ms=4, lw=1.4,
+                  label=f"after {name}")
+    axes.set(xlabel="belief in the best", ylabel="share right", xlim=(0, 1.01), ylim=(0, 1.01))
+    axes.legend(frameon=False, fontsize=8)
+    return _svg(figure)
+
+
+def confusion_plot(confusion: NDArray, names: Sequence[str]) -> str:
+    """Return the share of answers (columns) per true label (rows)."""
+    size = min(11.0, 2.6 + 0.33 * len(names))
+    figure, axes = _figure(size + 0.8, size)
+    axes.imshow(confusion, cmap="GnBu", vmin=0, vmax=1)
+    small = max(4.5, 9 - 0.08 * len(names))
+    axes.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=small)
+    axes.set_yticks(range(len(names)), names, fontsize=small)
+    axes.set(xlabel="recognised as", ylabel="touched")
+    if len(names) <= 20:
+        for row, column in np.argwhere(confusion >= 0.005):
+            share = confusion[row, column]
+            axes.text(column, row, f"{100 * share:.0f}", ha="center", va="center",
+                      fontsize=small - 1, color="white" if share > 0.6 else INK)
+    return _svg(figure)
+
+
+def picture(image: NDArray, *, side: int = 120) -> str:
+    """Return one tactile image as a PNG data address, contrast stretched."""
+    import cv2
+
+    levels = np.nan_to_num(np.asarray(image, dtype=np.float64))
+    low, high = np.percentile(levels, [0.5, 99.5])
+    grey = np.clip((levels - low) / max(high - low, 1e-12), 0, 1) * 255
+    scale = side / max(grey.shape)
+    size = (max(1, round(grey.shape[1] * scale)), max(1, round(grey.shape[0] * scale)))
+    how = cv2.INTER_AREA if scale < 1 else cv2.INTER_NEAREST
+    small = cv2.resize(grey.astype(np.uint8), size, interpolation=how)
+    data = cv2.imencode(".png", small)[1].tobytes()
+    return "data:image/png;base64," + base64.b64encode(data).decode()
+
+
+def _figure(width: float, height: float) -> tuple["Figure", Any]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    axes = figure.add_subplot()
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure, axes
+
+
+def _svg(figure: "Figure") -> str:
+    from matplotlib import rc_context
+
+    text = io.StringIO()
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "palpate"}):
+        figure.savefig(text, format="svg", metadata={"Date": None}, transparent=True)
+    whole = text.getvalue()
+    return whole[whole.index("<svg") :]

@@ -1,0 +1,204 @@
+"""One self-contained HTML page that a person would rather look at than numbers."""
+
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _plots
+from ._episodes import outcome
+from ._evaluate import Trial, beliefs_after
+from ._metrics import calibration_bins
+
+EXAMPLES = 6
+PAIRS = 5
+PICTURES_PER_PAIR = 4
+STYLE = """
+body{font:15px/1.5 system-ui,sans-serif;color:#1f2933;max-width:62rem;margin:2rem auto;
+padding:0 1rem}h1{font-size:1.6rem}h2{font-size:1.15rem;margin-top:2.2rem}
+table{border-collapse:collapse}td,th{padding:.15rem .7rem;text-align:right;
+border-bottom:1px solid #dde3e8}td:first-child,th:first-child{text-align:left}
+.row{display:flex;flex-wrap:wrap;gap:1.5rem;align-items:flex-start}
+.touches img{height:84px;border-radius:4px;margin:2px}.name{width:13rem;
+overflow-wrap:anywhere}.line{display:flex;align-items:center;border-bottom:1px solid #eef1f4}
+.note{color:#5a6572}svg{max-width:100%;height:auto}
+@media(prefers-color-scheme:dark){body{background:#fff}}
+"""
+
+
+def check_report_path(path: str | Path) -> Path:
+    """Return `path` if a report can be written there, or explain."""
+    _plots.require_matplotlib()
+    target = Path(path)
+    if target.suffix != ".html":
+        raise ValueError(f"A report must end in .html, got {target.name!r}.")
+    if not target.parent.is_dir():
+        raise ValueError(f"There is no folder {target.parent} to write to; make it.")
+    return target
+
+
+def write_report(
+    path: str | Path, figures: dict[str, Any], trials: Sequence[Trial]
+) -> Path:
+    """Write accuracy, confusion, calibration and example touches as one page.
+
+    Parameters
+    ----------
+    path : str or Path
+        Ending in `.html`; nothing else is written and nothing is loaded from
+        elsewhere when it is looked at.
+    figures : dict
+        From `evaluate`.
+    trials : sequence of Trial
+        From `evaluate`.
+    """
+    target = check_report_path(path)
+    sections = [
+        _head(figures),
+        _accuracy(figures, trials),
+        _confusion(figures, trials),
+        _examples(trials),
+    ]
+    title = f"palpate: {figures['n_labels']} {figures['label']} labels"
+    page = (
+        "<!doctype html><html lang=en><meta charset=utf-8>"
+        "<meta name=viewport content='width=device-width,initial-scale=1'>"
+        f"<title>{escape(title)}</title><style>{STYLE}</style><body>"
+        + "".join(sections)
+        + "</body></html>"
+    )
+    target.write_text(page, encoding="utf-8")
+    return target
+
+
+def _head(figures: dict[str, Any]) -> str:
+    how = figures["split"] or "separate test touches"
+    folds = f", {figures['n_folds']} folds" if figures["n_folds"] > 1 else ""
+    chosen = figures["chosen"]
+    return (
+        f"<h1>Recognising {figures['n_labels']} {figures['label']} labels by touch</h1>"
+        f"<p>Preset <b>{escape(figures['preset'])}</b>, {figures['n_train_touches']} "
+        f"training and {figures['n_test_touches']} test touches ({escape(how)}{folds}), "
+        f"{figures['orders']} random orders of each object's touches.<br>"
+        f"<span class=note>Encoding: {escape(str(chosen['encoding']))} "
+        f"({escape(str(chosen['why']))}; geometry {escape(str(chosen['geometry']))})."
+        "</span></p>"
+    )
+
+
+def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
+    curve, spread = _curve(trials)
+    plot = _plots.accuracy_curve(figures, curve, spread)
+    bins = {}
+    for k in map(int, figures["accuracy"]):
+        scored = [outcome(*beliefs_after(t, k)) for t in trials if beliefs_after(t, k)[0]]
+        bins[str(k)] = calibration_bins(
+            np.concatenate([s.confidence for s in scored]),
+            np.concatenate([s.hit for s in scored]),
+        )
+    return (
+        "<h2>Accuracy against touches, and whether the belief can be trusted</h2>"
+        f"<div class=row>{plot}{_plots.calibration_plot(bins)}</div>"
+        "<p class=note>Left: mean and one standard deviation over objects (over folds "
+        "where there are several). Dashed: what nuisance values achieve by themselves."
+        " Right: a belief of 0.9 should be right nine times in ten.</p>"
+        + _table(figures)
+    )
+
+
+def _table(figures: dict[str, Any]) -> str:
+    keys = list(figures["accuracy"])
+    rows = [("right, %", figures["accuracy"], 100, 1)]
+    rows.append(("standard deviation, %", figures["accuracy_sd"], 100, 1))
+    rows.append(("log loss, nats", figures["log_loss"], 1, 2))
+    rows.append(("calibration error", figures["ece"], 1, 3))
+    for name, control in figures["controls"].items():
+        rows.append((f"control: {name}, %", control or {}, 100, 1))
+    if "unknown_auroc" in figures:
+        rows.append(("unknown objects, ROC area", figures["unknown_auroc"], 1, 3))
+    head = "".join(f"<th>{k}</th>" for k in keys)
+    body = "".join(
+        f"<tr><td>{escape(name)}</td>"
+        + "".join(
+            f"<td>{scale * values[k]:.{digits}f}</td>" if k in values else "<td>-</td>"
+            for k in keys
+        )
+        + "</tr>"
+        for name, values, scale, digits in rows
+    )
+    return f"<table><tr><th>after touches</th>{head}</tr>{body}</table>"
+
+
+def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
+    k = [int(key) for key in figures["accuracy"]][min(1, len(figures["accuracy"]) - 1)]
+    names = [str(name) for name in trials[0].recogniser.classes_]
+    parts = [outcome(*beliefs_after(t, k)).confusion for t in trials if beliefs_after(t, k)[0]]
+    confusion = np.mean(parts, axis=0)
+    pairs = _confused_pairs(confusion)
+    shown = "".join(_pair(names, row, column, confusion, trials) for row, column in pairs)
+    nothing = "<p>No label was ever taken for another.</p>"
+    return (
+        f"<h2>What is taken for what, after {k} touches</h2>"
+        + _plots.confusion_plot(confusion, names)
+        + "<h2>Most confused pairs</h2>"
+        + (shown or nothing)
+    )
+
+
+def _confused_pairs(confusion: NDArray) -> list[tuple[int, int]]:
+    off = confusion.copy()
+    np.fill_diagonal(off, 0)
+    order = np.argsort(off, axis=None)[::-1][:PAIRS]
+    rows, columns = np.unravel_index(order, off.shape)
+    return [(int(r), int(c)) for r, c in zip(rows, columns, strict=True) if off[r, c] > 0]
+
+
+def _pair(
+    names: list[str], row: int, column: int, confusion: NDArray, trials: Sequence[Trial]
+) -> str:
+    share = f"{100 * confusion[row, column]:.0f} %"
+    cells = "".join(
+        f"<div><div class=touches>{_pictures(trials, names[i], PICTURES_PER_PAIR)}</div>"
+        f"<span class=note>{escape(names[i])}</span></div>"
+        for i in (row, column)
+    )
+    title = f"<b>{escape(names[row])}</b> taken for <b>{escape(names[column])}</b>"
+    return f"<p>{title}: {share}</p><div class=row>{cells}</div>"
+
+
+def _examples(trials: Sequence[Trial]) -> str:
+    names = [str(name) for name in trials[0].recogniser.classes_]
+    lines = "".join(
+        f"<div class=line><div class=name>{escape(name)}</div>"
+        f"<div class=touches>{_pictures(trials, name, EXAMPLES)}</div></div>"
+        for name in names
+    )
+    return f"<h2>What the sensor feels</h2>{lines}"
+
+
+def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:
+    """Return evenly spaced training touches of a label, cleaned up, as images."""
+    trial = trials[0]
+    rows = np.flatnonzero(trial.recogniser.labels_ == name)
+    some = rows[np.unique(np.linspace(0, len(rows) - 1, count).astype(int))]
+    cleaned = trial.recogniser.encoder_.clean(trial.fold.train[some])
+    alt = escape(f"touch of {name}")
+    return "".join(f"<img src='{_plots.picture(image)}' alt='{alt}'>" for image in cleaned)
+
+
+def _curve(trials: Sequence[Trial]) -> tuple[NDArray, NDArray]:
+    """Return mean and spread of accuracy after 1, 2, 3... touches.
+
+    As far as every object has that many touches.
+    """
+    shortest = min(b.shape[1] for trial in trials for b in trial.episodes.beliefs)
+    mean, spread = np.empty(shortest), np.empty(shortest)
+    for k in range(1, shortest + 1):
+        accuracy = [outcome(*beliefs_after(t, k)).accuracy for t in trials]
+        per_fold = np.array([a.mean() for a in accuracy])
+        mean[k - 1] = per_fold.mean()
+        spread[k - 1] = accuracy[0].std() if len(trials) == 1 else per_fold.std()
+    return mean, spread

@@ -1,0 +1,213 @@
+"""Calibrating a pressure array: raw readings of each taxel to pressure in kPa.
+
+The conductance of a piezoresistive taxel grows linearly with pressure, between a
+dead zone, below which it does not answer, and saturation. Both ends and the line
+are learnt for every taxel from frames under known uniform loads, as of a pressure
+chamber; a taxel that does not follow its load is dead, and reads NaN.
+"""
+
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.utils import Tags
+from sklearn.utils.validation import check_is_fitted
+
+from .._checks import check_images, check_number, check_option
+from ._calibration_fit import fit_taxels
+from ._calibration_json import LEARNT, read_calibration, write_calibration
+
+KPA_PER_UNIT = {"kPa": 1.0, "psi": 6.894757293168361, "Pa": 1e-3, "bar": 100.0}
+
+
+class TaxelCalibration(TransformerMixin, BaseEstimator):
+    """Per-taxel gain, offset, dead zone and saturation, from uniform loads.
+
+    Parameters
+    ----------
+    load_unit : {"kPa", "psi", "Pa", "bar"}, default="kPa"
+        Unit of the loads given to `fit`. Everything learnt or returned is in kPa.
+    quantity : {"conductance", "resistance"}, default="conductance"
+        What raw readings are proportional to. Resistances are inverted first.
+    least_gain : float, default=0.1
+        Taxels whose gain is below this share of the median gain are dead.
+
+    Attributes
+    ----------
+    gain_, offset_ : ndarray of shape (n_rows, n_cols)
+        Conductance = offset + gain x pressure, gain per kPa; NaN for dead taxels.
+    noise_ : ndarray of shape (n_rows, n_cols)
+        Robust standard deviation of the conductance about the line.
+    dead_zone_kpa_ : ndarray of shape (n_rows, n_cols)
+        Pressure below which the taxel does not answer, 0 where it always does.
+    saturation_kpa_ : ndarray of shape (n_rows, n_cols)
+        Pressure above which it answers no more, infinite where none was seen.
+    dead_ : ndarray of bool of shape (n_rows, n_cols)
+        Taxels that did not follow their load.
+    highest_load_kpa_ : float
+        Largest load; pressures above it are extrapolated.
+    image_shape_ : tuple of int
+
+    Notes
+    -----
+    Readings are summarised by their median at each load, lines are Theil-Sen lines,
+    and plateaus count only where they leave the line by more than the noise, so that
+    a few bad frames do no harm. A calibration needs three different loads, and six
+    or more to find dead zone and saturation.
+
+    References
+    ----------
+    .. [1] Y.-H. Liu et al., "Low-resolution tactile image recognition for automated
+       robotic assembly using kernel PCA-based feature fusion and multiple kernel
+       learning-based support vector machine", Math. Probl. Eng., 2014, Fig. 3.
+       doi:10.1155/2014/497275
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate.images import TaxelCalibration
+    >>> loads = np.array([10.0, 200.0, 400.0, 580.0])
+    >>> frames = 0.5 + 0.01 * loads[:, None, None] * np.ones((4, 2, 2))
+    >>> calibration = TaxelCalibration(load_unit="psi").fit(frames, loads)
+    >>> calibration.transform(frames[1:2]).round(1)
+    array([[[1379., 1379.],
+            [1379., 1379.]]])
+    """
+
+    def __init__(
+        self,
+        load_unit: str = "kPa",
+        *,
+        quantity: str = "conductance",
+        least_gain: float = 0.1,
+    ) -> None:
+        self.load_unit = load_unit
+        self.quantity = quantity
+        self.least_gain = least_gain
+
+    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+        """Learn every taxel's line from frames `X` under uniform loads `y`.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_frames, n_rows, n_cols)
+            Raw readings; NaN where a taxel gave none.
+        y : array-like of shape (n_frames,)
+            The load on the whole array in each frame, in `load_unit`.
+
+        Raises
+        ------
+        ValueError
+            For fewer than three different loads, loads that are negative or do not
+            match the frames, or an array in which no taxel follows the load.
+        """
+        conductance = self._conductance(check_images(X, allow_nan=True))
+        loads = self._check_loads(y, len(conductance))
+        least_gain = check_number("least_gain", self.least_gain, low=0, high=1)
+        n_frames, n_rows, n_cols = conductance.shape
+        learnt = fit_taxels(conductance.reshape(n_frames, -1), loads, least_gain)
+        if learnt["dead"].all():
+            raise ValueError(
+                "X must hold taxels whose readings rise with the load, got none among "
+                f"{n_rows * n_cols}. Check the loads' order, and quantity="
+                f"{self.quantity!r}."
+            )
+        self.image_shape_ = (n_rows, n_cols)
+        for name, values in learnt.items():
+            setattr(self, f"{name}_", values.reshape(self.image_shape_))
+        self.highest_load_kpa_ = float(loads.max())
+        return self
+
+    def transform(self, X: ArrayLike) -> NDArray[np.float64]:
+        """Return pressure in kPa, (n_touches, n_rows, n_cols); NaN for dead taxels.
+
+        Readings in the dead zone give 0, saturated ones the pressure at which the
+        taxel saturates; `out_of_range` tells which they are.
+        """
+        pressure = self._on_the_line(X)
+        capped = np.minimum(pressure, self.saturation_kpa_)
+        in_dead_zone = pressure < self.dead_zone_kpa_
+        return np.where(in_dead_zone, 0.0, np.maximum(capped, 0.0))
+
+    def out_of_range(self, X: ArrayLike) -> NDArray[np.int8]:
+        """Say of each reading whether its pressure is known.
+
+        Returns
+        -------
+        flags : ndarray of int8 of shape (n_touches, n_rows, n_cols)
+            -1 in the dead zone; 1 saturated, or above the highest load of the
+            calibration; 0 between (and for dead taxels).
+        """
+        pressure = self._on_the_line(X)
+        highest = np.minimum(self.saturation_kpa_, self.highest_load_kpa_)
+        # The highest load itself is within range, whatever rounding says.
+        above = pressure > highest * (1 + 1e-9)
+        return above.astype(np.int8) - (pressure < self.dead_zone_kpa_)
+
+    def save(self, path: str | Path) -> None:
+        """Write the calibration to a JSON file."""
+        check_is_fitted(self)
+        learnt = {name: getattr(self, f"{name}_") for name in LEARNT}
+        write_calibration(path, self.get_params(), learnt)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a calibration that `save` wrote.
+
+        Raises
+        ------
+        ValueError
+            When the file is no calibration, or of another version, or damaged.
+        """
+        params, learnt = read_calibration(path)
+        calibration = cls(**params)
+        for name, value in learnt.items():
+            setattr(calibration, f"{name}_", value)
+        return calibration
+
+    def _on_the_line(self, X: ArrayLike) -> NDArray[np.float64]:
+        check_is_fitted(self)
+        frames = check_images(X, shape=self.image_shape_, allow_nan=True)
+        line = (self._conductance(frames) - self.offset_) / self.gain_
+        return np.where(self.dead_, np.nan, line)
+
+    def _conductance(self, frames: NDArray[np.float64]) -> NDArray[np.float64]:
+        check_option("quantity", self.quantity, ("conductance", "resistance"))
+        if self.quantity == "conductance":
+            return frames
+        if (frames <= 0).any():
+            raise ValueError(
+                f"Resistances must be positive, got {np.nanmin(frames)}. Write an "
+                'unread taxel as NaN, or pass quantity="conductance".'
+            )
+        return 1 / frames
+
+    def _check_loads(self, y: ArrayLike, n_frames: int) -> NDArray[np.float64]:
+        check_option("load_unit", self.load_unit, KPA_PER_UNIT)
+        loads = np.asarray(y, dtype=np.float64)
+        if loads.shape != (n_frames,):
+            raise ValueError(
+                f"y must hold one load per frame, shape ({n_frames},), got shape "
+                f"{loads.shape}."
+            )
+        if not (np.isfinite(loads).all() and (loads >= 0).all()):
+            raise ValueError(
+                "y must be finite loads of at least 0, got values from "
+                f"{loads.min()} to {loads.max()}."
+            )
+        if len(np.unique(loads)) < 3:
+            raise ValueError(
+                "y must hold at least three different loads, got "
+                f"{len(np.unique(loads))}. Record more loads."
+            )
+        return loads * KPA_PER_UNIT[self.load_unit]
+
+    def __sklearn_tags__(self) -> Tags:
+        tags = super().__sklearn_tags__()
+        tags.input_tags.two_d_array = False
+        tags.input_tags.three_d_array = True
+        tags.input_tags.allow_nan = True
+        tags.target_tags.required = True
+        return tags

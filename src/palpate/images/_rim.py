@@ -1,0 +1,268 @@
+"""Find the visible circle of a camera dome to a fraction of a pixel.
+
+The dome ends in a rim: a sharp, round edge towards a surround that is brighter or
+darker. The camera shifts between touches and within a recording, so the centre is
+found anew in every image; the radius is a constant of the device and is held near
+a known one where there is one. Nothing holds the centre: a shifted image gives a
+shifted rim. The frame may cut the circle, as long as a fifth of it is seen and the
+edges do not all lie on one side.
+
+Rows grow downwards; pixel centres are at whole numbers, so that an image of n rows
+reaches from -0.5 to n - 0.5.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._checks import check_images, check_positive
+from . import _rim_fit
+from ._rim_fit import Fit
+
+SMALLEST_SIDE = 40
+RADII = (0.25, 0.8)
+MIN_SUPPORT, MIN_ARC, MIN_BALANCE = 0.65, 0.2, 0.2
+FREE_RADIUS, FREE_CENTRE = 0.03, 0.5
+N_TYPICAL = 64
+
+
+@dataclass(frozen=True)
+class Circle:
+    """A circle in an image: centre (`row`, `col`) and `radius`, in pixels.
+
+    `visible` tells whether a rim was seen there; `score`, from 0 to 1, which share of
+    the circle inside the frame shows a sharp edge.
+    """
+
+    row: float
+    col: float
+    radius: float
+    visible: bool = True
+    score: float = 1.0
+
+    @classmethod
+    def inscribed(cls, shape: tuple[int, int]) -> "Circle":
+        """The largest disc in a frame of `shape`; not a visible rim."""
+        rows, cols = shape
+        return cls((rows - 1) / 2, (cols - 1) / 2, min(rows, cols) / 2, False, 0.0)
+
+
+@dataclass(frozen=True)
+class Rims:
+    """The circles of a set of touches, one value a touch in every array.
+
+    Attributes
+    ----------
+    row, col, radius : ndarray of shape (n_touches,)
+        Centre and radius, in pixels.
+    visible : ndarray of bool, shape (n_touches,)
+        False where no rim was seen; the circle is then a stand-in.
+    score : ndarray of shape (n_touches,)
+        Share of the circle inside the frame that shows a sharp edge, 0 to 1.
+    """
+
+    row: NDArray[np.float64]
+    col: NDArray[np.float64]
+    radius: NDArray[np.float64]
+    visible: NDArray[np.bool_]
+    score: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, circles: Iterable[Circle]) -> "Rims":
+        """Gather circles, one a touch."""
+        each = list(circles)
+        columns = {f.name: [getattr(c, f.name) for c in each] for f in fields(cls)}
+        kinds = {"visible": np.bool_}
+        return cls(**{k: np.array(v, kinds.get(k, float)) for k, v in columns.items()})
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def __iter__(self) -> Iterator[Circle]:
+        return (self[i] for i in range(len(self)))
+
+    @overload
+    def __getitem__(self, key: int | np.integer) -> Circle: ...
+    @overload
+    def __getitem__(self, key: slice | NDArray[Any]) -> "Rims": ...
+    def __getitem__(self, key: Any) -> "Circle | Rims":
+        picked = {f.name: getattr(self, f.name)[key] for f in fields(self)}
+        if np.ndim(picked["row"]):
+            return Rims(**picked)
+        return Circle(**{name: value.item() for name, value in picked.items()})
+
+
+def find_rim(image: ArrayLike, *, near: Circle | None = None) -> Circle:
+    """Find the rim of one image.
+
+    Parameters
+    ----------
+    image : array-like of shape (n_rows, n_cols)
+        Grey levels of any integer or float type; their unit does not matter.
+    near : Circle, optional
+        A rim of the same device, such as that of its no-contact frame. The radius is
+        held within about a per cent of it; the centre may lie anywhere within half a
+        radius of it and is not drawn towards it.
+
+    Returns
+    -------
+    Circle
+        Where no rim is visible, `near` or else the inscribed disc, marked as such.
+
+    Raises
+    ------
+    ValueError
+        If the image is not two-dimensional or holds NaN or infinity.
+    """
+    grey = np.asarray(image)
+    if grey.ndim != 2:
+        raise ValueError(
+            "image must have shape (n_rows, n_cols), got an array of shape "
+            f"{grey.shape}. For many touches use find_rims."
+        )
+    return _find(as_images(grey[None])[0], _checked(near))
+
+
+def find_rims(
+    images: ArrayLike,
+    *,
+    near: Circle | None = None,
+    no_contact: ArrayLike | None = None,
+) -> Rims:
+    """Find the rim of every touch.
+
+    Parameters
+    ----------
+    images : array-like of shape (n_touches, n_rows, n_cols)
+        Grey levels of any integer or float type, without NaN.
+    near : Circle, optional
+        As in `find_rim`; with it, a touch's rim does not depend on the others.
+    no_contact : array-like of shape (n_rows, n_cols), optional
+        The no-contact frame, to learn `near` from. With neither, `near` is the
+        `typical_rim` of the touches, so the radius comes from all of them.
+
+    Returns
+    -------
+    Rims
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `images` are no finite images.
+    """
+    checked = as_images(images)
+    if near is None:
+        near = typical_rim(checked, no_contact=no_contact)
+    else:
+        near = _checked(near)
+    return Rims.of(_find(image, near) for image in checked)
+
+
+def typical_rim(
+    images: ArrayLike, *, no_contact: ArrayLike | None = None
+) -> Circle | None:
+    """Return the rim that a set of touches has in common, or None where it has none.
+
+    It is the rim of the no-contact frame if that is visible. Otherwise it is the
+    median over at most 64 touches, evenly spread: at least half of these must show a
+    rim, of one size (median deviation of the radius below 2 %) and at one place
+    (median deviation of the centre below 15 % of the radius), which tells the rim
+    of a device from the round edges of what touches it.
+    """
+    checked = as_images(images)
+    if no_contact is not None:
+        rim = find_rim(no_contact)
+        if rim.visible:
+            return rim
+    n = len(checked)
+    which = np.unique(np.linspace(0, n - 1, min(n, N_TYPICAL)).round().astype(int))
+    rims = Rims.of(_find(checked[i], None) for i in which)
+    seen = rims[rims.visible]
+    if 2 * len(seen) < len(rims):
+        return None
+    row, col, radius = (float(np.median(v)) for v in (seen.row, seen.col, seen.radius))
+    stray = np.median(np.hypot(seen.row - row, seen.col - col))
+    uneven = np.median(np.abs(seen.radius - radius))
+    if stray > 0.15 * radius or uneven > 0.02 * radius:
+        return None
+    return Circle(row, col, radius, True, float(np.median(seen.score)))
+
+
+def as_images(X: ArrayLike, *, shape: tuple[int, int] | None = None) -> NDArray:
+    """Return `X` as finite images; 8-bit ones stay so, to save memory and time."""
+    images = np.asarray(X)
+    if images.dtype != np.uint8:
+        return check_images(images, shape=shape)
+    check_images(images[:1], shape=shape)
+    return images
+
+
+def _checked(near: Circle | None) -> Circle | None:
+    if near is not None:
+        check_positive("near.radius", near.radius)
+    return near
+
+
+def _find(image: NDArray, near: Circle | None) -> Circle:
+    shape = image.shape
+    missing = Circle.inscribed(shape)
+    if near is not None:
+        missing = Circle(near.row, near.col, near.radius, False, 0.0)
+    if min(shape) < SMALLEST_SIDE or image.max() == image.min():
+        return missing
+    grey = _as_grey(image)
+    best: Fit | None = None
+    for fit in _candidates(grey, near):
+        if _is_rim(fit, shape, near) and (best is None or fit.evidence > best.evidence):
+            best = fit
+            if near is not None:
+                break
+    if best is None:
+        return missing
+    return Circle(*best.circle, True, best.support)
+
+
+def _as_grey(image: NDArray) -> NDArray:
+    """8-bit as it is, anything else stretched to 0..1 in single precision."""
+    if image.dtype == np.uint8:
+        return np.ascontiguousarray(image)
+    low, high = image.min(), image.max()
+    return ((image / 2 - low / 2) / (high / 2 - low / 2)).astype(np.float32)
+
+
+def _candidates(grey: NDArray, near: Circle | None) -> Iterator[Fit]:
+    """Fit the circles that the most edge points agree on."""
+    small, block = _rim_fit.reduce(grey)
+    centre = (block - 1) / 2
+    side = min(small.shape)
+    radii = np.arange(RADII[0] * side, RADII[1] * side, 3)
+    search = None
+    if near is not None:
+        place = [(v - centre) / block for v in (near.row, near.col)]
+        radii = np.array([near.radius / block])
+        search = (place[0], place[1], FREE_CENTRE * near.radius / block)
+    found = _rim_fit.vote(
+        small, radii.astype(np.float32), n_best=3 if near is None else 2, near=search
+    )
+    for (row, col, radius), sign in found:
+        start = (row * block + centre, col * block + centre, radius * block)
+        hold = None if near is None else near.radius
+        fit = _rim_fit.refine(grey, start, sign, radius=hold)
+        if fit is not None:
+            yield fit
+
+
+def _is_rim(fit: Fit, shape: tuple[int, int], near: Circle | None) -> bool:
+    row, col, radius = fit.circle
+    if near is not None:
+        strays = np.hypot(row - near.row, col - near.col) > FREE_CENTRE * near.radius
+        if strays or abs(radius - near.radius) > FREE_RADIUS * near.radius:
+            return False
+    elif not 0.9 * RADII[0] < radius / min(shape) < 1.1 * RADII[1]:
+        return False
+    in_frame = 0 <= row <= shape[0] - 1 and 0 <= col <= shape[1] - 1
+    seen = fit.support >= MIN_SUPPORT and fit.arc >= MIN_ARC
+    return in_frame and seen and fit.balance >= MIN_BALANCE

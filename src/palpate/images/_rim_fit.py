@@ -1,0 +1,289 @@
+"""Fit one circle to the edge where a camera's view of its dome ends.
+
+Two steps. Edge points of a reduced image vote along their gradient for the centres
+of circles through them (a Hough transform), which needs no starting point. Then the
+grey levels along rays across the best circles give one edge a ray, to a fraction of
+a pixel, and a circle is fitted to these edges by Tukey's biweight, so that contacts,
+highlights and dirt that cross the rim count little.
+
+Rows grow downwards and pixel centres are at whole numbers. A circle is a triple
+(row, col, radius) in pixels of the image; `sign` is +1 where the surround is brighter
+than the dome, -1 where it is darker.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Triple = tuple[float, float, float]
+
+REDUCED_SIDE = 120
+MAX_EDGE_POINTS = 500
+N_RAYS = 192
+HALF_WIDTH = 0.1
+BIWEIGHT = 4.685
+MIN_EDGES = 12
+HOLD = 0.003
+
+_ANGLE = 2 * np.pi * np.arange(N_RAYS) / N_RAYS
+_SIN, _COS = np.sin(_ANGLE).astype(np.float32), np.cos(_ANGLE).astype(np.float32)
+
+
+class Fit(NamedTuple):
+    """A fitted circle and the evidence for it.
+
+    `support` is the share of the rays across the circle, inside the frame, that have
+    a sharp edge on it; `arc` the share of a full turn that these rays cover;
+    `balance` is 1/2 where the edges surround the centre evenly and 0 where they all
+    lie on one line through it, so that the centre is not known along that line.
+    """
+
+    circle: Triple
+    support: float
+    arc: float
+    balance: float
+
+    @property
+    def evidence(self) -> float:
+        """Rays that support the circle beyond those that do not, for comparing."""
+        return self.support * min(self.arc, 0.75) ** 0.5
+
+
+def reduce(image: NDArray) -> tuple[NDArray[np.uint8], int]:
+    """Average whole blocks of pixels and stretch to 0..255; also the block's side."""
+    rows, cols = image.shape
+    block = max(1, min(rows, cols) // REDUCED_SIDE)
+    if block > 1:
+        size = (cols // block, rows // block)
+        whole = image[: size[1] * block, : size[0] * block]
+        image = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
+    low, high = float(image.min()), float(image.max())
+    scale = 255 / (high - low) if high > low else 0.0
+    stretched = cv2.convertScaleAbs(image, alpha=scale, beta=-low * scale)
+    return np.asarray(stretched, np.uint8), block
+
+
+def vote(
+    small: NDArray[np.uint8],
+    radii: NDArray[np.float32],
+    *,
+    n_best: int,
+    near: Triple | None = None,
+) -> list[tuple[Triple, int]]:
+    """Return the likeliest (circle, sign), best first, in pixels of `small`.
+
+    `near` is (row, col, distance): the centre is sought no further from there.
+    """
+    points = _edge_points(small)
+    if points is None:
+        return []
+    cell = 2.0 if len(radii) == 1 else 3.0
+    votes = _accumulate(points, radii, small.shape, cell)
+    if near is not None:
+        row, col = np.ogrid[: votes.shape[0], : votes.shape[1]]
+        far = np.hypot(row * cell - near[0], col * cell - near[1]) > near[2]
+        votes[far] = 0
+    found: list[tuple[Triple, int]] = []
+    for _ in range(n_best):
+        r, c, s, k = np.unravel_index(int(votes.argmax()), votes.shape)
+        if votes[r, c, s, k] <= 0:
+            break
+        circle = (float(r * cell), float(c * cell), float(radii[k]))
+        found.append((circle, 1 - 2 * int(s)))
+        votes[
+            max(0, r - 3) : r + 4, max(0, c - 3) : c + 4, :, max(0, k - 2) : k + 3
+        ] = 0
+    return found
+
+
+def refine(
+    image: NDArray, start: Triple, sign: int, *, radius: float | None = None
+) -> Fit | None:
+    """Fit the circle near `start` to sub-pixel edges; None where there are too few.
+
+    With `radius`, the radius is held near it, as strongly as if two thirds of the
+    evidence said so: the deviations of a real rim from a circle are systematic, so
+    that their number does not make a free radius better.
+    """
+    rays = _Rays(image, start, sign)
+    if len(rays) < MIN_EDGES:
+        return None
+    circle = np.array(start)
+    if radius is not None:
+        circle[2] = radius
+    for width in (1.0, 0.4, 0.2):
+        edges = rays.edges(circle, width)
+        if edges.shape[1] < MIN_EDGES:
+            return None
+        for _ in range(2):
+            circle = circle + _step(circle, edges, radius)
+    return rays.judge(circle, edges)
+
+
+def _edge_points(small: NDArray[np.uint8]) -> NDArray[np.float32] | None:
+    """Return row, col and unit gradient (row, col) of the strongest edge points.
+
+    The threshold is three times the median gradient, which noise alone sets; the
+    floor, one per cent of the grey levels' range a pixel, passes flat images.
+    """
+    smooth = cv2.GaussianBlur(small, (5, 5), 1.0, borderType=cv2.BORDER_REPLICATE)
+    dx, dy = cv2.spatialGradient(smooth)
+    some = np.abs(dx[::3, ::3]) + np.abs(dy[::3, ::3])
+    high = max(2.4 * float(np.median(some)), 0.01 * 255 * 8)
+    edges = cv2.Canny(dx, dy, 0.7 * high, high, L2gradient=True)
+    edges[0] = edges[-1] = edges[:, 0] = edges[:, -1] = 0
+    places = np.flatnonzero(edges.view(np.bool_))
+    if len(places) < MIN_EDGES:
+        return None
+    gradient = np.stack([dy.ravel()[places], dx.ravel()[places]]).astype(np.float32)
+    size = np.sqrt((gradient * gradient).sum(axis=0))
+    if len(places) > MAX_EDGE_POINTS:
+        keep = np.argpartition(size, -MAX_EDGE_POINTS)[-MAX_EDGE_POINTS:]
+        places, gradient, size = places[keep], gradient[:, keep], size[keep]
+    row, col = np.divmod(places, small.shape[1])
+    return np.stack([row, col, *(gradient / size)]).astype(np.float32)
+
+
+def _accumulate(
+    points: NDArray[np.float32],
+    radii: NDArray[np.float32],
+    shape: tuple[int, ...],
+    cell: float,
+) -> NDArray[np.float32]:
+    """Count votes for (row, col, sign, radius), blurred over neighbouring cells."""
+    rows, cols = int(shape[0] / cell) + 1, int(shape[1] / cell) + 1
+    row, col, along_row, along_col = points
+    reach = np.concatenate([radii, -radii])[:, None]
+    r = np.rint((row - reach * along_row) / cell).astype(np.int32)
+    c = np.rint((col - reach * along_col) / cell).astype(np.int32)
+    n_kinds = len(reach)
+    place = (r * cols + c) * n_kinds + np.arange(n_kinds, dtype=np.int32)[:, None]
+    inside = (r >= 0) & (r < rows) & (c >= 0) & (c < cols)
+    count = np.bincount(place[inside], minlength=rows * cols * n_kinds)
+    votes = count.astype(np.float32).reshape(rows, cols, n_kinds)
+    smooth = np.asarray(cv2.GaussianBlur(votes, (5, 5), 1.0), np.float32)
+    blurred = smooth.reshape(rows, cols, 2, len(radii))
+    if len(radii) > 1:
+        blurred[..., 1:-1] += 0.5 * (blurred[..., :-2] + blurred[..., 2:])
+    return blurred
+
+
+class _Rays:
+    """Slopes of the grey level along rays from the centre of a first circle."""
+
+    def __init__(self, image: NDArray, start: Triple, sign: int) -> None:
+        """Sample `image` on both sides of `start`, as far as it lies in the frame."""
+        self.row, self.col, self.radius = start
+        self.bottom, self.right = image.shape[0] - 1, image.shape[1] - 1
+        self.half = max(HALF_WIDTH * self.radius, 5.0)
+        self.cell = max(self.half / 22, 0.5)
+        n = int(np.ceil(self.half / self.cell))
+        self.offset = self.cell * np.arange(-n, n + 1, dtype=np.float32)
+        reach = np.float32(self.radius) + self.offset
+        y = np.float32(self.row) + _SIN[:, None] * reach
+        x = np.float32(self.col) + _COS[:, None] * reach
+        inside = (y >= 0) & (y <= self.bottom) & (x >= 0) & (x <= self.right)
+        which = np.flatnonzero(np.count_nonzero(inside, axis=1) > len(reach) / 4)
+        self.sin, self.cos = (t[which].astype(np.float64) for t in (_SIN, _COS))
+        if len(which):
+            self._differentiate(image, y[which], x[which], inside[which], sign)
+
+    def __len__(self) -> int:
+        return len(self.sin)
+
+    def _differentiate(
+        self, image: NDArray, y: NDArray, x: NDArray, inside: NDArray, sign: int
+    ) -> None:
+        grey = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        kernel = sign * _slope_kernel(max(1.0, 1.2 / self.cell))
+        slope = cv2.filter2D(grey, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE)
+        self.slope = slope * inside
+        self.typical = np.abs(self.slope).sum(axis=1) / np.count_nonzero(inside, axis=1)
+
+    def predict(self, circle: NDArray) -> NDArray:
+        """Where `circle` crosses each ray, as an offset from the start's radius."""
+        down, right = circle[0] - self.row, circle[1] - self.col
+        along = self.sin * down + self.cos * right
+        inner = circle[2] ** 2 - (down * down + right * right) + along * along
+        return along + np.sqrt(np.maximum(inner, 0)) - self.radius
+
+    def edges(self, circle: NDArray, width: float) -> NDArray:
+        """Each ray's steepest edge near `circle`: row, col, slope, usual slope, ray.
+
+        Nearness weighs with a parabola that ends at 2.5 times `width` of the band.
+        """
+        reach = 2.5 * max(width * self.half, 0.03 * self.radius, 1.5)
+        away = self.offset - self.predict(circle).astype(np.float32)[:, None]
+        likely = self.slope * np.maximum(1 - (away / np.float32(reach)) ** 2, 0)
+        peak = likely.argmax(axis=1)
+        ray = np.flatnonzero((peak > 0) & (peak < len(self.offset) - 1))
+        peak = peak[ray]
+        before, top, after = (self.slope[ray, peak + d] for d in (-1, 0, 1))
+        bend = np.minimum(before - 2 * top + after, np.float32(-1e-30))
+        part = np.clip(0.5 * (before - after) / bend, -1, 1)
+        reach = self.radius + self.offset[peak] + part * self.cell
+        row, col = self.row + self.sin[ray] * reach, self.col + self.cos[ray] * reach
+        return np.stack([row, col, top, self.typical[ray], ray])[:, top > 0]
+
+    def judge(self, circle: NDArray, edges: NDArray) -> Fit:
+        """Weigh the evidence for `circle`."""
+        offset = self.predict(circle)
+        y = self.row + self.sin * (self.radius + offset)
+        x = self.col + self.cos * (self.radius + offset)
+        seen = (np.abs(offset) < 0.95 * self.half) & (y >= 1) & (x >= 1)
+        seen &= (y <= self.bottom - 1) & (x <= self.right - 1)
+        n_seen = max(int(np.count_nonzero(seen)), 1)
+        residual, outward = _residuals(circle, edges)
+        tolerance = max(0.012 * circle[2], 0.5)
+        good = (np.abs(residual) < tolerance) & (edges[2] > 1.8 * edges[3])
+        good &= seen[edges[4].astype(np.intp)]
+        on_circle = outward[:2, good]
+        spread = on_circle @ on_circle.T / max(on_circle.shape[1], 1)
+        balance = float(np.linalg.eigvalsh(spread)[0])
+        row, col, radius = (float(v) for v in circle)
+        support = on_circle.shape[1] / n_seen
+        return Fit((row, col, radius), support, n_seen / N_RAYS, balance)
+
+
+def _step(circle: NDArray, edges: NDArray, radius: float | None) -> NDArray:
+    """One reweighted Gauss-Newton step of (row, col, radius)."""
+    residual, outward = _residuals(circle, edges)
+    weight, scale = _weights(residual, edges)
+    total = float(weight.sum())
+    weighted = outward * weight
+    normal, pull = weighted @ outward.T, weighted @ residual
+    if radius is not None:
+        hold = total * (scale / (HOLD * radius)) ** 2
+        normal[2, 2] += hold
+        pull[2] -= hold * (circle[2] - radius)
+    normal.flat[::4] += 1e-6 * total
+    return np.linalg.solve(normal, pull)
+
+
+def _residuals(circle: NDArray, edges: NDArray) -> tuple[NDArray, NDArray]:
+    """Distance of each edge beyond `circle`, and its slopes by row, col, radius."""
+    outward = np.ones((3, edges.shape[1]))
+    y, x = edges[0] - circle[0], edges[1] - circle[1]
+    distance = np.sqrt(y * y + x * x) + 1e-9
+    outward[0], outward[1] = y / distance, x / distance
+    return distance - circle[2], outward
+
+
+def _weights(residual: NDArray, edges: NDArray) -> tuple[NDArray, float]:
+    """Tukey's biweight times the edge's strength, and the residuals' scale."""
+    size = np.abs(residual)
+    middle = len(size) // 2
+    scale = max(1.4826 * float(np.partition(size, middle)[middle]), 0.15)
+    inner = np.maximum(1 - (residual / (BIWEIGHT * scale)) ** 2, 0)
+    trust = np.minimum(edges[2] / (edges[3].mean()), 4.0)
+    return inner * inner * trust, scale
+
+
+def _slope_kernel(spread: float) -> NDArray[np.float32]:
+    """Derivative of a Gaussian, as one row; `spread` in cells."""
+    reach = int(np.ceil(2.5 * spread))
+    t = np.arange(-reach, reach + 1, dtype=np.float32)
+    kernel = t * np.exp(-(t**2) / (2 * spread**2))
+    return (kernel / np.abs(kernel).sum())[None]

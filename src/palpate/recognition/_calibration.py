@@ -1,0 +1,154 @@
+"""What the training touches tell about episodes to come.
+
+Every training touch is recognised by a model that never met its stretch of the
+recording; episodes drawn from those answers show how far a sum of log-likelihoods
+may be trusted and how uncertain the belief about a KNOWN object ever gets. Nothing
+here looks at a test touch.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from sklearn.base import clone
+from sklearn.model_selection import GroupKFold
+
+from ._sequence import Floats, Trust, log_posteriors, unknown_scores
+
+N_STRETCHES = 5
+EPISODES_PER_OBJECT = 40
+LENGTHS = (1, 2, 3, 5, 8, 12, 20, 30)
+REFUSED = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
+
+
+def stretches(objects: NDArray, order: NDArray | None = None) -> NDArray[np.intp]:
+    """Number the stretches of the recordings, shape (n_touches,).
+
+    Each object's touches, in the order in which they were made, are cut into
+    `N_STRETCHES` runs of nearly equal length: neighbours in time, which resemble
+    each other, fall into the same stretch.
+    """
+    group = np.empty(len(objects), dtype=np.intp)
+    next_group = 0
+    for name in np.unique(objects):
+        rows = np.flatnonzero(objects == name)
+        if order is not None:
+            rows = rows[np.argsort(order[rows], kind="stable")]
+        for part in np.array_split(rows, min(N_STRETCHES, len(rows))):
+            group[part] = next_group
+            next_group += 1
+    return group
+
+
+def left_out_log_likelihood(
+    classifier: Any, features: Floats, labels: NDArray, group: NDArray
+) -> Floats:
+    """Return log-likelihoods of training touches, each with its group left out.
+
+    Shape (n_touches, n_classes). A classifier that knows them in closed form
+    (`left_out_log_likelihood`) is asked; any other is fitted again on folds.
+    A label whose touches are all left out at once gets the least likelihood
+    that any label got for the touch.
+    """
+    if hasattr(classifier, "left_out_log_likelihood"):
+        known: Floats = classifier.left_out_log_likelihood()
+        return known
+    result = np.full((len(features), len(classifier.classes_)), -np.inf)
+    folds = min(N_STRETCHES, len(np.unique(group)))
+    # Stretch k of every object goes into fold k, so each fold keeps all objects.
+    fold_of = _rank_within(labels, group) % folds
+    for train, test in GroupKFold(folds).split(features, groups=fold_of):
+        again = clone(classifier).fit(features[train], labels[train])
+        columns = np.searchsorted(classifier.classes_, again.classes_)
+        result[np.ix_(test, columns)] = touch_log_likelihood(again, features[test])
+    worst = np.where(np.isfinite(result), result, np.inf).min(axis=1, keepdims=True)
+    return np.where(np.isfinite(result), result, worst)
+
+
+def touch_log_likelihood(classifier: Any, features: Floats) -> Floats:
+    """Return log p(touch | label) up to a constant per touch, for any classifier.
+
+    From `log_likelihood` where there is one, else from `predict_proba`, taken as
+    the posterior under equal priors and kept above 1e-12.
+    """
+    if hasattr(classifier, "log_likelihood"):
+        known: Floats = classifier.log_likelihood(features)
+        return known
+    probability = np.clip(classifier.predict_proba(features), 1e-12, None)
+    result: Floats = np.log(probability)
+    return result
+
+
+def draw_episodes(
+    episode_of: NDArray, group: NDArray, n_touches: int, rng: np.random.Generator
+) -> NDArray[np.intp]:
+    """Draw episodes as rows of touch numbers, shape (n_episodes, n_touches).
+
+    The touches of an episode come from one stretch, or from as few neighbouring
+    ones as hold them: a visit to an object is rarely spread over a whole
+    recording. Objects with fewer touches are left out.
+    """
+    episodes = []
+    for name in np.unique(episode_of):
+        rows = np.flatnonzero(episode_of == name)
+        if len(rows) < n_touches:
+            continue
+        rows = rows[np.argsort(group[rows], kind="stable")]
+        parts = np.split(rows, np.flatnonzero(np.diff(group[rows])) + 1)
+        for _ in range(EPISODES_PER_OBJECT):
+            start = rng.integers(len(parts))
+            pool = np.concatenate(parts[start:] + parts[:start])
+            enough = -(-n_touches // len(parts[start])) * len(parts[start])
+            episodes.append(rng.permutation(pool[:enough])[:n_touches])
+    return np.array(episodes, dtype=np.intp).reshape(-1, n_touches)
+
+
+def fit_trust(
+    floored: Floats, codes: NDArray, episodes: dict[int, NDArray], log_prior: Floats
+) -> Trust:
+    """Return the trust with the least log loss over episodes of all lengths."""
+
+    def loss(raw: NDArray) -> float:
+        trust = _trust(raw)
+        losses = []
+        for rows in episodes.values():
+            last = _final(floored, rows, log_prior, trust)
+            losses.append(-last[np.arange(len(rows)), codes[rows[:, 0]]].mean())
+        return float(np.mean(losses))
+
+    found = minimize(loss, x0=[0.0, -2.0], method="Nelder-Mead")
+    return _trust(found.x)
+
+
+def unknown_limits(
+    floored: Floats, episodes: dict[int, NDArray], log_prior: Floats, trust: Trust
+) -> Floats:
+    """Return the unknown scores that a share of known episodes exceeds.
+
+    Shape (n_lengths, len(REFUSED)), one row per length in `episodes`.
+    """
+    limits = []
+    for rows in episodes.values():
+        scores = unknown_scores(_final(floored, rows, log_prior, trust))
+        limits.append(np.quantile(scores, 1 - np.array(REFUSED)))
+    return np.array(limits)
+
+
+def _final(floored: Floats, rows: NDArray, log_prior: Floats, trust: Trust) -> Floats:
+    return log_posteriors(floored[rows], log_prior, trust)[:, -1]
+
+
+def _trust(raw: NDArray) -> Trust:
+    """Map two free numbers to a strength in (0.05, 5) and a correlation in (0, 1)."""
+    strength = float(np.exp(np.clip(raw[0], np.log(0.05), np.log(5))))
+    return Trust(strength, float(1 / (1 + np.exp(-np.clip(raw[1], -12, 12)))))
+
+
+def _rank_within(labels: NDArray, group: NDArray) -> NDArray[np.intp]:
+    """Number the groups of each label 0, 1, 2..., per touch."""
+    rank = np.empty(len(labels), dtype=np.intp)
+    for label in np.unique(labels):
+        rows = labels == label
+        rank[rows] = np.unique(group[rows], return_inverse=True)[1]
+    return rank

@@ -1,0 +1,83 @@
+"""Touches -> features: one clean-up and a chain of encodings, learnt together."""
+
+from collections.abc import Sequence
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.base import BaseEstimator, clone
+
+from ..images import DomeCrop
+from ..touches import Touches
+
+Floats = NDArray[np.float64]
+
+
+class TouchEncoder(BaseEstimator):
+    """A clean-up of the images, then encoders one after the other.
+
+    Parameters
+    ----------
+    clean_up : transformer of images or None
+        Image -> cleaner image, such as `DomeCrop`; None leaves images alone.
+    steps : sequence of transformers
+        The first takes images, the others feature vectors.
+
+    Attributes
+    ----------
+    clean_up_, steps_ : fitted copies
+        What `fit` learnt.
+    image_shape_ : tuple of int
+        (n_rows, n_cols) of the touches seen by `fit`.
+    """
+
+    def __init__(self, clean_up: Any, steps: Sequence[Any]) -> None:
+        self.clean_up = clean_up
+        self.steps = steps
+
+    def fit(self, touches: Touches) -> Self:
+        """Learn every step from `touches`."""
+        self.fit_transform(touches)
+        return self
+
+    def fit_transform(self, touches: Touches) -> Floats:
+        """Learn every step and return the features, (n_touches, n_features)."""
+        self.image_shape_ = touches.images.shape[1:]
+        self.clean_up_ = None if self.clean_up is None else clone(self.clean_up)
+        if isinstance(self.clean_up_, DomeCrop):
+            self.clean_up_.fit(touches.images, no_contact=touches.no_contact)
+        elif self.clean_up_ is not None:
+            self.clean_up_.fit(touches.images)
+        self.steps_ = [clone(step) for step in self.steps]
+        values = self.clean(touches)
+        for step in self.steps_:
+            values = step.fit(values).transform(values)
+        return np.asarray(values, dtype=np.float64)
+
+    def clean(self, touches: Touches) -> NDArray:
+        """Return the images after the clean-up alone."""
+        self._check_size(touches)
+        if self.clean_up_ is None:
+            return touches.images
+        cleaned: NDArray = self.clean_up_.transform(touches.images)
+        return cleaned
+
+    def encode(self, cleaned: NDArray) -> Floats:
+        """Return the features of images that were cleaned already."""
+        values = cleaned
+        for step in self.steps_:
+            values = step.transform(values)
+        return np.asarray(values, dtype=np.float64)
+
+    def transform(self, touches: Touches) -> Floats:
+        """Return the features, shape (n_touches, n_features)."""
+        return self.encode(self.clean(touches))
+
+    def _check_size(self, touches: Touches) -> None:
+        got = touches.images.shape[1:]
+        if tuple(got) != tuple(self.image_shape_):
+            raise ValueError(
+                f"touches must have {self.image_shape_[0]} x {self.image_shape_[1]} "
+                f"taxels like the training touches, got {got[0]} x {got[1]}. "
+                "Use the same sensor and resolution, or learn again."
+            )

@@ -1,0 +1,23 @@
+"""The classes that a model file may name: our own, and three of scikit-learn's."""
+
+from sklearn.decomposition import PCA
+from sklearn.preprocessing import StandardScaler
+
+from .. import classifiers, encodings, images
+from ._encoder import TouchEncoder
+from ._sequence import Trust
+
+
+def _public_classes() -> dict[str, type]:
+    rooms = (classifiers, encodings, images)
+    named = {name: getattr(room, name) for room in rooms for name in room.__all__}
+    return {name: item for name, item in named.items() if isinstance(item, type)}
+
+
+KNOWN_CLASSES: dict[str, type] = {
+    **_public_classes(),
+    "PCA": PCA,
+    "StandardScaler": StandardScaler,
+    "TouchEncoder": TouchEncoder,
+    "Trust": Trust,
+}

@@ -1,0 +1,222 @@
+"""Model files: arrays and plain values in one safetensors file, nothing else.
+
+Reading one executes nothing: classes are looked up in a fixed table, their
+attributes are set from arrays and plain values, and a checksum covers all of it.
+A file is a safetensors container whose metadata hold one JSON document.
+"""
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
+
+FORMAT = 1
+MAX_BYTES = 4 * 2**30
+
+Tensors = dict[str, NDArray]
+
+
+class ModelFileError(ValueError):
+    """A model file that cannot be read or written, and why."""
+
+
+def write_model(path: str | Path, model: object, known: Mapping[str, type]) -> Path:
+    """Write `model` to `path`, all or nothing.
+
+    Parameters
+    ----------
+    path : str or Path
+        Ending in `.palpate`; an existing file is replaced in one step.
+    model : estimator or dataclass
+        Its parameters and learnt attributes must be arrays, plain values, or
+        instances of the classes in `known`.
+    known : mapping of str to type
+        The classes that a model file may name.
+    """
+    target = check_model_path(path)
+    tensors: Tensors = {}
+    document = json.dumps({"format": FORMAT, "model": _pack(model, tensors, known)})
+    metadata = {"palpate": document, "sha256": _checksum(document, tensors)}
+    handle, name = tempfile.mkstemp(dir=target.parent, suffix=".partial")
+    os.close(handle)
+    try:
+        save_file(tensors or {"empty": np.zeros(1)}, name, metadata=metadata)
+        with Path(name).open("rb+") as written:
+            os.fsync(written.fileno())
+        Path(name).replace(target)
+    finally:
+        Path(name).unlink(missing_ok=True)
+    return target
+
+
+def check_model_path(path: str | Path) -> Path:
+    """Return `path` if a model file can be written there, or explain."""
+    target = Path(path)
+    if target.suffix != ".palpate":
+        raise ModelFileError(
+            f"A model file must end in .palpate, got {target.name!r}; "
+            f"write to {target.with_suffix('.palpate').name!r}."
+        )
+    if not target.parent.is_dir():
+        raise ModelFileError(
+            f"There is no folder {target.parent} to write {target.name} to; make it."
+        )
+    return target
+
+
+def read_model(path: str | Path, known: Mapping[str, type]) -> Any:
+    """Return the model that `write_model` wrote, or say what is wrong with it.
+
+    Raises
+    ------
+    ModelFileError
+        If the file is missing, damaged, truncated, of another version, or names
+        a class that is not in `known`.
+    """
+    source = Path(path)
+    if not source.is_file():
+        raise ModelFileError(f"There is no model file {source}; `palpate learn` makes one.")
+    if source.stat().st_size > MAX_BYTES:
+        raise ModelFileError(f"{source} is larger than {MAX_BYTES} bytes; refused.")
+    document, tensors = _open(source)
+    try:
+        content = json.loads(document)
+        version = content["format"]
+        if version != FORMAT:
+            raise ModelFileError(
+                f"{source} has model format {version!r}, this palpate reads {FORMAT}. "
+                "Learn again, or use the palpate that wrote it."
+            )
+        return _unpack(content["model"], tensors, known)
+    except ModelFileError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        raise ModelFileError(f"{source} is damaged: {error}. Learn again.") from error
+
+
+def _open(source: Path) -> tuple[str, Tensors]:
+    """Return the JSON document and the arrays, checked against the checksum."""
+    try:
+        with safe_open(str(source), framework="numpy") as opened:
+            metadata = opened.metadata() or {}
+            if "palpate" not in metadata:
+                raise ModelFileError(f"{source} is not a palpate model.")
+            names = [name for name in opened.keys() if name != "empty"]  # noqa: SIM118
+            tensors = {name: opened.get_tensor(name) for name in names}
+    except (SafetensorError, OSError, TypeError, ValueError) as error:
+        if isinstance(error, ModelFileError):
+            raise
+        raise ModelFileError(
+            f"{source} is not a palpate model, or is damaged or truncated: {error}."
+        ) from error
+    document = metadata["palpate"]
+    if metadata.get("sha256") != _checksum(document, tensors):
+        raise ModelFileError(f"{source} is damaged: its checksum does not match.")
+    return document, tensors
+
+
+def _checksum(document: str, tensors: Tensors) -> str:
+    digest = hashlib.sha256(document.encode())
+    for name in sorted(tensors):
+        array = tensors[name]
+        digest.update(f"{name}{array.dtype}{array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def _pack(value: object, tensors: Tensors, known: Mapping[str, type]) -> Any:
+    """Return `value` as JSON; arrays go to `tensors` under running numbers."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return {"float": repr(value)}
+    if isinstance(value, np.ndarray):
+        return _pack_array(value, tensors)
+    if isinstance(value, list | tuple):
+        items = [_pack(item, tensors, known) for item in value]
+        return {"list" if isinstance(value, list) else "tuple": items}
+    if isinstance(value, dict):
+        pairs = [[str(k), _pack(v, tensors, known)] for k, v in value.items()]
+        return {"dict": pairs}
+    name = type(value).__name__
+    if known.get(name) is not type(value):
+        raise ModelFileError(
+            f"A model file cannot hold a {name}; it may hold {', '.join(sorted(known))}."
+        )
+    params, learnt = _state(value)
+    return {
+        "class": name,
+        "params": {k: _pack(v, tensors, known) for k, v in params.items()},
+        "learnt": {k: _pack(v, tensors, known) for k, v in learnt.items()},
+    }
+
+
+def _pack_array(array: NDArray, tensors: Tensors) -> dict[str, Any]:
+    if array.dtype.kind in "US":
+        return {"text": array.astype(str).ravel().tolist(), "shape": list(array.shape)}
+    if array.dtype.kind == "O" and all(isinstance(item, str) for item in array.flat):
+        return {"text": array.ravel().tolist(), "shape": list(array.shape)}
+    if array.dtype.kind not in "biuf":
+        raise ModelFileError(f"A model file cannot hold an array of {array.dtype}.")
+    name = f"t{len(tensors)}"
+    tensors[name] = np.ascontiguousarray(array)
+    # safetensors has no 0-d arrays of every type; the shape is kept beside.
+    return {"array": name, "shape": list(array.shape)}
+
+
+def _state(value: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    if is_dataclass(value):
+        return {f.name: getattr(value, f.name) for f in fields(value)}, {}
+    learnt = {
+        name: item
+        for name, item in vars(value).items()
+        if name.endswith("_") and not name.startswith("_")
+    }
+    return value.get_params(deep=False), learnt
+
+
+def _unpack(node: Any, tensors: Tensors, known: Mapping[str, type]) -> Any:
+    if node is None or isinstance(node, bool | int | str):
+        return node
+    if not isinstance(node, dict):
+        raise ModelFileError(f"unexpected {type(node).__name__}")
+    if "float" in node:
+        return float(node["float"])
+    if "array" in node:
+        return tensors[node["array"]].reshape(node["shape"])
+    if "text" in node:
+        return np.array(node["text"], dtype=str).reshape(node["shape"])
+    if "list" in node or "tuple" in node:
+        kind = list if "list" in node else tuple
+        items = node["list"] if kind is list else node["tuple"]
+        return kind(_unpack(item, tensors, known) for item in items)
+    if "dict" in node:
+        return {str(k): _unpack(v, tensors, known) for k, v in node["dict"]}
+    return _unpack_object(node, tensors, known)
+
+
+def _unpack_object(node: dict[str, Any], tensors: Tensors, known: Mapping[str, type]) -> Any:
+    name = node["class"]
+    if name not in known:
+        raise ModelFileError(
+            f"The model names the class {name!r}, which this palpate does not know. "
+            "Update palpate, or learn again."
+        )
+    params = {k: _unpack(v, tensors, known) for k, v in node["params"].items()}
+    built = known[name](**params)
+    for attribute, packed in node["learnt"].items():
+        if not (attribute.isidentifier() and attribute.endswith("_")) or attribute.startswith("_"):
+            raise ModelFileError(f"{attribute!r} is not a learnt attribute")
+        setattr(built, attribute, _unpack(packed, tensors, known))
+    return built

@@ -1,0 +1,90 @@
+"""Presets: named recipes from image to log-likelihood, in one table."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from sklearn.decomposition import PCA
+
+from .._checks import check_option
+from ..classifiers import KernelDensityBayes, KernelRidgeClassifier
+from ..encodings import CentroidMoments, RootScaler, TaxelVector, ZernikeMoments
+from ..images import DomeCrop
+from ..touches import Touches
+from ._encoder import TouchEncoder
+from ._geometry import find_geometry
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A recipe for a recogniser.
+
+    Attributes
+    ----------
+    summary : str
+        One sentence for people.
+    encoders : callable
+        Touches -> {name: unfitted encoder}; of several the best is chosen on
+        altered validation touches.
+    classifier : callable
+        Returns an unfitted classifier.
+    floor : float
+        Least probability that one touch leaves to all objects together.
+    fits_trust : bool
+        Whether the trust in a sequence of touches is learnt, or 1.
+    """
+
+    summary: str
+    encoders: Callable[[Touches], dict[str, TouchEncoder]]
+    classifier: Callable[[], Any]
+    floor: float
+    fits_trust: bool
+
+
+def find_preset(name: str) -> Preset:
+    """Return the preset called `name`; the error lists the valid names."""
+    check_option("preset", name, PRESETS)
+    return PRESETS[name]
+
+
+def _corradi2015_encoders(touches: Touches) -> dict[str, TouchEncoder]:
+    moments = ZernikeMoments(order=15, repeat_negative=True, drop_constant=True)
+    principal = PCA(n_components=0.95, svd_solver="full")
+    return {"Zernike-PCA": TouchEncoder(DomeCrop(), [moments, principal])}
+
+
+def _default_encoders(touches: Touches) -> dict[str, TouchEncoder]:
+    geometry = find_geometry(touches)
+    if geometry == "none":
+        return {"taxels": TouchEncoder(None, [TaxelVector(), RootScaler()])}
+    disc = TouchEncoder(
+        DomeCrop(missing="inscribed"),
+        [ZernikeMoments(order=15, drop_constant=True), RootScaler()],
+    )
+    if geometry == "dome":
+        return {"Zernike moments on the rim's disc": disc}
+    centred = TouchEncoder(None, [CentroidMoments(), RootScaler()])
+    return {
+        "moments about the centroid": centred,
+        "Zernike moments on the inscribed disc": disc,
+    }
+
+
+PRESETS: dict[str, Preset] = {
+    "default": Preset(
+        summary="Our best: encoding chosen for the sensor, kernel ridge posterior, "
+        "calibrated trust.",
+        encoders=_default_encoders,
+        classifier=KernelRidgeClassifier,
+        floor=0.01,
+        fits_trust=True,
+    ),
+    "corradi2015": Preset(
+        summary="Corradi et al. 2015 as written: Zernike-PCA, kernel density per "
+        "object, naive Bayes over touches.",
+        encoders=_corradi2015_encoders,
+        classifier=KernelDensityBayes,
+        floor=0.0,
+        fits_trust=False,
+    ),
+}

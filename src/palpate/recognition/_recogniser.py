@@ -1,0 +1,339 @@
+"""Touches -> object: the recogniser that learns touch by touch."""
+
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.base import BaseEstimator
+
+from .._checks import check_number, check_option
+from ..touches import Touches
+from ._belief import Belief
+from ._calibration import (
+    LENGTHS,
+    REFUSED,
+    draw_episodes,
+    fit_trust,
+    left_out_log_likelihood,
+    stretches,
+    touch_log_likelihood,
+    unknown_limits,
+)
+from ._choice import choose_encoder
+from ._known import KNOWN_CLASSES
+from ._model_file import ModelFileError, read_model, write_model
+from ._presets import Preset, find_preset
+from ._sequence import Floats, Trust, with_floor
+
+
+class ObjectRecogniser(BaseEstimator):
+    """Learns objects from labelled touches and recognises them touch by touch.
+
+    Parameters
+    ----------
+    preset : str, default="default"
+        "default" (our best) or "corradi2015" (the paper as written).
+    label : {"object", "category"}, default="object"
+        Which column of the touches is recognised. With "category" an episode is
+        still the touches of one object.
+    floor : float or None, default=None
+        Least probability, shared by all objects, that one touch may leave to
+        them; None takes the preset's, 0 lets one touch rule an object out.
+    prior : {"uniform", "counts"}, default="uniform"
+        Before the first touch all objects are equally probable, or as probable
+        as they were frequent in training.
+    random_state : int, default=0
+        Seed of the drawn episodes that calibrate the belief.
+
+    Attributes
+    ----------
+    classes_ : ndarray of str, shape (n_objects,)
+        The labels, sorted; the columns of `log_likelihood`.
+    encoder_ : TouchEncoder
+        Clean-up and encodings.
+    classifier_ : estimator
+        Features -> log-likelihoods.
+    features_, labels_, objects_, stretches_ : ndarray of n_touches rows
+        What is kept of the training touches.
+    trust_ : Trust
+        How touches of one episode add up.
+    floor_ : float
+        The floor in use.
+    chosen_ : dict
+        What the preset chose for these touches, and why.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate import Touches
+    >>> from palpate.recognition import ObjectRecogniser
+    >>> images = np.random.default_rng(0).random((40, 3, 24))
+    >>> images[:20] += 1
+    >>> touches = Touches(images, object=["pen"] * 20 + ["mug"] * 20, geometry="none")
+    >>> belief = ObjectRecogniser().fit(touches).start()
+    >>> belief.update(touches[:3]).best
+    'pen'
+    """
+
+    def __init__(
+        self,
+        preset: str = "default",
+        *,
+        label: str = "object",
+        floor: float | None = None,
+        prior: str = "uniform",
+        random_state: int = 0,
+    ) -> None:
+        self.preset = preset
+        self.label = label
+        self.floor = floor
+        self.prior = prior
+        self.random_state = random_state
+
+    def fit(self, touches: Touches) -> Self:
+        """Learn objects from labelled touches.
+
+        Raises
+        ------
+        ValueError
+            If labels are missing, there are fewer than two of them, or one has
+            fewer than two touches.
+        """
+        preset = self._check_parameters()
+        labels, objects = self._labels(touches)
+        group = training_groups(touches, labels, objects, self.label)
+        encoder, self.chosen_ = choose_encoder(
+            preset, touches, labels, group, self.random_state
+        )
+        self.features_ = encoder.fit_transform(touches)
+        self.encoder_ = encoder
+        self.labels_, self.objects_, self.stretches_ = labels, objects, group
+        self.classifier_ = preset.classifier()
+        self._learn(fresh=True)
+        self._calibrate(preset)
+        return self
+
+    def add_object(self, name: str, touches: Touches) -> Self:
+        """Learn one more object; the encoding and its choices stay as they are.
+
+        Parameters
+        ----------
+        name : str
+            A label not known yet (with `label="category"`, the category).
+        touches : Touches
+            Its touches; their own labels are ignored.
+
+        Raises
+        ------
+        ValueError
+            If the object is known, or has fewer than two touches.
+        """
+        self._check_fitted()
+        if name in self.classes_:
+            raise ValueError(
+                f"name must be new, got {name!r}, which is known already. "
+                "Forget it first, or choose another name."
+            )
+        if len(touches) < 2:
+            raise ValueError(f"{name!r} must have at least 2 touches, got 1.")
+        features = self.encoder_.transform(touches)
+        labels = np.full(len(touches), name)
+        objects = labels if touches.object is None else touches.object
+        group = stretches(labels, touches.order) + self.stretches_.max() + 1
+        self.features_ = np.vstack([self.features_, features])
+        self.labels_ = np.concatenate([self.labels_, labels])
+        self.objects_ = np.concatenate([self.objects_, objects])
+        self.stretches_ = np.concatenate([self.stretches_, group])
+        if hasattr(self.classifier_, "add_class"):
+            self.classifier_.add_class(name, features)
+        else:
+            self._learn(fresh=False)
+        self.classes_ = np.unique(self.labels_)
+        return self
+
+    def forget_object(self, name: str) -> Self:
+        """Forget one object; the others are as before.
+
+        Raises
+        ------
+        ValueError
+            If it is not known, or fewer than two would remain.
+        """
+        self._check_fitted()
+        check_option("name", name, self.classes_.tolist())
+        if len(self.classes_) < 3:
+            raise ValueError(
+                f"At least two objects must remain, cannot forget {name!r}. "
+                "Add another object first."
+            )
+        keep = self.labels_ != name
+        for attribute in ("features_", "labels_", "objects_", "stretches_"):
+            setattr(self, attribute, getattr(self, attribute)[keep])
+        if hasattr(self.classifier_, "forget_class"):
+            self.classifier_.forget_class(name)
+        else:
+            self._learn(fresh=False)
+        self.classes_ = np.unique(self.labels_)
+        return self
+
+    def log_likelihood(self, touches: Touches) -> Floats:
+        """Return log p(touch | object) up to a constant per touch (nats).
+
+        Shape (n_touches, n_objects), columns as in `classes_`; neither floor nor
+        trust is in it yet.
+        """
+        self._check_fitted()
+        return self.feature_log_likelihood(self.encoder_.transform(touches))
+
+    def feature_log_likelihood(self, features: Floats) -> Floats:
+        """Return `log_likelihood` of touches that are encoded already."""
+        return touch_log_likelihood(self.classifier_, features)
+
+    def log_prior(self) -> Floats:
+        """Return the log prior of the objects (nats), shape (n_objects,)."""
+        self._check_fitted()
+        if self.prior == "uniform":
+            return np.full(len(self.classes_), -np.log(len(self.classes_)))
+        counts = np.unique(self.labels_, return_counts=True)[1]
+        log_shares: Floats = np.log(counts / counts.sum())
+        return log_shares
+
+    def start(self) -> Belief:
+        """Return the belief before the first touch of an episode."""
+        self._check_fitted()
+        return Belief(self)
+
+    def unknown_threshold(self, n_touches: int, refused: float = 0.05) -> float:
+        """Return the unknown score that a share `refused` of known episodes exceeds.
+
+        Learnt from left-out training touches; between the lengths that were
+        simulated it is interpolated, beyond them it stays.
+        """
+        self._check_fitted()
+        at_lengths = [np.interp(refused, REFUSED, row) for row in self.unknown_limits_]
+        return float(np.interp(n_touches, self.unknown_lengths_, at_lengths))
+
+    def save(self, path: str | Path) -> Path:
+        """Write the recogniser to a `.palpate` file, all or nothing."""
+        self._check_fitted()
+        return write_model(path, self, {**KNOWN_CLASSES, type(self).__name__: type(self)})
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a recogniser from a `.palpate` file; nothing in it is executed.
+
+        Raises
+        ------
+        ModelFileError
+            If the file is missing, damaged, of another version, or no recogniser.
+        """
+        model = read_model(path, {**KNOWN_CLASSES, cls.__name__: cls})
+        if not isinstance(model, cls):
+            raise ModelFileError(f"{path} holds no object recogniser.")
+        try:
+            model._try_one_touch()
+        except Exception as error:
+            raise ModelFileError(f"{path} is damaged: {error}. Learn again.") from error
+        return model
+
+    def _check_parameters(self) -> Preset:
+        check_option("label", self.label, ("object", "category"))
+        check_option("prior", self.prior, ("uniform", "counts"))
+        if self.floor is not None:
+            check_number("floor", self.floor, low=0, high=0.5)
+        return find_preset(self.preset)
+
+    def _check_fitted(self) -> None:
+        if not hasattr(self, "classes_"):
+            raise ValueError("This recogniser has learnt nothing yet; call fit first.")
+
+    def _labels(self, touches: Touches) -> tuple[NDArray, NDArray]:
+        labels = touches.object if self.label == "object" else touches.category
+        if labels is None:
+            raise ValueError(
+                f"touches must have a column {self.label!r} to learn from. Name folders "
+                "after objects, pass a name pattern, or add the column to the archive."
+            )
+        names, counts = np.unique(labels, return_counts=True)
+        if len(names) < 2:
+            raise ValueError(
+                f"touches must hold at least two {self.label} labels, "
+                f"got only {str(names[0])!r}."
+            )
+        if counts.min() < 2:
+            raise ValueError(
+                f"Every {self.label} must have at least 2 touches, "
+                f"got 1 of {str(names[counts.argmin()])!r}."
+            )
+        objects = labels if touches.object is None else touches.object
+        return labels, objects
+
+    def _learn(self, *, fresh: bool) -> None:
+        """Fit the classifier to the kept features; not fresh keeps its choices."""
+        fit = self.classifier_.fit
+        if not fresh and hasattr(self.classifier_, "refit"):
+            fit = self.classifier_.refit
+        if hasattr(self.classifier_, "left_out_log_likelihood"):
+            fit(self.features_, self.labels_, groups=self.stretches_)
+        else:
+            fit(self.features_, self.labels_)
+        self.classes_ = np.unique(self.labels_)
+
+    def _calibrate(self, preset: Preset) -> None:
+        """Set `floor_`, `trust_` and the unknown limits from left-out touches."""
+        self.floor_ = preset.floor if self.floor is None else float(self.floor)
+        log_likelihood = left_out_log_likelihood(
+            self.classifier_, self.features_, self.labels_, self.stretches_
+        )
+        floored = with_floor(log_likelihood, self.floor_)
+        rng = np.random.default_rng(self.random_state)
+        drawn = {
+            k: draw_episodes(self.objects_, self.stretches_, k, rng) for k in LENGTHS
+        }
+        episodes = {k: rows for k, rows in drawn.items() if len(rows)}
+        codes = np.searchsorted(self.classes_, self.labels_)
+        self.trust_ = Trust()
+        if preset.fits_trust:
+            self.trust_ = fit_trust(floored, codes, episodes, self.log_prior())
+        self.unknown_lengths_ = np.array(list(episodes), dtype=float)
+        self.unknown_limits_ = unknown_limits(
+            floored, episodes, self.log_prior(), self.trust_
+        )
+
+    def _try_one_touch(self) -> None:
+        """Recognise a blank touch, so that a model that cannot work is found now."""
+        blank = Touches(np.zeros((1, *self.encoder_.image_shape_)))
+        row = self.log_likelihood(blank)
+        if row.shape != (1, len(self.classes_)) or not np.isfinite(row).all():
+            raise ValueError("its parts do not fit together")
+        self.start().update_from_log_likelihood(row).decide()
+
+
+def training_groups(
+    touches: Touches, labels: NDArray, objects: NDArray, label: str
+) -> NDArray[np.intp]:
+    """Return which training touches are left out together.
+
+    Stretches of each recording; with categories that each have several objects,
+    whole objects, since there the question is about objects never touched.
+    """
+    if label == "category" and touches.object is not None:
+        per_category = [len(np.unique(objects[labels == c])) for c in np.unique(labels)]
+        if min(per_category) > 1:
+            groups: NDArray[np.intp] = np.unique(objects, return_inverse=True)[1]
+            return groups
+    return stretches(objects, touches.order)
+
+
+def summary(recogniser: ObjectRecogniser) -> dict[str, Any]:
+    """Return what was learnt, as plain values for people and for JSON."""
+    return {
+        "preset": recogniser.preset,
+        "label": recogniser.label,
+        "n_labels": len(recogniser.classes_),
+        "n_train_touches": len(recogniser.labels_),
+        "n_features": recogniser.features_.shape[1],
+        "labels": [str(name) for name in recogniser.classes_],
+        "chosen": recogniser.chosen_,
+    }

@@ -1,0 +1,93 @@
+"""Touch by touch: how log-likelihoods add up to a belief.
+
+Plain functions on arrays, shared by `Belief` (one touch at a time) and by the
+evaluation (thousands of episodes at once), so that both mean the same belief.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_softmax, logsumexp
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Trust:
+    """How much the touches of one episode may be trusted together.
+
+    The log-likelihoods of k touches are summed and multiplied by
+    strength / (1 + (k - 1) correlation): touches of one episode resemble each
+    other, so k of them are worth fewer independent ones (the design effect of a
+    sample of equally correlated readings). The most probable object under equal
+    priors is the same for every trust.
+
+    Attributes
+    ----------
+    strength : float
+        Weight of a single touch; 1 takes the likelihood at its word.
+    correlation : float
+        Between 0 (independent touches) and 1 (all touches are one).
+    """
+
+    strength: float = 1.0
+    correlation: float = 0.0
+
+    def weight(self, n_touches: Floats | int) -> Floats:
+        """Return the factor on the sum of `n_touches` log-likelihoods."""
+        return np.asarray(
+            self.strength / (1 + (np.asarray(n_touches) - 1) * self.correlation)
+        )
+
+
+def with_floor(log_likelihood: Floats, floor: float) -> Floats:
+    """Return log-likelihoods under which no touch rules an object out.
+
+    Each touch's posterior under equal priors is mixed with the uniform one, so
+    that no object gets less than floor / n_objects from one touch. Shape
+    (..., n_objects), natural logarithms; with `floor=0` only the scale of each
+    touch changes.
+    """
+    log_posterior: Floats = log_softmax(log_likelihood, axis=-1)
+    if floor == 0:
+        return log_posterior
+    n_objects = log_likelihood.shape[-1]
+    mixed: Floats = np.logaddexp(
+        np.log1p(-floor) + log_posterior, np.log(floor / n_objects)
+    )
+    return mixed
+
+
+def log_posteriors(floored: Floats, log_prior: Floats, trust: Trust) -> Floats:
+    """Return the log posterior after each touch of an episode.
+
+    Parameters
+    ----------
+    floored : ndarray of shape (..., n_touches, n_objects)
+        Log-likelihoods of the touches in order, from `with_floor`.
+    log_prior : ndarray of shape (n_objects,)
+        Log prior (nats).
+    trust : Trust
+        How touches add up.
+
+    Returns
+    -------
+    ndarray of shape (..., n_touches, n_objects)
+        Natural logarithms; each row sums to one after `exp`.
+    """
+    n_touches = floored.shape[-2]
+    weight = trust.weight(np.arange(1, n_touches + 1))[:, np.newaxis]
+    total = np.cumsum(floored, axis=-2) * weight + log_prior
+    result: Floats = log_softmax(total, axis=-1)
+    return result
+
+
+def unknown_scores(log_posterior: Floats) -> Floats:
+    """Return the probability outside the most probable object, shape (...,).
+
+    Summed over the other objects, so that it stays exact near 0.
+    """
+    others = np.sort(log_posterior, axis=-1)[..., :-1]
+    score: Floats = np.exp(logsumexp(others, axis=-1))
+    return score

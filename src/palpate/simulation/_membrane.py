@@ -1,0 +1,327 @@
+"""Contact of a thin rubber dome with a rigid object, solved on a square grid.
+
+The dome is a shallow spherical shell under a pressure p (N/mm2) that pushes it in
+by w (mm): D lap^2 w + (E t / R^2) w = p with D = E t^3 / (12 (1 - nu^2)). Its
+response to a force at one node is a multiplication in Fourier space; the contact is
+the set of node forces, none negative, that makes the dome follow the object without
+passing through it.
+
+Grids are indexed [row, column] = [y, x], node (i, j) at the centre of its cell; the
+apex is the middle. w is positive inwards, along the axis of the sensor. A gap is how
+far (mm) the sensor moves on, after first touching, before that node is reached;
+infinity is a node that nothing can reach.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from .._checks import check_count, check_number, check_positive
+
+Grid = NDArray[np.float32]
+# Nodes closer to the rim than this share of the radius carry no contact: there the
+# dome stands along the axis and its height is no longer a function one can press.
+_USED_RADIUS = 0.95
+_NEVER_MM = np.float32(1e3)
+
+
+@dataclass(frozen=True)
+class Membrane:
+    """A spherical rubber dome, clamped nowhere, and the grid it is solved on.
+
+    Parameters
+    ----------
+    radius_mm, thickness_mm : float, default=20.0, 1.0
+        Radius of the middle surface and thickness.
+    youngs_mpa, poisson : float, default=0.5, 0.48
+        Young's modulus (N/mm2) and Poisson's ratio, below 0.5.
+    n_nodes : int, default=48
+        Nodes along a side of the grid, which spans 0.95 of the diameter.
+
+    Notes
+    -----
+    Linear, for small deflections of a shallow shell: no snap-through, no friction,
+    and beyond 0.8 of the radius the equation no longer holds. A Winkler layer, the
+    rubber squeezed through its thickness with its sides held, adds its compliance
+    t (1 + nu) (1 - 2 nu) / (E (1 - nu)); it matters under points and keeps the
+    solution unique on fine grids.
+
+    References
+    ----------
+    .. [1] E. Reissner, "Stresses and small displacements of shallow spherical
+       shells", J. Math. Phys. 25, 1946. doi:10.1002/sapm194625180
+    """
+
+    radius_mm: float = 20.0
+    thickness_mm: float = 1.0
+    youngs_mpa: float = 0.5
+    poisson: float = 0.48
+    n_nodes: int = 48
+
+    def __post_init__(self) -> None:
+        for name in ("radius_mm", "thickness_mm", "youngs_mpa"):
+            check_positive(name, getattr(self, name))
+        check_number("poisson", self.poisson, low=0.0, high=0.499)
+        check_count("n_nodes", self.n_nodes, at_least=8)
+        if self.thickness_mm > self.radius_mm / 4:
+            raise ValueError(
+                "thickness_mm must be at most a quarter of radius_mm, got "
+                f"{self.thickness_mm}. A thin shell is what is solved."
+            )
+
+    @property
+    def stiffness_n_mm3(self) -> float:
+        """Force per displaced volume, E t / R^2 (N/mm3)."""
+        return self.youngs_mpa * self.thickness_mm / self.radius_mm**2
+
+    @property
+    def bending_n_mm(self) -> float:
+        """Bending stiffness D = E t^3 / (12 (1 - nu^2)) (N mm)."""
+        return self.youngs_mpa * self.thickness_mm**3 / (12 * (1 - self.poisson**2))
+
+    @property
+    def reach_mm(self) -> float:
+        """Length (D / (E t / R^2))^(1/4) over which a dent dies away (mm)."""
+        return (self.bending_n_mm / self.stiffness_n_mm3) ** 0.25
+
+    @property
+    def pitch_mm(self) -> float:
+        """Distance between nodes (mm)."""
+        return 2 * _USED_RADIUS * self.radius_mm / self.n_nodes
+
+    @cached_property
+    def node_mm(self) -> NDArray[np.float64]:
+        """Places of the nodes along one side, (n_nodes,), 0 at the axis."""
+        index = np.arange(self.n_nodes, dtype=np.float64)
+        return (index + 0.5 - self.n_nodes / 2) * self.pitch_mm
+
+    @cached_property
+    def drop_mm(self) -> NDArray[np.float64]:
+        """How far each node lies behind the tip (mm); infinity beyond the dome."""
+        squared = self.node_mm[:, None] ** 2 + self.node_mm**2
+        inside = squared < (_USED_RADIUS * self.radius_mm) ** 2
+        height = np.sqrt(np.maximum(self.radius_mm**2 - squared, 0))
+        return np.where(inside, self.radius_mm - height, np.inf)
+
+    def displaced(self, node_force_n: Grid, *, whole: bool = False) -> Grid:
+        """Return w (mm) of the shell under forces at the nodes (N).
+
+        With `whole`, on the padded grid that the Fourier transform works on, whose
+        total is the displaced volume over the square of the pitch.
+        """
+        return self._answer(node_force_n, self._shell, whole)
+
+    def _indented(self, node_force_n: Grid) -> Grid:
+        """How far (mm) the outside gives way: the shell and the squeezed rubber."""
+        return self._answer(node_force_n, self._outside, False)
+
+    def _answer(self, force: Grid, spectrum: Grid, whole: bool) -> Grid:
+        shape = (self._padded, self._padded)
+        answer = fft.irfft2(fft.rfft2(force, shape) * spectrum, shape)
+        return answer if whole else answer[: self.n_nodes, : self.n_nodes]
+
+    @cached_property
+    def _padded(self) -> int:
+        """Side of the padded grid: dents die away before they come round again."""
+        margin = max(self.n_nodes // 2, int(np.ceil(6 * self.reach_mm / self.pitch_mm)))
+        return int(fft.next_fast_len(self.n_nodes + margin, real=True))
+
+    @cached_property
+    def _shell(self) -> Grid:
+        wave = 2 * np.pi * fft.fftfreq(self._padded, self.pitch_mm)
+        half = 2 * np.pi * fft.rfftfreq(self._padded, self.pitch_mm)
+        fourth = (wave[:, None] ** 2 + half**2) ** 2
+        answer = 1 / (self.bending_n_mm * fourth + self.stiffness_n_mm3)
+        return (answer / self.pitch_mm**2).astype(np.float32)
+
+    @cached_property
+    def _outside(self) -> Grid:
+        nu = self.poisson
+        squeeze = self.thickness_mm * (1 + nu) * (1 - 2 * nu) / (1 - nu)
+        return self._shell + np.float32(squeeze / self.youngs_mpa / self.pitch_mm**2)
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """The dome against an object.
+
+    Attributes
+    ----------
+    depth_mm : float
+        How far the sensor moved on after first touching.
+    force_n : float
+        Total force along the axis.
+    node_force_n : ndarray of shape (n_nodes, n_nodes)
+        Force at each node, none negative.
+    displacement_mm : ndarray of shape (n_nodes, n_nodes)
+        How far the shell is pushed in.
+    area_mm2 : float
+        Area of the nodes in contact, seen along the axis.
+    """
+
+    depth_mm: float
+    force_n: float
+    node_force_n: Grid
+    displacement_mm: Grid
+    area_mm2: float
+
+
+def solve_contact(
+    membrane: Membrane,
+    gap_mm: NDArray[Any],
+    *,
+    force_n: float | None = None,
+    depth_mm: float | None = None,
+    tolerance_mm: float = 2e-3,
+    max_steps: int = 200,
+) -> Contact:
+    """Press the membrane on an object until a force, or to a depth.
+
+    Parameters
+    ----------
+    membrane : Membrane
+        The dome and its grid.
+    gap_mm : array of shape (n_nodes, n_nodes)
+        Way to go before each node touches; infinity where it cannot.
+    force_n, depth_mm : float
+        Give exactly one.
+    tolerance_mm : float, default=2e-3
+        Root-mean-square misfit over the contact at which to stop.
+    max_steps : int, default=200
+        Steps after which to stop all the same.
+
+    Returns
+    -------
+    Contact
+        Nothing within reach gives a contact of zero force, depth 0.
+
+    Notes
+    -----
+    Conjugate gradients on the nodes in contact, clipping forces at zero, taking in
+    nodes that the object would pass through, and, when the force is given, scaling
+    to it [1]_.
+
+    References
+    ----------
+    .. [1] I. A. Polonsky, L. M. Keer, "A numerical method for solving rough contact
+       problems", Wear 231(2), 1999. doi:10.1016/S0043-1648(99)00113-1
+    """
+    gap, reachable = _checked_gap(membrane, gap_mm)
+    if (force_n is None) == (depth_mm is None):
+        raise ValueError("Give exactly one of force_n and depth_mm.")
+    settings = gap, reachable, tolerance_mm, max_steps
+    if depth_mm is not None:
+        depth = check_number("depth_mm", depth_mm, low=0.0)
+        force = check_positive("force_n", 1.0)
+    else:
+        depth, force = 0.0, check_positive("force_n", force_n)
+    if not reachable.any() or (force_n is None and depth == 0):
+        return _no_contact(membrane)
+    if force_n is not None:
+        return _described(membrane, gap, _balanced(membrane, force, *settings))
+    return _reached(membrane, depth, *settings)
+
+
+def _checked_gap(
+    membrane: Membrane, gap_mm: NDArray[Any]
+) -> tuple[Grid, NDArray[np.bool_]]:
+    gap = np.asarray(gap_mm, dtype=np.float32)
+    if gap.shape != (membrane.n_nodes, membrane.n_nodes):
+        raise ValueError(
+            f"gap_mm must be {membrane.n_nodes} x {membrane.n_nodes}, one a node, "
+            f"got shape {gap.shape}."
+        )
+    if np.isnan(gap).any() or (gap < 0).any():
+        raise ValueError(
+            "gap_mm must be at least 0, without NaN. Subtract the least gap first."
+        )
+    reachable = gap < _NEVER_MM
+    return np.where(reachable, gap, _NEVER_MM), reachable
+
+
+def _no_contact(membrane: Membrane) -> Contact:
+    nothing = np.zeros((membrane.n_nodes, membrane.n_nodes), np.float32)
+    return Contact(0.0, 0.0, nothing, nothing, 0.0)
+
+
+def _reached(
+    membrane: Membrane,
+    depth: float,
+    gap: Grid,
+    reachable: NDArray[np.bool_],
+    tolerance: float,
+    max_steps: int,
+) -> Contact:
+    """Find the force that presses to `depth`: a secant in logarithms."""
+    area = np.count_nonzero(gap < depth) * membrane.pitch_mm**2
+    force, power = membrane.stiffness_n_mm3 * depth * max(area, 1.0), 1.0
+    found: Contact | None = None
+    for _ in range(20):
+        start = None if found is None else found.node_force_n
+        nodes = _balanced(membrane, force, gap, reachable, tolerance, max_steps, start)
+        last, found = found, _described(membrane, gap, nodes)
+        if abs(found.depth_mm - depth) <= max(tolerance, 1e-3 * depth):
+            break
+        if last is not None and last.depth_mm != found.depth_mm:
+            change = np.log(found.depth_mm / last.depth_mm)
+            power = float(np.clip(np.log(found.force_n / last.force_n) / change, 1, 3))
+        force = found.force_n * (depth / max(found.depth_mm, 1e-6)) ** power
+    assert found is not None
+    return found
+
+
+def _balanced(
+    membrane: Membrane,
+    total: float,
+    gap: Grid,
+    reachable: NDArray[np.bool_],
+    tolerance: float,
+    max_steps: int,
+    start: Grid | None = None,
+) -> Grid:
+    """Node forces that add up to `total`; the depth is whatever it takes."""
+    near = (gap <= gap.min() + np.float32(0.5)) & reachable
+    force = near.astype(np.float32) if start is None else start
+    force = force * np.float32(total / force.sum())
+    indented = membrane._indented(force)
+    search, before, steady = np.zeros_like(force), np.float32(1), False
+    for _ in range(max_steps):
+        touching = force > 0
+        misfit = indented + gap
+        misfit -= misfit[touching].mean()
+        pierced = (misfit < -tolerance) & ~touching & reachable
+        steady = steady and not pierced.any()
+        inside = (touching | pierced).astype(np.float32)
+        n_inside = inside.sum()
+        held = (misfit - np.vdot(misfit, inside) / n_inside) * inside
+        norm = np.vdot(held, held)
+        if norm <= n_inside * tolerance**2 and not pierced.any():
+            break
+        search = held + (norm / before) * search * inside if steady else held
+        before = norm
+        answer = membrane._indented(search)
+        curvature = np.vdot(answer, search)
+        step = np.vdot(held, search) / max(curvature, np.float32(1e-30))
+        force = force - step * search
+        steady = bool(force.min() >= 0)
+        np.maximum(force, 0, out=force)
+        scale = np.float32(total / force.sum())
+        force *= scale
+        if steady:
+            indented = (indented - step * answer) * scale
+        else:
+            indented = membrane._indented(force)
+    return force
+
+
+def _described(membrane: Membrane, gap: Grid, force: Grid) -> Contact:
+    inside = force > 0
+    depth = float((membrane._indented(force) + gap)[inside].mean())
+    area = np.count_nonzero(inside) * membrane.pitch_mm**2
+    total = float(force.sum(dtype=np.float64))
+    shell = np.ascontiguousarray(membrane.displaced(force))
+    return Contact(max(depth, 0.0), total, force, shell, area)

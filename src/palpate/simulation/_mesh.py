@@ -1,0 +1,178 @@
+"""Mesh files (STL, OBJ, PLY) as objects to touch, from sources not trusted.
+
+Only the file itself is read: materials, textures and anything else it names stay
+where they are. What cannot be touched is refused, and the message says how to mend
+it.
+"""
+
+from dataclasses import dataclass
+from io import BytesIO
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import check_option
+from ._objects import SimObject, stable_rotations
+from ._shapes import Mesh, trimesh
+
+MESH_SUFFIXES = (".stl", ".obj", ".ply")
+MAX_MESH_BYTES = 200_000_000
+MAX_MESH_FACES = 5_000_000
+UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
+LEAST_SIZE_MM, MOST_SIZE_MM = 1.0, 5000.0
+# Units to suggest, likeliest first.
+_LIKELY = {"m": "metres", "mm": "millimetres", "inch": "inches", "cm": "centimetres"}
+
+
+class MeshError(ValueError):
+    """A mesh file that cannot be touched; the message says why and what to do."""
+
+
+def load_mesh(
+    path: str | PathLike[str],
+    *,
+    unit: str = "mm",
+    name: str | None = None,
+    category: str | None = None,
+) -> SimObject:
+    """Read a mesh file as an object to touch.
+
+    Parameters
+    ----------
+    path : path
+        An STL, OBJ or PLY file of one closed surface, or of several.
+    unit : {"mm", "cm", "m", "inch"}, default="mm"
+        What its numbers are in; the files themselves do not say.
+    name, category : str, optional
+        By default the name of the file without its suffix.
+
+    Returns
+    -------
+    SimObject
+        Standing on z = 0 about the origin as it stands in the file, with up to six
+        further poses in which it rests.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    MeshError
+        It is none of these formats, damaged, too large, empty, flat, open, not
+        finite, or its size is no object's.
+    """
+    file = Path(path)
+    scale = UNITS_MM[check_option("unit", unit, UNITS_MM)]
+    vertices, faces = _read(file)
+    mesh = _closed_surface(file, vertices * scale, faces, unit)
+    low, high = mesh.bounds
+    mesh.apply_translation([*(-(low + high)[:2] / 2), -low[2]])
+    label = name or file.stem
+    kind = category or label
+    return SimObject(label, kind, _Made(mesh), stable_rotations(mesh))
+
+
+@dataclass(frozen=True, eq=False)
+class _Made:
+    """A builder that has already built."""
+
+    mesh: Any
+
+    def __call__(self) -> Mesh:
+        return self.mesh
+
+
+def _read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return vertices and triangles as the file has them."""
+    kind = file.suffix.lower()
+    if kind not in MESH_SUFFIXES:
+        raise MeshError(
+            f"path must end in {', '.join(MESH_SUFFIXES)}, got {file.name!r}. "
+            "Export the object to one of these."
+        )
+    size = file.stat().st_size
+    if size > MAX_MESH_BYTES:
+        raise MeshError(
+            f"{file.name} must be at most {MAX_MESH_BYTES} bytes, got {size}. "
+            "Simplify the mesh."
+        )
+    with file.open("rb") as stream:
+        content = stream.read(MAX_MESH_BYTES + 1)
+    try:
+        mesh = trimesh().load_mesh(
+            BytesIO(content),
+            file_type=kind[1:],
+            resolver=None,
+            process=False,
+            skip_materials=True,
+        )
+        vertices = np.array(mesh.vertices, dtype=np.float64).reshape(-1, 3)
+        faces = np.array(mesh.faces, dtype=np.int64).reshape(-1, 3)
+    except ImportError:
+        raise
+    except Exception as error:
+        raise MeshError(
+            f"{file.name} cannot be read as {kind[1:].upper()}: "
+            f"{type(error).__name__}: {str(error)[:200]}. Export it again."
+        ) from error
+    return vertices, faces
+
+
+def _closed_surface(
+    file: Path, vertices: NDArray[np.float64], faces: NDArray[np.int64], unit: str
+) -> Mesh:
+    """Return the surface when one can press on it, else say why not."""
+    if not len(faces) or not len(vertices):
+        raise MeshError(f"{file.name} must have triangles, got none: it is empty.")
+    if len(faces) > MAX_MESH_FACES:
+        raise MeshError(
+            f"{file.name} must have at most {MAX_MESH_FACES} triangles, got "
+            f"{len(faces)}. Simplify the mesh."
+        )
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise MeshError(f"{file.name} has triangles with corners it does not define.")
+    if not np.isfinite(vertices).all():
+        raise MeshError(f"{file.name} must be finite, got NaN or infinite corners.")
+    used = vertices[np.unique(faces)]
+    _refuse_size(file, used.max(axis=0) - used.min(axis=0), unit)
+    mesh = trimesh().Trimesh(vertices, faces, process=False)
+    mesh.merge_vertices(digits_vertex=5)
+    mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
+    mesh.remove_unreferenced_vertices()
+    _refuse_open(file, mesh)
+    return mesh
+
+
+def _refuse_size(file: Path, extent_mm: NDArray[np.float64], unit: str) -> None:
+    largest = float(extent_mm.max())
+    if LEAST_SIZE_MM <= largest <= MOST_SIZE_MM:
+        if extent_mm.min() <= 1e-6 * largest:
+            raise MeshError(
+                f"{file.name} must be solid, got a flat surface. Give it a thickness."
+            )
+        return
+    sizes = {word: largest * UNITS_MM[word] / UNITS_MM[unit] for word in _LIKELY}
+    likely = [word for word, size_mm in sizes.items() if 10 <= size_mm <= 2000]
+    hint = "Scale it first."
+    if likely:
+        hint = f"Is it in {_LIKELY[likely[0]]}? Pass unit={likely[0]!r}."
+    raise MeshError(
+        f"{file.name} must be {LEAST_SIZE_MM:g} to {MOST_SIZE_MM:g} mm across, got "
+        f"{largest:.4g} mm (read as {unit}). {hint}"
+    )
+
+
+def _refuse_open(file: Path, mesh: Mesh) -> None:
+    if not len(mesh.faces):
+        raise MeshError(f"{file.name} must be solid, got triangles without area only.")
+    if not mesh.is_watertight:
+        shared = np.unique(mesh.edges_sorted, axis=0, return_counts=True)[1]
+        n_open = int((shared != 2).sum())
+        raise MeshError(
+            f"{file.name} must be watertight, got {n_open} of {len(shared)} edges that "
+            "do not join exactly two triangles. Close its holes in a mesh editor."
+        )
+    if mesh.is_winding_consistent and not abs(mesh.volume) > 1e-9 * float(np.prod(mesh.extents)):
+        raise MeshError(f"{file.name} must be solid, got a body without volume.")

@@ -1,0 +1,202 @@
+"""Where an object stands, where a sensor is, and how far apart they are.
+
+World: millimetres, z up. The sensor has its own axes: z along its approach, x along
+the columns of its image (to the right), y along the rows (downwards); its place is
+that of its tip, the middle of the dome.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._checks import check_number
+from ._extra import needed
+from ._membrane import Membrane
+from ._objects import SimObject
+from ._shapes import turned
+
+_MISSED_MM = 1e30
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedObject:
+    """An object put somewhere, ready to be touched.
+
+    Parameters
+    ----------
+    thing : SimObject
+        What it is.
+    rotation : array-like of shape (3, 3), optional
+        Turns it first; default not at all.
+    yaw_rad : float, default=0.0
+        Then turns it about the vertical.
+    position_mm : array-like of shape (3,), default=(0, 0, 0)
+        Then moves its own origin there.
+
+    Raises
+    ------
+    ValueError
+        `rotation` is no rotation, or a value is not finite.
+    """
+
+    thing: SimObject
+    rotation: ArrayLike | None = None
+    yaw_rad: float = 0.0
+    position_mm: ArrayLike = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        turn = np.eye(3) if self.rotation is None else np.asarray(self.rotation, float)
+        if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6):
+            raise ValueError(
+                f"rotation must be a 3 x 3 rotation, got {self.rotation!r}."
+            )
+        check_number("yaw_rad", self.yaw_rad)
+        object.__setattr__(self, "position_mm", vector("position_mm", self.position_mm))
+
+    @classmethod
+    def resting(
+        cls, thing: SimObject, pose: int = 0, yaw_rad: float = 0.0
+    ) -> "PlacedObject":
+        """Put it on the ground z = 0, its middle above the origin, in one of its
+        resting poses.
+        """
+        rotation = thing.resting_rotations[pose]
+        here = cls(thing, rotation, yaw_rad)
+        if not len(thing.mesh.faces):
+            return here
+        low, high = here.bounds_mm
+        middle = (low + high) / 2
+        return cls(thing, rotation, yaw_rad, (-middle[0], -middle[1], -low[2]))
+
+    @cached_property
+    def vertices_mm(self) -> NDArray[np.float64]:
+        """Corners of the surface where they are now, (n_vertices, 3)."""
+        turn = turned((0, 0, 1), np.degrees(self.yaw_rad))
+        if self.rotation is not None:
+            turn = turn @ np.asarray(self.rotation, float)
+        corners = np.asarray(self.thing.mesh.vertices, float).reshape(-1, 3)
+        return corners @ turn.T + np.asarray(self.position_mm)
+
+    @property
+    def bounds_mm(self) -> NDArray[np.float64]:
+        """Lowest and highest x, y, z, (2, 3); zeros for "nothing"."""
+        corners = self.vertices_mm
+        if not len(corners):
+            return np.zeros((2, 3))
+        return np.stack([corners.min(axis=0), corners.max(axis=0)])
+
+    @property
+    def centre_mm(self) -> NDArray[np.float64]:
+        """Middle of its bounding box, (3,)."""
+        return self.bounds_mm.mean(axis=0)
+
+    def distance_mm(
+        self, origins_mm: ArrayLike, direction: ArrayLike
+    ) -> NDArray[np.float32]:
+        """Distance from each origin, (n_rays, 3), to the surface along `direction`.
+
+        Infinity where the ray misses.
+        """
+        origins = np.ascontiguousarray(origins_mm, dtype=np.float32)
+        if self._scene is None:
+            return np.full(len(origins), np.inf, np.float32)
+        ways = np.repeat(np.asarray(direction, np.float32)[None], len(origins), axis=0)
+        distance = self._scene.run(origins, ways, query="DISTANCE")
+        return np.where(distance > _MISSED_MM, np.float32(np.inf), distance)
+
+    @cached_property
+    def _scene(self) -> Any:
+        faces = np.asarray(self.thing.mesh.faces)
+        if not len(faces):
+            return None
+        scene = needed("embreex.rtcore_scene").EmbreeScene()
+        triangles = self.vertices_mm[faces].astype(np.float32)
+        needed("embreex.mesh_construction").TriangleMesh(scene, triangles)
+        return scene
+
+    def __getstate__(self) -> dict[str, Any]:
+        names = ("thing", "rotation", "yaw_rad", "position_mm")
+        return {name: getattr(self, name) for name in names}
+
+
+@dataclass(frozen=True, eq=False)
+class SensorPose:
+    """Where the tip of a sensor is and which way it looks.
+
+    Parameters
+    ----------
+    position_mm : array-like of shape (3,)
+        Place of the tip.
+    direction : array-like of shape (3,)
+        Way in which it is pushed, of any length but zero.
+    roll_rad : float, default=0.0
+        Turn of the sensor about its axis, right-handed. At 0 its x axis is
+        horizontal; pushed straight down, it is the x axis of the world.
+    """
+
+    position_mm: ArrayLike
+    direction: ArrayLike
+    roll_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position_mm", vector("position_mm", self.position_mm))
+        way = vector("direction", self.direction)
+        length = np.linalg.norm(way)
+        if not length > 0:
+            raise ValueError("direction must not be zero. Give the way to push.")
+        object.__setattr__(self, "direction", way / length)
+        check_number("roll_rad", self.roll_rad)
+
+    @cached_property
+    def axes(self) -> NDArray[np.float64]:
+        """Columns: the sensor's x, y and z axes in the world, (3, 3)."""
+        way = np.asarray(self.direction)
+        level = np.array([-way[1], way[0], 0.0])
+        length = np.linalg.norm(level)
+        x = level / length if length > 1e-9 else np.array([1.0, 0.0, 0.0])
+        y = np.cross(way, x)
+        cos, sin = np.cos(self.roll_rad), np.sin(self.roll_rad)
+        return np.column_stack([cos * x + sin * y, cos * y - sin * x, way])
+
+    def advanced(self, way_mm: float) -> "SensorPose":
+        """Return this pose moved along its direction."""
+        there = np.asarray(self.position_mm) + way_mm * np.asarray(self.direction)
+        return SensorPose(there, self.direction, self.roll_rad)
+
+
+def gap_map(
+    placed: PlacedObject, pose: SensorPose, membrane: Membrane
+) -> NDArray[np.float64]:
+    """How far the sensor can move from a pose until each node of its dome touches.
+
+    Returns
+    -------
+    ndarray of shape (n_nodes, n_nodes)
+        In mm; infinity where nothing is ahead or outside the dome, negative where
+        the object already reaches into it. Subtract the least to press.
+
+    Notes
+    -----
+    One ray per node, from the level of the rim: of an object that is behind that
+    level nothing is seen. Only the first surface along the axis counts.
+    """
+    x, y = np.meshgrid(membrane.node_mm, membrane.node_mm)
+    inside = np.isfinite(membrane.drop_mm)
+    drop = membrane.drop_mm[inside]
+    back = membrane.radius_mm
+    local = np.column_stack([x[inside], y[inside], np.full(drop.shape, -back)])
+    origins = np.asarray(pose.position_mm) + local @ pose.axes.T
+    gap = np.full(inside.shape, np.inf)
+    gap[inside] = placed.distance_mm(origins, np.asarray(pose.direction)) + drop - back
+    return gap
+
+
+def vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    """Return `value` as three finite numbers, or explain."""
+    array = np.array(value, dtype=np.float64)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise ValueError(f"{name} must be three finite numbers, got {value!r}.")
+    return array

@@ -1,0 +1,131 @@
+"""Closed surfaces to build objects from, in millimetres, z upwards.
+
+Each function returns a watertight `trimesh.Trimesh`, outward side out. Bodies that
+overlap are joined without cutting (`joined`): a ray from outside meets the same
+surface either way, only volumes would be counted twice.
+"""
+
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ._extra import needed
+
+Mesh = Any  # trimesh.Trimesh, whose package is an extra
+Points = NDArray[np.float64]
+
+
+def trimesh() -> ModuleType:
+    """Return the package `trimesh`, or say what to install."""
+    return needed("trimesh")
+
+
+def surface(vertices: ArrayLike, faces: ArrayLike) -> Mesh:
+    """Make a mesh of triangles, turned outward, without doubled corners."""
+    mesh = trimesh().Trimesh(np.asarray(vertices, float), np.asarray(faces))
+    mesh.merge_vertices()
+    mesh.update_faces(mesh.nondegenerate_faces())
+    mesh.remove_unreferenced_vertices()
+    if mesh.volume < 0:
+        mesh.invert()
+    return mesh
+
+
+def joined(*meshes: Mesh) -> Mesh:
+    """Put bodies together; they may overlap."""
+    return trimesh().util.concatenate(meshes)
+
+
+def moved(mesh: Mesh, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Mesh:
+    """Return a copy moved by (x, y, z) mm."""
+    copy = mesh.copy()
+    copy.apply_translation((x, y, z))
+    return copy
+
+
+def turned(axis: ArrayLike, angle_deg: float) -> NDArray[np.float64]:
+    """Return the 3 x 3 rotation by an angle about an axis, right-handed."""
+    x, y, z = np.asarray(axis, float) / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    angle = np.deg2rad(angle_deg)
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def hull(points: ArrayLike) -> Mesh:
+    """Return the convex hull of points, (n_points, 3)."""
+    cloud = trimesh().PointCloud(np.asarray(points, float))
+    return cloud.convex_hull
+
+
+def ball_points(centre: ArrayLike, radius: float, n: int = 16) -> Points:
+    """Return points on a ball, (n * (n // 2 + 1), 3), for hulls."""
+    polar = np.linspace(0, np.pi, n // 2 + 1)[:, None]
+    around = np.arange(n) * (2 * np.pi / n)
+    x = np.sin(polar) * np.cos(around)
+    y = np.sin(polar) * np.sin(around)
+    z = np.cos(polar) + 0 * around
+    return np.asarray(centre, float) + radius * np.stack([x, y, z], -1).reshape(-1, 3)
+
+
+def rounded_hull(corners: ArrayLike, radius: float, n: int = 16) -> Mesh:
+    """Return the hull of balls at the corners: a convex body with round edges."""
+    balls = [ball_points(corner, radius, n) for corner in np.asarray(corners)]
+    return hull(np.concatenate(balls))
+
+
+def rounded_box(size: ArrayLike, radius: float, n: int = 16) -> Mesh:
+    """Return a box standing on z = 0, its centre above the origin, edges rounded."""
+    half = np.asarray(size, float) / 2
+    signs = np.array(np.meshgrid(*3 * [[-1, 1]])).reshape(3, -1).T
+    return moved(rounded_hull(signs * (half - radius), radius, n), z=half[2])
+
+
+def revolved(profile_rz: ArrayLike, n: int = 96) -> Mesh:
+    """Turn a profile (r, z), (n_points, 2), about z; it starts and ends at r = 0."""
+    r, z = np.asarray(profile_rz, float).T
+    around = np.arange(n) * (2 * np.pi / n)
+    x, y = r[:, None] * np.cos(around), r[:, None] * np.sin(around)
+    return lofted(np.stack([x, y, np.repeat(z[:, None], n, 1)], -1))
+
+
+def lofted(rings: ArrayLike) -> Mesh:
+    """Skin closed rings, (n_rings, n_around, 3), and close both ends with fans."""
+    skin = np.asarray(rings, float)
+    n_rings, n, _ = skin.shape
+    this = np.arange(n_rings * n).reshape(n_rings, n)
+    right = np.roll(this, -1, axis=1)
+    a, b, c, d = this[:-1], right[:-1], right[1:], this[1:]
+    sides = [np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))]
+    first, last = n_rings * n, n_rings * n + 1
+    bottom = np.stack([np.full(n, first), right[0], this[0]], -1)
+    top = np.stack([np.full(n, last), this[-1], right[-1]], -1)
+    ends = skin[[0, -1]].mean(axis=1)
+    vertices = np.concatenate([skin.reshape(-1, 3), ends])
+    return surface(vertices, np.concatenate([*sides, bottom, top]))
+
+
+def ellipses(
+    half_x: ArrayLike, half_y: ArrayLike, z: ArrayLike, power: float = 2.0, n: int = 96
+) -> Points:
+    """Return rings |x/a|^p + |y/b|^p = 1 at each height, for `lofted`."""
+    around = np.arange(n) * (2 * np.pi / n)
+    cos, sin = np.cos(around), np.sin(around)
+    x = np.multiply.outer(half_x, np.sign(cos) * np.abs(cos) ** (2 / power))
+    y = np.multiply.outer(half_y, np.sign(sin) * np.abs(sin) ** (2 / power))
+    heights = np.broadcast_to(np.asarray(z, float)[:, None], x.shape)
+    return np.stack([x, y, heights], -1)
+
+
+def tube(path: ArrayLike, radius: float, n: int = 24) -> Mesh:
+    """Return a tube along a path in the x-z plane, (n_points, 3)."""
+    line = np.asarray(path, float)
+    along = np.gradient(line, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    side = np.array([0.0, 1.0, 0.0])
+    up = np.cross(along, side)
+    around = np.arange(n) * (2 * np.pi / n)
+    cos, sin = radius * np.cos(around), radius * np.sin(around)
+    wheel = cos[:, None] * side + sin[:, None] * up[:, None]
+    return lofted(line[:, None] + wheel)

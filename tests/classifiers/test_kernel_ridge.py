@@ -1,0 +1,98 @@
+"""Kernel ridge classification: left-out scores against refitting, and refusals."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.utils.estimator_checks import parametrize_with_checks
+
+from palpate.classifiers import KernelRidgeClassifier
+
+
+@parametrize_with_checks([KernelRidgeClassifier()])
+def test_common_checks(estimator, check):
+    check(estimator)
+
+
+@pytest.fixture
+def problem(rng):
+    labels = np.repeat(["ball", "mug", "pen"], 20)
+    X = rng.normal(size=(60, 4)) + 1.5 * np.repeat(np.eye(3, 4), 20, axis=0)
+    return X, labels, np.tile(np.repeat(np.arange(5), 4), 3)
+
+
+def test_left_out_scores_are_those_of_a_machine_that_never_met_the_group(problem):
+    X, labels, groups = problem
+    machine = KernelRidgeClassifier(widths=[1.0], ridges=[0.1])
+    machine.fit(X, labels, groups=groups)
+    targets = (labels[:, None] == machine.classes_) - 1 / 3
+    distance = ((X[:, None] - X) ** 2).sum(axis=2)
+    kernel = np.exp(-distance / machine.unit_)
+    for group in range(5):
+        out = groups == group
+        regular = kernel[np.ix_(~out, ~out)] + 0.1 * np.eye((~out).sum())
+        dual = np.linalg.solve(regular, targets[~out])
+        slow = kernel[np.ix_(out, ~out)] @ dual + 1 / 3
+        # Both solve the same 60 x 60 systems; only rounding differs.
+        assert_allclose(machine.left_out_scores_[out], slow, atol=1e-10)
+
+
+def test_temperature_makes_left_out_touches_calibrated(problem):
+    X, labels, groups = problem
+    machine = KernelRidgeClassifier().fit(X, labels, groups=groups)
+    left_out = machine.left_out_log_likelihood()
+    codes = np.searchsorted(machine.classes_, labels)
+    loss = -left_out[np.arange(60), codes].mean()
+    assert loss == pytest.approx(machine.log_loss_)
+    for factor in (0.8, 1.25):
+        machine.temperature_ *= factor
+        other = machine.left_out_log_likelihood()
+        machine.temperature_ /= factor
+        assert -other[np.arange(60), codes].mean() > loss
+
+
+def test_posterior_sums_to_one_and_agrees_with_predict(problem):
+    X, labels, _ = problem
+    machine = KernelRidgeClassifier().fit(X, labels)
+    posterior = machine.predict_proba(X)
+    assert_allclose(posterior.sum(axis=1), 1)
+    assert_array_equal(machine.classes_[posterior.argmax(axis=1)], machine.predict(X))
+
+
+def test_refit_keeps_the_choices(problem):
+    X, labels, _ = problem
+    machine = KernelRidgeClassifier().fit(X[:40], labels[:40])
+    chosen = machine.width_, machine.ridge_, machine.unit_
+    machine.refit(X, labels)
+    assert machine.classes_.tolist() == ["ball", "mug", "pen"]
+    assert (machine.width_, machine.ridge_, machine.unit_) == chosen
+
+
+def test_the_choice_is_made_on_part_of_many_touches(problem):
+    X, labels, _ = problem
+    few = KernelRidgeClassifier(max_choice_touches=30).fit(X, labels)
+    assert len(few.touches_) == 60
+
+
+@pytest.mark.parametrize(
+    ("parameters", "groups", "error", "message"),
+    [
+        ({"widths": [0.0]}, None, ValueError, "widths must be positive"),
+        ({"ridges": ["a"]}, None, TypeError, "ridges must be a number"),
+        ({}, [1, 2], ValueError, r"one entry per touch \(60\)"),
+    ],
+)
+def test_bad_input_is_refused(problem, parameters, groups, error, message):
+    X, labels, _ = problem
+    with pytest.raises(error, match=message):
+        KernelRidgeClassifier(**parameters).fit(X, labels, groups=groups)
+
+
+def test_one_label_is_refused(problem):
+    X, _, _ = problem
+    with pytest.raises(ValueError, match="at least two labels"):
+        KernelRidgeClassifier().fit(X, ["pen"] * 60)
+
+
+def test_equal_touches_give_equal_posteriors():
+    machine = KernelRidgeClassifier().fit(np.ones((6, 2)), ["a", "b"] * 3)
+    assert_allclose(machine.predict_proba(np.ones((1, 2))), 0.5)

@@ -1,0 +1,33 @@
+"""Fixtures shared by the whole suite: small drawn touches and the real ones."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """The folder of real touches; skips the test where it is not there."""
+    folder = os.environ.get("PALPATE_DATA")
+    if not folder or not Path(folder).is_dir():
+        pytest.skip("PALPATE_DATA does not name the folder of real touches")
+    return Path(folder)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+@pytest.fixture
+def touches(rng: np.random.Generator) -> NDArray[np.float64]:
+    """Twelve smooth images of 10 x 10 taxels: pressed blobs over a little noise."""
+    row, col = np.mgrid[:10, :10]
+    centre = rng.uniform(3, 6, size=(12, 2, 1, 1))
+    width = rng.uniform(1.5, 3, size=(12, 1, 1))
+    squared = (row - centre[:, 0]) ** 2 + (col - centre[:, 1]) ** 2
+    noise = rng.normal(scale=0.01, size=(12, 10, 10))
+    return np.exp(-squared / (2 * width**2)) + noise

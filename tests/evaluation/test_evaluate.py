@@ -1,0 +1,141 @@
+"""The protocol on drawn touches: figures known from how they were drawn."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from palpate import Touches
+from palpate.evaluation import Plan, evaluate, write_report
+
+PLAN = Plan(touches=(1, 3, 6), orders=5)
+
+
+def drawn(seed, names, n_each=16, noise=0.7):
+    """Vectors of 3 x 24 electrodes; each object has its own pattern."""
+    rng = np.random.default_rng(seed)
+    images, labels = [], []
+    for name in names:
+        pattern = np.random.default_rng(sum(map(ord, name))).normal(size=(3, 24))
+        images.append(pattern + noise * rng.normal(size=(n_each, 3, 24)))
+        labels += [name] * n_each
+    category = [name.split("_")[0] for name in labels]
+    return Touches(
+        np.concatenate(images), object=labels, category=category, geometry="none"
+    )
+
+
+NAMES = ("mug_a", "mug_b", "pen_a", "pen_b")
+
+
+@pytest.fixture(scope="module")
+def result():
+    # An unknown thing that feels like one known object here, like another there.
+    parts = drawn(3, NAMES)
+    mixed = np.tile(["key_a", "key_b"], 32)
+    unknown = Touches(parts.images, object=mixed, geometry="none")
+    return evaluate(drawn(0, NAMES), drawn(1, NAMES), unknown=unknown, plan=PLAN)
+
+
+def test_distinct_objects_are_told_apart(result):
+    figures, _ = result
+    assert figures["accuracy"]["6"] == 1
+    assert figures["n_labels"] == 4
+    assert figures["n_train_touches"] == figures["n_test_touches"] == 64
+    assert figures["n_objects"] == {"1": 4, "3": 4, "6": 4}
+    assert figures["unknown_auroc"]["6"] > 0.9
+    assert figures["seconds"].keys() == {
+        "learn",
+        "encode_per_touch",
+        "recognise_per_touch",
+    }
+    json.dumps(figures)
+
+
+def test_controls_without_their_cause_are_absent(result):
+    controls = result[0]["controls"]
+    assert controls["disc centre"] is None
+    assert controls["no contact"] is None
+    assert set(controls["brightness"]) == {"1", "3", "6"}
+
+
+def test_decisions_are_right_and_use_few_touches(result):
+    decision = result[0]["decision"]
+    assert decision["accuracy"] == 1
+    assert 1 <= decision["mean_touches"] < 16
+
+
+def test_pure_noise_is_recognised_at_chance():
+    noise = Touches(
+        np.random.default_rng(0).normal(size=(400, 3, 24)),
+        object=np.repeat(["a", "b", "c", "d"], 100),
+        geometry="none",
+    )
+    figures, _ = evaluate(noise, split="between", plan=Plan(touches=(1,), orders=2))
+    # 100 test touches at chance 0.25: four standard errors.
+    assert abs(figures["accuracy"]["1"] - 0.25) < 0.18
+
+
+def test_objects_with_fewer_touches_are_left_out_at_k():
+    test = drawn(1, NAMES)
+    fewer = test[np.r_[0:16, 16:18, 32:48, 48:64]]
+    figures, _ = evaluate(drawn(0, NAMES), fewer, plan=PLAN)
+    assert figures["n_objects"] == {"1": 4, "3": 3, "6": 3}
+
+
+def test_one_touch_uses_every_test_touch_once():
+    figures, trials = evaluate(drawn(0, NAMES), drawn(1, NAMES, noise=3), plan=PLAN)
+    best = trials[0].log_likelihood.argmax(axis=1)
+    hits = trials[0].recogniser.classes_[best] == trials[0].fold.test.object
+    assert figures["accuracy"]["1"] == pytest.approx(hits.mean())
+
+
+def test_unseen_objects_recognise_categories():
+    names = ("mug_a", "mug_b", "mug_c", "pen_a", "pen_b", "pen_c")
+    figures, trials = evaluate(drawn(0, names), split="unseen-objects", plan=PLAN)
+    assert figures["label"] == "category"
+    assert figures["n_folds"] == len(trials) == 3
+    assert figures["n_labels"] == 2
+
+
+def test_drawn_training_touches_and_same_seed_same_figures():
+    plan = Plan(touches=(1, 3), orders=3, train_touches=8, seed=5)
+    first, _ = evaluate(drawn(0, NAMES), split="last", plan=plan)
+    second, _ = evaluate(drawn(0, NAMES), split="last", plan=plan)
+    assert first["n_train_touches"] == 32
+    for key in ("accuracy", "log_loss", "ece", "controls", "decision"):
+        assert first[key] == second[key]
+
+
+def test_report_is_one_file_that_loads_nothing(result, tmp_path):
+    path = write_report(tmp_path / "r.html", *result)
+    page = path.read_text()
+    addresses = re.findall(r"(?:src|href)=['\"]?([^'\" >]+)", page)
+    assert addresses
+    assert all(address.startswith(("data:", "#")) for address in addresses)
+    assert "<script" not in page
+    for name in NAMES:
+        assert name in page
+
+
+def test_report_escapes_names(tmp_path):
+    names = ("<script>alert(1)</script>", "b")
+    figures, trials = evaluate(drawn(0, names), drawn(1, names), plan=PLAN)
+    page = write_report(tmp_path / "r.html", figures, trials).read_text()
+    assert "<script>" not in page
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({}, "either test touches or a split, got neither"),
+        ({"test": drawn(1, NAMES), "split": "last"}, "got both"),
+        ({"test": drawn(1, ("mug_a", "key_a"))}, "'key_a', which was not learnt"),
+        ({"split": "last", "plan": Plan(touches=(0,))}, "touches must be at least 1"),
+        ({"split": "last", "plan": Plan(label="size")}, "'object', 'category'"),
+    ],
+)
+def test_refusals(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        evaluate(drawn(0, NAMES), **arguments)

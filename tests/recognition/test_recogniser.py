@@ -1,0 +1,191 @@
+"""The recogniser and its belief on drawn touches whose answers are known."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from palpate import Touches
+from palpate.recognition import ModelFileError, ObjectRecogniser
+
+NAMES = ("ball", "mug", "pen")
+
+
+def drawn(rng, n_each=24, names=NAMES, shape=(3, 24), noise=0.6):
+    """Touches of objects that differ by one pattern each, in noise."""
+    patterns = np.random.default_rng(7).normal(size=(len(names), *shape))
+    images = np.repeat(patterns, n_each, axis=0)
+    images = images + noise * rng.normal(size=images.shape)
+    labels = np.repeat(names, n_each)
+    category = np.where(labels == "pen", "tool", "vessel")
+    return Touches(images, object=labels, category=category, geometry="none")
+
+
+@pytest.fixture(scope="module")
+def recogniser():
+    return ObjectRecogniser().fit(drawn(np.random.default_rng(0)))
+
+
+@pytest.fixture
+def test_touches(rng):
+    return drawn(rng, n_each=6)
+
+
+def test_recognises_what_it_learnt(recogniser, test_touches):
+    for name, _, rows in test_touches.episodes():
+        belief = recogniser.start()
+        assert belief.posterior == pytest.approx(dict.fromkeys(NAMES, 1 / 3))
+        assert belief.update(test_touches[rows]).best == name
+        assert belief.touches_used == 6
+        assert sum(belief.posterior.values()) == pytest.approx(1)
+
+
+def test_touch_by_touch_equals_all_at_once(recogniser, test_touches):
+    one_by_one, together = recogniser.start(), recogniser.start()
+    for row in range(6):
+        one_by_one.update(test_touches[row])
+    together.update(test_touches[:6])
+    # Products of one row and of six round differently.
+    assert_allclose(
+        list(one_by_one.posterior.values()), list(together.posterior.values()), atol=1e-9
+    )
+
+
+def test_a_bare_image_is_a_touch(recogniser, test_touches):
+    from_image = recogniser.start().update(test_touches.images[0])
+    from_touches = recogniser.start().update(test_touches[0])
+    assert from_image.posterior == from_touches.posterior
+
+
+def test_order_of_touches_does_not_matter(recogniser, test_touches):
+    forwards = recogniser.start().update(test_touches[[0, 1, 2]])
+    backwards = recogniser.start().update(test_touches[[2, 1, 0]])
+    assert forwards.posterior == pytest.approx(backwards.posterior)
+
+
+def test_decides_nothing_before_the_first_touch_and_the_object_when_sure(
+    recogniser, test_touches
+):
+    belief = recogniser.start()
+    assert belief.decide() is None
+    for row in range(6):
+        belief.update(test_touches[row])
+    assert belief.decide(0.05) == "ball"
+    assert "Decided for ball" in belief.reason(0.05)
+    with pytest.raises(ValueError, match="error must be finite and between"):
+        belief.decide(0.9)
+
+
+def test_touches_that_point_everywhere_are_unknown(recogniser):
+    belief = recogniser.start()
+    for column in (0, 1, 2) * 4:
+        row = np.full(3, -5.0)
+        row[column] = 0
+        belief.update_from_log_likelihood(row)
+    assert belief.decide(0.05) == "unknown"
+    assert belief.reason(0.05).startswith("Unknown")
+
+
+def test_same_seed_same_bits(test_touches):
+    first = ObjectRecogniser(random_state=3).fit(test_touches)
+    second = ObjectRecogniser(random_state=3).fit(test_touches)
+    assert_array_equal(
+        first.log_likelihood(test_touches), second.log_likelihood(test_touches)
+    )
+    assert first.trust_ == second.trust_
+    assert_array_equal(first.unknown_limits_, second.unknown_limits_)
+
+
+def test_add_and_forget_an_object(rng):
+    everything = drawn(rng)
+    pens = everything.object == "pen"
+    learnt = ObjectRecogniser().fit(everything[~pens])
+    learnt.add_object("pen", everything[pens])
+    assert learnt.classes_.tolist() == ["ball", "mug", "pen"]
+    assert learnt.start().update(everything[pens][:3]).best == "pen"
+    learnt.forget_object("mug")
+    assert learnt.classes_.tolist() == ["ball", "pen"]
+    assert learnt.start().update(everything[pens][:3]).best == "pen"
+    with pytest.raises(ValueError, match="known already"):
+        learnt.add_object("pen", everything[pens])
+    with pytest.raises(ValueError, match="'ball', 'pen', got 'mug'"):
+        learnt.forget_object("mug")
+    with pytest.raises(ValueError, match="At least two objects must remain"):
+        learnt.forget_object("pen")
+
+
+def test_category_is_learnt_over_objects(rng):
+    touches = drawn(rng)
+    learnt = ObjectRecogniser(label="category").fit(touches)
+    assert learnt.classes_.tolist() == ["tool", "vessel"]
+    assert learnt.start().update(touches[:2]).best == "vessel"
+
+
+def test_prior_by_counts(rng):
+    touches = drawn(rng)
+    fewer = touches[np.r_[0:24, 24:36, 48:60]]
+    start = ObjectRecogniser(prior="counts").fit(fewer).start()
+    assert start.posterior == pytest.approx({"ball": 0.5, "mug": 0.25, "pen": 0.25})
+
+
+@pytest.mark.parametrize("preset", ["default"])
+def test_a_saved_recogniser_is_the_same_to_the_bit(preset, tmp_path, rng, test_touches):
+    learnt = ObjectRecogniser(preset).fit(drawn(rng))
+    again = ObjectRecogniser.load(learnt.save(tmp_path / "three.palpate"))
+    assert_array_equal(
+        again.log_likelihood(test_touches), learnt.log_likelihood(test_touches)
+    )
+    assert again.trust_ == learnt.trust_
+    assert again.chosen_ == learnt.chosen_
+    assert again.get_params() == learnt.get_params()
+    assert again.start().update(test_touches[:3]).decide() == (
+        learnt.start().update(test_touches[:3]).decide()
+    )
+    again.forget_object("mug")
+
+
+def test_refusals_say_what_to_do(rng):
+    touches = drawn(rng)
+    bare = touches.without("object", "category")
+    with pytest.raises(ValueError, match="column 'object'"):
+        ObjectRecogniser().fit(bare)
+    with pytest.raises(ValueError, match="at least two object labels, got only 'ball'"):
+        ObjectRecogniser().fit(touches[:10])
+    with pytest.raises(ValueError, match="at least 2 touches, got 1 of 'mug'"):
+        ObjectRecogniser().fit(touches[:25])
+    with pytest.raises(ValueError, match="'default'"):
+        ObjectRecogniser("nothing").fit(touches)
+    with pytest.raises(ValueError, match="floor must be finite and between 0 and 0.5"):
+        ObjectRecogniser(floor=2.0).fit(touches)
+    with pytest.raises(ValueError, match="learnt nothing yet"):
+        ObjectRecogniser().start()
+
+
+def test_a_touch_of_another_sensor_leaves_the_belief_alone(recogniser):
+    belief = recogniser.start()
+    with pytest.raises(ValueError, match="must have 3 x 24 taxels"):
+        belief.update(np.zeros((4, 4)))
+    with pytest.raises(ValueError, match="one image"):
+        belief.update(np.zeros(4))
+    assert belief.touches_used == 0
+
+
+def damage(path, offset, byte):
+    content = bytearray(path.read_bytes())
+    content[offset] ^= byte
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("where", [0.02, 0.3, 0.6, 0.9, 0.999])
+def test_a_damaged_model_is_refused(recogniser, tmp_path, where):
+    path = recogniser.save(tmp_path / "m.palpate")
+    damage(path, int(where * path.stat().st_size), 0x15)
+    with pytest.raises(ModelFileError, match="m.palpate"):
+        ObjectRecogniser.load(path)
+
+
+@pytest.mark.parametrize("keep", [0, 1, 7, 100, 5000])
+def test_a_truncated_model_is_refused(recogniser, tmp_path, keep):
+    path = recogniser.save(tmp_path / "m.palpate")
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(ModelFileError, match="m.palpate"):
+        ObjectRecogniser.load(path)

@@ -1,0 +1,20 @@
+"""The benchmark of decoding measures what it says, on a small folder."""
+
+import pytest
+
+from palpate.bench import _decode
+
+
+def test_rows_tell_time_and_memory(monkeypatch):
+    monkeypatch.setattr(_decode, "_N_PICTURES", 24)
+    rows = _decode.bench_decode(None, repeats=1)
+    assert [row["name"] for row in rows] == [
+        "24 x 640 x 480 uint8 JPEG drawn folder cpu",
+        "24 x 640 x 480 uint8 JPEG drawn folder wall",
+    ]
+    for row in rows:
+        assert row["array_mib"] == 24 * 640 * 480 / 2**20
+        assert row["ratio"] == pytest.approx(row["peer_ms"] / row["ours_ms"])
+        # The array itself was in memory; the interpreter alone takes over 10 MiB.
+        assert row["peak_mib"] > row["array_mib"] + 10
+        assert row["peak_mib"] >= row["peak_before_mib"]

@@ -1,0 +1,464 @@
+"""Folders of pictures: labels, order, and folders that are not what they seem."""
+
+import os
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from PIL import Image
+
+from palpate import Touches
+from palpate.touches import TouchesError, read_folder
+from palpate.touches import _decode as decode
+
+
+@pytest.fixture
+def put(tmp_path):
+    """Write pictures whose level is their number, by path within a folder."""
+    root = tmp_path / "in"
+    root.mkdir()
+
+    def write(*names, size=(6, 4), dtype=np.uint8):
+        for level, name in enumerate(names):
+            path = root / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            image = np.full(size[::-1], level, dtype=dtype)
+            # Quality 100 keeps a flat picture exactly.
+            Image.fromarray(image).save(path, quality=100)
+        return root
+
+    return write
+
+
+def first_levels(touches):
+    return touches.images[:, 0, 0].tolist()
+
+
+def test_one_level_of_folders_is_the_object(put):
+    touches = Touches.load(put("cup/a.png", "ball/a.png", "cup/b.png"))
+    assert touches.object.tolist() == ["ball", "cup", "cup"]
+    assert touches.category is None
+    assert touches.columns["source_path"].tolist() == [
+        "ball/a.png", "cup/a.png", "cup/b.png",
+    ]  # fmt: skip
+    assert first_levels(touches) == [1, 0, 2]
+    assert touches.order is None
+
+
+def test_more_levels_are_category_and_object(put):
+    touches = Touches.load(
+        put("01_stapler/01/a.png", "01_stapler/02/x/a.png", "02_mug/01/a.png")
+    )
+    assert touches.object.tolist() == ["01_stapler/01", "01_stapler/02/x", "02_mug/01"]
+    assert touches.category.tolist() == ["01_stapler", "01_stapler", "02_mug"]
+
+
+def test_pictures_in_no_folder_have_no_labels(put):
+    touches = Touches.load(put("b.png", "a.png"))
+    assert touches.object is None
+    assert len(touches.episodes()) == 1
+
+
+def test_numbers_in_names_sort_by_value(put):
+    names = ["a/img_10.png", "a/img_2.png", "A/img_1.png", "a/IMG_3.png", "a10/x.png"]
+    names += ["a9/x.png", "a/img_02.png"]
+    touches = Touches.load(put(*names))
+    assert touches.columns["source_path"].tolist() == [
+        "A/img_1.png", "a/img_02.png", "a/img_2.png", "a/IMG_3.png", "a/img_10.png",
+        "a9/x.png", "a10/x.png",
+    ]  # fmt: skip
+
+
+def test_endings_in_any_case_and_nothing_else(put):
+    root = put("a/1.PNG", "a/2.jpg.png", "a/3.png", "a/.4.png", ".b/5.png")
+    (root / "a" / "notes.txt").write_text("x")
+    (root / "a" / "Thumbs.db").write_bytes(b"x")
+    assert len(Touches.load(root)) == 3
+
+
+def test_16_bits_stay_16_bits(put):
+    root = put("a/1.png", "a/2.png", dtype=np.uint16)
+    assert Touches.load(root).images.dtype == np.uint16
+
+
+def test_every_name_group_becomes_its_column(put):
+    pattern = (
+        r"^(?P<session>\w+?)_(?P<object>(?P<category>[a-z]+)-\w+?)_n(?P<n>\d+)"
+        r"_at_(?P<x>-?\d+)_(?P<y>-?\d+)_(?P<z>-?\d+)_mm_(?P<x_mm>[\d.]+)_(?P<y_mm>"
+        r"[\d.]+)_(?P<z_mm>[-\d.]+)_f(?P<force_n>[\d.]+)_(?P<press>\d+)_(?P<hand>\w+)\."
+    )
+    touches = Touches.load(
+        put(
+            "01_mug-a_n2_at_1_-2_3_mm_0.5_1_2_f0.7_004_left.png",
+            "01_mug-a_n10_at_4_5_6_mm_1.5_1_-2.25_f1_005_right.png",
+        ),
+        name_pattern=pattern,
+    )
+    assert touches.object.tolist() == ["mug-a", "mug-a"]
+    assert touches.category.tolist() == ["mug", "mug"]
+    assert touches.session.tolist() == ["01", "01"]
+    assert touches.order.tolist() == [2, 10]
+    assert touches.order.dtype.kind == "i"
+    columns = touches.columns
+    assert columns["position_raw"].tolist() == [[1.0, -2.0, 3.0], [4.0, 5.0, 6.0]]
+    assert columns["position_mm"].tolist() == [[0.5, 1.0, 2.0], [1.5, 1.0, -2.25]]
+    assert columns["force_n"].tolist() == [0.7, 1.0]
+    assert columns["press"].tolist() == [4, 5]
+    assert columns["press"].dtype.kind == "i"
+    assert columns["hand"].tolist() == ["left", "right"]
+    assert "x" not in columns
+
+
+def test_x_and_y_alone_are_columns_of_their_own(put):
+    touches = Touches.load(put("1_2.png"), name_pattern=r"(?P<x>\d)_(?P<y>\d)")
+    assert touches.columns["x"].tolist() == [1]
+    assert "position_raw" not in touches.columns
+
+
+def test_the_path_is_searched_where_the_name_does_not_match(put):
+    pattern = r"(?P<object>[a-z]+)/(?P<n>\d+)"
+    touches = Touches.load(put("cup/7.png", "deep/ball/8.png"), name_pattern=pattern)
+    assert touches.object.tolist() == ["cup", "ball"]
+    assert touches.order.tolist() == [7, 8]
+
+
+def test_folders_label_what_the_pattern_does_not(put):
+    touches = Touches.load(put("cup/7.png", "ball/8.png"), name_pattern=r"(?P<n>\d)\.")
+    assert touches.object.tolist() == ["ball", "cup"]
+    assert touches.order.tolist() == [8, 7]
+
+
+def test_groups_that_match_sometimes_leave_gaps(put):
+    touches = Touches.load(
+        put("1_f2.5_left.png", "2.png"),
+        name_pattern=r"(?P<n>\d)(_f(?P<force_n>[\d.]+))?(_(?P<hand>\w+))?\.png",
+    )
+    assert_array_equal(touches.columns["force_n"], [2.5, np.nan])
+    assert touches.columns["hand"].tolist() == ["left", ""]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "message"),
+    [
+        ("(?P<object>", r"regular expression, got '\(\?P<object>': .*An example"),
+        (r"cup_\d", "must have named groups"),
+        (r"(?P<images>\d)", "the group images"),
+        (r"(?P<set_x>\d)", "the group set_x"),
+        (r"(?P<position_mm>\d)", "the group position_mm"),
+        (r"(?P<n>\d)(?P<order>\d?)", "both n and order"),
+        (r"(?P<object>ball)_", r"in: cup_1.png must match name_pattern .*ball"),
+        (r"(?P<object>x?)", "cup_1.png: the group object .* got nothing"),
+        (r"(?P<n>cup)", "cup_1.png: the group n .* a whole number, got 'cup'"),
+        (r"(?P<x>c)(?P<y>u)(?P<z>p)", "the group x .* must match a number, got 'c'"),
+        (r"cup_1\.(?P<object>(?P<category>q)?p)", "the group category .* got nothing"),
+    ],
+)
+def test_bad_patterns_are_refused(put, pattern, message):
+    with pytest.raises(TouchesError, match=message):
+        Touches.load(put("cup_1.png"), name_pattern=pattern)
+
+
+def test_a_pattern_is_text(put):
+    with pytest.raises(TypeError, match="name_pattern must be a string, got int"):
+        Touches.load(put("cup_1.png"), name_pattern=3)
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["a/1.png", "b/2.png", "odd.png"], "odd.png lies in no folder and a/1.png"),
+        (["a/b/1.png", "a/b/2.png", "c/3.png"], "c/3.png lies in one folder and a/b/1"),
+        (["1.png", "2.png", "c/d/3.png"], "c/d/3.png lies in folders of folders"),
+    ],
+)
+def test_folders_that_label_some_are_refused(put, names, message):
+    with pytest.raises(TouchesError, match=message):
+        Touches.load(put(*names))
+
+
+# The picture of no contact --------------------------------------------------
+
+
+def test_no_contact_within_the_folder_is_no_touch(put, tmp_path):
+    root = put("empty.png", "cup/1.png", "cup/2.png")
+    link = tmp_path / "linked"
+    link.symlink_to(root)
+    for empty in (root / "empty.png", link / "empty.png", link / "cup/../empty.png"):
+        touches = Touches.load(root, no_contact=empty)
+        assert first_levels(touches) == [1, 2]
+        assert_array_equal(touches.no_contact, np.zeros((4, 6)))
+
+
+def test_no_contact_from_elsewhere(put, tmp_path):
+    Image.new("L", (6, 4), 9).save(tmp_path / "empty.jpg", quality=100)
+    touches = Touches.load(put("a.png"), no_contact=tmp_path / "empty.jpg")
+    assert (touches.no_contact == 9).all()
+    touches.without("no_contact").save(tmp_path / "t.npz")
+    again = Touches.load(tmp_path / "t.npz", no_contact=tmp_path / "empty.jpg")
+    assert (again.no_contact == 9).all()
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (Image.new("L", (6, 5)), "must be 6 x 4 8-bit like the touches, got 6 x 5"),
+        (Image.new("I;16", (6, 4)), "got 6 x 4 16-bit PNG"),
+        (Image.new("RGBA", (6, 4)), "transparent parts"),
+        (None, "empty.png must be readable, got: No such file"),
+    ],
+)
+def test_a_no_contact_that_does_not_fit_is_refused(put, tmp_path, image, message):
+    root = put("a.png")
+    Touches.load(root).save(tmp_path / "t.npz")
+    if image:
+        image.save(tmp_path / "empty.png")
+    for source in (root, tmp_path / "t.npz"):
+        with pytest.raises(TouchesError, match=message):
+            Touches.load(source, no_contact=tmp_path / "empty.png")
+
+
+def test_a_picture_is_no_baseline_of_float_images(put, tmp_path):
+    Touches(np.zeros((1, 4, 6))).save(tmp_path / "t.npz")
+    with pytest.raises(TouchesError, match="must have the unit of the images"):
+        Touches.load(tmp_path / "t.npz", no_contact=put("a.png") / "a.png")
+
+
+# Folders that are not what they seem ----------------------------------------
+
+
+def test_missing_and_empty_folders(put, tmp_path):
+    with pytest.raises(TouchesError, match="must be a folder of pictures, got none"):
+        read_folder(tmp_path / "missing")
+    with pytest.raises(TouchesError, match=r"must hold pictures .* got no files"):
+        Touches.load(put())
+    root = put(".hidden.png")
+    (root / "a.bmp").write_bytes(b"x")
+    (root / "b.npz").write_bytes(b"x")
+    with pytest.raises(TouchesError, match=r"got 2 files of .bmp, .npz.*one by one"):
+        Touches.load(root)
+    with pytest.raises(TouchesError, match="into a folder"):
+        Touches.load(root / "a.bmp")
+
+
+def test_pictures_of_another_size_or_format_are_named(put):
+    root = put("a/1.png", "a/2.png", "a/3.png")
+    Image.new("L", (6, 5)).save(root / "a" / "2.png")
+    message = r"got 6 x 5 8-bit PNG in .*2.png \(2 of 3 are 6 x 4 8-bit PNG\)"
+    with pytest.raises(TouchesError, match=message):
+        Touches.load(root)
+    Image.new("I;16", (6, 4)).save(root / "a" / "2.png")
+    with pytest.raises(TouchesError, match="got 6 x 4 16-bit PNG"):
+        Touches.load(root)
+    (root / "a" / "2.png").unlink()
+    Image.new("L", (6, 4)).save(root / "a" / "2.jpg")
+    with pytest.raises(TouchesError, match="got 6 x 4 8-bit JPEG"):
+        Touches.load(root)
+
+
+def test_no_picture_is_decoded_before_all_headers_agree(put, monkeypatch):
+    root = put("a/1.png", "a/2.png")
+    Image.new("L", (6, 5)).save(root / "a" / "2.png")
+    monkeypatch.setattr(decode, "grey_levels", lambda *_: pytest.fail("decoded"))
+    with pytest.raises(TouchesError, match="one size and format"):
+        Touches.load(root)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", r"bad.jpg must be a whole JPEG or PNG .* got an empty file"),
+        (b"hello", "bad.jpg must be .* neither JPEG nor PNG"),
+    ],
+)
+def test_a_file_that_is_no_picture_is_named(put, content, message):
+    root = put("a/1.jpg")
+    (root / "a" / "bad.jpg").write_bytes(content)
+    with pytest.raises(TouchesError, match=message):
+        Touches.load(root)
+
+
+def test_a_cut_jpeg_among_many_is_named(put):
+    root = put(*[f"a/{i}.jpg" for i in range(30)])
+    path = root / "a" / "17.jpg"
+    path.write_bytes(path.read_bytes()[:-30])
+    with pytest.raises(TouchesError, match=r"17.jpg must be .* got a file that is cut"):
+        Touches.load(root)
+
+
+def test_a_wrong_ending_does_not_matter(put):
+    root = put("a/1.png")
+    (root / "a" / "1.png").rename(root / "a" / "1.jpg")
+    assert first_levels(Touches.load(root)) == [0]
+
+
+def test_the_pixel_cap_comes_before_decoding(put, monkeypatch):
+    root = put("a.png", size=(60, 40))
+    monkeypatch.setattr(decode, "grey_levels", lambda *_: pytest.fail("decoded"))
+    with pytest.raises(TouchesError, match=r"at most 2399 pixels, got 60 x 40.*trust"):
+        Touches.load(root, max_pixels=2399)
+
+
+def test_a_picture_of_400_megapixels_in_48_kb_is_refused(tmp_path):
+    Image.new("1", (20_000, 20_000)).save(tmp_path / "bomb.png")
+    assert (tmp_path / "bomb.png").stat().st_size < 2**16
+    with pytest.raises(TouchesError, match="at most 50000000 pixels, got 20000 x 2000"):
+        Touches.load(tmp_path)
+
+
+def test_the_memory_cap_comes_before_decoding(put):
+    with pytest.raises(TouchesError, match=r"must take at most 47 bytes, got 48"):
+        Touches.load(put("a.png", "b.png"), max_bytes=47)
+
+
+def test_a_file_far_larger_than_its_picture_is_refused(put):
+    root = put("a.png")
+    os.truncate(root / "a.png", 2**30)  # sparse: takes no room
+    with pytest.raises(TouchesError, match="got a file of 1073741824 bytes"):
+        Touches.load(root, max_pixels=1000)
+
+
+def test_a_picture_that_changes_after_its_header_was_read(put):
+    root = put("a.png")
+    header = decode.common_header([root / "a.png"], max_pixels=100)
+    Image.new("L", (6, 5)).save(root / "a.png")
+    with pytest.raises(TouchesError, match=r"a.png .* the file changed meanwhile"):
+        decode.decode_pictures([root / "a.png"], header, max_bytes=99, progress=False)
+    (root / "a.png").unlink()
+    with pytest.raises(TouchesError, match=r"a.png must be readable, got: No such"):
+        decode.decode_pictures([root / "a.png"], header, max_bytes=99, progress=False)
+
+
+def test_links_that_lead_back_are_refused(put):
+    root = put("a/1.png")
+    (root / "a" / "again").symlink_to(root)
+    with pytest.raises(TouchesError, match=r"must not lead back to .* Remove the link"):
+        Touches.load(root)
+
+
+def test_links_to_elsewhere_are_followed(put, tmp_path):
+    (tmp_path / "other").mkdir()
+    Image.new("L", (6, 4), 77).save(tmp_path / "other" / "1.png")
+    root = put("a/1.png")
+    (root / "b").symlink_to(tmp_path / "other")
+    (root / "a" / "2.png").symlink_to(tmp_path / "other" / "1.png")
+    assert first_levels(Touches.load(root)) == [0, 77, 77]
+
+
+def test_links_to_nothing_or_themselves_are_named(put):
+    root = put("a/1.png")
+    link = root / "a" / "2.png"
+    link.symlink_to(root / "missing.png")
+    with pytest.raises(TouchesError, match=r"2.png must be readable, got: No such"):
+        Touches.load(root)
+    link.unlink()
+    link.symlink_to(link)
+    with pytest.raises(TouchesError, match=r"2.png must be readable, got: .*symbolic"):
+        Touches.load(root)
+
+
+def test_a_pipe_does_not_block(put):
+    root = put("a/1.png")
+    os.mkfifo(root / "a" / "2.png")
+    with pytest.raises(TouchesError, match=r"2.png .* something that is not a file"):
+        Touches.load(root)
+
+
+def test_an_unreadable_picture_is_named(put, monkeypatch):
+    from pathlib import Path
+
+    root = put("a/1.png", "a/2.png")
+    normal = Path.open
+
+    def refused(path, *args, **kwargs):
+        if path.name == "2.png":
+            raise PermissionError(13, "Permission denied", str(path))
+        return normal(path, *args, **kwargs)
+
+    monkeypatch.setattr(Path, "open", refused)
+    with pytest.raises(TouchesError, match=r"2.png must be readable, got: Permission"):
+        Touches.load(root)
+
+
+def test_an_unreadable_folder_is_named(put, monkeypatch):
+    root = put("a/1.png")
+
+    def refused(path):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr("palpate.touches._folder.os.scandir", refused)
+    with pytest.raises(TouchesError, match=r"in must be readable, got: Permission"):
+        Touches.load(root)
+
+
+def test_progress_goes_to_standard_error_when_it_takes_long(put, monkeypatch, capsys):
+    root = put(*[f"a/{i}.png" for i in range(20)])
+    Touches.load(root, progress=True)
+    assert capsys.readouterr() == ("", "")
+    monkeypatch.setattr("palpate.touches._progress._PATIENCE_S", -1.0)
+    Touches.load(root, progress=False)
+    assert capsys.readouterr() == ("", "")
+    Touches.load(root, progress=True)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "Decoding pictures" in err
+    assert "100%" in err
+
+
+def test_decoding_does_not_depend_on_the_number_of_threads(put, monkeypatch):
+    root = put(*[f"a/{i}.jpg" for i in range(40)])
+    many = Touches.load(root)
+    monkeypatch.setattr(decode, "n_cores", lambda: 1)
+    assert_array_equal(Touches.load(root).images, many.images)
+    assert first_levels(many) == list(range(40))
+
+
+BATHTIP = (
+    r"touch_\d+_img_(?P<n>\d+)_name_(?P<object>(?P<category>[a-z]+)_.+)"
+    r"_at_(?P<x>-?\d+)_(?P<y>-?\d+)_(?P<z>-?\d+)"
+)
+
+
+@pytest.mark.realdata
+def test_real_originals_load_with_their_labels(data_folder):
+    bathtip = data_folder / "bathtip"
+    originals = bathtip / "originals"
+    touches = Touches.load(
+        originals,
+        name_pattern=BATHTIP,
+        no_contact=originals / "baselineForCalibration.jpg",
+    )
+    assert touches.images.shape == (772, 480, 640)
+    assert len(set(touches.category)) == len(set(touches.object)) == 10
+    small = Touches.load(bathtip / "bathtip50.npz")
+    row_of = {path: row for row, path in enumerate(small.columns["source_path"])}
+    same = small[[row_of[path] for path in touches.columns["source_path"]]]
+    assert_array_equal(same.object, touches.object)
+    assert_array_equal(same.columns["position_raw"], touches.columns["position_raw"])
+    for image, original in (
+        (same.images, touches.images),
+        (same.no_contact[np.newaxis], touches.no_contact[np.newaxis]),
+    ):
+        square = original[:, :, :480].reshape(-1, 120, 4, 120, 4)
+        # The archive rounds the mean of 4 x 4 pixels to a whole grey level.
+        assert_allclose(square.mean(axis=(2, 4)), image, atol=0.5)
+
+
+@pytest.mark.realdata
+def test_real_originals_cut_anywhere_are_refused(data_folder, tmp_path, rng):
+    originals = sorted((data_folder / "bathtip" / "originals").rglob("*.jpg"))
+    header = decode.picture_header(originals[0], max_pixels=10**6)
+    cut = tmp_path / "cut.jpg"
+    for path in originals:
+        data = path.read_bytes()
+        cut.write_bytes(data[: rng.integers(len(data))])
+        with pytest.raises(TouchesError, match=r"cut.jpg must be a whole JPEG"):
+            decode.decode_picture(cut, header)
+
+
+@pytest.mark.realdata
+def test_real_originals_without_a_pattern(data_folder):
+    originals = data_folder / "bathtip" / "originals"
+    with pytest.raises(TouchesError, match=r"baselineForCalibration.jpg lies in no"):
+        Touches.load(originals)
+    with pytest.raises(TouchesError, match=r"baselineForCalibration.jpg must match"):
+        Touches.load(originals, name_pattern=BATHTIP)

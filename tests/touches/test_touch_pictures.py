@@ -1,0 +1,261 @@
+"""Single pictures: headers, kinds, cuts and damage."""
+
+import io
+import zlib
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from PIL import Image, PngImagePlugin
+
+from palpate.touches._pictures import PictureError, grey_levels, read_header
+
+
+def coded(image, kind="PNG", **options):
+    stream = io.BytesIO()
+    image.save(stream, kind, **options)
+    return stream.getvalue()
+
+
+def levels(data):
+    return grey_levels(data, read_header(io.BytesIO(data)))
+
+
+@pytest.fixture
+def grey(rng):
+    """A smooth picture of 24 rows and 32 columns with a little noise."""
+    row, col = np.mgrid[:24, :32]
+    smooth = 120 + 60 * np.sin(row / 5) * np.cos(col / 7)
+    return (smooth + rng.normal(scale=5, size=smooth.shape)).astype(np.uint8)
+
+
+@pytest.fixture
+def colour(rng):
+    return rng.integers(0, 256, size=(24, 32, 3), dtype=np.uint8)
+
+
+def luma(colour):
+    """ITU-R BT.601."""
+    return colour @ np.array([0.299, 0.587, 0.114])
+
+
+def test_8_bit_png_is_exact(grey):
+    assert_array_equal(levels(coded(Image.fromarray(grey))), grey)
+
+
+def test_16_bit_png_is_exact(grey):
+    deep = grey.astype(np.uint16) * 251 + 3
+    found = levels(coded(Image.fromarray(deep)))
+    assert found.dtype == np.uint16
+    assert_array_equal(found, deep)
+
+
+def test_1_bit_png_is_spread_to_255(grey):
+    found = levels(coded(Image.fromarray(grey > 120)))
+    assert_array_equal(found, np.where(grey > 120, 255, 0))
+
+
+def test_colour_png_becomes_luma(colour):
+    found = levels(coded(Image.fromarray(colour)))
+    # Half a level of rounding and one of libpng's 15-bit weights.
+    assert_allclose(found, luma(colour), atol=1.1)
+
+
+def test_palette_png_becomes_the_luma_of_its_colours(colour):
+    image = Image.fromarray(colour).quantize(16)
+    expected = luma(np.asarray(image.convert("RGB")))
+    assert_allclose(levels(coded(image)), expected, atol=1.1)
+
+
+def test_16_bit_colour_png_keeps_16_bits(colour):
+    import cv2
+
+    deep = colour.astype(np.uint16) * 257
+    data = cv2.imencode(".png", deep[..., ::-1])[1].tobytes()
+    found = levels(data)
+    assert found.dtype == np.uint16
+    assert_allclose(found, 257 * luma(colour), atol=4)  # 15-bit weights
+
+
+@pytest.mark.parametrize("deep", [False, True])
+def test_an_opaque_alpha_channel_is_dropped(colour, deep):
+    import cv2
+
+    factor = np.uint16(257) if deep else np.uint8(1)
+    alpha = np.dstack([colour[..., ::-1], np.full((24, 32), 255, np.uint8)])
+    data = cv2.imencode(".png", alpha * factor)[1].tobytes()
+    assert_allclose(levels(data) / float(factor), luma(colour), atol=1.1)
+
+
+def test_opaque_grey_with_alpha_is_exact(grey):
+    assert_array_equal(levels(coded(Image.fromarray(grey).convert("LA"))), grey)
+
+
+@pytest.mark.parametrize("options", [{}, {"progressive": True}, {"quality": 40}])
+@pytest.mark.parametrize("mode", ["L", "RGB"])
+def test_jpeg_equals_the_luma_that_pillow_decodes(grey, colour, mode, options):
+    image = Image.fromarray(grey if mode == "L" else colour)
+    data = coded(image, "JPEG", **options)
+    reference = Image.open(io.BytesIO(data))
+    reference.draft("L", reference.size)
+    # Two builds of one codec; rounding of the inverse transform may differ by one.
+    assert_allclose(levels(data), np.asarray(reference), atol=1)
+
+
+@pytest.mark.parametrize("kind", ["PNG", "JPEG"])
+@pytest.mark.parametrize("turn", [3, 6, 8])
+def test_exif_orientation_is_not_applied(grey, kind, turn):
+    exif = Image.Exif()
+    exif[0x0112] = turn
+    plain = levels(coded(Image.fromarray(grey), kind))
+    assert_array_equal(levels(coded(Image.fromarray(grey), kind, exif=exif)), plain)
+
+
+@pytest.mark.parametrize("chunk", [b"gAMA", b"sBIT"])
+def test_hints_on_display_change_no_level(grey, chunk):
+    info = PngImagePlugin.PngInfo()
+    info.add(chunk, (100_000).to_bytes(4, "big") if chunk == b"gAMA" else b"\x05")
+    assert_array_equal(levels(coded(Image.fromarray(grey), pnginfo=info)), grey)
+
+
+@pytest.mark.parametrize(
+    ("image", "kind", "options"),
+    [
+        (Image.new("L", (7, 5)), "PNG", {}),
+        (Image.new("I;16", (7, 5)), "PNG", {}),
+        (Image.new("RGB", (7, 5)), "PNG", {}),
+        (Image.new("P", (640, 1)), "PNG", {}),
+        (Image.new("L", (7, 5)), "JPEG", {}),
+        (Image.new("RGB", (300, 2)), "JPEG", {"progressive": True}),
+        (Image.new("L", (1, 65500)), "JPEG", {"icc_profile": bytes(200_000)}),
+        (Image.new("L", (9, 9)), "JPEG", {"comment": "x" * 60_000}),
+    ],
+)
+def test_headers_agree_with_pillow(image, kind, options):
+    header = read_header(io.BytesIO(coded(image, kind, **options)))
+    assert (header.n_cols, header.n_rows, header.format) == (*image.size, kind)
+    assert header.n_bits == (16 if image.mode == "I;16" else 8)
+
+
+def test_a_header_is_read_without_the_pixels(grey):
+    for kind in ("PNG", "JPEG"):
+        data = coded(Image.fromarray(grey), kind)
+        start = data.index(b"IDAT") + 4 if kind == "PNG" else data.index(b"\xff\xda")
+        assert read_header(io.BytesIO(data[:start])).n_rows == 24
+
+
+def patched(data, at, value):
+    return data[:at] + bytes([value]) + data[at + 1 :]
+
+
+def refused_kinds():
+    image = Image.new("L", (16, 8), 90)
+    jpeg, png = coded(image, "JPEG"), coded(image)
+    frame = jpeg.index(b"\xff\xc0")
+    clear = Image.new("RGBA", (16, 8), (1, 2, 3, 254))
+    other = Image.new("L", (16, 8), 91)
+    return [
+        (b"", "an empty file"),
+        (b"not a picture", "neither JPEG nor PNG"),
+        (coded(image, "BMP"), "neither JPEG nor PNG"),
+        (coded(image, "GIF"), "neither JPEG nor PNG"),
+        (coded(Image.new("CMYK", (9, 9)), "JPEG"), r"4 channels \(CMYK\)"),
+        (patched(jpeg, frame + 4, 12), "a 12-bit JPEG"),
+        (patched(jpeg, frame + 1, 0xC3), "lossless or arithmetic"),
+        (patched(jpeg, frame + 1, 0xC9), "lossless or arithmetic"),
+        (jpeg[:frame] + jpeg[jpeg.index(b"\xff\xda") :], "a JPEG without a frame"),
+        (patched(patched(jpeg, frame + 5, 0), frame + 6, 0), "JPEG of 16 x 0 pixels"),
+        (jpeg[:-2] + jpeg[frame : frame + 13] + b"\xff\xd9", "a damaged JPEG"),
+        (jpeg[: jpeg.index(b"\xff\xda")] + b"\xff\xd9", "a damaged JPEG"),
+        (coded(image, save_all=True, append_images=[other]), "an animated PNG"),
+        (coded(clear), "transparent parts"),
+        (coded(clear.convert("LA")), "transparent parts"),
+        (coded(image, transparency=3), "a transparent colour"),
+        (coded(image.convert("P"), transparency=3), "a transparent colour"),
+        (png[:8] + png[33:], "a damaged PNG"),
+        (png.replace(b"\0\0\0\x10", bytes(4), 1), "checksum is wrong"),
+        (png[:8] + ihdr(0, 5) + png[33:], "PNG of 0 x 5 pixels"),
+        (png[:8] + ihdr(17, 9) + png[33:], "cannot be decoded"),
+    ]
+
+
+def ihdr(n_cols, n_rows):
+    content = b"IHDR" + n_cols.to_bytes(4, "big") + n_rows.to_bytes(4, "big")
+    content += bytes([8, 0, 0, 0, 0])
+    return b"\0\0\0\x0d" + content + zlib.crc32(content).to_bytes(4, "big")
+
+
+@pytest.mark.parametrize(("data", "message"), refused_kinds())
+def test_other_kinds_are_refused(data, message):
+    with pytest.raises(PictureError, match=message):
+        levels(data)
+
+
+CUTTABLE = {
+    "grey jpeg": ("JPEG", {}),
+    "progressive jpeg": ("JPEG", {"progressive": True}),
+    "jpeg with restarts": ("JPEG", {"restart_marker_blocks": 2}),
+    "jpeg with an end marker inside a comment": ("JPEG", {"comment": b"\xff\xd9" * 9}),
+    "png": ("PNG", {}),
+    "16-bit png": ("PNG", {}),
+}
+
+
+@pytest.mark.parametrize("name", CUTTABLE)
+def test_a_file_cut_at_any_length_is_refused(grey, name):
+    kind, options = CUTTABLE[name]
+    image = Image.fromarray(grey.astype(np.uint16) * 9 if "16" in name else grey)
+    data = coded(image, kind, **options)
+    header = read_header(io.BytesIO(data))
+    for length in range(len(data)):
+        with pytest.raises(PictureError):
+            grey_levels(data[:length], header)
+    assert grey_levels(data, header).shape == grey.shape
+
+
+def test_what_follows_the_end_is_ignored(grey):
+    for kind in ("PNG", "JPEG"):
+        data = coded(Image.fromarray(grey), kind)
+        assert_array_equal(levels(data + bytes(99)), levels(data))
+
+
+def test_any_flipped_bit_of_a_png_is_refused():
+    data = coded(Image.fromarray(np.arange(12, dtype=np.uint8).reshape(3, 4)))
+    header = read_header(io.BytesIO(data))
+    for bit in range(8 * len(data)):
+        damaged = bytearray(data)
+        damaged[bit // 8] ^= 1 << bit % 8
+        with pytest.raises(PictureError):
+            grey_levels(bytes(damaged), header)
+
+
+def test_a_hole_in_a_png_is_refused(grey):
+    data = coded(Image.fromarray(grey))
+    header = read_header(io.BytesIO(data))
+    for start, stop in pairwise(range(0, len(data), 64)):
+        with pytest.raises(PictureError):
+            grey_levels(data[:start] + bytes(stop - start) + data[stop:], header)
+
+
+def test_a_damaged_jpeg_is_refused_or_keeps_its_size(grey):
+    """A JPEG has no checksum: flips among coefficients cannot be told."""
+    data = coded(Image.fromarray(grey), "JPEG", quality=50)
+    header = read_header(io.BytesIO(data))
+    n_refused = 0
+    for position in range(len(data)):
+        damaged = patched(data, position, data[position] ^ (1 << position % 8))
+        try:
+            assert grey_levels(damaged, header).shape == grey.shape
+        except PictureError:
+            n_refused += 1
+    assert n_refused > 0
+
+
+def test_another_picture_than_announced_is_refused(grey):
+    header = read_header(io.BytesIO(coded(Image.fromarray(grey))))
+    png = coded(Image.fromarray(grey))
+    bomb = png[:8] + ihdr(30_000, 30_000) + png[33:]
+    for other in (bomb, coded(Image.fromarray(grey), "JPEG")):
+        with pytest.raises(PictureError, match="changed meanwhile"):
+            grey_levels(other, header)

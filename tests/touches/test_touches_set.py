@@ -1,0 +1,302 @@
+"""A set of touches: what it takes, what it gives back, what it refuses."""
+
+import pickle
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from palpate import Touches
+from palpate.touches import TouchesError
+
+
+@pytest.fixture
+def six(rng):
+    """Six touches of two objects in two sessions, interleaved."""
+    return Touches(
+        rng.integers(0, 255, size=(6, 4, 5), dtype=np.uint8),
+        object=["cup", "ball", "cup", "cup", "ball", "cup"],
+        category=["mug", "toy", "mug", "mug", "toy", "mug"],
+        session=[1, 1, 1, 2, 1, 2],
+        order=np.arange(6, dtype=np.int16),
+        position_mm=rng.normal(size=(6, 3)),
+        no_contact=np.full((4, 5), 100, dtype=np.uint8),
+        geometry="dome",
+        set_sensor="BathTip",
+        calibration=np.arange(9.0),
+    )
+
+
+def test_columns_and_whole_set_are_told_apart(six):
+    assert list(six.columns) == [
+        "object", "category", "session", "order", "position_mm",
+    ]  # fmt: skip
+    assert set(six.whole) == {"no_contact", "geometry", "set_sensor", "calibration"}
+    assert len(six) == 6
+    assert six.geometry == "dome"
+    assert six.order.dtype == np.int16
+
+
+def test_absent_things_are_none():
+    bare = Touches(np.zeros((1, 2, 2)), object=None, session=None)
+    assert (bare.object, bare.category, bare.order, bare.session) == (None,) * 4
+    assert (bare.no_contact, bare.geometry) == (None, None)
+    assert not bare.columns
+
+
+@pytest.mark.parametrize(
+    "dtype", ["u1", "i2", ">u2", "i8", "u8", "f2", "f4", "f8", ">f4"]
+)
+def test_any_integer_or_float_is_kept_as_it_is(dtype):
+    images = np.array([[[0, 1], [100, 2]]]).astype(dtype)
+    kept = Touches(images).images
+    assert kept.dtype == images.dtype
+    assert kept.tobytes() == images.tobytes()
+
+
+def test_negative_values_and_dead_taxels_are_kept():
+    images = np.array([[[-1.5, np.nan], [0.0, -np.pi]]])
+    assert_array_equal(Touches(images).images, images)
+
+
+def test_integer_labels_become_text():
+    touches = Touches(np.zeros((3, 2, 2)), object=[7, 7, 12], category=[b"a"] * 3)
+    assert touches.object.tolist() == ["7", "7", "12"]
+    assert touches.category.tolist() == ["a"] * 3
+
+
+def test_variable_width_text_becomes_plain_text():
+    names = np.array(["cup", "a long name"], dtype=np.dtypes.StringDType())
+    touches = Touches(np.zeros((2, 2, 2)), object=names)
+    assert touches.object.dtype == np.dtype("<U11")
+
+
+def test_arrays_are_read_only_and_the_callers_own_is_left_alone():
+    images = np.zeros((2, 3, 3))
+    touches = Touches(images, force_n=[1.0, 2.0])
+    for part in (touches, touches[:1], touches[[1, 0]], pickle.loads(_p(touches))):
+        for array in (part.images, part.columns["force_n"]):
+            with pytest.raises(ValueError, match="read-only"):
+                array[:] = 1
+        with pytest.raises(TypeError):
+            part.columns["force_n"] = 0
+    assert images.flags.writeable
+    with pytest.raises(AttributeError):
+        touches.images = images
+
+
+def _p(touches):
+    return pickle.dumps(touches)
+
+
+@pytest.mark.parametrize(
+    ("images", "message"),
+    [
+        (np.zeros((0, 3, 3)), "at least one touch of at least one taxel"),
+        (np.zeros((2, 0, 3)), "at least one touch of at least one taxel"),
+        (np.zeros((3, 3)), r"got \(3, 3\). For one touch pass images\[np.newaxis\]"),
+        (np.zeros((1, 3, 3, 3)), r"shape \(n_touches, n_rows, n_cols\)"),
+        (np.zeros((1, 2, 2), dtype=complex), "integers or floats, got complex128"),
+        (np.full((1, 2, 2), "x"), "integers or floats, got <U1"),
+        (np.full((1, 2, 2), None), "plain numbers or text, got an array of object"),
+        ([[[1, 2], [3]]], "one array, got rows of unequal length"),
+        (np.array([[[0.0]], [[np.inf]]]), "infinity in touch 1"),
+        (np.array([[[0.0]], [[1]], [[-np.inf]]], dtype="f2"), "infinity in touch 2"),
+    ],
+)
+def test_bad_images_are_refused(images, message):
+    with pytest.raises(TouchesError, match=message):
+        Touches(images)
+
+
+def test_infinity_is_found_beyond_the_first_block():
+    images = np.zeros((5, 1500, 1500), dtype=np.float16)
+    images[4, 3, 3] = np.inf
+    with pytest.raises(TouchesError, match="infinity in touch 4"):
+        Touches(images)
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"object": ["a"]}, "object must have one row per touch, got 1 rows for 2"),
+        ({"order": [1, 2, 3]}, "order must have one row per touch, got 3 rows for 2"),
+        ({"force_n": 1.0}, "force_n must have one row per touch, got a single value"),
+        ({"object": ["a", ""]}, "empty label at touch 1"),
+        ({"object": [" ", "b"]}, "empty label at touch 0"),
+        ({"category": ["a", ""]}, "category must not be empty"),
+        ({"object": [1.0, np.nan]}, "object must name every touch, got NaN at touch 1"),
+        ({"object": [1.0, 2.0]}, "text or integers, got an array of float64"),
+        ({"object": [True, False]}, "text or integers, got an array of bool"),
+        ({"object": [["a"], ["b"]]}, "one value per touch, got shape"),
+        ({"object": ["a", None]}, "object must hold plain numbers or text"),
+        ({"object": [b"a", b"\xff"]}, "object must be UTF-8 text"),
+        ({"session": [[1, 2], [3, 4]]}, r"session\[:, 0\]"),
+        ({"position_mm": [["a"], ["b"]]}, "position_mm must be numbers, got .*<U1"),
+        ({"mine": [{}, {}]}, "mine must hold plain numbers or text"),
+        ({"geometry": "sphere"}, "geometry must be one of 'dome', 'array', 'plane'"),
+        ({"geometry": ["dome", "dome"]}, "geometry must be one of"),
+        ({"no_contact": np.zeros((3, 2))}, "one image of 2 x 2 taxels"),
+        ({"no_contact": np.zeros((2, 2, 2))}, r"got shape \(2, 2, 2\)"),
+        ({"no_contact": [[np.inf, 0], [0, 0]]}, "no_contact must not be infinite"),
+        ({"no_contact": [["a", "b"], ["c", "d"]]}, "no_contact must be integers or"),
+    ],
+)
+def test_bad_columns_are_refused(columns, message):
+    with pytest.raises(TouchesError, match=message):
+        Touches(np.zeros((2, 2, 2)), **columns)
+
+
+def test_a_name_of_the_whole_set_stays_there_even_if_as_long_as_the_set():
+    touches = Touches(np.zeros((2, 2, 2)), frame_index=[300, 320], set_gain=[1, 2])
+    assert set(touches.whole) == {"frame_index", "set_gain"}
+    assert not touches.columns
+
+
+def test_a_column_may_have_any_name():
+    names = {"self": [1, 2], "a/b": [3, 4], "..": [5, 6], "cls": [7, 8]}
+    assert dict(Touches(np.zeros((2, 2, 2)), **names).columns).keys() == names.keys()
+
+
+@pytest.mark.parametrize(
+    ("index", "rows"),
+    [
+        (0, [0]),
+        (-1, [5]),
+        (np.int8(2), [2]),
+        (slice(1, 4), [1, 2, 3]),
+        (slice(None, None, -2), [5, 3, 1]),
+        ([3, 0, 3], [3, 0, 3]),
+        ([-1], [5]),
+        (np.array([True, False, False, True, False, False]), [0, 3]),
+    ],
+)
+def test_picking_keeps_rows_together(six, index, rows):
+    picked = six[index]
+    assert picked.order.tolist() == rows
+    assert_array_equal(picked.images, six.images[rows])
+    assert picked.object.tolist() == six.object[rows].tolist()
+    assert picked.whole.keys() == six.whole.keys()
+
+
+@pytest.mark.parametrize(
+    ("index", "error", "message"),
+    [
+        ("object", TypeError, r"columns\[name\]"),
+        ((1, 2), TypeError, "picked by number, slice, mask"),
+        (True, TypeError, "picked by number"),
+        (1.0, TypeError, "picked by number"),
+        ([[0, 1]], TypeError, "picked by number"),
+        (6, IndexError, "touch 6 is out of range: there are 6"),
+        (-7, IndexError, "touch -7 is out of range"),
+        ([0, 6], IndexError, "out of bounds"),
+        ([True, False], IndexError, "one value per touch"),
+        (slice(4, 4), TouchesError, "at least one of 6 touches"),
+        ([], TouchesError, "at least one of 6 touches"),
+        (np.zeros(6, dtype=bool), TouchesError, "at least one of 6 touches"),
+    ],
+)
+def test_bad_picks_are_refused(six, index, error, message):
+    with pytest.raises(error, match=message):
+        six[index]
+
+
+def test_iteration_gives_one_touch_at_a_time(six):
+    assert [touch.order[0] for touch in six] == list(range(6))
+    assert [len(touch) for touch in six] == [1] * 6
+
+
+def test_differences_are_signed_where_unsigned_integers_would_wrap():
+    images = np.array([[[90, 255]]], dtype=np.uint8)
+    touches = Touches(images, no_contact=np.array([[100, 0]], dtype=np.uint8))
+    assert touches.differences().dtype == np.float32
+    assert touches.differences().tolist() == [[[-10.0, 255.0]]]
+
+
+@pytest.mark.parametrize(
+    ("dtype", "expected"), [("u2", "f4"), ("i4", "f8"), ("f4", "f4"), ("f8", "f8")]
+)
+def test_differences_are_floats_that_hold_the_images(dtype, expected):
+    touches = Touches(np.ones((1, 2, 2), dtype), no_contact=np.ones((2, 2), dtype))
+    assert touches.differences().dtype == np.dtype(expected)
+
+
+def test_dead_taxels_stay_dead_in_differences():
+    touches = Touches([[[np.nan, 2.0]]], no_contact=[[1.0, np.nan]])
+    assert np.isnan(touches.differences()).all()
+
+
+def test_differences_without_no_contact_say_how_to_give_it():
+    with pytest.raises(TouchesError, match=r"with_columns\(no_contact=image\)"):
+        Touches(np.zeros((1, 2, 2))).differences()
+
+
+def test_episodes_are_one_per_object_and_session_in_order_of_the_set(six):
+    told = [(e.object, e.session, e.rows.tolist()) for e in six.episodes()]
+    assert told == [("cup", 1, [0, 2]), ("ball", 1, [1, 4]), ("cup", 2, [3, 5])]
+
+
+def test_episodes_without_labels_or_sessions():
+    bare = Touches(np.zeros((3, 2, 2)))
+    assert [(e.object, e.session, len(e.rows)) for e in bare.episodes()] == [
+        (None, None, 3)
+    ]
+    sessions = bare.with_columns(session=["b", "a", "b"])
+    told = [(e.object, e.session, e.rows.tolist()) for e in sessions.episodes()]
+    assert told == [(None, "b", [0, 2]), (None, "a", [1])]
+
+
+def test_with_columns_adds_replaces_and_moves(six):
+    more = six.with_columns(force_n=np.ones(6), object=["x"] * 6, geometry="array")
+    assert set(more.object) == {"x"}
+    assert more.geometry == "array"
+    assert six.geometry == "dome"
+    assert "force_n" not in six.columns
+    moved = six.with_columns(calibration=np.arange(6))
+    assert "calibration" in moved.columns
+    assert "calibration" not in moved.whole
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"mine": [1, 2]}, "mine must have one row per touch, got 2 rows for 6"),
+        ({"mine": 3}, "mine must have one row per touch, got a single value"),
+        ({"images": np.zeros((6, 2, 2))}, "Build Touches"),
+        ({"object": [""] * 6}, "empty label"),
+    ],
+)
+def test_bad_added_columns_are_refused(six, columns, message):
+    with pytest.raises(TouchesError, match=message):
+        six.with_columns(**columns)
+
+
+def test_without_drops_columns_and_whole_entries(six):
+    less = six.without("object", "calibration")
+    assert less.object is None
+    assert "calibration" not in less.whole
+    with pytest.raises(TouchesError, match=r"category, session.*got 'colour'"):
+        six.without("colour")
+
+
+def test_the_same_set_with_other_images(six):
+    halves = Touches(six.images / 2, **six.columns, **six.whole)
+    assert halves.columns.keys() == six.columns.keys()
+    assert halves.images.dtype == np.float64
+
+
+def test_repr_tells_what_is_there(six):
+    assert repr(six) == (
+        "<Touches: 6 of 4 x 5 uint8; 2 objects, 2 categories, 2 sessions; "
+        "columns: object, category, session, order, position_mm; "
+        "whole set: set_sensor, calibration, no_contact, geometry>"
+    )
+    assert repr(Touches(np.zeros((1, 2, 2)))) == (
+        "<Touches: 1 of 2 x 2 float64; no labels>"
+    )
+
+
+def test_pickle_keeps_everything(six):
+    again = pickle.loads(pickle.dumps(six))
+    assert repr(again) == repr(six)
+    assert_array_equal(again.images, six.images)
