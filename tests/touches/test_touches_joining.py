@@ -49,7 +49,7 @@ def test_a_whole_set_entry_stays_one_where_it_is_as_long_as_the_set():
         (
             {"object": ["a", "b"]},
             {},
-            r"column 'object' must be in every set.*none in set 1. Add it with touches.w",
+            r"column 'object' must be in every set.*none in set 1. Add it with touc",
         ),
         ({}, {"force_n": [1, 2]}, r"'force_n'.*none in set 0.*without\('force_n'\)"),
         (

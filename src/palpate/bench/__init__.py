@@ -10,8 +10,13 @@ from typing import Any
 from .._checks import check_option
 
 BENCHES: dict[str, tuple[str, str, str]] = {
-    "decode": ("_decode", "bench_decode", "reading a folder of pictures, peak memory"),
+    "decode": ("_decode", "bench_decode_here", "reading a folder of pictures, peak memory"),
     "likelihood": ("_likelihood", "bench_likelihood", "kernel densities per touch"),
+    "simulate-array": (
+        "_simulate_array",
+        "bench_simulate_array",
+        "presses on a simulated pressure array",
+    ),
     "zernike": ("_zernike", "bench_zernike", "Zernike moments beside three peers"),
 }
 
@@ -24,9 +29,8 @@ def run_bench(name: str) -> list[dict[str, Any]]:
     """
     check_option("name", name, BENCHES)
     module, function, _ = BENCHES[name]
-    rows: list[dict[str, Any]] = getattr(
-        import_module(f"{__name__}.{module}"), function
-    )()
+    measure = getattr(import_module(f"{__name__}.{module}"), function)
+    rows: list[dict[str, Any]] = measure()
     return rows
 
 

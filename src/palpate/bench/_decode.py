@@ -6,6 +6,7 @@ are invisible to `tracemalloc`, and `ru_maxrss` starts from the parent's value.
 """
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -81,6 +82,12 @@ def bench_decode(data: Path | None, *, repeats: int = 3) -> list[dict[str, Any]]
         _warm(folder)
         ours, peer = (_measured(side, folder, repeats) for side in (_OURS, _PEER))
     return [_row(what, kind, ours, peer) for what in ("cpu", "wall")]
+
+
+def bench_decode_here() -> list[dict[str, Any]]:
+    """Measure on the real pictures where PALPATE_DATA names them, else on drawn ones."""
+    data = os.environ.get("PALPATE_DATA")
+    return bench_decode(Path(data) if data else None)
 
 
 def _row(

@@ -74,7 +74,7 @@ def repose(
     reposed = np.empty((n_touches, *grid.shape[1:]))
     for block in _blocks(n_touches, grid[0].size):
         where = _source(grid, angle[block], shift[block], (n_rows, n_cols))
-        reposed[block] = _interpolate(checked[block], where, edges, interpolation)
+        reposed[block] = interpolate(checked[block], where, edges, interpolation)
         reposed[block] *= factor[block, None, None]
     return reposed
 
@@ -120,25 +120,42 @@ def _source(
     return np.stack([old_row + (shape[0] - 1) / 2, old_col + (shape[1] - 1) / 2])
 
 
-def _interpolate(
+def interpolate(
     images: NDArray[np.float64],
     where: NDArray[np.float64],
-    edges: str,
-    interpolation: str,
+    edges: str = "zero",
+    interpolation: str = "linear",
 ) -> NDArray[np.float64]:
+    """Return image levels at positions between pixels.
+
+    Parameters
+    ----------
+    images : ndarray of shape (n_touches, n_rows, n_cols)
+        Or of shape (1, n_rows, n_cols): one image for all.
+    where : ndarray of shape (2, n_touches, ...)
+        (row, column) of each wanted position; pixel centres are integers.
+    edges, interpolation : str
+        As in `repose`.
+
+    Returns
+    -------
+    levels : ndarray of shape (n_touches, ...)
+    """
     # A turn by 90 degrees leaves rounding that would blur a pixel into the next.
-    where = where.round(12)
-    base = np.floor(where).astype(np.intp)
+    exact = where.round(12)
+    base = np.floor(exact).astype(np.intp)
     first, weigh = _TAPS[interpolation]
-    weights = weigh(where - base)
-    n_taps = weights.shape[0]
-    touch = np.arange(len(images))[:, None, None]
-    result = np.zeros(where.shape[1:])
-    for i in range(n_taps):
-        row, row_weight = _tap(base[0] + first + i, weights[i, 0], images, 1, edges)
-        for j in range(n_taps):
-            col, weight = _tap(base[1] + first + j, weights[j, 1], images, 2, edges)
-            result += row_weight * weight * images[touch, row, col]
+    weights = weigh(exact - base)
+    n_taps = len(weights)
+    rows = [_tap(base[0] + first + i, weights[i, 0], images, 1, edges) for i in range(n_taps)]
+    cols = [_tap(base[1] + first + i, weights[i, 1], images, 2, edges) for i in range(n_taps)]
+    touch = np.arange(len(images)).reshape(-1, *[1] * (where.ndim - 2))
+    starts = touch * images[0].size
+    levels, result = images.ravel(), np.zeros(where.shape[1:])
+    for row, row_weight in rows:
+        line = starts + row * images.shape[2]
+        for col, col_weight in cols:
+            result += row_weight * col_weight * levels[line + col]
     return result
 
 

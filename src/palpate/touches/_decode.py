@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ._errors import TouchesError
 from ._pictures import Header, PictureError, grey_levels, read_header
-from ._progress import Progress
+from .._progress import Progress
 
 # Room for comments, colour profiles and previews beside the pixels themselves.
 _MORE_BYTES = 32 * 2**20

@@ -1,0 +1,372 @@
+"""Kernel density per object: how probable a touch is where touches were stored.
+
+Learning is storing. The likelihood of a touch given an object is the mean of one
+Gaussian around each of the object's training touches, so objects can be learnt and
+forgotten one by one. Everything is in natural logarithms and exact: no touch is left
+out of a sum because it is far away, since an object at minus infinity could not be
+brought back by any later touch.
+"""
+
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import log_softmax
+from sklearn.base import BaseEstimator, ClassifierMixin
+from sklearn.utils.multiclass import check_classification_targets
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from .._checks import check_number, check_option, check_positive
+from ._kernel_sums import (
+    blocks_of,
+    count_tiles,
+    exact_log_sums,
+    is_precise,
+    make_tiles,
+    squared_distances,
+    tile_log_sums,
+)
+from ._whitening import Floats, learn_whitening, whiten
+
+# A model of at most this many touches computes in float64 with precision="auto".
+SMALL = 256
+
+
+class KernelDensityBayes(ClassifierMixin, BaseEstimator):
+    """Bayes classifier with a Gaussian kernel density for every object.
+
+    Parameters
+    ----------
+    bandwidth : {"pooled", "per-object", "full"}, default="pooled"
+        Covariance of the Gaussians: the diagonal of the variances of all training
+        touches together; the diagonal of the object's own variances; or the full
+        covariance of all training touches together.
+    scale : float, default=1.0
+        Factor on the standard deviations: the covariance is multiplied by scale^2.
+    prior : {"uniform", "counts"}, default="uniform"
+        Objects are equally probable before the touch, or in proportion to their
+        number of training touches.
+    min_variance : float, default=1e-3
+        With "per-object", an object's variance of a feature is at least this share
+        of the pooled one. An object that was touched once takes the pooled ones.
+    precision : {"auto", "single", "double"}, default="auto"
+        Precision of the matrix products; "auto" is double when `fit` sees at most
+        256 touches and single otherwise. Sums and densities are always float64.
+
+    Attributes
+    ----------
+    classes_ : ndarray of shape (n_objects,)
+        The labels, sorted; the columns of `log_likelihood`.
+    counts_ : ndarray of int, shape (n_objects,)
+        Training touches of each object.
+    centre_, spread_, varies_ : ndarray of shape (n_features,)
+        Mean and standard deviation of the training touches, and whether the feature
+        varied at all among them.
+    rotation_ : ndarray of shape (n_varying, n_directions) or None
+        With "full", turns standardised features into uncorrelated directions.
+    log_volume_ : float
+        Logarithm of the volume of a cell with one standard deviation a side.
+    points_ : ndarray of shape (n_touches, n_directions)
+        Training touches in bandwidths, object by object.
+    order_ : ndarray of int, shape (n_touches,)
+        When each of them was learnt: 0 is the first touch given to `fit`.
+    means_ : ndarray of shape (n_objects, n_directions)
+        Mean of each object's `points_`.
+    precisions_ : ndarray of shape (n_objects, n_directions) or None
+        With "per-object", the pooled variance over the object's own.
+    log_norms_ : ndarray of shape (n_objects,)
+        Logarithm of what each sum of exponentials is multiplied by.
+    dtype_ : {"float32", "float64"}
+        Type of the matrix products.
+    tiles_, reaches_ : ndarray
+        The same touches packed for matrix products, and how far they reach.
+
+    Notes
+    -----
+    log p(x | object) = log mean_i N(x; y_i, W), y_i the object's training touches.
+    The paper [1]_ calls W "the covariance of X_C" in one place and "the covariance
+    matrix of all training points" in another; the first is `"per-object"`, the second
+    the default. Variances are unbiased (n - 1).
+
+    What does not vary says nothing: features (with "full", also directions) that are
+    constant up to rounding over all training touches are left out of the density. If
+    no feature varies, every log-likelihood is 0.
+
+    `add_class` and `forget_class` leave `centre_`, `spread_` and `rotation_` as `fit`
+    learnt them, so the likelihoods of all other objects stay the same to the bit.
+
+    In single precision the error of a log-likelihood is at most 1e-3 nats wherever
+    the touch is: pairs of touch and object for which rounding could do worse are
+    computed by float64 differences. It is below 1e-5 nats when the touch lies within
+    a few bandwidths of the training touches. A touch recognised alone and in a batch
+    may differ by as much.
+
+    References
+    ----------
+    .. [1] T. Corradi, P. Hall and P. Iravani, "Bayesian tactile object recognition:
+       learning and recognising objects using a new inexpensive tactile sensor",
+       ICRA 2015. doi:10.1109/ICRA.2015.7139744
+
+    Examples
+    --------
+    >>> from palpate.classifiers import KernelDensityBayes
+    >>> touches = [[0.0, 0.1], [0.1, 0.0], [1.0, 0.9], [0.9, 1.0]]
+    >>> model = KernelDensityBayes().fit(touches, ["pen", "pen", "mug", "mug"])
+    >>> model.add_class("ball", [[5.0, 0.0]]).predict([[4, 0], [0, 0]])
+    array(['ball', 'pen'], dtype='<U4')
+    """
+
+    def __init__(
+        self,
+        bandwidth: str = "pooled",
+        scale: float = 1.0,
+        prior: str = "uniform",
+        min_variance: float = 1e-3,
+        precision: str = "auto",
+    ) -> None:
+        self.bandwidth = bandwidth
+        self.scale = scale
+        self.prior = prior
+        self.min_variance = min_variance
+        self.precision = precision
+
+    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+        """Store the touches of every object.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_touches, n_features)
+            Feature vectors of the touches.
+        y : array-like of shape (n_touches,)
+            Their objects.
+
+        Raises
+        ------
+        ValueError
+            For NaN, infinity, variances that overflow, or unequal lengths.
+        """
+        self._check_parameters()
+        touches, labels = validate_data(self, X, y, dtype=np.float64)
+        check_classification_targets(labels)
+        self.classes_, codes = np.unique(labels, return_inverse=True)
+        learnt = learn_whitening(touches, full=self.bandwidth == "full")
+        self.centre_, self.spread_, self.varies_ = learnt[:3]
+        self.rotation_, self.log_volume_ = learnt[3:]
+        double = self.precision == "double"
+        double |= self.precision == "auto" and len(touches) <= SMALL
+        self.dtype_ = "float64" if double else "float32"
+        self.order_ = np.argsort(codes, kind="stable")
+        self._store(self._whiten(touches[self.order_]), np.bincount(codes))
+        return self
+
+    def add_class(self, label: object, X: ArrayLike) -> Self:
+        """Learn one more object; the likelihoods of the others stay the same.
+
+        Parameters
+        ----------
+        label : str or int
+            A label not known yet, of the same kind as the others.
+        X : array-like of shape (n_touches, n_features)
+            Its touches.
+
+        Raises
+        ------
+        ValueError
+            If the label is known already, or `X` is not like the touches of `fit`.
+        TypeError
+            If the label is text among numbers or a number among text.
+        """
+        check_is_fitted(self)
+        new = as_label(label, self.classes_)
+        if label in self.classes_.tolist():
+            raise ValueError(f"label must be new, got {label!r}. Forget it first.")
+        touches = validate_data(self, X, dtype=np.float64, reset=False)
+        place = int(np.searchsorted(self.classes_, new)[0])
+        row = int(self.counts_[:place].sum())
+        before, after = np.split(self.classes_, [place])
+        self.classes_ = np.concatenate([before, new, after])
+        learnt_now = len(self.order_) + np.arange(len(touches))
+        self.order_ = np.insert(self.order_, row, learnt_now)
+        points = np.insert(self.points_, row, self._whiten(touches), axis=0)
+        self._store(points, np.insert(self.counts_, place, len(touches)))
+        return self
+
+    def forget_class(self, label: object) -> Self:
+        """Forget one object; the likelihoods of the others stay the same.
+
+        Raises
+        ------
+        ValueError
+            If it is not known, or is the only one.
+        """
+        check_is_fitted(self)
+        known = self.classes_.tolist()
+        check_option("label", label, known)
+        if len(known) == 1:
+            raise ValueError(
+                f"At least one object must remain, cannot forget {label!r}. "
+                "Add another object first."
+            )
+        place = known.index(label)
+        rows = self._rows()[place]
+        self.classes_ = np.delete(self.classes_, place)
+        # The touches that remain are numbered without gaps.
+        self.order_ = np.argsort(np.argsort(np.delete(self.order_, rows)))
+        points = np.delete(self.points_, rows, axis=0)
+        self._store(points, np.delete(self.counts_, place))
+        return self
+
+    def log_likelihood(self, X: ArrayLike) -> Floats:
+        """Return log p(touch | object) in nats, shape (n_touches, n_objects)."""
+        check_is_fitted(self)
+        touches = validate_data(self, X, dtype=np.float64, reset=False)
+        x = self._whiten(touches)
+        return np.vstack([self._log_densities(x[rows]) for rows in blocks_of(len(x))])
+
+    def leave_one_out_log_likelihood(self, groups: ArrayLike | None = None) -> Floats:
+        """Return `log_likelihood` of the training touches, each without itself.
+
+        Parameters
+        ----------
+        groups : array-like of shape (n_training_touches,), optional
+            Touches of one group (a stretch of a recording) are left out together;
+            by default each touch is left out alone.
+
+        Returns
+        -------
+        ndarray of shape (n_training_touches, n_objects)
+            Rows in the order of learning: the touches of `fit` as they were given,
+            then those of `add_class`. Bandwidths stay as learnt from all touches.
+            An object with no touch left gets minus infinity.
+
+        Raises
+        ------
+        ValueError
+            If `groups` has another length.
+        """
+        check_is_fitted(self)
+        group = _as_groups(groups, len(self.points_))[self.order_]
+        sums = [self._log_densities(self.points_[r]) for r in blocks_of(len(group))]
+        result = np.vstack(sums)
+        for place, rows in enumerate(self._rows()):
+            met = np.isin(group, group[rows])
+            left_out = group[met][:, np.newaxis] == group[rows]
+            result[met, place] = self._without(place, self.points_[met], left_out)
+        in_order = np.empty_like(result)
+        in_order[self.order_] = result
+        return in_order
+
+    def predict_log_proba(self, X: ArrayLike) -> Floats:
+        """Return the log posterior of the objects, (n_touches, n_objects)."""
+        log_posterior: Floats = log_softmax(self._log_joint(X), axis=1)
+        return log_posterior
+
+    def predict_proba(self, X: ArrayLike) -> Floats:
+        """Return the posterior of the objects, (n_touches, n_objects)."""
+        return np.exp(self.predict_log_proba(X))
+
+    def predict(self, X: ArrayLike) -> NDArray:
+        """Return the most probable object of each touch, the first of equals."""
+        best = self._log_joint(X).argmax(axis=1)
+        return self.classes_[best]
+
+    def _check_parameters(self) -> None:
+        check_option("bandwidth", self.bandwidth, ("pooled", "per-object", "full"))
+        check_positive("scale", self.scale)
+        check_option("prior", self.prior, ("uniform", "counts"))
+        check_number("min_variance", self.min_variance, low=1e-12)
+        check_option("precision", self.precision, ("auto", "single", "double"))
+
+    def _whiten(self, touches: Floats) -> Floats:
+        """Return touches in bandwidths from the centre of all training touches."""
+        bandwidth = self.spread_ * self.scale
+        return whiten(touches, self.centre_, bandwidth, self.varies_, self.rotation_)
+
+    def _rows(self) -> list[slice]:
+        """Return where each object's touches stand in `points_`."""
+        ends = np.cumsum(self.counts_)
+        return [slice(e - n, e) for e, n in zip(ends, self.counts_, strict=True)]
+
+    def _store(self, points: Floats, counts: NDArray[np.intp]) -> None:
+        """Set everything that is stored per object, each object by itself."""
+        self.points_, self.counts_ = points, counts
+        parts = [points[rows] for rows in self._rows()]
+        self.means_ = np.array([part.mean(axis=0) for part in parts])
+        self.precisions_ = None
+        log_shape = np.zeros(len(parts))
+        if self.bandwidth == "per-object":
+            self.precisions_ = np.array([self._own_precision(p) for p in parts])
+            log_shape = np.log(self.precisions_).sum(axis=1) / 2
+        log_unit = np.log(self.scale) + np.log(2 * np.pi) / 2
+        log_cell = self.log_volume_ + points.shape[1] * log_unit
+        self.log_norms_ = log_shape - log_cell - np.log(counts)
+        packed = [
+            make_tiles(part, self._precision(place), self.dtype_)
+            for place, part in enumerate(parts)
+        ]
+        self.tiles_ = np.concatenate([tiles for tiles, _ in packed])
+        self.reaches_ = np.array([reach for _, reach in packed])
+
+    def _own_precision(self, points: Floats) -> Floats:
+        """Return pooled over own variances of one object, (n_directions,)."""
+        if len(points) == 1:
+            return np.ones(points.shape[1])
+        variances = points.var(axis=0, ddof=1) * self.scale**2
+        precisions: Floats = 1 / np.maximum(variances, self.min_variance)
+        return precisions
+
+    def _precision(self, place: int) -> Floats | None:
+        return None if self.precisions_ is None else self.precisions_[place]
+
+    def _log_densities(self, x: Floats) -> Floats:
+        """Return log p(touch | object) of at most 64 whitened touches."""
+        sums = tile_log_sums(x, self.tiles_, count_tiles(self.counts_))
+        sums -= squared_distances(x, self.means_, self.precisions_) / 2
+        rough = ~is_precise(x, self.reaches_, self.dtype_)
+        for place in np.flatnonzero(rough.any(axis=0)):
+            pairs, points = rough[:, place], self.points_[self._rows()[place]]
+            precision = self._precision(place)
+            sums[pairs, place] = exact_log_sums(x[pairs], points, precision)
+        return sums + self.log_norms_
+
+    def _without(self, place: int, x: Floats, left_out: NDArray[np.bool_]) -> Floats:
+        """Return log densities of one object, each touch without some of its own."""
+        points = self.points_[self._rows()[place]]
+        sums = exact_log_sums(x, points, self._precision(place), left_out)
+        n_left = len(points) - left_out.sum(axis=1)
+        log_count = np.log(np.maximum(n_left, 1))
+        densities: Floats = (
+            sums + self.log_norms_[place] + np.log(len(points)) - log_count
+        )
+        return densities
+
+    def _log_joint(self, X: ArrayLike) -> Floats:
+        log_likelihood = self.log_likelihood(X)
+        if self.prior == "uniform":
+            return log_likelihood
+        return log_likelihood + np.log(self.counts_ / self.counts_.sum())
+
+
+def as_label(label: object, classes: NDArray) -> NDArray:
+    """Return `label` as an array of one, of the kind of `classes`, or explain."""
+    if classes.dtype.kind == "O":
+        return np.array([label], dtype=object)
+    new = np.array([label])
+    if new.ndim != 1 or new.dtype.kind != classes.dtype.kind:
+        raise TypeError(
+            f"label must be of the kind of the known labels ({classes.dtype.name}), "
+            f"got {type(label).__name__}."
+        )
+    return new
+
+
+def _as_groups(groups: ArrayLike | None, n_touches: int) -> NDArray:
+    if groups is None:
+        return np.arange(n_touches)
+    given = np.asarray(groups)
+    if given.shape != (n_touches,):
+        raise ValueError(
+            f"groups must have one entry per training touch ({n_touches}), "
+            f"got shape {given.shape}."
+        )
+    return np.unique(given, return_inverse=True)[1]

@@ -1,0 +1,171 @@
+"""Sums of Gaussians over many stored touches, fast and in logarithms.
+
+With all vectors whitened, the exponent of a Gaussian around a stored touch y of an
+object with mean m and precisions P splits into a part that the whole object shares
+and one product:
+
+    -(x - y)' P (x - y) / 2 = -(x - m)' P (x - m) / 2 + x' p + b,
+    p = P (y - m),  b = -(y - m)' p / 2 - m' p.
+
+The shared part is computed in float64. The products are one small matrix product
+per tile of `TILE` stored touches, mostly in float32: nothing large is ever cancelled
+there, however far the touch x is from everything. Every tile is a product of its
+own, so what one object answers never depends on which others are stored.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
+
+Floats = NDArray[np.float64]
+Tiles = NDArray[np.floating]
+
+TILE = 32
+# Largest error (nats) that rounding may ever cause before a pair of touch and object
+# is computed exactly instead.
+MAX_ERROR = 1e-3
+
+_QUERIES = 64  # touches recognised at once
+_BLOCK = 2**20  # exponents in memory at once
+# From this many touches on, long columns of touches are quicker than rows of tiles.
+_COLUMNS_FROM = 32
+_EMPTY = -1e30  # exponent of a place in a tile that holds no touch
+_LARGEST = 1e15  # beyond it a pair is computed exactly whatever the tile says
+
+
+def make_tiles(
+    points: Floats, precisions: Floats | None, dtype: str
+) -> tuple[Tiles, Floats]:
+    """Pack the touches of one object into tiles.
+
+    Parameters
+    ----------
+    points : ndarray of shape (n_touches, n_directions)
+        Whitened touches of one object.
+    precisions : ndarray of shape (n_directions,) or None
+        Weights of the squared differences; None is all ones.
+    dtype : {"float32", "float64"}
+        Precision of the products.
+
+    Returns
+    -------
+    tiles : ndarray of shape (n_tiles, TILE, n_directions + 1)
+        Each row holds p and b of one touch.
+    reach : ndarray of shape (2,)
+        Largest length of p and largest size of b, for `is_precise`.
+    """
+    mean = points.mean(axis=0)
+    from_mean = points - mean
+    weighted = from_mean if precisions is None else from_mean * precisions
+    bias = -(from_mean * weighted).sum(axis=1) / 2 - weighted @ mean
+    lengths = np.sqrt((weighted**2).sum(axis=1))
+    n_tiles = count_tiles(len(points))
+    rows = np.zeros((n_tiles * TILE, points.shape[1] + 1))
+    rows[:, -1] = _EMPTY
+    rows[: len(points)] = np.clip(np.c_[weighted, bias], -_LARGEST, _LARGEST)
+    tiles = rows.reshape(n_tiles, TILE, -1).astype(dtype)
+    return tiles, np.array([lengths.max(), np.abs(bias).max()])
+
+
+def count_tiles(n_touches: NDArray | int) -> NDArray | int:
+    """Return how many tiles hold `n_touches`."""
+    return -(-n_touches // TILE)
+
+
+def tile_log_sums(x: Floats, tiles: Tiles, tile_counts: NDArray[np.intp]) -> Floats:
+    """Return log of the sum of exp(x'p + b) per object, (n_touches, n_objects).
+
+    Parameters
+    ----------
+    x : ndarray of shape (n_touches, n_directions)
+        Whitened touches.
+    tiles : ndarray of shape (n_tiles, TILE, n_directions + 1)
+        Tiles of all objects, one object after the other.
+    tile_counts : ndarray of shape (n_objects,)
+        Number of tiles of each object.
+    """
+    extended = np.ones((len(x), x.shape[1] + 1), dtype=tiles.dtype)
+    extended[:, :-1] = np.clip(x, -_LARGEST, _LARGEST)
+    starts = np.cumsum(tile_counts) - tile_counts
+    owner = np.repeat(np.arange(len(tile_counts)), tile_counts)
+    rows_per_block = max(1, _BLOCK // (TILE * len(x)))
+    blocks = [
+        _sums_of_tiles(extended, tiles[first : first + rows_per_block])
+        for first in range(0, len(tiles), rows_per_block)
+    ]
+    largest, sums = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+    top = np.maximum.reduceat(largest, starts, axis=0)
+    sums *= np.exp(largest - top[owner])
+    totals = np.add.reduceat(sums, starts, axis=0, dtype=np.float64)
+    result: Floats = (top + np.log(totals)).T
+    return result
+
+
+def squared_distances(x: Floats, means: Floats, precisions: Floats | None) -> Floats:
+    """Return (x - m)' P (x - m) in float64, shape (n_touches, n_objects)."""
+    if precisions is None:
+        result: Floats = cdist(x, means, "sqeuclidean")
+        return result
+    squared = (x - means[:, np.newaxis]) ** 2
+    return (squared @ precisions[:, :, np.newaxis])[..., 0].T
+
+
+def is_precise(x: Floats, reaches: Floats, dtype: str) -> NDArray[np.bool_]:
+    """Return which pairs the tiles answer within `MAX_ERROR`, (n_touches, n_objects).
+
+    A product of n numbers rounds by at most (n + 2) units of the last place of the
+    product of the lengths; rounding its input adds two more.
+    """
+    unit = np.finfo(dtype).eps / 2
+    lengths = np.sqrt((x**2).sum(axis=1, keepdims=True))
+    bound = lengths * reaches[:, 0] + reaches[:, 1]
+    precise: NDArray[np.bool_] = (x.shape[1] + 5) * unit * bound < MAX_ERROR
+    return precise
+
+
+def exact_log_sums(
+    x: Floats,
+    points: Floats,
+    precisions: Floats | None,
+    left_out: NDArray[np.bool_] | None = None,
+) -> Floats:
+    """Return log of the sum of Gaussians around `points`, differences in float64.
+
+    Slower than tiles, and right at any distance. Where `left_out`, of shape
+    (len(x), len(points)), is true the pair does not count; a touch of which no pair
+    counts gets minus infinity. Shape (len(x),).
+    """
+    if precisions is not None:
+        weights = np.sqrt(precisions)
+        x, points = x * weights, points * weights
+    result = np.full(len(x), -np.inf)
+    for rows in blocks_of(len(x)):
+        for first in range(0, len(points), _BLOCK // _QUERIES):
+            columns = slice(first, first + _BLOCK // _QUERIES)
+            exponents = cdist(x[rows], points[columns], "sqeuclidean") / -2
+            if left_out is not None:
+                exponents[left_out[rows, columns]] = -np.inf
+            part = np.logaddexp.reduce(exponents, axis=1)
+            result[rows] = np.logaddexp(result[rows], part)
+    return result
+
+
+def blocks_of(n_touches: int) -> list[slice]:
+    """Return slices that cut `n_touches` into blocks of at most 64."""
+    return [slice(i, i + _QUERIES) for i in range(0, n_touches, _QUERIES)]
+
+
+def _sums_of_tiles(extended: Tiles, tiles: Tiles) -> tuple[Tiles, Tiles]:
+    """Return each tile's largest exponent and its sum relative to that.
+
+    Both of shape (n_tiles, n_touches). A sum has at most `TILE` terms, so float32
+    costs it less than 2e-6 nats.
+    """
+    if len(extended) < _COLUMNS_FROM:
+        exponents, axis = extended @ tiles.transpose(0, 2, 1), 2
+    else:
+        exponents, axis = tiles @ np.ascontiguousarray(extended.T), 1
+    largest = exponents.max(axis=axis, keepdims=True)
+    exponents -= largest
+    np.exp(exponents, out=exponents)
+    return largest.squeeze(axis), exponents.sum(axis=axis)

@@ -1,0 +1,177 @@
+"""Zernike moments: a tactile image as weights of smooth patterns on a disc.
+
+Turning the image only turns the phases of its complex moments, so their magnitudes
+describe a touch whatever the angle of the sensor.
+
+Conventions: positions are (row, col) in taxels with taxel centres at integers;
+x points along the columns, y along the rows (downwards in a picture), and the angle
+turns from x towards y.
+"""
+
+from math import hypot, pi, sqrt
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.utils import Tags
+from sklearn.utils.validation import check_is_fitted
+
+from .._checks import (
+    check_count,
+    check_images,
+    check_number,
+    check_option,
+    check_positive,
+)
+from ._zernike_disc import Disc
+from ._zernike_polynomials import noll_degrees, signed_degrees, zernike_degrees
+from ._zernike_tables import Grid, zernike_moments
+
+# The recurrence has been compared with exact arithmetic as far as this.
+_HIGHEST_ORDER = 100
+
+
+class ZernikeMoments(TransformerMixin, BaseEstimator):
+    """Encode tactile images by their Zernike moments.
+
+    Parameters
+    ----------
+    order : int, default=15
+        Highest order n, at most 100. Up to 20 the encoding needs only small tables;
+        above, a basis as large as the images, up to twenty times slower.
+    method : {"exact", "sample"}, default="exact"
+        "exact" integrates the polynomials over each taxel's part of the disc;
+        "sample" takes them at the taxel centres that lie inside, as most packages do.
+    output : {"abs", "complex", "noll", "noll_abs"}, default="abs"
+        "abs": magnitudes, which stay when the image turns. "complex": the moments
+        themselves, as complex numbers (scikit-learn's own estimators refuse these:
+        `moments.view(float)` has real and imaginary parts as columns). "noll": one
+        real moment for each polynomial of Noll's list (cosines and sines apart).
+        "noll_abs": their sizes, as in Corradi et al. 2014, eq. 6; not the same when
+        the image turns.
+    weight : {"n+1", "noll", "none"}, default="n+1"
+        Factor of a moment of order n: (n + 1) / pi, the usual one; sqrt(n + 1) / pi,
+        times sqrt(2) unless m = 0, Noll's orthonormal one; or 1.
+    disc : {"inscribed", "circumscribed"}, default="inscribed"
+        The disc touches the longer sides of the frame, or passes through its corners.
+    centre : tuple of float, optional
+        (row, col) of the disc's centre, in taxels; the frame's centre by default.
+    radius : float, optional
+        Radius of the disc, in taxels; replaces `disc`. Half a side of the frame is
+        n_rows / 2, as the outer taxels reach half a taxel beyond their centres.
+    drop_constant : bool, default=False
+        Leave out (0, 0), which is only rounding error in standardised images.
+    repeat_negative : bool, default=False
+        Also give m < 0. For magnitudes this counts every m != 0 twice, as in the
+        first author's code of Corradi et al. 2015. Not with Noll's list.
+
+    Attributes
+    ----------
+    image_shape_ : tuple of int
+        (n_rows, n_cols) of the images seen by `fit`.
+    centre_ : tuple of float
+        (row, col) of the disc's centre, in taxels.
+    radius_ : float
+        Radius of the disc, in taxels.
+    indices_ : ndarray of int of shape (n_features, 2)
+        (n, m) of each column: by n, then m; in the order of Noll's index for his
+        list, where m < 0 means a sine.
+
+    Notes
+    -----
+    With f the image and V(n, m) = R(n, m) exp(i m phi), the moment is the integral of
+    f conj(V) over the unit disc times the weight. The image counts as constant over
+    each taxel, and as zero where the disc reaches beyond the frame. Turning it by an
+    angle a, from columns towards rows, multiplies moments by exp(-i m a).
+
+    At a diameter of 300 taxels, magnitudes of moments of smooth images change by
+    less than 1e-4 when the image turns, against 1e-3 with "sample" and 1e-2 with a
+    centre that is off by half a taxel.
+
+    References
+    ----------
+    .. [1] R. J. Noll, "Zernike polynomials and atmospheric turbulence",
+       J. Opt. Soc. Am. 66(3), 1976. doi:10.1364/JOSA.66.000207
+    .. [2] T. Corradi, P. Hall, P. Iravani, "Tactile features: recognising touch
+       sensations with a novel and inexpensive tactile sensor", TAROS 2014.
+       doi:10.1007/978-3-319-10401-0_15
+    .. [3] B. H. Shakibaei, R. Paramesran, "Recursive formula to compute Zernike
+       radial polynomials", Opt. Lett. 38(14), 2013. doi:10.1364/OL.38.002487
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate.encodings import ZernikeMoments
+    >>> touches = np.ones((2, 10, 10))
+    >>> ZernikeMoments(order=2).fit_transform(touches).round(6) + 0.0
+    array([[1., 0., 0., 0.],
+           [1., 0., 0., 0.]])
+    """
+
+    def __init__(
+        self,
+        order: int = 15,
+        *,
+        method: str = "exact",
+        output: str = "abs",
+        weight: str = "n+1",
+        disc: str = "inscribed",
+        centre: tuple[float, float] | None = None,
+        radius: float | None = None,
+        drop_constant: bool = False,
+        repeat_negative: bool = False,
+    ) -> None:
+        self.order = order
+        self.method = method
+        self.output = output
+        self.weight = weight
+        self.disc = disc
+        self.centre = centre
+        self.radius = radius
+        self.drop_constant = drop_constant
+        self.repeat_negative = repeat_negative
+
+    def fit(self, X: ArrayLike, y: object = None) -> Self:
+        """Place the disc in images of the size of `X`; `y` is ignored."""
+        images = _real_images(X)
+        order = check_count("order", self.order, at_least=0)
+        if order > _HIGHEST_ORDER:
+            raise ValueError(f"order must be at most {_HIGHEST_ORDER}, got {order}.")
+        check_option("method", self.method, ("exact", "sample"))
+        check_option("weight", self.weight, ("n+1", "noll", "none"))
+        degrees = self._degrees(order)
+        _, n_rows, n_cols = images.shape
+        self._place_disc(n_rows, n_cols)
+        self.image_shape_ = (n_rows, n_cols)
+        self.indices_ = np.array(degrees).reshape(-1, 2)
+        return self
+
+    def transform(self, X: ArrayLike) -> NDArray:
+        """Return the moments, shape (n_touches, n_features).
+
+        NaN or infinity anywhere in an image is refused, inside the disc or not.
+        """
+        check_is_fitted(self)
+        images = _real_images(X, shape=self.image_shape_)
+        exact = self.method == "exact"
+        moments = zernike_moments(images, Grid(self._disc(), self.order, exact))
+        if not np.isfinite(moments).all():
+            check_images(images)
+            raise ValueError(
+                "Images must have levels whose sums stay finite, got "
+                f"{np.abs(images).max()}. Divide them by a constant first."
+            )
+        return self._present(moments)
+
+    def get_feature_names_out(self, input_features: object = None) -> NDArray:
+        """Return "zernike<n>,<m>" for each column."""
+        check_is_fitted(self)
+        return np.array([f"zernike{n},{m}" for n, m in self.indices_], dtype=object)
+
+    def __sklearn_tags__(self) -> Tags:
+        tags = super().__sklearn_tags__()
+        tags.input_tags.two_d_array = False
+        tags.input_tags.three_d_array = True
+        tags.requires_fit = True
+        return tags

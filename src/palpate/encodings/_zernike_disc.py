@@ -1,0 +1,134 @@
+"""A disc on a grid of taxels: which taxels lie inside, which its rim cuts.
+
+Coordinates are in radii from the centre: x along the columns, y along the rows
+(downwards), so that the angle turns from the columns towards the rows. Taxel centres
+are at integers, so the frame reaches half a taxel further on every side.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+from numpy.typing import NDArray
+
+Nodes = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+
+
+class Disc(NamedTuple):
+    """A disc in a frame of taxels; lengths in taxels."""
+
+    n_rows: int
+    n_cols: int
+    row: float
+    col: float
+    radius: float
+
+    @property
+    def step(self) -> float:
+        """Side of one taxel, in radii."""
+        return 1 / self.radius
+
+    @property
+    def x(self) -> NDArray[np.float64]:
+        """Taxel centres along the columns, in radii."""
+        return (np.arange(self.n_cols) - self.col) / self.radius
+
+    @property
+    def y(self) -> NDArray[np.float64]:
+        """Taxel centres along the rows, in radii."""
+        return (np.arange(self.n_rows) - self.row) / self.radius
+
+    def holds_centre(self) -> NDArray[np.bool_]:
+        """Taxels whose centre is inside, (n_rows, n_cols)."""
+        return np.hypot(self.y[:, None], self.x) <= 1
+
+    def holds_whole(self) -> NDArray[np.bool_]:
+        """Taxels that are inside with all four corners, (n_rows, n_cols)."""
+        x, y = np.abs(self.x) + self.step / 2, np.abs(self.y) + self.step / 2
+        return np.hypot(y[:, None], x) <= 1
+
+    def touches(self) -> NDArray[np.bool_]:
+        """Taxels of which any part is inside, (n_rows, n_cols)."""
+        x = np.maximum(np.abs(self.x) - self.step / 2, 0)
+        y = np.maximum(np.abs(self.y) - self.step / 2, 0)
+        return np.hypot(y[:, None], x) < 1
+
+    def is_cut(self) -> NDArray[np.bool_]:
+        """Taxels that the rim cuts, (n_rows, n_cols)."""
+        return self.touches() & ~self.holds_whole()
+
+
+def whole_nodes(disc: Disc, taxels: NDArray[np.intp], n_nodes: int) -> Nodes:
+    """Points and weights that integrate over whole taxels.
+
+    Parameters
+    ----------
+    disc : Disc
+    taxels : ndarray of shape (n_taxels,)
+        Indices into the flattened frame.
+    n_nodes : int
+        Gauss-Legendre points along each side.
+
+    Returns
+    -------
+    x, y, weight : ndarrays of shape (n_taxels, n_nodes**2)
+    """
+    node, weight = leggauss(n_nodes)
+    half = disc.step / 2
+    row, col = np.divmod(taxels, disc.n_cols)
+    x = disc.x[col, None] + half * np.tile(node, n_nodes)
+    y = disc.y[row, None] + half * np.repeat(node, n_nodes)
+    area = half**2 * np.outer(weight, weight).ravel()
+    return x, y, np.broadcast_to(area, x.shape)
+
+
+class Chords(NamedTuple):
+    """Lines along x that fill the parts inside the disc of taxels that its rim cuts.
+
+    Integrating over x along each line and summing with `weight` integrates over the
+    part. All arrays have shape (n_taxels, n_lines).
+    """
+
+    y: NDArray[np.float64]
+    left: NDArray[np.float64]
+    right: NDArray[np.float64]
+    weight: NDArray[np.float64]
+
+
+def cut_chords(disc: Disc, taxels: NDArray[np.intp], order: int) -> Chords:
+    """Chords that integrate polynomials of degree `order` to rounding error.
+
+    Each taxel is split where the rim crosses its edges. Between, y = sin(t) makes
+    the ends of the chords analytic in t (the square root at the top and bottom of
+    the disc disappears), so Gauss-Legendre points in t converge at once.
+    """
+    row, col = np.divmod(taxels, disc.n_cols)
+    half = disc.step / 2
+    left, right = disc.x[col] - half, disc.x[col] + half
+    low = np.clip(disc.y[row] - half, -1, 1)
+    high = np.clip(disc.y[row] + half, -1, 1)
+    crossings = np.sqrt(np.clip(1 - np.square([left, right]), 0, None))
+    ends = np.clip(np.stack([low, high, *crossings, *-crossings]), low, high)
+    t = np.sort(np.arcsin(ends), axis=0).T
+    # Half of the widest angle that one taxel can span, in periods of the integrand.
+    span = (order + 2) * np.arccos(max(1 - disc.step, -1)) / 2
+    node, weight = leggauss(8 + int(np.ceil(span)))
+    middle, reach = (t[:, 1:] + t[:, :-1]) / 2, (t[:, 1:] - t[:, :-1]) / 2
+    angle = (middle[..., None] + reach[..., None] * node).reshape(len(taxels), -1)
+    rim = np.cos(angle)
+    start = np.maximum(left[:, None], -rim)
+    stop = np.maximum(np.minimum(right[:, None], rim), start)
+    weights = (reach[..., None] * weight).reshape(len(taxels), -1) * rim
+    return Chords(np.sin(angle), start, stop, weights)
+
+
+def cut_nodes(disc: Disc, taxels: NDArray[np.intp], order: int, n_nodes: int) -> Nodes:
+    """Points and weights that integrate over the parts of cut taxels inside."""
+    chords = cut_chords(disc, taxels, order)
+    node, weight = leggauss(n_nodes)
+    half = ((chords.right - chords.left) / 2)[..., None]
+    x = (chords.left[..., None] + half) + half * node
+    weights = chords.weight[..., None] * half * weight
+    y = np.broadcast_to(chords.y[..., None], x.shape)
+    shape = len(taxels), -1
+    return x.reshape(shape), y.reshape(shape), weights.reshape(shape)

@@ -1,0 +1,292 @@
+"""Cut the disc that a dome camera sees, centred on each image's own rim.
+
+A cell of the canvas is the mean of the area it covers in the image, at any fraction
+of a pixel: read from an integral image [1]_, whose bilinear interpolation is exact
+for pixels of one grey level each. So nothing aliases, and no level is rounded.
+
+References
+----------
+.. [1] F. C. Crow, "Summed-area tables for texture mapping", SIGGRAPH 1984.
+   doi:10.1145/800031.808600
+"""
+
+from typing import Self
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.utils import Tags
+from sklearn.utils.validation import check_is_fitted
+
+from .._checks import check_count, check_number, check_option, check_positive
+from ._rim import Circle, Rims, as_images, find_rims, typical_rim
+
+N_SAFE = 512
+SAFE_SHARE = 0.02
+FLAT = 1e-6
+
+
+class DomeCrop(TransformerMixin, BaseEstimator):
+    """Centre each image on its own rim, cut the largest safe disc, standardise it.
+
+    Parameters
+    ----------
+    size : int or None, default=128
+        Most rows and columns of the canvas. It is smaller where the disc has fewer
+        pixels across, as images are never enlarged; None keeps all pixels.
+    missing : {"inscribed", "refuse"}, default="inscribed"
+        What to do about a touch without a visible rim. "inscribed" takes the disc
+        inscribed in the frame where the set as a whole has no rim, and a disc about
+        the typical rim's centre where other touches have one. "refuse" raises.
+    output : {"standardised", "grey"}, default="standardised"
+        Whether each disc is brought to mean 0 and variance 1, or keeps its levels.
+    margin : float, default=0.02
+        Share of the safe radius that is left out, for what the rim blurs.
+
+    Attributes
+    ----------
+    has_rim_ : bool
+        Whether the training touches have a rim in common (see `typical_rim`).
+    rim_row_, rim_col_, rim_radius_ : float
+        That rim, in pixels; without one the disc inscribed in the frame.
+    disc_radius_ : float
+        Radius of the disc that is cut, in pixels of the image.
+    size_ : int
+        Rows and columns of the canvas.
+    frame_shape_ : tuple of int
+        (n_rows, n_cols) of the images seen by `fit`.
+
+    Notes
+    -----
+    The safe disc is the largest about a rim's centre that stays within the rim and
+    the frame in 98 % of the training touches, less `margin`, but at least half the
+    rim's radius. Where it leaves the frame, the frame's edge is repeated.
+    Each touch is treated by itself: alone or among others, the result is the same.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate.images import DomeCrop
+    >>> row, col = np.mgrid[:100, :120]
+    >>> inside = np.hypot(row - 48, col - 61) < 40
+    >>> touches = np.where(inside, 90 + 0.2 * row, 255)[np.newaxis]
+    >>> crop = DomeCrop().fit(touches)
+    >>> round(crop.rim_radius_), crop.transform(touches).shape
+    (40, (1, 78, 78))
+    """
+
+    def __init__(
+        self,
+        size: int | None = 128,
+        missing: str = "inscribed",
+        output: str = "standardised",
+        margin: float = 0.02,
+    ) -> None:
+        self.size = size
+        self.missing = missing
+        self.output = output
+        self.margin = margin
+
+    def fit(
+        self, X: ArrayLike, y: object = None, *, no_contact: ArrayLike | None = None
+    ) -> Self:
+        """Learn the rim and the disc from the touches `X`; `y` is ignored.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_touches, n_rows, n_cols)
+            Grey levels without NaN.
+        y : object, optional
+            Ignored.
+        no_contact : array-like of shape (n_rows, n_cols), optional
+            The no-contact frame; the rim is learnt from it if it shows one.
+        """
+        images = as_images(X)
+        check_option("missing", self.missing, ("inscribed", "refuse"))
+        check_option("output", self.output, ("standardised", "grey"))
+        check_number("margin", self.margin, low=0, high=0.5)
+        limit = None if self.size is None else check_count("size", self.size)
+        rim = typical_rim(images, no_contact=no_contact)
+        if rim is None and self.missing == "refuse":
+            raise ValueError(
+                "X must show a common rim, got touches without one. Use "
+                "missing='inscribed' for a sensor without a visible circle."
+            )
+        self.frame_shape_ = tuple(images.shape[1:])
+        self.has_rim_ = rim is not None
+        circle = rim or Circle.inscribed(images.shape[1:])
+        self.rim_row_, self.rim_col_ = circle.row, circle.col
+        self.rim_radius_ = circle.radius
+        self.disc_radius_ = self._safe_radius(images) if rim else circle.radius
+        native = max(int(2 * self.disc_radius_), 1)
+        self.size_ = native if limit is None else min(native, limit)
+        return self
+
+    def transform(self, X: ArrayLike) -> NDArray[np.float32]:
+        """Return the discs, shape (n_touches, size_, size_), zero outside.
+
+        Raises
+        ------
+        ValueError
+            If `missing` is "refuse" and a touch shows no rim; the error names it.
+        """
+        images, rims = self._rims(X)
+        unseen = np.flatnonzero(~rims.visible)
+        if self.missing == "refuse" and len(unseen):
+            raise ValueError(
+                f"Every touch must show a rim, got none in touch {unseen[0]} "
+                f"({len(unseen)} of {len(rims)} touches). Leave them out, or use "
+                "missing='inscribed'."
+            )
+        discs = crop_discs(images, rims, self.disc_radius_, self.size_)
+        return standardise_discs(discs) if self.output == "standardised" else discs
+
+    def rims(self, X: ArrayLike) -> Rims:
+        """Return the circle about which each touch is cut, and which were seen."""
+        return self._rims(X)[1]
+
+    def _rims(self, X: ArrayLike) -> tuple[NDArray, Rims]:
+        check_is_fitted(self)
+        images = as_images(X, shape=tuple(self.frame_shape_))
+        near = Circle(self.rim_row_, self.rim_col_, self.rim_radius_, self.has_rim_)
+        if self.has_rim_:
+            return images, find_rims(images, near=near)
+        return images, Rims.of([Circle.inscribed(self.frame_shape_)] * len(images))
+
+    def _safe_radius(self, images: NDArray) -> float:
+        n = len(images)
+        which = np.unique(np.linspace(0, n - 1, min(n, N_SAFE)).round().astype(int))
+        near = Circle(self.rim_row_, self.rim_col_, self.rim_radius_)
+        rims = find_rims(images[which], near=near)
+        rims = rims[rims.visible] if rims.visible.any() else rims
+        rows, cols = self.frame_shape_
+        sides = [rims.row, rows - 1 - rims.row, rims.col, cols - 1 - rims.col]
+        reach = np.minimum(np.min(sides, axis=0) + 0.5, rims.radius)
+        safe = float(np.quantile(reach, SAFE_SHARE))
+        return max(safe, 0.5 * self.rim_radius_) * (1 - self.margin)
+
+    def __sklearn_tags__(self) -> Tags:
+        tags = super().__sklearn_tags__()
+        tags.input_tags.two_d_array = False
+        tags.input_tags.three_d_array = True
+        return tags
+
+
+def disc_mask(size: int) -> NDArray[np.bool_]:
+    """Return which pixel centres lie in the disc inscribed in `size` x `size`.
+
+    Examples
+    --------
+    >>> disc_mask(4).astype(int)
+    array([[0, 1, 1, 0],
+           [1, 1, 1, 1],
+           [1, 1, 1, 1],
+           [0, 1, 1, 0]])
+    """
+    from_centre = np.arange(check_count("size", size)) - (size - 1) / 2
+    squared = from_centre[:, np.newaxis] ** 2 + from_centre**2
+    inside: NDArray[np.bool_] = squared <= (size / 2) ** 2
+    return inside
+
+
+def crop_discs(
+    images: ArrayLike, rims: Rims, radius: float, size: int
+) -> NDArray[np.float32]:
+    """Return the disc of `radius` about each rim's centre, zero outside.
+
+    Parameters
+    ----------
+    images : array-like of shape (n_touches, n_rows, n_cols)
+        Grey levels without NaN.
+    rims : Rims
+        One circle a touch; only the centres are used.
+    radius : float
+        Radius of the disc, in pixels of the images. Where the disc leaves the frame,
+        the frame's edge is repeated.
+    size : int
+        Rows and columns of the canvas. The rim's centre lies in its middle and the
+        disc touches its four sides.
+
+    Returns
+    -------
+    discs : ndarray of shape (n_touches, size, size)
+    """
+    checked = as_images(images)
+    if len(rims) != len(checked):
+        raise ValueError(
+            f"rims must be as many as images, got {len(rims)} for {len(checked)}. "
+            "Use the rims found in these very images."
+        )
+    radius, mask = check_positive("radius", radius), disc_mask(size)
+    discs = np.empty((len(checked), size, size), np.float32)
+    for disc, image, row, col in zip(discs, checked, rims.row, rims.col, strict=True):
+        disc[:] = _mean_over_cells(image, (row, col), radius, size)
+    return discs * mask
+
+
+def standardise_discs(discs: ArrayLike) -> NDArray[np.float32]:
+    """Bring each disc to mean 0 and variance 1, and its outside to 0.
+
+    A constant disc becomes zeros: its levels spread by less than a millionth of
+    the largest.
+
+    Parameters
+    ----------
+    discs : array-like of shape (n_touches, size, size)
+    """
+    images = as_images(discs)
+    rows, cols = images.shape[1:]
+    if rows != cols:
+        raise ValueError(f"discs must be square, got {rows} x {cols}. Crop them first.")
+    mask = disc_mask(rows)
+    standard = np.zeros(images.shape, np.float32)
+    for result, image in zip(standard, images, strict=True):
+        levels = image[mask].astype(np.float64)
+        largest = np.abs(levels).max()
+        levels = levels / (largest or 1.0)
+        levels -= levels.mean()
+        deviation = np.sqrt((levels**2).mean())
+        if deviation > FLAT:
+            result[mask] = levels / deviation
+    return standard
+
+
+def _mean_over_cells(
+    image: NDArray, centre: tuple[float, float], radius: float, size: int
+) -> NDArray[np.float64]:
+    """Average `image` over a grid of `size` x `size` square cells about `centre`."""
+    border = radius * (2 * np.arange(size + 1) / size - 1) + 0.5
+    top, row = _from_whole_pixel(border + centre[0])
+    left, col = _from_whole_pixel(border + centre[1])
+    part = _part(image, top, int(np.ceil(row[-1])), left, int(np.ceil(col[-1])))
+    level = 0.0 if part.dtype == np.uint8 else float(part.mean())
+    total = _integral(part if part.dtype == np.uint8 else part - level)
+    i = np.minimum(row.astype(int), part.shape[0] - 1)
+    j = np.minimum(col.astype(int), part.shape[1] - 1)
+    upper, lower = total[i], total[i + 1]
+    upper = upper[:, j] + (upper[:, j + 1] - upper[:, j]) * (col - j)
+    lower = lower[:, j] + (lower[:, j + 1] - lower[:, j]) * (col - j)
+    corner = upper + (lower - upper) * (row - i)[:, np.newaxis]
+    sums: NDArray[np.float64] = np.diff(np.diff(corner, axis=0), axis=1)
+    return sums / (2 * radius / size) ** 2 + level
+
+
+def _from_whole_pixel(border: NDArray) -> tuple[int, NDArray]:
+    first = int(np.floor(border[0]))
+    return first, border - first
+
+
+def _part(image: NDArray, top: int, height: int, left: int, width: int) -> NDArray:
+    """Cut a rectangle; outside the frame its edge is repeated."""
+    rows, cols = image.shape
+    if min(top, left) >= 0 and top + height <= rows and left + width <= cols:
+        return image[top : top + height, left : left + width]
+    row = np.clip(np.arange(top, top + height), 0, rows - 1)
+    col = np.clip(np.arange(left, left + width), 0, cols - 1)
+    return image[row[:, np.newaxis], col]
+
+
+def _integral(part: NDArray) -> NDArray:
+    fits = part.dtype == np.uint8 and part.size < 2**31 // 255
+    return np.asarray(cv2.integral(part, sdepth=cv2.CV_32S if fits else cv2.CV_64F))

@@ -1,0 +1,371 @@
+"""A camera inside a rubber dome that is pressed on things: the BathTip, simulated.
+
+Rays give the gap between dome and object, the membrane's equation the dent under a
+force, eight LEDs and a camera the picture. Lengths are millimetres, forces newtons,
+pictures grey levels 0 to 255 with the first row at the top.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import check_count, check_number, check_positive
+from ._membrane import Contact, Membrane, solve_contact
+from ._objects import SimObject
+from ._optics import SURROUND_GREY, Optics, View
+from ._placed import PlacedObject, SensorPose, gap_map
+from ._shading import Lighting, Plane
+
+Frame = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class DomePress:
+    """One press of a dome on an object.
+
+    Attributes
+    ----------
+    touched : bool
+        Whether anything was within reach. If not, all else is zero.
+    travel_mm : float
+        How far the sensor moved from its pose to the end.
+    depth_mm : float
+        Of that, how far it moved on after first touching.
+    force_n : float
+        Force along the axis at the end; less than asked for where the dome's
+        greatest depth came first.
+    area_mm2 : float
+        Contact area, seen along the axis.
+    contact : Contact
+        Forces and displacements of the nodes.
+    gap_mm : ndarray of shape (n_nodes, n_nodes)
+        Way to go, after first touching, before each node touches.
+    """
+
+    touched: bool
+    travel_mm: float
+    depth_mm: float
+    force_n: float
+    area_mm2: float
+    contact: Contact
+    gap_mm: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DomeCamera:
+    """Simulated dome camera.
+
+    Parameters
+    ----------
+    image_shape : tuple of int, default=(480, 640)
+        Rows and columns of the picture. Fewer columns cut it on the right, so that
+        (n, n) is what the BathTip's square pictures show.
+    force_n : float, default=0.735
+        Force at which a press ends: 75 gf.
+    max_depth_mm : float, default=10.0
+        Depth at which it ends before that force.
+    membrane_radius_mm, thickness_mm, youngs_mpa, poisson, n_nodes
+        The rubber and its grid, see `Membrane`.
+    camera_distance_mm : float, default=62.0
+        From the lens to the tip.
+    camera_offset_mm : tuple of float, default=(0.0, 0.0)
+        x and y of the lens, with its LEDs, from the dome's axis.
+    disc_centre, disc_radius : default=(0.4375, 0.4438), 0.5625
+        Row and column of the middle of the rim and its radius, in heights of the
+        picture. The default is cut by the left, upper and lower edges.
+    n_leds, led_ring_radius_mm, diffuse, specular, shininess, ambient
+        The light, see `Lighting`.
+    gain, gamma : float, default=1.0, 2.2
+        Grey = 255 (gain x light)^(1 / gamma), cut at 255.
+    noise_sd : float, default=3.6
+        Noise of one picture in grey levels, at 240 rows or more; binning to fewer
+        rows averages it.
+    texture_sd : float, default=0.03
+        Mottling of the rubber, as a share of its light; the same in every picture
+        with one `texture_seed`.
+    exposure_drift_sd, centre_drift_sd : float, default=0.1, 0.015
+        Spread, between recordings, of the logarithm of the gain and of the
+        `disc_centre`; used by `drifted`.
+    texture_seed : int, default=0
+        Which mottling.
+
+    Notes
+    -----
+    Linear elasticity of a shallow shell: no snap-through, no friction, no side
+    walls, rigid and fixed objects, and beyond 0.8 of the radius the equation no
+    longer holds. No shadows. The stiffness and the light are fitted to some real
+    pictures (docs/how-real.md); forces were not recorded with those, so stiffness
+    is only known if 75 gf is true of them. The published sensor has a sleeve of
+    19 mm radius, so the papers' "radius 40 mm" is read as a diameter.
+
+    References
+    ----------
+    .. [1] T. Corradi, P. Hall, P. Iravani, "Bayesian tactile object recognition",
+       ICRA 2015. doi:10.1109/ICRA.2015.7139744
+
+    Examples
+    --------
+    >>> from palpate.simulation import DomeCamera
+    >>> DomeCamera(image_shape=(96, 96)).no_contact().shape
+    (96, 96)
+    """
+
+    image_shape: tuple[int, int] = (480, 640)
+    force_n: float = 0.735
+    max_depth_mm: float = 10.0
+    membrane_radius_mm: float = 20.0
+    thickness_mm: float = 1.0
+    youngs_mpa: float = 0.2
+    poisson: float = 0.48
+    n_nodes: int = 48
+    camera_distance_mm: float = 62.0
+    camera_offset_mm: tuple[float, float] = (0.0, 0.0)
+    disc_centre: tuple[float, float] = (0.4375, 0.4438)
+    disc_radius: float = 0.5625
+    n_leds: int = 8
+    led_ring_radius_mm: float = 9.0
+    diffuse: float = 0.19
+    specular: float = 1.0
+    shininess: float = 10.0
+    ambient: float = 0.0
+    gain: float = 1.0
+    gamma: float = 2.2
+    noise_sd: float = 3.6
+    texture_sd: float = 0.03
+    exposure_drift_sd: float = 0.1
+    centre_drift_sd: float = 0.015
+    texture_seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("image_shape", "camera_offset_mm", "disc_centre"):
+            object.__setattr__(self, name, _pair(name, getattr(self, name)))
+        for side in self.image_shape:
+            check_count("image_shape", side, at_least=8)
+        for name in _POSITIVE:
+            check_positive(name, getattr(self, name))
+        for name in _NOT_NEGATIVE:
+            check_number(name, getattr(self, name), low=0.0)
+        check_count("n_leds", self.n_leds)
+        check_count("texture_seed", self.texture_seed, at_least=0)
+        if self.camera_distance_mm <= self.membrane_radius_mm + self.max_depth_mm:
+            raise ValueError(
+                "camera_distance_mm must exceed membrane_radius_mm + max_depth_mm, "
+                f"got {self.camera_distance_mm}. The camera stands behind the rim."
+            )
+        self.membrane  # noqa: B018  refuses what is no membrane
+
+    @cached_property
+    def membrane(self) -> Membrane:
+        """The rubber dome."""
+        return Membrane(
+            radius_mm=self.membrane_radius_mm,
+            thickness_mm=self.thickness_mm,
+            youngs_mpa=self.youngs_mpa,
+            poisson=self.poisson,
+            n_nodes=self.n_nodes,
+        )
+
+    def press(
+        self,
+        target: SimObject | PlacedObject,
+        pose: SensorPose,
+        *,
+        force_n: float | None = None,
+        depth_mm: float | None = None,
+        reach_mm: float = np.inf,
+    ) -> DomePress:
+        """Move in from a pose until a force is reached.
+
+        Parameters
+        ----------
+        target : SimObject or PlacedObject
+            What to touch; an object that is not placed is where it was built.
+        pose : SensorPose
+            Where to start, clear of the object.
+        force_n : float, optional
+            Force to stop at, default `self.force_n`; `max_depth_mm` may come first.
+        depth_mm : float, optional
+            Instead, stop this far after first touching, at most `max_depth_mm`.
+        reach_mm : float, default=inf
+            Longest way to the first touch; beyond it nothing is touched.
+
+        Raises
+        ------
+        ValueError
+            The dome overlaps the object at the start.
+        """
+        placed = target if isinstance(target, PlacedObject) else PlacedObject(target)
+        gap = gap_map(placed, pose, self.membrane)
+        first = float(gap.min())
+        if not first <= reach_mm or np.isinf(first):
+            return self._untouched()
+        if first < 0:
+            raise ValueError(
+                f"pose must be clear of the object, got one {-first:.3g} mm inside "
+                f"{placed.thing.name!r}. Start further back."
+            )
+        way = gap - first
+        contact = self._ended(way, force_n, depth_mm)
+        return DomePress(
+            touched=True,
+            travel_mm=first + contact.depth_mm,
+            depth_mm=contact.depth_mm,
+            force_n=contact.force_n,
+            area_mm2=contact.area_mm2,
+            contact=contact,
+            gap_mm=way,
+        )
+
+    def force_curve(
+        self, press: DomePress, depths_mm: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the force (N) at each depth after first touching, (n_depths,)."""
+        depths = np.asarray(depths_mm, dtype=np.float64)
+        if not press.touched:
+            return np.zeros(depths.shape)
+        solved = [
+            solve_contact(self.membrane, press.gap_mm, depth_mm=depth).force_n
+            for depth in depths.ravel()
+        ]
+        return np.reshape(solved, depths.shape)
+
+    def image(
+        self, press: DomePress | None = None, rng: np.random.Generator | None = None
+    ) -> Frame:
+        """Return the picture of a press, (n_rows, n_cols); of no contact without one.
+
+        With `rng`, noise is added.
+        """
+        flat = np.zeros((self.n_nodes, self.n_nodes), np.float32)
+        dent = flat if press is None else press.contact.displacement_mm
+        grey = self._grey(_optics(*self._seen_by()).light(dent))
+        if rng is not None and self.noise_sd > 0:
+            grey += self._noise(rng)
+        return np.clip(grey + np.float32(0.5), 0, 255).astype(np.uint8)
+
+    def no_contact(self) -> Frame:
+        """Return the picture of the dome touching nothing, without noise."""
+        return self.image()
+
+    def touch(
+        self,
+        target: SimObject | PlacedObject,
+        pose: SensorPose,
+        force_n: float | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> Frame:
+        """Press from a pose until a force and return the picture."""
+        return self.image(self.press(target, pose, force_n=force_n), rng)
+
+    def drifted(self, rng: np.random.Generator) -> Self:
+        """Return this camera as another recording would find it."""
+        row, col = self.disc_centre + rng.normal(0, self.centre_drift_sd or 0.0, 2)
+        gain = self.gain * float(np.exp(rng.normal(0, self.exposure_drift_sd)))
+        return replace(self, gain=gain, disc_centre=(float(row), float(col)))
+
+    def _ended(
+        self, way: NDArray[np.float64], force_n: float | None, depth_mm: float | None
+    ) -> Contact:
+        if depth_mm is not None:
+            if force_n is not None:
+                raise ValueError("Give at most one of force_n and depth_mm.")
+            depth = check_number("depth_mm", depth_mm, low=0.0, high=self.max_depth_mm)
+            return solve_contact(self.membrane, way, depth_mm=depth)
+        force = self.force_n if force_n is None else check_positive("force_n", force_n)
+        contact = solve_contact(self.membrane, way, force_n=force)
+        if contact.depth_mm <= self.max_depth_mm:
+            return contact
+        return solve_contact(self.membrane, way, depth_mm=self.max_depth_mm)
+
+    def _untouched(self) -> DomePress:
+        shape = (self.n_nodes, self.n_nodes)
+        flat = np.zeros(shape, np.float32)
+        nothing = Contact(0.0, 0.0, flat, flat, 0.0)
+        return DomePress(False, 0.0, 0.0, 0.0, 0.0, nothing, np.full(shape, np.inf))
+
+    def _seen_by(self) -> tuple[View, Membrane, Lighting, float]:
+        view = View(
+            image_shape=self.image_shape,
+            distance_mm=self.camera_distance_mm,
+            offset_mm=self.camera_offset_mm,
+            disc_centre=self.disc_centre,
+            disc_radius=self.disc_radius,
+        )
+        lighting = Lighting(
+            n_leds=self.n_leds,
+            ring_radius_mm=self.led_ring_radius_mm,
+            diffuse=self.diffuse,
+            specular=self.specular,
+            ambient=self.ambient,
+            shininess=self.shininess,
+        )
+        return view, self.membrane, lighting, self.max_depth_mm
+
+    def _grey(self, light: Plane) -> Plane:
+        """Mottle the light, expose it, and draw the rim and the white around it."""
+        optics = _optics(*self._seen_by())
+        mottled = light * np.float32(self.gain)
+        if self.texture_sd > 0:
+            mottled *= _mottling(optics, self.texture_sd, self.texture_seed)
+        np.maximum(mottled, 0, out=mottled)
+        grey = np.float32(255) * mottled ** np.float32(1 / self.gamma)
+        np.minimum(grey, 255, out=grey)
+        white = np.float32(SURROUND_GREY)
+        return white + optics.inside * (grey - white)
+
+    def _noise(self, rng: np.random.Generator) -> Plane:
+        """Noise of cells as fine as 240 rows; enlarged beyond, averaged below."""
+        import cv2
+
+        n_rows, n_cols = self.image_shape
+        share = min(1.0, 240 / n_rows)
+        shape = (round(n_rows * share), round(n_cols * share))
+        noise = rng.standard_normal(shape, dtype=np.float32)
+        noise *= np.float32(self.noise_sd * min(1.0, n_rows / 240))
+        if share == 1:
+            return noise
+        return cv2.resize(noise, (n_cols, n_rows), interpolation=cv2.INTER_NEAREST)
+
+
+_POSITIVE = ("force_n", "max_depth_mm", "camera_distance_mm", "disc_radius")
+_POSITIVE += ("shininess", "gain", "gamma")
+_NOT_NEGATIVE = ("led_ring_radius_mm", "diffuse", "specular", "ambient", "noise_sd")
+_NOT_NEGATIVE += ("texture_sd", "exposure_drift_sd", "centre_drift_sd")
+
+
+def _pair(name: str, value: Any) -> tuple[Any, Any]:
+    pair = tuple(value) if isinstance(value, tuple | list | np.ndarray) else ()
+    if len(pair) != 2:
+        raise ValueError(f"{name} must be a pair, got {value!r}.")
+    if name != "image_shape":
+        pair = tuple(check_number(name, number) for number in pair)
+    return pair[0], pair[1]
+
+
+@lru_cache(maxsize=4)
+def _optics(
+    view: View, membrane: Membrane, lighting: Lighting, deepest_mm: float
+) -> Optics:
+    return Optics(view, membrane, lighting, deepest_mm)
+
+
+@lru_cache(maxsize=4)
+def _mottling(optics: Optics, sd: float, seed: int) -> Plane:
+    """Factor of mean 1 on each pixel: blots of a hundredth of the picture's height."""
+    from scipy.ndimage import gaussian_filter
+
+    rows, cols = optics.grid_shape
+    rng = np.random.default_rng(seed)
+    blots = rng.standard_normal((160, 240)).astype(np.float32)
+    import cv2
+
+    smooth = gaussian_filter(blots, 1.2)
+    smooth *= np.float32(sd) / smooth.std()
+    scale = 120 / rows
+    to_blots = np.array([[scale, 0, 0.0], [0, scale, 0.0]])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    field = cv2.warpAffine(smooth, to_blots, (cols, rows), flags=flags)
+    return optics.enlarged(np.float32(1) + field)

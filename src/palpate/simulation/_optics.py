@@ -1,0 +1,205 @@
+"""From a dented dome to the camera's picture of it.
+
+The surface is the sphere less the displacement w on the membrane's grid; each pixel
+looks along one ray and sees where that first meets the surface, so that the near
+side of a deep dent hides the far side. Shading is computed on at most 144 rows and
+enlarged: it is smooth, and the rim, which is not, is drawn at full size.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._membrane import Membrane
+from ._shading import Lighting, Plane, shade
+
+SURROUND_GREY = 255.0
+_SHADED_ROWS = 144
+_MARCH_STEPS = 16
+_STEEPEST = 0.9995
+
+
+@dataclass(frozen=True)
+class View:
+    """Where a camera stands behind a dome, and what its picture covers.
+
+    Parameters
+    ----------
+    image_shape : tuple of int
+        Rows and columns.
+    distance_mm : float
+        From the lens to the tip of the undented dome.
+    offset_mm : tuple of float
+        x and y of the lens from the dome's axis.
+    disc_centre : tuple of float
+        Row and column of the middle of the rim, in heights of the picture.
+    disc_radius : float
+        Radius of the rim in heights of the picture.
+    """
+
+    image_shape: tuple[int, int]
+    distance_mm: float
+    offset_mm: tuple[float, float]
+    disc_centre: tuple[float, float]
+    disc_radius: float
+
+
+class Optics:
+    """Tables of one view of one membrane; `light` makes pictures of dents with them.
+
+    Parameters
+    ----------
+    view : View
+        The camera.
+    membrane : Membrane
+        The dome.
+    lighting : Lighting
+        The LEDs.
+    deepest_mm : float
+        Deepest displacement to expect.
+
+    Attributes
+    ----------
+    inside : ndarray of shape (n_rows, n_cols)
+        Share of each pixel within the rim, 0 to 1.
+    """
+
+    def __init__(
+        self, view: View, membrane: Membrane, lighting: Lighting, deepest_mm: float
+    ) -> None:
+        self._view, self._membrane, self._lighting = view, membrane, lighting
+        n_rows, n_cols = view.image_shape
+        row = (np.arange(n_rows) + 0.5) / n_rows - view.disc_centre[0]
+        col = (np.arange(n_cols) + 0.5) / n_rows - view.disc_centre[1]
+        away = np.hypot(row[:, None], col)
+        share = (view.disc_radius - away) * n_rows + 0.5
+        self.inside: Plane = np.clip(share, 0, 1).astype(np.float32)
+        self._lay_grid()
+        self._lay_rays(deepest_mm)
+
+    def light(self, displacement_mm: Plane) -> Plane:
+        """Return the light each pixel gets, (n_rows, n_cols), of a dented dome."""
+        return self.enlarged(self._shaded(displacement_mm))
+
+    @property
+    def grid_shape(self) -> tuple[int, int]:
+        """Rows and columns of the grid on which shading is computed."""
+        return self._grid_shape
+
+    def enlarged(self, shaded: Plane) -> Plane:
+        """Bring values on the shading grid to the picture's size."""
+        import cv2
+
+        n_rows, n_cols = self._view.image_shape
+        if self._scale == 1:
+            wide = np.zeros(self._view.image_shape, np.float32)
+            wide[:, : shaded.shape[1]] = shaded[:, :n_cols]
+            return wide
+        shift = 0.5 * self._scale - 0.5
+        to_grid = np.array([[self._scale, 0, shift], [0, self._scale, shift]])
+        return cv2.warpAffine(
+            shaded,
+            to_grid,
+            (n_cols, n_rows),
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+
+    def surface(self, displacement_mm: Plane) -> tuple[Plane, Plane, Plane]:
+        """Return x, y about the dome's axis and depth z that each grid ray sees."""
+        z = self._first_met(displacement_mm)
+        x, y = self._at(z)
+        return x, y, z
+
+    def _lay_grid(self) -> None:
+        """Choose the shading grid: whole rows, and the columns that the disc covers."""
+        view = self._view
+        n_rows, n_cols = view.image_shape
+        rows = min(n_rows, _SHADED_ROWS)
+        self._scale = rows / n_rows
+        covered = min(view.disc_centre[1] + view.disc_radius, n_cols / n_rows)
+        cols = int(np.ceil(max(covered, 0) * rows)) + 1
+        self._grid_shape = rows, max(2, cols)
+
+    def _lay_rays(self, deepest_mm: float) -> None:
+        view, radius = self._view, self._membrane.radius_mm
+        rim = view.distance_mm - radius
+        rows, cols = self._grid_shape
+        per_height = radius / (rim * view.disc_radius)
+        up = ((np.arange(rows) + 0.5) / rows - view.disc_centre[0])[:, None]
+        across = ((np.arange(cols) + 0.5) / rows - view.disc_centre[1])[None]
+        shift_x, shift_y = view.offset_mm
+        self._slope_x = (across * per_height - shift_x / rim).astype(np.float32)
+        self._slope_y = (up * per_height - shift_y / rim).astype(np.float32)
+        near = max(rim - deepest_mm / 2, rim / 2)
+        self._depths = np.linspace(
+            near, view.distance_mm, _MARCH_STEPS, dtype=np.float32
+        )
+        x, y = self._at(self._depths[:, None, None])
+        self._cells = self._to_cells(x, y)
+        self._ahead = self._sphere(x, y) - self._depths[:, None, None]
+
+    def _at(self, z: Any) -> tuple[Plane, Plane]:
+        """Where the grid's rays are at depth z, about the dome's axis."""
+        shift_x, shift_y = map(np.float32, self._view.offset_mm)
+        return self._slope_x * z + shift_x, self._slope_y * z + shift_y
+
+    def _sphere(self, x: Plane, y: Plane) -> Plane:
+        """Depth of the undented dome; beyond the rim, of the rim."""
+        radius = np.float32(self._membrane.radius_mm)
+        rim = np.float32(self._view.distance_mm) - radius
+        return rim + np.sqrt(np.maximum(radius**2 - x * x - y * y, 0))
+
+    def _to_cells(self, x: Plane, y: Plane) -> tuple[Plane, Plane]:
+        per_mm = np.float32(1 / self._membrane.pitch_mm)
+        zero = np.float32(self._membrane.n_nodes / 2 - 0.5)
+        x, y = np.broadcast_arrays(x, y)
+        return x * per_mm + zero, y * per_mm + zero
+
+    def _first_met(self, displacement_mm: Plane) -> Plane:
+        """Depth at which each ray first meets the surface: steps, then one secant."""
+        columns, rows = self._cells
+        width = columns.shape[2]
+        dent = _sampled(
+            displacement_mm, columns.reshape(-1, width), rows.reshape(-1, width)
+        )
+        ahead = self._ahead - dent.reshape(self._ahead.shape)
+        met = ahead <= 0
+        met[-1] = True
+        after = np.maximum(met.argmax(axis=0), 1)[None]
+        before = np.take_along_axis(ahead, after - 1, axis=0)[0]
+        fall = before - np.take_along_axis(ahead, after, axis=0)[0]
+        step = self._depths[1] - self._depths[0]
+        fall = np.maximum(fall, np.float32(0.1) * step)
+        start = self._depths[after[0] - 1]
+        z = start + np.clip(before / fall, 0, 1) * step
+        x, y = self._at(z)
+        left = self._sphere(x, y) - _sampled(displacement_mm, *self._to_cells(x, y)) - z
+        return np.clip(z + left * (step / fall), start, start + step)
+
+    def _shaded(self, displacement_mm: Plane) -> Plane:
+        x, y, z = self.surface(displacement_mm)
+        columns, rows = self._to_cells(x, y)
+        pitch = self._membrane.pitch_mm
+        grad_y, grad_x = np.gradient(displacement_mm, np.float32(pitch))
+        dent = [_sampled(grad, columns, rows) for grad in (grad_x, grad_y)]
+        radius = np.float32(self._membrane.radius_mm)
+        least = radius * np.float32(np.sqrt(1 - _STEEPEST**2))
+        height = np.sqrt(np.maximum(radius**2 - x * x - y * y, least**2))
+        slope = (-x / height - dent[0], -y / height - dent[1])
+        shift_x, shift_y = map(np.float32, self._view.offset_mm)
+        point = (x - shift_x, y - shift_y, z)
+        return shade(point, slope, self._lighting, self._view.distance_mm)
+
+
+def _sampled(
+    values: NDArray[Any], columns: NDArray[Any], rows: NDArray[Any]
+) -> NDArray[Any]:
+    """Values of a grid between its nodes, its edge going on outside."""
+    import cv2
+
+    return cv2.remap(
+        values, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )

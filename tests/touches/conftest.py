@@ -1,0 +1,23 @@
+"""Folders of drawn pictures."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+
+@pytest.fixture
+def put(tmp_path):
+    """Write pictures whose level is their number, by path within a folder."""
+    root = tmp_path / "in"
+    root.mkdir()
+
+    def write(*names, size=(6, 4), dtype=np.uint8):
+        for level, name in enumerate(names):
+            path = root / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            image = np.full(size[::-1], level, dtype=dtype)
+            # Quality 100 keeps a flat picture exactly.
+            Image.fromarray(image).save(path, quality=100)
+        return root
+
+    return write
