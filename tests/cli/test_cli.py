@@ -70,8 +70,16 @@ def test_recognise_draws_the_belief_for_people(archive, model):
 def test_evaluate_prints_json_and_writes_the_report(archive, tmp_path):
     report = tmp_path / "r.html"
     done = palpate(
-        "evaluate", "--train", archive, "--split", "last", "--touches", "1,3",
-        "--report", report, "--json",
+        "evaluate",
+        "--train",
+        archive,
+        "--split",
+        "last",
+        "--touches",
+        "1,3",
+        "--report",
+        report,
+        "--json",
     )
     figures = json.loads(done.stdout)
     assert set(figures["accuracy"]) == {"1", "3"}
@@ -95,7 +103,9 @@ def test_help_loads_nothing_heavy():
         "heavy = {'sklearn', 'cv2', 'matplotlib', 'scipy'} & set(sys.modules)\n"
         "assert not heavy, heavy"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, check=False
+    )
     assert done.returncode == 0, done.stderr
 
 

@@ -51,6 +51,7 @@ def test_plain_values_survive(tmp_path, value):
         np.array(5),
         np.empty((0, 3)),
         np.arange(4, dtype=np.uint8),
+        np.array([1 + 2j, -1j]),
         np.asfortranarray(np.arange(6.0).reshape(2, 3)),
     ],
     ids=lambda a: f"{a.dtype}{a.shape}",
@@ -131,8 +132,6 @@ def test_a_deep_document_is_refused(tmp_path):
     )
     with pytest.raises(ModelFileError, match="damaged"):
         read_model(tmp_path / "b.palpate", KNOWN)
-
-
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,11 @@ from typing import Any
 from .._checks import check_option
 
 BENCHES: dict[str, tuple[str, str, str]] = {
-    "decode": ("_decode", "bench_decode_here", "reading a folder of pictures, peak memory"),
+    "decode": (
+        "_decode",
+        "bench_decode_here",
+        "reading a folder of pictures, peak memory",
+    ),
     "likelihood": ("_likelihood", "bench_likelihood", "kernel densities per touch"),
     "simulate-array": (
         "_simulate_array",

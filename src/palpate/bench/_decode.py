@@ -85,7 +85,7 @@ def bench_decode(data: Path | None, *, repeats: int = 3) -> list[dict[str, Any]]
 
 
 def bench_decode_here() -> list[dict[str, Any]]:
-    """Measure on the real pictures where PALPATE_DATA names them, else on drawn ones."""
+    """Measure on the pictures in PALPATE_DATA where it is set, else on drawn ones."""
     data = os.environ.get("PALPATE_DATA")
     return bench_decode(Path(data) if data else None)
 

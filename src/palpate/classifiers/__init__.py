@@ -1,6 +1,13 @@
 """Vector -> class: classifiers with log-likelihoods a belief can add up."""
 
 from ._kernel_density import KernelDensityBayes
+from ._kernel_density_naive import KernelDensityNaiveBayes
 from ._kernel_ridge import KernelRidgeClassifier
+from ._one_per_label import OnePerLabelSVC
 
-__all__ = ["KernelDensityBayes", "KernelRidgeClassifier"]
+__all__ = [
+    "KernelDensityBayes",
+    "KernelDensityNaiveBayes",
+    "KernelRidgeClassifier",
+    "OnePerLabelSVC",
+]

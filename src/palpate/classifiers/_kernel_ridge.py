@@ -8,7 +8,7 @@ temperature of the posterior are all chosen on touches left out with their group
 without a single further fit.
 """
 
-from collections.abc import Hashable, Iterable
+from collections.abc import Iterable
 from typing import Self
 
 import numpy as np
@@ -167,7 +167,7 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         return log_posterior
 
     def left_out_log_likelihood(self) -> Floats:
-        """Return `log_likelihood` of the training touches, each with its group left out."""
+        """Return `log_likelihood` of training touches with their groups left out."""
         check_is_fitted(self)
         log_posterior: Floats = log_softmax(
             self.temperature_ * self.left_out_scores_, axis=1
@@ -187,7 +187,9 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         best = self.scores(X).argmax(axis=1)
         return self.classes_[best]
 
-    def refit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> Self:
+    def refit(
+        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None
+    ) -> Self:
         """Learn other touches with the width and ridge already chosen."""
         check_is_fitted(self)
         touches, labels = validate_data(self, X, y, dtype=np.float64, reset=False)

@@ -21,9 +21,7 @@ AsJson = Annotated[
     bool, typer.Option("--json", help="Print one JSON object and nothing else.")
 ]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
-Preset = Annotated[
-    str, typer.Option("--preset", help='"default" or "corradi2015".')
-]
+Preset = Annotated[str, typer.Option("--preset", help='"default" or "corradi2015".')]
 Label = Annotated[
     str, typer.Option("--label", help='What to recognise: "object" or "category".')
 ]

@@ -56,7 +56,9 @@ def demo(
         print_episode(episode, at_most=5)
     for k, share in figures["accuracy"].items():
         spread = percent(figures["accuracy_sd"][k])
-        print(f"right after {k:>2} touches: {percent(share)} % (sd {spread} over objects)")
+        print(
+            f"right after {k:>2} touches: {percent(share)} % (sd {spread} over objects)"
+        )
     from ..evaluation import write_report
 
     recogniser.save(folder / "ten-objects.palpate")

@@ -43,12 +43,16 @@ def doctor(as_json: AsJson = False) -> None:
     else:
         rows = [[c["name"], c["found"], c["fix"]] for c in checks]
         table("palpate doctor", ["what", "found", "to do"], rows)
-        print("Healthy." if healthy else "Something palpate needs is missing; see above.")
+        print(
+            "Healthy." if healthy else "Something palpate needs is missing; see above."
+        )
     if not healthy:
         raise typer.Exit(1)
 
 
-def _check(name: str, found: str, fix: str, *, ok: bool, needed: bool) -> dict[str, Any]:
+def _check(
+    name: str, found: str, fix: str, *, ok: bool, needed: bool
+) -> dict[str, Any]:
     return {"name": name, "found": found, "fix": fix, "ok": ok, "needed": needed}
 
 

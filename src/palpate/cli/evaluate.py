@@ -121,11 +121,19 @@ def _print_figures(figures: dict[str, Any]) -> None:
     ]
     for name, curve in figures["controls"].items():
         values = [percent((curve or {}).get(k)) for k in keys]
-        rows.append([f"{name} alone, %" if name != "no contact" else
-                     "touches without contact, %", *values])
+        rows.append(
+            [
+                f"{name} alone, %"
+                if name != "no contact"
+                else "touches without contact, %",
+                *values,
+            ]
+        )
     if "unknown_auroc" in figures:
         for name, key in (("unknown, ROC area", "unknown_auroc"),):
-            rows.append([name, *(f"{figures[key].get(k, float('nan')):.3f}" for k in keys)])
+            rows.append(
+                [name, *(f"{figures[key].get(k, float('nan')):.3f}" for k in keys)]
+            )
         refused = figures["unknown_refused"]
         rows.append(["unknown refused, %", *(percent(refused.get(k)) for k in keys)])
     title = (

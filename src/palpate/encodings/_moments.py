@@ -156,9 +156,7 @@ def sorted_taxels(images: ArrayLike, *, normalise: bool = False) -> NDArray[np.f
     return np.sort(checked.reshape(len(checked), -1), axis=1)[:, ::-1]
 
 
-def _size(
-    images: NDArray[np.float64], normalise: str | None
-) -> NDArray[np.float64]:
+def _size(images: NDArray[np.float64], normalise: str | None) -> NDArray[np.float64]:
     """What each image is divided by, 1 where that would be 0."""
     if normalise is None:
         return np.ones(len(images))
@@ -206,4 +204,5 @@ def _pattern(n: int, m: int, order: int) -> NDArray[np.complex128]:
             for b in range(m + 1):
                 i_x, i_y = 2 * a + m - b, 2 * (j - a) + b
                 weights[i_x, i_y] += laguerre * comb(j, a) * comb(m, b) * 1j**b
-    return norm * weights
+    weights *= norm
+    return weights

@@ -8,8 +8,9 @@ x points along the columns, y along the rows (downwards in a picture), and the a
 turns from x towards y.
 """
 
-from math import hypot, pi, sqrt
-from typing import Self
+from functools import lru_cache
+from math import hypot, pi
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,7 +29,7 @@ from ._zernike_disc import Disc
 from ._zernike_polynomials import noll_degrees, signed_degrees, zernike_degrees
 from ._zernike_tables import Grid, zernike_moments
 
-# The recurrence has been compared with exact arithmetic as far as this.
+# As far as the recurrence has been compared with exact arithmetic.
 _HIGHEST_ORDER = 100
 
 
@@ -38,8 +39,10 @@ class ZernikeMoments(TransformerMixin, BaseEstimator):
     Parameters
     ----------
     order : int, default=15
-        Highest order n, at most 100. Up to 20 the encoding needs only small tables;
-        above, a basis as large as the images, up to twenty times slower.
+        Highest order n, at most 100. To 20 the encoding needs only small tables.
+        Above, it needs the polynomials at every taxel, is some thirty times slower,
+        and builds them anew in each call where they exceed 256 MB (order 25 at
+        300 x 300 taxels): encode many touches in one call then.
     method : {"exact", "sample"}, default="exact"
         "exact" integrates the polynomials over each taxel's part of the disc;
         "sample" takes them at the taxel centres that lie inside, as most packages do.
@@ -94,8 +97,8 @@ class ZernikeMoments(TransformerMixin, BaseEstimator):
     .. [1] R. J. Noll, "Zernike polynomials and atmospheric turbulence",
        J. Opt. Soc. Am. 66(3), 1976. doi:10.1364/JOSA.66.000207
     .. [2] T. Corradi, P. Hall, P. Iravani, "Tactile features: recognising touch
-       sensations with a novel and inexpensive tactile sensor", TAROS 2014.
-       doi:10.1007/978-3-319-10401-0_15
+       sensations with a novel and inexpensive tactile sensor", TAROS 2014,
+       LNCS 8717. doi:10.1007/978-3-319-10401-0
     .. [3] B. H. Shakibaei, R. Paramesran, "Recursive formula to compute Zernike
        radial polynomials", Opt. Lett. 38(14), 2013. doi:10.1364/OL.38.002487
 
@@ -133,18 +136,21 @@ class ZernikeMoments(TransformerMixin, BaseEstimator):
         self.repeat_negative = repeat_negative
 
     def fit(self, X: ArrayLike, y: object = None) -> Self:
-        """Place the disc in images of the size of `X`; `y` is ignored."""
+        """Place the disc in images of the size of `X`; `y` is ignored.
+
+        Raises
+        ------
+        ValueError
+            If an image has NaN or infinity, a parameter is not one of those listed,
+            or the disc holds no taxel of the frame.
+        """
         images = _real_images(X)
-        order = check_count("order", self.order, at_least=0)
-        if order > _HIGHEST_ORDER:
-            raise ValueError(f"order must be at most {_HIGHEST_ORDER}, got {order}.")
-        check_option("method", self.method, ("exact", "sample"))
-        check_option("weight", self.weight, ("n+1", "noll", "none"))
-        degrees = self._degrees(order)
-        _, n_rows, n_cols = images.shape
-        self._place_disc(n_rows, n_cols)
-        self.image_shape_ = (n_rows, n_cols)
-        self.indices_ = np.array(degrees).reshape(-1, 2)
+        self._check_options()
+        if not all(np.isfinite(image).all() for image in images):
+            check_images(images)
+        self._place_disc(images.shape[1], images.shape[2])
+        self.image_shape_ = (images.shape[1], images.shape[2])
+        self.indices_ = self._layout().degrees.copy()
         return self
 
     def transform(self, X: ArrayLike) -> NDArray:
@@ -152,10 +158,12 @@ class ZernikeMoments(TransformerMixin, BaseEstimator):
 
         NaN or infinity anywhere in an image is refused, inside the disc or not.
         """
-        check_is_fitted(self)
+        check_is_fitted(self, "image_shape_")
         images = _real_images(X, shape=self.image_shape_)
-        exact = self.method == "exact"
-        moments = zernike_moments(images, Grid(self._disc(), self.order, exact))
+        disc = Disc(*self.image_shape_, *self.centre_, self.radius_)
+        moments = zernike_moments(
+            images, Grid(disc, int(self.order), self.method == "exact")
+        )
         if not np.isfinite(moments).all():
             check_images(images)
             raise ValueError(
@@ -166,12 +174,119 @@ class ZernikeMoments(TransformerMixin, BaseEstimator):
 
     def get_feature_names_out(self, input_features: object = None) -> NDArray:
         """Return "zernike<n>,<m>" for each column."""
-        check_is_fitted(self)
+        check_is_fitted(self, "image_shape_")
         return np.array([f"zernike{n},{m}" for n, m in self.indices_], dtype=object)
 
     def __sklearn_tags__(self) -> Tags:
         tags = super().__sklearn_tags__()
         tags.input_tags.two_d_array = False
         tags.input_tags.three_d_array = True
-        tags.requires_fit = True
         return tags
+
+    def _check_options(self) -> None:
+        least = 1 if self.drop_constant else 0
+        if check_count("order", self.order, at_least=least) > _HIGHEST_ORDER:
+            raise ValueError(
+                f"order must be at most {_HIGHEST_ORDER}, got {self.order}."
+            )
+        check_option("method", self.method, ("exact", "sample"))
+        check_option("output", self.output, ("abs", "complex", "noll", "noll_abs"))
+        check_option("weight", self.weight, ("n+1", "noll", "none"))
+        check_option("disc", self.disc, ("inscribed", "circumscribed"))
+        if self.repeat_negative and self.output in ("noll", "noll_abs"):
+            raise ValueError(
+                f"repeat_negative must be False with output={self.output!r}, got "
+                f"{self.repeat_negative!r}. Noll's list already has both signs of m."
+            )
+
+    def _place_disc(self, n_rows: int, n_cols: int) -> None:
+        row, col = _check_centre(self.centre, n_rows, n_cols)
+        inscribed = self.disc == "inscribed"
+        radius = min(n_rows, n_cols) / 2 if inscribed else hypot(n_rows, n_cols) / 2
+        if self.radius is not None:
+            radius = check_positive("radius", self.radius)
+        disc = Disc(n_rows, n_cols, row, col, radius)
+        counted = disc.touches() if self.method == "exact" else disc.holds_centre()
+        if not counted.any():
+            raise ValueError(
+                f"centre and radius must give a disc with taxels of the {n_rows} x "
+                f"{n_cols} frame in it, got centre ({row}, {col}) and radius {radius}."
+                " Both are in taxels, the first taxel's centre at (0, 0)."
+            )
+        self.centre_, self.radius_ = (row, col), radius
+
+    def _layout(self) -> "_Layout":
+        return _layout(
+            int(self.order),
+            self.output in ("noll", "noll_abs"),
+            self.weight,
+            bool(self.drop_constant),
+            bool(self.repeat_negative),
+        )
+
+    def _present(self, moments: NDArray[np.complex128]) -> NDArray:
+        """Weigh the moments of m >= 0 and lay them out as columns."""
+        layout = self._layout()
+        if self.output == "abs":
+            return np.abs(moments).take(layout.columns, axis=1) * layout.weights
+        weighted = moments.take(layout.columns, axis=1) * layout.weights
+        negative = layout.degrees[:, 1] < 0
+        if self.output == "complex":
+            return np.where(negative, weighted.conj(), weighted)
+        parts = np.where(negative, -weighted.imag, weighted.real)
+        return parts if self.output == "noll" else np.abs(parts)
+
+
+class _Layout(NamedTuple):
+    """Degrees of the columns, where they are among m >= 0, and their weights."""
+
+    degrees: NDArray[np.intp]
+    columns: NDArray[np.intp]
+    weights: NDArray[np.float64]
+
+
+@lru_cache(maxsize=32)
+def _layout(
+    order: int, noll: bool, weight: str, drop_constant: bool, repeat_negative: bool
+) -> _Layout:
+    listed = noll_degrees if noll else zernike_degrees
+    if repeat_negative:
+        listed = signed_degrees
+    degrees = np.array(listed(order))[int(drop_constant) :].reshape(-1, 2)
+    n, m = degrees.T
+    # (n + 1)**2 // 4 pairs (n, m >= 0) come before order n.
+    columns = (n + 1) ** 2 // 4 + np.abs(m) // 2
+    weights = {
+        "n+1": (n + 1) / pi,
+        "noll": np.sqrt((n + 1) * np.where(m == 0, 1, 2)) / pi,
+        "none": np.ones(len(n)),
+    }[weight]
+    for array in (degrees, columns, weights):
+        array.flags.writeable = False
+    return _Layout(degrees, columns, weights)
+
+
+def _real_images(X: ArrayLike, shape: tuple[int, int] | None = None) -> NDArray:
+    """Images in the type they have; `check_images` words the refusals.
+
+    It would convert them all to float64 at once, eight times the memory of uint8.
+    """
+    images = np.asarray(X)
+    right_kind = images.dtype.kind in "biuf" and images.ndim == 3
+    right_shape = right_kind and (shape is None or images.shape[1:] == shape)
+    if not right_shape or 0 in images.shape:
+        check_images(images, shape=shape)
+    return images
+
+
+def _check_centre(centre: object, n_rows: int, n_cols: int) -> tuple[float, float]:
+    if centre is None:
+        return (n_rows - 1) / 2, (n_cols - 1) / 2
+    place = np.asarray(centre)
+    if place.shape != (2,):
+        raise ValueError(
+            f"centre must be a pair (row, col) in taxels, got {centre!r}. "
+            "Leave it out for the frame's centre."
+        )
+    row, col = place.tolist()
+    return check_number("centre[0]", row), check_number("centre[1]", col)

@@ -31,12 +31,12 @@ class Disc(NamedTuple):
     @property
     def x(self) -> NDArray[np.float64]:
         """Taxel centres along the columns, in radii."""
-        return (np.arange(self.n_cols) - self.col) / self.radius
+        return (np.arange(self.n_cols, dtype=np.float64) - self.col) / self.radius
 
     @property
     def y(self) -> NDArray[np.float64]:
         """Taxel centres along the rows, in radii."""
-        return (np.arange(self.n_rows) - self.row) / self.radius
+        return (np.arange(self.n_rows, dtype=np.float64) - self.row) / self.radius
 
     def holds_centre(self) -> NDArray[np.bool_]:
         """Taxels whose centre is inside, (n_rows, n_cols)."""
@@ -114,11 +114,12 @@ def cut_chords(disc: Disc, taxels: NDArray[np.intp], order: int) -> Chords:
     span = (order + 2) * np.arccos(max(1 - disc.step, -1)) / 2
     node, weight = leggauss(8 + int(np.ceil(span)))
     middle, reach = (t[:, 1:] + t[:, :-1]) / 2, (t[:, 1:] - t[:, :-1]) / 2
-    angle = (middle[..., None] + reach[..., None] * node).reshape(len(taxels), -1)
+    shape = len(taxels), reach.shape[1] * len(node)
+    angle = (middle[..., None] + reach[..., None] * node).reshape(shape)
     rim = np.cos(angle)
     start = np.maximum(left[:, None], -rim)
     stop = np.maximum(np.minimum(right[:, None], rim), start)
-    weights = (reach[..., None] * weight).reshape(len(taxels), -1) * rim
+    weights = (reach[..., None] * weight).reshape(shape) * rim
     return Chords(np.sin(angle), start, stop, weights)
 
 
@@ -130,5 +131,5 @@ def cut_nodes(disc: Disc, taxels: NDArray[np.intp], order: int, n_nodes: int) ->
     x = (chords.left[..., None] + half) + half * node
     weights = chords.weight[..., None] * half * weight
     y = np.broadcast_to(chords.y[..., None], x.shape)
-    shape = len(taxels), -1
+    shape = len(taxels), x.shape[1] * n_nodes
     return x.reshape(shape), y.reshape(shape), weights.reshape(shape)

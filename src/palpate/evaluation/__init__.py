@@ -3,10 +3,11 @@
 from ._controls import brightness, disc_centres, sorted_pixels, without_contact
 from ._decisions import Decisions, decide_episodes
 from ._episodes import Episodes, Outcome, outcome, run_episodes, single_touches
-from ._evaluate import Plan, Trial, evaluate
+from ._evaluate import evaluate
 from ._metrics import calibration_bins, calibration_error, roc_area
 from ._report import check_report_path, write_report
 from ._splits import SPLITS, Fold, draw_touches, split_by_count, split_touches
+from ._trial import Plan, Trial
 
 __all__ = [
     "SPLITS",

@@ -29,8 +29,11 @@ def disc_centres(touches: Touches) -> Floats | None:
 
 def brightness(touches: Touches) -> Floats:
     """Return mean and standard deviation of each image, (n_touches, 2)."""
-    images = _flat(touches.images)
-    return np.stack([np.nanmean(images, axis=1), np.nanstd(images, axis=1)], axis=1)
+    rows = []
+    for start in range(0, len(touches), BLOCK):
+        block = _flat(touches.images[start : start + BLOCK])
+        rows.append([np.nanmean(block, axis=1), np.nanstd(block, axis=1)])
+    return np.concatenate(rows, axis=1).T
 
 
 def sorted_pixels(touches: Touches) -> Floats:

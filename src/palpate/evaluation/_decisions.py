@@ -56,16 +56,17 @@ def decide_episodes(
         n_orders, n_touches, _ = log_posterior.shape
         unknown = unknown_scores(log_posterior)
         limits = np.array(
-            [recogniser.unknown_threshold(k + 1, refused=error) for k in range(n_touches)]
+            [
+                recogniser.unknown_threshold(k + 1, refused=error)
+                for k in range(n_touches)
+            ]
         )
         refuse = unknown > limits
         stop = refuse | (unknown <= error)
-        decided = stop.any(axis=1)
+        decided = np.asarray(stop.any(axis=1))
         last = np.where(decided, stop.argmax(axis=1), n_touches - 1)
         rows = np.arange(n_orders)
         refused = decided & refuse[rows, last]
         right = log_posterior[rows, last].argmax(axis=1) == truth
-        parts.append(
-            Decisions(last + 1, decided, right & decided & ~refused, refused)
-        )
+        parts.append(Decisions(last + 1, decided, right & decided & ~refused, refused))
     return Decisions.pooled(parts)

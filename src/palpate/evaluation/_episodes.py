@@ -74,7 +74,9 @@ def run_episodes(
 
 
 def single_touches(
-    recogniser: ObjectRecogniser, log_likelihood: Floats, episodes: Episodes,
+    recogniser: ObjectRecogniser,
+    log_likelihood: Floats,
+    episodes: Episodes,
     objects: NDArray,
 ) -> Episodes:
     """Return one episode of one touch for every touch."""
@@ -121,7 +123,10 @@ def outcome(truth: Sequence[int], beliefs: Sequence[Floats]) -> Outcome:
     true_log = everything[np.arange(len(best)), column_of]
     return Outcome(
         accuracy=np.array(
-            [(b.argmax(axis=1) == t).mean() for t, b in zip(truth, beliefs, strict=True)]
+            [
+                (b.argmax(axis=1) == t).mean()
+                for t, b in zip(truth, beliefs, strict=True)
+            ]
         ),
         confidence=np.exp(everything.max(axis=1)),
         hit=best == column_of,

@@ -1,15 +1,15 @@
 """How well a recogniser recognises: one protocol, from touches to figures."""
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import check_count
-from ..recognition import ObjectRecogniser, summary, training_groups
+from ..recognition import ObjectRecogniser, training_groups
 from ..touches import Touches
 from ._controls import (
     brightness,
@@ -18,60 +18,12 @@ from ._controls import (
     sorted_pixels,
     without_contact,
 )
-from ._decisions import Decisions, decide_episodes
-from ._episodes import Episodes, outcome, run_episodes, single_touches
-from ._metrics import calibration_error, roc_area
+from ._episodes import outcome, run_episodes, single_touches
+from ._figures import figures_of
 from ._splits import Fold, draw_touches, split_touches
+from ._trial import Plan, Trial
 
 Progress = Callable[[str], None]
-REFUSED = 0.05
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What is asked of an evaluation.
-
-    Attributes
-    ----------
-    preset, label : str
-        As for `ObjectRecogniser`.
-    touches : tuple of int
-        Numbers of touches after which figures are given.
-    orders : int
-        Random orders of each object's touches.
-    train_touches : int or None
-        Training touches drawn per object; None takes all.
-    error : float
-        Accepted share of wrong decisions, for the stopping rule.
-    floor : float or None
-        As for `ObjectRecogniser`.
-    seed : int
-        Seed of every draw.
-    """
-
-    preset: str = "default"
-    label: str = "object"
-    touches: tuple[int, ...] = (1, 5, 15, 30)
-    orders: int = 20
-    train_touches: int | None = None
-    error: float = 0.01
-    floor: float | None = None
-    seed: int = 0
-
-
-@dataclass
-class Trial:
-    """One fold, learnt and tested: what the figures and the report are made of."""
-
-    fold: Fold
-    recogniser: ObjectRecogniser
-    log_likelihood: NDArray
-    singles: Episodes
-    episodes: Episodes
-    unknown_singles: Episodes | None
-    unknown_episodes: Episodes | None
-    seconds: dict[str, float]
-    controls: dict[str, dict[str, float] | None] = field(default_factory=dict)
 
 
 def evaluate(
@@ -114,9 +66,9 @@ def evaluate(
     check_count("orders", plan.orders)
     folds = _folds(train, test, split)
     if split == "unseen-objects":
-        plan = Plan(**{**plan.__dict__, "label": "category"})
+        plan = replace(plan, label="category")
     trials = [_run(fold, unknown, plan, progress) for fold in folds]
-    return _figures(trials, plan, split), trials
+    return figures_of(trials, plan, split), trials
 
 
 def _folds(train: Touches, test: Touches | None, split: str | None) -> list[Fold]:
@@ -152,8 +104,14 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     )
     singles = single_touches(recogniser, log_likelihood, episodes, objects)
     trial = Trial(
-        Fold(fold.name, train, test), recogniser, log_likelihood, singles, episodes,
-        None, None, {**seconds, **timing},
+        Fold(fold.name, train, test),
+        recogniser,
+        log_likelihood,
+        singles,
+        episodes,
+        None,
+        None,
+        {**seconds, **timing},
     )
     if unknown is not None:
         progress(f"{fold.name}: meeting {len(unknown)} unknown touches")
@@ -257,95 +215,4 @@ def _curve(
         truth, beliefs = (singles if k == 1 else episodes).after(k)
         if truth:
             result[str(k)] = float(outcome(truth, beliefs).accuracy.mean())
-    return result
-
-
-def _figures(trials: Sequence[Trial], plan: Plan, split: str | None) -> dict[str, Any]:
-    first = trials[0].recogniser
-    figures: dict[str, Any] = {
-        **{k: v for k, v in summary(first).items() if k != "labels"},
-        "split": split,
-        "n_folds": len(trials),
-        "n_train_touches": sum(len(t.fold.train) for t in trials) // len(trials),
-        "n_test_touches": sum(len(t.fold.test) for t in trials),
-        "chance": 1 / len(first.classes_),
-        "orders": plan.orders,
-        "seed": plan.seed,
-    }
-    for name in ("accuracy", "accuracy_sd", "n_objects", "log_loss", "ece"):
-        figures[name] = {}
-    for k in plan.touches:
-        _figures_after(k, trials, figures)
-    if trials[0].unknown_episodes is not None:
-        figures["unknown_auroc"], figures["unknown_refused"] = _unknown(trials, plan)
-    decisions = [decide_episodes(t.recogniser, t.episodes, plan.error) for t in trials]
-    figures["decision"] = Decisions.pooled(decisions).figures(plan.error)
-    figures["controls"] = _mean_controls(trials)
-    figures["seconds"] = {
-        name: float(np.mean([t.seconds[name] for t in trials]))
-        for name in trials[0].seconds
-    }
-    return figures
-
-
-def beliefs_after(
-    trial: Trial, k: int, *, unknown: bool = False
-) -> tuple[list, list]:
-    """Return true columns and log posteriors of a trial after `k` touches."""
-    singles = trial.unknown_singles if unknown else trial.singles
-    episodes = trial.unknown_episodes if unknown else trial.episodes
-    assert singles is not None
-    assert episodes is not None
-    return (singles if k == 1 else episodes).after(k)
-
-
-def _figures_after(k: int, trials: Sequence[Trial], figures: dict[str, Any]) -> None:
-    scored = [beliefs_after(trial, k) for trial in trials]
-    results = [outcome(truth, beliefs) for truth, beliefs in scored if truth]
-    if not results:
-        return
-    per_fold = [r.accuracy.mean() for r in results]
-    over_objects = np.concatenate([r.accuracy for r in results])
-    confidence = np.concatenate([r.confidence for r in results])
-    hit = np.concatenate([r.hit for r in results])
-    key = str(k)
-    figures["accuracy"][key] = float(np.mean(per_fold))
-    spread = over_objects if len(results) == 1 else np.array(per_fold)
-    figures["accuracy_sd"][key] = float(spread.std())
-    figures["n_objects"][key] = len(over_objects)
-    figures["log_loss"][key] = float(np.mean(np.concatenate([r.log_loss for r in results])))
-    figures["ece"][key] = calibration_error(confidence, hit)
-
-
-def _unknown(
-    trials: Sequence[Trial], plan: Plan
-) -> tuple[dict[str, float], dict[str, float]]:
-    area, refused = {}, {}
-    for k in plan.touches:
-        areas, shares = [], []
-        for trial in trials:
-            known, strange = beliefs_after(trial, k)[1], beliefs_after(trial, k, unknown=True)
-            if not known or not strange[1]:
-                continue
-            above = outcome(*strange).unknown
-            below = outcome([0] * len(known), known).unknown
-            areas.append(roc_area(below, above))
-            limit = trial.recogniser.unknown_threshold(k, refused=REFUSED)
-            shares.append(float((above > limit).mean()))
-        if areas:
-            area[str(k)], refused[str(k)] = float(np.mean(areas)), float(np.mean(shares))
-    return area, refused
-
-
-def _mean_controls(trials: Sequence[Trial]) -> dict[str, dict[str, float] | None]:
-    result: dict[str, dict[str, float] | None] = {}
-    for name in trials[0].controls:
-        curves = [c for t in trials if (c := t.controls[name]) is not None]
-        if not curves:
-            result[name] = None
-            continue
-        keys = dict.fromkeys(k for curve in curves for k in curve)
-        result[name] = {
-            k: float(np.mean([c[k] for c in curves if k in c])) for k in keys
-        }
     return result

@@ -1,4 +1,7 @@
-"""The pictures of a report, as SVG text and PNG data; matplotlib is the extra `plot`."""
+"""The pictures of a report, as SVG text and PNG data.
+
+matplotlib is the extra `plot`, imported where it is used.
+"""
 
 import base64
 import io
@@ -31,31 +34,50 @@ def accuracy_curve(figures: dict[str, Any], curve: NDArray, spread: NDArray) -> 
 
     `curve` and `spread` hold mean and standard deviation after 1, 2, 3... touches.
     """
-    figure, axes = _figure(6.4, 4.0)
+    figure, axes = _figure(5.7, 3.7)
     touches = np.arange(1, len(curve) + 1)
     low, high = np.clip(curve - spread, 0, 1), np.clip(curve + spread, 0, 1)
     axes.fill_between(touches, 100 * low, 100 * high, color=OURS, alpha=0.15, lw=0)
     axes.plot(touches, 100 * curve, color=OURS, lw=2.2, label=figures["preset"])
-    for colour, (name, control) in zip(CONTROLS, figures["controls"].items(), strict=False):
+    for colour, (name, control) in zip(
+        CONTROLS, figures["controls"].items(), strict=False
+    ):
         if control:
             label = "without contact" if name == "no contact" else f"{name} alone"
             points = [(int(k), 100 * v) for k, v in control.items()]
-            axes.plot(*zip(*points, strict=True), "o--", color=colour, ms=4, lw=1, label=label)
+            axes.plot(
+                *zip(*points, strict=True), "o--", color=colour, ms=4, lw=1, label=label
+            )
     axes.axhline(100 * figures["chance"], color=INK, lw=0.8, ls=":", label="chance")
-    axes.set(xlabel="touches", ylabel="right, %", ylim=(0, 101), xlim=(1, max(2, len(curve))))
+    axes.set(
+        xlabel="touches", ylabel="right, %", ylim=(0, 101), xlim=(1, max(2, len(curve)))
+    )
     axes.legend(frameon=False, loc="center right", fontsize=8)
     return _svg(figure)
 
 
 def calibration_plot(bins: dict[str, tuple[NDArray, NDArray, NDArray]]) -> str:
     """Return share right against belief, one line per number of touches."""
-    figure, axes = _figure(4.2, 4.0)
+    figure, axes = _figure(3.9, 3.7)
     axes.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
     shades = np.linspace(0.35, 1.0, max(1, len(bins)))
     for shade, (name, (means, shares, _)) in zip(shades, bins.items(), strict=True):
-        axes.plot(means, shares, "o-", color=OURS, alpha=float(shade), ms=4, lw=1.4,
-                  label=f"after {name}")
-    axes.set(xlabel="belief in the best", ylabel="share right", xlim=(0, 1.01), ylim=(0, 1.01))
+        axes.plot(
+            means,
+            shares,
+            "o-",
+            color=OURS,
+            alpha=float(shade),
+            ms=4,
+            lw=1.4,
+            label=f"after {name}",
+        )
+    axes.set(
+        xlabel="belief in the best",
+        ylabel="share right",
+        xlim=(0, 1.01),
+        ylim=(0, 1.01),
+    )
     axes.legend(frameon=False, fontsize=8)
     return _svg(figure)
 
@@ -64,16 +86,24 @@ def confusion_plot(confusion: NDArray, names: Sequence[str]) -> str:
     """Return the share of answers (columns) per true label (rows)."""
     size = min(11.0, 2.6 + 0.33 * len(names))
     figure, axes = _figure(size + 0.8, size)
+    shown = [name.replace("$", r"\$") for name in names]  # no formulas
     axes.imshow(confusion, cmap="GnBu", vmin=0, vmax=1)
     small = max(4.5, 9 - 0.08 * len(names))
-    axes.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=small)
-    axes.set_yticks(range(len(names)), names, fontsize=small)
+    axes.set_xticks(range(len(names)), shown, rotation=60, ha="right", fontsize=small)
+    axes.set_yticks(range(len(names)), shown, fontsize=small)
     axes.set(xlabel="recognised as", ylabel="touched")
     if len(names) <= 20:
         for row, column in np.argwhere(confusion >= 0.005):
             share = confusion[row, column]
-            axes.text(column, row, f"{100 * share:.0f}", ha="center", va="center",
-                      fontsize=small - 1, color="white" if share > 0.6 else INK)
+            axes.text(
+                column,
+                row,
+                f"{100 * share:.0f}",
+                ha="center",
+                va="center",
+                fontsize=small - 1,
+                color="white" if share > 0.6 else INK,
+            )
     return _svg(figure)
 
 

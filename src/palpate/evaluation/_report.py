@@ -10,22 +10,24 @@ from numpy.typing import NDArray
 
 from . import _plots
 from ._episodes import outcome
-from ._evaluate import Trial, beliefs_after
 from ._metrics import calibration_bins
+from ._trial import Trial
 
 EXAMPLES = 6
 PAIRS = 5
 PICTURES_PER_PAIR = 4
 STYLE = """
-body{font:15px/1.5 system-ui,sans-serif;color:#1f2933;max-width:62rem;margin:2rem auto;
-padding:0 1rem}h1{font-size:1.6rem}h2{font-size:1.15rem;margin-top:2.2rem}
-table{border-collapse:collapse}td,th{padding:.15rem .7rem;text-align:right;
-border-bottom:1px solid #dde3e8}td:first-child,th:first-child{text-align:left}
+body{font:15px/1.5 system-ui,sans-serif;color:#1f2933;background:#fff;
+max-width:62rem;margin:2rem auto;padding:0 1rem}
+h1{font-size:1.6rem}h2{font-size:1.15rem;margin-top:2.2rem}
+table{border-collapse:collapse}
+td,th{padding:.15rem .7rem;text-align:right;border-bottom:1px solid #dde3e8}
+td:first-child,th:first-child{text-align:left}
 .row{display:flex;flex-wrap:wrap;gap:1.5rem;align-items:flex-start}
-.touches img{height:84px;border-radius:4px;margin:2px}.name{width:13rem;
-overflow-wrap:anywhere}.line{display:flex;align-items:center;border-bottom:1px solid #eef1f4}
+.line{display:flex;align-items:center;border-bottom:1px solid #eef1f4}
+.name{width:13rem;overflow-wrap:anywhere}
+.touches img{height:84px;border-radius:4px;margin:2px}
 .note{color:#5a6572}svg{max-width:100%;height:auto}
-@media(prefers-color-scheme:dark){body{background:#fff}}
 """
 
 
@@ -80,8 +82,9 @@ def _head(figures: dict[str, Any]) -> str:
     chosen = figures["chosen"]
     return (
         f"<h1>Recognising {figures['n_labels']} {figures['label']} labels by touch</h1>"
-        f"<p>Preset <b>{escape(figures['preset'])}</b>, {figures['n_train_touches']} "
-        f"training and {figures['n_test_touches']} test touches ({escape(how)}{folds}), "
+        f"<p>Preset <b>{escape(figures['preset'])}</b>, "
+        f"{figures['n_train_touches']} training and {figures['n_test_touches']} "
+        f"test touches ({escape(how)}{folds}), "
         f"{figures['orders']} random orders of each object's touches.<br>"
         f"<span class=note>Encoding: {escape(str(chosen['encoding']))} "
         f"({escape(str(chosen['why']))}; geometry {escape(str(chosen['geometry']))})."
@@ -94,7 +97,7 @@ def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     plot = _plots.accuracy_curve(figures, curve, spread)
     bins = {}
     for k in map(int, figures["accuracy"]):
-        scored = [outcome(*beliefs_after(t, k)) for t in trials if beliefs_after(t, k)[0]]
+        scored = [outcome(*t.after(k)) for t in trials if t.after(k)[0]]
         bins[str(k)] = calibration_bins(
             np.concatenate([s.confidence for s in scored]),
             np.concatenate([s.hit for s in scored]),
@@ -135,10 +138,12 @@ def _table(figures: dict[str, Any]) -> str:
 def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     k = [int(key) for key in figures["accuracy"]][min(1, len(figures["accuracy"]) - 1)]
     names = [str(name) for name in trials[0].recogniser.classes_]
-    parts = [outcome(*beliefs_after(t, k)).confusion for t in trials if beliefs_after(t, k)[0]]
+    parts = [outcome(*t.after(k)).confusion for t in trials if t.after(k)[0]]
     confusion = np.mean(parts, axis=0)
     pairs = _confused_pairs(confusion)
-    shown = "".join(_pair(names, row, column, confusion, trials) for row, column in pairs)
+    shown = "".join(
+        _pair(names, row, column, confusion, trials) for row, column in pairs
+    )
     nothing = "<p>No label was ever taken for another.</p>"
     return (
         f"<h2>What is taken for what, after {k} touches</h2>"
@@ -153,7 +158,9 @@ def _confused_pairs(confusion: NDArray) -> list[tuple[int, int]]:
     np.fill_diagonal(off, 0)
     order = np.argsort(off, axis=None)[::-1][:PAIRS]
     rows, columns = np.unravel_index(order, off.shape)
-    return [(int(r), int(c)) for r, c in zip(rows, columns, strict=True) if off[r, c] > 0]
+    return [
+        (int(r), int(c)) for r, c in zip(rows, columns, strict=True) if off[r, c] > 0
+    ]
 
 
 def _pair(
@@ -161,7 +168,8 @@ def _pair(
 ) -> str:
     share = f"{100 * confusion[row, column]:.0f} %"
     cells = "".join(
-        f"<div><div class=touches>{_pictures(trials, names[i], PICTURES_PER_PAIR)}</div>"
+        "<div><div class=touches>"
+        f"{_pictures(trials, names[i], PICTURES_PER_PAIR)}</div>"
         f"<span class=note>{escape(names[i])}</span></div>"
         for i in (row, column)
     )
@@ -186,7 +194,9 @@ def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:
     some = rows[np.unique(np.linspace(0, len(rows) - 1, count).astype(int))]
     cleaned = trial.recogniser.encoder_.clean(trial.fold.train[some])
     alt = escape(f"touch of {name}")
-    return "".join(f"<img src='{_plots.picture(image)}' alt='{alt}'>" for image in cleaned)
+    return "".join(
+        f"<img src='{_plots.picture(image)}' alt='{alt}'>" for image in cleaned
+    )
 
 
 def _curve(trials: Sequence[Trial]) -> tuple[NDArray, NDArray]:
@@ -197,7 +207,7 @@ def _curve(trials: Sequence[Trial]) -> tuple[NDArray, NDArray]:
     shortest = min(b.shape[1] for trial in trials for b in trial.episodes.beliefs)
     mean, spread = np.empty(shortest), np.empty(shortest)
     for k in range(1, shortest + 1):
-        accuracy = [outcome(*beliefs_after(t, k)).accuracy for t in trials]
+        accuracy = [outcome(*t.after(k)).accuracy for t in trials]
         per_fold = np.array([a.mean() for a in accuracy])
         mean[k - 1] = per_fold.mean()
         spread[k - 1] = accuracy[0].std() if len(trials) == 1 else per_fold.std()

@@ -1,16 +1,37 @@
 """Images made cleaner: arrays, camera domes, orientation and calibration."""
 
+from ._array import ArrayCleanUp, correct_gamma, filter_noise, resize, stage_pictures
+from ._calibration import TaxelCalibration
+from ._dead_taxels import DeadTaxelFiller, fill_dead_taxels
 from ._dome import DomeCrop, crop_discs, disc_mask, standardise_discs
+from ._otsu import binarise, otsu_threshold
+from ._outline_pose import Poses, press_pose
+from ._press_pose import PressPose
+from ._repose import repose
 from ._rim import Circle, Rims, find_rim, find_rims, typical_rim
 
 __all__ = [
+    "ArrayCleanUp",
     "Circle",
+    "DeadTaxelFiller",
     "DomeCrop",
+    "Poses",
+    "PressPose",
     "Rims",
+    "TaxelCalibration",
+    "binarise",
+    "correct_gamma",
     "crop_discs",
     "disc_mask",
+    "fill_dead_taxels",
+    "filter_noise",
     "find_rim",
     "find_rims",
+    "otsu_threshold",
+    "press_pose",
+    "repose",
+    "resize",
+    "stage_pictures",
     "standardise_discs",
     "typical_rim",
 ]

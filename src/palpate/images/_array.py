@@ -123,9 +123,7 @@ class ArrayCleanUp(TransformerMixin, BaseEstimator):
         return tags
 
 
-def resize(
-    images: ArrayLike, shape: tuple[int, int] = (33, 33)
-) -> NDArray[np.float64]:
+def resize(images: ArrayLike, shape: tuple[int, int] = (33, 33)) -> NDArray[np.float64]:
     """Resize images by linear interpolation between taxel centres.
 
     Pixels are squares that tile the same field as the taxels; beyond the outermost
@@ -220,7 +218,10 @@ def stage_pictures(
     """
     chain = ArrayCleanUp() if clean_up is None else clean_up
     raw = check_images(np.asarray(image)[np.newaxis], allow_nan=True)
-    stages = {"raw": raw, "filled": fill_dead_taxels(raw, dead=chain.dead)}
+    stages: dict[str, NDArray] = {
+        "raw": raw,
+        "filled": fill_dead_taxels(raw, dead=chain.dead),
+    }
     stages["resized"] = resize(stages["filled"], chain.shape)
     stages["gamma"] = correct_gamma(stages["resized"], chain.gamma)
     stages["filtered"] = filter_noise(stages["gamma"], chain.n_sd)
@@ -234,9 +235,7 @@ def stage_pictures(
 def _check_shape(shape: object) -> tuple[int, int]:
     sides = list(shape) if isinstance(shape, Iterable) else []
     if len(sides) != 2:
-        raise ValueError(
-            f"shape must be two integers (n_rows, n_cols), got {shape!r}."
-        )
+        raise ValueError(f"shape must be two integers (n_rows, n_cols), got {shape!r}.")
     return check_count("shape[0]", sides[0]), check_count("shape[1]", sides[1])
 
 

@@ -49,9 +49,9 @@ def fit_taxels(readings: Floats, loads: Floats, least_gain: float) -> dict[str, 
     typical = np.median(alive) if len(alive) else np.inf
     dead = silent | (gain <= 0) | (gain < least_gain * typical)
     dead |= gain * span < 5 * noise
-    return {
-        name: np.where(dead, np.nan, value) for name, value in learnt.items()
-    } | {"dead": dead}
+    return {name: np.where(dead, np.nan, value) for name, value in learnt.items()} | {
+        "dead": dead
+    }
 
 
 def _median(values: Floats) -> Floats:

@@ -78,7 +78,9 @@ def _bad(path: str | Path, reason: str) -> ValueError:
 
 
 def _to_lists(values: NDArray[np.float64]) -> list[Any]:
-    lists: list[Any] = np.where(np.isfinite(values), values, None).tolist()
+    objects = values.astype(object)
+    objects[~np.isfinite(values)] = None
+    lists: list[Any] = objects.tolist()
     return lists
 
 

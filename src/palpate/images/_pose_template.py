@@ -6,6 +6,7 @@ turns look the same is settled on presses that the template has not seen.
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from ._pose_register import OVERSAMPLING, fit_planes, refine, register, render
 from ._repose import interpolate, repose
@@ -46,7 +47,7 @@ def learn_template(
     template = symmetrise(_average(images[:1], first), symmetry)
     poses = first
     for _ in range(_N_ROUNDS):
-        poses, _, _ = register(images, template, centres, symmetry)
+        poses, _ = register(images, template, centres, symmetry)
         template = improve(images, poses, symmetry)
     return template, poses
 
@@ -106,11 +107,29 @@ def symmetrise(template: Floats, symmetry: int) -> Floats:
     return mean
 
 
+def template_angle(template: Floats, centroid: Floats, symmetry: int) -> float:
+    """Direction in degrees in which the template reaches farthest, 0 for a disc."""
+    if symmetry == 0:
+        return 0.0
+    half = (len(template) - 1) / 2
+    grid = (np.arange(len(template)) - half) / OVERSAMPLING
+    u = (grid - centroid[0]) + 1j * (grid - centroid[1])[:, None]
+    shape = template > template.max() / 2
+    wave = np.abs(u) ** 2 * np.exp(1j * symmetry * np.angle(u))
+    return float(np.rad2deg(np.angle(wave[shape].sum())) / symmetry)
+
+
 def _average(images: Floats, poses: Floats) -> Floats:
+    """Mean of the presses, turned back; places none has reached copy the nearest.
+
+    Were they empty, a bar longer than the array would seem to end there.
+    """
     weight = _pull(np.ones_like(images), poses).sum(axis=0)
     total = _pull(images, poses).sum(axis=0)
-    # Places that hardly any press has covered are left empty.
-    return np.where(weight > 0.02 * len(images), total / np.maximum(weight, 1e-9), 0.0)
+    reached = weight > 0.02 * len(images)
+    nearest = distance_transform_edt(~reached, return_indices=True)[1]
+    mean: Floats = (total / np.maximum(weight, 1e-9))[tuple(nearest)]
+    return mean
 
 
 def _pull(images: Floats, poses: Floats) -> Floats:
@@ -154,7 +173,7 @@ def _unseen_error(
     """Error on the unseen half of a template learnt on the other."""
     template, poses = learnt
     template = symmetrise(template, symmetry)
-    poses, _, _ = refine(images[seen], template, poses, symmetry)
+    poses, _ = refine(images[seen], template, poses, symmetry)
     template = improve(images[seen], poses, symmetry)
-    _, _, errors = register(images[~seen], template, centres[~seen], symmetry)
+    _, errors = register(images[~seen], template, centres[~seen], symmetry)
     return float(errors.sum())

@@ -147,8 +147,14 @@ def interpolate(
     first, weigh = _TAPS[interpolation]
     weights = weigh(exact - base)
     n_taps = len(weights)
-    rows = [_tap(base[0] + first + i, weights[i, 0], images, 1, edges) for i in range(n_taps)]
-    cols = [_tap(base[1] + first + i, weights[i, 1], images, 2, edges) for i in range(n_taps)]
+    rows = [
+        _tap(base[0] + first + i, weights[i, 0], images, 1, edges)
+        for i in range(n_taps)
+    ]
+    cols = [
+        _tap(base[1] + first + i, weights[i, 1], images, 2, edges)
+        for i in range(n_taps)
+    ]
     touch = np.arange(len(images)).reshape(-1, *[1] * (where.ndim - 2))
     starts = touch * images[0].size
     levels, result = images.ravel(), np.zeros(where.shape[1:])

@@ -4,8 +4,8 @@ The dome ends in a rim: a sharp, round edge towards a surround that is brighter 
 darker. The camera shifts between touches and within a recording, so the centre is
 found anew in every image; the radius is a constant of the device and is held near
 a known one where there is one. Nothing holds the centre: a shifted image gives a
-shifted rim. The frame may cut the circle, as long as a fifth of it is seen and the
-edges do not all lie on one side.
+shifted rim. The frame may cut the circle, as long as a fifth of it is seen; what is
+seen on one side alone must be nearly free of gaps.
 
 Rows grow downwards; pixel centres are at whole numbers, so that an image of n rows
 reaches from -0.5 to n - 0.5.
@@ -24,7 +24,8 @@ from ._rim_fit import Fit
 
 SMALLEST_SIDE = 40
 RADII = (0.25, 0.8)
-MIN_SUPPORT, MIN_ARC, MIN_BALANCE = 0.65, 0.2, 0.2
+MIN_SUPPORT, MIN_ARC, MIN_BALANCE = 0.65, 0.2, 0.12
+ONE_SIDED, ONE_SIDED_SUPPORT = 0.2, 0.9
 FREE_RADIUS, FREE_CENTRE = 0.03, 0.5
 N_TYPICAL = 64
 
@@ -263,6 +264,7 @@ def _is_rim(fit: Fit, shape: tuple[int, int], near: Circle | None) -> bool:
             return False
     elif not 0.9 * RADII[0] < radius / min(shape) < 1.1 * RADII[1]:
         return False
+    needed = ONE_SIDED_SUPPORT if fit.balance < ONE_SIDED else MIN_SUPPORT
     in_frame = 0 <= row <= shape[0] - 1 and 0 <= col <= shape[1] - 1
-    seen = fit.support >= MIN_SUPPORT and fit.arc >= MIN_ARC
+    seen = fit.support >= needed and fit.arc >= MIN_ARC
     return in_frame and seen and fit.balance >= MIN_BALANCE

@@ -1,16 +1,25 @@
 """Fit one circle to the edge where a camera's view of its dome ends.
 
 Two steps. Edge points of a reduced image vote along their gradient for the centres
-of circles through them (a Hough transform), which needs no starting point. Then the
-grey levels along rays across the best circles give one edge a ray, to a fraction of
-a pixel, and a circle is fitted to these edges by Tukey's biweight, so that contacts,
+of circles through them [1]_, which needs no starting point. Then the grey levels
+along rays across the best circles give one edge a ray, to a fraction of a pixel, and
+a circle is fitted to these edges by Tukey's biweight [2]_, so that contacts,
 highlights and dirt that cross the rim count little.
 
 Rows grow downwards and pixel centres are at whole numbers. A circle is a triple
 (row, col, radius) in pixels of the image; `sign` is +1 where the surround is brighter
 than the dome, -1 where it is darker.
+
+References
+----------
+.. [1] C. Kimme, D. Ballard, J. Sklansky, "Finding circles by an array of
+   accumulators", Commun. ACM 18(2), 1975. doi:10.1145/360666.360677
+.. [2] P. W. Holland, R. E. Welsch, "Robust regression using iteratively reweighted
+   least-squares", Commun. Stat. Theory Methods 6(9), 1977.
+   doi:10.1080/03610927708827533
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import cv2
@@ -26,6 +35,7 @@ HALF_WIDTH = 0.1
 BIWEIGHT = 4.685
 MIN_EDGES = 12
 HOLD = 0.003
+TOLERANCE, SHARP = 0.012, 1.8
 
 _ANGLE = 2 * np.pi * np.arange(N_RAYS) / N_RAYS
 _SIN, _COS = np.sin(_ANGLE).astype(np.float32), np.cos(_ANGLE).astype(np.float32)
@@ -47,8 +57,8 @@ class Fit(NamedTuple):
 
     @property
     def evidence(self) -> float:
-        """Rays that support the circle beyond those that do not, for comparing."""
-        return self.support * min(self.arc, 0.75) ** 0.5
+        """What to choose among circles by: the rim encloses all that touches it."""
+        return self.support * self.arc**0.5 * self.circle[2]
 
 
 def reduce(image: NDArray) -> tuple[NDArray[np.uint8], int]:
@@ -71,31 +81,28 @@ def vote(
     *,
     n_best: int,
     near: Triple | None = None,
-) -> list[tuple[Triple, int]]:
-    """Return the likeliest (circle, sign), best first, in pixels of `small`.
+) -> Iterator[tuple[Triple, int]]:
+    """Yield the likeliest (circle, sign), best first, in pixels of `small`.
 
     `near` is (row, col, distance): the centre is sought no further from there.
     """
     points = _edge_points(small)
     if points is None:
-        return []
+        return
     cell = 2.0 if len(radii) == 1 else 3.0
     votes = _accumulate(points, radii, small.shape, cell)
     if near is not None:
-        row, col = np.ogrid[: votes.shape[0], : votes.shape[1]]
-        far = np.hypot(row * cell - near[0], col * cell - near[1]) > near[2]
-        votes[far] = 0
-    found: list[tuple[Triple, int]] = []
+        down = cell * np.arange(votes.shape[0], dtype=np.float32) - near[0]
+        right = cell * np.arange(votes.shape[1], dtype=np.float32) - near[1]
+        close = down[:, np.newaxis] ** 2 + right**2 <= near[2] ** 2
+        votes *= close[..., np.newaxis, np.newaxis]
     for _ in range(n_best):
-        r, c, s, k = np.unravel_index(int(votes.argmax()), votes.shape)
+        r, c, s, k = (int(i) for i in np.unravel_index(votes.argmax(), votes.shape))
         if votes[r, c, s, k] <= 0:
-            break
-        circle = (float(r * cell), float(c * cell), float(radii[k]))
-        found.append((circle, 1 - 2 * int(s)))
-        votes[
-            max(0, r - 3) : r + 4, max(0, c - 3) : c + 4, :, max(0, k - 2) : k + 3
-        ] = 0
-    return found
+            return
+        yield (r * cell, c * cell, float(radii[k])), 1 - 2 * s
+        rows, cols = slice(max(0, r - 3), r + 4), slice(max(0, c - 3), c + 4)
+        votes[rows, cols, :, max(0, k - 2) : k + 3] = 0
 
 
 def refine(
@@ -103,9 +110,9 @@ def refine(
 ) -> Fit | None:
     """Fit the circle near `start` to sub-pixel edges; None where there are too few.
 
-    With `radius`, the radius is held near it, as strongly as if two thirds of the
-    evidence said so: the deviations of a real rim from a circle are systematic, so
-    that their number does not make a free radius better.
+    With `radius`, the radius is held as if known to 0.3 %, against edges whose errors
+    are all of one cause: a real rim strays from a circle by a pixel or two whatever
+    the number of rays.
     """
     rays = _Rays(image, start, sign)
     if len(rays) < MIN_EDGES:
@@ -125,8 +132,8 @@ def refine(
 def _edge_points(small: NDArray[np.uint8]) -> NDArray[np.float32] | None:
     """Return row, col and unit gradient (row, col) of the strongest edge points.
 
-    The threshold is three times the median gradient, which noise alone sets; the
-    floor, one per cent of the grey levels' range a pixel, passes flat images.
+    The threshold is about three times the median gradient, which noise alone sets,
+    and at least one per cent of the grey levels' range a pixel.
     """
     smooth = cv2.GaussianBlur(small, (5, 5), 1.0, borderType=cv2.BORDER_REPLICATE)
     dx, dy = cv2.spatialGradient(smooth)
@@ -236,8 +243,8 @@ class _Rays:
         seen &= (y <= self.bottom - 1) & (x <= self.right - 1)
         n_seen = max(int(np.count_nonzero(seen)), 1)
         residual, outward = _residuals(circle, edges)
-        tolerance = max(0.012 * circle[2], 0.5)
-        good = (np.abs(residual) < tolerance) & (edges[2] > 1.8 * edges[3])
+        tolerance = max(TOLERANCE * circle[2], 0.5)
+        good = (np.abs(residual) < tolerance) & (edges[2] > SHARP * edges[3])
         good &= seen[edges[4].astype(np.intp)]
         on_circle = outward[:2, good]
         spread = on_circle @ on_circle.T / max(on_circle.shape[1], 1)
@@ -277,7 +284,7 @@ def _weights(residual: NDArray, edges: NDArray) -> tuple[NDArray, float]:
     middle = len(size) // 2
     scale = max(1.4826 * float(np.partition(size, middle)[middle]), 0.15)
     inner = np.maximum(1 - (residual / (BIWEIGHT * scale)) ** 2, 0)
-    trust = np.minimum(edges[2] / (edges[3].mean()), 4.0)
+    trust = np.minimum(edges[2] / edges[3].mean(), 4.0)
     return inner * inner * trust, scale
 
 

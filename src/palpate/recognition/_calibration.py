@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from sklearn.base import clone
-from sklearn.model_selection import GroupKFold
 
 from ._sequence import Floats, Trust, log_posteriors, unknown_scores
 
@@ -55,10 +54,12 @@ def left_out_log_likelihood(
         known: Floats = classifier.left_out_log_likelihood()
         return known
     result = np.full((len(features), len(classifier.classes_)), -np.inf)
-    folds = min(N_STRETCHES, len(np.unique(group)))
     # Stretch k of every object goes into fold k, so each fold keeps all objects.
-    fold_of = _rank_within(labels, group) % folds
-    for train, test in GroupKFold(folds).split(features, groups=fold_of):
+    fold_of = _rank_within(labels, group) % N_STRETCHES
+    for fold in np.unique(fold_of):
+        train, test = np.flatnonzero(fold_of != fold), np.flatnonzero(fold_of == fold)
+        if len(np.unique(labels[train])) < 2:
+            continue
         again = clone(classifier).fit(features[train], labels[train])
         columns = np.searchsorted(classifier.classes_, again.classes_)
         result[np.ix_(test, columns)] = touch_log_likelihood(again, features[test])

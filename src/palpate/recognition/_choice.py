@@ -46,13 +46,18 @@ def choose_encoder(
     some = np.unique(np.linspace(0, len(labels) - 1, AT_MOST).astype(int))
     fold = _folds(group[some])
     results = {
-        name: _try(encoder, preset.classifier(), touches[some], labels[some], fold, seed)
+        name: _try(
+            encoder, preset.classifier(), touches[some], labels[some], fold, seed
+        )
         for name, encoder in candidates.items()
     }
     best = min(results, key=lambda name: results[name]["log_loss"])
     why = "least log loss on touches left out, turned, shifted and re-exposed"
     return candidates[best], {
-        **chosen, "encoding": best, "why": why, "candidates": results
+        **chosen,
+        "encoding": best,
+        "why": why,
+        "candidates": results,
     }
 
 

@@ -11,6 +11,7 @@ from ..images import DomeCrop
 from ..touches import Touches
 
 Floats = NDArray[np.float64]
+BLOCK = 256
 
 
 class TouchEncoder(BaseEstimator):
@@ -51,7 +52,7 @@ class TouchEncoder(BaseEstimator):
         self.steps_ = [clone(step) for step in self.steps]
         values = self.clean(touches)
         for step in self.steps_:
-            values = step.fit(values).transform(values)
+            values = _in_blocks(step.fit(values), values)
         return np.asarray(values, dtype=np.float64)
 
     def clean(self, touches: Touches) -> NDArray:
@@ -59,14 +60,13 @@ class TouchEncoder(BaseEstimator):
         self._check_size(touches)
         if self.clean_up_ is None:
             return touches.images
-        cleaned: NDArray = self.clean_up_.transform(touches.images)
-        return cleaned
+        return _in_blocks(self.clean_up_, touches.images)
 
     def encode(self, cleaned: NDArray) -> Floats:
         """Return the features of images that were cleaned already."""
         values = cleaned
         for step in self.steps_:
-            values = step.transform(values)
+            values = _in_blocks(step, values)
         return np.asarray(values, dtype=np.float64)
 
     def transform(self, touches: Touches) -> Floats:
@@ -81,3 +81,9 @@ class TouchEncoder(BaseEstimator):
                 f"taxels like the training touches, got {got[0]} x {got[1]}. "
                 "Use the same sensor and resolution, or learn again."
             )
+
+
+def _in_blocks(step: Any, values: NDArray) -> NDArray:
+    """Transform so many touches at a time that memory stays bounded."""
+    starts = range(0, len(values), BLOCK)
+    return np.concatenate([step.transform(values[s : s + BLOCK]) for s in starts])

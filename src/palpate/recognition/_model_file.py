@@ -52,6 +52,7 @@ def write_model(path: str | Path, model: object, known: Mapping[str, type]) -> P
         save_file(tensors or {"empty": np.zeros(1)}, name, metadata=metadata)
         with Path(name).open("rb+") as written:
             os.fsync(written.fileno())
+        Path(name).chmod(0o666 & ~_umask())
         Path(name).replace(target)
     finally:
         Path(name).unlink(missing_ok=True)
@@ -84,7 +85,9 @@ def read_model(path: str | Path, known: Mapping[str, type]) -> Any:
     """
     source = Path(path)
     if not source.is_file():
-        raise ModelFileError(f"There is no model file {source}; `palpate learn` makes one.")
+        raise ModelFileError(
+            f"There is no model file {source}; `palpate learn` makes one."
+        )
     if source.stat().st_size > MAX_BYTES:
         raise ModelFileError(f"{source} is larger than {MAX_BYTES} bytes; refused.")
     document, tensors = _open(source)
@@ -101,6 +104,13 @@ def read_model(path: str | Path, known: Mapping[str, type]) -> Any:
         raise
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise ModelFileError(f"{source} is damaged: {error}. Learn again.") from error
+
+
+def _umask() -> int:
+    """Return the umask; it can only be read by setting it."""
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return mask
 
 
 def _open(source: Path) -> tuple[str, Tensors]:
@@ -152,7 +162,8 @@ def _pack(value: object, tensors: Tensors, known: Mapping[str, type]) -> Any:
     name = type(value).__name__
     if known.get(name) is not type(value):
         raise ModelFileError(
-            f"A model file cannot hold a {name}; it may hold {', '.join(sorted(known))}."
+            f"A model file cannot hold a {name}; it may hold "
+            f"{', '.join(sorted(known))}."
         )
     params, learnt = _state(value)
     return {
@@ -167,6 +178,9 @@ def _pack_array(array: NDArray, tensors: Tensors) -> dict[str, Any]:
         return {"text": array.astype(str).ravel().tolist(), "shape": list(array.shape)}
     if array.dtype.kind == "O" and all(isinstance(item, str) for item in array.flat):
         return {"text": array.ravel().tolist(), "shape": list(array.shape)}
+    if array.dtype.kind == "c":
+        pairs = np.stack([array.real, array.imag])
+        return {"complex": _pack_array(pairs, tensors)}
     if array.dtype.kind not in "biuf":
         raise ModelFileError(f"A model file cannot hold an array of {array.dtype}.")
     name = f"t{len(tensors)}"
@@ -195,6 +209,9 @@ def _unpack(node: Any, tensors: Tensors, known: Mapping[str, type]) -> Any:
         return float(node["float"])
     if "array" in node:
         return tensors[node["array"]].reshape(node["shape"])
+    if "complex" in node:
+        real, imaginary = _unpack(node["complex"], tensors, known)
+        return real + 1j * imaginary
     if "text" in node:
         return np.array(node["text"], dtype=str).reshape(node["shape"])
     if "list" in node or "tuple" in node:
@@ -206,7 +223,9 @@ def _unpack(node: Any, tensors: Tensors, known: Mapping[str, type]) -> Any:
     return _unpack_object(node, tensors, known)
 
 
-def _unpack_object(node: dict[str, Any], tensors: Tensors, known: Mapping[str, type]) -> Any:
+def _unpack_object(
+    node: dict[str, Any], tensors: Tensors, known: Mapping[str, type]
+) -> Any:
     name = node["class"]
     if name not in known:
         raise ModelFileError(
@@ -216,7 +235,9 @@ def _unpack_object(node: dict[str, Any], tensors: Tensors, known: Mapping[str, t
     params = {k: _unpack(v, tensors, known) for k, v in node["params"].items()}
     built = known[name](**params)
     for attribute, packed in node["learnt"].items():
-        if not (attribute.isidentifier() and attribute.endswith("_")) or attribute.startswith("_"):
+        if not (
+            attribute.isidentifier() and attribute.endswith("_")
+        ) or attribute.startswith("_"):
             raise ModelFileError(f"{attribute!r} is not a learnt attribute")
         setattr(built, attribute, _unpack(packed, tensors, known))
     return built

@@ -76,6 +76,11 @@ class ObjectRecogniser(BaseEstimator):
     'pen'
     """
 
+    classes_: NDArray
+    trust_: Trust
+    floor_: float
+    chosen_: dict[str, Any]
+
     def __init__(
         self,
         preset: str = "default",
@@ -217,7 +222,9 @@ class ObjectRecogniser(BaseEstimator):
     def save(self, path: str | Path) -> Path:
         """Write the recogniser to a `.palpate` file, all or nothing."""
         self._check_fitted()
-        return write_model(path, self, {**KNOWN_CLASSES, type(self).__name__: type(self)})
+        return write_model(
+            path, self, {**KNOWN_CLASSES, type(self).__name__: type(self)}
+        )
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -252,8 +259,9 @@ class ObjectRecogniser(BaseEstimator):
         labels = touches.object if self.label == "object" else touches.category
         if labels is None:
             raise ValueError(
-                f"touches must have a column {self.label!r} to learn from. Name folders "
-                "after objects, pass a name pattern, or add the column to the archive."
+                f"touches must have a column {self.label!r} to learn from. Name "
+                "folders after objects, pass a name pattern, or add the column to the "
+                "archive."
             )
         names, counts = np.unique(labels, return_counts=True)
         if len(names) < 2:

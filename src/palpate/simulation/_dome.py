@@ -16,7 +16,7 @@ from .._checks import check_count, check_number, check_positive
 from ._membrane import Contact, Membrane, solve_contact
 from ._objects import SimObject
 from ._optics import SURROUND_GREY, Optics, View
-from ._placed import PlacedObject, SensorPose, gap_map
+from ._placed import PlacedObject, SensorPose, gap_map, sleeve_gap
 from ._shading import Lighting, Plane
 
 Frame = NDArray[np.uint8]
@@ -28,15 +28,18 @@ class DomePress:
 
     Attributes
     ----------
-    touched : bool
-        Whether anything was within reach. If not, all else is zero.
+    stopped_by : {"force", "depth", "sleeve", "nothing"}
+        What ended it: the force asked for; the depth asked for or the greatest one;
+        the rigid sleeve that holds the dome meeting the object; or nothing was
+        within reach, and all else is zero.
     travel_mm : float
         How far the sensor moved from its pose to the end.
     depth_mm : float
         Of that, how far it moved on after first touching.
     force_n : float
-        Force along the axis at the end; less than asked for where the dome's
-        greatest depth came first.
+        Force along the axis on the whole sensor. Less than asked for where the
+        greatest depth came first; where the sleeve did, what was asked for, most of
+        it on the sleeve. The dome's own share is `contact.force_n`.
     area_mm2 : float
         Contact area, seen along the axis.
     contact : Contact
@@ -45,13 +48,18 @@ class DomePress:
         Way to go, after first touching, before each node touches.
     """
 
-    touched: bool
+    stopped_by: str
     travel_mm: float
     depth_mm: float
     force_n: float
     area_mm2: float
     contact: Contact
     gap_mm: NDArray[np.float64]
+
+    @property
+    def touched(self) -> bool:
+        """Whether anything was within reach."""
+        return self.stopped_by != "nothing"
 
 
 @dataclass(frozen=True)
@@ -65,10 +73,13 @@ class DomeCamera:
         (n, n) is what the BathTip's square pictures show.
     force_n : float, default=0.735
         Force at which a press ends: 75 gf.
-    max_depth_mm : float, default=10.0
+    max_depth_mm : float, default=12.0
         Depth at which it ends before that force.
     membrane_radius_mm, thickness_mm, youngs_mpa, poisson, n_nodes
         The rubber and its grid, see `Membrane`.
+    sleeve_mm : float, default=1.5
+        How far the rigid edge that holds the dome stands out from it; it stops the
+        press where it meets the object.
     camera_distance_mm : float, default=62.0
         From the lens to the tip.
     camera_offset_mm : tuple of float, default=(0.0, 0.0)
@@ -115,12 +126,13 @@ class DomeCamera:
 
     image_shape: tuple[int, int] = (480, 640)
     force_n: float = 0.735
-    max_depth_mm: float = 10.0
+    max_depth_mm: float = 12.0
     membrane_radius_mm: float = 20.0
     thickness_mm: float = 1.0
-    youngs_mpa: float = 0.2
+    youngs_mpa: float = 0.14
     poisson: float = 0.48
     n_nodes: int = 48
+    sleeve_mm: float = 1.5
     camera_distance_mm: float = 62.0
     camera_offset_mm: tuple[float, float] = (0.0, 0.0)
     disc_centre: tuple[float, float] = (0.4375, 0.4438)
@@ -207,17 +219,8 @@ class DomeCamera:
                 f"pose must be clear of the object, got one {-first:.3g} mm inside "
                 f"{placed.thing.name!r}. Start further back."
             )
-        way = gap - first
-        contact = self._ended(way, force_n, depth_mm)
-        return DomePress(
-            touched=True,
-            travel_mm=first + contact.depth_mm,
-            depth_mm=contact.depth_mm,
-            force_n=contact.force_n,
-            area_mm2=contact.area_mm2,
-            contact=contact,
-            gap_mm=way,
-        )
+        sleeve = sleeve_gap(placed, pose, self.membrane_radius_mm, self.sleeve_mm)
+        return self._ended(gap - first, first, sleeve - first, force_n, depth_mm)
 
     def force_curve(
         self, press: DomePress, depths_mm: NDArray[np.float64]
@@ -262,29 +265,43 @@ class DomeCamera:
 
     def drifted(self, rng: np.random.Generator) -> Self:
         """Return this camera as another recording would find it."""
-        row, col = self.disc_centre + rng.normal(0, self.centre_drift_sd or 0.0, 2)
-        gain = self.gain * float(np.exp(rng.normal(0, self.exposure_drift_sd)))
+        row, col = self.disc_centre + self.centre_drift_sd * rng.standard_normal(2)
+        gain = self.gain * float(np.exp(self.exposure_drift_sd * rng.standard_normal()))
         return replace(self, gain=gain, disc_centre=(float(row), float(col)))
 
     def _ended(
-        self, way: NDArray[np.float64], force_n: float | None, depth_mm: float | None
-    ) -> Contact:
+        self,
+        gap: NDArray[np.float64],
+        first: float,
+        sleeve: float,
+        force_n: float | None,
+        depth_mm: float | None,
+    ) -> DomePress:
+        """Press until the force, the depth or the sleeve, whichever comes first."""
+        force = self.force_n if force_n is None else check_positive("force_n", force_n)
+        most, reason = self.max_depth_mm, "depth"
         if depth_mm is not None:
             if force_n is not None:
                 raise ValueError("Give at most one of force_n and depth_mm.")
-            depth = check_number("depth_mm", depth_mm, low=0.0, high=self.max_depth_mm)
-            return solve_contact(self.membrane, way, depth_mm=depth)
-        force = self.force_n if force_n is None else check_positive("force_n", force_n)
-        contact = solve_contact(self.membrane, way, force_n=force)
-        if contact.depth_mm <= self.max_depth_mm:
-            return contact
-        return solve_contact(self.membrane, way, depth_mm=self.max_depth_mm)
+            most = check_number("depth_mm", depth_mm, low=0.0, high=most)
+        if sleeve < most:
+            most, reason = max(sleeve, 0.0), "sleeve"
+        wanted = force if depth_mm is None else None
+        contact = solve_contact(self.membrane, gap, force_n=wanted, depth_mm=most)
+        total = contact.force_n
+        if contact.depth_mm < most:
+            reason = "force"
+        elif reason == "sleeve":
+            total = force
+        depth = contact.depth_mm
+        area = contact.area_mm2
+        return DomePress(reason, first + depth, depth, total, area, contact, gap)
 
     def _untouched(self) -> DomePress:
         shape = (self.n_nodes, self.n_nodes)
         flat = np.zeros(shape, np.float32)
         nothing = Contact(0.0, 0.0, flat, flat, 0.0)
-        return DomePress(False, 0.0, 0.0, 0.0, 0.0, nothing, np.full(shape, np.inf))
+        return DomePress("nothing", 0.0, 0.0, 0.0, 0.0, nothing, np.full(shape, np.inf))
 
     def _seen_by(self) -> tuple[View, Membrane, Lighting, float]:
         view = View(
@@ -314,7 +331,7 @@ class DomeCamera:
         grey = np.float32(255) * mottled ** np.float32(1 / self.gamma)
         np.minimum(grey, 255, out=grey)
         white = np.float32(SURROUND_GREY)
-        return white + optics.inside * (grey - white)
+        return np.asarray(white + optics.inside * (grey - white))
 
     def _noise(self, rng: np.random.Generator) -> Plane:
         """Noise of cells as fine as 240 rows; enlarged beyond, averaged below."""
@@ -330,10 +347,21 @@ class DomeCamera:
         return cv2.resize(noise, (n_cols, n_rows), interpolation=cv2.INTER_NEAREST)
 
 
-_POSITIVE = ("force_n", "max_depth_mm", "camera_distance_mm", "disc_radius")
+_POSITIVE: tuple[str, ...] = (
+    "force_n",
+    "max_depth_mm",
+    "camera_distance_mm",
+    "disc_radius",
+)
 _POSITIVE += ("shininess", "gain", "gamma")
-_NOT_NEGATIVE = ("led_ring_radius_mm", "diffuse", "specular", "ambient", "noise_sd")
-_NOT_NEGATIVE += ("texture_sd", "exposure_drift_sd", "centre_drift_sd")
+_NOT_NEGATIVE: tuple[str, ...] = (
+    "led_ring_radius_mm",
+    "diffuse",
+    "specular",
+    "ambient",
+    "noise_sd",
+)
+_NOT_NEGATIVE += ("sleeve_mm", "texture_sd", "exposure_drift_sd", "centre_drift_sd")
 
 
 def _pair(name: str, value: Any) -> tuple[Any, Any]:
@@ -355,17 +383,14 @@ def _optics(
 @lru_cache(maxsize=4)
 def _mottling(optics: Optics, sd: float, seed: int) -> Plane:
     """Factor of mean 1 on each pixel: blots of a hundredth of the picture's height."""
+    import cv2
     from scipy.ndimage import gaussian_filter
 
     rows, cols = optics.grid_shape
-    rng = np.random.default_rng(seed)
-    blots = rng.standard_normal((160, 240)).astype(np.float32)
-    import cv2
-
-    smooth = gaussian_filter(blots, 1.2)
-    smooth *= np.float32(sd) / smooth.std()
-    scale = 120 / rows
-    to_blots = np.array([[scale, 0, 0.0], [0, scale, 0.0]])
+    noise = np.random.default_rng(seed).standard_normal((160, 240))
+    blots = gaussian_filter(noise.astype(np.float32), 1.2)
+    blots *= np.float32(sd) / blots.std()
+    shrink = np.array([[120 / rows, 0, 0.0], [0, 120 / rows, 0.0]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    field = cv2.warpAffine(smooth, to_blots, (cols, rows), flags=flags)
+    field = cv2.warpAffine(blots, shrink, (cols, rows), flags=flags)
     return optics.enlarged(np.float32(1) + field)

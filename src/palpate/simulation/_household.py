@@ -40,7 +40,7 @@ def stapler() -> Mesh:
 
 def toothbrush() -> Mesh:
     """Toothbrush lying bristles up, 190 long: waisted handle, neck, 40 tufts."""
-    spots = [(-95, 6), (-70, 7), (-35, 5.5), (-5, 7), (25, 5), (50, 3), (68, 3)]
+    spots = [(-95, 6), (-70, 7), (-35, 5.5), (-5, 7), (25, 6.6), (50, 3.5), (68, 3)]
     centres = [((x, 0.0, 7.0), r) for x, r in spots]
     parts = [_cone(a, ra, b, rb) for (a, ra), (b, rb) in pairwise(centres)]
     head = moved(rounded_box((28, 12, 5), 2), x=81, z=5)
@@ -140,7 +140,7 @@ def other_mug() -> Mesh:
 
 
 def other_pen() -> Mesh:
-    """Six-sided pencil-like pen lying, 138 long, 7.8 across, capped."""
+    """Six-sided pencil-like pen lying, 138 long, 8.4 across, capped."""
     angles = np.arange(6) * np.pi / 3
     z = np.array([0, 1, 6, 20, 100], float)
     radius = np.array([0.4, 0.8, 1.5, 4.2, 4.2])
@@ -148,9 +148,9 @@ def other_pen() -> Mesh:
     flat = radius[:, None, None] * wheel
     heights = np.broadcast_to(z[:, None, None], (5, 6, 1))
     body = lofted(np.concatenate([flat, heights], -1))
-    cap = revolved([(0, 92), (5, 92), (5.2, 94), (4.8, 134), (3.5, 138), (0, 138)], 48)
-    clip = rounded_hull([(6.4, y, z) for y in (-1.5, 1.5) for z in (100, 132)], 1.2)
-    return _lying(joined(body, cap, clip), 138, 5.2)
+    cap = revolved([(0, 92), (4.5, 92), (4.7, 94), (4.4, 134), (3.5, 138), (0, 138)], 48)
+    clip = rounded_hull([(5.9, y, z) for y in (-1.5, 1.5) for z in (100, 132)], 1.2)
+    return _lying(joined(body, cap, clip), 138, 4.7)
 
 
 def smaller_ball() -> Mesh:

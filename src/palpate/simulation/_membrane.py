@@ -27,6 +27,8 @@ Grid = NDArray[np.float32]
 # dome stands along the axis and its height is no longer a function one can press.
 _USED_RADIUS = 0.95
 _NEVER_MM = np.float32(1e3)
+_TINY = np.float32(1e-30)
+_FLOAT = np.float32
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ class Membrane:
     ----------
     radius_mm, thickness_mm : float, default=20.0, 1.0
         Radius of the middle surface and thickness.
-    youngs_mpa, poisson : float, default=0.5, 0.48
+    youngs_mpa, poisson : float, default=0.14, 0.48
         Young's modulus (N/mm2) and Poisson's ratio, below 0.5.
     n_nodes : int, default=48
         Nodes along a side of the grid, which spans 0.95 of the diameter.
@@ -45,10 +47,9 @@ class Membrane:
     Notes
     -----
     Linear, for small deflections of a shallow shell: no snap-through, no friction,
-    and beyond 0.8 of the radius the equation no longer holds. A Winkler layer, the
-    rubber squeezed through its thickness with its sides held, adds its compliance
-    t (1 + nu) (1 - 2 nu) / (E (1 - nu)); it matters under points and keeps the
-    solution unique on fine grids.
+    and beyond 0.8 of the radius the equation no longer holds. The rubber is also
+    squeezed through its thickness, free to spread sideways: a compliance t / E under
+    the pressure, which matters under points and edges.
 
     References
     ----------
@@ -58,7 +59,7 @@ class Membrane:
 
     radius_mm: float = 20.0
     thickness_mm: float = 1.0
-    youngs_mpa: float = 0.5
+    youngs_mpa: float = 0.14
     poisson: float = 0.48
     n_nodes: int = 48
 
@@ -140,9 +141,8 @@ class Membrane:
 
     @cached_property
     def _outside(self) -> Grid:
-        nu = self.poisson
-        squeeze = self.thickness_mm * (1 + nu) * (1 - 2 * nu) / (1 - nu)
-        return self._shell + np.float32(squeeze / self.youngs_mpa / self.pitch_mm**2)
+        squeeze = self.thickness_mm / self.youngs_mpa / self.pitch_mm**2
+        return self._shell + np.float32(squeeze)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,10 +176,10 @@ def solve_contact(
     *,
     force_n: float | None = None,
     depth_mm: float | None = None,
-    tolerance_mm: float = 2e-3,
+    tolerance_mm: float = 0.01,
     max_steps: int = 200,
 ) -> Contact:
-    """Press the membrane on an object until a force, or to a depth.
+    """Press the membrane on an object until a force or a depth, whichever is first.
 
     Parameters
     ----------
@@ -188,8 +188,8 @@ def solve_contact(
     gap_mm : array of shape (n_nodes, n_nodes)
         Way to go before each node touches; infinity where it cannot.
     force_n, depth_mm : float
-        Give exactly one.
-    tolerance_mm : float, default=2e-3
+        Give one or both.
+    tolerance_mm : float, default=0.01
         Root-mean-square misfit over the contact at which to stop.
     max_steps : int, default=200
         Steps after which to stop all the same.
@@ -203,7 +203,8 @@ def solve_contact(
     -----
     Conjugate gradients on the nodes in contact, clipping forces at zero, taking in
     nodes that the object would pass through, and, when the force is given, scaling
-    to it [1]_.
+    to it [1]_. With the default tolerance w is within 0.06 mm of the converged
+    answer under 75 gf.
 
     References
     ----------
@@ -211,19 +212,19 @@ def solve_contact(
        problems", Wear 231(2), 1999. doi:10.1016/S0043-1648(99)00113-1
     """
     gap, reachable = _checked_gap(membrane, gap_mm)
-    if (force_n is None) == (depth_mm is None):
-        raise ValueError("Give exactly one of force_n and depth_mm.")
-    settings = gap, reachable, tolerance_mm, max_steps
-    if depth_mm is not None:
-        depth = check_number("depth_mm", depth_mm, low=0.0)
-        force = check_positive("force_n", 1.0)
-    else:
-        depth, force = 0.0, check_positive("force_n", force_n)
-    if not reachable.any() or (force_n is None and depth == 0):
+    if force_n is None and depth_mm is None:
+        raise ValueError("Give force_n, depth_mm or both: the press must end.")
+    most = None if depth_mm is None else check_number("depth_mm", depth_mm, low=0.0)
+    force = None if force_n is None else check_positive("force_n", force_n)
+    if not reachable.any() or most == 0:
         return _no_contact(membrane)
-    if force_n is not None:
-        return _described(membrane, gap, _balanced(membrane, force, *settings))
-    return _reached(membrane, depth, *settings)
+    problem = _Problem(membrane, gap, reachable, tolerance_mm, max_steps)
+    if force is None:
+        assert most is not None
+        return problem.at_depth(most)
+    if most is None:
+        return problem.at_force(force)
+    return problem.at_first(force, most)
 
 
 def _checked_gap(
@@ -248,80 +249,103 @@ def _no_contact(membrane: Membrane) -> Contact:
     return Contact(0.0, 0.0, nothing, nothing, 0.0)
 
 
-def _reached(
-    membrane: Membrane,
-    depth: float,
-    gap: Grid,
-    reachable: NDArray[np.bool_],
-    tolerance: float,
-    max_steps: int,
-) -> Contact:
-    """Find the force that presses to `depth`: a secant in logarithms."""
-    area = np.count_nonzero(gap < depth) * membrane.pitch_mm**2
-    force, power = membrane.stiffness_n_mm3 * depth * max(area, 1.0), 1.0
-    found: Contact | None = None
-    for _ in range(20):
-        start = None if found is None else found.node_force_n
-        nodes = _balanced(membrane, force, gap, reachable, tolerance, max_steps, start)
-        last, found = found, _described(membrane, gap, nodes)
-        if abs(found.depth_mm - depth) <= max(tolerance, 1e-3 * depth):
-            break
-        if last is not None and last.depth_mm != found.depth_mm:
-            change = np.log(found.depth_mm / last.depth_mm)
-            power = float(np.clip(np.log(found.force_n / last.force_n) / change, 1, 3))
-        force = found.force_n * (depth / max(found.depth_mm, 1e-6)) ** power
-    assert found is not None
-    return found
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """One gap to close, by force or by depth."""
 
+    membrane: Membrane
+    gap: Grid
+    reachable: NDArray[np.bool_]
+    tolerance: float
+    max_steps: int
 
-def _balanced(
-    membrane: Membrane,
-    total: float,
-    gap: Grid,
-    reachable: NDArray[np.bool_],
-    tolerance: float,
-    max_steps: int,
-    start: Grid | None = None,
-) -> Grid:
-    """Node forces that add up to `total`; the depth is whatever it takes."""
-    near = (gap <= gap.min() + np.float32(0.5)) & reachable
-    force = near.astype(np.float32) if start is None else start
-    force = force * np.float32(total / force.sum())
-    indented = membrane._indented(force)
-    search, before, steady = np.zeros_like(force), np.float32(1), False
-    for _ in range(max_steps):
-        touching = force > 0
-        misfit = indented + gap
-        misfit -= misfit[touching].mean()
-        pierced = (misfit < -tolerance) & ~touching & reachable
-        steady = steady and not pierced.any()
-        inside = (touching | pierced).astype(np.float32)
-        n_inside = inside.sum()
-        held = (misfit - np.vdot(misfit, inside) / n_inside) * inside
-        norm = np.vdot(held, held)
-        if norm <= n_inside * tolerance**2 and not pierced.any():
-            break
-        search = held + (norm / before) * search * inside if steady else held
-        before = norm
-        answer = membrane._indented(search)
-        curvature = np.vdot(answer, search)
-        step = np.vdot(held, search) / max(curvature, np.float32(1e-30))
-        force = force - step * search
-        steady = bool(force.min() >= 0)
-        np.maximum(force, 0, out=force)
-        scale = np.float32(total / force.sum())
-        force *= scale
-        if steady:
-            indented = (indented - step * answer) * scale
-        else:
-            indented = membrane._indented(force)
-    return force
+    def at_force(self, force_n: float) -> Contact:
+        start = self._springs(self._even_depth(force_n))
+        return self._described(self._relaxed(start, force_n, None), None)
 
+    def at_depth(self, depth_mm: float, start: Grid | None = None) -> Contact:
+        start = self._springs(depth_mm) if start is None else start
+        return self._described(self._relaxed(start, None, depth_mm), depth_mm)
 
-def _described(membrane: Membrane, gap: Grid, force: Grid) -> Contact:
-    inside = force > 0
-    depth = float((membrane._indented(force) + gap)[inside].mean())
-    area = np.count_nonzero(inside) * membrane.pitch_mm**2
-    total = float(force.sum(dtype=np.float64))
-    shell = np.ascontiguousarray(membrane.displaced(force))
-    return Contact(max(depth, 0.0), total, force, shell, area)
+    def at_first(self, force_n: float, depth_mm: float) -> Contact:
+        if depth_mm < 0.5 * self._even_depth(force_n):
+            shallow = self.at_depth(depth_mm)
+            if shallow.force_n <= force_n:
+                return shallow
+        contact = self.at_force(force_n)
+        if contact.depth_mm <= depth_mm:
+            return contact
+        share = np.float32(depth_mm / contact.depth_mm)
+        return self.at_depth(depth_mm, contact.node_force_n * share)
+
+    @property
+    def _spring(self) -> np.float32:
+        """Force per depth (N/mm) if every node were a spring of its own."""
+        pitch = self.membrane.pitch_mm
+        return np.float32(self.membrane.stiffness_n_mm3 * pitch**2)
+
+    def _springs(self, depth_mm: float) -> Grid:
+        """Node forces of such springs, where to start from."""
+        return np.maximum(np.float32(depth_mm) - self.gap, 0) * self._spring
+
+    def _even_depth(self, force_n: float) -> float:
+        """Depth at which such springs add up to a force."""
+        ordered = np.sort(self.gap, axis=None).astype(np.float64)
+        filled = np.cumsum(ordered)
+        count = np.arange(1, len(ordered) + 1)
+        forces = (count * ordered - filled) * self._spring
+        n_pressed = max(int(np.searchsorted(forces, force_n)), 1)
+        return float((force_n / self._spring + filled[n_pressed - 1]) / n_pressed)
+
+    def _relaxed(
+        self, start: Grid, total: float | None, depth_mm: float | None
+    ) -> Grid:
+        """Node forces at which dome and object agree; Notes of `solve_contact`."""
+        membrane, tolerance = self.membrane, self.tolerance
+        force = start if total is None else start * np.float32(total / start.sum())
+        indented = membrane._indented(force)
+        search, before, steady = np.zeros_like(force), np.float32(1), False
+        for _ in range(self.max_steps):
+            touching = force > 0
+            misfit = indented + self.gap
+            misfit -= (
+                misfit[touching].mean() if depth_mm is None else np.float32(depth_mm)
+            )
+            pierced = (misfit < -tolerance) & ~touching & self.reachable
+            any_pierced = pierced.any()
+            inside = (touching | pierced if any_pierced else touching).astype(_FLOAT)
+            n_inside = inside.sum()
+            held = misfit * inside
+            if total is not None and any_pierced:
+                held -= inside * (held.sum() / n_inside)
+            norm = np.vdot(held, held)
+            if norm <= n_inside * tolerance**2 and not any_pierced:
+                break
+            steady = steady and not any_pierced
+            search = held + (norm / before) * (search * inside) if steady else held
+            before = norm
+            answer = membrane._indented(search)
+            step = np.vdot(held, search) / max(np.vdot(answer, search), _TINY)
+            force = force - step * search
+            steady = bool(force.min() >= 0)
+            if not steady:
+                np.maximum(force, 0, out=force)
+            scale = _FLOAT(1)
+            if total is not None:
+                scale = _FLOAT(total / force.sum())
+                force *= scale
+            if steady:
+                indented = (indented - step * answer) * scale
+            else:
+                indented = membrane._indented(force)
+        return force
+
+    def _described(self, force: Grid, depth_mm: float | None) -> Contact:
+        membrane, inside = self.membrane, force > 0
+        depth = depth_mm
+        if depth is None:
+            depth = float((membrane._indented(force) + self.gap)[inside].mean())
+        area = float(np.count_nonzero(inside) * membrane.pitch_mm**2)
+        total = float(force.sum(dtype=np.float64))
+        shell = np.ascontiguousarray(membrane.displaced(force))
+        return Contact(max(float(depth), 0.0), total, force, shell, area)

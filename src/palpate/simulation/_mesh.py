@@ -100,8 +100,9 @@ def _read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         )
     with file.open("rb") as stream:
         content = stream.read(MAX_MESH_BYTES + 1)
+    load = trimesh().load_mesh
     try:
-        mesh = trimesh().load_mesh(
+        mesh = load(
             BytesIO(content),
             file_type=kind[1:],
             resolver=None,
@@ -110,8 +111,6 @@ def _read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         )
         vertices = np.array(mesh.vertices, dtype=np.float64).reshape(-1, 3)
         faces = np.array(mesh.faces, dtype=np.int64).reshape(-1, 3)
-    except ImportError:
-        raise
     except Exception as error:
         raise MeshError(
             f"{file.name} cannot be read as {kind[1:].upper()}: "
@@ -174,5 +173,7 @@ def _refuse_open(file: Path, mesh: Mesh) -> None:
             f"{file.name} must be watertight, got {n_open} of {len(shared)} edges that "
             "do not join exactly two triangles. Close its holes in a mesh editor."
         )
-    if mesh.is_winding_consistent and not abs(mesh.volume) > 1e-9 * float(np.prod(mesh.extents)):
+    if mesh.is_winding_consistent and not abs(mesh.volume) > 1e-9 * float(
+        np.prod(mesh.extents)
+    ):
         raise MeshError(f"{file.name} must be solid, got a body without volume.")

@@ -2,7 +2,7 @@
 
 The surface is the sphere less the displacement w on the membrane's grid; each pixel
 looks along one ray and sees where that first meets the surface, so that the near
-side of a deep dent hides the far side. Shading is computed on at most 144 rows and
+side of a deep dent hides the far side. Shading is computed on at most 128 rows and
 enlarged: it is smooth, and the rim, which is not, is drawn at full size.
 """
 
@@ -10,14 +10,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ._membrane import Membrane
 from ._shading import Lighting, Plane, shade
 
 SURROUND_GREY = 255.0
-_SHADED_ROWS = 144
-_MARCH_STEPS = 16
+_SHADED_ROWS = 128
+_MARCH_STEPS = 11
 _STEEPEST = 0.9995
 
 
@@ -99,12 +98,10 @@ class Optics:
             return wide
         shift = 0.5 * self._scale - 0.5
         to_grid = np.array([[self._scale, 0, shift], [0, self._scale, shift]])
-        return cv2.warpAffine(
-            shaded,
-            to_grid,
-            (n_cols, n_rows),
-            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-            borderMode=cv2.BORDER_REPLICATE,
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        size, border = (n_cols, n_rows), cv2.BORDER_REPLICATE
+        return np.asarray(
+            cv2.warpAffine(shaded, to_grid, size, flags=flags, borderMode=border)
         )
 
     def surface(self, displacement_mm: Plane) -> tuple[Plane, Plane, Plane]:
@@ -138,7 +135,7 @@ class Optics:
             near, view.distance_mm, _MARCH_STEPS, dtype=np.float32
         )
         x, y = self._at(self._depths[:, None, None])
-        self._cells = self._to_cells(x, y)
+        self._steps = _cells(x, y, self._membrane)
         self._ahead = self._sphere(x, y) - self._depths[:, None, None]
 
     def _at(self, z: Any) -> tuple[Plane, Plane]:
@@ -152,19 +149,9 @@ class Optics:
         rim = np.float32(self._view.distance_mm) - radius
         return rim + np.sqrt(np.maximum(radius**2 - x * x - y * y, 0))
 
-    def _to_cells(self, x: Plane, y: Plane) -> tuple[Plane, Plane]:
-        per_mm = np.float32(1 / self._membrane.pitch_mm)
-        zero = np.float32(self._membrane.n_nodes / 2 - 0.5)
-        x, y = np.broadcast_arrays(x, y)
-        return x * per_mm + zero, y * per_mm + zero
-
     def _first_met(self, displacement_mm: Plane) -> Plane:
         """Depth at which each ray first meets the surface: steps, then one secant."""
-        columns, rows = self._cells
-        width = columns.shape[2]
-        dent = _sampled(
-            displacement_mm, columns.reshape(-1, width), rows.reshape(-1, width)
-        )
+        dent = _remapped(displacement_mm, *self._steps)
         ahead = self._ahead - dent.reshape(self._ahead.shape)
         met = ahead <= 0
         met[-1] = True
@@ -176,30 +163,50 @@ class Optics:
         start = self._depths[after[0] - 1]
         z = start + np.clip(before / fall, 0, 1) * step
         x, y = self._at(z)
-        left = self._sphere(x, y) - _sampled(displacement_mm, *self._to_cells(x, y)) - z
+        left = self._sphere(x, y) - z
+        left -= sampled(displacement_mm, x, y, self._membrane)
         return np.clip(z + left * (step / fall), start, start + step)
 
     def _shaded(self, displacement_mm: Plane) -> Plane:
         x, y, z = self.surface(displacement_mm)
-        columns, rows = self._to_cells(x, y)
-        pitch = self._membrane.pitch_mm
-        grad_y, grad_x = np.gradient(displacement_mm, np.float32(pitch))
-        dent = [_sampled(grad, columns, rows) for grad in (grad_x, grad_y)]
+        pitch = np.float32(self._membrane.pitch_mm)
+        cells = _cells(x, y, self._membrane)
+        dent_y, dent_x = (
+            _remapped(gradient, *cells)
+            for gradient in np.gradient(displacement_mm, pitch)
+        )
         radius = np.float32(self._membrane.radius_mm)
         least = radius * np.float32(np.sqrt(1 - _STEEPEST**2))
         height = np.sqrt(np.maximum(radius**2 - x * x - y * y, least**2))
-        slope = (-x / height - dent[0], -y / height - dent[1])
+        slope = (-x / height - dent_x, -y / height - dent_y)
         shift_x, shift_y = map(np.float32, self._view.offset_mm)
         point = (x - shift_x, y - shift_y, z)
         return shade(point, slope, self._lighting, self._view.distance_mm)
 
 
-def _sampled(
-    values: NDArray[Any], columns: NDArray[Any], rows: NDArray[Any]
-) -> NDArray[Any]:
-    """Values of a grid between its nodes, its edge going on outside."""
+def sampled(values: Plane, x: Any, y: Any, membrane: Membrane) -> Plane:
+    """Return values of a membrane's grid at places x, y about its axis.
+
+    Linear between nodes; outside the grid, the value of its edge. x and y are
+    vectors or planes of one shape.
+    """
+    return np.asarray(_remapped(values, *_cells(x, y, membrane)).reshape(x.shape))
+
+
+def _cells(x: Any, y: Any, membrane: Membrane) -> tuple[Plane, Plane]:
+    """Columns and rows, counted in nodes, of places about the axis."""
+    per_mm = np.float32(1 / membrane.pitch_mm)
+    zero = np.float32(membrane.n_nodes / 2 - 0.5)
+    x, y = np.broadcast_arrays(x, y)
+    columns, rows = x * per_mm + zero, y * per_mm + zero
+    return columns.reshape(-1, x.shape[-1]), rows.reshape(-1, x.shape[-1])
+
+
+def _remapped(values: Plane, columns: Plane, rows: Plane) -> Plane:
     import cv2
 
-    return cv2.remap(
-        values, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    return np.asarray(
+        cv2.remap(
+            values, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
     )

@@ -19,6 +19,7 @@ from ._objects import SimObject
 from ._shapes import turned
 
 _MISSED_MM = 1e30
+_SLEEVE_RAYS = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,6 +193,22 @@ def gap_map(
     gap = np.full(inside.shape, np.inf)
     gap[inside] = placed.distance_mm(origins, np.asarray(pose.direction)) + drop - back
     return gap
+
+
+def sleeve_gap(
+    placed: PlacedObject, pose: SensorPose, rim_radius_mm: float, sleeve_mm: float
+) -> float:
+    """How far the sensor can move until the rigid edge that holds its dome touches.
+
+    The edge is a ring of `sleeve_mm` outwards from the rim, at its level, which is
+    one radius behind the tip; infinity where it meets nothing.
+    """
+    angle = np.arange(_SLEEVE_RAYS) * (2 * np.pi / _SLEEVE_RAYS)
+    radius = rim_radius_mm + sleeve_mm * np.linspace(0.05, 1, 3)[:, None]
+    x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+    local = np.column_stack([x, y, np.full(x.shape, -rim_radius_mm)])
+    origins = np.asarray(pose.position_mm) + local @ pose.axes.T
+    return float(placed.distance_mm(origins, np.asarray(pose.direction)).min())
 
 
 def vector(name: str, value: ArrayLike) -> NDArray[np.float64]:

@@ -11,9 +11,9 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._progress import Progress
 from ._errors import TouchesError
 from ._pictures import Header, PictureError, grey_levels, read_header
-from .._progress import Progress
 
 # Room for comments, colour profiles and previews beside the pixels themselves.
 _MORE_BYTES = 32 * 2**20

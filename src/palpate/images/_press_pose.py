@@ -1,0 +1,243 @@
+"""Learning what parts look like from presses in unknown poses, to place them later.
+
+A robot that assembles a part needs its place and angle. `PressPose` builds a template
+of each part, finds out how symmetric it is, and registers new presses on it.
+Conventions of place and angle are those of `palpate.images.Poses`.
+"""
+
+from collections.abc import Mapping
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator
+from sklearn.utils.validation import check_is_fitted
+
+from .._checks import check_count, check_images, check_positive
+from ._dead_taxels import fill_dead_taxels
+from ._outline_pose import Poses, outline_centres, outlines
+from ._pose_register import pose_variances, register
+from ._pose_template import find_symmetry, learn_template, template_angle
+
+Floats = NDArray[np.float64]
+
+# With fewer presses no half can teach a template, and symmetry cannot be tested.
+_LEAST_FOR_SYMMETRY = 6
+
+
+class PressPose(BaseEstimator):
+    """Place and angle of known parts, with uncertainty, from single presses.
+
+    Parameters
+    ----------
+    pitch_mm : float, default=2.0
+        Distance of neighbouring taxels, in mm.
+    symmetry : int or dict of label to int, optional
+        In how many turns each part looks the same; 0 when every turn does. Labels
+        without an entry are found out, from six presses upwards; with fewer, no
+        symmetry (1) is assumed.
+    max_presses : int, default=40
+        Presses of each part to learn from, evenly spaced among those given.
+
+    Attributes
+    ----------
+    labels_ : ndarray of shape (n_labels,)
+        The parts, sorted.
+    symmetry_ : ndarray of int of shape (n_labels,)
+    templates_ : ndarray of shape (n_labels, size, size)
+        Roots of pressures in the part's own frame, two pixels per taxel.
+    centroids_ : ndarray of shape (n_labels, 2)
+        (x, y) of the outline's centroid in that frame, in taxels.
+    zeros_deg_ : ndarray of shape (n_labels,)
+        Angle in that frame that is reported as 0.
+    image_shape_ : tuple of int
+
+    Notes
+    -----
+    A press is modelled as a template, turned and moved, times a plane that stands
+    for uneven pressing. A symmetry is accepted when it fits unseen presses about as
+    well as the best. The variance of the place is that of the registration plus its
+    squared distance from the outline's own centroid, which sees what tilt hides.
+    A part longer than the array cannot be placed along its length.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate.images import PressPose
+    >>> bar = np.zeros((1, 10, 10))
+    >>> bar[0, 4:6, 2:8] = 100
+    >>> pose = PressPose(symmetry=2).fit(bar, ["bar"])
+    >>> moved = pose.estimate(np.roll(bar, 1, axis=2), ["bar"])
+    >>> moved.x_mm.round(1), moved.angle_deg.round(1) % 180
+    (array([2.]), array([0.]))
+    """
+
+    def __init__(
+        self,
+        pitch_mm: float = 2.0,
+        *,
+        symmetry: int | Mapping[object, int] | None = None,
+        max_presses: int = 40,
+    ) -> None:
+        self.pitch_mm = pitch_mm
+        self.symmetry = symmetry
+        self.max_presses = max_presses
+
+    def fit(
+        self, X: ArrayLike, y: ArrayLike, angle_deg: ArrayLike | None = None
+    ) -> Self:
+        """Learn the parts.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_touches, n_rows, n_cols)
+            Presses in any poses; NaN marks a dead taxel.
+        y : array-like of shape (n_touches,)
+            The part pressed.
+        angle_deg : array-like of shape (n_touches,), optional
+            True angles; they fix what is reported as 0. Otherwise 0 is where the
+            part reaches farthest along the columns, as in `press_pose`.
+        """
+        images = check_images(X, allow_nan=True)
+        labels = _check_labels(y, len(images))
+        angles = _check_angles(angle_deg, len(images))
+        check_positive("pitch_mm", self.pitch_mm)
+        most = check_count("max_presses", self.max_presses)
+        self.image_shape_ = (images.shape[1], images.shape[2])
+        self.labels_ = np.unique(labels)
+        learnt = []
+        for label in self.labels_:
+            chosen = _spread(np.flatnonzero(labels == label), most)
+            part_angles = None if angles is None else angles[chosen]
+            learnt.append(self._learn(images[chosen], label, part_angles))
+        templates, symmetry, centroids, zeros = zip(*learnt, strict=True)
+        self.templates_, self.symmetry_ = np.stack(templates), np.array(symmetry)
+        self.centroids_, self.zeros_deg_ = np.stack(centroids), np.array(zeros)
+        return self
+
+    def estimate(self, X: ArrayLike, y: ArrayLike) -> Poses:
+        """Estimate the pose of each press `X` of the parts `y`."""
+        check_is_fitted(self)
+        images = check_images(X, shape=self.image_shape_, allow_nan=True)
+        labels = _check_labels(y, len(images))
+        unknown = np.setdiff1d(labels, self.labels_)
+        if len(unknown):
+            raise ValueError(
+                f"y must hold labels seen by fit, got {unknown[0]!r}. Fit with presses "
+                "of that part, or use press_pose."
+            )
+        which = np.searchsorted(self.labels_, labels)
+        found = np.empty((len(images), 5))
+        for index in np.unique(which):
+            found[which == index] = self._place(images[which == index], int(index))
+        x, y_down, angle, sd, sd_deg = found.T
+        pitch = self.pitch_mm
+        return Poses(
+            x_mm=x * pitch,
+            y_mm=y_down * pitch,
+            angle_deg=angle,
+            sd_mm=sd * pitch,
+            sd_deg=sd_deg,
+            symmetry=self.symmetry_[which],
+        )
+
+    def _learn(
+        self, images: Floats, label: object, angles: Floats | None
+    ) -> tuple[Floats, int, Floats, float]:
+        """Template, symmetry, centroid and zero of one part."""
+        levels, outline = _prepare(images)
+        pressed = np.isfinite(outline[:, 0])
+        if not pressed.any():
+            raise ValueError(
+                f"X must hold presses of {label!r} that show it, got only constant "
+                "images. Leave that part out."
+            )
+        levels, outline = levels[pressed], outline[pressed]
+        symmetry = self._symmetry_of(label)
+        if symmetry is None:
+            enough = len(levels) >= _LEAST_FOR_SYMMETRY
+            symmetry = find_symmetry(levels, outline) if enough else 1
+        template, poses = learn_template(levels, outline, symmetry)
+        centroid = np.zeros(2)
+        if symmetry == 1:
+            centroid = _turn(outline - poses[:, 1:], -poses[:, 0]).mean(axis=0)
+        if angles is None or symmetry == 0:
+            zero = template_angle(template, centroid, symmetry)
+        else:
+            zero = _mean_angle(np.rad2deg(poses[:, 0]) - angles[pressed], symmetry)
+        return template, symmetry, centroid, zero
+
+    def _symmetry_of(self, label: object) -> int | None:
+        given = self.symmetry
+        if isinstance(given, Mapping):
+            given = given.get(label)
+        return None if given is None else check_count("symmetry", given, at_least=0)
+
+    def _place(self, images: Floats, index: int) -> Floats:
+        """(x, y, angle, sd of place, sd of angle) in taxels and degrees."""
+        symmetry, template = int(self.symmetry_[index]), self.templates_[index]
+        levels, outline = _prepare(images)
+        empty = np.isnan(outline[:, 0])
+        poses, _ = register(levels, template, np.nan_to_num(outline), symmetry)
+        variance = pose_variances(levels, template, poses, symmetry)
+        centroid = np.broadcast_to(self.centroids_[index], (len(poses), 2))
+        place = poses[:, 1:] + _turn(centroid, poses[:, 0])
+        apart = ((place - outline) ** 2).sum(axis=1)
+        sd = np.sqrt(variance[:, 1] + variance[:, 2] + apart)
+        angle = np.full(len(poses), np.nan)
+        if symmetry:
+            angle = np.rad2deg(poses[:, 0]) - self.zeros_deg_[index]
+            angle %= 360 / symmetry
+        sd_deg = np.rad2deg(np.sqrt(variance[:, 0]))
+        found = np.column_stack([place, angle, sd, sd_deg])
+        found[empty] = [np.nan, np.nan, np.nan, np.inf, np.inf]
+        return found
+
+
+def _prepare(images: Floats) -> tuple[Floats, Floats]:
+    """Roots of pressures with unit energy, and the outlines' centroids in taxels."""
+    filled = fill_dead_taxels(images)
+    root = np.sqrt(np.maximum(filled, 0))
+    size = np.sqrt((root**2).sum(axis=(1, 2), keepdims=True))
+    return root / np.where(size > 0, size, 1.0), outline_centres(outlines(filled))
+
+
+def _turn(points: Floats, angles: Floats) -> Floats:
+    cos, sin = np.cos(angles), np.sin(angles)
+    x, y = points.T
+    return np.column_stack([cos * x - sin * y, sin * x + cos * y])
+
+
+def _mean_angle(angles: Floats, symmetry: int) -> float:
+    """Circular mean in degrees of angles that repeat every 360 / symmetry."""
+    mean = np.exp(1j * np.deg2rad(angles) * symmetry).mean()
+    return float(np.rad2deg(np.angle(mean)) / symmetry)
+
+
+def _spread(indices: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """At most `most` of `indices`, evenly spaced."""
+    if len(indices) <= most:
+        return indices
+    return indices[np.arange(most) * len(indices) // most]
+
+
+def _check_labels(y: ArrayLike, n_touches: int) -> NDArray:
+    labels = np.asarray(y)
+    if labels.shape != (n_touches,):
+        raise ValueError(
+            f"y must hold one label per press, shape ({n_touches},), got shape "
+            f"{labels.shape}."
+        )
+    return labels
+
+
+def _check_angles(angle_deg: ArrayLike | None, n_touches: int) -> Floats | None:
+    if angle_deg is None:
+        return None
+    angles = np.asarray(angle_deg, dtype=np.float64)
+    if angles.shape != (n_touches,) or not np.isfinite(angles).all():
+        raise ValueError(
+            f"angle_deg must be finite angles of shape ({n_touches},), got shape "
+            f"{angles.shape}. Leave it out where angles are unknown."
+        )
+    return angles

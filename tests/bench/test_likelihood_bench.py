@@ -1,0 +1,38 @@
+"""The likelihood benchmark: every size beside every peer, and right answers."""
+
+import pytest
+
+from palpate.bench import run_bench
+from palpate.bench._likelihood import BATCHES, SIZES, bench_likelihood
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return bench_likelihood(seconds=0.001)
+
+
+def test_every_size_beside_every_peer(rows):
+    assert len(rows) == 3 * len(SIZES) * len(BATCHES)
+    assert len({(row["name"], row["peer"]) for row in rows}) == len(rows)
+    assert "50 objects x 94 touches, 22 features, float32 batch 64" in {
+        row["name"] for row in rows
+    }
+    for row in rows:
+        assert row["ratio"] == pytest.approx(row["peer_ms"] / row["ours_ms"])
+
+
+def test_what_is_timed_is_right(rows):
+    # What the classifier promises in single precision, wherever the touch is.
+    assert max(row["error_nats"] for row in rows) < 1e-3
+
+
+@pytest.mark.slow
+def test_a_batch_costs_at_most_six_matrix_products():
+    measured = [
+        row
+        for row in run_bench("likelihood")
+        if "94 touches" in row["name"] and row["peer"] == "float32 matrix product"
+    ]
+    (batch,) = (row for row in measured if row["name"].endswith("batch 64"))
+    assert batch["ratio"] > 1 / 6
+    assert batch["ours_ms"] < 0.5

@@ -1,0 +1,354 @@
+"""The kernel density classifier against densities written out slowly in float64."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal, norm
+from sklearn.base import clone
+from sklearn.utils.estimator_checks import parametrize_with_checks
+
+from palpate.classifiers import KernelDensityBayes
+
+BANDWIDTHS = ["pooled", "per-object", "full"]
+# Rounding of float32 products of a few dozen numbers of size ten, in nats.
+SINGLE = 1e-4
+# float64: sums and Cholesky factors of 22 features.
+DOUBLE = 1e-9
+
+each_bandwidth = pytest.mark.parametrize("bandwidth", BANDWIDTHS)
+
+
+@parametrize_with_checks(
+    [
+        KernelDensityBayes(),
+        KernelDensityBayes("per-object", prior="counts"),
+        KernelDensityBayes("full", scale=0.5, precision="double"),
+    ]
+)
+def test_scikit_learn_contract(estimator, check):
+    check(estimator)
+
+
+@pytest.fixture(scope="module")
+def learnt():
+    """Ten objects, 31 to 40 touches each, 22 correlated features far from zero."""
+    rng = np.random.default_rng(1)
+    counts = np.arange(31, 41)
+    labels = np.repeat([f"thing {i}" for i in range(10)], counts)
+    mixing = rng.normal(size=(22, 22))
+    centres = np.repeat(rng.normal(size=(10, 22)), counts, axis=0)
+    touches = (centres + rng.standard_t(4, size=centres.shape)) @ mixing
+    touches = touches * np.logspace(-3, 3, 22) + 5000.0
+    mixed = rng.permutation(len(labels))
+    return touches[mixed], labels[mixed]
+
+
+@pytest.fixture(scope="module")
+def new_touches(learnt):
+    noise = np.random.default_rng(2).normal(size=learnt[0][:70].shape)
+    return learnt[0][:70] + 0.2 * learnt[0].std(axis=0) * noise
+
+
+def slow_log_likelihood(model, touches, labels, new, *, spread=None, kept=None):
+    """The definition, object by object, with scipy's normal density.
+
+    `spread` are the touches that pooled covariances come from; `kept` of shape
+    (len(new), len(touches)) says which touches each new one meets.
+    """
+    spread = touches if spread is None else spread
+    kept = np.ones((len(new), len(touches)), bool) if kept is None else kept
+    columns = []
+    for name in model.classes_:
+        own = labels == name
+        if model.bandwidth == "full":
+            covariance = np.cov(spread.T)
+        elif model.bandwidth == "pooled":
+            covariance = np.diag(spread.var(axis=0, ddof=1))
+        else:
+            covariance = np.diag(touches[own].var(axis=0, ddof=1))
+        unit = model.scale * np.sqrt(np.diag(covariance))
+        kernel = multivariate_normal(
+            cov=covariance * model.scale**2 / np.outer(unit, unit)
+        )
+        differences = (new[:, np.newaxis] - touches[own]) / unit
+        densities = kernel.logpdf(differences) - np.log(unit).sum()
+        densities = densities.reshape(len(new), own.sum())
+        densities[~kept[:, own]] = -np.inf
+        n_met = np.maximum(kept[:, own].sum(axis=1), 1)
+        columns.append(logsumexp(densities, axis=1) - np.log(n_met))
+    return np.stack(columns, axis=1)
+
+
+@each_bandwidth
+@pytest.mark.parametrize("scale", [1.0, 0.3])
+@pytest.mark.parametrize(
+    ("precision", "error"), [("single", SINGLE), ("double", DOUBLE)]
+)
+def test_against_the_definition(
+    bandwidth, scale, precision, error, learnt, new_touches
+):
+    model = KernelDensityBayes(bandwidth, scale=scale, precision=precision)
+    found = model.fit(*learnt).log_likelihood(new_touches)
+    slow = slow_log_likelihood(model, *learnt, new_touches)
+    assert found.dtype == np.float64
+    assert_allclose(found, slow, rtol=1e-5, atol=error)
+
+
+@each_bandwidth
+@pytest.mark.parametrize("distance", [30, 300, 1e5])
+def test_hundreds_of_deviations_away_it_stays_exact(
+    bandwidth, distance, learnt, new_touches
+):
+    model = KernelDensityBayes(bandwidth, precision="single").fit(*learnt)
+    away = new_touches + distance * learnt[0].std(axis=0)
+    slow = slow_log_likelihood(model, *learnt, away)
+    found = model.log_likelihood(away)
+    assert np.isfinite(found).all()
+    # 1e-3 nats is promised; beyond 1e8 nats the digits of the covariance end first,
+    # the smallest spread being 1e-6 of the size of the features.
+    assert_allclose(found, slow, rtol=1e-11, atol=1e-3)
+
+
+def test_objects_far_apart_keep_finite_and_exact_likelihoods():
+    rng = np.random.default_rng(0)
+    here, there = rng.normal(loc=[[[0]], [[500]]], size=(2, 300, 5))
+    # The spread is that of the near object alone, so the far one is 500 of it away.
+    model = KernelDensityBayes(precision="single").fit(here, np.full(300, "near"))
+    model.add_class("far", there)
+    touches, labels = np.r_[here, there], np.repeat(["near", "far"], 300)
+    found = model.log_likelihood(touches)
+    slow = slow_log_likelihood(model, touches, labels, touches, spread=here)
+    assert_allclose(found, slow, rtol=1e-12, atol=1e-3)
+    assert found.min() < -1e5
+    assert_array_equal(model.predict(touches), labels)
+    assert np.isfinite(model.predict_log_proba(touches)).all()
+
+
+def test_density_of_one_stored_touch_is_the_normal_density():
+    # Two touches one unit apart: unbiased variance 1/2.
+    model = KernelDensityBayes(scale=2.0).fit([[0.0], [1.0]], ["a", "b"])
+    x = np.linspace(-9, 9, 7)[:, np.newaxis]
+    sd = 2 * np.sqrt(0.5)
+    expected = np.c_[norm.logpdf(x, 0, sd), norm.logpdf(x, 1, sd)]
+    assert_allclose(model.log_likelihood(x), expected, rtol=1e-12)
+
+
+@each_bandwidth
+def test_density_integrates_to_one(bandwidth):
+    rng = np.random.default_rng(3)
+    touches = rng.normal(size=(12, 2)) @ [[1.0, 0.6], [0.0, 0.4]]
+    model = KernelDensityBayes(bandwidth).fit(touches, [0, 1] * 6)
+    axis = np.linspace(-12, 12, 481)
+    grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    mass = np.exp(model.log_likelihood(grid)).sum(axis=0) * 0.05**2
+    # The trapezoid rule is exact to rounding for Gaussians wider than the grid.
+    assert_allclose(mass, 1, rtol=1e-6)
+
+
+def test_full_bandwidth_ignores_any_linear_change_of_the_features(learnt, new_touches):
+    rng = np.random.default_rng(4)
+    change = rng.normal(size=(22, 22))
+    touches, labels = learnt
+    before = KernelDensityBayes("full").fit(touches, labels)
+    scaled = (touches - 5000.0) / touches.std(axis=0)
+    new = (new_touches - 5000.0) / touches.std(axis=0)
+    after = KernelDensityBayes("full").fit(scaled @ change, labels)
+    assert_allclose(
+        after.predict_log_proba(new @ change),
+        before.predict_log_proba(new_touches),
+        atol=SINGLE,
+    )
+
+
+@pytest.mark.parametrize(
+    ("precision", "error"), [("single", SINGLE), ("double", DOUBLE)]
+)
+@pytest.mark.parametrize("n_touches", [2, 31, 32, 33, 70])
+def test_a_touch_alone_is_a_touch_in_a_batch(
+    n_touches, precision, error, learnt, new_touches
+):
+    model = KernelDensityBayes(precision=precision).fit(*learnt)
+    batch = model.log_likelihood(new_touches[:n_touches])
+    alone = [model.log_likelihood(touch[np.newaxis])[0] for touch in new_touches]
+    # Matrix-vector and matrix-matrix products add up in different orders.
+    assert_allclose(batch, alone[:n_touches], atol=error)
+
+
+@each_bandwidth
+@pytest.mark.parametrize("precision", ["single", "double"])
+def test_learning_and_forgetting_leave_the_others_to_the_bit(
+    bandwidth, precision, learnt, new_touches
+):
+    touches, labels = learnt
+    model = KernelDensityBayes(bandwidth, precision=precision).fit(touches, labels)
+    before = model.log_likelihood(new_touches)
+    wild = 40 * touches[:77] - 3 * touches[100:177]
+    for name, place in (("a first one", 0), ("thing 44", 5), ("zebra", 10)):
+        model.add_class(name, wild)
+        assert model.classes_[place] == name
+        with_it = model.log_likelihood(new_touches)
+        assert_array_equal(np.delete(with_it, place, axis=1), before)
+        model.forget_class(name)
+        assert_array_equal(model.log_likelihood(new_touches), before)
+    model.forget_class("thing 3")
+    assert_array_equal(model.log_likelihood(new_touches), np.delete(before, 3, axis=1))
+
+
+def test_an_added_object_is_as_if_learnt_from_the_start(learnt, new_touches):
+    touches, labels = learnt
+    late = labels == "thing 7"
+    model = KernelDensityBayes().fit(touches[~late], labels[~late])
+    model.add_class("thing 7", touches[late])
+    whole = KernelDensityBayes().fit(touches, labels)
+    # With the spread of all touches in place, nothing else differs.
+    for attribute in ("centre_", "spread_", "varies_", "log_volume_"):
+        setattr(whole, attribute, getattr(model, attribute))
+    points = model._whiten(touches[whole.order_])
+    whole._store(points, whole.counts_)
+    assert_array_equal(
+        whole.log_likelihood(new_touches), model.log_likelihood(new_touches)
+    )
+
+
+@each_bandwidth
+@pytest.mark.parametrize("grouped", [False, True])
+def test_leave_one_out_is_the_mean_over_the_other_touches(bandwidth, grouped, learnt):
+    fitted, labels = learnt[0][:150], learnt[1][:150]
+    model = KernelDensityBayes(bandwidth, scale=0.7).fit(fitted, labels)
+    extra = 1.5 * fitted[:9] - 0.5 * fitted[9:18]
+    model.add_class("added", extra)
+    touches, labels = np.r_[fitted, extra], np.r_[labels, np.full(9, "added")]
+    groups = np.arange(159) // 3 if grouped else np.arange(159)
+    found = model.leave_one_out_log_likelihood(groups if grouped else None)
+    kept = groups[:, np.newaxis] != groups
+    slow = slow_log_likelihood(
+        model, touches, labels, touches, spread=fitted, kept=kept
+    )
+    # Covariances of 150 touches by two routes.
+    assert_allclose(found, slow, rtol=1e-8)
+
+
+def test_left_out_object_without_other_touches_is_impossible():
+    model = KernelDensityBayes().fit([[0.0], [1.0], [2.0]], ["a", "b", "b"])
+    found = model.leave_one_out_log_likelihood()
+    assert_array_equal(np.isneginf(found), [[True, False], [False] * 2, [False] * 2])
+    with pytest.raises(ValueError, match=r"one entry per training touch \(3\)"):
+        model.leave_one_out_log_likelihood([0, 1])
+
+
+def test_leave_one_out_keeps_the_order_of_learning(learnt):
+    touches, labels = learnt
+    shuffled = np.random.default_rng(5).permutation(len(labels))
+    straight = KernelDensityBayes(precision="double").fit(touches, labels)
+    other = KernelDensityBayes(precision="double").fit(
+        touches[shuffled], labels[shuffled]
+    )
+    # Sums run in another order.
+    assert_allclose(
+        other.leave_one_out_log_likelihood(),
+        straight.leave_one_out_log_likelihood()[shuffled],
+        rtol=1e-9,
+    )
+    straight.forget_class("thing 4")
+    assert_array_equal(np.sort(straight.order_), np.arange((labels != "thing 4").sum()))
+    assert len(straight.leave_one_out_log_likelihood()) == len(straight.order_)
+
+
+def test_prior_by_counts_shifts_the_posterior_only(learnt, new_touches):
+    touches, labels = learnt
+    flat = KernelDensityBayes().fit(touches, labels)
+    counted = KernelDensityBayes(prior="counts").fit(touches, labels)
+    assert_array_equal(
+        flat.log_likelihood(new_touches), counted.log_likelihood(new_touches)
+    )
+    joint = flat.predict_proba(new_touches) * flat.counts_
+    expected = joint / joint.sum(axis=1, keepdims=True)
+    # Where a posterior is almost 1 its logarithm carries the rounding of the joint.
+    assert_allclose(counted.predict_proba(new_touches), expected, rtol=1e-9)
+
+
+def test_precision_chosen_for_few_touches_and_narrow_bandwidths(learnt):
+    touches, labels = learnt
+    assert KernelDensityBayes().fit(touches, labels).dtype_ == "float32"
+    assert KernelDensityBayes().fit(touches[:200], labels[:200]).dtype_ == "float64"
+    assert KernelDensityBayes(scale=0.05).fit(touches, labels).dtype_ == "float64"
+
+
+def test_no_touches_are_kept_by_reference(learnt, new_touches):
+    touches = learnt[0].copy()
+    model = KernelDensityBayes().fit(touches, learnt[1])
+    before = model.log_likelihood(new_touches)
+    touches[:] = 0
+    assert_array_equal(model.log_likelihood(new_touches), before)
+
+
+def test_many_touches_of_one_object_are_summed_in_blocks():
+    rng = np.random.default_rng(7)
+    touches = rng.normal(size=(40_000, 2))
+    labels = np.repeat(["few", "many"], [10, 39_990])
+    model = KernelDensityBayes(precision="single").fit(touches, labels)
+    new = rng.normal(size=(64, 2))
+    slow = slow_log_likelihood(model, touches, labels, new)
+    assert_allclose(model.log_likelihood(new), slow, atol=SINGLE)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_not_finite_is_refused(bad):
+    model = KernelDensityBayes().fit([[0.0, 1.0], [1.0, 0.0]], [0, 1])
+    with pytest.raises(ValueError, match=r"NaN|infinity"):
+        model.log_likelihood(np.array([[0.0, bad]]))
+    with pytest.raises(ValueError, match=r"NaN|infinity"):
+        model.add_class(2, [[0.0, bad]])
+    with pytest.raises(ValueError, match=r"NaN|infinity"):
+        clone(model).fit([[0.0, bad], [1.0, 0.0]], [0, 1])
+
+
+def test_labels_are_checked():
+    model = KernelDensityBayes().fit([[0.0], [1.0]], ["a", "b"])
+    with pytest.raises(ValueError, match=r"must be new, got 'a'\. Forget it first"):
+        model.add_class("a", [[2.0]])
+    with pytest.raises(TypeError, match=r"kind of the known labels .* got int"):
+        model.add_class(3, [[2.0]])
+    with pytest.raises(ValueError, match="must be one of 'a', 'b', got 'c'"):
+        model.forget_class("c")
+    with pytest.raises(ValueError, match=r"2 features, but .* 1 features"):
+        model.add_class("c", [[2.0, 1.0]])
+    assert_array_equal(model.forget_class("a").predict([[0.0]]), ["b"])
+    with pytest.raises(ValueError, match="At least one object must remain"):
+        model.forget_class("b")
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"bandwidth": "silverman"}, "bandwidth must be one of 'pooled'"),
+        ({"scale": 0.0}, "scale must be positive"),
+        ({"prior": "flat"}, "prior must be one of 'uniform', 'counts'"),
+        ({"min_variance": 0.0}, "min_variance must be finite and between"),
+        ({"precision": "half"}, "precision must be one of 'auto'"),
+    ],
+)
+def test_bad_parameters_are_refused_at_fit(parameters, message):
+    with pytest.raises(ValueError, match=message):
+        KernelDensityBayes(**parameters).fit([[0.0], [1.0]], [0, 1])
+
+
+@pytest.mark.realdata
+@each_bandwidth
+def test_single_precision_on_real_touches(bandwidth, data_folder):
+    with np.load(data_folder / "bathtip" / "bathtip50.npz") as archive:
+        touches = archive["author_zernike_pca"].astype(float)
+        labels = archive["object"]
+    train = np.arange(len(labels)) % 5 != 0
+    single, double = (
+        KernelDensityBayes(bandwidth, precision=p).fit(touches[train], labels[train])
+        for p in ("single", "double")
+    )
+    assert_allclose(
+        single.log_likelihood(touches[~train]),
+        double.log_likelihood(touches[~train]),
+        rtol=1e-5,
+        atol=1e-3,
+    )
+    assert_array_equal(single.predict(touches[~train]), double.predict(touches[~train]))

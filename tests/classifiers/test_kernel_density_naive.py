@@ -1,0 +1,181 @@
+"""Naive Bayes with kernel densities against densities of scipy, one feature a time."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.special import logsumexp
+from scipy.stats import gaussian_kde, norm
+from sklearn.utils.estimator_checks import parametrize_with_checks
+
+from palpate.classifiers import KernelDensityNaiveBayes
+
+# Two routes through float64, over sums of a few hundred terms.
+ROUNDING = 1e-10
+
+
+@parametrize_with_checks(
+    [KernelDensityNaiveBayes(), KernelDensityNaiveBayes(0.3, prior="counts")]
+)
+def test_scikit_learn_contract(estimator, check):
+    check(estimator)
+
+
+@pytest.fixture
+def learnt(rng):
+    """Four labels, 20 to 50 touches each, seven features of very different size."""
+    labels = np.repeat(["corner", "edge", "flat", "point"], [20, 30, 40, 50])
+    touches = rng.normal(size=(140, 7)) * np.logspace(-4, 4, 7)
+    mixed = rng.permutation(140)
+    return touches[mixed], labels[mixed]
+
+
+@pytest.fixture
+def new_touches(rng, learnt):
+    return rng.normal(size=(70, 7)) * learnt[0].std(axis=0) * 2
+
+
+def slow_log_likelihood(learnt, new, width):
+    """Sum over features of log densities; `width(values, feature)` in its unit."""
+    touches, labels = learnt
+    result = np.zeros((len(new), 4))
+    for place, name in enumerate(np.unique(labels)):
+        for feature in range(touches.shape[1]):
+            values = touches[labels == name, feature]
+            each = norm.logpdf(new[:, [feature]], values, width(values, feature))
+            result[:, place] += logsumexp(each, axis=1) - np.log(len(values))
+    return result
+
+
+def test_scott_is_the_gaussian_optimum(learnt, new_touches):
+    # scipy's name for the same rule is "silverman": (3 n / 4)^(-1/5) deviations.
+    def width(values, feature):
+        return gaussian_kde(values, "silverman").factor * values.std(ddof=1)
+
+    model = KernelDensityNaiveBayes("scott").fit(*learnt)
+    slow = slow_log_likelihood(learnt, new_touches, width)
+    assert_allclose(model.log_likelihood(new_touches), slow, rtol=ROUNDING)
+
+
+def test_silverman_takes_the_smaller_spread(learnt, new_touches):
+    def width(values, feature):
+        low, high = np.percentile(values, [25, 75])
+        spread = min(values.std(ddof=1), (high - low) / 1.349)
+        return 0.9 * spread / len(values) ** 0.2
+
+    model = KernelDensityNaiveBayes("silverman").fit(*learnt)
+    slow = slow_log_likelihood(learnt, new_touches, width)
+    assert_allclose(model.log_likelihood(new_touches), slow, rtol=ROUNDING)
+
+
+def test_a_number_is_a_share_of_the_deviation_of_all_touches(learnt, new_touches):
+    def width(values, feature):
+        return 0.25 * learnt[0][:, feature].std(ddof=1)
+
+    model = KernelDensityNaiveBayes(0.25).fit(*learnt)
+    slow = slow_log_likelihood(learnt, new_touches, width)
+    assert_allclose(model.log_likelihood(new_touches), slow, rtol=ROUNDING)
+
+
+def test_far_touches_keep_finite_and_exact_likelihoods(learnt, new_touches):
+    far = new_touches + 500 * learnt[0].std(axis=0)
+    model = KernelDensityNaiveBayes(0.1).fit(*learnt)
+
+    def width(values, feature):
+        return 0.1 * learnt[0][:, feature].std(ddof=1)
+
+    found = model.log_likelihood(far)
+    assert found.max() < -1e6
+    assert_allclose(found, slow_log_likelihood(learnt, far, width), rtol=ROUNDING)
+    assert np.isfinite(model.log_likelihood(np.full((1, 7), 1e308))).all()
+
+
+def test_features_are_independent_witnesses(learnt, new_touches):
+    touches, labels = learnt
+    whole = KernelDensityNaiveBayes().fit(touches, labels)
+    parts = [
+        KernelDensityNaiveBayes()
+        .fit(touches[:, [k]], labels)
+        .log_likelihood(new_touches[:, [k]])
+        for k in range(7)
+    ]
+    assert_allclose(whole.log_likelihood(new_touches), sum(parts), rtol=1e-12)
+
+
+@pytest.mark.parametrize("bandwidth", ["scott", "silverman", 0.5])
+def test_units_of_the_features_do_not_matter(bandwidth, learnt, new_touches):
+    touches, labels = learnt
+    unit, zero = np.logspace(5, -5, 7), np.arange(7) * 10.0
+    plain = KernelDensityNaiveBayes(bandwidth).fit(touches, labels)
+    other = KernelDensityNaiveBayes(bandwidth).fit(touches * unit + zero, labels)
+    # Adding `zero` costs the smallest features, 1e-9 of it, seven digits.
+    assert_allclose(
+        other.predict_proba(new_touches * unit + zero),
+        plain.predict_proba(new_touches),
+        atol=1e-5,
+    )
+
+
+def test_a_touch_alone_is_a_touch_in_a_batch(learnt, new_touches):
+    model = KernelDensityNaiveBayes().fit(*learnt)
+    alone = [model.log_likelihood(touch[np.newaxis])[0] for touch in new_touches]
+    # Sums over the label's touches may run in another order.
+    assert_allclose(model.log_likelihood(new_touches), alone, rtol=1e-12)
+
+
+def test_prior_by_counts(learnt, new_touches):
+    flat = KernelDensityNaiveBayes().fit(*learnt)
+    counted = KernelDensityNaiveBayes(prior="counts").fit(*learnt)
+    joint = flat.predict_proba(new_touches) * [20, 30, 40, 50]
+    expected = joint / joint.sum(axis=1, keepdims=True)
+    assert_allclose(counted.predict_proba(new_touches), expected, rtol=1e-9)
+
+
+def test_features_that_never_vary_are_ignored(learnt, new_touches):
+    touches, labels = learnt
+    padded = np.c_[np.full(140, 0.1), touches]
+    model = KernelDensityNaiveBayes().fit(padded, labels)
+    plain = KernelDensityNaiveBayes().fit(touches, labels)
+    assert_array_equal(
+        model.log_likelihood(np.c_[np.full(70, 9.0), new_touches]),
+        plain.log_likelihood(new_touches),
+    )
+    nothing = KernelDensityNaiveBayes().fit(np.ones((3, 2)), [0, 1, 1])
+    assert_array_equal(nothing.log_likelihood([[5, 5]]), [[0, 0]])
+
+
+def test_labels_without_spread_get_a_bandwidth():
+    # One label touched once; one that never varies; one with half its values equal.
+    values = np.array([[0.0], [3.0], [3.0], [7.0], [7.0], [7.0], [7.0], [9.0]])
+    labels = [0, 1, 1, 2, 2, 2, 2, 2]
+    pooled = values.std(ddof=1)
+    scott = KernelDensityNaiveBayes("scott", min_bandwidth=0.05).fit(values, labels)
+    assert_allclose(scott.bandwidths_[:2, 0], [(4 / 3) ** 0.2, 0.05], rtol=1e-12)
+    silverman = KernelDensityNaiveBayes("silverman").fit(values, labels)
+    own = values[3:].std(ddof=1)
+    assert_allclose(
+        silverman.bandwidths_[:, 0] * pooled,
+        [0.9 * pooled, 1e-2 * pooled, 0.9 * own * 5**-0.2],
+        rtol=1e-12,
+    )
+
+
+@pytest.mark.parametrize(
+    ("parameters", "error", "message"),
+    [
+        ({"bandwidth": "botev"}, ValueError, "must be one of 'scott', 'silverman'"),
+        ({"bandwidth": -1.0}, ValueError, "bandwidth must be positive"),
+        ({"bandwidth": None}, TypeError, "bandwidth must be a number"),
+        ({"prior": "flat"}, ValueError, "prior must be one of"),
+        ({"min_bandwidth": 0.0}, ValueError, "min_bandwidth must be positive"),
+    ],
+)
+def test_bad_parameters_are_refused_at_fit(parameters, error, message):
+    with pytest.raises(error, match=message):
+        KernelDensityNaiveBayes(**parameters).fit([[0.0], [1.0]], [0, 1])
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_not_finite_is_refused(bad, learnt):
+    model = KernelDensityNaiveBayes().fit(*learnt)
+    with pytest.raises(ValueError, match=r"NaN|infinity"):
+        model.log_likelihood(np.full((1, 7), bad))

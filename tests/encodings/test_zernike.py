@@ -1,0 +1,424 @@
+"""Zernike moments against facts known without the code."""
+
+from fractions import Fraction
+from math import factorial
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.integrate import dblquad
+from scipy.ndimage import affine_transform
+from scipy.special import eval_jacobi
+
+from palpate.encodings import ZernikeMoments
+from palpate.encodings._zernike_disc import Disc
+from palpate.encodings._zernike_polynomials import (
+    legendre_weights,
+    noll_degrees,
+    zernike_degrees,
+    zernike_values,
+)
+from palpate.encodings._zernike_tables import Grid, dense_moments, separable_moments
+
+METHODS = pytest.mark.parametrize("method", ["exact", "sample"])
+
+
+def coordinates(size, row=None, col=None, radius=None):
+    """x, y of taxel centres in radii of the disc, inscribed by default."""
+    middle, radius = (size - 1) / 2, radius or size / 2
+    x = (np.arange(size) - (middle if col is None else col)) / radius
+    y = (np.arange(size) - (middle if row is None else row)) / radius
+    return np.broadcast_to(x, (size, size)), np.broadcast_to(y[:, None], (size, size))
+
+
+def smooth(x, y, angle=0.0):
+    """A sum of broad bumps, turned by `angle` from x towards y."""
+    rng = np.random.default_rng(3)
+    along = np.cos(angle) * x + np.sin(angle) * y
+    across = np.cos(angle) * y - np.sin(angle) * x
+    bumps = zip(
+        rng.uniform(-1, 1, 8),
+        rng.uniform(-0.6, 0.6, (8, 2)),
+        rng.uniform(0.2, 0.4, 8),
+        strict=True,
+    )
+    return sum(
+        a * np.exp(-((along - u) ** 2 + (across - v) ** 2) / (2 * w**2))
+        for a, (u, v), w in bumps
+    )
+
+
+def moments(image, order=8, **options):
+    """The complex moments of one image as {(n, m): moment}."""
+    encoder = ZernikeMoments(order, output="complex", **options)
+    values = encoder.fit_transform(image[np.newaxis])[0]
+    return dict(zip(map(tuple, encoder.indices_.tolist()), values, strict=True))
+
+
+def polynomial(n, m, x, y):
+    """V(n, m) as a Jacobi polynomial, by way of the radius and the angle."""
+    r, k = np.hypot(x, y), (n - abs(m)) // 2
+    radial = (-1) ** k * r ** abs(m) * eval_jacobi(k, abs(m), 0, 1 - 2 * r**2)
+    return radial * np.exp(1j * m * np.arctan2(y, x))
+
+
+# Closed forms: (image as a function of x and y, its non-zero moments to order 4).
+CLOSED_FORMS = [
+    pytest.param(lambda x, y: 1 + 0 * x, {(0, 0): 1}, id="1"),
+    pytest.param(
+        lambda x, y: x**2, {(0, 0): 1 / 4, (2, 0): 1 / 4, (2, 2): 1 / 4}, id="x^2"
+    ),
+    pytest.param(
+        lambda x, y: x**4,
+        {
+            (0, 0): 1 / 8,
+            (2, 0): 3 / 16,
+            (2, 2): 3 / 16,
+            (4, 0): 1 / 16,
+            (4, 2): 1 / 16,
+            (4, 4): 1 / 16,
+        },
+        id="x^4",
+    ),
+    pytest.param(
+        lambda x, y: x * y**2,
+        {(1, 1): 1 / 12, (3, 1): 1 / 24, (3, 3): -1 / 8},
+        id="x y^2",
+    ),
+    pytest.param(
+        lambda x, y: x**3 * y,
+        {(2, 2): -3j / 32, (4, 2): -1j / 32, (4, 4): -1j / 16},
+        id="x^3 y",
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("size", "tolerance"),
+    # Each taxel counts as constant: second order in its side. Figures as measured
+    # beforehand on another implementation.
+    [(33, 1.4e-3), (300, 1.8e-5)],
+)
+@pytest.mark.parametrize(("image", "expected"), CLOSED_FORMS)
+def test_closed_forms(image, expected, size, tolerance):
+    got = moments(image(*coordinates(size)), order=4)
+    assert len(got) == 9
+    for degree, value in got.items():
+        assert abs(value - expected.get(degree, 0)) < tolerance, degree
+
+
+def test_closed_form_of_a_smaller_disc():
+    # Each taxel holds its mean over 20 x 20 points of the disc r <= 1/2.
+    fine = np.hypot(*coordinates(6000)) <= 0.5
+    image = fine.reshape(300, 20, 300, 20).mean(axis=(1, 3))
+    got = moments(image)
+    expected = [1 / 4, -9 / 16, 15 / 32, -21 / 256, -135 / 512]
+    # The edge is blurred over one taxel, 1/75 of the smaller disc's diameter.
+    assert_allclose([got[n, 0] for n in range(0, 9, 2)], expected, atol=2e-4)
+    assert max(abs(v) for (n, m), v in got.items() if m % 4) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("n", "m", "closed_form"),
+    [
+        pytest.param(0, 0, lambda x, y: 1 + 0j * x, id="piston"),
+        pytest.param(1, 1, lambda x, y: x + 1j * y, id="tilt"),
+        pytest.param(2, 0, lambda x, y: 2 * (x**2 + y**2) - 1 + 0j, id="defocus"),
+        pytest.param(2, 2, lambda x, y: (x + 1j * y) ** 2, id="astigmatism"),
+        pytest.param(
+            3, 1, lambda x, y: (3 * (x**2 + y**2) - 2) * (x + 1j * y), id="coma"
+        ),
+        pytest.param(
+            4,
+            0,
+            lambda x, y: 6 * (x**2 + y**2) ** 2 - 6 * (x**2 + y**2) + 1 + 0j,
+            id="spherical",
+        ),
+    ],
+)
+def test_polynomials_of_low_order(n, m, closed_form):
+    x, y = coordinates(21)
+    values = dict(zip(zernike_degrees(4), zernike_values(4, x, y), strict=True))
+    # A few operations on numbers of order 1.
+    assert_allclose(values[n, m], closed_form(x, y), atol=1e-14)
+
+
+def test_polynomials_of_high_order_stay_within_the_unit_circle():
+    angle, r = np.linspace(0, 6, 50), np.linspace(0, 1, 50)
+    x, y = r * np.cos(angle), r * np.sin(angle)
+    for (n, m), value in zip(
+        zernike_degrees(100), zernike_values(100, x, y), strict=True
+    ):
+        # R(n, m) is 1 at r = 1 for every n and m, and |R| <= 1 inside.
+        assert abs(abs(value[-1]) - 1) < 1e-12, (n, m)
+        assert np.abs(value).max() < 1 + 1e-12, (n, m)
+
+
+@pytest.mark.parametrize("m", [0, 2, 20, 48, 98, 100])
+def test_polynomials_of_high_order_keep_their_digits(m):
+    r = Fraction(15, 16)
+    radial = sum(
+        Fraction((-1) ** k * factorial(100 - k), factorial(k))
+        / (factorial((100 + m) // 2 - k) * factorial((100 - m) // 2 - k))
+        * r ** (100 - 2 * k)
+        for k in range((100 - m) // 2 + 1)
+    )
+    values = list(zernike_values(100, np.array([float(r)]), np.zeros(1)))
+    # A hundred steps of the recurrence on numbers of order 1.
+    found = values[zernike_degrees(100).index((100, m))][0]
+    assert abs(found - float(radial)) < 1e-13
+
+
+def test_legendre_weights_are_exact():
+    # x^2 + y^2 has degree 2: V(2, 0) = 2 r^2 - 1 = (4 P2(x) + 4 P2(y) + 1) / 3.
+    weights = legendre_weights(2)[zernike_degrees(2).index((2, 0))]
+    assert_array_equal(weights.real, [[1 / 3, 0, 4 / 3], [0, 0, 0], [4 / 3, 0, 0]])
+    assert_array_equal(weights.imag, np.zeros((3, 3)))
+
+
+def test_noll_list_is_table_1_of_corradi_2014():
+    n = [0, 1, 1, 2, 2, 2, 3, 3, 3, 3]
+    m = [0, 1, -1, 0, -2, 2, -1, 1, -3, 3]
+    assert noll_degrees(3) == list(zip(n, m, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("j", "closed_form"),
+    [
+        pytest.param(1, lambda r, t: np.ones_like(r), id="piston"),
+        pytest.param(2, lambda r, t: 2 * r * np.cos(t), id="tilt-x"),
+        pytest.param(3, lambda r, t: 2 * r * np.sin(t), id="tilt-y"),
+        pytest.param(4, lambda r, t: np.sqrt(3) * (2 * r**2 - 1), id="defocus"),
+        pytest.param(5, lambda r, t: np.sqrt(6) * r**2 * np.sin(2 * t), id="astig"),
+        pytest.param(6, lambda r, t: np.sqrt(6) * r**2 * np.cos(2 * t), id="astig-x"),
+        pytest.param(
+            7, lambda r, t: np.sqrt(8) * (3 * r**3 - 2 * r) * np.sin(t), id="coma-y"
+        ),
+        pytest.param(
+            8, lambda r, t: np.sqrt(8) * (3 * r**3 - 2 * r) * np.cos(t), id="coma-x"
+        ),
+        pytest.param(
+            11,
+            lambda r, t: np.sqrt(5) * (6 * r**4 - 6 * r**2 + 1),
+            id="spherical",
+        ),
+        pytest.param(14, lambda r, t: np.sqrt(10) * r**4 * np.cos(4 * t), id="quad"),
+        pytest.param(15, lambda r, t: np.sqrt(10) * r**4 * np.sin(4 * t), id="quad-y"),
+    ],
+)
+def test_noll_moments_are_orthonormal(j, closed_form):
+    x, y = coordinates(300)
+    image = closed_form(np.hypot(x, y), np.arctan2(y, x))
+    encoder = ZernikeMoments(4, output="noll", weight="noll")
+    found = encoder.fit_transform(image[np.newaxis])[0]
+    # Second order in the taxel's side, times the polynomial's steep rim.
+    assert_allclose(found, np.arange(1, 16) == j, atol=2e-4)
+
+
+@pytest.mark.parametrize("order", range(41))
+def test_every_order_agrees_with_a_direct_sum(order, rng):
+    image = rng.normal(size=(13, 16))
+    encoder = ZernikeMoments(
+        order,
+        method="sample",
+        output="complex",
+        centre=(5.8, 7.1),
+        radius=6.7,
+        repeat_negative=True,
+    )
+    found = encoder.fit_transform(image[np.newaxis])[0]
+    row, col = np.mgrid[:13, :16]
+    x, y = (col - 7.1) / 6.7, (row - 5.8) / 6.7
+    inside = np.hypot(x, y) <= 1
+    for (n, m), value in zip(encoder.indices_, found, strict=True):
+        waves = polynomial(n, m, x, y).conj()
+        direct = (image * waves)[inside].sum() * (n + 1) / np.pi / 6.7**2
+        # Legendre products lose up to 3e-11 at order 20; the basis above does not.
+        assert abs(value - direct) < 1e-10, (n, m)
+
+
+@pytest.mark.parametrize(
+    "cells",
+    [
+        pytest.param([(4, 4)], id="middle"),
+        pytest.param([(0, 4), (8, 4), (4, 0)], id="top, bottom, left"),
+        pytest.param([(1, 1), (7, 7), (1, 7)], id="corners"),
+    ],
+)
+@pytest.mark.parametrize("order", [6, 22])
+def test_exact_moments_of_one_taxel_are_its_part_of_the_disc(cells, order):
+    row, col, radius = 4.2, 3.7, 4.4
+    for i, j in cells:
+        image = np.zeros((9, 9))
+        image[i, j] = 1
+        got = moments(image, order, centre=(row, col), radius=radius, weight="none")
+        low, high = np.clip((np.array([i - 0.5, i + 0.5]) - row) / radius, -1, 1)
+        left, right = (np.array([j - 0.5, j + 0.5]) - col) / radius
+        for n, m in [(0, 0), (3, 1), (6, 4)]:
+            for part in ("real", "imag"):
+                integral, _ = dblquad(
+                    lambda x, y, n=n, m=m, part=part: getattr(
+                        polynomial(n, m, x, y).conj(), part
+                    ),
+                    low,
+                    high,
+                    lambda y, a=left: max(a, -np.sqrt(1 - y * y)),
+                    lambda y, a=left, b=right: max(
+                        min(b, np.sqrt(1 - y * y)), a, -np.sqrt(1 - y * y)
+                    ),
+                    epsabs=1e-9,
+                )
+                # What the adaptive quadrature promises at kinks of the limits.
+                assert abs(getattr(got[n, m], part) - integral) < 1e-7, (n, m)
+
+
+@pytest.mark.parametrize("order", [15, 25])
+def test_exact_mode_sees_an_image_of_constant_taxels(order, rng):
+    # Cutting each taxel into four equal ones leaves that image as it was.
+    image = rng.normal(size=(12, 10))
+    place = {"centre": (5.1, 4.8), "radius": 5.3}
+    finer = {"centre": (2 * 5.1 + 0.5, 2 * 4.8 + 0.5), "radius": 2 * 5.3}
+    fine = np.kron(image, np.ones((2, 2)))
+    coarse = moments(image, order, **place)
+    for degree, value in moments(fine, order, **finer).items():
+        # Rounding in the separable method (3e-13), quadrature in the dense one.
+        assert abs(value - coarse[degree]) < 1e-11, degree
+
+
+@METHODS
+@pytest.mark.parametrize("order", [0, 1, 8, 15])
+def test_separable_method_agrees_with_the_dense_basis(method, order, rng):
+    images = rng.normal(size=(3, 40, 33))
+    for disc in [Disc(40, 33, 19.5, 16, 16.5), Disc(40, 33, 20.3, 14.2, 21.9)]:
+        grid = Grid(disc, order, method == "exact")
+        # Noll's digits: 3e-13 are lost at order 15.
+        assert_allclose(
+            separable_moments(images, grid),
+            dense_moments(images, grid),
+            rtol=0,
+            atol=1e-11,
+        )
+
+
+def test_agrees_with_mahotas(rng):
+    features = pytest.importorskip("mahotas.features", reason="mahotas not installed")
+    image = rng.uniform(0.1, 1, size=(50, 60))  # it drops what is not positive
+    encoder = ZernikeMoments(method="sample", centre=(24.3, 30.6), radius=21.7)
+    ours = encoder.fit_transform(image[np.newaxis])[0]
+    theirs = features.zernike_moments(image, 21.7, 15, cm=(24.3, 30.6))
+    row, col = np.mgrid[:50, :60]
+    inside = np.hypot(row - 24.3, col - 30.6) <= 21.7
+    # It divides by the sum of the image, we measure areas in squared radii. Its
+    # factorial sums lose 5e-12 at order 15.
+    assert_allclose(ours, theirs * image[inside].sum() / 21.7**2, atol=1e-10)
+
+
+def test_agrees_with_centrosome(rng):
+    peer = pytest.importorskip("centrosome.zernike", reason="centrosome not installed")
+    image = rng.normal(size=(51, 51))
+    x, y = coordinates(51)
+    degrees = np.array(zernike_degrees(15))
+    # It measures the angle from the y axis, so the axes change places.
+    values = peer.construct_zernike_polynomials(y.copy(), x.copy(), degrees)
+    factor = (degrees[:, 0] + 1) / np.pi * (2 / 51) ** 2
+    theirs = (image[..., None] * values.conj()).sum(axis=(0, 1)) * factor
+    ours = moments(image, 15, method="sample")
+    assert_allclose(list(ours.values()), theirs, atol=1e-10)
+
+
+@pytest.mark.parametrize("size", [7, 33, 100, 300])
+@pytest.mark.parametrize("order", [15, 20])
+def test_a_constant_image_has_no_other_moment(size, order):
+    found = ZernikeMoments(order).fit_transform(np.full((1, size, size), 200.0))[0]
+    assert_allclose(found[0], 200, rtol=1e-12)
+    # 1e-6 of the level is promised, 3e-11 of it the separable method's digits.
+    assert found[1:].max() < 200 * 1e-9
+
+
+def test_standardised_and_raw_images_differ_in_the_constant_moment_alone(rng):
+    image = rng.normal(size=(1, 40, 40))
+    encoder = ZernikeMoments(drop_constant=True).fit(image)
+    assert_allclose(encoder.transform(image + 100), encoder.transform(image), atol=1e-9)
+
+
+@METHODS
+@pytest.mark.parametrize("order", [15, 23])
+def test_quarter_turns_change_phases_alone(method, order, rng):
+    images = rng.normal(size=(2, 41, 41))
+    encoder = ZernikeMoments(order, method=method, output="complex").fit(images)
+    straight = encoder.transform(images)
+    # rot90 turns rows into columns: from y (down) towards x, by minus 90 degrees.
+    turned = encoder.transform(np.rot90(images, axes=(1, 2)))
+    phase = np.exp(-1j * encoder.indices_[:, 1] * -np.pi / 2)
+    # The digits of the separable method.
+    assert_allclose(turned, straight * phase, rtol=0, atol=1e-11)
+    assert_allclose(np.abs(turned), np.abs(straight), rtol=0, atol=1e-11)
+
+
+def test_any_turn_keeps_the_magnitudes(rng):
+    x, y = coordinates(300)
+    angles = rng.uniform(0, 2 * np.pi, 10)
+    images = np.stack([smooth(x, y), *(smooth(x, y, a) for a in angles)])
+    encoder = ZernikeMoments(output="complex").fit(images)
+    straight, *turned = encoder.transform(images)
+    size = np.linalg.norm(straight)
+    for angle, found in zip(angles, turned, strict=True):
+        # Taxels are squares: 1e-5 to 5e-5 at this size.
+        assert np.linalg.norm(np.abs(found) - np.abs(straight)) < 5e-4 * size
+        phase = np.exp(-1j * encoder.indices_[:, 1] * angle)
+        assert np.linalg.norm(found - straight * phase) < 5e-4 * size
+
+
+def test_magnitudes_forgive_a_turn_only_about_the_right_disc():
+    # Relative change of the encoding under a turn: the order of these errors is
+    # what makes sub-pixel centres, D/2 and exact rims worth having.
+    x, y = coordinates(300)
+    images = np.stack([smooth(x, y), smooth(x, y, 0.5)])
+
+    def change(**options):
+        straight, turned = ZernikeMoments(**options).fit_transform(images)
+        return np.linalg.norm(straight - turned) / np.linalg.norm(straight)
+
+    right = change()
+    assert right < 1e-4
+    assert change(method="sample") > 5 * right
+    assert change(centre=(149.5, 150.0)) > 50 * right
+    assert change(disc="circumscribed") > 500 * right
+    assert change(output="noll_abs") > 1000 * right
+
+
+def test_the_disc_is_placed_to_a_part_of_a_taxel():
+    centre, radius = (20.25, 23.7), 15.6
+    x, y = coordinates(45, *centre, radius)
+    got = moments(x**2 + 0 * y, 4, centre=centre, radius=radius)
+    # As the closed forms at 33 taxels.
+    assert_allclose(got[0, 0], 1 / 4, atol=1.4e-3)
+    assert_allclose(got[2, 2], 1 / 4, atol=1.4e-3)
+    off = moments(x**2 + 0 * y, 4, centre=(20.25, 24.2), radius=radius)
+    # (x + d)^2 holds the tilt 2 d x, whose moment is d: here half a taxel.
+    assert_allclose(off[1, 1], 0.5 / radius, rtol=0.02)
+
+
+def test_beyond_the_frame_an_image_counts_as_zero(rng):
+    image = rng.normal(size=(9, 9))
+    framed = np.zeros((19, 19))
+    framed[5:14, 5:14] = image
+    small = moments(image, 15, centre=(3.2, 4.0), radius=6.0)
+    large = moments(framed, 15, centre=(8.2, 9.0), radius=6.0)
+    assert_allclose(list(small.values()), list(large.values()), atol=1e-11)
+
+
+@pytest.mark.realdata
+def test_a_turned_real_touch_keeps_its_encoding(data_folder, rng):
+    archive = np.load(data_folder / "bathtip" / "bathtip50.npz")
+    images, rims = archive["images"], archive["rim_circle_row_col_radius_px"]
+    for i in rng.choice(len(images), 12, replace=False):
+        centre, angle = rims[i, :2], rng.uniform(0, 2 * np.pi)
+        cosine, sine = np.cos(angle), np.sin(angle)
+        turn = np.array([[cosine, -sine], [sine, cosine]])
+        image = images[i].astype(float)
+        turned = affine_transform(image, turn, offset=centre - turn @ centre)
+        encoder = ZernikeMoments(centre=tuple(centre), radius=44, drop_constant=True)
+        straight, found = encoder.fit_transform(np.stack([image, turned]))
+        # Resampling alone changes up to 1.8e-3.
+        assert np.linalg.norm(found - straight) < 2e-3 * np.linalg.norm(straight)

@@ -1,0 +1,337 @@
+"""Cutting discs: exact averages, statistics of the disc, invariance to shifts."""
+
+import pickle
+import re
+
+import cv2
+import numpy as np
+import pytest
+from sklearn.base import clone
+from sklearn.exceptions import NotFittedError
+
+from palpate.images import (
+    Circle,
+    DomeCrop,
+    Rims,
+    crop_discs,
+    disc_mask,
+    find_rim,
+    find_rims,
+    standardise_discs,
+)
+
+SHAPE = (120, 160)
+
+
+def draw_dome(row, col, radius=60.0, shape=SHAPE):
+    """A dome in a bright surround, with a soft contact that moves with it."""
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    y, x = y - row, x - col
+    share = np.clip(radius - np.hypot(y, x) + 0.5, 0, 1)
+    contact = 100 * np.exp(-((y + 12) ** 2 / 200 + (x - 9) ** 2 / 70))
+    return np.rint(share * (90 + 0.4 * y + contact) + (1 - share) * 250).astype(
+        np.uint8
+    )
+
+
+def domes(rng, n=8):
+    places = np.array([55.0, 70.0]) + rng.uniform(-5, 5, size=(n, 2))
+    return np.stack([draw_dome(row, col) for row, col in places])
+
+
+def about(row, col, n=1):
+    return Rims.of([Circle(row, col, 1.0)] * n)
+
+
+def slow_average(image, row, col, radius, size):
+    """Overlap of every cell with every pixel, one by one."""
+    cell = 2 * radius / size
+    result = np.zeros((size, size))
+    for i, j in np.ndindex(size, size):
+        top, left = row - radius + i * cell, col - radius + j * cell
+        for y, x in np.ndindex(image.shape):
+            high = min(top + cell, y + 0.5) - max(top, y - 0.5)
+            wide = min(left + cell, x + 0.5) - max(left, x - 0.5)
+            result[i, j] += image[y, x] * max(high, 0) * max(wide, 0) / cell**2
+    return result
+
+
+@pytest.mark.parametrize("size", [1, 2, 5, 9])
+@pytest.mark.parametrize("dtype", [np.uint8, np.float64])
+def test_cells_are_area_averages(rng, size, dtype):
+    image = rng.integers(0, 256, (12, 14)).astype(dtype)
+    disc = crop_discs(image[np.newaxis], about(5.3, 6.6), 5.2, size)[0]
+    wanted = slow_average(image, 5.3, 6.6, 5.2, size) * disc_mask(size)
+    # Single precision keeps seven digits of levels up to 255.
+    np.testing.assert_allclose(disc, wanted, atol=3e-5)
+
+
+def test_inscribed_disc_of_its_own_size_keeps_the_pixels(rng):
+    images = rng.integers(0, 256, (3, 20, 20))
+    rims = Rims.of([Circle.inscribed((20, 20))] * 3)
+    discs = crop_discs(images, rims, 10, 20)
+    # Levels up to 255 in single precision.
+    np.testing.assert_allclose(discs, images * disc_mask(20), atol=3e-5)
+
+
+def test_halving_averages_two_by_two(rng):
+    images = rng.random((2, 20, 20))
+    discs = crop_discs(images, Rims.of([Circle.inscribed((20, 20))] * 2), 10, 10)
+    wanted = images.reshape(2, 10, 2, 10, 2).mean(axis=(2, 4)) * disc_mask(10)
+    # Single precision of levels up to 1.
+    np.testing.assert_allclose(discs, wanted, atol=1e-6)
+
+
+def test_disc_beyond_the_frame_repeats_the_edge(rng):
+    image = rng.integers(0, 256, (12, 14)).astype(np.uint8)
+    wide = np.pad(image, 9, mode="edge")
+    disc = crop_discs(image[np.newaxis], about(2.3, 12.1), 6.7, 8)
+    wanted = crop_discs(wide[np.newaxis], about(11.3, 21.1), 6.7, 8)
+    # The same averages from other integral images.
+    np.testing.assert_allclose(disc, wanted, atol=3e-5)
+
+
+def test_far_levels_keep_their_digits(rng):
+    images = rng.random((1, 40, 40))
+    near = crop_discs(images, about(19.2, 20.4), 12.3, 9)
+    far = crop_discs(images + 1000, about(19.2, 20.4), 12.3, 9)
+    # A thousand in single precision is good to 6e-5.
+    np.testing.assert_allclose(far - 1000 * disc_mask(9), near, atol=1e-4)
+
+
+@pytest.mark.parametrize("size", [1, 2, 7, 64, 129])
+def test_mask_is_symmetric_and_has_the_discs_area(size):
+    mask = disc_mask(size)
+    np.testing.assert_array_equal(mask, mask[::-1])
+    np.testing.assert_array_equal(mask, mask.T)
+    # Gauss's circle problem: the count is off by less than the rim's pixels.
+    assert abs(mask.sum() - np.pi * size**2 / 4) <= 2 * np.sqrt(2) * size
+
+
+def test_standard_discs_have_mean_zero_and_variance_one(rng):
+    discs = standardise_discs(rng.gamma(2, 30, size=(4, 31, 31)))
+    mask = disc_mask(31)
+    # Single precision, averaged over hundreds of pixels.
+    np.testing.assert_allclose(discs[:, mask].mean(axis=1), 0, atol=1e-6)
+    np.testing.assert_allclose(discs[:, mask].var(axis=1), 1, atol=1e-5)
+    np.testing.assert_array_equal(discs[:, ~mask], 0)
+    assert discs.dtype == np.float32
+
+
+def test_standard_discs_ignore_gain_offset_and_surround(rng):
+    discs = rng.random((3, 21, 21))
+    other = 40 * discs + 7 + 500 * ~disc_mask(21)
+    # Rounding of single precision alone.
+    np.testing.assert_allclose(
+        standardise_discs(other), standardise_discs(discs), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("level", [0, 1e-30, 0.1, 77, -1e6])
+def test_constant_disc_becomes_zeros(level):
+    np.testing.assert_array_equal(standardise_discs(np.full((2, 9, 9), level)), 0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_shifted_touch_gives_the_same_disc(seed):
+    rng = np.random.default_rng(seed)
+    crop = DomeCrop(output="grey").fit(domes(rng))
+    first, second = rng.uniform(-4, 4, size=(2, 2))
+    here, there = (draw_dome(55 + d, 70 + r) for d, r in (first, second))
+    discs = crop.transform(np.stack([here, there]))
+    # Contact slopes of 7 levels a pixel times centres good to 0.1, and rounding.
+    assert np.sqrt(np.mean((discs[0] - discs[1]) ** 2)) < 1
+
+
+def test_centre_of_the_rim_is_the_centre_of_the_canvas(rng):
+    row, col = 54.37, 71.81
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    spot = 150 * np.exp(-((y - row) ** 2 + (x - col) ** 2) / (2 * 6**2))
+    share = np.clip(60.5 - np.hypot(y - row, x - col), 0, 1)
+    image = np.where(share > 0, 60 + spot, 250)
+    image = share * image + (1 - share) * 250
+    crop = DomeCrop(output="grey").fit(image[np.newaxis])
+    disc = crop.transform(image[np.newaxis])[0] - 60
+    disc[disc < 20] = 0
+    i, j = np.mgrid[: crop.size_, : crop.size_]
+    centroid = (disc * i).sum() / disc.sum(), (disc * j).sum() / disc.sum()
+    # The rim itself is found to some hundredths of a pixel.
+    np.testing.assert_allclose(centroid, (crop.size_ - 1) / 2, atol=0.1)
+
+
+def test_turned_touch_gives_a_turned_disc(rng):
+    image = draw_dome(60.4, 59.1, 45.0, shape=(120, 120))
+    crop = DomeCrop(output="grey").fit(image[np.newaxis])
+    discs = crop.transform(np.stack([image, np.rot90(image)]))
+    # The rim is found to a few hundredths of a pixel either way.
+    assert np.sqrt(np.mean((discs[1] - np.rot90(discs[0])) ** 2)) < 0.3
+
+
+def test_touch_alone_equals_the_same_touch_among_others(rng):
+    images = domes(rng)
+    crop = DomeCrop().fit(images)
+    together = crop.transform(images)
+    alone = np.concatenate([crop.transform(image[np.newaxis]) for image in images])
+    np.testing.assert_array_equal(together, alone)
+
+
+def test_safe_disc_stays_in_rim_and_frame(rng):
+    images = domes(rng)
+    crop = DomeCrop(margin=0.0).fit(images)
+    rims = crop.rims(images)
+    reach = np.minimum(rims.row, 119 - rims.row) + 0.5
+    # The 98 % quantile of eight touches lies between the two shortest.
+    assert reach.min() <= crop.disc_radius_ <= np.sort(reach)[1]
+    less = DomeCrop(margin=0.1).fit(images)
+    assert less.disc_radius_ == pytest.approx(0.9 * crop.disc_radius_)
+
+
+def test_rim_wholly_in_the_frame_bounds_the_disc():
+    images = np.stack([draw_dome(58.0 + d, 75.0, 40.0) for d in range(4)])
+    crop = DomeCrop(margin=0.0).fit(images)
+    # The drawn radius, found to some hundredths of a pixel.
+    assert crop.disc_radius_ == pytest.approx(40, abs=0.1)
+
+
+@pytest.mark.parametrize("size", [None, 32, 500])
+def test_canvas_is_never_larger_than_the_disc(rng, size):
+    crop = DomeCrop(size=size).fit(domes(rng))
+    native = int(2 * crop.disc_radius_)
+    assert crop.size_ == (32 if size == 32 else native)
+
+
+def test_rims_mark_what_was_seen(rng):
+    images = domes(rng)
+    images[2] = rng.integers(0, 256, SHAPE)
+    crop = DomeCrop().fit(images)
+    rims = crop.rims(images)
+    np.testing.assert_array_equal(rims.visible, np.arange(8) != 2)
+    # A touch without a rim is cut about the typical one.
+    assert (rims.row[2], rims.col[2]) == (crop.rim_row_, crop.rim_col_)
+
+
+def test_touch_without_a_rim_is_refused_by_name(rng):
+    images = domes(rng)
+    crop = DomeCrop(missing="refuse").fit(images)
+    images[2] = images[5] = rng.integers(0, 256, SHAPE)
+    with pytest.raises(ValueError, match=re.escape("touch 2 (2 of 8 touches)")):
+        crop.transform(images)
+    with pytest.raises(ValueError, match="missing='inscribed'"):
+        DomeCrop(missing="refuse").fit(rng.random((3, 50, 60)))
+
+
+@pytest.mark.parametrize("shape", [(10, 10), (1, 1), (33, 21), (64, 200)])
+def test_sensor_without_a_rim_uses_the_inscribed_disc(rng, shape):
+    images = rng.random((3, *shape))
+    crop = DomeCrop().fit(images)
+    side = min(shape)
+    assert not crop.has_rim_
+    assert (crop.disc_radius_, crop.size_) == (side / 2, side)
+    assert not crop.rims(images).visible.any()
+    top, left = ((n - side) // 2 for n in shape)
+    if (sum(shape)) % 2 == 0:
+        square = images[:, top : top + side, left : left + side]
+        # Levels up to 1, standardised, in single precision.
+        np.testing.assert_allclose(
+            crop.transform(images), standardise_discs(square), atol=1e-5
+        )
+
+
+def test_no_contact_frame_gives_the_radius(rng):
+    images, frame = domes(rng), draw_dome(55, 70, 60.0)
+    crop = DomeCrop().fit(images, no_contact=frame)
+    assert crop.rim_radius_ == find_rim(frame).radius
+    rims = find_rims(images, no_contact=frame)
+    np.testing.assert_array_equal(crop.rims(images).row, rims.row)
+
+
+def test_constant_images_give_zeros():
+    images = np.full((2, 50, 50), 9, np.uint8)
+    np.testing.assert_array_equal(DomeCrop().fit(images).transform(images), 0)
+
+
+def test_grey_output_keeps_the_levels(rng):
+    images = domes(rng)
+    grey = DomeCrop(output="grey").fit(images).transform(images)
+    standard = DomeCrop().fit(images).transform(images)
+    np.testing.assert_array_equal(standardise_discs(grey), standard)
+
+
+def test_learnt_state_is_plain_and_survives_pickling(rng):
+    images = domes(rng)
+    crop = DomeCrop(size=40).fit(images)
+    learnt = {k: v for k, v in vars(crop).items() if k.endswith("_")}
+    for value in learnt.values():
+        parts = value if isinstance(value, tuple) else (value,)
+        assert all(type(part) in (bool, int, float) for part in parts)
+    again = clone(crop)
+    for name, value in learnt.items():
+        setattr(again, name, value)
+    again = pickle.loads(pickle.dumps(again))
+    np.testing.assert_array_equal(again.transform(images), crop.transform(images))
+
+
+@pytest.mark.parametrize(
+    ("params", "kind", "message"),
+    [
+        ({"missing": "guess"}, ValueError, "missing must be one of"),
+        ({"output": "raw"}, ValueError, "output must be one of"),
+        ({"margin": 0.6}, ValueError, "margin must be finite and between"),
+        ({"size": 0}, ValueError, "size must be at least 1"),
+        ({"size": 12.5}, TypeError, "size must be an integer"),
+    ],
+)
+def test_wrong_parameters_are_refused(params, kind, message):
+    with pytest.raises(kind, match=message):
+        DomeCrop(**params).fit(np.ones((2, 50, 50)))
+
+
+def test_wrong_images_are_refused(rng):
+    images = domes(rng)
+    with pytest.raises(NotFittedError):
+        DomeCrop().transform(images)
+    crop = DomeCrop().fit(images)
+    with pytest.raises(ValueError, match="fitted on 120 x 160"):
+        crop.transform(images[:, :, :150])
+    broken = images.astype(float)
+    broken[3, 0, 0] = np.nan
+    with pytest.raises(ValueError, match="in touch 3"):
+        crop.transform(broken)
+    with pytest.raises(ValueError, match="rims must be as many as images"):
+        crop_discs(images, about(5, 5), 4, 8)
+    with pytest.raises(ValueError, match="discs must be square"):
+        standardise_discs(images)
+
+
+def real_touches(data_folder, step):
+    paths = sorted((data_folder / "bathtip/originals").glob("*/*/*.jpg"))[::step]
+    return np.stack([cv2.imread(str(p), cv2.IMREAD_GRAYSCALE) for p in paths])
+
+
+@pytest.mark.realdata
+def test_real_touch_gives_the_same_disc_after_a_shift(data_folder):
+    images = real_touches(data_folder, 40)
+    crop = DomeCrop().fit(images)
+    moved = np.roll(images, (-6, -8), axis=(1, 2))
+    moved[:, -6:], moved[..., -8:] = moved[:, [-7]], moved[..., [-9]]
+    here, there = crop.transform(images), crop.transform(moved)
+    share = [np.mean(a * b) for a, b in zip(here, there, strict=True)]
+    whole = [np.mean(a * a) for a in here]
+    # The disc leaves the frame by some pixels, where the edge is repeated.
+    assert np.min(np.divide(share, whole)) > 0.98
+    same_place = [
+        np.mean(a * b) for a, b in zip(here, np.roll(here, 1, 0), strict=True)
+    ]
+    assert np.median(np.divide(same_place, whole)) < 0.9
+
+
+@pytest.mark.realdata
+def test_safe_disc_of_some_touches_is_safe_for_others(data_folder):
+    images = real_touches(data_folder, 8)
+    crop = DomeCrop().fit(images[::2])
+    rims = crop.rims(images[1::2])
+    sides = np.stack([rims.row, 479 - rims.row, rims.col, 639 - rims.col]) + 0.5
+    assert np.mean(sides.min(axis=0) >= crop.disc_radius_) >= 0.95
+    # The frame cuts the rim on the left, above and below: the disc is smaller.
+    assert 180 < crop.disc_radius_ < 240 < crop.rim_radius_
+    assert crop.size_ == 128

@@ -1,0 +1,174 @@
+"""Mesh files: read alike from every format; refused with a reason when unusable."""
+
+import struct
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.testing import assert_allclose
+
+from palpate.simulation import MeshError, load_mesh
+from palpate.simulation import _mesh as mesh_module
+
+
+@pytest.fixture
+def block():
+    """A block of 40 x 30 x 20, away from the origin."""
+    mesh = trimesh.creation.box((40, 30, 20))
+    mesh.apply_translation((100, -50, 7))
+    return mesh
+
+
+@pytest.fixture
+def saved(block, tmp_path):
+    """Write the block, or another mesh, under a name."""
+
+    def save(name, mesh=None):
+        path = tmp_path / name
+        (block if mesh is None else mesh).export(path)
+        return path
+
+    return save
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".STL"])
+def test_every_format_gives_the_same_object(saved, suffix):
+    thing = load_mesh(saved("brick" + suffix))
+    assert (thing.name, thing.category) == ("brick", "brick")
+    assert_allclose(thing.mesh.bounds, [[-20, -15, 0], [20, 15, 20]], atol=1e-4)
+    assert thing.mesh.is_watertight
+    assert len(thing.resting_rotations) == 7  # as in the file, and on its six faces
+
+
+def test_text_stl(saved, block, tmp_path):
+    path = tmp_path / "text.stl"
+    path.write_text(trimesh.exchange.stl.export_stl_ascii(block))
+    assert_allclose(load_mesh(path).size_mm, [40, 30, 20], atol=1e-4)
+
+
+@pytest.mark.parametrize(("unit", "mm"), [("mm", 1), ("cm", 10), ("inch", 25.4)])
+def test_units(saved, unit, mm):
+    size = load_mesh(saved("b.ply"), unit=unit).size_mm
+    assert_allclose(size, np.array([40, 30, 20]) * mm, rtol=1e-5)
+
+
+def test_labels_can_be_given(saved):
+    thing = load_mesh(saved("b.ply"), name="brick 1", category="brick")
+    assert (thing.name, thing.category) == ("brick 1", "brick")
+
+
+def test_split_corners_are_joined_again(tmp_path):
+    """OBJ files with a normal per face repeat each corner; that is no hole."""
+    box = trimesh.creation.box((40, 30, 20))
+    lines = ["v {} {} {}".format(*v) for v in box.triangles.reshape(-1, 3)]
+    lines += ["f {} {} {}".format(*t) for t in np.arange(1, 37).reshape(-1, 3)]
+    path = tmp_path / "split.obj"
+    path.write_text("\n".join(lines))
+    assert len(load_mesh(path).mesh.vertices) == 8
+
+
+def test_open_mesh_is_refused(saved, block):
+    block.update_faces(np.arange(12) > 0)
+    with pytest.raises(MeshError, match=r"watertight, got 3 of 18 edges.*Close its"):
+        load_mesh(saved("open.stl", block))
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("empty.obj", b""),
+        ("empty.stl", b""),
+        ("empty.ply", b""),
+        ("no_faces.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"),
+        ("no_triangles.stl", b"\0" * 80 + struct.pack("<I", 0)),
+        ("garbage.stl", b"\xff\x00garbage" * 30),
+        ("garbage.ply", b"ply\nformat ascii 1.0\nelement vertex"),
+        ("cut.stl", b"\0" * 80 + struct.pack("<I", 12) + b"\0" * 100),
+        ("lies.stl", b"\0" * 80 + struct.pack("<I", 2**32 - 1) + b"\0" * 100),
+        ("index.obj", b"v 0 0 0\nv 10 0 0\nv 0 10 0\nf 1 2 9\n"),
+        (
+            "claims.ply",
+            (
+                b"ply\nformat binary_little_endian 1.0\nelement vertex 99999999999\n"
+                b"property float x\nproperty float y\nproperty float z\n"
+                b"element face 1\nproperty list uchar int vertex_indices\n"
+                b"end_header\n\0\0\0\0"
+            ),
+        ),
+    ],
+)
+def test_damaged_and_empty_files_are_refused(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(MeshError, match=name):
+        load_mesh(path)
+
+
+def test_not_finite_is_refused(tmp_path):
+    path = tmp_path / "nan.obj"
+    path.write_text("v 0 0 nan\nv 10 0 0\nv 0 10 0\nv 0 0 10\nf 1 2 3\nf 2 3 4\n")
+    with pytest.raises(MeshError, match="finite"):
+        load_mesh(path)
+
+
+def test_flat_surface_is_refused(tmp_path):
+    path = tmp_path / "sheet.obj"
+    path.write_text("v 0 0 0\nv 10 0 0\nv 0 10 0\nf 1 2 3\nf 1 3 2\n")
+    with pytest.raises(MeshError, match="flat surface"):
+        load_mesh(path)
+
+
+def test_metres_read_as_millimetres_are_recognised(saved, block):
+    block.apply_scale(1e-3)
+    with pytest.raises(MeshError, match=r"0\.04 mm.*in metres\? Pass unit='m'"):
+        load_mesh(saved("small.ply", block))
+    assert_allclose(load_mesh(saved("small.ply", block), unit="m").size_mm[0], 40)
+
+
+def test_millimetres_read_as_metres_are_recognised(saved):
+    with pytest.raises(MeshError, match=r"in millimetres\? Pass unit='mm'"):
+        load_mesh(saved("b.ply"), unit="m")
+
+
+def test_hopeless_size_is_refused(saved, block):
+    block.apply_scale(1e9)
+    with pytest.raises(MeshError, match="Scale it first"):
+        load_mesh(saved("huge.ply", block))
+
+
+def test_too_many_bytes_and_triangles_are_refused(saved, monkeypatch):
+    path = saved("b.stl")
+    monkeypatch.setattr(mesh_module, "MAX_MESH_FACES", 11)
+    with pytest.raises(MeshError, match="at most 11 triangles, got 12"):
+        load_mesh(path)
+    monkeypatch.setattr(mesh_module, "MAX_MESH_BYTES", 100)
+    with pytest.raises(MeshError, match=r"at most 100 bytes.*Simplify"):
+        load_mesh(path)
+
+
+def test_other_suffix_and_unit_are_refused(saved, tmp_path):
+    (tmp_path / "b.glb").write_bytes(b"")
+    with pytest.raises(MeshError, match=r"\.stl, \.obj, \.ply, got 'b\.glb'"):
+        load_mesh(tmp_path / "b.glb")
+    with pytest.raises(ValueError, match="unit must be one of 'mm', 'cm', 'm', 'inch'"):
+        load_mesh(saved("b.ply"), unit="yard")
+    with pytest.raises(FileNotFoundError):
+        load_mesh(tmp_path / "missing.stl")
+
+
+def test_nothing_else_is_opened(saved, block, monkeypatch, tmp_path):
+    """A mesh may name materials and pictures anywhere; none is looked for."""
+
+    def refuse(*args, **kwargs):
+        raise AssertionError(f"looked for another file: {args}")
+
+    plain = saved("plain.obj").read_text()
+    path = tmp_path / "evil.obj"
+    path.write_text(f"mtllib ../../secret.mtl\nusemtl http://example.org/x\n{plain}")
+    ply = saved("plain.ply").read_bytes()
+    textured = tmp_path / "evil.ply"
+    textured.write_bytes(ply.replace(b"\n", b"\ncomment TextureFile /etc/x.png\n", 2))
+    for resolver in ("FilePathResolver", "WebResolver"):
+        monkeypatch.setattr(trimesh.resolvers, resolver, refuse)
+    assert_allclose(load_mesh(path).size_mm, [40, 30, 20], atol=1e-4)
+    assert_allclose(load_mesh(textured).size_mm, [40, 30, 20], atol=1e-4)
