@@ -186,8 +186,7 @@ class _Approach:
         """Retract as far as the arm may have come; if it will not, stop it."""
         for attempt in (1, 2):
             try:
-                if self.farthest_mm > 0:
-                    self.robot.retract(self.farthest_mm)
+                self.robot.retract(self.farthest_mm)
                 return
             except Exception as error:
                 self._note(f"Retracting failed ({attempt}): {error}")

@@ -166,7 +166,7 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], Any]) -> None:
 
 def _read_record(path: Path) -> TouchRecord:
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             plain = json.loads(str(arrays["record"]))
             image = arrays.get("image")
             return TouchRecord.from_plain(plain, image)

@@ -20,7 +20,7 @@ FAULTS = (
     "retract error",
     "arm stuck",
 )
-_OVERSHOOT_MM = 8.0
+_OVERSHOOT_MM = 14.0
 _SLOW_S = 1e4
 
 
@@ -48,7 +48,7 @@ class SimulatedRobot:
         - "stuck force": the force sensor repeats its last reading;
         - "stuck force in contact": the same, from the first contact on;
         - "no force": it reads NaN in contact;
-        - "overshoot": one step in contact goes 8 mm too far;
+        - "overshoot": one step in contact goes 14 mm too far;
         - "driver error": a move in contact raises after it was made;
         - "slow": a move in contact takes hours;
         - "retract error": the first retract raises before it moves;

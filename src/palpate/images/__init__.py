@@ -2,7 +2,7 @@
 
 from ._array import ArrayCleanUp, correct_gamma, filter_noise, resize, stage_pictures
 from ._calibration import TaxelCalibration
-from ._dead_taxels import DeadTaxelFiller, fill_dead_taxels
+from ._dead_taxels import fill_dead_taxels
 from ._dome import DomeCrop, crop_discs, disc_mask, standardise_discs
 from ._otsu import binarise, otsu_threshold
 from ._outline_pose import Poses, press_pose
@@ -13,7 +13,6 @@ from ._rim import Circle, Rims, find_rim, find_rims, typical_rim
 __all__ = [
     "ArrayCleanUp",
     "Circle",
-    "DeadTaxelFiller",
     "DomeCrop",
     "Poses",
     "PressPose",

@@ -1,38 +1,11 @@
 """Dead taxels: NaN in an image, filled from the neighbours or refused."""
 
-from typing import Self
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import spsolve
-from sklearn.base import BaseEstimator, TransformerMixin
-from sklearn.utils import Tags
 
 from .._checks import check_images, check_option
-
-
-class DeadTaxelFiller(TransformerMixin, BaseEstimator):
-    """`fill_dead_taxels` as a clean-up; nothing is learnt."""
-
-    def fit(self, X: ArrayLike, y: object = None) -> Self:
-        """Check the images; `y` is ignored."""
-        check_images(X, allow_nan=True)
-        return self
-
-    def transform(self, X: ArrayLike) -> NDArray[np.float64]:
-        """Return the images without NaN, shape (n_touches, n_rows, n_cols)."""
-        return fill_dead_taxels(X)
-
-    def __sklearn_is_fitted__(self) -> bool:
-        return True
-
-    def __sklearn_tags__(self) -> Tags:
-        tags = super().__sklearn_tags__()
-        tags.input_tags.two_d_array = False
-        tags.input_tags.three_d_array = True
-        tags.input_tags.allow_nan = True
-        return tags
 
 
 def fill_dead_taxels(images: ArrayLike, *, dead: str = "fill") -> NDArray[np.float64]:

@@ -223,6 +223,10 @@ def _find(image: NDArray, near: Circle | None) -> Circle:
                 break
     if best is None:
         return missing
+    if near is None:
+        # The votes may be further off than one search of the edges reaches.
+        again = _rim_fit.refine(grey, best.circle, best.sign)
+        best = again if again and _is_rim(again, shape, near) else best
     return Circle(*best.circle, True, best.support)
 
 

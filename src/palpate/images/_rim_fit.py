@@ -51,6 +51,7 @@ class Fit(NamedTuple):
     """
 
     circle: Triple
+    sign: int
     support: float
     arc: float
     balance: float
@@ -184,6 +185,7 @@ class _Rays:
         """Sample `image` on both sides of `start`, as far as it lies in the frame."""
         self.row, self.col, self.radius = start
         self.bottom, self.right = image.shape[0] - 1, image.shape[1] - 1
+        self.sign = sign
         self.half = max(HALF_WIDTH * self.radius, 5.0)
         self.cell = max(self.half / 22, 0.5)
         n = int(np.ceil(self.half / self.cell))
@@ -195,16 +197,16 @@ class _Rays:
         which = np.flatnonzero(np.count_nonzero(inside, axis=1) > len(reach) / 4)
         self.sin, self.cos = (t[which].astype(np.float64) for t in (_SIN, _COS))
         if len(which):
-            self._differentiate(image, y[which], x[which], inside[which], sign)
+            self._differentiate(image, y[which], x[which], inside[which])
 
     def __len__(self) -> int:
         return len(self.sin)
 
     def _differentiate(
-        self, image: NDArray, y: NDArray, x: NDArray, inside: NDArray, sign: int
+        self, image: NDArray, y: NDArray, x: NDArray, inside: NDArray
     ) -> None:
         grey = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        kernel = sign * _slope_kernel(max(1.0, 1.2 / self.cell))
+        kernel = self.sign * _slope_kernel(max(1.0, 1.2 / self.cell))
         slope = cv2.filter2D(grey, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE)
         self.slope = slope * inside
         self.typical = np.abs(self.slope).sum(axis=1) / np.count_nonzero(inside, axis=1)
@@ -250,8 +252,8 @@ class _Rays:
         spread = on_circle @ on_circle.T / max(on_circle.shape[1], 1)
         balance = float(np.linalg.eigvalsh(spread)[0])
         row, col, radius = (float(v) for v in circle)
-        support = on_circle.shape[1] / n_seen
-        return Fit((row, col, radius), support, n_seen / N_RAYS, balance)
+        support, arc = on_circle.shape[1] / n_seen, n_seen / N_RAYS
+        return Fit((row, col, radius), self.sign, support, arc, balance)
 
 
 def _step(circle: NDArray, edges: NDArray, radius: float | None) -> NDArray:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, clone
 
-from ..images import DomeCrop
+from ..images import DomeCrop, fill_dead_taxels
 from ..touches import Touches
 
 Floats = NDArray[np.float64]
@@ -16,6 +16,8 @@ BLOCK = 256
 
 class TouchEncoder(BaseEstimator):
     """A clean-up of the images, then encoders one after the other.
+
+    Dead taxels (NaN) are filled from their neighbours before anything else.
 
     Parameters
     ----------
@@ -45,10 +47,11 @@ class TouchEncoder(BaseEstimator):
         """Learn every step and return the features, (n_touches, n_features)."""
         self.image_shape_ = touches.images.shape[1:]
         self.clean_up_ = None if self.clean_up is None else clone(self.clean_up)
+        images = _living(touches.images)
         if isinstance(self.clean_up_, DomeCrop):
-            self.clean_up_.fit(touches.images, no_contact=touches.no_contact)
+            self.clean_up_.fit(images, no_contact=touches.no_contact)
         elif self.clean_up_ is not None:
-            self.clean_up_.fit(touches.images)
+            self.clean_up_.fit(images)
         self.steps_ = [clone(step) for step in self.steps]
         values = self.clean(touches)
         for step in self.steps_:
@@ -58,9 +61,8 @@ class TouchEncoder(BaseEstimator):
     def clean(self, touches: Touches) -> NDArray:
         """Return the images after the clean-up alone."""
         self._check_size(touches)
-        if self.clean_up_ is None:
-            return touches.images
-        return _in_blocks(self.clean_up_, touches.images)
+        images = _living(touches.images)
+        return images if self.clean_up_ is None else _in_blocks(self.clean_up_, images)
 
     def encode(self, cleaned: NDArray) -> Floats:
         """Return the features of images that were cleaned already."""
@@ -81,6 +83,11 @@ class TouchEncoder(BaseEstimator):
                 f"taxels like the training touches, got {got[0]} x {got[1]}. "
                 "Use the same sensor and resolution, or learn again."
             )
+
+
+def _living(images: NDArray) -> NDArray:
+    dead = images.dtype.kind == "f" and np.isnan(images).any()
+    return fill_dead_taxels(images) if dead else images
 
 
 def _in_blocks(step: Any, values: NDArray) -> NDArray:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..images import find_rims
+from ..images import typical_rim
 from ..touches import Touches
 
 SMALL_SIDE = 8
@@ -14,8 +14,8 @@ def find_geometry(touches: Touches) -> str:
     """Return "dome", "array", "plane" or "none" for a set of touches.
 
     What the touches say of themselves holds; else a side below 8 taxels means
-    that places mean nothing ("none"), a visible rim in most of 50 touches spread
-    over the set a "dome", a side of at most 48 taxels an "array", and anything
+    that places mean nothing ("none"), a rim that most of 50 touches spread over the
+    set have in common a "dome", a side of at most 48 taxels an "array", and anything
     else a "plane".
     """
     n_rows, n_cols = touches.images.shape[1:]
@@ -25,6 +25,6 @@ def find_geometry(touches: Touches) -> str:
         return touches.geometry
     spread = np.unique(np.linspace(0, len(touches) - 1, LOOK_AT).astype(int))
     some = np.nan_to_num(touches.images[spread])
-    if min(n_rows, n_cols) > ARRAY_SIDE and find_rims(some).visible.mean() > 0.5:
+    if min(n_rows, n_cols) > ARRAY_SIDE and typical_rim(some) is not None:
         return "dome"
     return "array" if max(n_rows, n_cols) <= ARRAY_SIDE else "plane"

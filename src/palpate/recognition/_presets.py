@@ -9,7 +9,7 @@ from sklearn.decomposition import PCA
 from .._checks import check_option
 from ..classifiers import KernelDensityBayes, KernelRidgeClassifier
 from ..encodings import CentroidMoments, RootScaler, TaxelVector, ZernikeMoments
-from ..images import DeadTaxelFiller, DomeCrop
+from ..images import DomeCrop
 from ..touches import Touches
 from ._encoder import TouchEncoder
 from ._geometry import find_geometry
@@ -56,7 +56,7 @@ def _corradi2015_encoders(touches: Touches) -> dict[str, TouchEncoder]:
 def _default_encoders(touches: Touches) -> dict[str, TouchEncoder]:
     geometry = find_geometry(touches)
     if geometry == "none":
-        vector = TouchEncoder(DeadTaxelFiller(), [TaxelVector(), RootScaler()])
+        vector = TouchEncoder(None, [TaxelVector(), RootScaler()])
         return {"taxels": vector}
     disc = TouchEncoder(
         DomeCrop(missing="inscribed"),
@@ -64,7 +64,7 @@ def _default_encoders(touches: Touches) -> dict[str, TouchEncoder]:
     )
     if geometry == "dome":
         return {"Zernike moments on the rim's disc": disc}
-    centred = TouchEncoder(DeadTaxelFiller(), [CentroidMoments(), RootScaler()])
+    centred = TouchEncoder(None, [CentroidMoments(), RootScaler()])
     return {
         "moments about the centroid": centred,
         "Zernike moments on the inscribed disc": disc,

@@ -148,7 +148,8 @@ def other_pen() -> Mesh:
     flat = radius[:, None, None] * wheel
     heights = np.broadcast_to(z[:, None, None], (5, 6, 1))
     body = lofted(np.concatenate([flat, heights], -1))
-    cap = revolved([(0, 92), (4.5, 92), (4.7, 94), (4.4, 134), (3.5, 138), (0, 138)], 48)
+    outline = [(0, 92), (4.5, 92), (4.7, 94), (4.4, 134), (3.5, 138), (0, 138)]
+    cap = revolved(outline, 48)
     clip = rounded_hull([(5.9, y, z) for y in (-1.5, 1.5) for z in (100, 132)], 1.2)
     return _lying(joined(body, cap, clip), 138, 4.7)
 

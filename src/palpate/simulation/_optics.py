@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ._membrane import Membrane
 from ._shading import Lighting, Plane, shade
@@ -18,6 +19,7 @@ SURROUND_GREY = 255.0
 _SHADED_ROWS = 128
 _MARCH_STEPS = 11
 _STEEPEST = 0.9995
+_RIM_SHARE = 0.975
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,26 @@ class Optics:
         )
         x, y = self._at(self._depths[:, None, None])
         self._steps = _cells(x, y, self._membrane)
+        self._undented, self._at_rim = self._met_undented()
         self._ahead = self._sphere(x, y) - self._depths[:, None, None]
+
+    def _met_undented(self) -> tuple[Plane, NDArray[np.bool_]]:
+        """Exact depth where rays meet the sphere, and the rays that do so at its rim.
+
+        There the sphere is too steep to search along the ray, and is not dented.
+        """
+        radius = self._membrane.radius_mm
+        rim = self._view.distance_mm - radius
+        shift_x, shift_y = self._view.offset_mm
+        across, up = self._slope_x.astype(float), self._slope_y.astype(float)
+        square = 1 + across**2 + up**2
+        half = rim - across * shift_x - up * shift_y
+        rest = rim**2 + shift_x**2 + shift_y**2 - radius**2
+        root = np.sqrt(np.maximum(half**2 - square * rest, 0))
+        depth = np.maximum((half + root) / square, rim)
+        x, y = self._at(depth)
+        at_rim = np.hypot(x, y) > _RIM_SHARE * radius
+        return depth.astype(np.float32), at_rim
 
     def _at(self, z: Any) -> tuple[Plane, Plane]:
         """Where the grid's rays are at depth z, about the dome's axis."""
@@ -165,7 +186,8 @@ class Optics:
         x, y = self._at(z)
         left = self._sphere(x, y) - z
         left -= sampled(displacement_mm, x, y, self._membrane)
-        return np.clip(z + left * (step / fall), start, start + step)
+        z = np.clip(z + left * (step / fall), start, start + step)
+        return np.where(self._at_rim, self._undented, z)
 
     def _shaded(self, displacement_mm: Plane) -> Plane:
         x, y, z = self.surface(displacement_mm)

@@ -155,10 +155,18 @@ class TacTipPins:
         import cv2
 
         picture = np.zeros(self.image_shape, np.uint8)
-        scale = 1 << _SUBPIXEL_BITS
-        for row, col, radius in np.round(self.pixels(press) * scale).astype(int):
-            at = (int(col), int(row))
-            cv2.circle(picture, at, int(radius), 255, -1, cv2.LINE_AA, _SUBPIXEL_BITS)
+        # OpenCV's smooth discs are half a pixel larger than asked for.
+        discs = (self.pixels(press) - (0, 0, 0.5)) * (1 << _SUBPIXEL_BITS)
+        for row, col, radius in np.round(discs).astype(int).tolist():
+            cv2.circle(
+                picture,
+                (col, row),
+                max(radius, 1),
+                255,
+                thickness=-1,
+                lineType=cv2.LINE_AA,
+                shift=_SUBPIXEL_BITS,
+            )
         if rng is None or self.dome.noise_sd == 0:
             return picture
         noise = rng.standard_normal(self.image_shape, dtype=np.float32)

@@ -1,0 +1,203 @@
+"""Where the kernel matrices of a pair of classes come from: features, or given.
+
+Kernels are scaled once, by the training touches of all classes, so that one price of
+errors suits them all; touches to recognise get the same factors.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._kernels import Kernel, kernel_diagonals, kernel_stack
+from ._mkl_problem import Floats
+
+# Bytes of kernel values held at a time beside what the caller holds.
+_BLOCK_BYTES = 32 * 2**20
+# A kernel whose spread is below this share of its size is constant.
+_CONSTANT = 1e-12
+# Share of the trace by which eigenvalues may miss zero, and of the largest entry by
+# which a matrix may miss symmetry, for rounding.
+_ROUNDING = 1e-8
+
+
+class FeatureBank:
+    """A bank of kernels over training touches.
+
+    Parameters
+    ----------
+    kernels : sequence of kernels
+    touches : ndarray of shape (n_touches, n_features)
+    normalize : {"trace", "variance", None}
+
+    Attributes
+    ----------
+    mean : ndarray of shape (n_features,)
+    scales : ndarray of shape (n_kernels,)
+        Factor on each kernel.
+    """
+
+    def __init__(
+        self, kernels: Sequence[Kernel], touches: Floats, normalize: str | None
+    ) -> None:
+        self.kernels = kernels
+        self.mean = touches.mean(axis=0)
+        self.centred = touches - self.mean
+        diagonals = kernel_diagonals(kernels, self.centred, self.mean)
+        _refuse_overflow(kernels, diagonals)
+        mean = self._mean_kernel() if normalize == "variance" else None
+        self.scales = kernel_scales(diagonals, mean, normalize)
+
+    @property
+    def n_touches(self) -> int:
+        return len(self.centred)
+
+    @property
+    def n_kernels(self) -> int:
+        return len(self.kernels)
+
+    def blocks(self, index: NDArray) -> Floats:
+        """Return the scaled kernels among the touches of each row of `index`.
+
+        Shape (n_rows, n_kernels, n_index, n_index).
+        """
+        chosen = self.centred[index]
+        stack = kernel_stack(self.kernels, chosen, chosen, self.mean)
+        stack *= self.scales[:, None, None]
+        return stack
+
+    def _mean_kernel(self) -> Floats:
+        """Mean of each kernel matrix, shape (n_kernels,)."""
+        total = np.zeros(len(self.kernels))
+        for rows in row_blocks(len(self.centred), len(self.centred) * len(total)):
+            part = self.centred[rows]
+            stack = kernel_stack(self.kernels, part, self.centred, self.mean)
+            total += stack.sum(axis=(1, 2))
+        return total / len(self.centred) ** 2
+
+
+class GivenBank:
+    """Kernel matrices computed by someone else.
+
+    Parameters
+    ----------
+    stack : ndarray of shape (n_touches, n_touches, n_kernels)
+    normalize : {"trace", "variance", None}
+    """
+
+    def __init__(self, stack: Floats, normalize: str | None) -> None:
+        self._stack = np.ascontiguousarray(stack.transpose(2, 0, 1))
+        _refuse_not_a_kernel(self._stack)
+        diagonals = np.einsum("kii->ki", self._stack)
+        mean = self._stack.mean(axis=(1, 2)) if normalize == "variance" else None
+        self.scales = kernel_scales(diagonals, mean, normalize)
+
+    @property
+    def n_touches(self) -> int:
+        return self._stack.shape[1]
+
+    @property
+    def n_kernels(self) -> int:
+        return len(self._stack)
+
+    def blocks(self, index: NDArray) -> Floats:
+        """Return the scaled kernels among the touches of each row of `index`."""
+        n_rows, n = index.shape
+        blocks = np.empty((n_rows, self.n_kernels, n, n))
+        for block, row in zip(blocks, index, strict=True):
+            block[...] = self._stack[:, row[:, None], row]
+        blocks *= self.scales[:, None, None]
+        return blocks
+
+
+def kernel_scales(
+    diagonals: Floats, mean: Floats | None, normalize: str | None
+) -> Floats:
+    """Return the factor on each kernel.
+
+    Parameters
+    ----------
+    diagonals : ndarray of shape (n_kernels, n_touches)
+    mean : ndarray of shape (n_kernels,), optional
+        Mean of each kernel matrix, for "variance".
+    normalize : {"trace", "variance", None}
+        One over the trace, one over the variance in feature space (mean of the
+        diagonal less mean of the matrix), or 1. A kernel without trace, or for
+        "variance" a constant one, tells no touches apart and gets 0.
+    """
+    if normalize is None:
+        return np.ones(len(diagonals))
+    size = diagonals.mean(axis=1)
+    if mean is None:
+        amount = diagonals.sum(axis=1)
+        says = amount > 0
+    else:
+        amount = size - mean
+        says = amount > _CONSTANT * np.abs(size)
+    return np.where(says, 1 / np.where(says, amount, 1), 0)
+
+
+def row_blocks(n_rows: int, values_per_row: int) -> Iterator[slice]:
+    """Yield slices of rows that keep blocks of values small."""
+    step = max(1, _BLOCK_BYTES // (8 * max(values_per_row, 1)))
+    for start in range(0, n_rows, step):
+        yield slice(start, min(start + step, n_rows))
+
+
+def check_given(X: object, n_train: int | None = None) -> Floats:
+    """Return precomputed kernels as (n_touches, n_train, n_kernels), or explain."""
+    stack = np.asarray(X)
+    if stack.dtype.kind not in "biuf":
+        raise TypeError(f"Kernels must be numbers, got an array of {stack.dtype}.")
+    if stack.ndim == 2:
+        stack = stack[:, :, None]
+    if stack.ndim != 3 or 0 in stack.shape:
+        raise ValueError(
+            "Precomputed kernels must have shape (n_touches, n_train_touches, "
+            f"n_kernels), got {stack.shape}. Stack them with np.stack(..., axis=2)."
+        )
+    wanted = stack.shape[0] if n_train is None else n_train
+    if stack.shape[1] != wanted:
+        raise ValueError(
+            "Precomputed kernels must have a column per training touch "
+            f"({wanted}), got {stack.shape[1]}."
+        )
+    finite = np.isfinite(stack).all(axis=(0, 1))
+    if not finite.all():
+        raise ValueError(
+            "Precomputed kernels must be finite, got NaN or infinity in kernel "
+            f"{int(finite.argmin())}."
+        )
+    return stack.astype(np.float64, copy=False)
+
+
+def _refuse_overflow(kernels: Sequence[Kernel], diagonals: Floats) -> None:
+    finite = np.isfinite(diagonals).all(axis=1)
+    if not finite.all():
+        raise ValueError(
+            f"Kernels must be finite, got infinity from {kernels[finite.argmin()]}. "
+            "Scale the features first, for example with StandardScaler."
+        )
+
+
+def _refuse_not_a_kernel(stack: Floats) -> None:
+    for k, matrix in enumerate(stack):
+        skew = np.abs(matrix - matrix.T).max()
+        if skew > _ROUNDING * np.abs(matrix).max():
+            raise ValueError(
+                "Precomputed kernels must be symmetric, got a difference of "
+                f"{skew:.3g} across the diagonal of kernel {k}. Pass (K + K.T) / 2."
+            )
+    lift = _ROUNDING * np.einsum("kii->k", np.abs(stack))
+    lifted = stack + lift[:, None, None] * np.eye(stack.shape[1])
+    # A matrix of zeros has no lift, and is a kernel all the same.
+    lifted[lift == 0] += np.where(stack[lift == 0] == 0, np.eye(stack.shape[1]), 0)
+    try:
+        np.linalg.cholesky(lifted)
+    except np.linalg.LinAlgError:
+        lowest = np.linalg.eigvalsh(stack)[:, 0]
+        worst = int((lowest / np.maximum(lift, 1e-300)).argmin())
+        raise ValueError(
+            "Precomputed kernels must be positive semi-definite, got an eigenvalue "
+            f"of {lowest[worst]:.3g} in kernel {worst}. Clip its eigenvalues at zero."
+        ) from None

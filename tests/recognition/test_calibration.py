@@ -1,0 +1,101 @@
+"""What left-out training touches tell: trust and limits in known cases."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from sklearn.neighbors import KNeighborsClassifier
+
+from palpate.classifiers import KernelRidgeClassifier
+from palpate.recognition._calibration import (
+    draw_episodes,
+    fit_trust,
+    left_out_log_likelihood,
+    stretches,
+    unknown_limits,
+)
+from palpate.recognition._sequence import Trust
+
+
+def test_stretches_follow_the_recording():
+    objects = np.repeat(["a", "b"], 10)
+    order = np.tile(np.arange(10)[::-1], 2)
+    group = stretches(objects, order)
+    assert group[:10].tolist() == [4, 4, 3, 3, 2, 2, 1, 1, 0, 0]
+    assert not set(group[:10]) & set(group[10:])
+
+
+def test_an_object_with_few_touches_has_few_stretches():
+    assert stretches(np.array(["a", "a", "b"])).tolist() == [0, 1, 2]
+
+
+@pytest.fixture
+def separate(rng):
+    labels = np.repeat(["a", "b", "c"], 20)
+    features = rng.normal(size=(60, 5)) + 3 * np.repeat(np.eye(3, 5), 20, axis=0)
+    return features, labels, stretches(labels)
+
+
+@pytest.mark.parametrize("n_neighbors", [1, 3])
+def test_any_classifier_can_be_asked_about_left_out_touches(separate, n_neighbors):
+    features, labels, group = separate
+    # Had a touch met itself, its nearest neighbour would always be right.
+    noise = np.random.default_rng(1).normal(size=features.shape)
+    machine = KNeighborsClassifier(n_neighbors).fit(noise, labels)
+    left_out = left_out_log_likelihood(machine, noise, labels, group)
+    assert np.isfinite(left_out).all()
+    right = machine.classes_[left_out.argmax(axis=1)] == labels
+    assert right.mean() < 0.7
+
+
+def test_closed_form_is_used_where_there_is_one(separate):
+    features, labels, group = separate
+    machine = KernelRidgeClassifier().fit(features, labels, groups=group)
+    assert_allclose(
+        left_out_log_likelihood(machine, features, labels, group),
+        machine.left_out_log_likelihood(),
+    )
+
+
+def test_episodes_come_from_one_object_and_few_stretches(rng):
+    objects = np.repeat(["a", "b"], [30, 6])
+    group = stretches(objects)
+    rows = draw_episodes(objects, group, 6, rng)
+    for episode in rows:
+        assert len(set(objects[episode])) == 1
+        assert len(set(episode)) == 6
+    of_a = rows[objects[rows[:, 0]] == "a"]
+    assert all(len(set(group[episode])) == 1 for episode in of_a)
+    assert len(draw_episodes(objects, group, 7, rng)) == len(of_a)
+
+
+def test_trust_of_independent_and_of_repeated_touches(rng):
+    """Touches that repeat each other must be trusted less than independent ones."""
+    n_objects, n_each = 4, 200
+    codes = np.repeat(np.arange(n_objects), n_each)
+    noise = rng.normal(size=(len(codes), n_objects))
+    blocks = np.repeat(noise[::10], 10, axis=0)
+
+    def trust(evidence):
+        likelihood = evidence.copy()
+        likelihood[np.arange(len(codes)), codes] += 1.0
+        episodes = {
+            k: np.arange(len(codes)).reshape(-1, 10)[:, :k] for k in (1, 2, 5, 10)
+        }
+        prior = np.full(n_objects, -np.log(n_objects))
+        return fit_trust(likelihood, codes, episodes, prior)
+
+    # N(c, 1) evidence with a gap of 1 is a proper likelihood: weight 1.
+    independent, repeated = trust(noise), trust(blocks)
+    assert independent.strength == pytest.approx(1, abs=0.25)
+    assert independent.correlation < 0.1
+    assert repeated.correlation > 0.5
+
+
+def test_limits_are_exceeded_by_the_stated_share(rng):
+    floored = rng.normal(size=(4000, 3))
+    episodes = {1: np.arange(4000)[:, np.newaxis]}
+    prior = np.full(3, -np.log(3))
+    (limits,) = unknown_limits(floored, episodes, prior, Trust())
+    share = np.exp(floored)
+    score = 1 - share.max(axis=1) / share.sum(axis=1)
+    assert (score > limits[3]).mean() == pytest.approx(0.05, abs=0.002)

@@ -1,0 +1,122 @@
+"""Pins in a dome: where their tips are, and how a press moves them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.ndimage import label
+
+from palpate.simulation import (
+    DomeCamera,
+    SensorPose,
+    TacTipPins,
+    find_object,
+    simulate_touches,
+)
+
+DOWN = SensorPose((0, 0, 50), (0, 0, -1))
+PINS = TacTipPins()
+
+
+@pytest.mark.parametrize(("n_rings", "n_pins"), [(1, 7), (3, 37), (6, 127)])
+def test_pins_are_hexagonal(n_rings, n_pins):
+    pins = TacTipPins(n_rings=n_rings)
+    assert pins.n_pins == n_pins == len(pins.roots_mm)
+    pitch = 0.85 * 20 / n_rings
+    apart = np.linalg.norm(pins.roots_mm[:, None] - pins.roots_mm, axis=2)
+    np.fill_diagonal(apart, np.inf)
+    assert_allclose(apart.min(axis=1), pitch, rtol=1e-5)
+    assert_allclose(np.linalg.norm(pins.roots_mm, axis=1).max(), 17, rtol=1e-5)
+
+
+def test_tips_at_rest_lie_on_a_smaller_sphere():
+    """Inward normals of a sphere meet at its centre, 42 mm before the lens."""
+    away = np.linalg.norm(PINS.tips_mm() - (0, 0, 62 - 20), axis=1)
+    assert_allclose(away, 20 - PINS.pin_length_mm, rtol=1e-5)
+
+
+def test_every_pin_is_one_white_spot():
+    picture = PINS.no_contact()
+    assert picture.shape == (300, 300)
+    assert label(picture > 128)[1] == 127
+    pixels = PINS.pixels()
+    rows, cols = np.round(pixels[:, :2]).astype(int).T
+    assert (picture[rows, cols] == 255).all()
+    area = np.pi * (pixels[:, 2] ** 2).sum()
+    # Discs of 4 pixels across, smoothed at their edges.
+    assert_allclose(picture.sum(dtype=float) / 255, area, rtol=0.2)
+
+
+def test_camera_sees_tips_by_perspective():
+    wide = replace(PINS, pin_length_mm=0.0)
+    row, col, _ = wide.pixels()[np.argmax(wide.roots_mm[:, 0])]
+    # Root at x = 17: depth 42 + sqrt(20^2 - 17^2); the rim, at 42, is at 0.68 heights.
+    expected = 150 - 0.5 + 0.68 * 300 * (17 / 20) * 42 / (42 + np.sqrt(400 - 289))
+    assert_allclose((row, col), (149.5, expected), rtol=1e-5)
+
+
+def test_flat_press_spreads_the_middle_and_leaves_the_rest():
+    press = PINS.press(find_object("flat"), DOWN)
+    rest, pressed = PINS.tips_mm(), PINS.tips_mm(press)
+    middle = np.linalg.norm(PINS.roots_mm, axis=1) < 6
+    inner = np.linalg.norm(rest[middle, :2], axis=1)
+    # On a flat floor pins stand straight: tips return above their roots.
+    roots = np.linalg.norm(PINS.roots_mm[middle], axis=1)
+    spread = np.linalg.norm(pressed[middle, :2], axis=1)
+    assert_allclose(spread, roots, atol=0.15)
+    assert (spread >= inner - 1e-3).all()
+    assert (pressed[middle, 2] < rest[middle, 2]).all()
+    far = np.linalg.norm(PINS.roots_mm, axis=1) > 16.5
+    assert np.abs(pressed[far] - rest[far]).max() < 0.4
+
+
+def test_dent_is_the_domes():
+    press = PINS.press(find_object("edge"), DOWN)
+    same = PINS.dome.press(find_object("edge"), DOWN)
+    assert_array_equal(press.contact.displacement_mm, same.contact.displacement_mm)
+    assert PINS.membrane == PINS.dome.membrane
+
+
+def test_turning_the_object_by_a_sixth_turns_the_pins():
+    still = PINS.tips_mm(PINS.press(find_object("point"), DOWN))
+    angle = np.pi / 3
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    turned = still[:, :2] @ turn.T
+    nearest = np.linalg.norm(turned[:, None] - still[:, :2], axis=2).min(axis=1)
+    # A cone pressed on the axis, sampled on square nodes.
+    assert nearest.max() < 0.2
+
+
+def test_nothing_touched_is_no_contact_and_noise_is_reproducible():
+    nothing = find_object("nothing")
+    assert_array_equal(PINS.touch(nothing, DOWN), PINS.no_contact())
+    one = PINS.touch(nothing, DOWN, rng=np.random.default_rng(2))
+    assert_array_equal(one, PINS.touch(nothing, DOWN, rng=np.random.default_rng(2)))
+    assert (one != PINS.no_contact()).any()
+
+
+def test_sets_of_pin_touches():
+    touches = simulate_touches(["box", "pen"], 3, PINS, random_state=0)
+    assert touches.images.shape == (6, 300, 300)
+    assert_array_equal(touches.whole["no_contact"], PINS.no_contact())
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"n_rings": 0}, "n_rings must be at least 1"),
+        ({"spread": 1.0}, "spread must be finite and between 0.05 and 0.94"),
+        ({"pin_radius_mm": 0.0}, "pin_radius_mm must be positive"),
+    ],
+)
+def test_bad_pins_are_refused(fields, message):
+    with pytest.raises(ValueError, match=message):
+        TacTipPins(**fields)
+
+
+def test_drift_is_the_cameras():
+    drifted = PINS.drifted(np.random.default_rng(0))
+    assert drifted.dome != PINS.dome
+    assert isinstance(drifted.dome, DomeCamera)
+    assert drifted.n_pins == PINS.n_pins
