@@ -9,7 +9,7 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 .PHONY: demo test test-all check format bench clean
 
 demo: $(VENV)/.demo-installed
-	@$(BIN)/palpate demo
+	@$(BIN)/palpate demo $(if $(PALPATE_DATA),--real)
 
 test: check
 	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 -m "not slow"

@@ -137,7 +137,7 @@ def test_a_split_without_labels_is_refused(archive, tmp_path):
 
 
 def test_demo_without_data_says_where_to_get_it(tmp_path):
-    done = palpate("demo", cwd=tmp_path, env={"PATH": "/usr/bin"})
+    done = palpate("demo", "--real", cwd=tmp_path, env={"PATH": "/usr/bin"})
     assert done.returncode == 1
     assert "PALPATE_DATA" in done.stderr
     assert list(tmp_path.iterdir()) == []

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.exploration import Hemisphere, RandomHemisphere, Raster
-from palpate.simulation._placed import SensorPose
+from palpate.simulation import SensorPose
 
 CENTRE = np.array([10.0, -20.0, 30.0])
 HEMISPHERE = Hemisphere(tuple(CENTRE))

@@ -17,9 +17,7 @@ from palpate.exploration import (
     read_episode,
 )
 from palpate.sensors import SimulatedBench, SimulatedSensor
-from palpate.simulation._dome import DomeCamera
-from palpate.simulation._objects import find_object
-from palpate.simulation._placed import PlacedObject
+from palpate.simulation import DomeCamera, PlacedObject, find_object
 
 CAMERA = DomeCamera(image_shape=(32, 32), n_nodes=20)
 OUTCOME_OF = {

@@ -5,9 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate.sensors import SensorError, SimulatedBench, SimulatedSensor, TouchSensor
-from palpate.simulation._dome import DomeCamera
-from palpate.simulation._objects import find_object
-from palpate.simulation._placed import PlacedObject, SensorPose
+from palpate.simulation import DomeCamera, PlacedObject, SensorPose, find_object
 
 CAMERA = DomeCamera(image_shape=(48, 48), n_nodes=24)
 OUT = np.array([0.5, 0.3, 0.8]) / np.sqrt(0.98)

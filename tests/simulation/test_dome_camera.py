@@ -111,7 +111,7 @@ def test_force_is_stiffness_times_displaced_volume():
     w = membrane.displaced(press.contact.node_force_n, whole=True)
     volume_mm3 = w.sum(dtype=np.float64) * membrane.pitch_mm**2
     # E t / R^2 with single-precision sums.
-    assert_allclose(0.14 * 1.0 / 20.0**2 * volume_mm3, 0.5, rtol=1e-5)
+    assert_allclose(0.11 * 1.5 / 20.0**2 * volume_mm3, 0.5, rtol=1e-5)
 
 
 def test_more_force_more_contact_more_change():
@@ -185,7 +185,8 @@ def test_image_axes():
     for offset, (dx, dy) in [((8, 0), (1, 0)), ((0, 8), (0, -1))]:
         target = PlacedObject(post, position_mm=(*offset, 0))
         press = CLEAN.press(target, DOWN)
-        assert_allclose(centre_of_dent(press, CLEAN), (8 * dx, 8 * dy), atol=1.0)
+        # The grid ends at 19 mm and cuts the outer side of the dent off.
+        assert_allclose(centre_of_dent(press, CLEAN), (8 * dx, 8 * dy), atol=2.0)
         picture = CENTRED.image(press).astype(float)
         change = np.abs(picture - CENTRED.no_contact())
         col = (change.sum(axis=0) * np.arange(120)).sum() / change.sum() - 59.5

@@ -13,7 +13,7 @@ FORCE_N = 0.735
 
 @pytest.fixture(scope="module")
 def membrane():
-    return Membrane(youngs_mpa=0.5)
+    return Membrane(thickness_mm=1.0, youngs_mpa=0.5)
 
 
 def plane(membrane, slope=0.0):
@@ -77,7 +77,7 @@ def test_point_load_sinks_as_reissner_says():
 
 
 def test_dent_dies_away_over_its_reach():
-    membrane = Membrane(n_nodes=191)
+    membrane = Membrane(thickness_mm=1.0, n_nodes=191)
     force = np.zeros((191, 191), np.float32)
     force[95, 95] = FORCE_N
     w = membrane.displaced(force)[95] / membrane.displaced(force)[95, 95]

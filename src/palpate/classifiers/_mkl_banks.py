@@ -4,13 +4,15 @@ Kernels are scaled once, by the training touches of all classes, so that one pri
 errors suits them all; touches to recognise get the same factors.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ._kernels import Kernel, kernel_diagonals, kernel_stack
-from ._mkl_problem import Floats
+from ._mkl_problem import Floats, Solution
+from ._mkl_systems import DenseKernels
 
 # Bytes of kernel values held at a time beside what the caller holds.
 _BLOCK_BYTES = 32 * 2**20
@@ -21,7 +23,45 @@ _CONSTANT = 1e-12
 _ROUNDING = 1e-8
 
 
-class FeatureBank:
+class DenseBank(ABC):
+    """Kernels among training touches, as whole matrices."""
+
+    n_folds = 5
+    n_touches: int
+    scales: Floats
+
+    @abstractmethod
+    def blocks(self, index: NDArray) -> Floats:
+        """Return the scaled kernels among the touches of each row of `index`.
+
+        Shape (n_rows, n_kernels, n_index, n_index).
+        """
+
+    @property
+    def n_columns(self) -> int:
+        """Coefficients of a machine: one per training touch."""
+        return self.n_touches
+
+    def batch_size(self, n_touches: int) -> int:
+        """How many problems of that size to hold at a time."""
+        per_problem = 8 * len(self.scales) * n_touches**2
+        return max(1, _BLOCK_BYTES // per_problem)
+
+    def system(self, index: NDArray, labels: Floats) -> DenseKernels:
+        return DenseKernels(self.blocks(index), labels)
+
+    def coefficients(
+        self, system: DenseKernels, index: NDArray, solution: Solution
+    ) -> Floats:
+        """Return y a of each machine at the place of its touches."""
+        placed = np.zeros((len(index), self.n_touches))
+        rows = np.arange(len(index))[:, None]
+        # Padding repeats a touch with nothing to add.
+        np.add.at(placed, (rows, index), system.labels * solution.alpha)
+        return placed
+
+
+class FeatureBank(DenseBank):
     """A bank of kernels over training touches.
 
     Parameters
@@ -43,24 +83,13 @@ class FeatureBank:
         self.kernels = kernels
         self.mean = touches.mean(axis=0)
         self.centred = touches - self.mean
+        self.n_touches = len(touches)
         diagonals = kernel_diagonals(kernels, self.centred, self.mean)
-        _refuse_overflow(kernels, diagonals)
+        refuse_overflow(kernels, diagonals)
         mean = self._mean_kernel() if normalize == "variance" else None
         self.scales = kernel_scales(diagonals, mean, normalize)
 
-    @property
-    def n_touches(self) -> int:
-        return len(self.centred)
-
-    @property
-    def n_kernels(self) -> int:
-        return len(self.kernels)
-
     def blocks(self, index: NDArray) -> Floats:
-        """Return the scaled kernels among the touches of each row of `index`.
-
-        Shape (n_rows, n_kernels, n_index, n_index).
-        """
         chosen = self.centred[index]
         stack = kernel_stack(self.kernels, chosen, chosen, self.mean)
         stack *= self.scales[:, None, None]
@@ -76,7 +105,7 @@ class FeatureBank:
         return total / len(self.centred) ** 2
 
 
-class GivenBank:
+class GivenBank(DenseBank):
     """Kernel matrices computed by someone else.
 
     Parameters
@@ -88,25 +117,18 @@ class GivenBank:
     def __init__(self, stack: Floats, normalize: str | None) -> None:
         self._stack = np.ascontiguousarray(stack.transpose(2, 0, 1))
         _refuse_not_a_kernel(self._stack)
+        self.n_touches = len(stack)
         diagonals = np.einsum("kii->ki", self._stack)
         mean = self._stack.mean(axis=(1, 2)) if normalize == "variance" else None
         self.scales = kernel_scales(diagonals, mean, normalize)
 
-    @property
-    def n_touches(self) -> int:
-        return self._stack.shape[1]
-
-    @property
-    def n_kernels(self) -> int:
-        return len(self._stack)
-
     def blocks(self, index: NDArray) -> Floats:
-        """Return the scaled kernels among the touches of each row of `index`."""
         n_rows, n = index.shape
-        blocks = np.empty((n_rows, self.n_kernels, n, n))
-        for block, row in zip(blocks, index, strict=True):
-            block[...] = self._stack[:, row[:, None], row]
-        blocks *= self.scales[:, None, None]
+        flat = index[:, :, None] * self.n_touches + index[:, None, :]
+        taken = self._stack.reshape(len(self.scales), -1).take(flat.ravel(), axis=1)
+        blocks = np.empty((n_rows, len(self.scales), n, n))
+        by_row = taken.reshape(len(self.scales), n_rows, n, n).swapaxes(0, 1)
+        np.multiply(by_row, self.scales[:, None, None], out=blocks)
         return blocks
 
 
@@ -171,7 +193,7 @@ def check_given(X: object, n_train: int | None = None) -> Floats:
     return stack.astype(np.float64, copy=False)
 
 
-def _refuse_overflow(kernels: Sequence[Kernel], diagonals: Floats) -> None:
+def refuse_overflow(kernels: Sequence[Kernel], diagonals: Floats) -> None:
     finite = np.isfinite(diagonals).all(axis=1)
     if not finite.all():
         raise ValueError(
@@ -181,17 +203,12 @@ def _refuse_overflow(kernels: Sequence[Kernel], diagonals: Floats) -> None:
 
 
 def _refuse_not_a_kernel(stack: Floats) -> None:
-    for k, matrix in enumerate(stack):
-        skew = np.abs(matrix - matrix.T).max()
-        if skew > _ROUNDING * np.abs(matrix).max():
-            raise ValueError(
-                "Precomputed kernels must be symmetric, got a difference of "
-                f"{skew:.3g} across the diagonal of kernel {k}. Pass (K + K.T) / 2."
-            )
+    _refuse_skew(stack)
     lift = _ROUNDING * np.einsum("kii->k", np.abs(stack))
-    lifted = stack + lift[:, None, None] * np.eye(stack.shape[1])
-    # A matrix of zeros has no lift, and is a kernel all the same.
-    lifted[lift == 0] += np.where(stack[lift == 0] == 0, np.eye(stack.shape[1]), 0)
+    lifted = stack.copy()
+    diagonals = np.einsum("kii->ki", lifted)
+    # A matrix of zeros has no trace, and is a kernel all the same.
+    diagonals += np.where((diagonals == 0).all(axis=1), 1e-300, lift)[:, None]
     try:
         np.linalg.cholesky(lifted)
     except np.linalg.LinAlgError:
@@ -201,3 +218,18 @@ def _refuse_not_a_kernel(stack: Floats) -> None:
             "Precomputed kernels must be positive semi-definite, got an eigenvalue "
             f"of {lowest[worst]:.3g} in kernel {worst}. Clip its eigenvalues at zero."
         ) from None
+
+
+def _refuse_skew(stack: Floats) -> None:
+    mirrored = stack.swapaxes(1, 2)
+    if (stack == mirrored).all():
+        return
+    skew = np.abs(stack - mirrored).max(axis=(1, 2))
+    bad = skew > _ROUNDING * np.abs(stack).max(axis=(1, 2))
+    if bad.any():
+        worst = int(bad.argmax())
+        raise ValueError(
+            "Precomputed kernels must be symmetric, got a difference of "
+            f"{skew[worst]:.3g} across the diagonal of kernel {worst}. "
+            "Pass (K + K.T) / 2."
+        )

@@ -39,6 +39,12 @@ class KernelSystem(Protocol):
         the shape (n_problems, n_touches, n_columns).
         """
 
+    def decisions(self, alpha: Floats, weights: Floats) -> Floats:
+        """Return decision values less the bias, also where the label is 0."""
+
+    def with_labels(self, labels: Floats) -> Self:
+        """Return the same kernels with some labels set to 0."""
+
     def take(self, keep: NDArray) -> Self:
         """Return the system of some of the problems."""
 

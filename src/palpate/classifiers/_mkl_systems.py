@@ -50,6 +50,17 @@ class DenseKernels:
         matrix[:, np.arange(n), np.arange(n)] += diagonal
         return _small_solver(matrix) if n < _LARGE else _large_solver(matrix)
 
+    def decisions(self, alpha: Floats, weights: Floats) -> Floats:
+        """Return decision values less the bias, also where the label is 0."""
+        n_problems, n_kernels, n, _ = self.kernels.shape
+        stacked = self.kernels.reshape(n_problems, n_kernels * n, n)
+        pulled = stacked @ (self.labels * alpha)[:, :, None]
+        decided: Floats = weights[:, None, :] @ pulled.reshape(n_problems, n_kernels, n)
+        return decided[:, 0]
+
+    def with_labels(self, labels: Floats) -> Self:
+        return type(self)(self.kernels, labels)
+
     def take(self, keep: NDArray) -> Self:
         return type(self)(self.kernels[keep], self.labels[keep])
 
@@ -65,26 +76,36 @@ def _small_solver(matrix: Floats) -> Solver:
 
 
 def _large_solver(matrix: Floats) -> Solver:
-    factors = [_cholesky(one) for one in matrix]
+    solvers = [cholesky_solver(one) for one in matrix]
 
     def solve(right: Floats) -> Floats:
-        both = zip(factors, right, strict=True)
-        return np.stack([cho_solve(f, r, check_finite=False) for f, r in both])
+        return np.stack([one(r) for one, r in zip(solvers, right, strict=True)])
 
     return solve
 
 
-def _cholesky(matrix: Floats) -> tuple[Floats, bool]:
-    """Factorise, lifting the diagonal as far as rounding makes necessary."""
-    lift = np.finfo(float).eps * np.abs(matrix.diagonal()).max()
-    for _ in range(8):
+def cholesky_solver(matrix: Floats) -> Solver:
+    """Factorise one matrix, lifting its diagonal as far as rounding makes necessary.
+
+    Scaled to a diagonal of ones first, so that the lift suits every row.
+    """
+    unit = np.sqrt(np.maximum(matrix.diagonal(), np.finfo(float).tiny))
+    scaled = matrix / unit[:, None] / unit
+    for lift in (0.0, 1e-15, 1e-13, 1e-11):
         try:
-            factor: tuple[Floats, bool] = cho_factor(matrix, check_finite=False)
-            return factor
+            lifted = scaled + lift * np.eye(len(matrix)) if lift else scaled
+            factor = cho_factor(lifted, check_finite=False)
+            break
         except np.linalg.LinAlgError:
-            matrix = matrix + lift * np.eye(len(matrix))
-            lift *= 100
-    return np.full_like(matrix, np.nan), False
+            continue
+    else:
+        return lambda right: np.full_like(right, np.nan)
+
+    def solve(right: Floats) -> Floats:
+        solved = cho_solve(factor, right / unit[:, None], check_finite=False)
+        return solved / unit[:, None]
+
+    return solve
 
 
 def _lifted(matrix: Floats) -> Floats:

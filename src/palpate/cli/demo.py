@@ -1,13 +1,17 @@
-"""`palpate demo`: learn ten real objects and recognise them touch by touch."""
+"""`palpate demo`: learn ten objects, recognise them touch by touch, meet unknown ones."""
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ._options import Seed
 from ._output import percent
+from ._stages import Stages
+
+if TYPE_CHECKING:
+    from ..touches import Touches
 
 SOURCE = "https://github.com/Exhor/deep_visuotactile_classification"
 NAME_PATTERN = (
@@ -15,56 +19,96 @@ NAME_PATTERN = (
     r"_at_(?P<x>-?\d+)_(?P<y>-?\d+)_(?P<z>-?\d+)"
 )
 TRAIN_TOUCHES = 60
+TEST_TOUCHES = 30
+UNKNOWN_SHOWN = ("plastic card", "soft textbook")
 
 
 def demo(
+    real: Annotated[
+        bool, typer.Option("--real", help="Use the recorded touches in PALPATE_DATA.")
+    ] = False,
     folder: Annotated[
         Path, typer.Option("--output", help="Where to write the model and the report.")
     ] = Path("demo"),
     seed: Seed = 0,
 ) -> None:
-    """Learn ten household objects from a dome camera's pictures and recognise them.
+    """Learn ten household objects from 60 touches each and recognise them.
 
-    Reads the recorded touches in the folder that PALPATE_DATA names. The last
-    line printed is the path of the report.
+    Touches a dome camera's simulated objects, or reads recorded pictures with
+    --real. The last line printed is the path of the report.
     """
-    pictures = _pictures()
-    from ..evaluation import Plan, check_report_path, evaluate, split_by_count
-    from ..touches import Touches
-    from ._stages import Stages
+    pictures = _pictures() if real else None
+    import numpy as np
+
+    from ..evaluation import (
+        Plan,
+        check_report_path,
+        evaluate,
+        split_by_count,
+        write_report,
+    )
     from .recognise import print_episode, recognise_episodes
 
     folder.mkdir(parents=True, exist_ok=True)
-    report = folder / "report.html"
-    check_report_path(report)
+    report = check_report_path(folder / "report.html")
     with Stages() as stage:
-        stage("reading the pictures")
-        touches = Touches.load(
-            pictures,
-            name_pattern=NAME_PATTERN,
-            no_contact=pictures / "baselineForCalibration.jpg",
-        )
+        touches, unknown = _read(pictures, stage) if pictures else _simulate(seed)
         train, test = split_by_count(touches, TRAIN_TOUCHES, seed)
         plan = Plan(touches=(1, 3, 5, 10), seed=seed)
-        figures, trials = evaluate(train, test, plan=plan, progress=stage)
+        figures, trials = evaluate(
+            train, test, unknown=unknown, plan=plan, progress=stage
+        )
     recogniser = trials[0].recogniser
     print(
         f"Learnt {len(recogniser.classes_)} objects from {len(train)} touches "
         f"({TRAIN_TOUCHES} each) and recognise the other {len(test)}, one by one:\n"
     )
     for episode in recognise_episodes(recogniser, test, error=0.01):
-        print_episode(episode, at_most=5)
+        print_episode(episode)
+    if unknown is not None:
+        print("Objects that were never learnt:\n")
+        shown = unknown[np.isin(unknown.columns["object"], UNKNOWN_SHOWN)]
+        for episode in recognise_episodes(recogniser, shown, error=0.01):
+            print_episode(episode)
+    _print_end(figures)
+    model = recogniser.save(folder / "ten-objects.palpate")
+    write_report(report, figures, trials)
+    print(f"model: {model.resolve()}")
+    print(report.resolve())
+
+
+def _read(pictures: Path, stage: Stages) -> tuple["Touches", None]:
+    from ..touches import Touches
+
+    stage("reading the pictures")
+    touches = Touches.load(
+        pictures,
+        name_pattern=NAME_PATTERN,
+        no_contact=pictures / "baselineForCalibration.jpg",
+    )
+    return touches, None
+
+
+def _simulate(seed: int) -> tuple["Touches", "Touches"]:
+    from ..simulation import HOUSEHOLD, UNSEEN, simulate_touches
+
+    n_touches = TRAIN_TOUCHES + TEST_TOUCHES
+    known = simulate_touches(
+        HOUSEHOLD, n_touches, random_state=seed, n_jobs=-1, progress=None
+    )
+    unknown = simulate_touches(
+        UNSEEN, TEST_TOUCHES, random_state=seed + 1, n_jobs=-1, progress=None
+    )
+    return known, unknown
+
+
+def _print_end(figures: dict[str, Any]) -> None:
     for k, share in figures["accuracy"].items():
         spread = percent(figures["accuracy_sd"][k])
-        print(
-            f"right after {k:>2} touches: {percent(share)} % (sd {spread} over objects)"
-        )
-    from ..evaluation import write_report
-
-    recogniser.save(folder / "ten-objects.palpate")
-    print(f"model: {(folder / 'ten-objects.palpate').resolve()}")
-    write_report(report, figures, trials)
-    print(report.resolve())
+        line = f"right after {k:>2} touches: {percent(share):>5} % (sd {spread})"
+        if "unknown_auroc" in figures:
+            line += f"; known from unknown: {figures['unknown_auroc'][k]:.2f} ROC area"
+        print(line)
 
 
 def _pictures() -> Path:
@@ -72,7 +116,7 @@ def _pictures() -> Path:
     pictures = Path(data or ".") / "bathtip" / "originals"
     if not data or not pictures.is_dir():
         raise ValueError(
-            "the demo needs recorded touches: fetch the tactile pictures of "
+            "--real needs recorded touches: fetch the tactile pictures of "
             f"{SOURCE} and set PALPATE_DATA to the folder that holds them as "
             "bathtip/originals."
         )

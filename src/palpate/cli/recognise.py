@@ -82,12 +82,10 @@ def recognise_episodes(
     return result
 
 
-def print_episode(episode: dict[str, Any], *, at_most: int = 8) -> None:
-    """Print how the belief moved: the first touches, then ever fewer."""
+def print_episode(episode: dict[str, Any]) -> None:
+    """Print how the belief moved, touch by touch until the decision."""
     name = episode["object"]
     print(f"{'Touches of ' + name if name is not None else 'Touches'}:")
-    beliefs = episode["beliefs"]
-    shown = [b for b in beliefs if b["touch"] <= at_most or b is beliefs[-1]]
-    for belief in shown:
+    for belief in episode["beliefs"][: episode["touches_used"]]:
         print(belief_line(belief["touch"], belief["posterior"]))
     print(f"  {episode['reasons'][-1]}\n")

@@ -6,10 +6,12 @@ from ._kernel_pca import KernelPCA
 from ._moments import CentroidMoments, sorted_taxels
 from ._root import RootScaler
 from ._taxel_vector import TaxelVector
+from ._union import EncodingUnion
 from ._zernike import ZernikeMoments
 
 __all__ = [
     "CentroidMoments",
+    "EncodingUnion",
     "FourierDescriptors",
     "KernelPCA",
     "RootScaler",

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from .._checks import check_count, check_number, check_positive
 from ..sensors import SensorError, TouchSensor
-from ..simulation._placed import SensorPose
+from ..simulation import SensorPose
 from ._record import TouchRecord, tip_mm
 from ._robot import Robot
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_number, check_positive
-from ..simulation._placed import SensorPose
+from ..simulation import SensorPose
 
 Floats = NDArray[np.float64]
 _CLEAR_MM = 1.0

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import check_option
-from ..simulation._placed import SensorPose
+from ..simulation import SensorPose
 from ..touches import Touches
 
 OUTCOMES = (

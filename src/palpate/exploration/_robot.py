@@ -7,7 +7,7 @@ when something pushes back.
 
 from typing import Protocol, runtime_checkable
 
-from ..simulation._placed import SensorPose
+from ..simulation import SensorPose
 
 
 class RobotError(RuntimeError):

@@ -7,7 +7,7 @@ import numpy as np
 
 from .._checks import check_number, check_option, check_positive
 from ..sensors import SimulatedBench
-from ..simulation._placed import SensorPose
+from ..simulation import SensorPose
 from ._robot import RobotError
 
 FAULTS = (

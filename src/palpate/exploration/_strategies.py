@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from .._checks import check_count
-from ..simulation._placed import SensorPose
+from ..simulation import SensorPose
 from ._hemisphere import Hemisphere
 from ._record import TouchRecord
 

@@ -13,13 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import check_count, check_images, check_positive
 from ._array import correct_gamma, resize
 from ._dead_taxels import fill_dead_taxels
-from ._otsu import binarise
+from ._otsu import binarise, otsu_threshold
 
 Floats = NDArray[np.float64]
 Waves = NDArray[np.complex128]
 
-# The paper's clean-up comes first; the others tell how much the answer hangs on it.
-_PARTITIONS, _GAMMAS = (2, 1, 3), (0.5, 0.35, 0.8)
+# The first of each is the answer; the others tell how much hangs on the choice.
+_PARTITIONS, _GAMMAS = (2, 1, 3), (0.65, 0.3, 1.0)
+# Partitions that show only background have low thresholds: no lower than this share
+# of the whole image's, or their noise would count as pressed.
+_LEAST_THRESHOLD = 0.8
 _PIXELS_PER_TAXEL = 3
 
 
@@ -56,10 +59,10 @@ class Poses:
 def press_pose(images: ArrayLike, pitch_mm: float, symmetry: int = 1) -> Poses:
     """Estimate the pose of a part of known symmetry from single presses.
 
-    The press is made binary as Liu et al. do; place is the outline's centroid, and
-    the angle is that of the wave with `symmetry` crests around it: 0 when the part
-    reaches farthest along the columns. A bar at 0 lies along x; a square at 0 stands
-    on a corner.
+    The press is made binary by Otsu's thresholds, much as in `ArrayCleanUp`; place is
+    the outline's centroid, and the angle is that of the wave with `symmetry` crests
+    around it: 0 when the part reaches farthest along the columns. A bar at 0 lies
+    along x; a square at 0 stands on a corner.
 
     Parameters
     ----------
@@ -76,7 +79,7 @@ def press_pose(images: ArrayLike, pitch_mm: float, symmetry: int = 1) -> Poses:
 
     Notes
     -----
-    The standard deviations are the spread over nine clean-ups (1, 2 and 3 partitions,
+    The standard deviations are the spread over nine outlines (1, 2 and 3 partitions,
     three gammas), so they show what the outline leaves open, not a miscalibration
     of the array. A part longer than the array is placed where its visible piece is.
 
@@ -112,12 +115,13 @@ def press_pose(images: ArrayLike, pitch_mm: float, symmetry: int = 1) -> Poses:
     )
 
 
-def outlines(
-    images: Floats, n_partitions: int = _PARTITIONS[0], gamma: float = _GAMMAS[0]
-) -> NDArray[np.bool_]:
+def outlines(images: Floats, n_partitions: int, gamma: float) -> NDArray[np.bool_]:
     """Make presses binary, three pixels per taxel."""
     shape = (images.shape[1] * _PIXELS_PER_TAXEL, images.shape[2] * _PIXELS_PER_TAXEL)
-    return binarise(correct_gamma(resize(images, shape), gamma), n_partitions)
+    enlarged = correct_gamma(resize(images, shape), gamma)
+    floor = _LEAST_THRESHOLD * otsu_threshold(enlarged)
+    above_floor = enlarged > floor[:, np.newaxis, np.newaxis]
+    return binarise(enlarged, n_partitions) & above_floor
 
 
 def outline_centres(shapes: NDArray[np.bool_]) -> Floats:

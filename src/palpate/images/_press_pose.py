@@ -21,6 +21,9 @@ from ._pose_template import find_symmetry, learn_template, template_angle
 
 Floats = NDArray[np.float64]
 
+# The outline that registration starts from: one threshold, which a background over
+# the whole array does not disturb.
+_N_PARTITIONS, _GAMMA = 1, 0.8
 # With fewer presses no half can teach a template, and symmetry cannot be tested.
 _LEAST_FOR_SYMMETRY = 6
 
@@ -199,7 +202,8 @@ def _prepare(images: Floats) -> tuple[Floats, Floats]:
     filled = fill_dead_taxels(images)
     root = np.sqrt(np.maximum(filled, 0))
     size = np.sqrt((root**2).sum(axis=(1, 2), keepdims=True))
-    return root / np.where(size > 0, size, 1.0), outline_centres(outlines(filled))
+    shapes = outlines(filled, _N_PARTITIONS, _GAMMA)
+    return root / np.where(size > 0, size, 1.0), outline_centres(shapes)
 
 
 def _turn(points: Floats, angles: Floats) -> Floats:

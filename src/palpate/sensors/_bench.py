@@ -10,9 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import check_number
-from ..simulation._dome import DomeCamera, DomePress
-from ..simulation._membrane import Contact, solve_contact
-from ..simulation._placed import PlacedObject, SensorPose, gap_map, sleeve_gap
+from ..simulation import (
+    Contact,
+    DomeCamera,
+    DomePress,
+    PlacedObject,
+    SensorPose,
+    gap_map,
+    solve_contact,
+)
+from ..simulation._placed import sleeve_gap
 
 Floats = NDArray[np.float64]
 _SAME_LINE_MM = 1e-6

@@ -76,8 +76,10 @@ class DomeCamera:
     max_depth_mm : float, default=12.0
         Depth at which it ends before that force.
     membrane_radius_mm, thickness_mm, youngs_mpa, poisson, n_nodes
-        The rubber and its grid, see `Membrane`.
-    sleeve_mm : float, default=1.5
+        The rubber and its grid, see `Membrane`; by default 20 mm, 1.5 mm, 0.11 MPa.
+        The paper gives a thickness of 1 mm, but real dents are as wide as this
+        equation's are at 1.5 mm.
+    sleeve_mm : float, default=1.0
         How far the rigid edge that holds the dome stands out from it; it stops the
         press where it meets the object.
     camera_distance_mm : float, default=62.0
@@ -128,11 +130,11 @@ class DomeCamera:
     force_n: float = 0.735
     max_depth_mm: float = 12.0
     membrane_radius_mm: float = 20.0
-    thickness_mm: float = 1.0
-    youngs_mpa: float = 0.14
+    thickness_mm: float = 1.5
+    youngs_mpa: float = 0.11
     poisson: float = 0.48
     n_nodes: int = 48
-    sleeve_mm: float = 1.5
+    sleeve_mm: float = 1.0
     camera_distance_mm: float = 62.0
     camera_offset_mm: tuple[float, float] = (0.0, 0.0)
     disc_centre: tuple[float, float] = (0.4375, 0.4438)

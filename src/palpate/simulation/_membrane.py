@@ -37,9 +37,9 @@ class Membrane:
 
     Parameters
     ----------
-    radius_mm, thickness_mm : float, default=20.0, 1.0
+    radius_mm, thickness_mm : float, default=20.0, 1.5
         Radius of the middle surface and thickness.
-    youngs_mpa, poisson : float, default=0.14, 0.48
+    youngs_mpa, poisson : float, default=0.11, 0.48
         Young's modulus (N/mm2) and Poisson's ratio, below 0.5.
     n_nodes : int, default=48
         Nodes along a side of the grid, which spans 0.95 of the diameter.
@@ -58,8 +58,8 @@ class Membrane:
     """
 
     radius_mm: float = 20.0
-    thickness_mm: float = 1.0
-    youngs_mpa: float = 0.14
+    thickness_mm: float = 1.5
+    youngs_mpa: float = 0.11
     poisson: float = 0.48
     n_nodes: int = 48
 

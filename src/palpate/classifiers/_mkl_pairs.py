@@ -1,0 +1,182 @@
+"""One machine for each pair of classes, learnt in batches."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._mkl_interior import solve_interior
+from ._mkl_posterior import all_pairs, fit_sigmoids
+from ._mkl_problem import Floats, KernelSystem, Solution
+from ._simplemkl import solve_simplemkl
+
+# Pairs smaller than this share of the largest of their batch wait for the next one.
+_ALIKE = 0.8
+# Relative gap of the machines that only serve to calibrate probabilities.
+_CALIBRATION_TOL = 1e-4
+_N_PARTS = 5
+
+
+class Bank(Protocol):
+    """Kernels among training touches, however they are held."""
+
+    n_folds: int
+    n_touches: int
+    scales: Floats
+
+    @property
+    def n_columns(self) -> int:
+        """Number of coefficients of a machine."""
+
+    def batch_size(self, n_touches: int) -> int:
+        """How many problems of that size to hold at a time."""
+
+    def system(self, index: NDArray, labels: Floats) -> Any:
+        """Return the kernels among the touches of each row of `index`."""
+
+    def coefficients(self, system: Any, index: NDArray, solution: Solution) -> Floats:
+        """Return what the machines need to recognise, (n_rows, n_columns)."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to learn a pair."""
+
+    C: float
+    norm: float
+    solver: str
+    tol: float
+    max_iter: int
+    calibrate: bool
+
+    def solve(self, system: Any) -> Solution:
+        """Solve the problems of `system` by the solver asked for."""
+        if self.solver == "simplemkl":
+            return solve_simplemkl(
+                system, self.C, tol=self.tol, max_iter=self.max_iter
+            )
+        return solve_interior(
+            system, self.C, norm=self.norm, tol=self.tol, max_iter=self.max_iter
+        )
+
+    def solve_roughly(self, system: KernelSystem) -> Solution:
+        """Solve well enough to calibrate by."""
+        tol = max(self.tol, _CALIBRATION_TOL)
+        return solve_interior(system, self.C, norm=self.norm, tol=tol)
+
+
+class PairMachines:
+    """The machines of all pairs, a row per pair.
+
+    Attributes
+    ----------
+    pairs : ndarray of shape (n_pairs, 2)
+    coefficients : ndarray of shape (n_pairs, n_columns)
+    weights : ndarray of shape (n_pairs, n_kernels)
+    bias, objective, gap : ndarray of shape (n_pairs,)
+    n_iter : ndarray of shape (n_pairs,)
+    sigmoids : ndarray of shape (n_pairs, 2)
+        Slope and offset of the probability of the second class; zero where
+        nothing was calibrated.
+    """
+
+    def __init__(self, n_classes: int, n_kernels: int, n_columns: int) -> None:
+        self.pairs = all_pairs(n_classes)
+        n_pairs = len(self.pairs)
+        self.coefficients = np.zeros((n_pairs, n_columns))
+        self.weights = np.zeros((n_pairs, n_kernels))
+        self.bias, self.objective, self.gap = np.zeros((3, n_pairs))
+        self.n_iter = np.zeros(n_pairs, dtype=np.int64)
+        self.sigmoids = np.zeros((n_pairs, 2))
+
+
+def learn_pairs(bank: Bank, codes: NDArray, settings: Settings) -> PairMachines:
+    """Learn a machine for each pair of classes.
+
+    Parameters
+    ----------
+    bank : Bank
+        Kernels among the training touches.
+    codes : ndarray of int of shape (n_touches,)
+        Class of each touch, 0 to n_classes - 1, each at least once.
+    settings : Settings
+    """
+    n_classes = int(codes.max()) + 1
+    machines = PairMachines(n_classes, len(bank.scales), bank.n_columns)
+    folds = _folds(codes)
+    for rows, index, labels in _batches(bank, codes, machines.pairs):
+        system = bank.system(index, labels)
+        solution = settings.solve(system)
+        machines.coefficients[rows] = bank.coefficients(system, index, solution)
+        machines.weights[rows] = solution.weights
+        machines.bias[rows], machines.gap[rows] = solution.bias, solution.gap
+        machines.objective[rows] = solution.objective
+        machines.n_iter[rows] = solution.n_iter
+        if settings.calibrate:
+            scores, known = _left_out_scores(
+                system, solution, folds[index], bank.n_folds, settings
+            )
+            machines.sigmoids[rows] = fit_sigmoids(scores, known)
+    return machines
+
+
+def _batches(
+    bank: Bank, codes: NDArray, pairs: NDArray
+) -> Iterator[tuple[NDArray, NDArray, Floats]]:
+    """Yield rows of `pairs`, touches of each row, and their labels (0 pads)."""
+    members = [np.flatnonzero(codes == c) for c in range(pairs.max() + 1)]
+    counts = np.array([len(m) for m in members])
+    sizes = counts[pairs].sum(axis=1)
+    order = np.argsort(-sizes, kind="stable")
+    start = 0
+    while start < len(order):
+        largest = int(sizes[order[start]])
+        rows = order[start : start + bank.batch_size(largest)]
+        rows = rows[sizes[rows] >= _ALIKE * largest]
+        start += len(rows)
+        index = np.zeros((len(rows), largest), dtype=np.int64)
+        labels = np.zeros((len(rows), largest))
+        for row, (first, second) in enumerate(pairs[rows]):
+            n_first, n_both = counts[first], counts[first] + counts[second]
+            index[row, :n_both] = np.r_[members[first], members[second]]
+            labels[row, :n_first], labels[row, n_first:n_both] = -1, 1
+        yield rows, index, labels
+
+
+def _folds(codes: NDArray) -> NDArray[np.int64]:
+    """Part of each touch: each class in order, cut into five stretches.
+
+    Neighbours in a recording are alike, so whole stretches are left out. The only
+    touch of a class is in no part: -1.
+    """
+    folds = np.empty(len(codes), dtype=np.int64)
+    for code in np.unique(codes):
+        members = np.flatnonzero(codes == code)
+        folds[members] = _N_PARTS * np.arange(len(members)) // len(members)
+        if len(members) == 1:
+            folds[members] = -1
+    return folds
+
+
+def _left_out_scores(
+    system: Any, solution: Solution, folds: NDArray, n_folds: int, settings: Settings
+) -> tuple[Floats, Floats]:
+    """Return decisions of machines that did not learn the touch, and their labels.
+
+    Labels are 0 where there is no such decision. The only touch of a class has to
+    do with the decision of the machine that learnt it.
+    """
+    labels = system.labels
+    lone = (folds == -1) & (labels != 0)
+    whole = system.decisions(solution.alpha, solution.weights)
+    scores = np.where(lone, whole + solution.bias[:, None], 0)
+    known = np.where(lone, labels, 0)
+    for fold in range(n_folds):
+        out = (folds == fold) & (labels != 0)
+        part = system.with_labels(np.where(out, 0, labels))
+        rest = settings.solve_roughly(part)
+        decisions = part.decisions(rest.alpha, rest.weights) + rest.bias[:, None]
+        scores, known = np.where(out, decisions, scores), np.where(out, labels, known)
+    return scores, known
