@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from palpate.encodings import ZernikeMoments
 from palpate.simulation import DomeCamera, simulate_touches
 
-# Stiffness, light and greatest depth were set on these recordings...
+# Settings were scored on recordings of the first group (see docs/how-real.md)...
 FITTED = ("01_stapler", "03_ball", "05_shoe", "07_mug", "09_bowl")
-# ...and on none of these.
+# ...and never on these, though their statistics were seen while settings were open.
 HELD_OUT = ("02_bottleempty", "04_softtoy", "06_box", "08_bottlefull", "10_can")
 PAIRS = {
     "01_stapler": "stapler",

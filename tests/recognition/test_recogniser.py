@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
-from palpate.recognition import ModelFileError, ObjectRecogniser
+from palpate.recognition import ModelFileError, ObjectRecogniser, training_groups
 
 NAMES = ("ball", "mug", "pen")
 
@@ -191,3 +191,17 @@ def test_a_truncated_model_is_refused(recogniser, tmp_path, keep):
     path.write_bytes(path.read_bytes()[:keep])
     with pytest.raises(ModelFileError, match=r"m\.palpate"):
         ObjectRecogniser.load(path)
+
+
+def test_whole_sessions_are_left_out_together(rng):
+    touches = drawn(rng)
+    session = np.tile(np.repeat([1, 2, 3], 8), 3)
+    group = training_groups(
+        touches.with_columns(session=session), touches.object, touches.object, "object"
+    )
+    assert len(set(group)) == 9
+    for g in set(group):
+        assert len(set(session[group == g])) == 1
+    one = touches.with_columns(session=np.ones(72, int))
+    by_stretch = training_groups(one, one.object, one.object, "object")
+    assert len(set(by_stretch)) == 15

@@ -16,6 +16,11 @@ BENCHES: dict[str, tuple[str, str, str]] = {
         "reading a folder of pictures, peak memory",
     ),
     "likelihood": ("_likelihood", "bench_likelihood", "kernel densities per touch"),
+    "simulate": (
+        "_simulate",
+        "bench_simulate",
+        "touches of a simulated dome camera, by stage",
+    ),
     "simulate-array": (
         "_simulate_array",
         "bench_simulate_array",

@@ -23,6 +23,7 @@ def solve_interior(
     norm: float = 1.0,
     tol: float = 1e-6,
     max_iter: int = 100,
+    start: Point | None = None,
 ) -> Solution:
     """Solve multiple kernel learning for a batch of two-class problems.
 
@@ -38,6 +39,8 @@ def solve_interior(
     tol : float, default=1e-6
         Relative duality gap at which a problem is done.
     max_iter : int, default=100
+    start : Point, optional
+        Where to start, all of it strictly inside the bounds and in balance.
 
     Returns
     -------
@@ -59,7 +62,7 @@ def solve_interior(
     # Where rounding ends the path some quotients are 0 / 0; such steps are not
     # taken, and the best machine before them counts.
     with np.errstate(all="ignore"):
-        point = _start(task)
+        point = _start(task) if start is None else start
         best = Best(point, tol)
         for remaining in range(max_iter, -1, -1):
             view = View(task, point)

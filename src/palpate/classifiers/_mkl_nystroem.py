@@ -24,8 +24,8 @@ from ._mkl_systems import cholesky_solver
 _RANK_TOLERANCE = 1e-10
 # Features of up to this size are kept; larger ones are computed again block by block.
 _KEPT_BYTES = 2**30
-# Corrections of each solution by what it misses.
-_REFINEMENTS = 3
+# Corrections of a solution by what it misses, and the share it may miss.
+_REFINEMENTS, _EXACT = 3, 1e-11
 
 
 class LandmarkFeatures:
@@ -198,8 +198,12 @@ class LowRankKernels:
 
         def solve(right: Floats) -> Floats:
             solved = roughly(right[0])
+            enough = _EXACT * np.abs(right[0]).max()
             for _ in range(_REFINEMENTS):
-                solved += roughly(right[0] - apply(solved))
+                missing = right[0] - apply(solved)
+                if not np.abs(missing).max() > enough:
+                    break
+                solved += roughly(missing)
             return solved[None]
 
         return solve
@@ -234,7 +238,11 @@ class LowRankKernels:
         return matrix
 
     def decisions(self, alpha: Floats, weights: Floats) -> Floats:
-        return self._spread(self.normal(alpha, weights)[:, None]).T
+        return self.along(self.normal(alpha, weights))
+
+    def along(self, normal: Floats) -> Floats:
+        """Return the decisions less bias of any normal vector, (1, n_touches)."""
+        return self._spread(normal[:, None]).T
 
     def normal(self, alpha: Floats, weights: Floats) -> Floats:
         """Return the normal vector of the hyperplane, shape (n_columns,)."""
@@ -244,6 +252,12 @@ class LowRankKernels:
 
     def with_labels(self, labels: Floats) -> Self:
         return type(self)(self._features, self._centred, labels, self._kept)
+
+    def part(self, touches: NDArray) -> Self:
+        """Return the system of some of the touches."""
+        kept = None if self._kept is None else self._kept[touches]
+        centred, labels = self._centred[touches], self.labels[:, touches]
+        return type(self)(self._features, centred, labels, kept)
 
     def take(self, keep: NDArray) -> Self:
         if len(keep) != 1 or not np.asarray(keep).all():

@@ -44,7 +44,6 @@ def demo(
         Plan,
         check_report_path,
         evaluate,
-        split_by_count,
         write_report,
     )
     from .recognise import print_episode, recognise_episodes
@@ -52,8 +51,9 @@ def demo(
     folder.mkdir(parents=True, exist_ok=True)
     report = check_report_path(folder / "report.html")
     with Stages() as stage:
-        touches, unknown = _read(pictures, stage) if pictures else _simulate(seed)
-        train, test = split_by_count(touches, TRAIN_TOUCHES, seed)
+        train, test, unknown = (
+            _read(pictures, seed, stage) if pictures else _simulate(seed)
+        )
         plan = Plan(touches=(1, 3, 5, 10), seed=seed)
         figures, trials = evaluate(
             train, test, unknown=unknown, plan=plan, progress=stage
@@ -77,7 +77,10 @@ def demo(
     print(report.resolve())
 
 
-def _read(pictures: Path, stage: Stages) -> tuple["Touches", None]:
+def _read(
+    pictures: Path, seed: int, stage: Stages
+) -> tuple["Touches", "Touches", None]:
+    from ..evaluation import split_by_count
     from ..touches import Touches
 
     stage("reading the pictures")
@@ -86,20 +89,33 @@ def _read(pictures: Path, stage: Stages) -> tuple["Touches", None]:
         name_pattern=NAME_PATTERN,
         no_contact=pictures / "baselineForCalibration.jpg",
     )
-    return touches, None
+    return *split_by_count(touches, TRAIN_TOUCHES, seed), None
 
 
-def _simulate(seed: int) -> tuple["Touches", "Touches"]:
+def _simulate(seed: int) -> tuple["Touches", "Touches", "Touches"]:
+    """Learn in six sessions, recognise in two others.
+
+    In every session the object is turned anew and the camera has moved.
+    """
     from ..simulation import HOUSEHOLD, UNSEEN, simulate_touches
 
-    n_touches = TRAIN_TOUCHES + TEST_TOUCHES
-    known = simulate_touches(
-        HOUSEHOLD, n_touches, random_state=seed, n_jobs=-1, progress=None
+    def explore(
+        objects: Any, n_touches: int, n_sessions: int, number: int
+    ) -> "Touches":
+        return simulate_touches(
+            objects,
+            n_touches,
+            n_sessions=n_sessions,
+            random_state=3 * seed + number,
+            n_jobs=-1,
+            progress=None,
+        )
+
+    return (
+        explore(HOUSEHOLD, TRAIN_TOUCHES, 6, 0),
+        explore(HOUSEHOLD, TEST_TOUCHES, 2, 1),
+        explore(UNSEEN, TEST_TOUCHES, 2, 2),
     )
-    unknown = simulate_touches(
-        UNSEEN, TEST_TOUCHES, random_state=seed + 1, n_jobs=-1, progress=None
-    )
-    return known, unknown
 
 
 def _print_end(figures: dict[str, Any]) -> None:

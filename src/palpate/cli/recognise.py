@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from ..touches import Touches
 
 
+SHOWN_ALL = 5
+SHOWN_LATER = (8, 12, 20, 30, 50, 100)
+
+
 def recognise(
     model: ModelPath,
     touches: TouchesPath,
@@ -83,9 +87,11 @@ def recognise_episodes(
 
 
 def print_episode(episode: dict[str, Any]) -> None:
-    """Print how the belief moved, touch by touch until the decision."""
+    """Print how the belief moved until the decision: each early touch, fewer later."""
     name = episode["object"]
     print(f"{'Touches of ' + name if name is not None else 'Touches'}:")
-    for belief in episode["beliefs"][: episode["touches_used"]]:
-        print(belief_line(belief["touch"], belief["posterior"]))
+    used = episode["touches_used"]
+    for belief in episode["beliefs"][:used]:
+        if belief["touch"] <= SHOWN_ALL or belief["touch"] in (*SHOWN_LATER, used):
+            print(belief_line(belief["touch"], belief["posterior"]))
     print(f"  {episode['reasons'][-1]}\n")

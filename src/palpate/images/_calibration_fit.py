@@ -134,10 +134,10 @@ def _ends(
             rest = np.median(levels[:i, taxel])
             if np.abs(line[:i] - rest).max() > _CLEARLY * sd:
                 meet = (rest + 3 * sd - start) / slope
-                dead_zone[taxel] = np.clip(meet, loads[i - 1], loads[i])
+                dead_zone[taxel] = max(meet, loads[i - 1])
         if j < n_loads - 1:
             top = np.median(levels[j + 1 :, taxel])
             if line[-1] - top > _CLEARLY * sd:
                 meet = (top - 3 * sd - start) / slope
-                saturation[taxel] = np.clip(meet, loads[j], loads[j + 1])
+                saturation[taxel] = min(meet, loads[j + 1])
     return {"dead_zone_kpa": dead_zone, "saturation_kpa": saturation}

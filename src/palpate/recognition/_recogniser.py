@@ -323,14 +323,21 @@ def training_groups(
 ) -> NDArray[np.intp]:
     """Return which training touches are left out together.
 
-    Stretches of each recording; with categories that each have several objects,
-    whole objects, since there the question is about objects never touched.
+    Whole sessions where every object has several, else stretches of each
+    recording; with categories that each have several objects, whole objects, since
+    there the question is about objects never touched.
     """
     if label == "category" and touches.object is not None:
         per_category = [len(np.unique(objects[labels == c])) for c in np.unique(labels)]
         if min(per_category) > 1:
             groups: NDArray[np.intp] = np.unique(objects, return_inverse=True)[1]
             return groups
+    if touches.session is not None:
+        visits = np.stack([objects.astype(str), touches.session.astype(str)], axis=1)
+        pairs, group = np.unique(visits, axis=0, return_inverse=True)
+        if np.unique(pairs[:, 0], return_counts=True)[1].min() > 1:
+            by_session: NDArray[np.intp] = group.ravel()
+            return by_session
     return stretches(objects, touches.order)
 
 

@@ -1,0 +1,186 @@
+"""Moments about the centroid: closed forms, invariances, and real presses."""
+
+import pickle
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.special import eval_genlaguerre, gammaln
+from sklearn.base import clone
+from sklearn.exceptions import NotFittedError
+from sklearn.model_selection import StratifiedKFold, cross_val_score
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+from sklearn.svm import SVC
+
+from palpate.encodings import CentroidMoments, sorted_taxels
+from palpate.images import repose
+
+
+def slow_moments(image, degrees, scale):
+    """Integrate every pattern about the centre of squared pressure."""
+    image = image / np.sqrt((image**2).sum())
+    row, col = np.indices(image.shape)
+    weight = image**2
+    u = (col - (weight * col).sum() + 1j * (row - (weight * row).sum())) / scale
+    moments = []
+    for n, m in degrees:
+        k = (n - m) // 2
+        norm = np.exp((gammaln(k + 1) - gammaln(k + m + 1)) / 2) / np.sqrt(np.pi)
+        laguerre = eval_genlaguerre(k, m, np.abs(u) ** 2)
+        pattern = norm * np.exp(-(np.abs(u) ** 2) / 2) * u**m * laguerre / scale
+        moments.append((image * pattern.conj()).sum())
+    return np.array(moments)
+
+
+@pytest.mark.parametrize("order", [0, 1, 8, 14])
+def test_agrees_with_the_slow_integral(order, touches):
+    encoder = CentroidMoments(order, width=0.4).fit(touches)
+    expected = [slow_moments(t, encoder.degrees_, 0.4 * 5) for t in touches]
+    # Powers up to x^14 cancel to about five digits fewer than they have.
+    assert_allclose(encoder.complex_moments(touches), expected, atol=1e-10)
+
+
+def test_orders_and_waves_of_the_moments(touches):
+    encoder = CentroidMoments(order=3).fit(touches)
+    expected = [[0, 0], [1, 1], [2, 0], [2, 2], [3, 1], [3, 3]]
+    assert_array_equal(encoder.degrees_, expected)
+    assert CentroidMoments().fit_transform(touches).shape == (12, 25)
+
+
+def test_one_pressed_taxel_has_moments_without_waves_only():
+    image = np.zeros((1, 11, 11))
+    image[0, 3, 8] = 40.0
+    encoder = CentroidMoments(order=6, width=0.5).fit(image)
+    moments = encoder.transform(image)[0]
+    without_waves = encoder.degrees_[:, 1] == 0
+    # L_k(0) = 1, and the pattern's value at its middle is 1 / (sqrt(pi) width).
+    assert_allclose(moments[without_waves], 1 / np.sqrt(np.pi) / (0.5 * 5.5))
+    assert_allclose(moments[~without_waves], 0, atol=1e-15)
+
+
+def test_a_gaussian_of_the_window_is_the_first_pattern():
+    row, col = np.indices((41, 41)) - 20
+    width = 0.3 * 20.5
+    blob = np.exp(-(row**2 + col**2) / (2 * width**2))[np.newaxis]
+    moments = CentroidMoments(order=6, width=0.3).fit_transform(blob)[0]
+    # Cut off at 3.3 widths, where exp(-x^2 / 2) is 0.005.
+    assert_allclose(moments, np.eye(len(moments))[0], atol=1e-3)
+
+
+def test_patterns_are_orthonormal():
+    row, col = np.indices((61, 61)) - 30.0
+    encoder = CentroidMoments(4, width=0.2, normalise=None).fit(np.zeros((1, 61, 61)))
+    scale = 0.2 * 30.5
+    u = (col + 1j * row) / scale
+    powers = np.arange(5)
+    table = u.real[..., None] ** powers, u.imag[..., None] ** powers
+    values = np.einsum("rci,rcj,pij->prc", *table, encoder.patterns_)
+    values = (values * np.exp(-(np.abs(u) ** 2) / 2) / scale).reshape(len(values), -1)
+    assert_allclose(values @ values.conj().T, np.eye(len(values)), atol=1e-6)
+
+
+def test_turning_turns_the_phase_by_the_number_of_waves(touches):
+    encoder = CentroidMoments().fit(touches)
+    turned = encoder.complex_moments(repose(touches, 90))
+    phase = np.exp(-1j * encoder.degrees_[:, 1] * np.pi / 2)
+    assert_allclose(turned, encoder.complex_moments(touches) * phase, atol=1e-12)
+
+
+def test_place_angle_and_gain_do_not_matter(rng):
+    row, col = np.indices((40, 40)) - 19.5
+    image = np.exp(-((row - 3) ** 2) / 12 - (col + row / 2) ** 2 / 30)[np.newaxis]
+    encoder = CentroidMoments(width=0.3).fit(image)
+    expected = encoder.transform(image)
+    moved = repose(
+        np.repeat(image, 10, axis=0),
+        rng.uniform(0, 360, 10),
+        rng.uniform(-4, 4, (10, 2)),
+        rng.uniform(0.5, 2, 10),
+        interpolation="cubic",
+    )
+    # Interpolation alone changes a smooth image by about 1e-3.
+    assert_allclose(encoder.transform(moved), np.repeat(expected, 10, 0), atol=3e-3)
+
+
+@pytest.mark.parametrize(("normalise", "power"), [("energy", 0), ("total", 0), (None, 1)])
+def test_what_gain_does_is_an_option(normalise, power, touches):
+    encoder = CentroidMoments(normalise=normalise).fit(touches)
+    louder = encoder.transform(3 * touches)
+    assert_allclose(louder, 3**power * encoder.transform(touches), rtol=1e-9)
+
+
+@pytest.mark.parametrize("gain", [1e-200, 1e200])
+def test_extreme_units_do_not_overflow(gain, touches):
+    encoder = CentroidMoments().fit(touches)
+    assert_allclose(encoder.transform(gain * touches), encoder.transform(touches))
+
+
+def test_an_empty_image_is_encoded_by_zeros(touches):
+    images = np.concatenate([touches, np.zeros((1, 10, 10))])
+    features = CentroidMoments().fit_transform(images)
+    assert np.isfinite(features).all()
+    assert_array_equal(features[-1], 0)
+
+
+def test_sorted_taxels_know_no_geometry(touches, rng):
+    shuffled = rng.permuted(touches.reshape(12, -1), axis=1).reshape(touches.shape)
+    assert_array_equal(sorted_taxels(shuffled), sorted_taxels(touches))
+    assert (np.diff(sorted_taxels(touches), axis=1) <= 0).all()
+    normalised = sorted_taxels(np.abs(touches), normalise=True)
+    assert_allclose(normalised.sum(axis=1), 1)
+    assert_array_equal(sorted_taxels(np.zeros((1, 2, 2)), normalise=True), 0)
+
+
+@pytest.mark.parametrize(
+    ("params", "message"),
+    [
+        ({"order": -1}, "order must be at least 0"),
+        ({"order": 21}, "order must be at most 20"),
+        ({"width": 0}, "width must be positive"),
+        ({"normalise": "max"}, "normalise must be one of"),
+        ({"centre_power": -1}, "centre_power must be positive"),
+    ],
+)
+def test_bad_parameters_are_refused_at_fit(params, message, touches):
+    with pytest.raises(ValueError, match=message):
+        CentroidMoments(**params).fit(touches)
+
+
+def test_keeps_the_rules_of_estimators(touches):
+    encoder = CentroidMoments(order=2).fit(touches)
+    together = encoder.transform(touches)
+    alone = np.vstack([encoder.transform(t[np.newaxis]) for t in touches])
+    assert_allclose(alone, together, atol=1e-14)
+    assert list(encoder.get_feature_names_out())[-1] == "moment2,2"
+    again = pickle.loads(pickle.dumps(encoder))
+    assert_array_equal(again.transform(touches), together)
+    with pytest.raises(NotFittedError):
+        clone(encoder).transform(touches)
+    with pytest.raises(ValueError, match="fitted on 10 x 10"):
+        encoder.transform(touches[:, :8])
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize(("canvas", "least"), [((16, 16), 0.98), ((10, 10), 0.96)])
+def test_real_presses_are_told_apart_in_any_pose(canvas, least, data_folder, rng):
+    with np.load(data_folder / "taxel10x10" / "taxel10x10.npz") as archive:
+        presses, objects = archive["images"], archive["object"]
+    n = len(presses)
+    posed = repose(
+        presses,
+        rng.uniform(0, 360, n),
+        rng.uniform(-2, 2, (n, 2)),
+        rng.uniform(0.8, 1.2, n),
+        shape=canvas,
+    )
+    folds = StratifiedKFold(2, shuffle=True, random_state=0)
+    classifier = make_pipeline(StandardScaler(), SVC(C=10))
+
+    def accuracy(features):
+        return cross_val_score(classifier, features, objects, cv=folds).mean()
+
+    # Means of ten runs: moments 0.994 and 0.985, control 0.86 and 0.82.
+    assert accuracy(CentroidMoments().fit_transform(posed)) > least
+    assert accuracy(sorted_taxels(posed, normalise=True)) < 0.93
+    assert accuracy(posed.reshape(n, -1)) < 0.6

@@ -1,0 +1,303 @@
+"""The clean-up of pressure arrays against facts known without the code."""
+
+import pickle
+
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.base import clone
+from sklearn.exceptions import NotFittedError
+
+from palpate.images import (
+    ArrayCleanUp,
+    binarise,
+    correct_gamma,
+    fill_dead_taxels,
+    filter_noise,
+    otsu_threshold,
+    resize,
+    stage_pictures,
+)
+
+
+@pytest.fixture
+def lopsided():
+    """A 10 x 10 block of foreground, pressed four times harder on its left half."""
+    image = np.zeros((20, 20))
+    image[5:15, 5:10], image[5:15, 10:15] = 200, 50
+    return image[np.newaxis]
+
+
+@pytest.mark.parametrize(
+    ("small", "large"),
+    [((10, 10), (33, 33)), ((4, 7), (9, 7)), ((1, 5), (3, 64)), ((2, 2), (300, 2))],
+)
+def test_enlarging_is_the_bilinear_of_opencv(small, large, rng):
+    images = rng.random((3, *small))
+    expected = [cv2.resize(image, large[::-1]) for image in images]
+    # OpenCV computes the weights in single precision.
+    assert_allclose(resize(images, large), expected, atol=1e-6)
+
+
+def test_a_plane_stays_a_plane_between_taxel_centres():
+    taxel, pixel = np.arange(10) + 0.5, (np.arange(33) + 0.5) * 10 / 33
+    plane = 2 * taxel[:, None] - 3 * taxel + 1
+    inside = (pixel >= 0.5) & (pixel <= 9.5)
+    expected = 2 * pixel[:, None] - 3 * pixel + 1
+    enlarged = resize(plane[np.newaxis])[0]
+    assert_allclose(enlarged[np.ix_(inside, inside)], expected[np.ix_(inside, inside)])
+
+
+@pytest.mark.parametrize("shape", [(33, 33), (5, 40), (3, 3), (10, 10)])
+def test_a_constant_image_stays_constant_at_any_size(shape):
+    assert_allclose(resize(np.full((2, 10, 10), 7.0), shape), 7.0, rtol=1e-14)
+
+
+def test_shrinking_skips_no_taxel():
+    one = np.zeros((1, 1, 12))
+    totals = [resize(np.roll(one + np.eye(12)[0], k, axis=2), (1, 3)) for k in range(12)]
+    assert min(total.sum() for total in totals) > 0.1
+
+
+@pytest.mark.parametrize("shape", [33, (33,), (33, 33, 1)])
+def test_resize_refuses_what_is_no_size(shape):
+    with pytest.raises(ValueError, match="two integers"):
+        resize(np.ones((1, 10, 10)), shape)
+    with pytest.raises(ValueError, match="at least 1"):
+        resize(np.ones((1, 10, 10)), (33, 0))
+
+
+def test_gamma_has_its_closed_form():
+    image = [[[0.0, 64.0, 256.0, -5.0]]]
+    assert_allclose(correct_gamma(image, 0.5), [[[0, 128, 256, 0]]])
+    assert_allclose(correct_gamma(image, 2.0, white=128), [[[0, 32, 512, 0]]])
+    assert_allclose(correct_gamma(np.zeros((1, 2, 2))), 0)
+
+
+def test_gamma_of_one_changes_nothing(touches):
+    positive = np.maximum(touches, 0)
+    assert_allclose(correct_gamma(positive, 1.0), positive, rtol=1e-14)
+
+
+def test_noise_filter_zeroes_what_is_far_below_the_mean():
+    image = np.full((1, 10, 10), 100.0)
+    image[0, 0, 0] = 5.0  # mean 99.05, sd 9.45: the threshold is 80.1
+    filtered = filter_noise(image)
+    assert filtered[0, 0, 0] == 0
+    assert_array_equal(filtered[0].ravel()[1:], 100)
+
+
+def test_noise_filter_does_nothing_to_a_mostly_empty_image(touches):
+    sparse = np.where(touches > 0.8, touches, 0.0)
+    assert (sparse.mean(axis=(1, 2)) < 2 * sparse.std(axis=(1, 2))).all()
+    assert_array_equal(filter_noise(sparse), sparse)
+
+
+def test_otsu_splits_as_opencv_does(rng):
+    images = rng.integers(0, 256, (40, 33, 33), dtype=np.uint8)
+    images[20:] //= 16
+    for image, threshold in zip(images, otsu_threshold(images), strict=True):
+        expected, _ = cv2.threshold(image, 0, 255, cv2.THRESH_OTSU)
+        assert_array_equal(image > threshold, image > expected)
+
+
+def test_otsu_beats_every_other_threshold(rng):
+    image = rng.normal(size=(6, 6))
+    (best,) = otsu_threshold(image[np.newaxis])
+
+    def between(threshold):
+        high = image > threshold
+        share = high.mean()
+        return share * (1 - share) * (image[high].mean() - image[~high].mean()) ** 2
+
+    others = [between(level) for level in np.sort(image.ravel())[:-1]]
+    assert_allclose(between(best), max(others))
+
+
+def test_otsu_follows_a_change_of_scale(touches):
+    thresholds = otsu_threshold(touches)
+    assert_allclose(otsu_threshold(3 * touches + 10), 3 * thresholds + 10)
+
+
+def test_constant_image_has_no_threshold_and_no_foreground():
+    constant = np.full((1, 9, 9), 40.0)
+    assert np.isnan(otsu_threshold(constant)).all()
+    assert not binarise(constant, 3).any()
+
+
+def test_partitions_of_33_pixels_are_17_and_16(rng):
+    image = rng.random((1, 33, 33))
+    binary = binarise(image, 2)
+    halves = (slice(0, 17), slice(17, 33))
+    for rows in halves:
+        for cols in halves:
+            alone = binarise(image[:, rows, cols], 1)
+            assert_array_equal(binary[:, rows, cols], alone)
+
+
+def test_partitions_find_the_lightly_pressed_side(lopsided):
+    whole, parts = binarise(lopsided, 1), binarise(lopsided, 2)
+    assert whole.sum() == 50
+    assert_array_equal(parts, lopsided > 0)
+
+
+@pytest.mark.parametrize(("level", "foreground"), [(200.0, True), (20.0, False)])
+def test_constant_partition_is_judged_by_the_whole_image(level, foreground):
+    image = np.zeros((1, 8, 8))
+    image[0, :4, :4] = level
+    image[0, 5, 5] = 255
+    binary = binarise(image, 2)
+    assert (binary[0, :4, :4] == foreground).all()
+    assert not binary[0, :4, 4:].any()
+
+
+def test_rounding_does_not_make_a_constant_partition_uneven():
+    image = np.zeros((1, 8, 8))
+    image[0, 4:, 4:] = 100
+    image[0, :4, :4] = 1 + 1e-15 * np.arange(16).reshape(4, 4)
+    assert not binarise(image, 2)[0, :4, :4].any()
+
+
+def test_min_contrast_keeps_noise_in_the_background(rng):
+    image = rng.normal(scale=1.0, size=(1, 20, 20))
+    image[0, 10:, 10:] += np.pad(np.full((6, 6), 200.0), 2)
+    noise = np.s_[0, :10, :10]
+    assert binarise(image, 2)[noise].mean() > 0.3
+    assert not binarise(image, 2, min_contrast=0.1)[noise].any()
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"n_partitions": 11}, ValueError, "at most 10.*Upsample"),
+        ({"n_partitions": 0}, ValueError, "at least 1"),
+        ({"n_partitions": 1.5}, TypeError, "integer"),
+        ({"min_contrast": 2}, ValueError, "between 0 and 1"),
+    ],
+)
+def test_binarise_refuses_bad_options(options, error, message, touches):
+    with pytest.raises(error, match=message):
+        binarise(touches, **options)
+
+
+def test_dead_taxels_of_a_plane_are_restored():
+    row, col = np.mgrid[:7, :6].astype(float)
+    plane = 4 * row - 2 * col
+    holed = np.stack([plane, plane])
+    holed[0, 2:5, 3] = holed[1, 1:4, 1:4] = np.nan
+    assert_allclose(fill_dead_taxels(holed), [plane, plane], atol=1e-12)
+
+
+def test_filled_taxels_stay_within_the_living_ones(rng):
+    images = rng.random((20, 6, 8))
+    images[rng.random(images.shape) < 0.4] = np.nan
+    images[:, 0, 0] = rng.random(20)
+    filled = fill_dead_taxels(images)
+    alive = ~np.isnan(images)
+    assert_array_equal(filled[alive], images[alive])
+    for image, complete in zip(images, filled, strict=True):
+        assert np.nanmin(image) - 1e-12 <= complete.min()
+        assert complete.max() <= np.nanmax(image) + 1e-12
+
+
+def test_dead_taxels_are_refused_when_asked(touches):
+    touches[3, 2, 2] = np.nan
+    with pytest.raises(ValueError, match='1 NaN in touch 3.*dead="fill"'):
+        fill_dead_taxels(touches, dead="refuse")
+    with pytest.raises(ValueError, match="dead must be one of"):
+        fill_dead_taxels(touches, dead="drop")
+    touches[5] = np.nan
+    with pytest.raises(ValueError, match="only NaN in touch 5"):
+        fill_dead_taxels(touches)
+
+
+def test_clean_up_is_its_steps_in_the_order_of_the_paper(touches):
+    resized = resize(touches)
+    corrected = correct_gamma(resized, 0.7)
+    filtered = filter_noise(corrected)
+    expected = {
+        "resized": resized,
+        "gamma": corrected,
+        "filtered": filtered,
+        "binary": binarise(filtered, 3, min_contrast=0.2),
+    }
+    for output, images in expected.items():
+        clean_up = ArrayCleanUp(
+            gamma=0.7, n_partitions=3, min_contrast=0.2, output=output
+        )
+        assert_array_equal(clean_up.fit_transform(touches), images)
+
+
+def test_clean_up_does_not_depend_on_the_unit(touches):
+    clean_up = ArrayCleanUp().fit(touches)
+    assert_array_equal(clean_up.transform(touches), clean_up.transform(255 * touches))
+
+
+def test_clean_up_turns_with_the_image(touches):
+    clean_up = ArrayCleanUp(shape=(32, 32)).fit(touches)
+    turned = clean_up.transform(np.rot90(touches, axes=(1, 2)))
+    assert_array_equal(turned, np.rot90(clean_up.transform(touches), axes=(1, 2)))
+
+
+@pytest.mark.parametrize("shape", [(4, 4), (8, 16), (32, 32)])
+def test_clean_up_takes_arrays_of_any_shape(shape, rng):
+    images = rng.random((5, *shape))
+    assert ArrayCleanUp(shape=(40, 50)).fit_transform(images).shape == (5, 40, 50)
+
+
+def test_clean_up_keeps_the_rules_of_estimators(touches):
+    before = touches.copy()
+    clean_up = ArrayCleanUp().fit(touches)
+    binary = clean_up.transform(touches)
+    assert_array_equal(touches, before)
+    alone = np.concatenate([clean_up.transform(t[np.newaxis]) for t in touches])
+    assert_array_equal(alone, binary)
+    again = pickle.loads(pickle.dumps(clean_up))
+    assert_array_equal(again.transform(touches), binary)
+    with pytest.raises(NotFittedError):
+        clone(clean_up).transform(touches)
+    with pytest.raises(ValueError, match="fitted on 10 x 10"):
+        clean_up.transform(touches[:, :8])
+    with pytest.raises(ValueError, match=r"X\[np.newaxis\]"):
+        ArrayCleanUp().fit(touches[0])
+
+
+def test_clean_up_fills_or_refuses_dead_taxels(touches):
+    holed = touches.copy()
+    holed[:, 4, 4] = np.nan
+    cleaned = ArrayCleanUp(output="filtered").fit_transform(holed)
+    assert np.isfinite(cleaned).all()
+    with pytest.raises(ValueError, match="no dead taxels"):
+        ArrayCleanUp(dead="refuse").fit(holed)
+
+
+@pytest.mark.parametrize(
+    ("params", "message"),
+    [
+        ({"output": "edges"}, "output must be one of"),
+        ({"gamma": 0}, "gamma must be positive"),
+        ({"n_sd": -1}, "n_sd must be positive"),
+    ],
+)
+def test_clean_up_refuses_bad_parameters_at_fit(params, message, touches):
+    with pytest.raises(ValueError, match=message):
+        ArrayCleanUp(**params).fit(touches)
+
+
+def test_stage_pictures_show_the_whole_chain(touches):
+    touch = touches[0].copy()
+    touch[0, 0] = np.nan
+    pictures = stage_pictures(touch, ArrayCleanUp(n_partitions=4))
+    assert list(pictures) == [
+        "raw",
+        "filled",
+        "resized",
+        "gamma",
+        "filtered",
+        *(f"binary {n} x {n}" for n in (1, 2, 3, 4)),
+    ]
+    assert pictures["raw"].shape == pictures["filled"].shape == (10, 10)
+    assert np.isnan(pictures["raw"][0, 0])
+    chain = ArrayCleanUp(n_partitions=4).fit_transform(touch[np.newaxis])
+    assert_array_equal(pictures["binary 4 x 4"], chain[0])

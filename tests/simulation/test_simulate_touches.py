@@ -1,0 +1,129 @@
+"""Sets of simulated dome touches: their columns, seeds, refusals and speed."""
+
+from time import process_time
+
+import numpy as np
+import pytest
+from joblib import parallel_config
+from numpy.testing import assert_allclose, assert_array_equal
+
+from palpate import Touches
+from palpate.simulation import (
+    BASIC_SHAPES,
+    HOUSEHOLD,
+    UNSEEN,
+    DomeCamera,
+    TacTipPins,
+    find_object,
+    load_mesh,
+    simulate_touches,
+)
+
+
+@pytest.mark.parametrize(
+    "thing", HOUSEHOLD + UNSEEN + BASIC_SHAPES, ids=lambda thing: thing.name
+)
+def test_every_object_from_everywhere_gives_finite_touches(thing):
+    touches = simulate_touches(
+        thing, 6, max_tilt_deg=90, aim_sd_mm=15, keep_misses=True, random_state=3
+    )
+    assert touches.images.shape == (6, 120, 120)
+    for name in ("position_mm", "direction", "force_n", "depth_mm", "area_mm2"):
+        assert np.isfinite(touches.columns[name]).all()
+    assert touches.columns["contact"].any() == (thing.name != "nothing")
+
+
+def test_touches_have_their_columns():
+    touches = simulate_touches(
+        ["mug", "pen"], 6, n_sessions=2, drift=False, random_state=0
+    )
+    assert isinstance(touches, Touches)
+    columns = touches.columns
+    assert columns["object"].tolist() == ["mug"] * 6 + ["pen"] * 6
+    assert columns["session"].tolist() == [0, 0, 0, 1, 1, 1] * 2
+    assert columns["order"].tolist() == [*range(6)] * 2
+    assert str(touches.whole["geometry"]) == "dome"
+    default = DomeCamera(image_shape=(120, 120))
+    assert_array_equal(touches.whole["no_contact"], default.no_contact())
+    assert_allclose(np.linalg.norm(columns["direction"], axis=1), 1)
+    assert (columns["direction"][:, 2] <= -np.cos(np.deg2rad(80))).all()
+    # 75 gf, spread by 5 %.
+    assert 0.6 < np.median(columns["force_n"]) < 0.9
+
+
+def test_tips_end_at_the_surface():
+    """A ball of 72 mm faced exactly: the tip ends its depth inside the sphere."""
+    touches = simulate_touches("ball", 8, aim_sd_mm=0.0, random_state=0)
+    away = np.linalg.norm(touches.columns["position_mm"] - (0, 0, 36), axis=1)
+    # The seam is 0.4 mm deep.
+    assert_allclose(away, 36 - touches.columns["depth_mm"], atol=0.5)
+
+
+def test_above_touches_the_feature():
+    touches = simulate_touches(
+        ["flat", "nothing"], 4, strategy="above", aim_sd_mm=1.0, random_state=0
+    )
+    contact = touches.columns["contact"]
+    assert contact.tolist() == [True] * 4 + [False] * 4
+    tilt = np.rad2deg(np.arccos(-touches.columns["direction"][:, 2]))
+    assert (tilt <= 10).all()
+
+
+def test_seed_settles_everything_whatever_the_jobs():
+    def touch(seed, **jobs):
+        return simulate_touches(
+            ["stapler", "box"], 6, n_sessions=3, random_state=seed, **jobs
+        )
+
+    first = touch(5)
+    with parallel_config("threading"):
+        assert_array_equal(first.images, touch(5, n_jobs=2).images)
+    assert (first.images != touch(6).images).any()
+
+
+@pytest.mark.slow
+def test_processes_give_the_same_touches(tmp_path):
+    path = tmp_path / "tub.ply"
+    find_object("porridge pot").mesh.export(path)
+    objects = [load_mesh(path), "plastic card"]
+    camera = TacTipPins()
+    alone = simulate_touches(objects, 30, camera, random_state=1)
+    together = simulate_touches(objects, 30, camera, random_state=1, n_jobs=2)
+    assert_array_equal(alone.images, together.images)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("side", "most_ms"), [(150, 10), (300, 25)])
+def test_a_touch_is_quick(side, most_ms):
+    camera = DomeCamera(image_shape=(side, side))
+    simulate_touches(HOUSEHOLD, 1, camera, random_state=0)
+    simulated, start = 0, process_time()
+    while process_time() - start < 2.0:
+        simulate_touches(HOUSEHOLD, 8, camera, drift=False, random_state=simulated)
+        simulated += 80
+    ms = 1e3 * (process_time() - start) / simulated
+    # Twice what is promised, so that a slow or shared machine does not fail it.
+    assert ms < 2 * most_ms
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"objects": []}, ValueError, "at least one object"),
+        ({"objects": ["spoon"]}, ValueError, "name must be one of stapler"),
+        ({"objects": [3]}, TypeError, "SimObject or names, got int"),
+        ({"n_touches": 0}, ValueError, "n_touches must be at least 1"),
+        ({"strategy": "below"}, ValueError, "strategy must be one of 'hemisphere'"),
+        ({"pose": "lying"}, ValueError, "pose must be one of 'usual', 'any'"),
+        ({"max_tilt_deg": 120}, ValueError, "max_tilt_deg must be finite and betw"),
+        ({"random_state": -1}, ValueError, "random_state must be at least 0"),
+        (
+            {"objects": ["pen"], "aim_sd_mm": 1e5, "random_state": 0},
+            ValueError,
+            "'pen' was missed 50 times",
+        ),
+    ],
+)
+def test_bad_sets_are_refused(arguments, error, message):
+    with pytest.raises(error, match=message):
+        simulate_touches(**{"objects": ["box"], "n_touches": 1, **arguments})
