@@ -103,7 +103,9 @@ def test_place_angle_and_gain_do_not_matter(rng):
     assert_allclose(encoder.transform(moved), np.repeat(expected, 10, 0), atol=3e-3)
 
 
-@pytest.mark.parametrize(("normalise", "power"), [("energy", 0), ("total", 0), (None, 1)])
+@pytest.mark.parametrize(
+    ("normalise", "power"), [("energy", 0), ("total", 0), (None, 1)]
+)
 def test_what_gain_does_is_an_option(normalise, power, touches):
     encoder = CentroidMoments(normalise=normalise).fit(touches)
     louder = encoder.transform(3 * touches)

@@ -77,7 +77,9 @@ def test_resampled_descriptors_are_free_of_scale():
     literal = FourierDescriptors().fit(tiny)
     lengths = [np.count_nonzero(literal.transform(s) > 0.5) for s in (tiny, less_tiny)]
     assert lengths == [2, 2]  # s[1] and s[L - 1], wherever L is
-    last = [np.flatnonzero(literal.transform(s)[0] > 0.5)[-1] for s in (tiny, less_tiny)]
+    last = [
+        np.flatnonzero(literal.transform(s)[0] > 0.5)[-1] for s in (tiny, less_tiny)
+    ]
     assert last[0] < last[1]
 
 
@@ -95,7 +97,8 @@ def test_dots_and_nothing_are_zeros(pixels, resample):
     for pixel in pixels:
         image[(0, *pixel)] = 1
     assert_array_equal(
-        FourierDescriptors(n=7, resample=resample).fit_transform(image), np.zeros((1, 7))
+        FourierDescriptors(n=7, resample=resample).fit_transform(image),
+        np.zeros((1, 7)),
     )
 
 

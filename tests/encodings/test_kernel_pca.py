@@ -62,9 +62,7 @@ def test_new_touches_are_centred_by_the_training_kernel(features, new):
     train, cross = kernel(features, features), kernel(new, features)
     mean = train.mean(axis=0)
     centred = cross - cross.mean(axis=1, keepdims=True) - mean + train.mean()
-    assert_allclose(
-        encoder.transform(new), centred @ encoder.coefficients_, atol=1e-12
-    )
+    assert_allclose(encoder.transform(new), centred @ encoder.coefficients_, atol=1e-12)
     shifted = encoder.transform(new[:3])
     assert_allclose(shifted, encoder.transform(new)[:3], atol=1e-14)
 

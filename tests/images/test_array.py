@@ -56,7 +56,9 @@ def test_a_constant_image_stays_constant_at_any_size(shape):
 
 def test_shrinking_skips_no_taxel():
     one = np.zeros((1, 1, 12))
-    totals = [resize(np.roll(one + np.eye(12)[0], k, axis=2), (1, 3)) for k in range(12)]
+    totals = [
+        resize(np.roll(one + np.eye(12)[0], k, axis=2), (1, 3)) for k in range(12)
+    ]
     assert min(total.sum() for total in totals) > 0.1
 
 

@@ -79,9 +79,7 @@ def test_a_threshold_that_jumps_is_a_dead_zone_too(gains):
 
 def test_straight_noisy_lines_get_no_flat_ends(gains, rng):
     loads = np.repeat(np.linspace(10, 580, 10), 3)
-    calibration = TaxelCalibration("psi").fit(
-        respond(loads * KPA, gains, rng), loads
-    )
+    calibration = TaxelCalibration("psi").fit(respond(loads * KPA, gains, rng), loads)
     assert_array_equal(calibration.dead_zone_kpa_, 0)
     assert np.isinf(calibration.saturation_kpa_).all()
 
@@ -128,7 +126,9 @@ def test_an_unread_taxel_stays_unknown(gains):
     frames = respond(loads, gains)
     calibration = TaxelCalibration().fit(frames, loads)
     frames[1, 2, 3] = np.nan
-    assert_array_equal(np.argwhere(np.isnan(calibration.transform(frames))), [[1, 2, 3]])
+    assert_array_equal(
+        np.argwhere(np.isnan(calibration.transform(frames))), [[1, 2, 3]]
+    )
 
 
 def test_resistances_are_inverted(gains):

@@ -31,9 +31,7 @@ def test_whole_shifts_move_pixels_and_bring_in_zeros(interpolation, rng):
 def test_linear_agrees_with_scipy(rng):
     images = rng.random((4, 9, 12))
     angle, shift = np.deg2rad(37), np.array([1.2, -0.7])
-    turn = np.array(
-        [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    )
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     centre = np.array([4, 5.5])
     expected = [
         affine_transform(
@@ -81,9 +79,7 @@ def test_each_touch_has_its_own_pose(rng, touches):
     angle, shift = rng.uniform(0, 360, 12), rng.uniform(-2, 2, (12, 2))
     gain = rng.uniform(0.8, 1.2, 12)
     together = repose(touches, angle, shift, gain)
-    alone = [
-        repose(touches[[i]], angle[i], shift[i], gain[i])[0] for i in range(12)
-    ]
+    alone = [repose(touches[[i]], angle[i], shift[i], gain[i])[0] for i in range(12)]
     assert_array_equal(together, alone)
 
 
@@ -91,7 +87,8 @@ def test_many_large_images_are_worked_on_in_blocks(rng):
     images = rng.random((30, 120, 120))
     angle = rng.uniform(0, 360, 30)
     assert_array_equal(
-        repose(images, angle)[[0, 17, 29]], repose(images[[0, 17, 29]], angle[[0, 17, 29]])
+        repose(images, angle)[[0, 17, 29]],
+        repose(images[[0, 17, 29]], angle[[0, 17, 29]]),
     )
 
 

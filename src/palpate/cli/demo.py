@@ -1,4 +1,4 @@
-"""`palpate demo`: learn ten objects, recognise them touch by touch, meet unknown ones."""
+"""`palpate demo`: learn ten objects, recognise them by touch, meet unknown ones."""
 
 import os
 from pathlib import Path

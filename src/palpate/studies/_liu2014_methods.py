@@ -8,31 +8,15 @@ that one grid serves z-scored and raw features.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 from sklearn.neighbors import KNeighborsClassifier
 from sklearn.svm import SVC
 
 from ..classifiers import MKLSVC
 from ..encodings import KernelPCA
-
-Floats = NDArray[np.float64]
-Codes = NDArray[np.intp]
-Setting = dict[str, Any]
-
-
-class Method(Protocol):
-    """What the protocol needs of a classifier."""
-
-    @property
-    def settings(self) -> Sequence[Setting]:
-        """The grid, simplest first: among equally good settings the first is taken."""
-
-    def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
-        """Return the label of each test touch, shape (n_settings, n_test)."""
+from ._twofold import Codes, Floats, Method, Setting
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,26 @@ setting that inner folds of the training half preferred).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.model_selection import StratifiedKFold
 
-from ._liu2014_methods import Codes, Floats, Method, Setting
+Floats = NDArray[np.float64]
+Codes = NDArray[np.intp]
+Setting = dict[str, Any]
+
+
+class Method(Protocol):
+    """A classifier over its whole grid of settings; labels are whole numbers."""
+
+    @property
+    def settings(self) -> Sequence[Setting]:
+        """The grid, simplest first: among equally good settings the first is taken."""
+
+    def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
+        """Return the label of each test touch, shape (n_settings, n_test)."""
 
 
 @dataclass(frozen=True)
