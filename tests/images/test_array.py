@@ -55,11 +55,8 @@ def test_a_constant_image_stays_constant_at_any_size(shape):
 
 
 def test_shrinking_skips_no_taxel():
-    one = np.zeros((1, 1, 12))
-    totals = [
-        resize(np.roll(one + np.eye(12)[0], k, axis=2), (1, 3)) for k in range(12)
-    ]
-    assert min(total.sum() for total in totals) > 0.1
+    each_alone = np.eye(12)[:, np.newaxis, :]
+    assert resize(each_alone, (1, 3)).sum(axis=2).min() > 0.1
 
 
 @pytest.mark.parametrize("shape", [33, (33,), (33, 33, 1)])
@@ -205,7 +202,7 @@ def test_filled_taxels_stay_within_the_living_ones(rng):
 
 def test_dead_taxels_are_refused_when_asked(touches):
     touches[3, 2, 2] = np.nan
-    with pytest.raises(ValueError, match='1 NaN in touch 3.*dead="fill"'):
+    with pytest.raises(ValueError, match=r'1 NaN in touch 3.*dead="fill"'):
         fill_dead_taxels(touches, dead="refuse")
     with pytest.raises(ValueError, match="dead must be one of"):
         fill_dead_taxels(touches, dead="drop")

@@ -28,6 +28,14 @@ def learn(
     preset: Preset = "default",
     label: Label = "object",
     floor: Floor = None,
+    pitch_mm: Annotated[
+        float | None,
+        typer.Option(
+            "--pitch-mm",
+            help="Distance of neighbouring taxels: learn also where and at what angle "
+            "parts lie on a pressure array. Default: what the archive says.",
+        ),
+    ] = None,
     name_pattern: NamePattern = None,
     no_contact: NoContact = None,
     max_megapixels: MaxMegapixels = 50,
@@ -46,6 +54,9 @@ def learn(
         recogniser = ObjectRecogniser(
             preset, label=label, floor=floor, random_state=seed
         ).fit(training)
+        if pitch_mm is not None or "set_pitch_mm" in training.whole:
+            stage("learning where parts lie")
+            recogniser.fit_pose(training, pitch_mm)
         written = recogniser.save(output)
     learnt = summary(recogniser)
     if as_json:
@@ -54,5 +65,6 @@ def learn(
     print(
         f"Learnt {learnt['n_labels']} {label} labels from "
         f"{learnt['n_train_touches']} touches ({learnt['chosen']['encoding']})."
+        + (" Poses on the array are learnt too." if recogniser.pose_ else "")
     )
     print(written)

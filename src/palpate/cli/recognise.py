@@ -72,6 +72,9 @@ def recognise_episodes(
                     "unknown": belief.unknown,
                 }
             )
+            if recogniser.pose_ is not None:
+                touch = touches[int(rows[number - 1])]
+                beliefs[-1]["pose"] = press_pose(recogniser, touch, belief.best)
             if decision is None and (decision := belief.decide(error)) is not None:
                 used, reasons = number, [belief.reason(error)]
         result.append(
@@ -86,6 +89,21 @@ def recognise_episodes(
     return result
 
 
+def press_pose(
+    recogniser: "ObjectRecogniser", touch: "Touches", label: str
+) -> dict[str, Any] | None:
+    """Return where a press lies and how it is turned, if it is `label`.
+
+    Angles are in degrees from 0 to 360 / symmetry; None where the label has been
+    added after poses were learnt.
+    """
+    if recogniser.pose_ is None or label not in recogniser.pose_.labels_:
+        return None
+    poses = recogniser.pose(touch, [label])
+    names = ("x_mm", "y_mm", "angle_deg", "sd_mm", "sd_deg", "symmetry")
+    return {name: getattr(poses, name)[0].item() for name in names}
+
+
 def print_episode(episode: dict[str, Any]) -> None:
     """Print how the belief moved until the decision: each early touch, fewer later."""
     name = episode["object"]
@@ -94,4 +112,17 @@ def print_episode(episode: dict[str, Any]) -> None:
     for belief in episode["beliefs"][:used]:
         if belief["touch"] <= SHOWN_ALL or belief["touch"] in (*SHOWN_LATER, used):
             print(belief_line(belief["touch"], belief["posterior"]))
+            if belief.get("pose"):
+                print(f"             {_pose_line(belief['pose'])}")
     print(f"  {episode['reasons'][-1]}\n")
+
+
+def _pose_line(pose: dict[str, Any]) -> str:
+    place = f"at x {pose['x_mm']:.1f}, y {pose['y_mm']:.1f} mm (± {pose['sd_mm']:.1f})"
+    if pose["symmetry"] == 0:
+        return f"{place}, round"
+    period = 360 / pose["symmetry"]
+    return (
+        f"{place}, turned {pose['angle_deg']:.0f}° of {period:.0f}° "
+        f"(± {pose['sd_deg']:.0f}°)"
+    )

@@ -126,8 +126,8 @@ class PressPose(BaseEstimator):
         unknown = np.setdiff1d(labels, self.labels_)
         if len(unknown):
             raise ValueError(
-                f"y must hold labels seen by fit, got {unknown[0]!r}. Fit with presses "
-                "of that part, or use press_pose."
+                f"y must hold labels seen by fit, got {unknown.tolist()[0]!r}. Fit "
+                "with presses of that part, or use press_pose."
             )
         which = np.searchsorted(self.labels_, labels)
         found = np.empty((len(images), 5))
@@ -165,7 +165,7 @@ class PressPose(BaseEstimator):
         if symmetry == 1:
             centroid = _turn(outline - poses[:, 1:], -poses[:, 0]).mean(axis=0)
         if angles is None or symmetry == 0:
-            zero = template_angle(template, centroid, symmetry)
+            zero = -template_angle(template, centroid, symmetry)
         else:
             zero = _mean_angle(np.rad2deg(poses[:, 0]) - angles[pressed], symmetry)
         return template, symmetry, centroid, zero

@@ -4,10 +4,11 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator
 
 from .._checks import check_number, check_option
+from ..images import Poses, PressPose
 from ..touches import Touches
 from ._belief import Belief
 from ._calibration import (
@@ -62,6 +63,8 @@ class ObjectRecogniser(BaseEstimator):
         The floor in use.
     chosen_ : dict
         What the preset chose for these touches, and why.
+    pose_ : PressPose or None
+        Where parts lie on a pressure array, after `fit_pose`.
 
     Examples
     --------
@@ -80,6 +83,7 @@ class ObjectRecogniser(BaseEstimator):
     trust_: Trust
     floor_: float
     chosen_: dict[str, Any]
+    pose_: PressPose | None
 
     def __init__(
         self,
@@ -117,7 +121,59 @@ class ObjectRecogniser(BaseEstimator):
         self.classifier_ = preset.classifier()
         self._learn(fresh=True)
         self._calibrate(preset)
+        self.pose_ = None
         return self
+
+    def fit_pose(self, touches: Touches, pitch_mm: float | None = None) -> Self:
+        """Learn also where and how parts lie on a pressure array.
+
+        Parameters
+        ----------
+        touches : Touches
+            The training touches; a column `angle_deg` fixes what is reported as 0.
+        pitch_mm : float, optional
+            Distance of neighbouring taxels in mm; by default the touches' own
+            `set_pitch_mm`.
+
+        Raises
+        ------
+        ValueError
+            If no pitch is known.
+        """
+        self._check_fitted()
+        pitch = touches.whole.get("set_pitch_mm") if pitch_mm is None else pitch_mm
+        if pitch is None:
+            raise ValueError(
+                "pitch_mm must be given to learn poses, got None, and the touches have "
+                "no 'set_pitch_mm'; pass the distance of neighbouring taxels."
+            )
+        self.pose_ = PressPose(pitch_mm=float(pitch)).fit(
+            touches.images, self._labels(touches)[0], touches.columns.get("angle_deg")
+        )
+        return self
+
+    def pose(self, touches: Touches, labels: ArrayLike) -> Poses:
+        """Return place and angle of presses of known parts; see `PressPose.estimate`.
+
+        Parameters
+        ----------
+        touches : Touches
+            Presses on the array that the poses were learnt on.
+        labels : array-like of shape (n_touches,)
+            What each is taken for.
+
+        Raises
+        ------
+        ValueError
+            If poses were not learnt, or a label was not among them.
+        """
+        self._check_fitted()
+        if self.pose_ is None:
+            raise ValueError(
+                "This recogniser has learnt no poses; call fit_pose, or learn with "
+                "--pitch-mm."
+            )
+        return self.pose_.estimate(touches.images, labels)
 
     def add_object(self, name: str, touches: Touches) -> Self:
         """Learn one more object; the encoding and its choices stay as they are.

@@ -1,0 +1,75 @@
+"""`palpate study`: a paper's experiment, its figures beside ours."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ._options import AsJson, Seed
+from ._output import print_json, table
+
+
+def study(
+    name: Annotated[str, typer.Argument(help="Which study; see --list.")] = "",
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            "--data", help="Folder of recorded touches. Default: PALPATE_DATA."
+        ),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A first look: two runs, small grids.")
+    ] = False,
+    protocol: Annotated[
+        str | None,
+        typer.Option(
+            "--protocol",
+            help="liu2014: nested (parameters chosen inside the training half) or "
+            "paper (on the runs reported). Default: both.",
+        ),
+    ] = None,
+    workers: Annotated[
+        int, typer.Option("--workers", help="Processes; -1 is one per core.")
+    ] = -1,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Write one self-contained .html.")
+    ] = None,
+    list_names: Annotated[bool, typer.Option("--list", help="List them.")] = False,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Run a paper's experiment and print its figures beside the paper's."""
+    from ..studies import STUDIES, check_study
+
+    if list_names or not name:
+        for known, one in STUDIES.items():
+            print(f"{known:12s} {one.summary}")
+        return
+    check_study(name)
+    options: dict[str, Any] = {"data": data, "quick": quick, "workers": workers}
+    if protocol is not None:
+        options["protocol"] = protocol
+    _run(name, {**options, "seed": seed}, report, as_json)
+
+
+def _run(
+    name: str, options: dict[str, Any], report: Path | None, as_json: bool
+) -> None:
+    from ..evaluation import check_report_path
+    from ..studies import run_study, study_tables, write_study_report
+
+    if report is not None:
+        check_report_path(report)
+    result = run_study(name, **options)
+    for sentence in result["skipped"]:
+        print(sentence, file=sys.stderr)
+    if report is not None:
+        write_study_report(report, result)
+    if as_json:
+        print_json(result)
+        return
+    for title, columns, rows in study_tables(result):
+        table(title, columns, rows)
+    if report is not None:
+        print(report)
