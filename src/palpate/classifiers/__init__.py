@@ -3,11 +3,17 @@
 from ._kernel_density import KernelDensityBayes
 from ._kernel_density_naive import KernelDensityNaiveBayes
 from ._kernel_ridge import KernelRidgeClassifier
+from ._kernels import GaussianKernel, LinearKernel, PolynomialKernel
+from ._mkl_svc import MKLSVC
 from ._one_per_label import OnePerLabelSVC
 
 __all__ = [
+    "MKLSVC",
+    "GaussianKernel",
     "KernelDensityBayes",
     "KernelDensityNaiveBayes",
     "KernelRidgeClassifier",
+    "LinearKernel",
     "OnePerLabelSVC",
+    "PolynomialKernel",
 ]

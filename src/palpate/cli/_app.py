@@ -15,6 +15,8 @@ from .doctor import doctor
 from .evaluate import evaluate
 from .learn import learn
 from .recognise import recognise
+from .simulate import simulate
+from .study import study
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -23,8 +25,9 @@ app = typer.Typer(
     help="Recognise things by touch: learn objects from touches, recognise them "
     "touch by touch, and say when something is unknown.",
 )
-for verb in (learn, recognise, evaluate, demo, bench, doctor):
+for verb in (learn, recognise, evaluate, demo, study, bench, doctor):
     app.command()(verb)
+app.add_typer(simulate, name="simulate")
 
 
 @app.callback()

@@ -21,7 +21,9 @@ AsJson = Annotated[
     bool, typer.Option("--json", help="Print one JSON object and nothing else.")
 ]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
-Preset = Annotated[str, typer.Option("--preset", help='"default" or "corradi2015".')]
+Preset = Annotated[
+    str, typer.Option("--preset", help='"default", "corradi2015" or "liu2014".')
+]
 Label = Annotated[
     str, typer.Option("--label", help='What to recognise: "object" or "category".')
 ]

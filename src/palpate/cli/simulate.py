@@ -26,8 +26,8 @@ def array(
     parts: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[PARTS]...",
-            help="Names or numbers (1 to 12) of parts; see --list. Default: all.",
+            metavar="[PART]...",
+            help="Names (bar10, disc13-hole8...) or numbers, 1 to 12. Default: all.",
         ),
     ] = None,
     presses: Annotated[int, typer.Option("--presses", help="Presses of each.")] = 20,
@@ -128,14 +128,15 @@ def _load(text: str) -> float | tuple[float, float]:
         loads = []
     if len(loads) not in (1, 2):
         raise ValueError(
-            f"--load must be kgf or a range, got {text!r}; write --load 4 or --load 1:5."
+            f"--load must be kgf or a range, got {text!r}; "
+            "write --load 4 or --load 1:5."
         )
     return loads[0] if len(loads) == 1 else (loads[0], loads[1])
 
 
 def _check_output(path: Path) -> None:
     """Refuse before pressing, not after."""
-    if path.suffix != ".npz":
+    if path.suffix.lower() != ".npz":
         raise ValueError(f"--output must end in .npz, got {path.name!r}.")
     if not path.parent.is_dir():
         raise ValueError(f"There is no folder {path.parent} to write to; make it.")

@@ -16,7 +16,7 @@ from ._repose import interpolate
 Floats = NDArray[np.float64]
 
 OVERSAMPLING = 2
-# Prior variance of the plane's rise over `_PLANE_TAXELS`, against a level of 1.
+# Penalty on the plane's rise over `_PLANE_TAXELS`, so that tilt is not unlimited.
 _PLANE_PRECISION, _PLANE_TAXELS = 0.3, 3.0
 _SEARCH_DEG = 10.0
 _FEWEST_STEPS, _MOST_STEPS, _SMALL_GAIN = 2, 8, 1e-4

@@ -18,7 +18,8 @@ _N_ROUNDS = 4
 # How much worse than others, on unseen presses, a symmetry may fit and still be
 # taken. Fewer turns have more freedom to fit noise, so the fit without symmetry and
 # the round one are compared with more patience. Square grids of taxels look the same
-# in 1, 2 and 4 turns, and lend even a disc something of that.
+# in 1, 2 and 4 turns, and lend even a disc something of that. Set on two draws of
+# simulated parts; the tests use another.
 _TOLERANCE, _TOLERANCE_NONE, _TOLERANCE_ROUND = 1.05, 1.075, 1.078
 _OF_THE_GRID, _TOLERANCE_GRID = (1, 2, 4), 1.3
 # Symmetries that spoil the template itself more than this are not tried.

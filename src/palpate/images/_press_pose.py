@@ -52,7 +52,7 @@ class PressPose(BaseEstimator):
     centroids_ : ndarray of shape (n_labels, 2)
         (x, y) of the outline's centroid in that frame, in taxels.
     zeros_deg_ : ndarray of shape (n_labels,)
-        Angle in that frame that is reported as 0.
+        Angle of registration that is reported as 0.
     image_shape_ : tuple of int
 
     Notes

@@ -184,9 +184,11 @@ def _pack_array(array: NDArray, tensors: Tensors) -> dict[str, Any]:
     if array.dtype.kind not in "biuf":
         raise ModelFileError(f"A model file cannot hold an array of {array.dtype}.")
     name = f"t{len(tensors)}"
-    tensors[name] = np.ascontiguousarray(array)
-    # safetensors has no 0-d arrays of every type; the shape is kept beside.
-    return {"array": name, "shape": list(array.shape)}
+    # The order in memory decides how products round, so it is kept.
+    turned = array.flags.f_contiguous and not array.flags.c_contiguous
+    stored = array.T if turned else array
+    tensors[name] = np.ascontiguousarray(stored)
+    return {"array": name, "shape": list(stored.shape), "turned": turned}
 
 
 def _state(value: Any) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -208,7 +210,8 @@ def _unpack(node: Any, tensors: Tensors, known: Mapping[str, type]) -> Any:
     if "float" in node:
         return float(node["float"])
     if "array" in node:
-        return tensors[node["array"]].reshape(node["shape"])
+        stored = tensors[node["array"]].reshape(node["shape"])
+        return stored.T if node.get("turned") else stored
     if "complex" in node:
         real, imaginary = _unpack(node["complex"], tensors, known)
         return real + 1j * imaginary

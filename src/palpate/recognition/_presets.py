@@ -5,11 +5,21 @@ from dataclasses import dataclass
 from typing import Any
 
 from sklearn.decomposition import PCA
+from sklearn.preprocessing import StandardScaler
 
 from .._checks import check_option
-from ..classifiers import KernelDensityBayes, KernelRidgeClassifier
-from ..encodings import CentroidMoments, RootScaler, TaxelVector, ZernikeMoments
-from ..images import DomeCrop
+from ..classifiers import MKLSVC, KernelDensityBayes, KernelRidgeClassifier
+from ..encodings import (
+    CentroidMoments,
+    EncodingUnion,
+    FourierDescriptors,
+    KernelPCA,
+    RootScaler,
+    ShapeGeometry,
+    TaxelVector,
+    ZernikeMoments,
+)
+from ..images import ArrayCleanUp, DomeCrop
 from ..touches import Touches
 from ._encoder import TouchEncoder
 from ._geometry import find_geometry
@@ -53,6 +63,19 @@ def _corradi2015_encoders(touches: Touches) -> dict[str, TouchEncoder]:
     return {"Zernike-PCA": TouchEncoder(DomeCrop(), [moments, principal])}
 
 
+def _liu2014_encoders(touches: Touches) -> dict[str, TouchEncoder]:
+    """One chain for each number of Otsu partitions, width and number of components."""
+    shape = EncodingUnion([ShapeGeometry(), FourierDescriptors(n=40)])
+    return {
+        f"{n} x {n} partitions, {share:.0%} of the variance": TouchEncoder(
+            ArrayCleanUp(n_partitions=n),
+            [shape, StandardScaler(), KernelPCA(n_components=share)],
+        )
+        for n in (1, 2)
+        for share in (0.9, 0.99)
+    }
+
+
 def _default_encoders(touches: Touches) -> dict[str, TouchEncoder]:
     geometry = find_geometry(touches)
     if geometry == "none":
@@ -87,5 +110,13 @@ PRESETS: dict[str, Preset] = {
         classifier=KernelDensityBayes,
         floor=0.0,
         fits_trust=False,
+    ),
+    "liu2014": Preset(
+        summary="Liu et al. 2014: one press on an array, cleaned up; area, edges and "
+        "Fourier descriptors fused by kernel PCA; multiple kernel learning SVM.",
+        encoders=_liu2014_encoders,
+        classifier=MKLSVC,
+        floor=0.01,
+        fits_trust=True,
     ),
 }

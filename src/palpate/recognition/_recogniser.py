@@ -34,7 +34,8 @@ class ObjectRecogniser(BaseEstimator):
     Parameters
     ----------
     preset : str, default="default"
-        "default" (our best) or "corradi2015" (the paper as written).
+        "default" (our best), or a paper as written: "corradi2015" (many touches
+        of a dome) or "liu2014" (one press on an array).
     label : {"object", "category"}, default="object"
         Which column of the touches is recognised. With "category" an episode is
         still the touches of one object.

@@ -1,4 +1,4 @@
-"""The Liu 2014 study: one press of a pressure array, which of twelve parts?
+"""The Liu 2014 study: from one press of a pressure array to one of twelve parts.
 
 Ten runs of twofold cross-validation, as in section 4 of the paper; the class sets
 of Figs 12 to 14, the rows of Table 2, load and cover as in Figs 5 and 6; simulated

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..encodings import CentroidMoments, sorted_taxels
 from ..touches import Touches
+from ._liu2014_methods import MKL, Fused, GaussianSVM, Neighbours
 from ._liu2014_plan import (
     FIGURES,
     PAPER_N,
@@ -17,8 +18,7 @@ from ._liu2014_plan import (
     TABLE_2,
     Liu2014Plan,
 )
-from ._liu2014_methods import MKL, Fused, GaussianSVM, Neighbours
-from ._liu2014_touches import Encoded, Floats, encode
+from ._liu2014_touches import Encoded, Floats, encode, labels
 from ._twofold import Codes, Method
 
 
@@ -108,7 +108,7 @@ def _controls(plan: Liu2014Plan, touches: Touches) -> Iterator[Job]:
         "raw pixels": _flat(touches),
         "centroid moments": CentroidMoments().fit_transform(touches.images),
     }
-    methods = {
+    methods: dict[str, Method] = {
         "k-NN": Neighbours(),
         "SVM": GaussianSVM(plan.svm_widths, plan.svm_costs),
     }
@@ -182,7 +182,7 @@ def _most(plan: Liu2014Plan) -> int:
 
 
 def _codes(touches: Touches) -> Codes:
-    codes: Codes = np.unique(touches.object, return_inverse=True)[1]
+    codes: Codes = np.unique(labels(touches), return_inverse=True)[1]
     return codes
 
 

@@ -14,7 +14,7 @@ from ..images import stage_pictures
 from ..simulation import find_parts
 from ..touches import Touches
 from ._liu2014_plan import Liu2014Plan
-from ._liu2014_touches import simulated_presses
+from ._liu2014_touches import labels, simulated_presses
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -60,7 +60,7 @@ def pictures(result: dict[str, Any]) -> dict[str, "Figure"]:
 
 def stages_figure(touches: Touches) -> "Figure":
     """Draw every stage of the clean-up of one press of a few parts (Fig. 10)."""
-    names = list(dict.fromkeys(touches.object))  # type: ignore[arg-type]
+    names = list(dict.fromkeys(labels(touches).tolist()))
     spaced = np.linspace(0, len(names) - 1, min(STAGES_SHOWN, len(names)))
     shown = [names[i] for i in spaced.round().astype(int)]
     rows = [int(np.flatnonzero(touches.object == name)[0]) for name in shown]
@@ -79,7 +79,7 @@ def stages_figure(touches: Touches) -> "Figure":
 
 def parts_figure(touches: Touches) -> "Figure":
     """Draw a few presses of every part, the part's outline over its taxels."""
-    names = list(dict.fromkeys(touches.object))  # type: ignore[arg-type]
+    names = list(dict.fromkeys(labels(touches).tolist()))
     half = -(-len(names) // 2)
     figure, axes = _grid(half, 2 * PRESSES_SHOWN, 0.95)
     for place in axes.ravel():
@@ -120,7 +120,9 @@ def conditions_figure(rows: Sequence[dict[str, Any]]) -> "Figure":
 
 def _accuracy(place: Any, held: Sequence[dict[str, Any]], key: str) -> None:
     for encoding, scaling, label, colour, style in _CURVES:
-        found = [r for r in held if (r["encoding"], r["features"]) == (encoding, scaling)]
+        found = [
+            r for r in held if (r["encoding"], r["features"]) == (encoding, scaling)
+        ]
         place.errorbar(
             [row[key] for row in found],
             [row["ours"] for row in found],

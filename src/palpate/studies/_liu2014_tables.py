@@ -61,7 +61,9 @@ def _methods(
 
 def _class_sets(rows: Sequence[Row]) -> Table:
     """Figs 12 to 14 at the largest n, the paper's value in brackets."""
-    held = [row for row in rows if row["table"].startswith("Fig") and "condition" not in row]
+    held = [
+        row for row in rows if row["table"].startswith("Fig") and "condition" not in row
+    ]
     most = max((row["n"] for row in held if row.get("n")), default=0)
     encodings = ("FD", "GE", "FD+GE", "sorted pixels", "raw pixels")
     lines = []

@@ -44,6 +44,15 @@ class Encoded:
         return np.hstack([self.geometry, descriptors])
 
 
+def labels(touches: Touches) -> NDArray[np.str_]:
+    """Return the object of every touch; refuse touches without."""
+    if touches.object is None:
+        raise ValueError(
+            f"The presses must have a column 'object', got {touches!r}. Label them."
+        )
+    return touches.object
+
+
 def encode(images: NDArray[Any], n_partitions: int, n: int) -> Encoded:
     """Clean the images and encode them by the paper's layers 1 and 2."""
     binary = ArrayCleanUp(n_partitions=n_partitions).fit_transform(images)
@@ -65,7 +74,7 @@ def simulated_presses(
         "load_kgf": load_kgf,
         "random_state": plan.seed,
     }
-    return simulate_presses(plan.parts, plan.n_presses, **(options | plan.presses))
+    return simulate_presses(plan.parts, plan.n_presses, **{**options, **plan.presses})
 
 
 def reposed_presses(touches: Touches, seed: int) -> Touches:

@@ -117,10 +117,7 @@ def nested_figure(settings: Sequence[Setting], runs: Sequence[list[Half]]) -> Fi
 def paper_figure(settings: Sequence[Setting], runs: Sequence[list[Half]]) -> Figure:
     """Return the setting that is best on these very runs, as the paper does."""
     shares = np.array(
-        [
-            [_pooled(run, [s] * len(run)) for s in range(len(settings))]
-            for run in runs
-        ]
+        [[_pooled(run, [s] * len(run)) for s in range(len(settings))] for run in runs]
     )
     best = int(shares.mean(axis=0).argmax())
     return Figure(*_summary(shares[:, best]), settings[best], 1.0)

@@ -1,0 +1,114 @@
+"""`palpate simulate array` from outside: archives, repeatability, refusals."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from typer.testing import CliRunner
+
+from palpate import Touches
+from palpate.cli._app import app
+from palpate.simulation import simulate_presses
+
+
+def simulate(*arguments):
+    return CliRunner().invoke(app, ["simulate", "array", *map(str, arguments)])
+
+
+def test_all_parts_as_the_library_presses_them(tmp_path):
+    path = tmp_path / "t.npz"
+    done = simulate("-o", path, "--presses", 2, "--seed", 5, "--json")
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert told["touches"] == str(path)
+    assert told["n_touches"] == 24
+    assert len(told["objects"]) == 12
+    touches = Touches.load(path)
+    expected = simulate_presses(n_presses=2, random_state=5)
+    assert_array_equal(touches.images, expected.images)
+    assert_array_equal(touches.object, expected.object)
+    assert touches.geometry == "array"
+
+
+def test_every_option_reaches_the_press(tmp_path):
+    path = tmp_path / "t.npz"
+    options = {
+        "--presses": 4, "--rows": 12, "--cols": 16, "--pitch": 1.5, "--load": "1:5",
+        "--cover": 1.2, "--shift": 0.2, "--turn": 10, "--tilt": 0, "--roughness": 0,
+        "--noise": 0, "--gain-spread": 0, "--dead-zone": 0, "--full-scale": 3000,
+    }  # fmt: skip
+    pairs = [part for pair in options.items() for part in pair]
+    done = simulate("disc13", 8, "-o", path, *pairs)
+    assert done.exit_code == 0, done.output
+    assert done.stdout.splitlines()[-1] == str(path)
+    touches = Touches.load(path)
+    assert touches.images.shape == (8, 12, 16)
+    assert list(dict.fromkeys(touches.object)) == ["disc13", "square13"]
+    assert touches.whole["set_pitch_mm"] == 1.5
+    columns = touches.columns
+    load = columns["force_n"] / 9.80665
+    assert ((load >= 1) & (load <= 5)).all()
+    assert np.ptp(load) > 0.5
+    assert np.abs(columns["position_mm"]).max() <= 0.2
+    assert np.abs((columns["angle_deg"] + 180) % 360 - 180).max() <= 10
+    assert (columns["tilt_deg"] == 0).all()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        ("--cover", 2),
+        ("--noise", 40),
+        ("--gain-spread", 0.3),
+        ("--dead-zone", 600),
+        ("--full-scale", 2000),
+        ("--sensing", 2),
+        ("--roughness", 30),
+        ("--tilt", 0.3),
+        ("--device", 1),
+        ("--seed", 1),
+    ],
+    ids=lambda changes: changes[0],
+)
+def test_each_option_changes_the_images(changes, tmp_path):
+    images = []
+    for name, more in {"a.npz": (), "b.npz": changes}.items():
+        done = simulate("square13-hole8", "-o", tmp_path / name, "--presses", 3, *more)
+        assert done.exit_code == 0, done.output
+        images.append(Touches.load(tmp_path / name).images)
+    assert (images[0] != images[1]).any()
+
+
+def test_the_same_seed_writes_the_same_touches_with_any_workers(tmp_path):
+    one, two = tmp_path / "1.npz", tmp_path / "2.npz"
+    simulate("bar10", 12, "-o", one, "--presses", 30, "--seed", 3)
+    simulate("bar10", 12, "-o", two, "--presses", 30, "--seed", 3, "--workers", 2)
+    assert_array_equal(Touches.load(one).images, Touches.load(two).images)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["nut", "-o", "t.npz"], 1, "names among bar10"),
+        (["-o", "t.npy"], 1, "must end in .npz"),
+        (["-o", "gone/t.npz"], 1, "no folder gone"),
+        (["-o", "t.npz", "--load", "heavy"], 1, "--load 1:5"),
+        (["-o", "t.npz", "--sensing", "3"], 1, "at most pitch_mm"),
+        ([], 2, "Missing option"),
+    ],
+)
+def test_failures_say_what_to_do(arguments, code, message, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "palpate", "simulate", "array", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert done.returncode == code
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,91 @@
+"""Every preset on touches it is made for: learns, survives its file, names itself."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from palpate import Touches
+from palpate.recognition import PRESETS, ObjectRecogniser
+from palpate.simulation import simulate_presses
+
+PARTS = ("bar10", "disc13", "square10-hole6")
+
+
+@pytest.fixture(scope="module")
+def presses():
+    return simulate_presses(PARTS, 12, random_state=0)
+
+
+@pytest.fixture(scope="module")
+def dome_touches():
+    """A dome's disc with a dent that lies farther out for one object than the other."""
+    rng = np.random.default_rng(0)
+    row, col = np.mgrid[:96, :96] - 47.5
+    images, labels = [], []
+    for label, reach in (("near", 6), ("far", 22)):
+        for _ in range(14):
+            angle = rng.uniform(0, 2 * np.pi)
+            away = np.hypot(row - reach * np.sin(angle), col - reach * np.cos(angle))
+            level = 150 - 60 * np.exp(-((away / 8) ** 2)) + row
+            images.append(np.where(np.hypot(row, col) < 42, level, 5))
+            labels.append(label)
+    noise = rng.normal(scale=2, size=(28, 96, 96))
+    levels = np.clip(np.array(images) + noise, 0, 255).astype(np.uint8)
+    return Touches(levels, object=labels)
+
+
+@pytest.mark.parametrize("preset", sorted(PRESETS))
+def test_preset_survives_its_file(preset, presses, dome_touches, tmp_path):
+    touches = presses if preset == "liu2014" else dome_touches
+    learnt = ObjectRecogniser(preset).fit(touches)
+    again = ObjectRecogniser.load(learnt.save(tmp_path / "m.palpate"))
+    expected = learnt.log_likelihood(touches)
+    assert_array_equal(again.log_likelihood(touches), expected)
+    best = learnt.classes_[expected.argmax(axis=1)]
+    assert (best == touches.object).mean() > 0.9
+    assert again.chosen_["encoding"] == learnt.chosen_["encoding"]
+
+
+@pytest.mark.parametrize("preset", sorted(PRESETS))
+def test_objects_come_and_go_in_every_preset(preset, presses, dome_touches):
+    touches = presses if preset == "liu2014" else dome_touches
+    learnt = ObjectRecogniser(preset).fit(touches)
+    new = touches[:6]
+    learnt.add_object("new", new)
+    assert learnt.log_likelihood(touches).shape == (len(touches), len(learnt.classes_))
+    assert "new" in learnt.start().posterior
+    learnt.forget_object("new")
+    assert "new" not in learnt.start().posterior
+
+
+def test_kernel_densities_of_others_do_not_change(dome_touches):
+    learnt = ObjectRecogniser("corradi2015").fit(dome_touches)
+    before = learnt.log_likelihood(dome_touches)
+    learnt.add_object("also", dome_touches[:5])
+    after = learnt.log_likelihood(dome_touches)
+    assert_array_equal(after[:, 1:], before)
+
+
+def test_pose_of_presses_is_told_to_the_stated_accuracy(presses, tmp_path):
+    learnt = ObjectRecogniser().fit(presses).fit_pose(presses)
+    test = simulate_presses(PARTS, 10, random_state=1)
+    again = ObjectRecogniser.load(learnt.save(tmp_path / "m.palpate"))
+    poses = again.pose(test, test.object)
+    away = np.hypot(
+        *(np.stack([poses.x_mm, poses.y_mm]) - test.columns["position_mm"].T)
+    )
+    assert np.median(away) < 0.5
+    period = 360 / np.maximum(poses.symmetry, 1)
+    turn = np.abs(poses.angle_deg - test.columns["angle_deg"]) % period
+    turn = np.minimum(turn, period - turn)[poses.symmetry > 0]
+    assert np.median(turn) < 5
+
+
+def test_poses_need_a_pitch(presses):
+    bare = Touches(presses.images, object=presses.object)
+    learnt = ObjectRecogniser().fit(bare)
+    with pytest.raises(ValueError, match="pitch_mm must be given"):
+        learnt.fit_pose(bare)
+    with pytest.raises(ValueError, match="learnt no poses"):
+        learnt.pose(bare, bare.object)
+    assert learnt.fit_pose(bare, pitch_mm=2).pose(bare[:1], ["bar10"]).symmetry[0] == 2

@@ -1,0 +1,228 @@
+"""The Liu 2014 study on three parts: which rows there are, and that they repeat."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from palpate.studies import STUDIES, run_study, study_tables, write_study_report
+from palpate.studies._liu2014_pictures import draw_pictures
+from palpate.studies._liu2014_plan import Liu2014Plan
+
+TABLE_2 = {
+    "FD+GE k-NN": 68.69,
+    "FD+GE SVM": 76.17,
+    "KPCA+SVM": 82.13,
+    "KPCA+MKL-SVM": 85.54,
+}
+
+
+@pytest.fixture(scope="module")
+def no_data():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("PALPATE_DATA", raising=False)
+        yield
+
+
+@pytest.fixture(scope="module")
+def result(tiny_plan, no_data):
+    return run_study("liu2014", plan=tiny_plan(), workers=1)
+
+
+def held(result, **wanted):
+    return [
+        row
+        for row in result["rows"]
+        if all(row.get(key) == value for key, value in wanted.items())
+    ]
+
+
+def test_every_row_is_a_figure_in_per_cent(result):
+    assert result["study"] == "liu2014"
+    for row in result["rows"]:
+        assert {"name", "paper", "ours", "sd", "data", "protocol"} <= set(row)
+        assert 0 <= row["ours"] <= 100
+        assert row["sd"] >= 0
+        assert row["data"] == "simulated"
+        assert row["features"] in ("z-scored", "raw")
+
+
+def test_rows_are_told_apart_by_name_protocol_and_features(result):
+    keys = [
+        (row["table"], row["name"], row["protocol"], row["features"])
+        for row in result["rows"]
+    ]
+    assert len(set(keys)) == len(keys)
+
+
+@pytest.mark.parametrize("protocol", ["nested", "paper"])
+@pytest.mark.parametrize("features", ["z-scored", "raw"])
+def test_table_2_stands_beside_the_paper(result, protocol, features):
+    known = {"table": "Table 2", "protocol": protocol, "features": features}
+    rows = held(result, partitions=2, **known)
+    paper = {row["name"]: row["paper"] for row in rows}
+    assert {name: paper[name] for name in TABLE_2} == TABLE_2
+    others = held(result, partitions=1, **known)
+    assert [row["name"] for row in others] == [f"{name}, 1 x 1" for name in TABLE_2]
+    assert {row["paper"] for row in others} == {None}
+
+
+def test_figures_12_to_14_have_every_class_set_and_count(result):
+    for features in ("z-scored", "raw"):
+        for classes, n_classes in {
+            "3 vs 7 vs 12": 3,
+            "all hollow": 2,
+            "all": 3,
+        }.items():
+            rows = held(result, classes=classes, features=features)
+            rows = [
+                r for r in rows if r["table"].startswith("Fig") and "load_kgf" not in r
+            ]
+            assert {(r["encoding"], r["n"]) for r in rows} == {
+                ("GE", None),
+                *((e, n) for e in ("FD", "FD+GE") for n in (5, 40)),
+                ("sorted pixels", None),
+                ("raw pixels", None),
+            }
+            assert {r["n_classes"] for r in rows} == {n_classes}
+            assert {r["n_touches"] for r in rows} == {6 * n_classes}
+
+
+def test_the_papers_figures_are_at_forty_descriptors(result):
+    whole = {"classes": "all", "features": "raw"}
+    assert [r["paper"] for r in held(result, table="Fig. 12", n=40, **whole)] == [43.0]
+    assert [r["paper"] for r in held(result, table="Fig. 12", n=5, **whole)] == [None]
+    assert [r["paper"] for r in held(result, table="Fig. 13", **whole)] == [63.3]
+    assert [r["paper"] for r in held(result, table="Fig. 14", n=40, **whole)] == [68.69]
+    pair = {"classes": "3 vs 7 vs 12", "n": 40, "features": "raw"}
+    assert [r["paper"] for r in held(result, table="Fig. 14", **pair)] == [None]
+
+
+def test_the_same_machine_gives_the_same_figure_in_table_and_figure(result):
+    for features in ("z-scored", "raw"):
+        known = {"features": features, "protocol": "nested"}
+        (row,) = held(result, name="FD+GE k-NN", **known)
+        (same,) = held(result, name="FD+GE k-NN, n = 40, all", **known)
+        assert same["ours"] == row["ours"]
+
+
+def test_controls_stand_beside_every_table(result):
+    names = {row["name"] for row in held(result, table="controls")}
+    assert names == {
+        f"{encoding} {classifier}"
+        for encoding in ("sorted pixels", "raw pixels", "centroid moments")
+        for classifier in ("k-NN", "SVM")
+    }
+    for table in ("Fig. 5", "Fig. 6"):
+        encodings = {row["encoding"] for row in held(result, table=table)}
+        assert encodings == {"FD+GE", "sorted pixels", "raw pixels"}
+
+
+def test_load_and_cover_tell_how_images_break_up(result):
+    loads = {row["load_kgf"]: row for row in held(result, table="Fig. 5")}
+    assert set(loads) == {2.0, 4.0}
+    for row in loads.values():
+        assert row["pieces"] >= 1
+        assert 0 <= row["in_pieces"] <= 100
+        assert 0 < row["overlap"] < 100
+    assert {row["cover_mm"] for row in held(result, table="Fig. 6")} == {0.9}
+
+
+def test_the_papers_choice_is_made_on_the_runs_it_reports(result):
+    for row in held(result, table="Table 2", protocol="paper"):
+        assert row["chosen_share"] == 1
+    (knn, other) = held(result, name="FD+GE k-NN", features="raw")
+    assert knn["ours"] == other["ours"]
+
+
+def test_figures_do_not_depend_on_the_workers(result, tiny_plan, no_data):
+    again = run_study("liu2014", plan=tiny_plan(), workers=2)
+    assert again["rows"] == result["rows"]
+
+
+def test_the_seed_changes_the_figures(result, tiny_plan, no_data):
+    small = {"counts": (5,), "partitions": (2,), "loads_kgf": (), "covers_mm": ()}
+    one, other = (
+        run_study("liu2014", plan=tiny_plan(seed=seed, **small), workers=1)
+        for seed in (0, 1)
+    )
+    assert [r["ours"] for r in one["rows"]] != [r["ours"] for r in other["rows"]]
+    (same,) = held(one, name="FD+GE SVM", features="raw", protocol="nested")
+    (row,) = held(result, name="FD+GE SVM", features="raw", protocol="nested")
+    assert same["ours"] == row["ours"]
+
+
+@pytest.mark.parametrize("protocol", ["nested", "paper"])
+def test_one_protocol_alone(protocol, tiny_plan, no_data):
+    small = {"counts": (5,), "partitions": (2,), "loads_kgf": (), "covers_mm": ()}
+    plan = tiny_plan(protocol=protocol, **small)
+    rows = run_study("liu2014", plan=plan, workers=1)["rows"]
+    assert {row["protocol"] for row in rows} == {protocol}
+
+
+def test_missing_presses_are_told_once(result):
+    (sentence,) = result["skipped"]
+    assert "PALPATE_DATA" in sentence
+
+
+def test_tables_have_cells_for_every_column(result):
+    tables = study_tables(result)
+    assert [title for title, _, _ in tables][0] == "Table 2"
+    assert len(tables) == 6
+    for _, columns, rows in tables:
+        assert rows
+        assert {len(row) for row in rows} == {len(columns)}
+
+
+def test_the_report_is_one_page_that_loads_nothing(result, tmp_path):
+    page = write_study_report(tmp_path / "r.html", result).read_text("utf-8")
+    assert page.startswith("<!doctype html>")
+    assert page.count("<svg") == 3
+    for row in study_tables(result)[0][2]:
+        assert row[0] in page
+    assert "<script" not in page
+    loaded = re.findall(r"""(?:src|href)=["']?([^"' >]+)""", page)
+    assert all(one.startswith(("#", "data:")) for one in loaded)
+
+
+def test_a_result_read_back_from_json_makes_the_same_pictures(result, tmp_path):
+    again = json.loads(json.dumps(result))
+    written = draw_pictures(tmp_path, again)
+    assert [path.name for path in written] == [
+        "liu2014-stages.png",
+        "liu2014-parts.png",
+        "liu2014-conditions.png",
+    ]
+    assert all(path.stat().st_size > 5000 for path in written)
+
+
+def test_unknown_studies_are_refused_with_the_names():
+    assert "liu2014" in STUDIES
+    with pytest.raises(ValueError, match="study must be one of 'liu2014'"):
+        run_study("liu2041")
+
+
+def test_quick_is_part_of_the_whole():
+    whole, quick = Liu2014Plan(), Liu2014Plan.quick(seed=3)
+    assert quick.seed == 3
+    for name in ("counts", "partitions", "loads_kgf", "covers_mm", "mkl_costs"):
+        assert set(getattr(quick, name)) <= set(getattr(whole, name))
+
+
+@pytest.mark.realdata
+def test_real_presses_are_reposed_and_reported(data_folder, tiny_plan):
+    small = {"counts": (40,), "partitions": (2,), "loads_kgf": (), "covers_mm": ()}
+    plan = tiny_plan(runs=1, components=(6,), **small)
+    result = run_study("liu2014", plan=plan, data=data_folder, workers=1)
+    assert result["skipped"] == []
+    real = held(result, data="taxel10x10", features="raw", protocol="nested")
+    assert {row["n_classes"] for row in real} == {17}
+    assert {row["n_touches"] for row in real} == {324}
+    assert {row["classes"] for row in real} == {"all"}
+    figures = {row["name"]: row["ours"] for row in real}
+    # As the presses stand, pixels name them perfectly; re-posed, well under half,
+    # while moments that ignore place and angle stay above nine in ten.
+    assert figures["raw pixels k-NN"] < 50
+    assert figures["centroid moments SVM"] > 90
+    assert np.isfinite(list(figures.values())).all()

@@ -1,0 +1,145 @@
+"""The touches of the Liu 2014 study, and what is counted on their images."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from palpate import Touches
+from palpate.simulation import PARTS, find_parts, simulate_presses
+from palpate.studies._liu2014_curves import count_pieces, footprints, overlap
+from palpate.studies._liu2014_plan import CLASS_SETS, Liu2014Plan
+from palpate.studies._liu2014_touches import (
+    encode,
+    real_presses,
+    reposed_presses,
+    simulated_presses,
+)
+
+
+def test_class_sets_are_those_of_the_parts():
+    hollow = tuple(part.number for part in PARTS if part.hollow)
+    solid = tuple(
+        part.number for part in PARTS if not part.hollow and part.category != "bar"
+    )
+    assert CLASS_SETS["all hollow"] == hollow == (3, 5, 7, 9, 11)
+    assert CLASS_SETS["all solid"] == solid == (4, 6, 8, 10, 12)
+    assert CLASS_SETS["all"] == tuple(part.number for part in PARTS)
+    assert CLASS_SETS["3 vs 7 vs 12"] == (3, 7, 12)
+
+
+def test_class_sets_need_two_pressed_parts():
+    held = Liu2014Plan(parts=(3, 7, 12)).class_sets
+    assert held == {
+        "3 vs 7 vs 12": (3, 7, 12),
+        "all hollow": (3, 7),
+        "all": (3, 7, 12),
+    }
+
+
+def test_every_condition_presses_the_same_places(tiny_plan):
+    plan = tiny_plan()
+    light, heavy = (simulated_presses(plan, load) for load in (1.0, 5.0))
+    thick = simulated_presses(plan, cover_mm=2.0)
+    for other in (heavy, thick):
+        for column in ("position_mm", "angle_deg", "tilt_deg", "part"):
+            assert_array_equal(other.columns[column], light.columns[column])
+        assert (other.images != light.images).any()
+
+
+def test_the_plan_changes_how_parts_are_pressed(tiny_plan):
+    touches = simulated_presses(tiny_plan(presses={"max_turn_deg": 5.0}))
+    angle = (touches.columns["angle_deg"] + 180) % 360 - 180
+    assert np.abs(angle).max() <= 5
+
+
+def test_reposing_leaves_shape_and_takes_strength(rng):
+    images = np.zeros((8, 10, 10))
+    images[:, 4:6, 4:6] = 100 * rng.uniform(1, 9, (8, 1, 1))
+    images[0] = 0
+    touches = Touches(images, object=list("abcdabcd"))
+    reposed = reposed_presses(touches, seed=3)
+    total = reposed.images.sum(axis=(1, 2))
+    assert total[0] == 0
+    assert ((total[1:] >= 0.8) & (total[1:] <= 1.2)).all()
+    assert np.ptp(total[1:]) > 0.05
+    assert_array_equal(reposed.object, touches.object)
+    assert_array_equal(reposed.images, reposed_presses(touches, seed=3).images)
+    assert (reposed.images != reposed_presses(touches, seed=4).images).any()
+
+
+def test_features_are_joined_geometry_first(tiny_plan):
+    encoded = encode(simulated_presses(tiny_plan()).images, 2, 40)
+    both = encoded.features("FD+GE", 5)
+    assert_array_equal(both[:, :2], encoded.features("GE", 40))
+    assert_array_equal(both[:, 2:], encoded.features("FD", 5))
+    assert encoded.features("FD+GE", 40).shape == (18, 42)
+
+
+@pytest.mark.parametrize("given", [True, False], ids=["data", "environment"])
+def test_presses_are_found(given, tmp_path, monkeypatch):
+    (tmp_path / "taxel10x10").mkdir()
+    touches = Touches(np.ones((2, 10, 10)), object=["a", "b"])
+    touches.save(tmp_path / "taxel10x10" / "taxel10x10.npz")
+    monkeypatch.setenv("PALPATE_DATA", "" if given else str(tmp_path))
+    found = real_presses(tmp_path if given else None)
+    assert_array_equal(found.images, touches.images)
+
+
+def test_missing_presses_are_a_sentence_or_a_refusal(tmp_path, monkeypatch):
+    monkeypatch.delenv("PALPATE_DATA", raising=False)
+    assert "--data or PALPATE_DATA" in real_presses(None)
+    monkeypatch.setenv("PALPATE_DATA", str(tmp_path))
+    assert "PALPATE_DATA has no" in real_presses(None)
+    with pytest.raises(ValueError, match="--data must name a folder that holds"):
+        real_presses(tmp_path / "gone")
+
+
+def test_pieces_touch_at_corners():
+    images = np.zeros((4, 5, 5), dtype=bool)
+    images[1, [0, 1], [0, 1]] = True
+    images[2, [0, 2], [0, 2]] = True
+    images[3] = True
+    assert_array_equal(count_pieces(images), [0, 1, 2, 1])
+
+
+def test_overlap_is_shared_over_either():
+    images = np.zeros((3, 4, 4), dtype=bool)
+    images[0, :2] = images[1, :2] = True
+    others = np.zeros_like(images)
+    others[0, :2] = others[1, 1:3] = True
+    assert_allclose(overlap(images, others), [1, 1 / 3, 0])
+
+
+def test_footprints_have_the_area_of_the_parts():
+    names = ["square13", "square13-hole8", "hexagon10-hole6", "disc13"]
+    touches = simulate_presses(names, 4, random_state=0)
+    pixel_mm2 = (20 / 66) ** 2
+    area = footprints(touches, (66, 66)).sum(axis=(1, 2)) * pixel_mm2
+    true = [part.area_mm2 for part in find_parts(names) for _ in range(4)]
+    # Pixels along the edge are in or out: about half a pixel's width at random.
+    assert_allclose(area, true, rtol=0.03)
+
+
+def test_footprints_lie_where_the_presses_are():
+    touches = simulate_presses("square13", 3, load_kgf=4, random_state=1)
+    whole = encode(touches.images, 1, 1).binary
+    found = footprints(touches, (33, 33))
+    for image, truth in zip(whole, found, strict=True):
+        centre = np.argwhere(image).mean(axis=0)
+        # The image is blurred and uneven; a taxel is 3.3 pixels.
+        assert_allclose(np.argwhere(truth).mean(axis=0), centre, atol=1.7)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"protocol": "best"}, "protocol must be one of"),
+        ({"parts": (3,)}, "parts must be two or more"),
+        ({"parts": (3, 13)}, "between 1 and 12"),
+        ({"n_presses": 3}, "n_presses must be at least 4, got 3"),
+        ({"runs": 0}, "runs must be at least 1"),
+    ],
+)
+def test_plans_are_checked(tiny_plan, changes, message):
+    with pytest.raises(ValueError, match=message):
+        tiny_plan(**changes)

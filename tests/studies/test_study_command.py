@@ -1,0 +1,99 @@
+"""`palpate study` from outside: JSON, what is skipped, refusals."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from palpate.cli._app import app
+from palpate.studies._liu2014_plan import Liu2014Plan
+
+
+def palpate(*arguments, **options):
+    """Run the command in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "palpate", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        **options,
+    )
+
+
+@pytest.fixture
+def tiny_quick(tiny_plan, monkeypatch):
+    """Let --quick mean the tiny plan, without real presses."""
+
+    def quick(**changes):
+        small = {
+            "counts": (5,),
+            "partitions": (2,),
+            "loads_kgf": (),
+            "covers_mm": (0.9,),
+        }
+        return tiny_plan(**small, **changes)
+
+    monkeypatch.setattr(Liu2014Plan, "quick", quick)
+    monkeypatch.delenv("PALPATE_DATA", raising=False)
+
+
+def test_json_is_one_object_and_what_is_missing_is_said(tiny_quick):
+    arguments = ["study", "liu2014", "--quick", "--json", "--workers", "1"]
+    done = CliRunner().invoke(app, [*arguments, "--seed", "2"])
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert result["study"] == "liu2014"
+    assert result["plan"]["seed"] == 2
+    assert done.stderr.strip() == result["skipped"][0]
+    paper = {row["name"]: row["paper"] for row in result["rows"]}
+    assert paper["KPCA+MKL-SVM"] == 85.54
+    for row in result["rows"]:
+        assert isinstance(row["ours"], float)
+
+
+def test_tables_and_report_for_people(tiny_quick, tmp_path):
+    report = tmp_path / "liu.html"
+    done = CliRunner().invoke(
+        app,
+        ["study", "liu2014", "--quick", "--workers", "1", "--protocol", "nested"]
+        + ["--report", str(report)],
+    )
+    assert done.exit_code == 0, done.output
+    assert "Table 2" in done.stdout
+    assert done.stdout.rstrip().endswith("liu.html")
+    assert report.read_text("utf-8").startswith("<!doctype html>")
+
+
+def test_studies_are_listed():
+    for arguments in (["study"], ["study", "--list"]):
+        done = CliRunner().invoke(app, arguments)
+        assert done.exit_code == 0
+        assert "liu2014" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["study", "liu"], "'liu2014'"),
+        (["study", "liu2014", "--data", "gone"], "--data must name a folder"),
+        (["study", "liu2014", "--protocol", "best"], "'nested', 'paper'"),
+        (["study", "liu2014", "--report", "r.pdf"], "must end in .html"),
+        (["study", "liu2014", "--workers", "0"], "workers must be at least 1"),
+    ],
+)
+def test_failures_say_what_to_do(arguments, message, tmp_path):
+    done = palpate(*arguments, cwd=tmp_path)
+    assert done.returncode == 1
+    assert message in done.stderr
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.slow
+def test_quick_is_quick(tmp_path):
+    done = palpate("study", "liu2014", "--quick", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["seconds"] < 60
