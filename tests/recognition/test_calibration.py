@@ -10,10 +10,10 @@ from palpate.recognition._calibration import (
     draw_episodes,
     fit_trust,
     left_out_log_likelihood,
-    stretches,
     unknown_limits,
 )
 from palpate.recognition._sequence import Trust
+from palpate.recognition._training import stretches
 
 
 def test_stretches_follow_the_recording():

@@ -56,11 +56,9 @@ def test_json_is_one_object_and_what_is_missing_is_said(tiny_quick):
 
 def test_tables_and_report_for_people(tiny_quick, tmp_path):
     report = tmp_path / "liu.html"
-    done = CliRunner().invoke(
-        app,
-        ["study", "liu2014", "--quick", "--workers", "1", "--protocol", "nested"]
-        + ["--report", str(report)],
-    )
+    arguments = ["study", "liu2014", "--quick", "--workers", "1"]
+    arguments += ["--protocol", "nested", "--report", str(report)]
+    done = CliRunner().invoke(app, arguments)
     assert done.exit_code == 0, done.output
     assert "Table 2" in done.stdout
     assert done.stdout.rstrip().endswith("liu.html")

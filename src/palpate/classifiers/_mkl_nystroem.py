@@ -24,6 +24,8 @@ from ._mkl_systems import cholesky_solver
 _RANK_TOLERANCE = 1e-10
 # Features of up to this size are kept; larger ones are computed again block by block.
 _KEPT_BYTES = 2**30
+# Touches per dimension from which on margins cannot all be met.
+_CROWD = 3
 # Corrections of a solution by what it misses, and the share it may miss.
 _REFINEMENTS, _EXACT = 3, 1e-11
 
@@ -166,6 +168,7 @@ class LowRankKernels:
             for rows in self._rows():
                 self._kept[rows] = features(centred[rows])
         self._pull = np.zeros(ends[-1])
+        self.crowded = len(centred) > _CROWD * ends[-1]
 
     @property
     def n_kernels(self) -> int:
@@ -238,11 +241,7 @@ class LowRankKernels:
         return matrix
 
     def decisions(self, alpha: Floats, weights: Floats) -> Floats:
-        return self.along(self.normal(alpha, weights))
-
-    def along(self, normal: Floats) -> Floats:
-        """Return the decisions less bias of any normal vector, (1, n_touches)."""
-        return self._spread(normal[:, None]).T
+        return self._spread(self.normal(alpha, weights)[:, None]).T
 
     def normal(self, alpha: Floats, weights: Floats) -> Floats:
         """Return the normal vector of the hyperplane, shape (n_columns,)."""
@@ -252,12 +251,6 @@ class LowRankKernels:
 
     def with_labels(self, labels: Floats) -> Self:
         return type(self)(self._features, self._centred, labels, self._kept)
-
-    def part(self, touches: NDArray) -> Self:
-        """Return the system of some of the touches."""
-        kept = None if self._kept is None else self._kept[touches]
-        centred, labels = self._centred[touches], self.labels[:, touches]
-        return type(self)(self._features, centred, labels, kept)
 
     def take(self, keep: NDArray) -> Self:
         if len(keep) != 1 or not np.asarray(keep).all():

@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._mkl_interior import solve_interior
-from ._mkl_nystroem import LowRankKernels
-from ._mkl_pilot import solve_with_pilot
 from ._mkl_posterior import all_pairs, fit_sigmoids
 from ._mkl_problem import Floats, Solution
 from ._simplemkl import solve_simplemkl
@@ -59,16 +57,14 @@ class Settings:
             return solve_simplemkl(
                 system, self.C, tol=self.tol, max_iter=self.max_iter
             )
-        return self._solve(system, self.tol)
+        return solve_interior(
+            system, self.C, norm=self.norm, tol=self.tol, max_iter=self.max_iter
+        )
 
     def solve_roughly(self, system: Any) -> Solution:
         """Solve well enough to calibrate by."""
-        return self._solve(system, max(self.tol, _CALIBRATION_TOL))
-
-    def _solve(self, system: Any, tol: float) -> Solution:
-        large = isinstance(system, LowRankKernels)
-        solve = solve_with_pilot if large else solve_interior
-        return solve(
+        tol = max(self.tol, _CALIBRATION_TOL)
+        return solve_interior(
             system, self.C, norm=self.norm, tol=tol, max_iter=self.max_iter
         )
 

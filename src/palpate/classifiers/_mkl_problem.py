@@ -24,6 +24,7 @@ class KernelSystem(Protocol):
     """The kernel matrices of a batch of problems, however they are held."""
 
     labels: Floats
+    crowded: bool  # more touches than dimensions by far
 
     @property
     def n_kernels(self) -> int:

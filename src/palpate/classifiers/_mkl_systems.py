@@ -23,6 +23,8 @@ class DenseKernels:
         +1, -1, or 0 for touches that take no part.
     """
 
+    crowded = False
+
     def __init__(self, kernels: Floats, labels: Floats) -> None:
         self.kernels = kernels
         self.labels = labels

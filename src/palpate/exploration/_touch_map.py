@@ -262,10 +262,13 @@ class TouchMap:
         def loss(raw: NDArray[Any]) -> float:
             return self._loss(ratio, episodes, weights(raw))
 
-        start = [0.0, 0.0, -1.5]
-        found = minimize(
-            loss, start, method="Nelder-Mead", options={"maxfev": 60, "xatol": 0.02}
-        )
+        start = np.array([-0.3, -1.0, -1.0])
+        options = {
+            "initial_simplex": start + np.vstack([np.zeros(3), np.eye(3)]),
+            "maxfev": 60,
+            "xatol": 0.02,
+        }
+        found = minimize(loss, start, method="Nelder-Mead", options=options)
         return float(found.fun), weights(found.x)
 
     def _loss(

@@ -14,30 +14,11 @@ from scipy.optimize import minimize
 from sklearn.base import clone
 
 from ._sequence import Floats, Trust, log_posteriors, unknown_scores
+from ._training import N_STRETCHES
 
-N_STRETCHES = 5
 EPISODES_PER_OBJECT = 40
 LENGTHS = (1, 2, 3, 5, 8, 12, 20, 30)
 REFUSED = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
-
-
-def stretches(objects: NDArray, order: NDArray | None = None) -> NDArray[np.intp]:
-    """Number the stretches of the recordings, shape (n_touches,).
-
-    Each object's touches, in the order in which they were made, are cut into
-    `N_STRETCHES` runs of nearly equal length: neighbours in time, which resemble
-    each other, fall into the same stretch.
-    """
-    group = np.empty(len(objects), dtype=np.intp)
-    next_group = 0
-    for name in np.unique(objects):
-        rows = np.flatnonzero(objects == name)
-        if order is not None:
-            rows = rows[np.argsort(order[rows], kind="stable")]
-        for part in np.array_split(rows, min(N_STRETCHES, len(rows))):
-            group[part] = next_group
-            next_group += 1
-    return group
 
 
 def left_out_log_likelihood(

@@ -17,7 +17,6 @@ from ._calibration import (
     draw_episodes,
     fit_trust,
     left_out_log_likelihood,
-    stretches,
     touch_log_likelihood,
     unknown_limits,
 )
@@ -26,6 +25,7 @@ from ._known import KNOWN_CLASSES
 from ._model_file import ModelFileError, read_model, write_model
 from ._presets import Preset, find_preset
 from ._sequence import Floats, Trust, with_floor
+from ._training import stretches, training_groups, training_labels
 
 
 class ObjectRecogniser(BaseEstimator):
@@ -111,7 +111,7 @@ class ObjectRecogniser(BaseEstimator):
             fewer than two touches.
         """
         preset = self._check_parameters()
-        labels, objects = self._labels(touches)
+        labels, objects = training_labels(touches, self.label)
         group = training_groups(touches, labels, objects, self.label)
         encoder, self.chosen_ = choose_encoder(
             preset, touches, labels, group, self.random_state
@@ -149,7 +149,9 @@ class ObjectRecogniser(BaseEstimator):
                 "no 'set_pitch_mm'; pass the distance of neighbouring taxels."
             )
         self.pose_ = PressPose(pitch_mm=float(pitch)).fit(
-            touches.images, self._labels(touches)[0], touches.columns.get("angle_deg")
+            touches.images,
+            training_labels(touches, self.label)[0],
+            touches.columns.get("angle_deg"),
         )
         return self
 
@@ -312,28 +314,6 @@ class ObjectRecogniser(BaseEstimator):
         if not hasattr(self, "classes_"):
             raise ValueError("This recogniser has learnt nothing yet; call fit first.")
 
-    def _labels(self, touches: Touches) -> tuple[NDArray, NDArray]:
-        labels = touches.object if self.label == "object" else touches.category
-        if labels is None:
-            raise ValueError(
-                f"touches must have a column {self.label!r} to learn from. Name "
-                "folders after objects, pass a name pattern, or add the column to the "
-                "archive."
-            )
-        names, counts = np.unique(labels, return_counts=True)
-        if len(names) < 2:
-            raise ValueError(
-                f"touches must hold at least two {self.label} labels, "
-                f"got only {str(names[0])!r}."
-            )
-        if counts.min() < 2:
-            raise ValueError(
-                f"Every {self.label} must have at least 2 touches, "
-                f"got 1 of {str(names[counts.argmin()])!r}."
-            )
-        objects = labels if touches.object is None else touches.object
-        return labels, objects
-
     def _learn(self, *, fresh: bool) -> None:
         """Fit the classifier to the kept features; not fresh keeps its choices."""
         fit = self.classifier_.fit
@@ -373,29 +353,6 @@ class ObjectRecogniser(BaseEstimator):
         if row.shape != (1, len(self.classes_)) or not np.isfinite(row).all():
             raise ValueError("its parts do not fit together")
         self.start().update_from_log_likelihood(row).decide()
-
-
-def training_groups(
-    touches: Touches, labels: NDArray, objects: NDArray, label: str
-) -> NDArray[np.intp]:
-    """Return which training touches are left out together.
-
-    Whole sessions where every object has several, else stretches of each
-    recording; with categories that each have several objects, whole objects, since
-    there the question is about objects never touched.
-    """
-    if label == "category" and touches.object is not None:
-        per_category = [len(np.unique(objects[labels == c])) for c in np.unique(labels)]
-        if min(per_category) > 1:
-            groups: NDArray[np.intp] = np.unique(objects, return_inverse=True)[1]
-            return groups
-    if touches.session is not None:
-        visits = np.stack([objects.astype(str), touches.session.astype(str)], axis=1)
-        pairs, group = np.unique(visits, axis=0, return_inverse=True)
-        if np.unique(pairs[:, 0], return_counts=True)[1].min() > 1:
-            by_session: NDArray[np.intp] = group.ravel()
-            return by_session
-    return stretches(objects, touches.order)
 
 
 def summary(recogniser: ObjectRecogniser) -> dict[str, Any]:
