@@ -10,7 +10,7 @@ import pytest
 from palpate import Touches
 
 NAMES = ("ball", "mug", "pen")
-VERBS = ("learn", "recognise", "evaluate", "demo", "bench", "doctor")
+VERBS = ("learn", "recognise", "evaluate", "simulate", "study", "demo", "bench", "doctor")
 
 
 def palpate(*arguments, **options):

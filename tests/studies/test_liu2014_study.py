@@ -18,16 +18,15 @@ TABLE_2 = {
 }
 
 
-@pytest.fixture(scope="module")
-def no_data():
+def run_without_data(plan, workers=1):
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv("PALPATE_DATA", raising=False)
-        yield
+        return run_study("liu2014", plan=plan, workers=workers)
 
 
 @pytest.fixture(scope="module")
-def result(tiny_plan, no_data):
-    return run_study("liu2014", plan=tiny_plan(), workers=1)
+def result(tiny_plan):
+    return run_without_data(tiny_plan())
 
 
 def held(result, **wanted):
@@ -136,17 +135,14 @@ def test_the_papers_choice_is_made_on_the_runs_it_reports(result):
     assert knn["ours"] == other["ours"]
 
 
-def test_figures_do_not_depend_on_the_workers(result, tiny_plan, no_data):
-    again = run_study("liu2014", plan=tiny_plan(), workers=2)
+def test_figures_do_not_depend_on_the_workers(result, tiny_plan):
+    again = run_without_data(tiny_plan(), workers=2)
     assert again["rows"] == result["rows"]
 
 
-def test_the_seed_changes_the_figures(result, tiny_plan, no_data):
+def test_the_seed_changes_the_figures(result, tiny_plan):
     small = {"counts": (5,), "partitions": (2,), "loads_kgf": (), "covers_mm": ()}
-    one, other = (
-        run_study("liu2014", plan=tiny_plan(seed=seed, **small), workers=1)
-        for seed in (0, 1)
-    )
+    one, other = (run_without_data(tiny_plan(seed=seed, **small)) for seed in (0, 1))
     assert [r["ours"] for r in one["rows"]] != [r["ours"] for r in other["rows"]]
     (same,) = held(one, name="FD+GE SVM", features="raw", protocol="nested")
     (row,) = held(result, name="FD+GE SVM", features="raw", protocol="nested")
@@ -154,10 +150,10 @@ def test_the_seed_changes_the_figures(result, tiny_plan, no_data):
 
 
 @pytest.mark.parametrize("protocol", ["nested", "paper"])
-def test_one_protocol_alone(protocol, tiny_plan, no_data):
+def test_one_protocol_alone(protocol, tiny_plan):
     small = {"counts": (5,), "partitions": (2,), "loads_kgf": (), "covers_mm": ()}
     plan = tiny_plan(protocol=protocol, **small)
-    rows = run_study("liu2014", plan=plan, workers=1)["rows"]
+    rows = run_without_data(plan)["rows"]
     assert {row["protocol"] for row in rows} == {protocol}
 
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from sklearn.utils import check_array
 
 from ._kernels import Kernel, kernel_diagonals, kernel_stack
 from ._mkl_problem import Floats, Solution
@@ -19,8 +20,8 @@ _BLOCK_BYTES = 32 * 2**20
 # A kernel whose spread is below this share of its size is constant.
 _CONSTANT = 1e-12
 # Share of the trace by which eigenvalues may miss zero, and of the largest entry by
-# which a matrix may miss symmetry, for rounding.
-_ROUNDING = 1e-8
+# which a matrix may miss symmetry, for rounding: of doubles, and of less.
+_ROUNDING, _COARSE_ROUNDING = 1e-8, 1e-5
 
 
 class DenseBank(ABC):
@@ -112,11 +113,20 @@ class GivenBank(DenseBank):
     ----------
     stack : ndarray of shape (n_touches, n_touches, n_kernels)
     normalize : {"trace", "variance", None}
+    coarse : bool
+        Whether the values had fewer digits than doubles.
+
+    Raises
+    ------
+    ValueError
+        For a matrix that is not symmetric or not positive semi-definite.
     """
 
-    def __init__(self, stack: Floats, normalize: str | None) -> None:
+    def __init__(self, stack: Floats, normalize: str | None, coarse: bool) -> None:
         self._stack = np.ascontiguousarray(stack.transpose(2, 0, 1))
-        _refuse_not_a_kernel(self._stack)
+        rounding = _COARSE_ROUNDING if coarse else _ROUNDING
+        _refuse_skew(self._stack, rounding)
+        _refuse_indefinite(self._stack, rounding)
         self.n_touches = len(stack)
         diagonals = np.einsum("kii->ki", self._stack)
         mean = self._stack.mean(axis=(1, 2)) if normalize == "variance" else None
@@ -168,9 +178,9 @@ def row_blocks(n_rows: int, values_per_row: int) -> Iterator[slice]:
 
 def check_given(X: object, n_train: int | None = None) -> Floats:
     """Return precomputed kernels as (n_touches, n_train, n_kernels), or explain."""
-    stack = np.asarray(X)
-    if stack.dtype.kind not in "biuf":
-        raise TypeError(f"Kernels must be numbers, got an array of {stack.dtype}.")
+    stack: Floats = check_array(
+        X, dtype=np.float64, allow_nd=True, input_name="Precomputed kernels"
+    )
     if stack.ndim == 2:
         stack = stack[:, :, None]
     if stack.ndim != 3 or 0 in stack.shape:
@@ -181,30 +191,24 @@ def check_given(X: object, n_train: int | None = None) -> Floats:
     wanted = stack.shape[0] if n_train is None else n_train
     if stack.shape[1] != wanted:
         raise ValueError(
-            "Precomputed kernels must have a column per training touch "
-            f"({wanted}), got {stack.shape[1]}."
+            f"X has {stack.shape[1]} features, but MKLSVC is expecting {wanted} "
+            "features as input: precomputed kernels need a column per training touch."
         )
-    finite = np.isfinite(stack).all(axis=(0, 1))
-    if not finite.all():
-        raise ValueError(
-            "Precomputed kernels must be finite, got NaN or infinity in kernel "
-            f"{int(finite.argmin())}."
-        )
-    return stack.astype(np.float64, copy=False)
+    return stack
 
 
 def refuse_overflow(kernels: Sequence[Kernel], diagonals: Floats) -> None:
     finite = np.isfinite(diagonals).all(axis=1)
     if not finite.all():
         raise ValueError(
-            f"Kernels must be finite, got infinity from {kernels[finite.argmin()]}. "
-            "Scale the features first, for example with StandardScaler."
+            "Kernels must be finite, got infinity from "
+            f"{kernels[int(finite.argmin())]}. Scale the features first, for example "
+            "with StandardScaler."
         )
 
 
-def _refuse_not_a_kernel(stack: Floats) -> None:
-    _refuse_skew(stack)
-    lift = _ROUNDING * np.einsum("kii->k", np.abs(stack))
+def _refuse_indefinite(stack: Floats, rounding: float) -> None:
+    lift = rounding * np.einsum("kii->k", np.abs(stack))
     lifted = stack.copy()
     diagonals = np.einsum("kii->ki", lifted)
     # A matrix of zeros has no trace, and is a kernel all the same.
@@ -220,12 +224,12 @@ def _refuse_not_a_kernel(stack: Floats) -> None:
         ) from None
 
 
-def _refuse_skew(stack: Floats) -> None:
+def _refuse_skew(stack: Floats, rounding: float) -> None:
     mirrored = stack.swapaxes(1, 2)
     if (stack == mirrored).all():
         return
     skew = np.abs(stack - mirrored).max(axis=(1, 2))
-    bad = skew > _ROUNDING * np.abs(stack).max(axis=(1, 2))
+    bad = skew > rounding * np.abs(stack).max(axis=(1, 2))
     if bad.any():
         worst = int(bad.argmax())
         raise ValueError(

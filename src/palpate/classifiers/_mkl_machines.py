@@ -79,9 +79,7 @@ class SingleKernelMachines:
         exact = solve_interior(part, self._C, tol=_EXACT)
         self._keep(rows[left], exact.alpha, exact.bias, _state(part, exact, self._C))
 
-    def _keep(
-        self, rows: NDArray, alpha: Floats, bias: Floats, state: NDArray
-    ) -> None:
+    def _keep(self, rows: NDArray, alpha: Floats, bias: Floats, state: NDArray) -> None:
         self._alpha[rows], self._bias[rows], self._state[rows] = alpha, bias, state
 
     def solution(self, weights: Floats, n_iter: NDArray) -> Solution:

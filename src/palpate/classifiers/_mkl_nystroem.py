@@ -187,9 +187,11 @@ class LowRankKernels:
         ease = 1 / diagonal[0]
         matrix = self._inner(weights[0], pull)
         for rows, block in self._blocks():
-            scaled = block * (np.sqrt(ease[rows]) * np.abs(self.labels[0, rows]))[:, None]
+            root = np.sqrt(ease[rows]) * np.abs(self.labels[0, rows])
+            scaled = block * root[:, None]
             matrix += scaled.T @ scaled
         inner = cholesky_solver(matrix)
+
         def apply(columns: Floats) -> Floats:
             pulled = pull.times_root(pull.forces)[0]
             return self._times(columns, diagonal[0], weights[0], pulled)

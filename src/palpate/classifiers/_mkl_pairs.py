@@ -54,9 +54,7 @@ class Settings:
     def solve(self, system: Any) -> Solution:
         """Solve the problems of `system` by the solver asked for."""
         if self.solver == "simplemkl":
-            return solve_simplemkl(
-                system, self.C, tol=self.tol, max_iter=self.max_iter
-            )
+            return solve_simplemkl(system, self.C, tol=self.tol, max_iter=self.max_iter)
         return solve_interior(
             system, self.C, norm=self.norm, tol=self.tol, max_iter=self.max_iter
         )

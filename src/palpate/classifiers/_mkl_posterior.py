@@ -74,7 +74,7 @@ def fit_sigmoids(scores: Floats, labels: Floats) -> Floats:
     unit = np.where(unit > 0, unit, 1)[:, None]
     inputs = np.stack([scores / unit, np.ones_like(scores)], axis=2)
     prior = np.log((n_plus + 1) / (n_minus + 1))
-    sigmoid = np.concatenate([np.zeros_like(prior), prior], axis=1)
+    sigmoid: Floats = np.concatenate([np.zeros_like(prior), prior], axis=1)
     for _ in range(_NEWTON_STEPS):
         step = _newton_step(sigmoid, inputs, target, counted)
         sigmoid = _shortened(sigmoid, step, inputs, target, counted)

@@ -11,8 +11,12 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import Tags, check_random_state
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.multiclass import check_classification_targets
-from sklearn.utils.validation import check_consistent_length, check_is_fitted
-from sklearn.utils.validation import column_or_1d, validate_data
+from sklearn.utils.validation import (
+    check_consistent_length,
+    check_is_fitted,
+    column_or_1d,
+    validate_data,
+)
 
 from .._checks import check_count, check_number, check_option, check_positive
 from ._kernels import Kernel, check_kernels, kernel_stack
@@ -108,7 +112,8 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         From kernel values at the landmarks to features; empty without landmarks.
     sigmoids_ : ndarray of shape (n_pairs, 2)
         Slope and offset of each pair's probability.
-    n_train_touches_ : int
+    n_features_in_ : int
+        With precomputed kernels, the number of training touches.
 
     Notes
     -----
@@ -259,9 +264,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         """Check the parameters that do not depend on the touches."""
         solver = check_option("solver", self.solver, _TOLERANCES)
         check_option("normalize", self.normalize, ("trace", "variance", None))
-        check_option(
-            "approximation", self.approximation, ("auto", "none", "nystroem")
-        )
+        check_option("approximation", self.approximation, ("auto", "none", "nystroem"))
         norm = check_number("norm", self.norm, low=1)
         if solver == "simplemkl" and (norm != 1 or self.approximation == "nystroem"):
             raise ValueError(
@@ -286,6 +289,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
             touches = check_given(X)
             labels = column_or_1d(y, warn=True)
             check_consistent_length(touches, labels)
+            self.n_features_in_ = len(touches)
         else:
             touches, labels = validate_data(self, X, y, dtype=np.float64)
         check_classification_targets(labels)
@@ -293,7 +297,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
 
     def _validated_touches(self, X: ArrayLike) -> Floats:
         if self._is_given():
-            return check_given(X, self.n_train_touches_)
+            return check_given(X, self.n_features_in_)
         touches: Floats = validate_data(self, X, dtype=np.float64, reset=False)
         return touches
 
@@ -308,7 +312,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
                     "approximation must be 'none' or 'auto' with precomputed kernels, "
                     "got 'nystroem'. Pass features and a list of kernels instead."
                 )
-            return GivenBank(touches, self.normalize)
+            return GivenBank(touches, self.normalize, self._is_coarse)
         kernels = check_kernels(self.kernels)
         if through_landmarks and self.solver != "simplemkl":
             random = check_random_state(self.random_state)
@@ -320,7 +324,6 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         self.objective_, self.gap_ = machines.objective, machines.gap
         self.n_iter_, self.intercept_ = machines.n_iter, machines.bias
         self.sigmoids_, self.kernel_scales_ = machines.sigmoids, bank.scales
-        self.n_train_touches_ = bank.n_touches
         self.support_ = np.flatnonzero(machines.coefficients.any(axis=0))
         self.dual_coef_ = machines.coefficients[:, self.support_]
         self.kernels_: list[Kernel] = []
@@ -332,7 +335,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
             self.touches_ = bank.features.landmarks
         elif isinstance(bank, FeatureBank):
             self.touches_ = bank.centred[self.support_]
-        if not isinstance(bank, GivenBank):
+        if isinstance(bank, FeatureBank | NystroemBank):
             self.kernels_, self.mean_ = list(bank.kernels), bank.mean
 
     def _warn(self, settings: Settings) -> None:

@@ -70,9 +70,10 @@ class DenseKernels:
 def _small_solver(matrix: Floats) -> Solver:
     def solve(right: Floats) -> Floats:
         try:
-            return np.linalg.solve(matrix, right)
+            solved: Floats = np.linalg.solve(matrix, right)
         except np.linalg.LinAlgError:
-            return np.linalg.solve(_lifted(matrix), right)
+            solved = np.linalg.solve(_lifted(matrix), right)
+        return solved
 
     return solve
 

@@ -9,6 +9,7 @@ import sys
 
 import typer
 
+from . import simulate_dome  # noqa: F401, registers `dome` and `pins`
 from .bench import bench
 from .demo import demo
 from .doctor import doctor

@@ -80,7 +80,7 @@ def array(
     """Press flat parts on a pressure array, each time laid down anew."""
     from ..simulation import PressureArray, simulate_presses
 
-    _check_output(output)
+    check_output(output)
     made = simulate_presses(
         _parts(parts),
         presses,
@@ -134,7 +134,7 @@ def _load(text: str) -> float | tuple[float, float]:
     return loads[0] if len(loads) == 1 else (loads[0], loads[1])
 
 
-def _check_output(path: Path) -> None:
+def check_output(path: Path) -> None:
     """Refuse before pressing, not after."""
     if path.suffix.lower() != ".npz":
         raise ValueError(f"--output must end in .npz, got {path.name!r}.")

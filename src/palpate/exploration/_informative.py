@@ -50,7 +50,8 @@ class Stations:
     def __init__(self, touch_map: TouchMap, places: Floats) -> None:
         self._map = touch_map
         closeness = touch_map.closeness(places)
-        ratio = touch_map.station_ratio(touch_map.left_out_nearness(), closeness)
+        nearness, allowed = touch_map.left_out()
+        ratio = touch_map.station_ratio(nearness, closeness, allowed)
         felt = touch_map.touch_weight_ * touch_map.left_out_.T
         evidence = felt + touch_map.placed_weight_ * ratio
         self._closeness = closeness.astype(np.float32)

@@ -112,6 +112,9 @@ class TouchMap:
         self.features_ = np.asarray(recogniser.features_)
         self.codes_ = np.searchsorted(recogniser.classes_, recogniser.labels_)
         self.group_ = np.asarray(recogniser.stretches_)
+        self._of_object = [
+            np.flatnonzero(self.codes_ == code) for code in range(self.n_objects)
+        ]
         squared = squared_distances(self.features_, self.features_)
         self._unit = float(squared.mean())
         self.left_out_ = log_softmax(
@@ -155,25 +158,44 @@ class TouchMap:
         """
         squared = squared_distances(stations, self.places_)
         kernel = np.exp(squared / (-2 * self.width_**2)) + _ELSEWHERE
-        per_object = np.add.reduceat(kernel[:, self._order], self._starts, axis=1)
-        result: Floats = kernel / per_object[:, self.codes_]
-        return result
+        for rows in self._of_object:
+            kernel[:, rows] /= kernel[:, rows].sum(axis=1, keepdims=True)
+        return kernel
 
-    def station_ratio(self, nearness: Floats, closeness: Floats) -> Floats:
-        """Return log r of touches at stations, (n_stations, n_objects, n_touches)."""
-        order = self._order
-        result = np.empty((len(closeness), self.n_objects, len(nearness)))
-        for code, rows in enumerate(np.split(order, self._starts[1:])):
-            near = nearness[:, rows]
+    def station_ratio(
+        self, nearness: Floats, closeness: Floats, allowed: Floats | None = None
+    ) -> Floats:
+        """Return log r of touches at stations, (n_stations, n_objects, n_touches).
+
+        Parameters
+        ----------
+        nearness : ndarray of shape (n_touches, n_training)
+            N of their features about those of the training touches.
+        closeness : ndarray of shape (n_stations, n_training)
+            From `closeness`.
+        allowed : ndarray of shape (n_touches, n_training), optional
+            0 where a training touch may not speak about a touch, else 1.
+        """
+        shape = (len(closeness), self.n_objects, len(nearness))
+        result = np.empty(shape, dtype=closeness.dtype)
+        for code, rows in enumerate(self._of_object):
+            free = np.ones((len(nearness), len(rows))) if allowed is None else (
+                allowed[:, rows]
+            )
+            near = nearness[:, rows] * free
             here = closeness[:, rows] @ near.T
-            anywhere = near.sum(axis=1) / np.maximum((near > 0).sum(axis=1), 1)
-            result[:, code] = np.log((here + _TINY) / (anywhere + _TINY))
+            weight = closeness[:, rows] @ free.T
+            result[:, code] = _log_ratio(here, weight, near.sum(axis=1), free.sum(axis=1))
         return result
 
-    def left_out_nearness(self) -> Floats:
-        """Return N(f_i; f_j) of training touches, 0 within a stretch, (n, n)."""
+    def left_out(self) -> tuple[Floats, Floats]:
+        """Return `nearness` and `allowed` of training touches, (n, n) each.
+
+        A touch hears nothing from its own stretch of the recording.
+        """
         squared = squared_distances(self.features_, self.features_)
-        return self._without_own(self._feature_nearness(squared))
+        allowed = (self.group_[:, None] != self.group_).astype(np.float64)
+        return self._feature_nearness(squared), allowed
 
     def weighed(self, touch: Floats, placed: Floats) -> Floats:
         """Return the floored evidence of touches, (..., n_objects, n_turns).
@@ -191,22 +213,11 @@ class TouchMap:
         """Return c after so many touches."""
         return 1 / (1 + (max(n_touches, 1) - 1) * self.correlation_)
 
-    @property
-    def _order(self) -> NDArray[np.intp]:
-        return np.argsort(self.codes_, kind="stable")
-
-    @property
-    def _starts(self) -> NDArray[np.intp]:
-        return np.searchsorted(self.codes_[self._order], np.arange(self.n_objects))
-
     def _feature_nearness(self, squared: Floats) -> Floats:
         """N of features but for a factor per touch, at most 1."""
         least = squared.min(axis=1, keepdims=True)
         result: Floats = np.exp((squared - least) / (-2 * self.bandwidth_**2))
         return result
-
-    def _without_own(self, nearness: Floats) -> Floats:
-        return np.where(self.group_[:, None] == self.group_, 0.0, nearness)
 
     def _weighed(
         self, touch: Floats, placed: Floats, touch_weight: float, placed_weight: float
@@ -240,16 +251,20 @@ class TouchMap:
 
         Shape (n_touches, n_objects, n_turns); the first turn is the true one.
         """
-        nearness = self._without_own(self._feature_nearness(squared))
+        nearness = self._feature_nearness(squared)
+        allowed = (self.group_[:, None] != self.group_).astype(np.float64)
         stations = turned_back(self.places_, self.n_turns)
         result = np.empty((len(squared), self.n_objects, self.n_turns))
         for turn in range(self.n_turns):
-            closeness = self.closeness(stations[:, turn])
-            for code, rows in enumerate(np.split(self._order, self._starts[1:])):
-                near = nearness[:, rows]
+            closeness = self.closeness(stations[:, turn]) * allowed
+            for code, rows in enumerate(self._of_object):
+                near = nearness[:, rows] * allowed[:, rows]
                 here = (closeness[:, rows] * near).sum(axis=1)
-                anywhere = near.sum(axis=1) / np.maximum((near > 0).sum(axis=1), 1)
-                result[:, code, turn] = np.log((here + _TINY) / (anywhere + _TINY))
+                weight = closeness[:, rows].sum(axis=1)
+                n_free = allowed[:, rows].sum(axis=1)
+                result[:, code, turn] = _log_ratio(
+                    here, weight, near.sum(axis=1), n_free
+                )
         return result
 
     def _best_weights(
@@ -294,18 +309,25 @@ class TouchMap:
     def _episodes(self) -> list[NDArray[np.intp]]:
         """Draw episodes of each length, (n_episodes, n_touches) training touches."""
         rng = np.random.default_rng(self.random_state)
-        of_object = np.split(self._order, self._starts[1:])
         drawn = []
         for length in LENGTHS:
             rows = [
                 rng.permutation(touches)[:length]
-                for touches in of_object
+                for touches in self._of_object
                 for _ in range(EPISODES_PER_OBJECT)
                 if len(touches) >= length
             ]
             if rows:
                 drawn.append(np.stack(rows))
         return drawn
+
+
+def _log_ratio(here: Floats, weight: Floats, total: Floats, n_free: Floats) -> Floats:
+    """log of the weighted mean over the plain mean; 0 where nothing may speak."""
+    placed = here / np.maximum(weight, _TINY)
+    anywhere = total / np.maximum(n_free, 1)
+    ratio: Floats = np.log((placed + _TINY) / (anywhere + _TINY))
+    return ratio
 
 
 def places_of(touches: Touches, places: ArrayLike | None, n_turns: int) -> Floats:

@@ -131,7 +131,7 @@ def _work(job: Job) -> float:
 
 def _judge_group(jobs: Iterable[Job], plan: Liu2014Plan, number: int) -> Runs:
     """Do one run of every job, on one thread so that sums round alike everywhere."""
-    with threadpool_limits(limits=1, user_api="blas"):
+    with threadpool_limits(limits=1):
         return [
             judge_run(
                 job.method,
