@@ -8,21 +8,19 @@ import numpy as np
 import pytest
 
 from palpate import Touches
+from palpate.recognition import ObjectRecogniser
 
 NAMES = ("ball", "mug", "pen")
-VERBS = ("learn", "recognise", "evaluate", "simulate", "study", "demo", "bench", "doctor")
-
-
-def palpate(*arguments, **options):
-    """Run the command in a process of its own."""
-    return subprocess.run(
-        [sys.executable, "-m", "palpate", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-        **options,
-    )
+VERBS = (
+    "learn",
+    "recognise",
+    "evaluate",
+    "simulate",
+    "study",
+    "demo",
+    "bench",
+    "doctor",
+)
 
 
 @pytest.fixture(scope="module")
@@ -38,14 +36,19 @@ def archive(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def model(archive):
-    done = palpate("learn", archive, "-o", archive.parent / "m.palpate", "--json")
+    recogniser = ObjectRecogniser().fit(Touches.load(archive))
+    return recogniser.save(archive.parent / "m.palpate")
+
+
+def test_learn_writes_a_model_that_recognises(palpate, archive, tmp_path):
+    done = palpate("learn", archive, "-o", tmp_path / "m.palpate", "--json")
     assert done.returncode == 0, done.stderr
     learnt = json.loads(done.stdout)
     assert learnt["n_labels"] == 3
-    return learnt["model"]
+    assert ObjectRecogniser.load(learnt["model"]).classes_.tolist() == list(NAMES)
 
 
-def test_recognise_gives_one_episode_per_object(archive, model):
+def test_recognise_gives_one_episode_per_object(palpate, archive, model):
     done = palpate("recognise", model, archive, "--json")
     episodes = json.loads(done.stdout)["episodes"]
     assert [e["object"] for e in episodes] == list(NAMES)
@@ -59,7 +62,7 @@ def test_recognise_gives_one_episode_per_object(archive, model):
         assert episode["reasons"]
 
 
-def test_recognise_draws_the_belief_for_people(archive, model):
+def test_recognise_draws_the_belief_for_people(palpate, archive, model):
     done = palpate("recognise", model, archive)
     assert done.returncode == 0
     assert "Touches of mug:" in done.stdout
@@ -67,7 +70,7 @@ def test_recognise_draws_the_belief_for_people(archive, model):
     assert "█" in done.stdout
 
 
-def test_evaluate_prints_json_and_writes_the_report(archive, tmp_path):
+def test_evaluate_prints_json_and_writes_the_report(palpate, archive, tmp_path):
     report = tmp_path / "r.html"
     done = palpate(
         "evaluate",
@@ -87,7 +90,7 @@ def test_evaluate_prints_json_and_writes_the_report(archive, tmp_path):
     assert done.stderr == ""
 
 
-def test_every_verb_has_help():
+def test_every_verb_has_help(palpate):
     listed = palpate("--help").stdout
     for verb in VERBS:
         assert verb in listed
@@ -121,7 +124,7 @@ def test_help_loads_nothing_heavy():
         (["touch"], 2, "No such command"),
     ],
 )
-def test_failures_say_what_to_do(arguments, code, message, tmp_path):
+def test_failures_say_what_to_do(palpate, arguments, code, message, tmp_path):
     done = palpate(*arguments, cwd=tmp_path)
     assert done.returncode == code
     assert message in done.stderr
@@ -129,26 +132,27 @@ def test_failures_say_what_to_do(arguments, code, message, tmp_path):
     assert "Traceback" not in done.stderr
 
 
-def test_a_split_without_labels_is_refused(archive, tmp_path):
+def test_a_split_without_labels_is_refused(palpate, archive, tmp_path):
     Touches.load(archive).without("object").save(tmp_path / "bare.npz")
     done = palpate("evaluate", "--train", tmp_path / "bare.npz", "--split", "last")
     assert done.returncode == 1
     assert "column 'object'" in done.stderr
 
 
-def test_demo_without_data_says_where_to_get_it(tmp_path):
-    done = palpate("demo", "--real", cwd=tmp_path, env={"PATH": "/usr/bin"})
+def test_demo_without_data_says_where_to_get_it(palpate, monkeypatch, tmp_path):
+    monkeypatch.delenv("PALPATE_DATA", raising=False)
+    done = palpate("demo", "--real", cwd=tmp_path)
     assert done.returncode == 1
     assert "PALPATE_DATA" in done.stderr
     assert list(tmp_path.iterdir()) == []
 
 
-def test_doctor_knows_this_installation():
+def test_doctor_knows_this_installation(palpate):
     done = palpate("doctor", "--json")
     found = json.loads(done.stdout)
     assert found["healthy"]
     assert {"numpy", "matplotlib"} <= {check["name"] for check in found["checks"]}
 
 
-def test_bench_lists_its_names():
+def test_bench_lists_its_names(palpate):
     assert "zernike" in palpate("bench", "--list").stdout

@@ -1,8 +1,6 @@
 """`palpate simulate dome` and `pins` from outside."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -10,18 +8,15 @@ import pytest
 from palpate import Touches
 
 
-def simulate(*arguments, cwd):
-    return subprocess.run(
-        [sys.executable, "-m", "palpate", "simulate", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-        cwd=cwd,
-    )
+@pytest.fixture
+def simulate(palpate):
+    def run(*arguments, cwd):
+        return palpate("simulate", *arguments, cwd=cwd)
+
+    return run
 
 
-def test_dome_touches_objects_and_a_mesh_file(tmp_path):
+def test_dome_touches_objects_and_a_mesh_file(simulate, tmp_path):
     import trimesh
 
     trimesh.creation.box((30, 40, 50)).export(tmp_path / "brick.stl")
@@ -37,7 +32,7 @@ def test_dome_touches_objects_and_a_mesh_file(tmp_path):
     assert made.geometry == "dome"
 
 
-def test_pins_touch_the_basic_shapes(tmp_path):
+def test_pins_touch_the_basic_shapes(simulate, tmp_path):
     done = simulate(
         "pins", "-o", "t.npz", "edge", "nothing", "--touches", 2,
         "--rows", 80, "--cols", 80, "--workers", 1, cwd=tmp_path,
@@ -47,7 +42,7 @@ def test_pins_touch_the_basic_shapes(tmp_path):
     assert made.images.shape == (4, 80, 80)
 
 
-def test_same_seed_same_touches(tmp_path):
+def test_same_seed_same_touches(simulate, tmp_path):
     for name in ("a.npz", "b.npz"):
         done = simulate(
             "dome", "-o", name, "pen", "--touches", 2, "--rows", 48, "--cols", 48,
@@ -70,7 +65,7 @@ def test_same_seed_same_touches(tmp_path):
         (["pins", "-o", "t.npz", "mug", "--touches", "0"], "at least 1, got 0"),
     ],
 )
-def test_refusals_leave_nothing(tmp_path, arguments, message):
+def test_refusals_leave_nothing(simulate, tmp_path, arguments, message):
     done = simulate(*arguments, cwd=tmp_path)
     assert done.returncode == 1
     assert message in done.stderr

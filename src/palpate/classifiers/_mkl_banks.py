@@ -113,8 +113,6 @@ class GivenBank(DenseBank):
     ----------
     stack : ndarray of shape (n_touches, n_touches, n_kernels)
     normalize : {"trace", "variance", None}
-    coarse : bool
-        Whether the values had fewer digits than doubles.
 
     Raises
     ------
@@ -122,9 +120,9 @@ class GivenBank(DenseBank):
         For a matrix that is not symmetric or not positive semi-definite.
     """
 
-    def __init__(self, stack: Floats, normalize: str | None, coarse: bool) -> None:
-        self._stack = np.ascontiguousarray(stack.transpose(2, 0, 1))
-        rounding = _COARSE_ROUNDING if coarse else _ROUNDING
+    def __init__(self, stack: Floats, normalize: str | None) -> None:
+        self._stack = np.ascontiguousarray(stack.transpose(2, 0, 1), dtype=np.float64)
+        rounding = _ROUNDING if stack.dtype == np.float64 else _COARSE_ROUNDING
         _refuse_skew(self._stack, rounding)
         _refuse_indefinite(self._stack, rounding)
         self.n_touches = len(stack)
@@ -179,7 +177,7 @@ def row_blocks(n_rows: int, values_per_row: int) -> Iterator[slice]:
 def check_given(X: object, n_train: int | None = None) -> Floats:
     """Return precomputed kernels as (n_touches, n_train, n_kernels), or explain."""
     stack: Floats = check_array(
-        X, dtype=np.float64, allow_nd=True, input_name="Precomputed kernels"
+        X, dtype=[np.float64, np.float32], allow_nd=True, input_name="X"
     )
     if stack.ndim == 2:
         stack = stack[:, :, None]

@@ -5,6 +5,8 @@ probabilities each pair gets a sigmoid, fitted to decisions about touches that w
 left out, and the pairs are coupled into one distribution.
 """
 
+from typing import cast
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
@@ -93,8 +95,8 @@ def _newton_step(
     gradient = (counted * (chance - target))[:, None, :] @ inputs
     curvature = (counted * chance * (1 - chance))[:, :, None] * inputs
     hessian = inputs.transpose(0, 2, 1) @ curvature + 1e-10 * np.eye(2)
-    step: Floats = -np.linalg.solve(hessian, gradient.transpose(0, 2, 1))[:, :, 0]
-    return step
+    step = np.linalg.solve(hessian, -gradient.transpose(0, 2, 1))[:, :, 0]
+    return cast(Floats, step)
 
 
 def _shortened(

@@ -312,7 +312,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
                     "approximation must be 'none' or 'auto' with precomputed kernels, "
                     "got 'nystroem'. Pass features and a list of kernels instead."
                 )
-            return GivenBank(touches, self.normalize, self._is_coarse)
+            return GivenBank(touches, self.normalize)
         kernels = check_kernels(self.kernels)
         if through_landmarks and self.solver != "simplemkl":
             random = check_random_state(self.random_state)

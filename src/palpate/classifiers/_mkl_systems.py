@@ -1,6 +1,6 @@
 """Kernel matrices held whole: a batch of problems in one array."""
 
-from typing import Self
+from typing import Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,10 +70,9 @@ class DenseKernels:
 def _small_solver(matrix: Floats) -> Solver:
     def solve(right: Floats) -> Floats:
         try:
-            solved: Floats = np.linalg.solve(matrix, right)
+            return cast(Floats, np.linalg.solve(matrix, right))
         except np.linalg.LinAlgError:
-            solved = np.linalg.solve(_lifted(matrix), right)
-        return solved
+            return cast(Floats, np.linalg.solve(_lifted(matrix), right))
 
     return solve
 
