@@ -152,7 +152,7 @@ def test_the_seed_changes_the_figures(result, tiny_plan):
 @pytest.mark.parametrize("protocol", ["nested", "paper"])
 def test_one_protocol_alone(protocol, tiny_plan):
     small = {"counts": (5,), "partitions": (2,), "loads_kgf": (), "covers_mm": ()}
-    plan = tiny_plan(protocol=protocol, **small)
+    plan = tiny_plan(protocol=protocol, runs=1, **small)
     rows = run_without_data(plan)["rows"]
     assert {row["protocol"] for row in rows} == {protocol}
 
@@ -202,7 +202,8 @@ def test_unknown_studies_are_refused_with_the_names():
 def test_quick_is_part_of_the_whole():
     whole, quick = Liu2014Plan(), Liu2014Plan.quick(seed=3)
     assert quick.seed == 3
-    for name in ("counts", "partitions", "loads_kgf", "covers_mm", "mkl_costs"):
+    names = ("counts", "partitions", "loads_kgf", "covers_mm", "widths", "components")
+    for name in (*names, "svm_widths", "svm_costs", "mkl_costs"):
         assert set(getattr(quick, name)) <= set(getattr(whole, name))
 
 

@@ -121,22 +121,22 @@ class GivenBank(DenseBank):
     """
 
     def __init__(self, stack: Floats, normalize: str | None) -> None:
-        self._stack = np.ascontiguousarray(stack.transpose(2, 0, 1), dtype=np.float64)
+        self._values = np.ascontiguousarray(stack, dtype=np.float64)
         rounding = _ROUNDING if stack.dtype == np.float64 else _COARSE_ROUNDING
-        _refuse_skew(self._stack, rounding)
-        _refuse_indefinite(self._stack, rounding)
+        # One at a time: copies of the whole stack would cost more than the checks.
+        for k in range(stack.shape[2]):
+            _refuse_not_a_kernel(self._values[:, :, k].copy(), k, rounding)
         self.n_touches = len(stack)
-        diagonals = np.einsum("kii->ki", self._stack)
-        mean = self._stack.mean(axis=(1, 2)) if normalize == "variance" else None
+        diagonals = np.einsum("iik->ki", self._values)
+        mean = self._values.mean(axis=(0, 1)) if normalize == "variance" else None
         self.scales = kernel_scales(diagonals, mean, normalize)
 
     def blocks(self, index: NDArray) -> Floats:
         n_rows, n = index.shape
-        flat = index[:, :, None] * self.n_touches + index[:, None, :]
-        taken = self._stack.reshape(len(self.scales), -1).take(flat.ravel(), axis=1)
         blocks = np.empty((n_rows, len(self.scales), n, n))
-        by_row = taken.reshape(len(self.scales), n_rows, n, n).swapaxes(0, 1)
-        np.multiply(by_row, self.scales[:, None, None], out=blocks)
+        for block, row in zip(blocks, index, strict=True):
+            chosen = self._values[row[:, None], row]
+            np.multiply(chosen.transpose(2, 0, 1), self.scales[:, None, None], block)
         return blocks
 
 
@@ -205,33 +205,24 @@ def refuse_overflow(kernels: Sequence[Kernel], diagonals: Floats) -> None:
         )
 
 
-def _refuse_indefinite(stack: Floats, rounding: float) -> None:
-    lift = rounding * np.einsum("kii->k", np.abs(stack))
-    lifted = stack.copy()
-    diagonals = np.einsum("kii->ki", lifted)
+def _refuse_not_a_kernel(matrix: Floats, k: int, rounding: float) -> None:
+    """Raise if kernel `k` is not symmetric or not positive semi-definite."""
+    if not (matrix == matrix.T).all():
+        skew = np.abs(matrix - matrix.T).max()
+        if skew > rounding * np.abs(matrix).max():
+            raise ValueError(
+                "Precomputed kernels must be symmetric, got a difference of "
+                f"{skew:.3g} across the diagonal of kernel {k}. Pass (K + K.T) / 2."
+            )
+    lift = rounding * np.abs(matrix.diagonal()).sum()
+    lifted = matrix.copy()
     # A matrix of zeros has no trace, and is a kernel all the same.
-    diagonals += np.where((diagonals == 0).all(axis=1), 1e-300, lift)[:, None]
+    lifted[np.diag_indices_from(lifted)] += lift if matrix.any() else 1.0
     try:
         np.linalg.cholesky(lifted)
     except np.linalg.LinAlgError:
-        lowest = np.linalg.eigvalsh(stack)[:, 0]
-        worst = int((lowest / np.maximum(lift, 1e-300)).argmin())
+        lowest = np.linalg.eigvalsh(matrix)[0]
         raise ValueError(
             "Precomputed kernels must be positive semi-definite, got an eigenvalue "
-            f"of {lowest[worst]:.3g} in kernel {worst}. Clip its eigenvalues at zero."
+            f"of {lowest:.3g} in kernel {k}. Clip its eigenvalues at zero."
         ) from None
-
-
-def _refuse_skew(stack: Floats, rounding: float) -> None:
-    mirrored = stack.swapaxes(1, 2)
-    if (stack == mirrored).all():
-        return
-    skew = np.abs(stack - mirrored).max(axis=(1, 2))
-    bad = skew > rounding * np.abs(stack).max(axis=(1, 2))
-    if bad.any():
-        worst = int(bad.argmax())
-        raise ValueError(
-            "Precomputed kernels must be symmetric, got a difference of "
-            f"{skew[worst]:.3g} across the diagonal of kernel {worst}. "
-            "Pass (K + K.T) / 2."
-        )

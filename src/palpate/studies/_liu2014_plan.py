@@ -85,11 +85,11 @@ class Liu2014Plan:
     loads_kgf: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0, 5.0)
     covers_mm: tuple[float, ...] = (0.3, 0.6, 0.9, 1.5, 2.0, 3.0)
     inner_folds: int = 3
-    widths: tuple[float, ...] = (0.5, 1.0, 2.0)
-    components: tuple[int, ...] = (5, 10, 20, 40)
-    svm_widths: tuple[float, ...] = (0.5, 1.0, 2.0)
+    widths: tuple[float, ...] = (1.0, 2.0, 4.0)
+    components: tuple[int, ...] = (10, 20, 40)
+    svm_widths: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0)
     svm_costs: tuple[float, ...] = (1.0, 10.0, 100.0)
-    mkl_costs: tuple[float, ...] = (1e2, 1e3, 1e4)
+    mkl_costs: tuple[float, ...] = (1e2, 1e3)
     presses: Mapping[str, Any] = field(default_factory=dict)
     protocol: str = "both"
     seed: int = 0
@@ -116,9 +116,9 @@ class Liu2014Plan:
             "loads_kgf": (1.0, 4.0),
             "covers_mm": (0.3, 0.9, 3.0),
             "inner_folds": 2,
-            "widths": (1.0,),
-            "components": (10, 20),
-            "svm_widths": (1.0,),
+            "widths": (2.0,),
+            "components": (20, 40),
+            "svm_widths": (1.0, 2.0),
             "svm_costs": (10.0, 100.0),
             "mkl_costs": (1e3,),
         }
