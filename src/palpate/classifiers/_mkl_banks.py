@@ -5,18 +5,16 @@ errors suits them all; touches to recognise get the same factors.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.utils import check_array
 
 from ._kernels import Kernel, kernel_diagonals, kernel_stack
-from ._mkl_problem import Floats, Solution
+from ._mkl_problem import BLOCK_BYTES, Floats, Solution, row_blocks
 from ._mkl_systems import DenseKernels
 
-# Bytes of kernel values held at a time beside what the caller holds.
-_BLOCK_BYTES = 32 * 2**20
 # A kernel whose spread is below this share of its size is constant.
 _CONSTANT = 1e-12
 # Share of the trace by which eigenvalues may miss zero, and of the largest entry by
@@ -46,7 +44,7 @@ class DenseBank(ABC):
     def batch_size(self, n_touches: int) -> int:
         """How many problems of that size to hold at a time."""
         per_problem = 8 * len(self.scales) * n_touches**2
-        return max(1, _BLOCK_BYTES // per_problem)
+        return max(1, BLOCK_BYTES // per_problem)
 
     def system(self, index: NDArray, labels: Floats) -> DenseKernels:
         return DenseKernels(self.blocks(index), labels)
@@ -165,13 +163,6 @@ def kernel_scales(
         amount = size - mean
         says = amount > _CONSTANT * np.abs(size)
     return np.where(says, 1 / np.where(says, amount, 1), 0)
-
-
-def row_blocks(n_rows: int, values_per_row: int) -> Iterator[slice]:
-    """Yield slices of rows that keep blocks of values small."""
-    step = max(1, _BLOCK_BYTES // (8 * max(values_per_row, 1)))
-    for start in range(0, n_rows, step):
-        yield slice(start, min(start + step, n_rows))
 
 
 def check_given(X: object, n_train: int | None = None) -> Floats:

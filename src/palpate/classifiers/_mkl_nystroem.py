@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from ._kernels import Kernel, kernel_diagonals, kernel_stack
-from ._mkl_banks import kernel_scales, refuse_overflow, row_blocks
-from ._mkl_problem import Floats, Pull, Solution, Solver
+from ._mkl_banks import kernel_scales, refuse_overflow
+from ._mkl_problem import Floats, Pull, Solution, Solver, row_blocks
 from ._mkl_systems import cholesky_solver
 
 # Directions of a kernel below this share of its largest are rounding.

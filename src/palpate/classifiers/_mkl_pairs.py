@@ -80,9 +80,14 @@ class PairMachines:
     sigmoids : ndarray of shape (n_pairs, 2)
         Slope and offset of the probability of the second class; zero where
         nothing was calibrated.
+    left_out : ndarray of shape (n_touches, n_classes)
+        Decision about each touch between its class and each other one, by a
+        machine that did not learn it; NaN where there is none.
     """
 
-    def __init__(self, n_classes: int, n_kernels: int, n_columns: int) -> None:
+    def __init__(
+        self, n_classes: int, n_kernels: int, n_columns: int, n_touches: int
+    ) -> None:
         self.pairs = all_pairs(n_classes)
         n_pairs = len(self.pairs)
         self.coefficients = np.zeros((n_pairs, n_columns))
@@ -90,6 +95,7 @@ class PairMachines:
         self.bias, self.objective, self.gap = np.zeros((3, n_pairs))
         self.n_iter = np.zeros(n_pairs, dtype=np.int64)
         self.sigmoids = np.zeros((n_pairs, 2))
+        self.left_out = np.full((n_touches, n_classes), np.nan)
 
 
 def learn_pairs(bank: Bank, codes: NDArray, settings: Settings) -> PairMachines:
@@ -104,7 +110,8 @@ def learn_pairs(bank: Bank, codes: NDArray, settings: Settings) -> PairMachines:
     settings : Settings
     """
     n_classes = int(codes.max()) + 1
-    machines = PairMachines(n_classes, len(bank.scales), bank.n_columns)
+    n_kernels, n_touches = len(bank.scales), len(codes)
+    machines = PairMachines(n_classes, n_kernels, bank.n_columns, n_touches)
     folds = _folds(codes)
     for rows, index, labels in _batches(bank, codes, machines.pairs):
         system = bank.system(index, labels)
@@ -119,7 +126,18 @@ def learn_pairs(bank: Bank, codes: NDArray, settings: Settings) -> PairMachines:
                 system, solution, folds[index], bank.n_folds, settings
             )
             machines.sigmoids[rows] = fit_sigmoids(scores, known)
+            _note_left_out(machines, rows, index, scores, known)
     return machines
+
+
+def _note_left_out(
+    machines: PairMachines, rows: NDArray, index: NDArray, scores: Floats, known: Floats
+) -> None:
+    """Write decisions to the row of the touch and the column of the other class."""
+    row, place = np.nonzero(known)
+    other = np.where(known[row, place] > 0, 0, 1)
+    columns = machines.pairs[rows[row], other]
+    machines.left_out[index[row, place], columns] = scores[row, place]
 
 
 def _batches(

@@ -9,9 +9,10 @@ from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
+from scipy.optimize import minimize_scalar
+from scipy.special import expit, log_softmax, softmax
 
-from ._mkl_problem import Floats
+from ._mkl_problem import Floats, row_blocks
 
 _NEWTON_STEPS = 50
 # No pair is surer than this.
@@ -130,12 +131,20 @@ def couple(decisions: Floats, sigmoids: Floats, pairs: NDArray) -> Floats:
        multi-class classification by pairwise coupling", J. Mach. Learn. Res. 5,
        2004.
     """
-    n_touches, n_classes = len(decisions), int(pairs.max()) + 1
+    n_classes = int(pairs.max()) + 1
     second = expit(decisions * sigmoids[:, 0] + sigmoids[:, 1])
     second = second.clip(_SUREST, 1 - _SUREST)
-    i, j = pairs.T
     if n_classes == 2:
         return np.concatenate([1 - second, second], axis=1)
+    chances = np.empty((len(second), n_classes))
+    for rows in row_blocks(len(second), 3 * (n_classes + 1) ** 2):
+        chances[rows] = _couple(second[rows], pairs, n_classes)
+    return chances
+
+
+def _couple(second: Floats, pairs: NDArray, n_classes: int) -> Floats:
+    """Couple a block of touches; `second` is the chance of each second class."""
+    n_touches, (i, j) = len(second), pairs.T
     system = np.zeros((n_touches, n_classes + 1, n_classes + 1))
     system[:, i, j] = system[:, j, i] = -second * (1 - second)
     against = np.zeros((n_touches, n_classes, n_classes))
@@ -148,6 +157,61 @@ def couple(decisions: Floats, sigmoids: Floats, pairs: NDArray) -> Floats:
     solved = np.linalg.solve(system, right)[:, :n_classes, 0]
     solved = np.maximum(solved, 0)
     return solved / solved.sum(axis=1, keepdims=True)
+
+
+def put_left_out(
+    decisions: Floats, left_out: Floats, codes: NDArray, pairs: NDArray
+) -> None:
+    """Replace decisions by those of machines that did not learn the touch.
+
+    Parameters
+    ----------
+    decisions : ndarray of shape (n_touches, n_pairs)
+        Overwritten for the pairs of each touch's own class.
+    left_out : ndarray of shape (n_touches, n_classes)
+        Decision between the touch's class and each other one.
+    codes : ndarray of int of shape (n_touches,)
+        Class of each touch.
+    pairs : ndarray of shape (n_pairs, 2)
+    """
+    for number, (first, second) in enumerate(pairs):
+        for own, other in ((first, second), (second, first)):
+            mine = codes == own
+            decisions[mine, number] = left_out[mine, other]
+
+
+def fit_temperature(chances: Floats, codes: NDArray) -> float:
+    """Return the power of coupled probabilities with the least log loss.
+
+    Pairs of few touches are cautious, and coupling many of them more so; one power
+    for all classes, fitted to touches that were left out, makes up for it.
+
+    Parameters
+    ----------
+    chances : ndarray of shape (n_touches, n_classes)
+    codes : ndarray of int of shape (n_touches,)
+        The true classes. One touch in n + 2 is taken to be any other, so that
+        touches that are all recognised do not make the power infinite.
+    """
+    if not len(chances):
+        return 1.0
+    logs = np.log(np.maximum(chances, np.finfo(float).tiny))
+    target = np.zeros_like(logs)
+    target[np.arange(len(codes)), codes] = 1
+    doubt = 1 / (len(codes) + 2)
+    target = (1 - doubt) * target + doubt * (1 - target) / (logs.shape[1] - 1)
+
+    def loss(log_power: float) -> float:
+        return float(-(target * log_softmax(np.exp(log_power) * logs, axis=1)).sum())
+
+    return float(np.exp(minimize_scalar(loss, bounds=(-3, 3), method="bounded").x))
+
+
+def sharpen(chances: Floats, power: float) -> Floats:
+    """Raise probabilities to a power and let them sum to one again."""
+    logs = np.log(np.maximum(chances, np.finfo(float).tiny))
+    sharpened: Floats = softmax(power * logs, axis=1)
+    return sharpened
 
 
 def side_with_votes(probabilities: Floats, winners: NDArray) -> Floats:

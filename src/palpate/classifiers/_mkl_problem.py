@@ -9,7 +9,7 @@ A touch of label 0 is padding: it takes no part, so that problems of unequal siz
 and problems with some touches left out, fit in one batch.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol, Self
 
@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Solver = Callable[[Floats], Floats]
+
+# Bytes of kernel values held at a time beside what the caller holds.
+BLOCK_BYTES = 32 * 2**20
 
 
 class KernelSystem(Protocol):
@@ -208,3 +211,10 @@ def norms(values: Floats, power: float) -> Floats:
 def dual_norm(norm: float) -> float:
     """The q with 1/p + 1/q = 1."""
     return np.inf if norm == 1 else norm / (norm - 1)
+
+
+def row_blocks(n_rows: int, values_per_row: int) -> Iterator[slice]:
+    """Yield slices of rows that keep blocks of values small."""
+    step = max(1, BLOCK_BYTES // (8 * max(values_per_row, 1)))
+    for start in range(0, n_rows, step):
+        yield slice(start, min(start + step, n_rows))

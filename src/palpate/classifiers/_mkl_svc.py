@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.exceptions import ConvergenceWarning
-from sklearn.utils import Tags, check_random_state
+from sklearn.utils import Tags
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import (
@@ -18,17 +18,20 @@ from sklearn.utils.validation import (
     validate_data,
 )
 
-from .._checks import check_count, check_number, check_option, check_positive
-from ._kernels import Kernel, check_kernels, kernel_stack
-from ._mkl_banks import FeatureBank, GivenBank, check_given, row_blocks
+from ._kernels import Kernel, kernel_stack
+from ._mkl_banks import FeatureBank, check_given
 from ._mkl_nystroem import LandmarkFeatures, NystroemBank
+from ._mkl_options import check_settings, is_given, make_bank
 from ._mkl_pairs import Bank, PairMachines, Settings, learn_pairs
-from ._mkl_posterior import couple, side_with_votes, vote
-from ._mkl_problem import Floats
-
-# Pairs of more touches than this are learnt through landmarks by default.
-_MOST_TOUCHES = 3000
-_TOLERANCES = {"interior": 1e-6, "simplemkl": 1e-2}
+from ._mkl_posterior import (
+    couple,
+    fit_temperature,
+    put_left_out,
+    sharpen,
+    side_with_votes,
+    vote,
+)
+from ._mkl_problem import Floats, row_blocks
 
 
 def _has_probability(estimator: "MKLSVC") -> bool:
@@ -47,9 +50,10 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
 
     Parameters
     ----------
-    C : float, default=100
+    C : float, default=1000
         Price of a margin error. Kernels of trace 1 are of the order of 1 / n, so a
-        good C grows with the number of training touches.
+        good C grows with the number n of training touches; with "variance", 1 to
+        10 is usual.
     kernels : "paper", "precomputed" or list of kernels, default="paper"
         "paper" is the bank of Liu et al. [1]_: Gaussians of sigma = 2^-5 ... 2^10
         and polynomials (1 + x'y)^p, p = 1 ... 6. A list holds `GaussianKernel`,
@@ -112,6 +116,8 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         From kernel values at the landmarks to features; empty without landmarks.
     sigmoids_ : ndarray of shape (n_pairs, 2)
         Slope and offset of each pair's probability.
+    temperature_ : float
+        Power of the coupled probabilities.
     n_features_in_ : int
         With precomputed kernels, the number of training touches.
 
@@ -124,11 +130,12 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
 
     **Probabilities.** The touches of each class, in the order given, are cut into
     five stretches; each is judged by machines, kernel weights included, that learnt
-    the other four. A sigmoid per pair is fitted to those decisions and the pairs
-    are coupled. Where that contradicts the votes, the voted class and those above
-    it share their mean, so that the most probable class is the predicted one. A
-    class of one touch cannot be left out: its pairs are calibrated on the touch
-    learnt.
+    the other four (with landmarks, the first stretch alone). A sigmoid per pair is
+    fitted to those decisions, the pairs are coupled, and with more than two classes
+    one power for all is fitted to the coupled probabilities of the same touches.
+    Where the result contradicts the votes, the voted class and those above it share
+    their mean, so that the most probable class is the predicted one. A class of one
+    touch cannot be left out: its pairs are calibrated on the touch learnt.
 
     **Size.** The interior point needs memory for n_kernels * n^2 numbers and time of
     the order of n_kernels * n^2 + n^3 per iteration, n the touches of one pair;
@@ -154,7 +161,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
 
     def __init__(
         self,
-        C: float = 100.0,
+        C: float = 1000.0,
         *,
         kernels: str | Iterable[Kernel] = "paper",
         normalize: str | None = "trace",
@@ -195,7 +202,15 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         ConvergenceWarning
             If a pair stayed above the duality gap asked for; it says the gap.
         """
-        settings = self._settings()
+        settings = check_settings(
+            C=self.C,
+            norm=self.norm,
+            solver=self.solver,
+            approximation=self.approximation,
+            tol=self.tol,
+            max_iter=self.max_iter,
+            probability=self.probability,
+        )
         touches, labels = self._validated(X, y)
         self.classes_, codes = np.unique(labels, return_inverse=True)
         if len(self.classes_) < 2:
@@ -203,9 +218,21 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
                 "y must hold at least two classes, got one class: "
                 f"{self.classes_[0]!r}. Add touches of another."
             )
-        bank = self._bank(touches, codes)
+        bank = make_bank(
+            touches,
+            codes,
+            kernels=self.kernels,
+            normalize=self.normalize,
+            solver=self.solver,
+            approximation=self.approximation,
+            n_landmarks=self.n_landmarks,
+            random_state=self.random_state,
+        )
         machines = learn_pairs(bank, codes, settings)
         self._store(bank, machines)
+        self.temperature_ = 1.0
+        if settings.calibrate and len(self.classes_) > 2:
+            self._fit_temperature(touches, codes, machines)
         self._warn(settings)
         return self
 
@@ -219,13 +246,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
     def pair_decisions(self, X: ArrayLike) -> Floats:
         """Return the decision of each pair's machine, shape (n_touches, n_pairs)."""
         check_is_fitted(self)
-        touches = self._validated_touches(X)
-        decisions = np.empty((len(touches), len(self.pairs_)))
-        n_kernels, n_columns = self.weights_.shape[1], self.dual_coef_.shape[1]
-        per_touch = n_columns * (n_kernels + 2)
-        for rows in row_blocks(len(touches), per_touch):
-            decisions[rows] = self._decide(touches[rows])
-        return decisions + self.intercept_
+        return self._decisions(self._validated_touches(X))
 
     def predict(self, X: ArrayLike) -> NDArray:
         """Return the label with most votes of each touch."""
@@ -243,10 +264,8 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
             winners = (decisions[:, 0] > 0).astype(int)
         else:
             winners = vote(decisions, self.pairs_, n_classes).argmax(axis=1)
-        chances = np.empty((len(decisions), n_classes))
-        for rows in row_blocks(len(decisions), 3 * n_classes**2):
-            chances[rows] = couple(decisions[rows], self.sigmoids_, self.pairs_)
-        return side_with_votes(chances, winners)
+        chances = couple(decisions, self.sigmoids_, self.pairs_)
+        return side_with_votes(sharpen(chances, self.temperature_), winners)
 
     @available_if(_has_probability)
     def predict_log_proba(self, X: ArrayLike) -> Floats:
@@ -256,36 +275,12 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
 
     def __sklearn_tags__(self) -> Tags:
         tags = super().__sklearn_tags__()
-        tags.input_tags.pairwise = self._is_given()
-        tags.input_tags.three_d_array = self._is_given()
+        tags.input_tags.pairwise = is_given(self.kernels)
+        tags.input_tags.three_d_array = is_given(self.kernels)
         return tags
 
-    def _settings(self) -> Settings:
-        """Check the parameters that do not depend on the touches."""
-        solver = check_option("solver", self.solver, _TOLERANCES)
-        check_option("normalize", self.normalize, ("trace", "variance", None))
-        check_option("approximation", self.approximation, ("auto", "none", "nystroem"))
-        norm = check_number("norm", self.norm, low=1)
-        if solver == "simplemkl" and (norm != 1 or self.approximation == "nystroem"):
-            raise ValueError(
-                "solver must be 'interior' for norm above 1 or approximation "
-                "'nystroem', got 'simplemkl'. Leave solver at its default."
-            )
-        tol = _TOLERANCES[solver] if self.tol is None else self.tol
-        return Settings(
-            C=check_positive("C", self.C),
-            norm=norm,
-            solver=solver,
-            tol=check_positive("tol", tol),
-            max_iter=check_count("max_iter", self.max_iter),
-            calibrate=bool(self.probability),
-        )
-
-    def _is_given(self) -> bool:
-        return isinstance(self.kernels, str) and self.kernels == "precomputed"
-
     def _validated(self, X: ArrayLike, y: ArrayLike) -> tuple[Floats, NDArray]:
-        if self._is_given():
+        if is_given(self.kernels):
             touches = check_given(X)
             labels = column_or_1d(y, warn=True)
             check_consistent_length(touches, labels)
@@ -296,28 +291,10 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         return touches, labels
 
     def _validated_touches(self, X: ArrayLike) -> Floats:
-        if self._is_given():
+        if is_given(self.kernels):
             return check_given(X, self.n_features_in_)
         touches: Floats = validate_data(self, X, dtype=np.float64, reset=False)
         return touches
-
-    def _bank(self, touches: Floats, codes: NDArray) -> Bank:
-        landmarks = check_count("n_landmarks", self.n_landmarks)
-        largest = int(np.sort(np.bincount(codes))[-2:].sum())
-        many = self.approximation == "auto" and largest > _MOST_TOUCHES
-        through_landmarks = self.approximation == "nystroem" or many
-        if self._is_given():
-            if self.approximation == "nystroem":
-                raise ValueError(
-                    "approximation must be 'none' or 'auto' with precomputed kernels, "
-                    "got 'nystroem'. Pass features and a list of kernels instead."
-                )
-            return GivenBank(touches, self.normalize)
-        kernels = check_kernels(self.kernels)
-        if through_landmarks and self.solver != "simplemkl":
-            random = check_random_state(self.random_state)
-            return NystroemBank(kernels, touches, self.normalize, landmarks, random)
-        return FeatureBank(kernels, touches, self.normalize)
 
     def _store(self, bank: Bank, machines: PairMachines) -> None:
         self.pairs_, self.weights_ = machines.pairs, machines.weights
@@ -338,6 +315,16 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         if isinstance(bank, FeatureBank | NystroemBank):
             self.kernels_, self.mean_ = list(bank.kernels), bank.mean
 
+    def _fit_temperature(
+        self, touches: Floats, codes: NDArray, machines: PairMachines
+    ) -> None:
+        """Judge training touches by machines that did not learn them."""
+        judged = np.isfinite(machines.left_out).sum(axis=1) == len(self.classes_) - 1
+        decisions = self._decisions(touches[judged])
+        put_left_out(decisions, machines.left_out[judged], codes[judged], self.pairs_)
+        chances = couple(decisions, self.sigmoids_, self.pairs_)
+        self.temperature_ = fit_temperature(chances, codes[judged])
+
     def _warn(self, settings: Settings) -> None:
         short = self.gap_ > settings.tol
         if short.any():
@@ -350,6 +337,18 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
                 stacklevel=3,
             )
 
+    def _decisions(self, touches: Floats) -> Floats:
+        decisions = np.empty((len(touches), len(self.pairs_)))
+        n_kernels, n_columns = self.weights_.shape[1], self.dual_coef_.shape[1]
+        for rows in row_blocks(len(touches), n_columns * (n_kernels + 2)):
+            decisions[rows] = self._decide(touches[rows])
+        if not np.isfinite(decisions).all():
+            raise ValueError(
+                "X must lie where the kernels are finite, got touches too far from "
+                "the training touches. Scale the features as in training."
+            )
+        return decisions + self.intercept_
+
     def _decide(self, touches: Floats) -> Floats:
         """Decisions of all pairs less their bias, for a block of touches."""
         if self.feature_maps_:
@@ -359,7 +358,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
             return features(touches - self.mean_) @ self.dual_coef_.T
         factors = self.weights_ * self.kernel_scales_
         used = np.flatnonzero(factors.any(axis=0))
-        if self._is_given():
+        if is_given(self.kernels):
             stack = touches[:, self.support_][:, :, used].transpose(2, 0, 1)
         else:
             kernels = [self.kernels_[k] for k in used]

@@ -26,7 +26,7 @@ CORE = (
 )
 EXTRAS = {
     "plot": ("matplotlib",),
-    "sim": ("trimesh", "embreex", "shapely", "numba"),
+    "sim": ("trimesh", "embreex", "shapely", "gymnasium"),
     "bench": ("mahotas", "centrosome"),
 }
 

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from .._checks import check_count
 from ..simulation import SensorPose
@@ -32,8 +31,7 @@ from ._touch_map import Floats, TouchMap, squared_distances
 if TYPE_CHECKING:
     from ..recognition import Belief
 
-_LEAST_BELIEVED = 1e-3
-_LEAST_FELT = 1e-5
+_LEAST = np.float32(1e-30)
 
 
 class Stations:
@@ -54,6 +52,7 @@ class Stations:
         ratio = touch_map.station_ratio(nearness, closeness, allowed)
         felt = touch_map.touch_weight_ * touch_map.left_out_.T
         evidence = felt + touch_map.placed_weight_ * ratio
+        evidence -= evidence.max(axis=(0, 1))
         self._closeness = closeness.astype(np.float32)
         self._evidence = evidence.astype(np.float32)
 
@@ -69,41 +68,42 @@ class Stations:
         n_touches : int
             How many touches it rests on.
         station_of : ndarray of shape (n_candidates, n_turns)
-            Which station a candidate is on an object that is turned so.
+            Which station a candidate is on an object that is turned so, another one
+            for each turn.
         """
-        log_belief = logsumexp(log_joint, axis=1)
-        possible = np.flatnonzero(log_belief > np.log(_LEAST_BELIEVED))
-        of_touch = np.searchsorted(possible, self._map.codes_)
-        known = np.isin(self._map.codes_, possible)
-        discount = self._map.discount(n_touches + 1)
-        gains = []
-        for stations in station_of:
-            felt = self._felt(log_joint, stations) * known
-            rows = np.flatnonzero(felt > _LEAST_FELT)
-            evidence = self._evidence[np.ix_(stations, possible, rows)]
-            after = self._after(log_joint[possible], evidence, discount)
-            true = of_touch[rows]
-            gain = after[true, np.arange(len(rows))] - log_belief[possible][true]
-            gains.append(float(felt[rows] @ gain))
-        return np.array(gains)
+        joint = np.exp(log_joint).astype(np.float32)
+        turned = np.zeros((len(joint), len(station_of), len(self._closeness)), "f4")
+        turned[:, np.arange(len(station_of))[:, None], station_of] = joint[:, None]
+        felt = np.empty((len(station_of), len(self._map.codes_)), np.float32)
+        for code, rows in enumerate(self._map.rows_of_object):
+            felt[:, rows] = turned[code] @ self._closeness[:, rows]
+        after = self._after(joint, turned, station_of, n_touches)
+        before = joint.sum(axis=1)[self._map.codes_]
+        gain = np.log(np.maximum(after, _LEAST)) - np.log(np.maximum(before, _LEAST))
+        return np.asarray((felt * gain).sum(axis=1), dtype=np.float64)
 
-    def _felt(self, log_joint: Floats, stations: NDArray[np.intp]) -> Floats:
-        """Probability of feeling each training touch at a candidate, (n_touches,)."""
-        joint = np.exp(log_joint).astype(np.float32)[self._map.codes_]
-        felt: Floats = np.einsum("ai,ia->i", self._closeness[stations], joint)
-        return felt
-
-    def _after(self, log_joint: Floats, evidence: Floats, discount: float) -> Floats:
-        """Log posterior of objects after each touch, (n_possible, n_felt)."""
+    def _after(
+        self,
+        joint: Floats,
+        turned: Floats,
+        station_of: NDArray[np.intp],
+        n_touches: int,
+    ) -> Floats:
+        """Posterior of the true object after each touch, (n_candidates, n_touches)."""
+        discount = np.float32(self._map.discount(n_touches + 1))
+        likelihood = np.exp(discount * self._evidence)
+        anywhere = likelihood.sum(axis=1)
+        total = sum(anywhere[stations] for stations in station_of.T)
         floor = self._map.recogniser.floor_
-        n_hypotheses = evidence.shape[0] * evidence.shape[1]
-        relative = evidence - logsumexp(evidence, axis=(0, 1))
-        if floor > 0:
-            least = np.float32(np.log(floor / n_hypotheses))
-            relative = np.logaddexp(np.float32(np.log1p(-floor)) + relative, least)
-        joint = log_joint.T[..., None] + np.float32(discount) * relative
-        objects = logsumexp(joint, axis=0)
-        after: Floats = objects - logsumexp(objects, axis=0)
+        share = np.float32(1 - floor) / np.maximum(total, _LEAST)
+        own = np.empty_like(total)
+        everything = np.zeros_like(total)
+        for code, rows in enumerate(self._map.rows_of_object):
+            told = turned[code] @ likelihood[:, code] * share
+            told += np.float32(floor / joint.size) * joint[code].sum()
+            own[:, rows] = told[:, rows]
+            everything += told
+        after: Floats = own / np.maximum(everything, _LEAST)
         return after
 
 

@@ -112,7 +112,7 @@ class TouchMap:
         self.features_ = np.asarray(recogniser.features_)
         self.codes_ = np.searchsorted(recogniser.classes_, recogniser.labels_)
         self.group_ = np.asarray(recogniser.stretches_)
-        self._of_object = [
+        self.rows_of_object = [
             np.flatnonzero(self.codes_ == code) for code in range(self.n_objects)
         ]
         squared = squared_distances(self.features_, self.features_)
@@ -158,7 +158,7 @@ class TouchMap:
         """
         squared = squared_distances(stations, self.places_)
         kernel = np.exp(squared / (-2 * self.width_**2)) + _ELSEWHERE
-        for rows in self._of_object:
+        for rows in self.rows_of_object:
             kernel[:, rows] /= kernel[:, rows].sum(axis=1, keepdims=True)
         return kernel
 
@@ -178,7 +178,7 @@ class TouchMap:
         """
         shape = (len(closeness), self.n_objects, len(nearness))
         result = np.empty(shape, dtype=closeness.dtype)
-        for code, rows in enumerate(self._of_object):
+        for code, rows in enumerate(self.rows_of_object):
             free = np.ones((len(nearness), len(rows))) if allowed is None else (
                 allowed[:, rows]
             )
@@ -257,7 +257,7 @@ class TouchMap:
         result = np.empty((len(squared), self.n_objects, self.n_turns))
         for turn in range(self.n_turns):
             closeness = self.closeness(stations[:, turn]) * allowed
-            for code, rows in enumerate(self._of_object):
+            for code, rows in enumerate(self.rows_of_object):
                 near = nearness[:, rows] * allowed[:, rows]
                 here = (closeness[:, rows] * near).sum(axis=1)
                 weight = closeness[:, rows].sum(axis=1)
@@ -313,7 +313,7 @@ class TouchMap:
         for length in LENGTHS:
             rows = [
                 rng.permutation(touches)[:length]
-                for touches in self._of_object
+                for touches in self.rows_of_object
                 for _ in range(EPISODES_PER_OBJECT)
                 if len(touches) >= length
             ]
