@@ -132,10 +132,26 @@ def test_report_escapes_names(tmp_path):
         ({}, "either test touches or a split, got neither"),
         ({"test": drawn(1, NAMES), "split": "last"}, "got both"),
         ({"test": drawn(1, ("mug_a", "key_a"))}, "'key_a', which was not learnt"),
-        ({"split": "last", "plan": Plan(touches=(0,))}, "touches must be at least 1"),
-        ({"split": "last", "plan": Plan(label="size")}, "'object', 'category'"),
+        ({"split": "last", "plan": Plan(touches=(500,))}, "a number up to 4"),
+        ({"split": "last", "unknown": drawn(1, ("mug_a",))}, "got 'mug_a'"),
     ],
 )
 def test_refusals(arguments, message):
     with pytest.raises(ValueError, match=message):
         evaluate(drawn(0, NAMES), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"touches": (0,)}, "touches must be at least 1"),
+        ({"label": "size"}, "'object', 'category'"),
+        ({"preset": "best"}, "'default'"),
+        ({"error": 5.0}, "error must be finite and between"),
+        ({"orders": 0}, "orders must be at least 1"),
+        ({"seed": -1}, "seed must be at least 0"),
+    ],
+)
+def test_a_plan_is_checked_before_anything_is_read(values, message):
+    with pytest.raises(ValueError, match=message):
+        Plan(**values)

@@ -205,3 +205,44 @@ def test_whole_sessions_are_left_out_together(rng):
     one = touches.with_columns(session=np.ones(72, int))
     by_stretch = training_groups(one, one.object, one.object, "object")
     assert len(set(by_stretch)) == 15
+
+
+def test_a_sure_object_is_not_called_unknown(recogniser):
+    belief = recogniser.start()
+    for _ in range(12):
+        belief.update_from_log_likelihood(np.array([0.0, -8.0, -9.0]))
+    assert belief.decide(0.01) == "ball"
+
+
+def test_limits_follow_added_objects(rng):
+    everything = drawn(rng, noise=3)
+    pens = everything.object == "pen"
+    grown = ObjectRecogniser().fit(everything[~pens])
+    before = grown.unknown_limits_
+    grown.add_object("pen", everything[pens])
+    assert not np.array_equal(grown.unknown_limits_, before)
+    whole = ObjectRecogniser().fit(everything)
+    # Width and ridge were chosen without the third object, so not to the digit.
+    assert grown.unknown_threshold(1) == pytest.approx(
+        whole.unknown_threshold(1), abs=0.1
+    )
+
+
+def test_rarely_touched_objects_are_not_neglected():
+    """Ten touches of one object against sixty of another, in heavy noise."""
+    rng = np.random.default_rng(1)
+    touches = drawn(rng, n_each=60, names=("ball", "mug"), noise=2.5)
+    uneven = touches[np.r_[0:10, 60:120]]
+    learnt = ObjectRecogniser().fit(uneven)
+    test = drawn(rng, n_each=100, names=("ball", "mug"), noise=2.5)
+    best = learnt.classes_[learnt.log_likelihood(test).argmax(axis=1)]
+    right = best == test.object
+    assert abs(right[:100].mean() - right[100:].mean()) < 0.4
+    assert right.mean() > 0.7
+
+
+def test_only_named_sets_of_touches_are_learnt(recogniser):
+    with pytest.raises(TypeError, match="must be Touches, got ndarray"):
+        ObjectRecogniser().fit(np.zeros((4, 3, 24)))
+    with pytest.raises(ValueError, match="text that is not empty"):
+        recogniser.add_object("", np.zeros((3, 24)))

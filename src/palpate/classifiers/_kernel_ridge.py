@@ -38,7 +38,8 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         Candidate ridges, added to the diagonal of the kernel matrix.
     max_choice_touches : int, default=1500
         With more training touches than this, width and ridge are chosen on an
-        evenly spaced subset of the groups; the final machine learns from all.
+        evenly spaced part of them; the final machine learns from all. Memory grows
+        with the square of their number (8 bytes n^2, four times over).
 
     Attributes
     ----------
@@ -51,6 +52,10 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         out with their group, at the chosen pair.
     temperature_ : float
         Factor on the regression scores before the softmax.
+    log_counts_ : ndarray of shape (n_classes,)
+        Logarithms of the numbers of training touches. The scores lean towards
+        frequent labels; these are subtracted, so that posteriors are those under
+        equal priors.
     left_out_scores_ : ndarray of shape (n_touches, n_classes)
         Regression scores of each training touch with its group left out.
     touches_, coefficients_ : ndarray
@@ -144,6 +149,7 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         inverse, self.coefficients_ = _solve(kernel, target, self.ridge_)
         self.touches_ = touches
         self.left_out_scores_ = _left_out(inverse, self.coefficients_, target, group)
+        self.log_counts_ = _log_counts(codes, target.shape[1])
         found = _best_temperature(self.left_out_scores_, codes)
         self.temperature_, self.log_loss_ = found
 
@@ -163,16 +169,13 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         row is a likelihood but for a factor that no belief depends on.
         """
         scores = self.scores(X)
-        log_posterior: Floats = log_softmax(self.temperature_ * scores, axis=1)
-        return log_posterior
+        return _log_posterior(self.temperature_, scores, self.log_counts_)
 
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches with their groups left out."""
         check_is_fitted(self)
-        log_posterior: Floats = log_softmax(
-            self.temperature_ * self.left_out_scores_, axis=1
-        )
-        return log_posterior
+        scores = self.left_out_scores_
+        return _log_posterior(self.temperature_, scores, self.log_counts_)
 
     def predict_log_proba(self, X: ArrayLike) -> Floats:
         """Return the log posterior under equal priors, (n_touches, n_classes)."""
@@ -184,7 +187,7 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
 
     def predict(self, X: ArrayLike) -> NDArray:
         """Return the most probable label of each touch."""
-        best = self.scores(X).argmax(axis=1)
+        best = self.log_likelihood(X).argmax(axis=1)
         return self.classes_[best]
 
     def refit(
@@ -243,12 +246,24 @@ def _left_out(
     return scores
 
 
+def _log_counts(codes: NDArray, n_classes: int) -> Floats:
+    counts: Floats = np.log(np.maximum(np.bincount(codes, minlength=n_classes), 1))
+    return counts
+
+
+def _log_posterior(temperature: float, scores: Floats, log_counts: Floats) -> Floats:
+    """Log posterior under equal priors."""
+    log_posterior: Floats = log_softmax(temperature * scores - log_counts, axis=1)
+    return log_posterior
+
+
 def _best_temperature(scores: Floats, codes: NDArray) -> tuple[float, float]:
     """Return the factor with the least log loss, and that loss (nats)."""
     rows = np.arange(len(codes))
+    log_counts = _log_counts(codes, scores.shape[1])
 
     def loss(log_factor: float) -> float:
-        log_posterior = log_softmax(np.exp(log_factor) * scores, axis=1)
+        log_posterior = _log_posterior(np.exp(log_factor), scores, log_counts)
         return float(-log_posterior[rows, codes].mean())
 
     found = minimize_scalar(loss, bounds=(-3, 6), method="bounded")

@@ -27,6 +27,7 @@ class DenseBank(ABC):
 
     n_folds = 5
     n_touches: int
+    normalize: str | None
     scales: Floats
 
     @abstractmethod
@@ -47,17 +48,22 @@ class DenseBank(ABC):
         return max(1, BLOCK_BYTES // per_problem)
 
     def system(self, index: NDArray, labels: Floats) -> DenseKernels:
-        return DenseKernels(self.blocks(index), labels)
+        """Return the problems of the touches of each row of `index`."""
+        blocks = self.blocks(index)
+        if self.normalize == "trace":
+            # No kernel has a large constant part.
+            return DenseKernels(blocks, labels)
+        return DenseKernels.centred(blocks, labels)
 
-    def coefficients(
+    def machines(
         self, system: DenseKernels, index: NDArray, solution: Solution
-    ) -> Floats:
-        """Return y a of each machine at the place of its touches."""
+    ) -> tuple[Floats, Floats]:
+        """Return y a of each machine at the place of its touches, and its bias."""
         placed = np.zeros((len(index), self.n_touches))
         rows = np.arange(len(index))[:, None]
         # Padding repeats a touch with nothing to add.
         np.add.at(placed, (rows, index), system.labels * solution.alpha)
-        return placed
+        return placed, system.true_bias(solution)
 
 
 class FeatureBank(DenseBank):
@@ -79,7 +85,7 @@ class FeatureBank(DenseBank):
     def __init__(
         self, kernels: Sequence[Kernel], touches: Floats, normalize: str | None
     ) -> None:
-        self.kernels = kernels
+        self.kernels, self.normalize = kernels, normalize
         self.mean = touches.mean(axis=0)
         self.centred = touches - self.mean
         self.n_touches = len(touches)
@@ -124,7 +130,7 @@ class GivenBank(DenseBank):
         # One at a time: copies of the whole stack would cost more than the checks.
         for k in range(stack.shape[2]):
             _refuse_not_a_kernel(self._values[:, :, k].copy(), k, rounding)
-        self.n_touches = len(stack)
+        self.n_touches, self.normalize = len(stack), normalize
         diagonals = np.einsum("iik->ki", self._values)
         mean = self._values.mean(axis=(0, 1)) if normalize == "variance" else None
         self.scales = kernel_scales(diagonals, mean, normalize)

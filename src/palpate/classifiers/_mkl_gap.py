@@ -46,17 +46,13 @@ def _upper_bound(task: Task, point: Point, view: View) -> Floats:
     takes the iteration's margin errors and widens the hyperplane until every
     margin is met, which a large C would make dear otherwise.
     """
-    square = norms(point.weights, task.norm) * _energy(point, view)
-    as_it_is = square + task.C * np.maximum(view.missing, 0).sum(axis=1)
-    short = np.maximum((view.missing - point.errors).max(axis=1), 0)
+    square, missing = view.bound_square, view.bound_missing
+    as_it_is = square + task.C * np.maximum(missing, 0).sum(axis=1)
+    short = np.maximum((missing - point.errors).max(axis=1), 0)
     wider = 1 / (1 - np.minimum(short, 0.5))
     errors = (task.real * point.errors).sum(axis=1)
     widened = square * wider**2 + task.C * errors * wider
     return np.where(short < 0.5, np.minimum(as_it_is, widened), as_it_is)
-
-
-def _energy(point: Point, view: View) -> Floats:
-    return (point.weights * view.energies).sum(axis=1)
 
 
 def _is_near(task: Task, point: Point, tol: float) -> bool:
@@ -94,7 +90,7 @@ class Best:
             return np.ones(len(rows), dtype=bool)
         gap = relative_gap(task, point, view)
         better = gap < self.gap[rows]
-        _overwrite(self.point, rows[better], point.take(better))
+        self.point.overwrite(rows[better], point.take(better))
         self.gap[rows[better]] = gap[better]
         self._found_at[rows[better]] = self.n_iter[rows[better]]
         waited = self.n_iter[rows] - self._found_at[rows]
@@ -109,45 +105,25 @@ class Best:
 
     def solution(self, task: Task) -> Solution:
         """Return the machines, with tiny weights and multipliers set to zero."""
-        point = _feasible(task, self.point)
-        view = View(task, point)
-        gap, energy = relative_gap(task, point, view), _energy(point, view)
+        point = task.system.settled(task, self.point, 0)
+        view = task.view(point)
+        gap, energies = relative_gap(task, point, view), view.energies
         for share_of_weight, share_of_alpha in _SMALL:
             sparse = point.take(np.arange(len(gap)))
-            _drop_small(sparse.weights, share_of_weight)
-            _drop_small(sparse.alpha, share_of_alpha)
-            sparse = _feasible(task, sparse)
-            view = View(task, sparse)
+            alpha = sparse.alpha
+            alpha[alpha < share_of_alpha * alpha.max(axis=1, keepdims=True)] = 0
+            sparse = task.system.settled(task, sparse, share_of_weight)
+            view = task.view(sparse)
             found = relative_gap(task, sparse, view)
             swap = found <= np.maximum(self._tol, gap)
-            _overwrite(point, swap, sparse.take(swap))
-            gap[swap], energy[swap] = found[swap], _energy(sparse, view)[swap]
+            point.overwrite(swap, sparse.take(swap))
+            gap[swap], energies[swap] = found[swap], view.energies[swap]
         return Solution(
             alpha=point.alpha,
             bias=point.free[:, 0],
             weights=point.weights,
-            objective=point.alpha.sum(axis=1) - energy,
+            normal=task.system.normal(point),
+            objective=point.alpha.sum(axis=1) - (point.weights * energies).sum(axis=1),
             gap=gap,
             n_iter=np.maximum(self.n_iter, 1),
         )
-
-
-def _overwrite(old: Point, rows: NDArray, new: Point) -> None:
-    old.left[rows], old.right[rows], old.free[rows] = new.left, new.right, new.free
-
-
-def _drop_small(values: Floats, share: float) -> None:
-    values[values < share * values.max(axis=1, keepdims=True)] = 0
-
-
-def _feasible(task: Task, point: Point) -> Point:
-    """Take padding out, make both labels pull equally and the weights of norm 1."""
-    labels, n = task.labels, point.n_touches
-    alpha = task.real * point.alpha
-    plus = np.where(labels > 0, alpha, 0).sum(axis=1, keepdims=True)
-    minus = np.where(labels < 0, alpha, 0).sum(axis=1, keepdims=True)
-    least = np.minimum(plus, minus)
-    left = point.left.copy()
-    left[:, :n] = alpha * np.where(labels > 0, least / plus, least / minus)
-    left[:, 2 * n :] /= norms(point.weights, task.norm)[:, None]
-    return Point(left, point.right, point.free, n)

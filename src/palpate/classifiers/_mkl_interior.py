@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._mkl_gap import Best
-from ._mkl_newton import Newton
-from ._mkl_problem import Floats, KernelSystem, Point, Solution, Task, View, weighted
+from ._mkl_problem import Floats, KernelSystem, Point, Solution, Task, View
 
 # A step stops this share short of the boundary.
 _SHORT_OF_BOUNDARY = 0.99
@@ -67,7 +66,7 @@ def solve_interior(
         point = _start(task)
         best = Best(point, tol)
         for remaining in range(max_iter, -1, -1):
-            view = View(task, point)
+            view = task.view(point)
             going = best.improve(task, point, view, last=not remaining)
             if not (remaining and going.any()):
                 break
@@ -86,30 +85,36 @@ def solve_interior(
 
 def _start(task: Task) -> Point:
     """Equal weights; multipliers in balance, as large as pays along their ray."""
-    labels, C = task.labels, task.C
-    (n_problems, n_touches), n_kernels = labels.shape, task.system.n_kernels
-    ray = _ray(labels)
-    forces = task.system.forces(ray)
-    total = ray.sum(axis=1, keepdims=True)
-    energy = 0.5 * (forces @ ray[:, :, None])[:, :, 0]
-    length = total / np.maximum(2 * energy.max(axis=1, keepdims=True), 1e-300)
-    length = np.minimum(length, C)
-    alpha = np.where(task.real > 0, length * ray, C / 2)
+    labels, system = task.labels, task.system
+    (n_problems, n), n_kernels = labels.shape, system.n_kernels
     weights = np.full((n_problems, n_kernels), n_kernels ** (-1 / task.norm))
+    ray = _ray(labels)
+    point = _point(task, ray, weights, n)
+    energy = task.view(point).energies.max(axis=1, keepdims=True)
+    total = ray.sum(axis=1, keepdims=True)
+    length = np.minimum(total / np.maximum(2 * energy, 1e-300), task.C)
+    alpha = np.where(task.real > 0, length * ray, task.C / 2)
+    point = _point(task, alpha, weights, n)
+    view = task.view(point)
     slope = weights ** (task.norm - 1)
-    energy *= length**2
-    scale = np.maximum(energy.max(axis=1, keepdims=True), 1e-3 * length * total)
-    level = 1.5 * scale / slope[:, :1]
-    short = task.real - length * weighted(weights, forces)
-    left = np.concatenate([alpha, C - alpha, weights], axis=1)
-    centre, most = _CROWDED_START if task.system.crowded else _START
-    floor = centre * length * total / n_touches / left
-    right = np.concatenate([-short, short, level * slope - energy], axis=1)
-    right = np.maximum(right, floor)
-    high = right[:, n_touches : 2 * n_touches]
-    np.minimum(high, most * floor[:, n_touches : 2 * n_touches], out=high)
-    free = np.concatenate([np.zeros_like(level), level], axis=1)
-    return Point(left, right, free, n_touches)
+    largest = view.energies.max(axis=1, keepdims=True)
+    level = 1.5 * np.maximum(largest, 1e-3 * length * total) / slope[:, :1]
+    centre, most = _CROWDED_START if system.crowded else _START
+    floor = centre * length * total / n / point.left
+    slack = level * slope - view.energies
+    right = np.concatenate([-view.missing, view.missing, slack], axis=1)
+    point.right[...] = np.maximum(right, floor)
+    np.minimum(point.errors, most * floor[:, n : 2 * n], out=point.errors)
+    point.level[...] = level
+    return point
+
+
+def _point(task: Task, alpha: Floats, weights: Floats, n_touches: int) -> Point:
+    """A point without bias and multipliers of bounds."""
+    left = np.concatenate([alpha, task.C - alpha, weights], axis=1)
+    pulls = task.system.pulls(alpha)
+    free = np.concatenate([np.zeros((len(alpha), 2)), pulls], axis=1)
+    return Point(left, np.zeros_like(left), free, n_touches)
 
 
 def _ray(labels: Floats) -> Floats:
@@ -123,7 +128,7 @@ def _ray(labels: Floats) -> Floats:
 
 def _advanced(task: Task, point: Point, view: View, going: NDArray) -> Point:
     """Return the next point: predictor, then corrector, for problems in `going`."""
-    newton = Newton(task, point, view)
+    newton = task.system.newton(task, point, view)
     products = point.left * point.right
     mean = products.mean(axis=1, keepdims=True)
     ahead = newton.direction(-products)

@@ -49,9 +49,8 @@ class SingleKernelMachines:
         full = np.full((len(self._rows), weights.shape[1]), 1 / weights.shape[1])
         full[here] = weights
         self._solve(_summed(self._system, full))
-        forces = self._system.forces(self._alpha[self._rows])
         alpha = self._alpha[self._rows]
-        energies = 0.5 * (forces @ alpha[:, :, None])[:, :, 0]
+        energies = _view(self._system, alpha, self._bias[self._rows], full)[2].energies
         values = alpha.sum(axis=1) - (full * energies).sum(axis=1)
         return values[here], energies[here]
 
@@ -88,7 +87,8 @@ class SingleKernelMachines:
         self._rows = np.arange(len(weights))
         values, _ = self.evaluate(self._rows, weights)
         gap = _gap(self._whole, self._alpha, self._bias, self._C, weights)
-        return Solution(self._alpha, self._bias, weights, values, gap, n_iter)
+        normal = self._whole.pulls(self._alpha)
+        return Solution(self._alpha, self._bias, weights, normal, values, gap, n_iter)
 
 
 def _summed(system: DenseKernels, weights: Floats) -> DenseKernels:
@@ -151,15 +151,24 @@ def _gap(
     weights: Floats | None = None,
 ) -> Floats:
     """Relative duality gap of the machines; infinite outside the bounds."""
-    n_problems, n = alpha.shape
-    weights = np.ones((n_problems, 1)) if weights is None else weights
+    weights = np.ones((len(alpha), 1)) if weights is None else weights
     outside = ~((alpha >= -1e-9 * C) & (alpha <= C * (1 + 1e-9))).all(axis=1)
-    left = np.concatenate([alpha, C - alpha, weights], axis=1)
-    free = np.stack([bias, np.zeros(n_problems)], axis=1)
-    point = Point(left, np.zeros_like(left), free, n)
-    task = Task(system, C, norm=1.0)
     with np.errstate(all="ignore"):
-        view = View(task, point)
+        task, point, view = _view(system, alpha, bias, weights, C)
         point.errors[...] = np.maximum(view.missing, 0)
         gap = relative_gap(task, point, view)
     return np.where(outside, np.inf, gap)
+
+
+def _view(
+    system: DenseKernels,
+    alpha: Floats,
+    bias: Floats,
+    weights: Floats,
+    C: float = 1.0,
+) -> tuple[Task, Point, View]:
+    left = np.concatenate([alpha, C - alpha, weights], axis=1)
+    free = np.stack([bias, np.zeros(len(bias))], axis=1)
+    point = Point(left, np.zeros_like(left), free, alpha.shape[1])
+    task = Task(system, C, norm=1.0)
+    return task, point, system.view(task, point)

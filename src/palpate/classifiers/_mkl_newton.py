@@ -1,18 +1,60 @@
-"""Newton's step of the interior point: one linear system per problem.
+"""Newton's step of the interior point for kernel matrices: one system per problem.
 
 The unknowns besides the multipliers a are eliminated by hand: bounds are diagonal,
 weights and their level leave a matrix of rank below the number of kernels.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 
-from ._mkl_problem import Floats, Point, Pull, Task, View, weighted
+from ._mkl_problem import Floats, Point, Task, View, weighted
+
+Solver = Callable[[Floats], Floats]
 
 
-class Newton:
-    """The optimality conditions at one point, linearised and factorised once."""
+@dataclass
+class Pull:
+    """The low-rank part of Newton's matrix: what moving the weights does.
 
-    def __init__(self, task: Task, point: Point, view: View) -> None:
+    It is F' (W - W h h' W / h'Wh) F with W = diag(`gain`) and h = `slope`, of
+    shape (n_problems, n_kernels), and F the `forces`.
+    """
+
+    forces: Floats
+    gain: Floats
+    slope: Floats
+
+    def root(self) -> Floats:
+        """Return R' F, with R R' the matrix in brackets."""
+        root = np.sqrt(self.gain)
+        unit = root * self.slope
+        unit /= np.sqrt((unit * unit).sum(axis=1, keepdims=True))
+        scaled = root[:, :, None] * self.forces
+        scaled -= unit[:, :, None] * (unit[:, None, :] @ scaled)
+        return scaled
+
+
+class DualNewton:
+    """The optimality conditions at one point, linearised and factorised once.
+
+    Parameters
+    ----------
+    task, point, view
+        The problems, where they are, and what they see there.
+    factorise : callable
+        (diagonal, weights, pull) -> solver of the matrix diagonal + sum_k d_k Y K_k Y
+        + pull for right-hand sides of shape (n_problems, n_touches, n_columns).
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        point: Point,
+        view: View,
+        factorise: Callable[[Floats, Floats, Pull], Solver],
+    ) -> None:
         self._point, self._view, self._labels = point, view, task.labels
         self._norm = task.norm
         n = point.n_touches
@@ -20,8 +62,8 @@ class Newton:
         diagonal = self._ratio[:, :n] + self._ratio[:, n : 2 * n]
         self._set_gain()
         self._set_residuals()
-        pull = Pull(view.forces, self._gain, self._slope)
-        self._solve = task.system.factorise(diagonal, point.weights, pull)
+        pull = Pull(view.pull, self._gain, self._slope)
+        self._solve = factorise(diagonal, point.weights, pull)
         self._towards_bias: Floats | None = None
 
     def _set_gain(self) -> None:
@@ -36,7 +78,7 @@ class Newton:
         self._gain = 1 / stiffness
         self._slope_gain = self._gain * self._slope
         self._total = (self._slope * self._slope_gain).sum(axis=1, keepdims=True)
-        self._lean = weighted(self._slope_gain / self._total, self._view.forces)
+        self._lean = weighted(self._slope_gain / self._total, self._view.pull)
 
     def _set_residuals(self) -> None:
         """What the optimality conditions lack, besides the products."""
@@ -48,11 +90,8 @@ class Newton:
         self._length = (length - 1) / self._norm
 
     def direction(self, target: Floats) -> Point:
-        """Return the step that changes the products of left and right by `target`.
-
-        To first order, that is, and it removes all other residuals.
-        """
-        point, forces, n = self._point, self._view.forces, self._point.n_touches
+        """Return the step that changes the products of left and right by `target`."""
+        point, forces, n = self._point, self._view.pull, self._point.n_touches
         wanted = target / point.left
         push = wanted[:, 2 * n :] - self._excess
         ahead = (self._slope_gain * push).sum(axis=1, keepdims=True) + self._length

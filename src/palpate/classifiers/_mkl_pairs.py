@@ -36,8 +36,10 @@ class Bank(Protocol):
     def system(self, index: NDArray, labels: Floats) -> Any:
         """Return the kernels among the touches of each row of `index`."""
 
-    def coefficients(self, system: Any, index: NDArray, solution: Solution) -> Floats:
-        """Return what the machines need to recognise, (n_rows, n_columns)."""
+    def machines(
+        self, system: Any, index: NDArray, solution: Solution
+    ) -> tuple[Floats, Floats]:
+        """Return coefficients (n_rows, n_columns) and bias (n_rows,)."""
 
 
 @dataclass(frozen=True)
@@ -116,10 +118,10 @@ def learn_pairs(bank: Bank, codes: NDArray, settings: Settings) -> PairMachines:
     for rows, index, labels in _batches(bank, codes, machines.pairs):
         system = bank.system(index, labels)
         solution = settings.solve(system)
-        machines.coefficients[rows] = bank.coefficients(system, index, solution)
+        made = bank.machines(system, index, solution)
+        machines.coefficients[rows], machines.bias[rows] = made
         machines.weights[rows] = solution.weights
-        machines.bias[rows], machines.gap[rows] = solution.bias, solution.gap
-        machines.objective[rows] = solution.objective
+        machines.gap[rows], machines.objective[rows] = solution.gap, solution.objective
         machines.n_iter[rows] = solution.n_iter
         if settings.calibrate:
             scores, known = _left_out_scores(
@@ -188,13 +190,12 @@ def _left_out_scores(
     """
     labels = system.labels
     lone = (folds == -1) & (labels != 0)
-    whole = system.decisions(solution.alpha, solution.weights)
-    scores = np.where(lone, whole + solution.bias[:, None], 0)
+    scores = np.where(lone, system.decisions(solution), 0)
     known = np.where(lone, labels, 0)
     for fold in range(n_folds):
         out = (folds == fold) & (labels != 0)
         part = system.with_labels(np.where(out, 0, labels))
         rest = settings.solve_roughly(part)
-        decisions = part.decisions(rest.alpha, rest.weights) + rest.bias[:, None]
-        scores, known = np.where(out, decisions, scores), np.where(out, labels, known)
+        scores = np.where(out, part.decisions(rest), scores)
+        known = np.where(out, labels, known)
     return scores, known

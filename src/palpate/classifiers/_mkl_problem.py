@@ -9,7 +9,7 @@ A touch of label 0 is padding: it takes no part, so that problems of unequal siz
 and problems with some touches left out, fit in one batch.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol, Self
 
@@ -17,104 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-Solver = Callable[[Floats], Floats]
 
 # Bytes of kernel values held at a time beside what the caller holds.
 BLOCK_BYTES = 32 * 2**20
-
-
-class KernelSystem(Protocol):
-    """The kernel matrices of a batch of problems, however they are held."""
-
-    labels: Floats
-    crowded: bool  # more touches than dimensions by far
-
-    @property
-    def n_kernels(self) -> int:
-        """Number of kernels."""
-
-    def forces(self, alpha: Floats) -> Floats:
-        """Return Y K_k Y a, shape (n_problems, n_kernels, n_touches)."""
-
-    def factorise(self, diagonal: Floats, weights: Floats, pull: "Pull") -> Solver:
-        """Return R -> M^-1 R for M = diagonal + Y sum_k d_k K_k Y + pull.
-
-        `pull` belongs to the multipliers that `forces` was last asked about; R has
-        the shape (n_problems, n_touches, n_columns).
-        """
-
-    def decisions(self, alpha: Floats, weights: Floats) -> Floats:
-        """Return decision values less the bias, also where the label is 0."""
-
-    def with_labels(self, labels: Floats) -> Self:
-        """Return the same kernels with some labels set to 0."""
-
-    def take(self, keep: NDArray) -> Self:
-        """Return the system of some of the problems."""
-
-
-@dataclass
-class Pull:
-    """The low-rank part of Newton's matrix: what moving the weights does.
-
-    It is F' (W - W h h' W / h'Wh) F with W = diag(`gain`) and h = `slope`, of
-    shape (n_problems, n_kernels), and F the `forces`.
-    """
-
-    forces: Floats
-    gain: Floats
-    slope: Floats
-
-    def times_root(self, columns: Floats) -> Floats:
-        """Return R' X, for R R' the matrix in brackets and X with a row per kernel."""
-        root = np.sqrt(self.gain)
-        unit = root * self.slope
-        unit /= np.sqrt((unit * unit).sum(axis=1, keepdims=True))
-        scaled = root[:, :, None] * columns
-        scaled -= unit[:, :, None] * (unit[:, None, :] @ scaled)
-        return scaled
-
-
-@dataclass
-class Solution:
-    """Machines of a batch of problems.
-
-    Attributes
-    ----------
-    alpha : ndarray of shape (n_problems, n_touches)
-        Multipliers, in [0, C].
-    bias : ndarray of shape (n_problems,)
-    weights : ndarray of shape (n_problems, n_kernels)
-        Of p-norm 1.
-    objective : ndarray of shape (n_problems,)
-        J = 1'a - sum_k d_k S_k(a), within `gap` of the optimum.
-    gap : ndarray of shape (n_problems,)
-        Relative duality gap, proven by a feasible point of either side.
-    n_iter : ndarray of shape (n_problems,)
-    """
-
-    alpha: Floats
-    bias: Floats
-    weights: Floats
-    objective: Floats
-    gap: Floats
-    n_iter: NDArray[np.int64]
-
-
-@dataclass
-class Task:
-    """A batch of problems with the price of errors and the norm of the weights."""
-
-    system: KernelSystem
-    C: float
-    norm: float
-
-    def __post_init__(self) -> None:
-        self.labels = self.system.labels
-        self.real = np.abs(self.labels)  # 1 for touches, 0 for padding
-
-    def take(self, keep: NDArray) -> "Task":
-        return Task(self.system.take(keep), self.C, self.norm)
 
 
 @dataclass
@@ -128,8 +33,10 @@ class Point:
     right : ndarray of the same shape
         The multipliers of those bounds: all positive, and each product of left and
         right is zero at the optimum. The middle ones are the margin errors.
-    free : ndarray of shape (n_problems, 2)
-        Bias, and multiplier of the norm of the weights.
+    free : ndarray of shape (n_problems, 2 + n_columns)
+        Bias, multiplier of the norm of the weights, and where kernels are products
+        of features the pulls, features' Y a. They are unknowns of their own there,
+        so that rounding of the multipliers does not reach the margins.
     n_touches : int
     """
 
@@ -160,11 +67,20 @@ class Point:
 
     @property
     def level(self) -> Floats:
-        return self.free[:, 1:]
+        return self.free[:, 1:2]
+
+    @property
+    def pulls(self) -> Floats:
+        return self.free[:, 2:]
 
     def take(self, keep: NDArray) -> "Point":
         parts = self.left[keep], self.right[keep], self.free[keep]
         return Point(*parts, self.n_touches)
+
+    def overwrite(self, rows: NDArray, new: "Point") -> None:
+        """Put `new` in the place of some problems."""
+        self.left[rows], self.right[rows] = new.left, new.right
+        self.free[rows] = new.free
 
     def moved(self, step: Floats, by: "Point") -> "Point":
         return Point(
@@ -175,26 +91,133 @@ class Point:
         )
 
 
+@dataclass
 class View:
-    """What one point sees: forces, energies, margins, each computed once."""
+    """What one point sees, each computed once.
 
-    def __init__(self, task: Task, point: Point) -> None:
-        self.forces = task.system.forces(point.alpha)
-        self.energies = 0.5 * (self.forces @ point.alpha[:, :, None])[:, :, 0]
-        self.margins = weighted(point.weights, self.forces)
-        self.margins += task.labels * point.bias
-        self.missing = task.real - self.margins
+    Attributes
+    ----------
+    energies : ndarray of shape (n_problems, n_kernels)
+        S_k of the multipliers.
+    missing : ndarray of shape (n_problems, n_touches)
+        What each margin lacks of 1.
+    bound_square, bound_missing : ndarray
+        Half the squared length (n_problems,) and the missing margins of the
+        machine that would be returned.
+    pull : ndarray
+        What the multipliers do: the forces Y K_k Y a of shape (n_problems,
+        n_kernels, n_touches), or features' Y a of shape (n_problems, n_columns).
+    """
+
+    energies: Floats
+    missing: Floats
+    bound_square: Floats
+    bound_missing: Floats
+    pull: Floats
 
     def take(self, keep: NDArray) -> "View":
-        taken = object.__new__(View)
-        for name, part in vars(self).items():
-            setattr(taken, name, part[keep])
-        return taken
+        return View(*(part[keep] for part in vars(self).values()))
+
+
+class Newton(Protocol):
+    """The optimality conditions at one point, linearised and factorised once."""
+
+    def direction(self, target: Floats) -> Point:
+        """Return the step that changes the products of left and right by `target`.
+
+        To first order, that is, and it removes all other residuals.
+        """
+
+
+class KernelSystem(Protocol):
+    """The kernel matrices of a batch of problems, however they are held."""
+
+    labels: Floats
+    crowded: bool  # more touches than dimensions by far
+
+    @property
+    def n_kernels(self) -> int:
+        """Number of kernels."""
+
+    def pulls(self, alpha: Floats) -> Floats:
+        """Return the unknowns besides multipliers, (n_problems, n_columns)."""
+
+    def normal(self, point: Point) -> Floats:
+        """Return the normal vectors in the space of features, if there are any."""
+
+    def view(self, task: "Task", point: Point) -> View:
+        """Return what `point` sees."""
+
+    def newton(self, task: "Task", point: Point, view: View) -> Newton:
+        """Linearise at `point`."""
+
+    def settled(self, task: "Task", point: Point, share: float) -> Point:
+        """Return a feasible copy, without weights below `share` of the largest."""
+
+    def take(self, keep: NDArray) -> Self:
+        """Return the system of some of the problems."""
+
+
+@dataclass
+class Task:
+    """A batch of problems with the price of errors and the norm of the weights."""
+
+    system: KernelSystem
+    C: float
+    norm: float
+
+    def __post_init__(self) -> None:
+        self.labels = self.system.labels
+        self.real = np.abs(self.labels)  # 1 for touches, 0 for padding
+
+    def take(self, keep: NDArray) -> "Task":
+        return Task(self.system.take(keep), self.C, self.norm)
+
+    def view(self, point: Point) -> View:
+        return self.system.view(self, point)
+
+
+@dataclass
+class Solution:
+    """Machines of a batch of problems.
+
+    Attributes
+    ----------
+    alpha : ndarray of shape (n_problems, n_touches)
+        Multipliers, in [0, C].
+    bias : ndarray of shape (n_problems,)
+    weights : ndarray of shape (n_problems, n_kernels)
+        Of p-norm 1.
+    normal : ndarray of shape (n_problems, n_columns)
+        Normal vectors; no columns where they are made of the multipliers.
+    objective : ndarray of shape (n_problems,)
+        J = 1'a - sum_k d_k S_k(a), within `gap` of the optimum.
+    gap : ndarray of shape (n_problems,)
+        Relative duality gap, proven by a feasible point of either side.
+    n_iter : ndarray of shape (n_problems,)
+    """
+
+    alpha: Floats
+    bias: Floats
+    weights: Floats
+    normal: Floats
+    objective: Floats
+    gap: Floats
+    n_iter: NDArray[np.int64]
 
 
 def weighted(weights: Floats, forces: Floats) -> Floats:
     """The forces summed with the weights, shape (n_problems, n_touches)."""
     return (weights[:, None, :] @ forces)[:, 0]
+
+
+def balanced(labels: Floats, alpha: Floats) -> Floats:
+    """Take padding out and make both labels pull equally."""
+    real = np.abs(labels) * alpha
+    plus = np.where(labels > 0, real, 0).sum(axis=1, keepdims=True)
+    minus = np.where(labels < 0, real, 0).sum(axis=1, keepdims=True)
+    least = np.minimum(plus, minus)
+    return real * np.where(labels > 0, least / plus, least / minus)
 
 
 def norms(values: Floats, power: float) -> Floats:

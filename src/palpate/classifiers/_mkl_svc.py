@@ -1,7 +1,7 @@
 """A support vector machine that learns its kernel from a bank of kernels."""
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
@@ -163,7 +163,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         self,
         C: float = 1000.0,
         *,
-        kernels: str | Iterable[Kernel] = "paper",
+        kernels: str | Sequence[Kernel] = "paper",
         normalize: str | None = "trace",
         norm: float = 1.0,
         solver: str = "interior",
@@ -216,7 +216,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         if len(self.classes_) < 2:
             raise ValueError(
                 "y must hold at least two classes, got one class: "
-                f"{self.classes_[0]!r}. Add touches of another."
+                f"{self.classes_[0]}. Add touches of another."
             )
         bank = make_bank(
             touches,

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from ._mkl_problem import Floats, Pull, Solver
+from ._mkl_newton import DualNewton, Pull, Solver
+from ._mkl_problem import Floats, Point, Solution, Task, View, balanced, norms, weighted
 
 # From this size on one matrix at a time is as fast as all at once.
 _LARGE = 192
@@ -21,50 +22,103 @@ class DenseKernels:
         Symmetric, positive semi-definite, contiguous.
     labels : ndarray of shape (n_problems, n_touches)
         +1, -1, or 0 for touches that take no part.
+    means : ndarray of shape (n_problems, n_kernels, n_touches), optional
+        Means of the rows that `centred` took out.
     """
 
     crowded = False
 
-    def __init__(self, kernels: Floats, labels: Floats) -> None:
-        self.kernels = kernels
-        self.labels = labels
+    def __init__(
+        self, kernels: Floats, labels: Floats, means: Floats | None = None
+    ) -> None:
+        self.kernels, self.labels, self.means = kernels, labels, means
+
+    @classmethod
+    def centred(cls, kernels: Floats, labels: Floats) -> Self:
+        """Take the part out of `kernels`, in place, that is equal for all touches.
+
+        It adds nothing to any machine but its bias, and where it is large it hides
+        the rest in its rounding.
+        """
+        means = kernels.mean(axis=3)
+        kernels -= means[:, :, :, None]
+        kernels -= kernels.mean(axis=2)[:, :, None, :]
+        return cls(kernels, labels, means)
 
     @property
     def n_kernels(self) -> int:
         return self.kernels.shape[1]
 
-    def forces(self, alpha: Floats) -> Floats:
+    def pulls(self, alpha: Floats) -> Floats:
+        return np.zeros((len(alpha), 0))
+
+    def normal(self, point: Point) -> Floats:
+        return np.zeros((len(point.alpha), 0))
+
+    def view(self, task: Task, point: Point) -> View:
+        forces = self._times(self.labels * point.alpha)
+        forces *= self.labels[:, None, :]
+        energies = 0.5 * (forces @ point.alpha[:, :, None])[:, :, 0]
+        square = (point.weights * energies).sum(axis=1)
+        margins = weighted(point.weights, forces)
+        offset = task.labels * point.bias
+        missing = bound_missing = task.real - margins - offset
+        if task.norm > 1:
+            # The machine that is returned has weights of norm 1.
+            length = norms(point.weights, task.norm)
+            square = square / length
+            bound_missing = task.real - margins / length[:, None] - offset
+        return View(energies, missing, square, bound_missing, forces)
+
+    def newton(self, task: Task, point: Point, view: View) -> DualNewton:
+        return DualNewton(task, point, view, self._factorise)
+
+    def settled(self, task: Task, point: Point, share: float) -> Point:
+        n, left = point.n_touches, point.left.copy()
+        left[:, :n] = balanced(self.labels, point.alpha)
+        weights = left[:, 2 * n :]
+        weights[weights < share * weights.max(axis=1, keepdims=True)] = 0
+        weights /= norms(weights, task.norm)[:, None]
+        return Point(left, point.right, point.free, n)
+
+    def decisions(self, solution: Solution) -> Floats:
+        """Return the decisions about all touches, also where the label is 0."""
+        pulled = self._times(self.labels * solution.alpha)
+        return weighted(solution.weights, pulled) + solution.bias[:, None]
+
+    def true_bias(self, solution: Solution) -> Floats:
+        """Return the bias that belongs to the kernels as they were."""
+        if self.means is None:
+            return solution.bias
+        signed = self.labels * solution.alpha
+        taken = (self.means @ signed[:, :, None])[:, :, 0]
+        bias: Floats = solution.bias - (solution.weights * taken).sum(axis=1)
+        return bias
+
+    def with_labels(self, labels: Floats) -> Self:
+        """Return the same kernels with some labels set to 0."""
+        return type(self)(self.kernels, labels, self.means)
+
+    def take(self, keep: NDArray) -> Self:
+        means = None if self.means is None else self.means[keep]
+        return type(self)(self.kernels[keep], self.labels[keep], means)
+
+    def _times(self, signed: Floats) -> Floats:
+        """Return K_k v for each kernel, shape (n_problems, n_kernels, n_touches)."""
         n_problems, n_kernels, n, _ = self.kernels.shape
         stacked = self.kernels.reshape(n_problems, n_kernels * n, n)
-        pulled = stacked @ (self.labels * alpha)[:, :, None]
-        forces: Floats = pulled.reshape(n_problems, n_kernels, n)
-        forces *= self.labels[:, None, :]
-        return forces
+        return (stacked @ signed[:, :, None]).reshape(n_problems, n_kernels, n)
 
-    def factorise(self, diagonal: Floats, weights: Floats, pull: Pull) -> Solver:
+    def _factorise(self, diagonal: Floats, weights: Floats, pull: Pull) -> Solver:
         n_problems, n_kernels, n, _ = self.kernels.shape
         flat = self.kernels.reshape(n_problems, n_kernels, n * n)
         matrix = (weights[:, None, :] @ flat).reshape(n_problems, n, n)
         matrix *= self.labels[:, :, None]
         matrix *= self.labels[:, None, :]
-        root = pull.times_root(pull.forces)
+        root = pull.root()
         matrix += root.transpose(0, 2, 1) @ root
         matrix[:, np.arange(n), np.arange(n)] += diagonal
         return _small_solver(matrix) if n < _LARGE else _large_solver(matrix)
-
-    def decisions(self, alpha: Floats, weights: Floats) -> Floats:
-        """Return decision values less the bias, also where the label is 0."""
-        n_problems, n_kernels, n, _ = self.kernels.shape
-        stacked = self.kernels.reshape(n_problems, n_kernels * n, n)
-        pulled = stacked @ (self.labels * alpha)[:, :, None]
-        decided: Floats = weights[:, None, :] @ pulled.reshape(n_problems, n_kernels, n)
-        return decided[:, 0]
-
-    def with_labels(self, labels: Floats) -> Self:
-        return type(self)(self.kernels, labels)
-
-    def take(self, keep: NDArray) -> Self:
-        return type(self)(self.kernels[keep], self.labels[keep])
 
 
 def _small_solver(matrix: Floats) -> Solver:

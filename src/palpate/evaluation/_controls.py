@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..classifiers import KernelRidgeClassifier
-from ..images import find_rims
+from ..images import fill_dead_taxels, find_rims
 from ..recognition import find_geometry
 from ..touches import Touches
 
@@ -23,7 +23,9 @@ def disc_centres(touches: Touches) -> Floats | None:
     """Return (row, column) of each image's rim in pixels; None without a dome."""
     if find_geometry(touches) != "dome":
         return None
-    rims = find_rims(touches.images, no_contact=touches.no_contact)
+    images, frame = fill_dead_taxels(touches.images), touches.no_contact
+    idle = None if frame is None else fill_dead_taxels(frame[np.newaxis])[0]
+    rims = find_rims(images, no_contact=idle)
     return np.stack([rims.row, rims.col], axis=1)
 
 
@@ -64,7 +66,7 @@ def without_contact(touches: Touches) -> NDArray[np.bool_] | None:
     frame = touches.no_contact
     if frame is None:
         return None
-    reference = np.asarray(frame, dtype=np.float64).ravel()
+    reference = np.nan_to_num(np.asarray(frame, dtype=np.float64)).ravel()
     reference = reference - reference.mean()
     result = np.empty(len(touches), dtype=bool)
     for start in range(0, len(touches), BLOCK):

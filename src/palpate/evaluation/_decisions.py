@@ -61,7 +61,7 @@ def decide_episodes(
                 for k in range(n_touches)
             ]
         )
-        refuse = unknown > limits
+        refuse = unknown > np.maximum(limits, error)
         stop = refuse | (unknown <= error)
         decided = np.asarray(stop.any(axis=1))
         last = np.where(decided, stop.argmax(axis=1), n_touches - 1)

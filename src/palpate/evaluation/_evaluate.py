@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import check_count
 from ..recognition import ObjectRecogniser, training_groups
 from ..touches import Touches
 from ._controls import (
@@ -61,9 +60,6 @@ def evaluate(
         One per fold, for the report.
     """
     plan = plan or Plan()
-    for k in plan.touches:
-        check_count("touches", k)
-    check_count("orders", plan.orders)
     folds = _folds(train, test, split)
     if split == "unseen-objects":
         plan = replace(plan, label="category")
@@ -99,6 +95,7 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     log_likelihood, timing = _timed_log_likelihood(recogniser, test)
     labels = _test_labels(test, plan.label, recogniser)
     objects = _objects(test, labels)
+    _check_lengths(objects, plan)
     episodes = run_episodes(
         recogniser, log_likelihood, objects, labels, plan.orders, plan.seed
     )
@@ -119,6 +116,15 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     progress(f"{fold.name}: nuisance controls")
     trial.controls = _controls(trial, labels, objects, plan)
     return trial
+
+
+def _check_lengths(objects: NDArray, plan: Plan) -> None:
+    longest = int(np.unique(objects, return_counts=True)[1].max())
+    if min(plan.touches) > longest:
+        raise ValueError(
+            f"touches must hold a number up to {longest}, the most test touches of an "
+            f"object, got {plan.touches}."
+        )
 
 
 def _timed_log_likelihood(
@@ -159,6 +165,12 @@ def _meet_unknown(trial: Trial, unknown: Touches, plan: Plan) -> None:
     recogniser = trial.recogniser
     column = unknown.object if unknown.object is not None else unknown.category
     objects = np.full(len(unknown), "unknown") if column is None else column
+    known = np.intersect1d(objects, np.union1d(recogniser.objects_, recogniser.labels_))
+    if len(known):
+        raise ValueError(
+            f"unknown touches must be of objects that were not learnt, got "
+            f"{str(known[0])!r}. Leave those out."
+        )
     log_likelihood = recogniser.log_likelihood(unknown)
     episodes = run_episodes(
         recogniser, log_likelihood, objects, None, plan.orders, plan.seed + 1

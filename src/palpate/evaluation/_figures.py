@@ -57,7 +57,7 @@ def _figures_after(k: int, trials: Sequence[Trial], figures: dict[str, Any]) -> 
     key = str(k)
     figures["accuracy"][key] = float(np.mean(per_fold))
     spread = over_objects if len(results) == 1 else np.array(per_fold)
-    figures["accuracy_sd"][key] = float(spread.std())
+    figures["accuracy_sd"][key] = float(spread.std(ddof=min(1, len(spread) - 1)))
     figures["n_objects"][key] = len(over_objects)
     figures["log_loss"][key] = float(
         np.mean(np.concatenate([r.log_loss for r in results]))

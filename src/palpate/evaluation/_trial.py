@@ -4,7 +4,8 @@ from dataclasses import dataclass, field
 
 from numpy.typing import NDArray
 
-from ..recognition import ObjectRecogniser
+from .._checks import check_count, check_number, check_option
+from ..recognition import PRESETS, ObjectRecogniser
 from ._episodes import Episodes, Floats
 from ._splits import Fold
 
@@ -39,6 +40,15 @@ class Plan:
     error: float = 0.01
     floor: float | None = None
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_option("preset", self.preset, PRESETS)
+        check_option("label", self.label, ("object", "category"))
+        check_number("error", self.error, low=1e-6, high=0.5)
+        check_count("orders", self.orders)
+        check_count("seed", self.seed, at_least=0)
+        for k in self.touches:
+            check_count("touches", k)
 
 
 @dataclass

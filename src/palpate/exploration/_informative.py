@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from .._checks import check_count
 from ..simulation import SensorPose
@@ -43,23 +44,25 @@ class Stations:
         What is known.
     places : ndarray of shape (n_stations, n_dimensions)
         The stations.
+    station_of : ndarray of shape (n_candidates, n_turns)
+        Which station a candidate is on an object that is turned so. Each candidate
+        has another station for each turn, and two candidates share all or none.
     """
 
-    def __init__(self, touch_map: TouchMap, places: Floats) -> None:
+    def __init__(
+        self, touch_map: TouchMap, places: Floats, station_of: NDArray[np.intp]
+    ) -> None:
         self._map = touch_map
+        self._station_of = station_of
         closeness = touch_map.closeness(places)
-        nearness, allowed = touch_map.left_out()
-        ratio = touch_map.station_ratio(nearness, closeness, allowed)
+        ratio = touch_map.station_ratio(*touch_map.left_out(), closeness)
         felt = touch_map.touch_weight_ * touch_map.left_out_.T
         evidence = felt + touch_map.placed_weight_ * ratio
-        evidence -= evidence.max(axis=(0, 1))
         self._closeness = closeness.astype(np.float32)
-        self._evidence = evidence.astype(np.float32)
+        self._evidence = self._floored(evidence.astype(np.float32))
 
-    def expected_gain(
-        self, log_joint: Floats, n_touches: int, station_of: NDArray[np.intp]
-    ) -> Floats:
-        """Return the expected gain (nats) of candidates, (n_candidates,).
+    def expected_gain(self, log_joint: Floats, n_touches: int) -> Floats:
+        """Return the expected gain (nats) of each candidate, (n_candidates,).
 
         Parameters
         ----------
@@ -67,44 +70,45 @@ class Stations:
             The belief.
         n_touches : int
             How many touches it rests on.
-        station_of : ndarray of shape (n_candidates, n_turns)
-            Which station a candidate is on an object that is turned so, another one
-            for each turn.
         """
         joint = np.exp(log_joint).astype(np.float32)
-        turned = np.zeros((len(joint), len(station_of), len(self._closeness)), "f4")
-        turned[:, np.arange(len(station_of))[:, None], station_of] = joint[:, None]
-        felt = np.empty((len(station_of), len(self._map.codes_)), np.float32)
+        shape = (len(joint), len(self._station_of), len(self._closeness))
+        turned = np.zeros(shape, np.float32)
+        candidates = np.arange(len(self._station_of))[:, None]
+        turned[:, candidates, self._station_of] = joint[:, None]
+        felt = np.empty((shape[1], len(self._map.codes_)), np.float32)
         for code, rows in enumerate(self._map.rows_of_object):
             felt[:, rows] = turned[code] @ self._closeness[:, rows]
-        after = self._after(joint, turned, station_of, n_touches)
+        after = self._after(turned, n_touches)
         before = joint.sum(axis=1)[self._map.codes_]
         gain = np.log(np.maximum(after, _LEAST)) - np.log(np.maximum(before, _LEAST))
         return np.asarray((felt * gain).sum(axis=1), dtype=np.float64)
 
-    def _after(
-        self,
-        joint: Floats,
-        turned: Floats,
-        station_of: NDArray[np.intp],
-        n_touches: int,
-    ) -> Floats:
+    def _after(self, turned: Floats, n_touches: int) -> Floats:
         """Posterior of the true object after each touch, (n_candidates, n_touches)."""
         discount = np.float32(self._map.discount(n_touches + 1))
         likelihood = np.exp(discount * self._evidence)
-        anywhere = likelihood.sum(axis=1)
-        total = sum(anywhere[stations] for stations in station_of.T)
-        floor = self._map.recogniser.floor_
-        share = np.float32(1 - floor) / np.maximum(total, _LEAST)
-        own = np.empty_like(total)
-        everything = np.zeros_like(total)
+        own = np.empty((turned.shape[1], likelihood.shape[2]), np.float32)
+        everything = np.zeros_like(own)
         for code, rows in enumerate(self._map.rows_of_object):
-            told = turned[code] @ likelihood[:, code] * share
-            told += np.float32(floor / joint.size) * joint[code].sum()
+            told = turned[code] @ likelihood[:, code]
             own[:, rows] = told[:, rows]
             everything += told
         after: Floats = own / np.maximum(everything, _LEAST)
         return after
+
+    def _floored(self, evidence: Floats) -> Floats:
+        """Apply the floor that a touch keeps for each object and turn."""
+        total = logsumexp(evidence, axis=1)
+        for stations in np.unique(np.sort(self._station_of, axis=1), axis=0):
+            total[stations] = logsumexp(total[stations], axis=0)
+        relative = evidence - total[:, None]
+        floor = self._map.recogniser.floor_
+        if floor == 0:
+            return relative
+        least = np.float32(np.log(floor / (self._map.n_objects * self._map.n_turns)))
+        floored: Floats = np.logaddexp(np.float32(np.log1p(-floor)) + relative, least)
+        return floored
 
 
 class InformativeTouch:
@@ -137,7 +141,7 @@ class InformativeTouch:
         self.hemisphere = Hemisphere() if hemisphere is None else hemisphere
         self.n_rings = check_count("n_rings", n_rings)
         self._candidates = self._grid()
-        self._stations = Stations(touch_map, self._candidates)
+        self._stations = Stations(touch_map, self._candidates, self._station_of())
         self._seen: list[TouchRecord] = []
         self._placed = touch_map.start()
 
@@ -153,7 +157,7 @@ class InformativeTouch:
     ) -> Floats:
         """Return the expected gain of each candidate (nats), (n_candidates,)."""
         log_joint, n_touches = self._joint(belief, history)
-        gain = self._stations.expected_gain(log_joint, n_touches, self._station_of())
+        gain = self._stations.expected_gain(log_joint, n_touches)
         touched = -np.array([record.direction for record in history]).reshape(-1, 3)
         return gain * freshness(self._candidates, touched, self.touch_map.width_)
 

@@ -146,7 +146,7 @@ class TouchMap:
         stations = turned_back(places, self.n_turns)
         return np.stack(
             [
-                self.station_ratio(row[None], self.closeness(station))[..., 0].T
+                self.station_ratio(row[None], None, self.closeness(station))[..., 0].T
                 for row, station in zip(nearness, stations, strict=True)
             ]
         )
@@ -163,7 +163,7 @@ class TouchMap:
         return kernel
 
     def station_ratio(
-        self, nearness: Floats, closeness: Floats, allowed: Floats | None = None
+        self, nearness: Floats, allowed: Floats | None, closeness: Floats
     ) -> Floats:
         """Return log r of touches at stations, (n_stations, n_objects, n_touches).
 
@@ -171,21 +171,25 @@ class TouchMap:
         ----------
         nearness : ndarray of shape (n_touches, n_training)
             N of their features about those of the training touches.
+        allowed : ndarray of shape (n_touches, n_training) or None
+            0 where a training touch may not speak about a touch, else 1.
         closeness : ndarray of shape (n_stations, n_training)
             From `closeness`.
-        allowed : ndarray of shape (n_touches, n_training), optional
-            0 where a training touch may not speak about a touch, else 1.
         """
         shape = (len(closeness), self.n_objects, len(nearness))
         result = np.empty(shape, dtype=closeness.dtype)
         for code, rows in enumerate(self.rows_of_object):
-            free = np.ones((len(nearness), len(rows))) if allowed is None else (
-                allowed[:, rows]
+            free = (
+                np.ones((len(nearness), len(rows)))
+                if allowed is None
+                else (allowed[:, rows])
             )
             near = nearness[:, rows] * free
             here = closeness[:, rows] @ near.T
             weight = closeness[:, rows] @ free.T
-            result[:, code] = _log_ratio(here, weight, near.sum(axis=1), free.sum(axis=1))
+            result[:, code] = _log_ratio(
+                here, weight, near.sum(axis=1), free.sum(axis=1)
+            )
         return result
 
     def left_out(self) -> tuple[Floats, Floats]:
@@ -323,7 +327,7 @@ class TouchMap:
 
 
 def _log_ratio(here: Floats, weight: Floats, total: Floats, n_free: Floats) -> Floats:
-    """log of the weighted mean over the plain mean; 0 where nothing may speak."""
+    """Log of the weighted mean over the plain mean; 0 where nothing may speak."""
     placed = here / np.maximum(weight, _TINY)
     anywhere = total / np.maximum(n_free, 1)
     ratio: Floats = np.log((placed + _TINY) / (anywhere + _TINY))

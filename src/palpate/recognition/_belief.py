@@ -100,6 +100,8 @@ class Belief:
             probability is at least 1 - error; "unknown" is said when the
             touches agree less than those of all but this share of known
             episodes of the same length (learnt from left-out training touches).
+            Asked after every touch, the refusals of known objects add up to more
+            than this share.
 
         Returns
         -------
@@ -109,10 +111,10 @@ class Belief:
         error = check_number("error", error, low=1e-6, high=0.5)
         if self.touches_used == 0:
             return None
+        if self.unknown <= error:
+            return self.best
         limit = self._recogniser.unknown_threshold(self.touches_used, refused=error)
-        if self.unknown > limit:
-            return "unknown"
-        return self.best if self.unknown <= error else None
+        return "unknown" if self.unknown > limit else None
 
     def reason(self, error: float = 0.01) -> str:
         """Return one sentence that says why `decide(error)` answers as it does."""

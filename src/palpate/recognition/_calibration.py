@@ -27,13 +27,16 @@ def left_out_log_likelihood(
     """Return log-likelihoods of training touches, each with its group left out.
 
     Shape (n_touches, n_classes). A classifier that knows them in closed form
-    (`left_out_log_likelihood`) is asked; any other is fitted again on folds.
+    (`left_out_log_likelihood`, `leave_one_out_log_likelihood`) is asked; any other
+    is fitted again on folds.
     A label whose touches are all left out at once gets the least likelihood
     that any label got for the touch.
     """
     if hasattr(classifier, "left_out_log_likelihood"):
         known: Floats = classifier.left_out_log_likelihood()
         return known
+    if hasattr(classifier, "leave_one_out_log_likelihood"):
+        return _worst_for_none(classifier.leave_one_out_log_likelihood(groups=group))
     result = np.full((len(features), len(classifier.classes_)), -np.inf)
     # Stretch k of every object goes into fold k, so each fold keeps all objects.
     fold_of = _rank_within(labels, group) % N_STRETCHES
@@ -44,8 +47,7 @@ def left_out_log_likelihood(
         again = clone(classifier).fit(features[train], labels[train])
         columns = np.searchsorted(classifier.classes_, again.classes_)
         result[np.ix_(test, columns)] = touch_log_likelihood(again, features[test])
-    worst = np.where(np.isfinite(result), result, np.inf).min(axis=1, keepdims=True)
-    return np.where(np.isfinite(result), result, worst)
+    return _worst_for_none(result)
 
 
 def touch_log_likelihood(classifier: Any, features: Floats) -> Floats:
@@ -115,6 +117,13 @@ def unknown_limits(
         scores = unknown_scores(_final(floored, rows, log_prior, trust))
         limits.append(np.quantile(scores, 1 - np.array(REFUSED)))
     return np.array(limits)
+
+
+def _worst_for_none(log_likelihood: Floats) -> Floats:
+    """Give labels without a density the least likelihood that the touch has."""
+    known = np.isfinite(log_likelihood)
+    worst = np.where(known, log_likelihood, np.inf).min(axis=1, keepdims=True)
+    return np.where(known, log_likelihood, worst)
 
 
 def _final(floored: Floats, rows: NDArray, log_prior: Floats, trust: Trust) -> Floats:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import clone
 
-from ..images import repose
+from ..images import fill_dead_taxels, repose
 from ..touches import Touches
 from ._calibration import touch_log_likelihood
 from ._encoder import TouchEncoder
@@ -62,12 +62,16 @@ def choose_encoder(
 
 
 def alter(images: NDArray, seed: int) -> NDArray[np.float64]:
-    """Return the images turned, shifted and re-exposed at random, same shape."""
+    """Return the images turned, shifted and re-exposed at random, same shape.
+
+    Dead taxels are filled first.
+    """
     rng = np.random.default_rng(seed)
     n_touches, n_rows, n_cols = images.shape
     reach = SHIFT_SHARE * min(n_rows, n_cols)
+    living = fill_dead_taxels(images)
     return repose(
-        images,
+        living,
         rng.uniform(0, 360, n_touches),
         rng.uniform(-reach, reach, (n_touches, 2)),
         np.exp(rng.uniform(-1, 1, n_touches) * np.log(GAIN_RANGE)),
@@ -84,7 +88,7 @@ def _try(
 ) -> dict[str, float]:
     encoder = clone(encoder)
     features = encoder.fit_transform(touches)
-    altered = encoder.encode(alter(encoder.clean(touches), seed))
+    altered = encoder.transform(Touches(alter(touches.images, seed)))
     classes = np.unique(labels)
     log_posterior = np.full((len(labels), len(classes)), -np.log(len(classes)))
     for k in range(N_FOLDS):

@@ -49,7 +49,9 @@ class TouchEncoder(BaseEstimator):
         self.clean_up_ = None if self.clean_up is None else clone(self.clean_up)
         images = _living(touches.images)
         if isinstance(self.clean_up_, DomeCrop):
-            self.clean_up_.fit(images, no_contact=touches.no_contact)
+            frame = touches.no_contact
+            idle = None if frame is None else _living(frame[np.newaxis])[0]
+            self.clean_up_.fit(images, no_contact=idle)
         elif self.clean_up_ is not None:
             self.clean_up_.fit(images)
         self.steps_ = [clone(step) for step in self.steps]

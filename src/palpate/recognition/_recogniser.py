@@ -10,7 +10,7 @@ from sklearn.base import BaseEstimator
 from .._checks import check_number, check_option
 from ..images import Poses, PressPose
 from ..touches import Touches
-from ._belief import Belief
+from ._belief import Belief, as_touches
 from ._calibration import (
     LENGTHS,
     REFUSED,
@@ -26,6 +26,8 @@ from ._model_file import ModelFileError, read_model, write_model
 from ._presets import Preset, find_preset
 from ._sequence import Floats, Trust, with_floor
 from ._training import stretches, training_groups, training_labels
+
+MAX_PIXELS = 50_000_000
 
 
 class ObjectRecogniser(BaseEstimator):
@@ -111,6 +113,11 @@ class ObjectRecogniser(BaseEstimator):
             fewer than two touches.
         """
         preset = self._check_parameters()
+        if not isinstance(touches, Touches):
+            raise TypeError(
+                f"touches must be Touches, got {type(touches).__name__}. "
+                "Write Touches(images, object=labels)."
+            )
         labels, objects = training_labels(touches, self.label)
         group = training_groups(touches, labels, objects, self.label)
         encoder, self.chosen_ = choose_encoder(
@@ -199,6 +206,9 @@ class ObjectRecogniser(BaseEstimator):
                 f"name must be new, got {name!r}, which is known already. "
                 "Forget it first, or choose another name."
             )
+        if not isinstance(name, str) or not name:
+            raise ValueError(f"name must be a text that is not empty, got {name!r}.")
+        touches = as_touches(touches)
         if len(touches) < 2:
             raise ValueError(f"{name!r} must have at least 2 touches, got 1.")
         features = self.encoder_.transform(touches)
@@ -214,6 +224,7 @@ class ObjectRecogniser(BaseEstimator):
         else:
             self._learn(fresh=False)
         self.classes_ = np.unique(self.labels_)
+        self._calibrate(find_preset(self.preset))
         return self
 
     def forget_object(self, name: str) -> Self:
@@ -239,6 +250,7 @@ class ObjectRecogniser(BaseEstimator):
         else:
             self._learn(fresh=False)
         self.classes_ = np.unique(self.labels_)
+        self._calibrate(find_preset(self.preset))
         return self
 
     def log_likelihood(self, touches: Touches) -> Floats:
@@ -248,7 +260,8 @@ class ObjectRecogniser(BaseEstimator):
         trust is in it yet.
         """
         self._check_fitted()
-        return self.feature_log_likelihood(self.encoder_.transform(touches))
+        features = self.encoder_.transform(as_touches(touches))
+        return self.feature_log_likelihood(features)
 
     def feature_log_likelihood(self, features: Floats) -> Floats:
         """Return `log_likelihood` of touches that are encoded already."""
@@ -348,11 +361,19 @@ class ObjectRecogniser(BaseEstimator):
 
     def _try_one_touch(self) -> None:
         """Recognise a blank touch, so that a model that cannot work is found now."""
+        n_rows, n_cols = self.encoder_.image_shape_
+        rows = {len(a) for a in (self.features_, self.labels_, self.objects_)}
+        if not (0 < n_rows * n_cols <= MAX_PIXELS and rows == {len(self.stretches_)}):
+            raise ValueError("its sizes do not agree")
+        check_number("floor_", self.floor_, low=0, high=0.5)
         blank = Touches(np.zeros((1, *self.encoder_.image_shape_)))
         row = self.log_likelihood(blank)
         if row.shape != (1, len(self.classes_)) or not np.isfinite(row).all():
             raise ValueError("its parts do not fit together")
-        self.start().update_from_log_likelihood(row).decide()
+        belief = self.start().update_from_log_likelihood(row)
+        if abs(sum(belief.posterior.values()) - 1) > 1e-6:
+            raise ValueError("its belief does not sum to one")
+        belief.decide()
 
 
 def summary(recogniser: ObjectRecogniser) -> dict[str, Any]:

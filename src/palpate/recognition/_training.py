@@ -44,14 +44,17 @@ def training_groups(
     """Return which training touches are left out together.
 
     Whole sessions where every object has several, else stretches of each
-    recording; with categories that each have several objects, whole objects, since
-    there the question is about objects never touched.
+    recording; in categories of several objects whole objects, since there the
+    question is about objects never touched.
     """
     if label == "category" and touches.object is not None:
-        per_category = [len(np.unique(objects[labels == c])) for c in np.unique(labels)]
-        if min(per_category) > 1:
-            groups: NDArray[np.intp] = np.unique(objects, return_inverse=True)[1]
-            return groups
+        groups = stretches(objects, touches.order)
+        for category in np.unique(labels):
+            rows = np.flatnonzero(labels == category)
+            if len(np.unique(objects[rows])) > 1:
+                codes = np.unique(objects[rows], return_inverse=True)[1]
+                groups[rows] = groups.max() + 1 + codes
+        return groups
     if touches.session is not None:
         visits = np.stack([objects.astype(str), touches.session.astype(str)], axis=1)
         pairs, group = np.unique(visits, axis=0, return_inverse=True)

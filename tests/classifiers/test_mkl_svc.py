@@ -1,0 +1,371 @@
+"""`MKLSVC` as a scikit-learn classifier: contract, facts, refusals."""
+
+import dataclasses
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.base import clone
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.model_selection import GridSearchCV, cross_val_score
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+from sklearn.svm import SVC
+from sklearn.utils.estimator_checks import parametrize_with_checks
+
+from palpate.classifiers import MKLSVC, GaussianKernel, LinearKernel, PolynomialKernel
+
+SOME = [GaussianKernel(1.0), GaussianKernel(4.0), PolynomialKernel(2), LinearKernel()]
+
+
+@parametrize_with_checks(
+    [MKLSVC(), MKLSVC(kernels=SOME, normalize="variance", norm=2, C=1)]
+)
+def test_common_checks(estimator, check):
+    check(estimator)
+
+
+@pytest.fixture
+def problem(rng):
+    """Four classes of 12 touches, not quite apart."""
+    labels = np.repeat(["ball", "mug", "pen", "box"], 12)
+    X = rng.normal(size=(48, 5)) + 2 * np.repeat(np.eye(4, 5), 12, axis=0)
+    return X, labels
+
+
+def kernels_of(left, right, kernels=SOME):
+    squared = ((left[:, None] - right) ** 2).sum(axis=2)
+    product = left @ right.T
+    by_kind = {
+        GaussianKernel: lambda k: np.exp(-squared / (2 * k.sigma**2)),
+        PolynomialKernel: lambda k: (1 + product) ** k.degree,
+        LinearKernel: lambda k: product,
+    }
+    return np.stack([by_kind[type(k)](k) for k in kernels], axis=2)
+
+
+def test_each_pair_is_solved_to_its_gap_with_weights_that_sum_to_one(problem):
+    machine = MKLSVC().fit(*problem)
+    assert machine.pairs_.tolist() == [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]
+    assert machine.weights_.shape == (6, 22)
+    assert_allclose(machine.weights_.sum(axis=1), 1, rtol=1e-12)
+    assert (machine.gap_ <= 1e-6).all()
+    assert (machine.objective_ > 0).all()
+    assert (machine.n_iter_ >= 1).all()
+
+
+def test_one_kernel_is_scikit_learns_machine(problem):
+    X, labels = problem
+    ours = MKLSVC(C=3, kernels=[GaussianKernel(2.0)], normalize=None, tol=1e-10)
+    theirs = SVC(C=3, gamma=1 / 8, tol=1e-10, decision_function_shape="ovo")
+    others = X + 0.3
+    found = ours.fit(X, labels).pair_decisions(others)
+    # Scikit-learn's pairs speak for their first class when there are several.
+    expected = -theirs.fit(X, labels).decision_function(others)
+    # A gap of 1e-10 moves decisions by sqrt(2 gap J k(x, x)), about 5e-5.
+    assert_allclose(found, expected, atol=2e-4)
+    assert_array_equal(ours.predict(others), theirs.predict(others))
+
+
+def test_weights_and_multipliers_give_the_decisions(problem):
+    X, labels = problem
+    machine = MKLSVC(kernels=SOME, C=50, probability=False).fit(X, labels)
+    stack = kernels_of(X + 0.1, X) * machine.kernel_scales_
+    full = np.zeros((6, 48))
+    full[:, machine.support_] = machine.dual_coef_
+    expected = np.einsum("xik,pk,pi->xp", stack, machine.weights_, full)
+    found = machine.pair_decisions(X + 0.1)
+    assert_allclose(found, expected + machine.intercept_, rtol=1e-9, atol=1e-9)
+
+
+def test_precomputed_kernels_are_the_same_machine(problem):
+    X, labels = problem
+    others = X + 0.2
+    by_features = MKLSVC(kernels=SOME).fit(X, labels)
+    given = MKLSVC(kernels="precomputed").fit(kernels_of(X, X), labels)
+    # The same problem up to rounding of the kernels.
+    assert_allclose(given.objective_, by_features.objective_, rtol=1e-9)
+    for method in ("predict_proba", "decision_function", "pair_decisions"):
+        ours = getattr(given, method)(kernels_of(others, X))
+        assert_allclose(ours, getattr(by_features, method)(others), atol=1e-5)
+
+
+def test_precomputed_kernels_are_cut_along_touches_by_cross_validation(problem):
+    X, labels = problem
+    features = cross_val_score(MKLSVC(kernels=SOME, probability=False), X, labels)
+    given = MKLSVC(kernels="precomputed", probability=False)
+    assert_array_equal(cross_val_score(given, kernels_of(X, X), labels), features)
+
+
+def test_a_single_precomputed_kernel_may_be_a_matrix(problem):
+    X, labels = problem
+    gram = X @ X.T
+    machine = MKLSVC(kernels="precomputed").fit(gram, labels)
+    assert machine.weights_.tolist() == [[1.0]] * 6
+    assert machine.score(gram, labels) > 0.8
+
+
+@pytest.mark.parametrize("normalize", ["trace", "variance", None])
+@pytest.mark.parametrize("norm", [1, 1.5, 4])
+def test_every_normalisation_and_norm_learns(problem, normalize, norm):
+    X, labels = problem
+    C = 1000 if normalize == "trace" else 1
+    machine = MKLSVC(C=C, kernels=SOME, normalize=normalize, norm=norm).fit(X, labels)
+    assert machine.score(X, labels) > 0.8
+    assert_allclose((machine.weights_**norm).sum(axis=1), 1, rtol=1e-9)
+
+
+def test_trace_normalisation_is_a_change_of_price_for_one_kernel(problem):
+    X, labels = problem
+    raw = MKLSVC(C=2, kernels=[GaussianKernel(2.0)], normalize=None, tol=1e-9)
+    by_trace = MKLSVC(C=2 * 48, kernels=[GaussianKernel(2.0)], tol=1e-9)
+    # A Gaussian kernel of 48 touches has trace 48; both within a gap of 1e-9.
+    assert_allclose(
+        by_trace.fit(X, labels).decision_function(X),
+        raw.fit(X, labels).decision_function(X),
+        atol=1e-3,
+    )
+
+
+def test_simplemkl_is_the_same_machine(problem):
+    X, labels = problem
+    interior = MKLSVC(kernels=SOME, C=100, probability=False).fit(X, labels)
+    walk = MKLSVC(
+        kernels=SOME, C=100, solver="simplemkl", tol=1e-6, probability=False
+    ).fit(X, labels)
+    assert_allclose(walk.objective_, interior.objective_, rtol=2e-6)
+    assert_array_equal(walk.predict(X + 0.2), interior.predict(X + 0.2))
+
+
+@pytest.mark.parametrize(
+    "labels",
+    [
+        pytest.param(np.repeat([7, -3], 10), id="ints"),
+        pytest.param(np.repeat([True, False], 10), id="bools"),
+        pytest.param(np.repeat(["pen", "a long name"], 10), id="text"),
+        pytest.param(np.repeat(["pen", "mug"], 10).astype(object), id="objects"),
+        pytest.param(np.repeat([0.0, 2.0], 10), id="floats"),
+    ],
+)
+def test_any_labels(rng, labels):
+    X = rng.normal(size=(20, 3)) + 3 * np.repeat([[1], [0]], 10, axis=0)
+    machine = MKLSVC().fit(X, labels)
+    predicted = machine.predict(X)
+    assert predicted.dtype == machine.classes_.dtype
+    assert (predicted == labels).mean() > 0.9
+    # A positive decision is the second class.
+    positive = machine.decision_function(X) > 0
+    assert_array_equal(predicted == machine.classes_[1], positive)
+
+
+def test_classes_of_unequal_size(rng):
+    counts = [3, 17, 40]
+    labels = np.repeat([0, 1, 2], counts)
+    X = rng.normal(size=(60, 4)) + 3 * np.eye(3, 4)[labels]
+    together = MKLSVC(kernels=SOME, probability=False).fit(X, labels)
+    scales = together.kernel_scales_
+    for (first, second), objective in zip(
+        together.pairs_, together.objective_, strict=True
+    ):
+        chosen = (labels == first) | (labels == second)
+        stack = kernels_of(X[chosen], X[chosen]) * scales
+        alone = MKLSVC(kernels="precomputed", normalize=None, probability=False)
+        alone.fit(stack, labels[chosen])
+        # Either within its gap of 1e-6.
+        assert_allclose(objective, alone.objective_[0], rtol=2e-6)
+
+
+def test_in_a_pipeline_under_grid_search(problem):
+    X, labels = problem
+    pipeline = make_pipeline(StandardScaler(), MKLSVC(probability=False))
+    grid = {"mklsvc__C": [1, 1000], "mklsvc__kernels": [SOME, [LinearKernel()]]}
+    search = GridSearchCV(pipeline, grid, cv=2).fit(X, labels)
+    assert search.best_score_ > 0.5
+    assert search.predict(X).shape == (48,)
+
+
+def test_clone_pickle_and_repetition_give_the_same_machine(problem):
+    X, labels = problem
+    machine = MKLSVC(kernels=SOME).fit(X, labels)
+    again = clone(machine).fit(X, labels)
+    loaded = pickle.loads(pickle.dumps(machine))
+    for other in (again, loaded):
+        assert_array_equal(other.predict_proba(X), machine.predict_proba(X))
+
+
+def is_plain(value):
+    if isinstance(value, list | tuple):
+        return all(map(is_plain, value))
+    if isinstance(value, np.ndarray):
+        return value.dtype.kind in "biufU"
+    plain = isinstance(value, bool | int | float | str | type(None))
+    return plain or dataclasses.is_dataclass(value)
+
+
+@pytest.mark.parametrize(
+    "machine",
+    [MKLSVC(kernels=SOME), MKLSVC(approximation="nystroem", kernels=SOME)],
+    ids=["exact", "landmarks"],
+)
+def test_what_is_learnt_can_be_stored(problem, machine):
+    fitted = machine.fit(*problem)
+    learnt = {k: v for k, v in vars(fitted).items() if k.endswith("_")}
+    assert all(map(is_plain, learnt.values()))
+    rebuilt = MKLSVC(**fitted.get_params())
+    vars(rebuilt).update(learnt)
+    assert_array_equal(
+        rebuilt.predict_proba(problem[0]), fitted.predict_proba(problem[0])
+    )
+
+
+def test_probabilities_sum_to_one_and_side_with_the_prediction(problem):
+    X, labels = problem
+    machine = MKLSVC().fit(X, labels)
+    others = np.random.default_rng(1).normal(size=(200, 5)) * 2
+    chances = machine.predict_proba(others)
+    assert_allclose(chances.sum(axis=1), 1, rtol=1e-12)
+    assert (chances > 0).all()
+    assert_array_equal(
+        machine.classes_[chances.argmax(axis=1)], machine.predict(others)
+    )
+    assert_allclose(machine.predict_log_proba(others), np.log(chances))
+
+
+def test_probabilities_are_calibrated(rng):
+    def draw(n):
+        codes = rng.integers(5, size=n)
+        return rng.normal(size=(n, 6)) + 1.5 * np.eye(5, 6)[codes], codes
+
+    machine = MKLSVC(kernels=SOME, C=100).fit(*draw(150))
+    X, codes = draw(4000)
+    chances = machine.predict_proba(X)
+    # Bayes' own log loss here, from the densities that made the touches.
+    logits = 1.5 * X[:, :5]
+    bayes = -(logits[np.arange(4000), codes] - np.logaddexp.reduce(logits, axis=1))
+    loss = -np.log(chances[np.arange(4000), codes])
+    # 30 touches a class cost some; knowing nothing costs log 5 = 1.6.
+    assert loss.mean() < bayes.mean() + 0.25
+    right = chances.argmax(axis=1) == codes
+    # Confidence matches accuracy to a few points, at 4000 touches +- 0.8.
+    assert abs(chances.max(axis=1).mean() - right.mean()) < 0.05
+
+
+def test_without_probability_there_is_no_predict_proba(problem):
+    machine = MKLSVC(probability=False).fit(*problem)
+    assert not hasattr(machine, "predict_proba")
+    with pytest.raises(AttributeError, match="predict_proba"):
+        machine.predict_proba(problem[0])
+
+
+def test_a_warning_says_the_gap_that_was_not_reached(problem):
+    with pytest.warns(
+        ConvergenceWarning, match=r"gap of .* \(tol is 1e-06\) in 6 of 6"
+    ):
+        machine = MKLSVC(max_iter=2).fit(*problem)
+    assert (machine.n_iter_ == 2).all()
+    assert np.isfinite(machine.predict_proba(problem[0])).all()
+
+
+@pytest.mark.parametrize("value", [0.0, 3.5])
+def test_constant_touches_have_a_defined_answer(value):
+    X, labels = np.full((9, 4), value), np.repeat(["a", "b", "c"], [2, 4, 3])
+    for normalize in ("trace", "variance", None):
+        machine = MKLSVC(normalize=normalize).fit(X, labels)
+        # Nothing tells them apart: the class of most touches.
+        assert (machine.predict(X) == "b").all()
+        chances = machine.predict_proba(X)
+        assert_allclose(chances, chances[0] * np.ones((9, 1)))
+        assert chances[0].argmax() == 1
+
+
+def test_one_touch_in_a_class_is_enough(rng):
+    X = rng.normal(size=(12, 3)) + 4 * np.repeat(np.eye(3), [1, 1, 10], axis=0)
+    labels = np.repeat([0, 1, 2], [1, 1, 10])
+    machine = MKLSVC().fit(X, labels)
+    assert_array_equal(machine.predict(X), labels)
+    assert np.isfinite(machine.predict_proba(X)).all()
+
+
+def test_touches_seen_twice_under_two_labels(rng):
+    X = np.repeat(rng.normal(size=(6, 2)), 2, axis=0)
+    machine = MKLSVC().fit(X, np.tile(["a", "b"], 6))
+    assert (machine.gap_ <= 1e-6).all()
+    assert np.isfinite(machine.predict_proba(X)).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"C": 0}, ValueError, "C must be positive"),
+        ({"norm": 0.5}, ValueError, "norm must be finite and between 1"),
+        (
+            {"solver": "smo"},
+            ValueError,
+            "solver must be one of 'interior', 'simplemkl'",
+        ),
+        ({"normalize": "unit"}, ValueError, "normalize must be one of 'trace'"),
+        ({"approximation": True}, ValueError, "approximation must be one of 'auto'"),
+        ({"tol": -1}, ValueError, "tol must be positive"),
+        ({"max_iter": 0}, ValueError, "max_iter must be at least 1"),
+        ({"n_landmarks": 0}, ValueError, "n_landmarks must be at least 1"),
+        ({"kernels": "rbf"}, ValueError, "kernels must be 'paper'"),
+        ({"solver": "simplemkl", "norm": 2}, ValueError, "solver must be 'interior'"),
+    ],
+)
+def test_bad_parameters_are_refused(problem, options, error, message):
+    with pytest.raises(error, match=message):
+        MKLSVC(**options).fit(*problem)
+
+
+def bad(matrix_change):
+    stack = np.stack([np.eye(4), np.eye(4)], axis=2)
+    matrix_change(stack)
+    return stack
+
+
+@pytest.mark.parametrize(
+    ("stack", "message"),
+    [
+        (bad(lambda s: s.__setitem__((0, 1, 1), np.nan)), "contains NaN"),
+        (bad(lambda s: s.__setitem__((0, 1, 1), np.inf)), "contains infinity"),
+        (bad(lambda s: s.__setitem__((0, 1, 1), 0.5)), "must be symmetric.*kernel 1"),
+        (bad(lambda s: s.__setitem__((0, 0, 0), -1.0)), "semi-definite.*kernel 0"),
+        (np.ones((4, 3, 2)), "X has 3 features, but MKLSVC is expecting 4"),
+        (np.ones((4, 4, 2, 2)), r"shape \(n_touches, n_train_touches"),
+        (np.ones((3, 3, 2)), "inconsistent numbers of samples"),
+    ],
+)
+def test_precomputed_arrays_that_are_no_kernels_are_refused(stack, message):
+    with pytest.raises(ValueError, match=message):
+        MKLSVC(kernels="precomputed").fit(stack, ["a", "a", "b", "b"])
+
+
+def test_precomputed_kernels_cannot_be_approximated(problem):
+    machine = MKLSVC(kernels="precomputed", approximation="nystroem")
+    with pytest.raises(ValueError, match="with precomputed kernels, got 'nystroem'"):
+        machine.fit(kernels_of(problem[0], problem[0]), problem[1])
+
+
+def test_precomputed_kernels_need_a_column_per_training_touch(problem):
+    X, labels = problem
+    machine = MKLSVC(kernels="precomputed").fit(kernels_of(X, X), labels)
+    with pytest.raises(ValueError, match="X has 40 features.*column per training"):
+        machine.predict(kernels_of(X, X[:40]))
+
+
+def test_one_class_and_touches_out_of_range_are_refused(problem):
+    X, labels = problem
+    with pytest.raises(ValueError, match="at least two classes, got one class: 'pen'"):
+        MKLSVC().fit(X, ["pen"] * 48)
+    with pytest.raises(
+        ValueError, match="must be finite, got infinity from Polynomial"
+    ):
+        MKLSVC().fit(1e60 * X, labels)
+    machine = MKLSVC(kernels=[PolynomialKernel(6)], normalize=None, C=1e-9)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        machine.fit(X, labels)
+    with pytest.raises(ValueError, match="too far from the training touches"):
+        machine.predict(1e60 * X)
