@@ -27,7 +27,7 @@ def reference(kernel, left, right):
 
 @pytest.fixture
 def touches(rng):
-    return rng.normal(size=(15, 4)) + [3, 0, -1, 0]
+    return rng.normal(size=(15, 4)) + np.array([3, 0, -1, 0])
 
 
 def stack_of(kernels, left, right=None):
@@ -153,9 +153,7 @@ def given(matrix):
 
 
 def test_a_skew_matrix_is_refused():
-    with pytest.raises(
-        ValueError, match=r"symmetric, got a difference of 0.2.*kernel 1"
-    ):
+    with pytest.raises(ValueError, match=r"symmetric, got a difference of 0\.2"):
         GivenBank(given(np.array([[1, 0.3], [0.1, 1]])), None)
 
 

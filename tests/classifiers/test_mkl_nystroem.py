@@ -17,8 +17,11 @@ from palpate.classifiers import (
     _mkl_options,
 )
 from palpate.classifiers._mkl_banks import FeatureBank
-from palpate.classifiers._mkl_nystroem import LowRankKernels, NystroemBank
-from palpate.classifiers._mkl_problem import Pull
+from palpate.classifiers._mkl_interior import solve_interior
+from palpate.classifiers._mkl_nystroem import NystroemBank
+from palpate.classifiers._mkl_primal import LowRankKernels
+from palpate.classifiers._mkl_problem import Point, Task
+from palpate.classifiers._mkl_systems import DenseKernels
 
 SOME = [GaussianKernel(0.5), GaussianKernel(2.0), PolynomialKernel(2), LinearKernel()]
 
@@ -98,29 +101,58 @@ def test_more_classes_votes_and_probabilities():
     assert_array_equal(chances.argmax(axis=1), through.predict(others))
 
 
-def test_newtons_system_is_that_of_the_whole_matrices(rng):
-    X, codes = draw(50)
-    bank = bank_of(X, 20)
+def same_problem_twice(rng):
+    """Kernels of features, and the same kernels as matrices."""
+    X, codes = draw(90)
+    bank = bank_of(X, 12)
     labels = np.where(codes, 1.0, -1.0)[None]
     labels[0, ::7] = 0
-    system = bank.system(np.arange(50)[None], labels)
+    low = bank.system(np.arange(90)[None], labels)
     features = bank.features(bank.centred)
+    features -= features.mean(axis=0)
     parts = np.split(features, np.cumsum(bank.features.ranks)[:-1], axis=1)
-    weights, diagonal = rng.uniform(0.1, 1, (1, 4)), rng.uniform(0.1, 1, (1, 50))
-    forces = system.forces(rng.random((1, 50)))
-    pull = Pull(forces, rng.uniform(0.1, 1, (1, 4)), np.ones((1, 4)))
-    gain, slope = np.diag(pull.gain[0]), pull.slope[0]
-    middle = gain - np.outer(gain @ slope, gain @ slope) / (slope @ gain @ slope)
-    summed = sum(w * part @ part.T for w, part in zip(weights[0], parts, strict=True))
-    matrix = np.diag(diagonal[0]) + summed * np.outer(labels, labels)
-    matrix += forces[0].T @ middle @ forces[0]
-    right = rng.normal(size=(1, 50, 2))
-    found = system.factorise(diagonal, weights, pull)(right)
-    assert_allclose(found[0], np.linalg.solve(matrix, right[0]), rtol=1e-7, atol=1e-9)
+    stack = np.stack([part @ part.T for part in parts])
+    assert isinstance(low, LowRankKernels)
+    return low, DenseKernels(stack[None], labels)
+
+
+@pytest.mark.parametrize("norm", [1.0, 2.5])
+def test_newtons_step_is_that_of_the_whole_matrices(rng, norm):
+    low, dense = same_problem_twice(rng)
+    alpha, bound = rng.uniform(0.1, 0.9, (1, 90)), 1.0
+    left = np.concatenate([alpha, bound - alpha, rng.uniform(0.1, 1, (1, 4))], axis=1)
+    right, target = rng.uniform(0.1, 1, (2, 1, 184))
+    free = rng.normal(size=(1, 2)) ** 2
+    steps = []
+    for system in (low, dense):
+        pulls = system.pulls(alpha)
+        point = Point(left, right, np.concatenate([free, pulls], axis=1), 90)
+        task = Task(system, bound, norm)
+        newton = system.newton(task, point, system.view(task, point))
+        steps.append(newton.direction(target))
+    # The same linear system, eliminated in two orders.
+    for name in ("left", "right", "bias", "level"):
+        ours, reference = (getattr(step, name) for step in steps)
+        assert_allclose(ours, reference, rtol=1e-8, atol=1e-10)
+
+
+@pytest.mark.parametrize("norm", [1, 3])
+@pytest.mark.parametrize("C", [0.1, 10, 1e5])
+def test_both_interior_points_reach_the_same_optimum(rng, C, norm):
+    low, dense = same_problem_twice(rng)
+    ours = solve_interior(low, C, norm=norm)
+    reference = solve_interior(dense, C, norm=norm)
+    assert max(ours.gap[0], reference.gap[0]) <= 1e-6
+    # Either is within its gap of 1e-6.
+    assert_allclose(ours.objective, reference.objective, rtol=2e-6)
+    # A gap g of J moves decisions by up to sqrt(2 g J k(x, x)).
+    wide = np.sqrt(4e-6 * ours.objective[0] * dense.kernels.max())
+    decisions = low.decisions(ours), dense.decisions(reference)
+    assert_allclose(*decisions, atol=2 * wide)
 
 
 def test_features_computed_again_are_those_kept(monkeypatch):
-    X, codes = draw(200)
+    X, codes = draw(300)
     kept = landmarks(30).fit(X, codes)
     monkeypatch.setattr(_mkl_nystroem, "_KEPT_BYTES", 0)
     again = landmarks(30).fit(X, codes)
@@ -157,12 +189,18 @@ def test_constant_touches_have_a_defined_answer():
     assert np.isfinite(machine.predict_proba(np.full((1, 3), 2.0))).all()
 
 
-def test_a_low_rank_system_holds_one_problem():
-    X, _ = draw(30)
-    bank = bank_of(X, 5)
-    system = LowRankKernels(bank.features, bank.centred, np.ones((1, 30)))
+def test_a_low_rank_system_holds_one_problem(rng):
+    low, _ = same_problem_twice(rng)
     with pytest.raises(IndexError, match="one problem"):
-        system.take(np.array([False]))
+        low.take(np.array([False]))
+
+
+def test_few_touches_of_many_landmarks_are_solved_by_their_matrices():
+    X, _ = draw(120)
+    bank = bank_of(X, 100)
+    pair = bank.system(np.arange(10)[None], np.ones((1, 10)))
+    assert isinstance(pair, DenseKernels)
+    assert pair.kernels.shape == (1, 4, 10, 10)
 
 
 _MEASURE = """

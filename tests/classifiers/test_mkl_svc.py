@@ -351,17 +351,15 @@ def test_precomputed_kernels_cannot_be_approximated(problem):
 def test_precomputed_kernels_need_a_column_per_training_touch(problem):
     X, labels = problem
     machine = MKLSVC(kernels="precomputed").fit(kernels_of(X, X), labels)
-    with pytest.raises(ValueError, match="X has 40 features.*column per training"):
+    with pytest.raises(ValueError, match=r"X has 40 features.*column per training"):
         machine.predict(kernels_of(X, X[:40]))
 
 
 def test_one_class_and_touches_out_of_range_are_refused(problem):
     X, labels = problem
-    with pytest.raises(ValueError, match="at least two classes, got one class: 'pen'"):
+    with pytest.raises(ValueError, match="at least two classes, got one class: pen"):
         MKLSVC().fit(X, ["pen"] * 48)
-    with pytest.raises(
-        ValueError, match="must be finite, got infinity from Polynomial"
-    ):
+    with pytest.raises(ValueError, match="must be finite, got infinity from Poly"):
         MKLSVC().fit(1e60 * X, labels)
     machine = MKLSVC(kernels=[PolynomialKernel(6)], normalize=None, C=1e-9)
     with warnings.catch_warnings():

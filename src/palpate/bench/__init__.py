@@ -16,6 +16,7 @@ BENCHES: dict[str, tuple[str, str, str]] = {
         "reading a folder of pictures, peak memory",
     ),
     "likelihood": ("_likelihood", "bench_likelihood", "kernel densities per touch"),
+    "mkl": ("_mkl", "bench_mkl", "multiple kernel learning beside MKLpy and SVC"),
     "simulate": (
         "_simulate",
         "bench_simulate",

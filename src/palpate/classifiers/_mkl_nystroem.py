@@ -115,7 +115,9 @@ class NystroemBank:
         n_bytes = 8 * len(centred) * self.n_columns
         if n_bytes > _KEPT_BYTES:
             return self._again_and_again(centred, labels)
-        features = np.concatenate([part for _, part in self.features.blocks(centred)])
+        features = np.empty((len(centred), self.n_columns))
+        for rows, part in self.features.blocks(centred):
+            features[rows] = part
         mean = features.mean(axis=0)
         features -= mean
         if len(centred) <= self.n_columns and len(ranks) * n_bytes <= _KEPT_BYTES:
