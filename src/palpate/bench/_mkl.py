@@ -50,7 +50,7 @@ def bench_mkl(*, seconds: float = 1.0, random_state: int = 0) -> list[dict[str, 
         rows += _rows(
             "matrices given",
             given,
-            np.moveaxis(kernels, 0, 2),
+            np.ascontiguousarray(np.moveaxis(kernels, 0, 2)),
             labels,
             lambda: kernels,
             seconds,
@@ -69,7 +69,7 @@ def _rows(
     matrices: Callable[[], Floats],
     seconds: float,
 ) -> list[dict[str, Any]]:
-    """Time learning beside one SVC per kernel, learning and recognising beside MKLpy."""
+    """Time learning beside one SVC per kernel, and recognising too beside MKLpy."""
     size = f"{N_LABELS} labels x {N_EACH} touches, 22 kernels, {what}"
     fit_ms = cpu_ms(lambda: machine.fit(touches, labels), seconds)
     gap = float(np.max(machine.gap_))

@@ -12,12 +12,16 @@ from .._checks import check_count
 from ..sensors import TouchSensor
 from ._guarded import Clock, Guard, guarded_touch
 from ._log import EpisodeLog
-from ._record import TouchRecord, tip_mm
+from ._record import TouchRecord, as_touches, tip_mm
 from ._robot import Robot, RobotError
 from ._strategies import Strategy
 
 if TYPE_CHECKING:  # scikit-learn is not needed to touch.
     from ..recognition import Belief, ObjectRecogniser
+    from ._placed_belief import PlacedBelief
+    from ._touch_map import TouchMap
+
+    AnyBelief = Belief | PlacedBelief
 
 MAX_FAULTS = 3
 
@@ -34,7 +38,7 @@ class Exploration:
         Why it ended. After "faults" someone must look at the robot.
     reason : str
         One sentence.
-    belief : Belief
+    belief : Belief or PlacedBelief
         What the touches say.
     history : list of TouchRecord
         All attempts.
@@ -43,7 +47,7 @@ class Exploration:
     decision: str | None
     ended_by: str
     reason: str
-    belief: Belief
+    belief: AnyBelief
     history: list[TouchRecord]
 
     @property
@@ -55,7 +59,7 @@ class Exploration:
 def explore(
     robot: Robot,
     sensor: TouchSensor,
-    recogniser: ObjectRecogniser,
+    recogniser: ObjectRecogniser | TouchMap,
     strategy: Strategy,
     folder: str | Path | None = None,
     *,
@@ -64,7 +68,7 @@ def explore(
     error: float = 0.01,
     max_faults: int = MAX_FAULTS,
     clock: Clock = time.monotonic,
-    on_attempt: Callable[[TouchRecord, Belief], None] | None = None,
+    on_attempt: Callable[[TouchRecord, AnyBelief], None] | None = None,
 ) -> Exploration:
     """Touch an object until it is recognised.
 
@@ -72,8 +76,9 @@ def explore(
     ----------
     robot, sensor : Robot, TouchSensor
         What moves and what feels.
-    recogniser : ObjectRecogniser
-        Knows the objects; made for this sensor.
+    recogniser : ObjectRecogniser or TouchMap
+        Knows the objects; made for this sensor. A `TouchMap` also uses from where
+        each touch was made.
     strategy : Strategy
         Where to touch.
     folder : path, optional
@@ -162,7 +167,7 @@ def _attempt(
     robot: Robot,
     sensor: TouchSensor,
     strategy: Strategy,
-    belief: Belief | None,
+    belief: AnyBelief | None,
     log: EpisodeLog,
     guard: Guard,
     clock: Clock,
@@ -188,20 +193,22 @@ def _come_out(robot: Robot, strategy: Strategy) -> None:
         robot.retract(way_mm)
 
 
-def _belief(recogniser: ObjectRecogniser, history: Sequence[TouchRecord]) -> Belief:
+def _belief(
+    recogniser: ObjectRecogniser | TouchMap, history: Sequence[TouchRecord]
+) -> AnyBelief:
     belief = recogniser.start()
     for record in history:
         _take_in(belief, record)
     return belief
 
 
-def _take_in(belief: Belief, record: TouchRecord) -> None:
-    if record.touched and record.image is not None:
-        belief.update(record.image)
+def _take_in(belief: AnyBelief, record: TouchRecord) -> None:
+    if record.touched:
+        belief.update(as_touches([record]))
 
 
 def _end(
-    belief: Belief, n_attempts: int, max_attempts: int, error: float, gave_up: str
+    belief: AnyBelief, n_attempts: int, max_attempts: int, error: float, gave_up: str
 ) -> tuple[str | None, str, str] | None:
     """Return decision, what ended the episode and why, or None to go on."""
     decision = belief.decide(error)
