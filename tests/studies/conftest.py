@@ -2,7 +2,7 @@
 
 import pytest
 
-from palpate.studies._liu2014_plan import Liu2014Plan
+from palpate.studies import Liu2014Plan
 
 TINY = {
     "parts": (3, 7, 12),

@@ -6,9 +6,14 @@ import re
 import numpy as np
 import pytest
 
-from palpate.studies import STUDIES, run_study, study_tables, write_study_report
+from palpate.studies import (
+    STUDIES,
+    Liu2014Plan,
+    run_study,
+    study_tables,
+    write_study_report,
+)
 from palpate.studies._liu2014_pictures import draw_pictures
-from palpate.studies._liu2014_plan import Liu2014Plan
 
 TABLE_2 = {
     "FD+GE k-NN": 68.69,

@@ -6,8 +6,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
 from palpate.simulation import PARTS, find_parts, simulate_presses
+from palpate.studies import Liu2014Plan
 from palpate.studies._liu2014_curves import count_pieces, footprints, overlap
-from palpate.studies._liu2014_plan import CLASS_SETS, Liu2014Plan
+from palpate.studies._liu2014_plan import CLASS_SETS
 from palpate.studies._liu2014_touches import (
     encode,
     real_presses,

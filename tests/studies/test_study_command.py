@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from palpate.cli._app import app, main
-from palpate.studies._liu2014_plan import Liu2014Plan
+from palpate.studies import Liu2014Plan
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor
 from sklearn.utils import check_array
 
 from ._kernels import Kernel, kernel_diagonals, kernel_stack
@@ -216,7 +217,7 @@ def _refuse_not_a_kernel(matrix: Floats, k: int, rounding: float) -> None:
     # A matrix of zeros has no trace, and is a kernel all the same.
     lifted[np.diag_indices_from(lifted)] += lift if matrix.any() else 1.0
     try:
-        np.linalg.cholesky(lifted)
+        cho_factor(lifted, overwrite_a=True, check_finite=False)
     except np.linalg.LinAlgError:
         lowest = np.linalg.eigvalsh(matrix)[0]
         raise ValueError(

@@ -46,7 +46,7 @@ def _upper_bound(task: Task, point: Point, view: View) -> Floats:
     takes the iteration's margin errors and widens the hyperplane until every
     margin is met, which a large C would make dear otherwise.
     """
-    square, missing = view.bound_square, view.bound_missing
+    square, missing = view.square, view.missing
     as_it_is = square + task.C * np.maximum(missing, 0).sum(axis=1)
     short = np.maximum((missing - point.errors).max(axis=1), 0)
     wider = 1 / (1 - np.minimum(short, 0.5))
@@ -118,12 +118,13 @@ class Best:
             swap = found <= np.maximum(self._tol, gap)
             point.overwrite(swap, sparse.take(swap))
             gap[swap], energies[swap] = found[swap], view.energies[swap]
+        weights = task.weights(point)
         return Solution(
             alpha=point.alpha,
             bias=point.free[:, 0],
-            weights=point.weights,
-            normal=task.system.normal(point),
-            objective=point.alpha.sum(axis=1) - (point.weights * energies).sum(axis=1),
+            weights=weights,
+            normal=task.system.normal(task, point),
+            objective=point.alpha.sum(axis=1) - (weights * energies).sum(axis=1),
             gap=gap,
             n_iter=np.maximum(self.n_iter, 1),
         )

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ._mkl_gap import Best
 from ._mkl_problem import Floats, KernelSystem, Point, Solution, Task, View
 
-# A step stops this share short of the boundary.
-_SHORT_OF_BOUNDARY = 0.99
+# A step goes this share of the way to the boundary.
+_SHARE_OF_WAY = 0.99
 # Products at the start, relative to the objective there per touch, and how much
 # larger those of margin errors may be: measured to need the fewest iterations.
 # Where touches outnumber dimensions many margins cannot be met, and errors start as
@@ -87,34 +87,32 @@ def _start(task: Task) -> Point:
     """Equal weights; multipliers in balance, as large as pays along their ray."""
     labels, system = task.labels, task.system
     (n_problems, n), n_kernels = labels.shape, system.n_kernels
-    weights = np.full((n_problems, n_kernels), n_kernels ** (-1 / task.norm))
+    shares = np.full((n_problems, n_kernels), 1 / n_kernels)
     ray = _ray(labels)
-    point = _point(task, ray, weights, n)
-    energy = task.view(point).energies.max(axis=1, keepdims=True)
+    energy = task.view(_point(task, ray, shares)).energies.max(axis=1, keepdims=True)
     total = ray.sum(axis=1, keepdims=True)
     length = np.minimum(total / np.maximum(2 * energy, 1e-300), task.C)
     alpha = np.where(task.real > 0, length * ray, task.C / 2)
-    point = _point(task, alpha, weights, n)
+    point = _point(task, alpha, shares)
     view = task.view(point)
-    slope = weights ** (task.norm - 1)
-    largest = view.energies.max(axis=1, keepdims=True)
-    level = 1.5 * np.maximum(largest, 1e-3 * length * total) / slope[:, :1]
+    pulls = task.slopes(point)[0] * view.energies
+    least = 1e-3 * length * total
+    level = 1.5 * np.maximum(pulls.max(axis=1, keepdims=True), least)
     centre, most = _CROWDED_START if system.crowded else _START
     floor = centre * length * total / n / point.left
-    slack = level * slope - view.energies
-    right = np.concatenate([-view.missing, view.missing, slack], axis=1)
+    right = np.concatenate([-view.missing, view.missing, level - pulls], axis=1)
     point.right[...] = np.maximum(right, floor)
     np.minimum(point.errors, most * floor[:, n : 2 * n], out=point.errors)
     point.level[...] = level
     return point
 
 
-def _point(task: Task, alpha: Floats, weights: Floats, n_touches: int) -> Point:
+def _point(task: Task, alpha: Floats, shares: Floats) -> Point:
     """A point without bias and multipliers of bounds."""
-    left = np.concatenate([alpha, task.C - alpha, weights], axis=1)
+    left = np.concatenate([alpha, task.C - alpha, shares], axis=1)
     pulls = task.system.pulls(alpha)
     free = np.concatenate([np.zeros((len(alpha), 2)), pulls], axis=1)
-    return Point(left, np.zeros_like(left), free, n_touches)
+    return Point(left, np.zeros_like(left), free, alpha.shape[1])
 
 
 def _ray(labels: Floats) -> Floats:
@@ -137,7 +135,7 @@ def _advanced(task: Task, point: Point, view: View, going: NDArray) -> Point:
     left = (there.left * there.right).mean(axis=1, keepdims=True)
     centre = mean * np.clip(left / mean, 0, 1) ** 3
     move = newton.direction(centre - products - ahead.left * ahead.right)
-    step = np.minimum(1, _SHORT_OF_BOUNDARY * _reach(point, move))
+    step = np.minimum(1, _SHARE_OF_WAY * _reach(point, move))
     moved = point.moved(step, move)
     usable = going & np.isfinite(moved.free).all(axis=1)
     usable &= np.isfinite(moved.left.sum(axis=1) + moved.right.sum(axis=1))

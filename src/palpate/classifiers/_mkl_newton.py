@@ -1,7 +1,7 @@
 """Newton's step of the interior point for kernel matrices: one system per problem.
 
 The unknowns besides the multipliers a are eliminated by hand: bounds are diagonal,
-weights and their level leave a matrix of rank below the number of kernels.
+shares and their level leave a matrix of rank below the number of kernels.
 """
 
 from collections.abc import Callable
@@ -16,21 +16,19 @@ Solver = Callable[[Floats], Floats]
 
 @dataclass
 class Pull:
-    """The low-rank part of Newton's matrix: what moving the weights does.
+    """The low-rank part of Newton's matrix: what moving the shares does.
 
-    It is F' (W - W h h' W / h'Wh) F with W = diag(`gain`) and h = `slope`, of
-    shape (n_problems, n_kernels), and F the `forces`.
+    It is F' (W - W 1 1' W / 1'W1) F with W = diag(`gain`) of shape (n_problems,
+    n_kernels) and F the `forces`.
     """
 
     forces: Floats
     gain: Floats
-    slope: Floats
 
     def root(self) -> Floats:
         """Return R' F, with R R' the matrix in brackets."""
         root = np.sqrt(self.gain)
-        unit = root * self.slope
-        unit /= np.sqrt((unit * unit).sum(axis=1, keepdims=True))
+        unit = root / np.sqrt(self.gain.sum(axis=1, keepdims=True))
         scaled = root[:, :, None] * self.forces
         scaled -= unit[:, :, None] * (unit[:, None, :] @ scaled)
         return scaled
@@ -55,54 +53,39 @@ class DualNewton:
         view: View,
         factorise: Callable[[Floats, Floats, Pull], Solver],
     ) -> None:
-        self._point, self._view, self._labels = point, view, task.labels
-        self._norm = task.norm
+        self._point, self._labels = point, task.labels
         n = point.n_touches
         self._ratio = point.right / point.left
-        diagonal = self._ratio[:, :n] + self._ratio[:, n : 2 * n]
-        self._set_gain()
-        self._set_residuals()
-        pull = Pull(view.pull, self._gain, self._slope)
-        self._solve = factorise(diagonal, point.weights, pull)
-        self._towards_bias: Floats | None = None
-
-    def _set_gain(self) -> None:
-        """How much each weight yields to its energy, and all of them together."""
-        point, norm = self._point, self._norm
-        self._slope = np.ones_like(point.weights)
-        stiffness = self._ratio[:, 2 * point.n_touches :]
-        if norm > 1:
-            self._slope = point.weights ** (norm - 1)
-            curvature = (norm - 1) * point.weights ** (norm - 2)
-            stiffness = stiffness + point.level * curvature
-        self._gain = 1 / stiffness
-        self._slope_gain = self._gain * self._slope
-        self._total = (self._slope * self._slope_gain).sum(axis=1, keepdims=True)
-        self._lean = weighted(self._slope_gain / self._total, self._view.pull)
-
-    def _set_residuals(self) -> None:
-        """What the optimality conditions lack, besides the products."""
-        point, view, n = self._point, self._view, self._point.n_touches
+        slope, bend = task.slopes(point)
+        self._forces = view.pull
+        if task.norm > 1:
+            self._forces = slope[:, :, None] * view.pull
+        self._gain = 1 / (self._ratio[:, 2 * n :] - bend * view.energies)
+        self._total = self._gain.sum(axis=1, keepdims=True)
+        self._lean = weighted(self._gain / self._total, self._forces)
+        # What the optimality conditions lack, besides the products.
         self._missing = view.missing - point.errors + point.right[:, :n]
         self._imbalance = (self._labels * point.alpha).sum(axis=1, keepdims=True)
-        self._excess = point.level * self._slope - view.energies - point.slack
-        length = (point.weights * self._slope).sum(axis=1, keepdims=True)
-        self._length = (length - 1) / self._norm
+        self._excess = point.level - slope * view.energies - point.slack
+        self._surplus = point.shares.sum(axis=1, keepdims=True) - 1
+        diagonal = self._ratio[:, :n] + self._ratio[:, n : 2 * n]
+        pull = Pull(self._forces, self._gain)
+        self._solve = factorise(diagonal, task.weights(point), pull)
+        self._towards_bias: Floats | None = None
 
     def direction(self, target: Floats) -> Point:
         """Return the step that changes the products of left and right by `target`."""
-        point, forces, n = self._point, self._view.pull, self._point.n_touches
-        wanted = target / point.left
+        forces, n = self._forces, self._point.n_touches
+        wanted = target / self._point.left
         push = wanted[:, 2 * n :] - self._excess
-        ahead = (self._slope_gain * push).sum(axis=1, keepdims=True) + self._length
+        ahead = (self._gain * push).sum(axis=1, keepdims=True) + self._surplus
         right = self._missing + wanted[:, :n] - wanted[:, n : 2 * n]
         right += self._lean * ahead - weighted(self._gain * push, forces)
         alpha, bias = self._balanced(right)
         push += (forces @ alpha[:, :, None])[:, :, 0]
-        level = (self._slope_gain * push).sum(axis=1, keepdims=True) + self._length
+        level = (self._gain * push).sum(axis=1, keepdims=True) + self._surplus
         level /= self._total
-        weights = self._gain * (push - self._slope * level)
-        left = np.concatenate([alpha, -alpha, weights], axis=1)
+        left = np.concatenate([alpha, -alpha, self._gain * (push - level)], axis=1)
         free = np.concatenate([bias, level], axis=1)
         return Point(left, wanted - self._ratio * left, free, n)
 

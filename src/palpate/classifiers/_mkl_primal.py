@@ -11,7 +11,16 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ._mkl_problem import Floats, Point, Solution, Task, View, balanced, norms
+from ._mkl_problem import (
+    Floats,
+    Point,
+    Solution,
+    Task,
+    View,
+    balanced,
+    norms,
+    without_small,
+)
 from ._mkl_systems import cholesky_solver
 
 # Touches per feature from which on margins cannot all be met.
@@ -52,38 +61,36 @@ class LowRankKernels:
     def pulls(self, alpha: Floats) -> Floats:
         return self.gather((self.labels * alpha)[0])[None]
 
-    def normal(self, point: Point) -> Floats:
-        normal: Floats = np.repeat(point.weights, self.ranks, axis=1) * point.pulls
+    def normal(self, task: Task, point: Point) -> Floats:
+        weights = np.repeat(task.weights(point), self.ranks, axis=1)
+        normal: Floats = weights * point.pulls
         return normal
 
     def view(self, task: Task, point: Point) -> View:
         pull = self.gather((self.labels * point.alpha)[0])
-        normal = self.normal(point)[0]
+        normal = self.normal(task, point)[0]
         missing = task.real - self.labels * (self.spread(normal) + point.bias[0])
         lengths = self.lengths(normal)
         square = 0.5 * norms(lengths[None], 2 * task.norm / (task.norm + 1)) ** 2
         energies = 0.5 * self.lengths(pull)[None] ** 2
-        return View(energies, missing, square, missing, pull[None])
+        return View(energies, missing, square, pull[None])
 
     def newton(self, task: Task, point: Point, view: View) -> "PrimalNewton":
         return PrimalNewton(self, task, point, view)
 
     def settled(self, task: Task, point: Point, share: float) -> Point:
-        """Take the weights that suit the normal vector best."""
+        """Take the shares that suit the normal vector best."""
         n, left, free = point.n_touches, point.left.copy(), point.free.copy()
         left[:, :n] = balanced(self.labels, point.alpha)
-        normal = self.normal(point)
-        weights = self.lengths(normal[0]) ** (2 / (task.norm + 1))
-        weights[weights < share * weights.max()] = 0
-        if not weights.any():
-            weights[:] = 1
-        weights /= norms(weights[None], task.norm)
-        left[0, 2 * n :] = weights
-        stretched = np.repeat(weights, self.ranks)
-        free[:, 2:] = np.where(
-            stretched > 0, normal / np.where(stretched, stretched, 1), 0
-        )
-        return Point(left, point.right, free, n)
+        normal, power = self.normal(task, point), 2 * task.norm / (task.norm + 1)
+        shares = self.lengths(normal[0])[None] ** power
+        shares[shares.sum(axis=1) == 0] = 1
+        left[:, 2 * n :] = without_small(shares, share**task.norm)
+        settled = Point(left, point.right, free, n)
+        weights = task.weights(settled)
+        inverse = np.where(weights > 0, 1 / np.where(weights > 0, weights, 1), 0)
+        free[:, 2:] = normal * np.repeat(inverse, self.ranks, axis=1)
+        return settled
 
     def decisions(self, solution: Solution) -> Floats:
         """Return the decisions about all touches, also where the label is 0."""
@@ -132,58 +139,44 @@ class LowRankKernels:
 class PrimalNewton:
     """The optimality conditions at one point, linearised and factorised once.
 
-    Multipliers, pulls, weights and their level are eliminated by hand, which leaves
+    Multipliers, pulls, shares and their level are eliminated by hand, which leaves
     the normal vector and the bias. The normal vector is weights times pulls, so a
-    step of it is shared between the two: weights take what is along their pull.
+    step of it is divided between the two: weights take what is along their pull.
     """
 
     def __init__(
         self, system: LowRankKernels, task: Task, point: Point, view: View
     ) -> None:
         self._system, self._point, self._labels = system, point, task.labels[0]
-        n = point.n_touches
-        self._weights, self._pulls = point.weights[0], point.pulls[0]
+        n, pulls = point.n_touches, point.pulls[0]
+        self._weights = task.weights(point)[0]
+        slope, bend = (part[0] for part in task.slopes(point))
         self._ratio = point.right / point.left
         self._ease = 1 / (self._ratio[0, :n] + self._ratio[0, n : 2 * n])
-        self._lean = self._pulls / self._stretched(self._weights)
-        squares = system.lengths(self._pulls) ** 2
-        self._set_gain(squares, task.norm)
-        self._set_residuals(view, squares, task.norm)
+        self._lean = pulls * self._stretched(slope / self._weights)
+        energies = 0.5 * system.lengths(pulls) ** 2
+        stiffness = self._ratio[0, 2 * n :] - bend * energies
+        self._gain = 1 / (stiffness + 2 * slope**2 * energies / self._weights)
+        # What the optimality conditions lack, besides the products.
+        self._missing = (view.missing - point.errors + point.right[:, :n])[0]
+        self._imbalance = self._labels @ point.alpha[0]
+        self._excess = point.level[0] - slope * energies - point.slack[0]
+        self._surplus = point.shares.sum() - 1
+        self._apart = view.pull[0] - pulls
         self._solve = cholesky_solver(self._matrix())
 
     def _stretched(self, per_kernel: Floats) -> Floats:
         return np.repeat(per_kernel, self._system.ranks)
 
-    def _set_gain(self, squares: Floats, norm: float) -> None:
-        """How much each weight yields, and all of them together."""
-        weights, n = self._weights, self._point.n_touches
-        self._slope = weights ** (norm - 1)
-        stiffness = self._ratio[0, 2 * n :] + squares / weights
-        if norm > 1:
-            level = self._point.level[0]
-            stiffness += level * (norm - 1) * weights ** (norm - 2)
-        self._gain = 1 / stiffness
-        self._slope_gain = self._slope * self._gain
-        self._total = self._slope @ self._slope_gain
-
-    def _set_residuals(self, view: View, squares: Floats, norm: float) -> None:
-        """What the optimality conditions lack, besides the products."""
-        point, n = self._point, self._point.n_touches
-        self._missing = (view.missing - point.errors + point.right[:, :n])[0]
-        self._imbalance = self._labels @ point.alpha[0]
-        self._excess = point.level[0] * self._slope - squares / 2 - point.slack[0]
-        self._length = (self._weights @ self._slope - 1) / norm
-        self._apart = view.pull[0] - self._pulls
-
     def _matrix(self) -> Floats:
         matrix = self._system.gram(self._ease * np.abs(self._labels))
-        diagonal = np.arange(len(self._pulls))
+        diagonal = np.arange(len(self._lean))
         matrix[diagonal, diagonal] += self._stretched(1 / self._weights)
         for gain, part in zip(self._gain, self._system.slices, strict=True):
             lean = self._lean[part]
             matrix[part, part] -= np.outer(gain * lean, lean)
-        tilt = self._stretched(self._slope_gain) * self._lean
-        matrix[:-1, :-1] += np.outer(tilt / self._total, tilt)
+        tilt = self._stretched(self._gain) * self._lean
+        matrix[:-1, :-1] += np.outer(tilt / self._gain.sum(), tilt)
         return matrix
 
     def direction(self, target: Floats) -> Point:
@@ -193,7 +186,7 @@ class PrimalNewton:
         push = wanted[0, 2 * n :] - self._excess
         short = self._missing + wanted[0, :n] - wanted[0, n : 2 * n]
         eased = self._labels * self._ease * short
-        right = np.empty(len(self._pulls) + 1)
+        right = np.empty(len(self._lean) + 1)
         right[:-1] = self._apart + self._lean * self._stretched(self._yield(push)[0])
         right[:-1] += system.gather(eased)
         right[-1] = eased.sum() + self._imbalance
@@ -202,14 +195,14 @@ class PrimalNewton:
         moved = self._labels * (system.spread(normal) + bias)
         alpha = self._ease * (short - moved)
         push += np.array([self._lean[p] @ normal[p] for p in system.slices])
-        weights, level = self._yield(push)
+        shares, level = self._yield(push)
         pulls = normal / self._stretched(self._weights)
-        pulls -= self._lean * self._stretched(weights)
-        left = np.concatenate([alpha, -alpha, weights])[None]
+        pulls -= self._lean * self._stretched(shares)
+        left = np.concatenate([alpha, -alpha, shares])[None]
         free = np.concatenate([[bias, level], pulls])[None]
         return Point(left, wanted - self._ratio * left, free, n)
 
     def _yield(self, push: Floats) -> tuple[Floats, float]:
-        """Return the step of the weights, and of their level, that `push` brings."""
-        level = (self._slope_gain @ push + self._length) / self._total
-        return self._gain * (push - self._slope * level), float(level)
+        """Return the step of the shares, and of their level, that `push` brings."""
+        level = (self._gain @ push + self._surplus) / self._gain.sum()
+        return self._gain * (push - level), float(level)

@@ -29,12 +29,13 @@ class Point:
     Attributes
     ----------
     left : ndarray of shape (n_problems, 2 * n_touches + n_kernels)
-        Multipliers a, their room C - a, and weights d: all positive.
+        Multipliers a, their room C - a, and shares e = d^p of the kernels, which
+        sum to 1: all positive.
     right : ndarray of the same shape
         The multipliers of those bounds: all positive, and each product of left and
         right is zero at the optimum. The middle ones are the margin errors.
     free : ndarray of shape (n_problems, 2 + n_columns)
-        Bias, multiplier of the norm of the weights, and where kernels are products
+        Bias, multiplier of the sum of the shares, and where kernels are products
         of features the pulls, features' Y a. They are unknowns of their own there,
         so that rounding of the multipliers does not reach the margins.
     n_touches : int
@@ -50,7 +51,7 @@ class Point:
         return self.left[:, : self.n_touches]
 
     @property
-    def weights(self) -> Floats:
+    def shares(self) -> Floats:
         return self.left[:, 2 * self.n_touches :]
 
     @property
@@ -101,9 +102,8 @@ class View:
         S_k of the multipliers.
     missing : ndarray of shape (n_problems, n_touches)
         What each margin lacks of 1.
-    bound_square, bound_missing : ndarray
-        Half the squared length (n_problems,) and the missing margins of the
-        machine that would be returned.
+    square : ndarray of shape (n_problems,)
+        Half the squared length of the normal vector, over the weights.
     pull : ndarray
         What the multipliers do: the forces Y K_k Y a of shape (n_problems,
         n_kernels, n_touches), or features' Y a of shape (n_problems, n_columns).
@@ -111,8 +111,7 @@ class View:
 
     energies: Floats
     missing: Floats
-    bound_square: Floats
-    bound_missing: Floats
+    square: Floats
     pull: Floats
 
     def take(self, keep: NDArray) -> "View":
@@ -142,7 +141,7 @@ class KernelSystem(Protocol):
     def pulls(self, alpha: Floats) -> Floats:
         """Return the unknowns besides multipliers, (n_problems, n_columns)."""
 
-    def normal(self, point: Point) -> Floats:
+    def normal(self, task: "Task", point: Point) -> Floats:
         """Return the normal vectors in the space of features, if there are any."""
 
     def view(self, task: "Task", point: Point) -> View:
@@ -175,6 +174,18 @@ class Task:
 
     def view(self, point: Point) -> View:
         return self.system.view(self, point)
+
+    def weights(self, point: Point) -> Floats:
+        """The weights d that belong to the shares, of p-norm 1."""
+        return point.shares if self.norm == 1 else point.shares ** (1 / self.norm)
+
+    def slopes(self, point: Point) -> tuple[Floats, Floats]:
+        """First and second derivative of the weights by the shares."""
+        if self.norm == 1:
+            return np.ones_like(point.shares), np.zeros_like(point.shares)
+        power = 1 / self.norm
+        first = power * point.shares ** (power - 1)
+        return first, (power - 1) * first / point.shares
 
 
 @dataclass
@@ -218,6 +229,13 @@ def balanced(labels: Floats, alpha: Floats) -> Floats:
     minus = np.where(labels < 0, real, 0).sum(axis=1, keepdims=True)
     least = np.minimum(plus, minus)
     return real * np.where(labels > 0, least / plus, least / minus)
+
+
+def without_small(shares: Floats, least: float) -> Floats:
+    """Leave out shares below `least` of the largest; the others sum to 1."""
+    largest = shares.max(axis=1, keepdims=True)
+    kept = np.where(shares < least * largest, 0, shares)
+    return kept / kept.sum(axis=1, keepdims=True)
 
 
 def norms(values: Floats, power: float) -> Floats:

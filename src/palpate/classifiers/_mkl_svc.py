@@ -340,8 +340,9 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
     def _decisions(self, touches: Floats) -> Floats:
         decisions = np.empty((len(touches), len(self.pairs_)))
         n_kernels, n_columns = self.weights_.shape[1], self.dual_coef_.shape[1]
-        for rows in row_blocks(len(touches), n_columns * (n_kernels + 2)):
-            decisions[rows] = self._decide(touches[rows])
+        with np.errstate(over="ignore", invalid="ignore"):
+            for rows in row_blocks(len(touches), n_columns * (n_kernels + 2)):
+                decisions[rows] = self._decide(touches[rows])
         if not np.isfinite(decisions).all():
             raise ValueError(
                 "X must lie where the kernels are finite, got touches too far from "

@@ -7,7 +7,16 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from ._mkl_newton import DualNewton, Pull, Solver
-from ._mkl_problem import Floats, Point, Solution, Task, View, balanced, norms, weighted
+from ._mkl_problem import (
+    Floats,
+    Point,
+    Solution,
+    Task,
+    View,
+    balanced,
+    weighted,
+    without_small,
+)
 
 # From this size on one matrix at a time is as fast as all at once.
 _LARGE = 192
@@ -52,23 +61,17 @@ class DenseKernels:
     def pulls(self, alpha: Floats) -> Floats:
         return np.zeros((len(alpha), 0))
 
-    def normal(self, point: Point) -> Floats:
+    def normal(self, task: Task, point: Point) -> Floats:
         return np.zeros((len(point.alpha), 0))
 
     def view(self, task: Task, point: Point) -> View:
         forces = self._times(self.labels * point.alpha)
         forces *= self.labels[:, None, :]
         energies = 0.5 * (forces @ point.alpha[:, :, None])[:, :, 0]
-        square = (point.weights * energies).sum(axis=1)
-        margins = weighted(point.weights, forces)
-        offset = task.labels * point.bias
-        missing = bound_missing = task.real - margins - offset
-        if task.norm > 1:
-            # The machine that is returned has weights of norm 1.
-            length = norms(point.weights, task.norm)
-            square = square / length
-            bound_missing = task.real - margins / length[:, None] - offset
-        return View(energies, missing, square, bound_missing, forces)
+        weights = task.weights(point)
+        square = (weights * energies).sum(axis=1)
+        missing = task.real - weighted(weights, forces) - task.labels * point.bias
+        return View(energies, missing, square, forces)
 
     def newton(self, task: Task, point: Point, view: View) -> DualNewton:
         return DualNewton(task, point, view, self._factorise)
@@ -76,9 +79,7 @@ class DenseKernels:
     def settled(self, task: Task, point: Point, share: float) -> Point:
         n, left = point.n_touches, point.left.copy()
         left[:, :n] = balanced(self.labels, point.alpha)
-        weights = left[:, 2 * n :]
-        weights[weights < share * weights.max(axis=1, keepdims=True)] = 0
-        weights /= norms(weights, task.norm)[:, None]
+        left[:, 2 * n :] = without_small(point.shares, share**task.norm)
         return Point(left, point.right, point.free, n)
 
     def decisions(self, solution: Solution) -> Floats:

@@ -25,14 +25,14 @@ _FIRST_MOVE = 0.1
 
 
 @dataclass
-class _Answer:
+class Answer:
     """J at some weights, and the energies S_k, which are minus its gradient."""
 
     value: float
     energies: Floats
 
 
-_Walk = Generator[Floats, _Answer, tuple[Floats, int]]
+Walk = Generator[Floats, Answer, tuple[Floats, int]]
 
 
 def solve_simplemkl(
@@ -58,7 +58,9 @@ def solve_simplemkl(
        J. Mach. Learn. Res. 9, 2008.
     """
     machines = SingleKernelMachines(system, C)
-    walks = [_walk(system.n_kernels, tol, max_iter) for _ in system.labels]
+    walks = [
+        reduced_gradient_walk(system.n_kernels, tol, max_iter) for _ in system.labels
+    ]
     asked = np.array([next(walk) for walk in walks])
     n_iter = np.ones(len(walks), dtype=np.int64)
     found = asked.copy()
@@ -68,7 +70,7 @@ def solve_simplemkl(
         going = []
         for row, value, energy in zip(rows, values, energies, strict=True):
             try:
-                asked[row] = walks[row].send(_Answer(float(value), energy))
+                asked[row] = walks[row].send(Answer(float(value), energy))
                 going.append(row)
             except StopIteration as stop:
                 found[row], n_iter[row] = stop.value
@@ -76,7 +78,7 @@ def solve_simplemkl(
     return machines.solution(found, n_iter)
 
 
-def _walk(n_kernels: int, tol: float, max_iter: int) -> _Walk:
+def reduced_gradient_walk(n_kernels: int, tol: float, max_iter: int) -> Walk:
     """Walk from equal weights to the optimum; return weights and directions taken."""
     weights = np.full(n_kernels, 1 / n_kernels)
     here = yield weights
@@ -96,8 +98,8 @@ def _walk(n_kernels: int, tol: float, max_iter: int) -> _Walk:
 
 
 def _descend(
-    weights: Floats, here: _Answer, precision: float
-) -> Generator[Floats, _Answer, tuple[Floats, _Answer]]:
+    weights: Floats, here: Answer, precision: float
+) -> Generator[Floats, Answer, tuple[Floats, Answer]]:
     """Follow one reduced gradient: whole moves while J falls, then a search."""
     base = int(weights.argmax())
     slope = here.energies[base] - here.energies
@@ -123,8 +125,8 @@ def _descend(
 
 
 def _golden(
-    weights: Floats, here: _Answer, direction: Floats, end: float, precision: float
-) -> Generator[Floats, _Answer, tuple[Floats, _Answer]]:
+    weights: Floats, here: Answer, direction: Floats, end: float, precision: float
+) -> Generator[Floats, Answer, tuple[Floats, Answer]]:
     """Search the stretch [0, `end`] for the least J; return the best point met."""
     best, answer = weights, here
     low, high = 0.0, end

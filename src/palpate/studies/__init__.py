@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from .._checks import check_option
+from ._liu2014_plan import Liu2014Plan
 
 Table = tuple[str, list[str], list[list[str]]]
 
@@ -65,6 +66,7 @@ def _module(name: str) -> Any:
 
 __all__ = [
     "STUDIES",
+    "Liu2014Plan",
     "Study",
     "check_study",
     "run_study",

@@ -70,7 +70,8 @@ class Liu2014Plan:
     mkl_costs : tuple of float
         C of the MKL-SVM; larger, as its kernels have trace 1.
     presses : mapping
-        Further arguments of `simulate_presses`, to see what a condition does.
+        Further numbers for `simulate_presses`, to see what a condition does:
+        `{"tilt_sd_deg": 0.2}`.
     protocol : {"both", "nested", "paper"}, default="both"
         Parameters chosen inside the training half, or on the runs reported.
     seed : int, default=0
