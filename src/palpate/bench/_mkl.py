@@ -1,7 +1,8 @@
 """Multiple kernel learning beside MKLpy, beside plain machines, and for many touches.
 
-The setting of Liu et al. 2014: 12 classes, 10 touches each to learn from, 66 pairs of
-classes, 22 kernels, 20 features from kernel PCA; the touches are drawn at random.
+The setting of Liu et al. 2014: 12 classes, 10 touches each to learn from and 10 to
+recognise, 66 pairs of classes, 22 kernels, 20 features from kernel PCA; the touches
+are drawn at random.
 Ours solves every pair to a proven gap of 1e-6. EasyMKL solves a problem of its own,
 one-against-one, with its default options; 22 plain machines, one for each kernel,
 are what choosing a kernel by trial would take. Nobody calibrates probabilities.
@@ -14,6 +15,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
@@ -24,12 +26,14 @@ from sklearn.metrics.pairwise import polynomial_kernel, rbf_kernel
 from sklearn.svm import SVC
 
 from ..classifiers import MKLSVC, PolynomialKernel
-from ..classifiers._kernels import paper_kernels
+from ..classifiers._kernels import kernel_diagonals, paper_kernels
 from ..classifiers._simplemkl import Answer, reduced_gradient_walk
 from ..encodings import KernelPCA
 from ._timing import cpu_ms, one_thread, row
 
 Floats = NDArray[np.float64]
+Tensors = Callable[[Floats], list[Any]]
+Easy = Callable[[Any, Tensors], None]
 
 _N_CLASSES, _PER_CLASS, _N_FEATURES = 12, 10, 20
 _PRICES = (1.0, 100.0)
@@ -83,23 +87,42 @@ def bench_mkl(
         Rows with `name`, `ours_ms`, `peer`, `peer_ms`, `ratio`. Where the peer is
         not installed or there is none, `ratio` is None and `reason` says so.
     """
-    touches, codes = _draw(random_state)
+    case = _draw(random_state)
     rows = []
     with one_thread():
         for C in _PRICES:
-            rows += _rows_given(touches, codes, C, seconds)
-            rows += _rows_counted(touches, codes, C, seconds)
-            rows.append(_row_simplemkl(touches, codes, C, seconds))
+            rows += _rows_given(case, C, seconds)
+            rows += _rows_counted(case, C, seconds, recognise=False)
+            rows += _rows_counted(case, C, seconds, recognise=True)
+            rows.append(_row_simplemkl(case, C, seconds))
     return rows + ([_row_large(n) for n in _MANY] if large else [])
 
 
-def _draw(random_state: int) -> tuple[Floats, NDArray]:
+@dataclass
+class _Case:
+    """Touches to learn from and as many to recognise, of the same labels."""
+
+    touches: Floats
+    others: Floats
+    codes: NDArray
+
+    def kernels(self) -> Floats:
+        return _kernels(self.touches, self.touches, _traces(self.touches))
+
+    def both_kernels(self) -> tuple[Floats, Floats]:
+        traces = _traces(self.touches)
+        learn = _kernels(self.touches, self.touches, traces)
+        return learn, _kernels(self.others, self.touches, traces)
+
+
+def _draw(random_state: int) -> _Case:
     """Touches of 12 classes in 40 features, fused to 20 by kernel PCA."""
     rng = np.random.default_rng(random_state)
     codes = np.repeat(np.arange(_N_CLASSES), _PER_CLASS)
     centres = 0.7 * rng.normal(size=(_N_CLASSES, 40))
-    raw = centres[codes] + rng.normal(size=(len(codes), 40))
-    return KernelPCA(n_components=_N_FEATURES).fit_transform(raw), codes
+    raw, other = centres[codes] + rng.normal(size=(2, len(codes), 40))
+    fusion = KernelPCA(n_components=_N_FEATURES).fit(raw)
+    return _Case(fusion.transform(raw), fusion.transform(other), codes)
 
 
 def _name(what: str, C: float) -> str:
@@ -107,78 +130,128 @@ def _name(what: str, C: float) -> str:
     return f"{size} float64 {what} C {C:g}"
 
 
-def _rows_given(
-    touches: Floats, codes: NDArray, C: float, seconds: float
-) -> list[dict[str, object]]:
-    stack = _kernels(touches)
-    machine = MKLSVC(C=C, kernels="precomputed", probability=False)
+def _rows_given(case: _Case, C: float, seconds: float) -> list[dict[str, object]]:
+    stack = case.kernels()
     given = np.ascontiguousarray(stack.transpose(1, 2, 0))
-    ours_ms = cpu_ms(lambda: machine.fit(given, codes), seconds)
-    facts = {"gap": float(machine.gap_.max()), "n_iter": int(machine.n_iter_.max())}
-    name = _name("kernels given", C)
-    plain_ms = cpu_ms(lambda: _fit_each(stack, codes, C), seconds)
-    return [
-        _easy_row(name, ours_ms, lambda: stack, codes, seconds, facts),
-        row(name, ours_ms, _SVCS, plain_ms, **facts),
-    ]
+    machine = MKLSVC(C=C, kernels="precomputed", probability=False)
+
+    def easy(model: Any, tensors: Tensors) -> None:
+        model.fit(tensors(stack), case.codes)
+
+    ours_ms = cpu_ms(lambda: machine.fit(given, case.codes), seconds)
+    plain_ms = cpu_ms(lambda: _fit_each(stack, case.codes, C), seconds)
+    name = _name("kernels given learn", C)
+    return _pair_of_rows(name, machine, ours_ms, plain_ms, easy, seconds)
 
 
 def _rows_counted(
-    touches: Floats, codes: NDArray, C: float, seconds: float
+    case: _Case, C: float, seconds: float, *, recognise: bool
 ) -> list[dict[str, object]]:
     machine = MKLSVC(C=C, probability=False)
-    ours_ms = cpu_ms(lambda: machine.fit(touches, codes), seconds)
+
+    def ours() -> None:
+        machine.fit(case.touches, case.codes)
+        if recognise:
+            machine.predict(case.others)
+
+    def plain() -> None:
+        if recognise:
+            learn, others = case.both_kernels()
+            _fit_each(learn, case.codes, C, others)
+        else:
+            _fit_each(case.kernels(), case.codes, C)
+
+    def easy(model: Any, tensors: Tensors) -> None:
+        if recognise:
+            learn, others = case.both_kernels()
+            model.fit(tensors(learn), case.codes)
+            model.predict(tensors(others))
+        else:
+            model.fit(tensors(case.kernels()), case.codes)
+
+    ours_ms, plain_ms = cpu_ms(ours, seconds), cpu_ms(plain, seconds)
+    what = "learn and recognise" if recognise else "learn"
+    name = _name(f"kernels counted {what}", C)
+    return _pair_of_rows(name, machine, ours_ms, plain_ms, easy, seconds)
+
+
+def _pair_of_rows(
+    name: str,
+    machine: MKLSVC,
+    ours_ms: float,
+    plain_ms: float,
+    easy: Easy,
+    seconds: float,
+) -> list[dict[str, object]]:
     facts = {"gap": float(machine.gap_.max()), "n_iter": int(machine.n_iter_.max())}
-    name = _name("kernels counted", C)
-    plain_ms = cpu_ms(lambda: _fit_each(_kernels(touches), codes, C), seconds)
+    easy_ms, reason = _time_easy(easy, seconds)
+    if easy_ms is None:
+        facts_of_easy: dict[str, Any] = {**facts, "reason": reason}
+    else:
+        facts_of_easy = facts
     return [
-        _easy_row(name, ours_ms, lambda: _kernels(touches), codes, seconds, facts),
+        row(name, ours_ms, _EASY, easy_ms, **facts_of_easy),
         row(name, ours_ms, _SVCS, plain_ms, **facts),
     ]
 
 
-def _row_simplemkl(
-    touches: Floats, codes: NDArray, C: float, seconds: float
-) -> dict[str, object]:
+def _time_easy(easy: Easy, seconds: float) -> tuple[float | None, str]:
+    """Return the milliseconds that EasyMKL takes, or why there are none."""
+    if find_spec("MKLpy") is None or find_spec("torch") is None:
+        return None, "MKLpy is not installed; `make bench` installs it (GPL-3)"
+    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+        warnings.simplefilter("ignore")
+        torch = import_module("torch")
+        torch.set_num_threads(1)
+        model = import_module("MKLpy.algorithms").EasyMKL(multiclass_strategy="ovo")
+
+        def tensors(stack: Floats) -> list[Any]:
+            return [torch.tensor(kernel) for kernel in stack]
+
+        return cpu_ms(lambda: easy(model, tensors), seconds), ""
+
+
+def _row_simplemkl(case: _Case, C: float, seconds: float) -> dict[str, object]:
     """Compare one algorithm on our machines and on scikit-learn's, gap 1e-2."""
-    stack = _kernels(touches)
+    stack = case.kernels()
     given = np.ascontiguousarray(stack.transpose(1, 2, 0))
-    machine = MKLSVC(
-        C=C,
-        kernels="precomputed",
-        solver="simplemkl",
-        probability=False,
-    )
-    ours_ms = cpu_ms(lambda: machine.fit(given, codes), seconds)
-    # A fraction of the pairs will do: the whole takes some seconds a time.
+    machine = MKLSVC(C=C, kernels="precomputed", solver="simplemkl", probability=False)
+    ours_ms = cpu_ms(lambda: machine.fit(given, case.codes), seconds)
+    # A part of the pairs will do: all of them take seconds.
     some = machine.pairs_[::6]
 
     def walk_some() -> None:
         for pair in some:
-            _walk(stack, codes, pair, C)
+            _walk(stack, case.codes, pair, C)
 
-    peer_ms = cpu_ms(walk_some, 0.0)
-    peer_ms *= len(machine.pairs_) / len(some)
-    facts = {"gap": float(machine.gap_.max())}
-    return row(_name("SimpleMKL kernels given", C), ours_ms, _WALK, peer_ms, **facts)
-
-
-def _kernels(touches: Floats) -> Floats:
-    """The bank of the paper by scikit-learn, each of trace 1."""
-    stack = np.stack([_kernel(kernel, touches) for kernel in paper_kernels()])
-    stack /= np.einsum("kii->k", stack)[:, None, None]
-    return stack
+    peer_ms = cpu_ms(walk_some, 0.0) * len(machine.pairs_) / len(some)
+    name = _name("SimpleMKL kernels given learn", C)
+    return row(name, ours_ms, _WALK, peer_ms, gap=float(machine.gap_.max()))
 
 
-def _kernel(kernel: Any, touches: Floats) -> Floats:
+def _kernels(left: Floats, right: Floats, traces: Floats) -> Floats:
+    """The bank of the paper by scikit-learn, each of trace 1 where it is learnt."""
+    stack = np.stack([_kernel(kernel, left, right) for kernel in paper_kernels()])
+    return stack / traces[:, None, None]
+
+
+def _kernel(kernel: Any, left: Floats, right: Floats) -> Floats:
     if isinstance(kernel, PolynomialKernel):
-        return polynomial_kernel(touches, degree=kernel.degree, gamma=1, coef0=1)
-    return rbf_kernel(touches, gamma=1 / (2 * kernel.sigma**2))
+        return polynomial_kernel(left, right, degree=kernel.degree, gamma=1, coef0=1)
+    return rbf_kernel(left, right, gamma=1 / (2 * kernel.sigma**2))
 
 
-def _fit_each(stack: Floats, codes: NDArray, C: float) -> None:
-    for kernel in stack:
-        SVC(kernel="precomputed", C=C).fit(kernel, codes)
+def _traces(touches: Floats) -> Floats:
+    return kernel_diagonals(paper_kernels(), touches, np.zeros(_N_FEATURES)).sum(axis=1)
+
+
+def _fit_each(
+    stack: Floats, codes: NDArray, C: float, others: Floats | None = None
+) -> None:
+    for k, kernel in enumerate(stack):
+        machine = SVC(kernel="precomputed", C=C).fit(kernel, codes)
+        if others is not None:
+            machine.predict(others[k])
 
 
 def _walk(stack: Floats, codes: NDArray, pair: NDArray, C: float) -> None:
@@ -197,31 +270,6 @@ def _walk(stack: Floats, codes: NDArray, pair: NDArray, C: float) -> None:
             energies = 0.5 * ((kernels @ signed) @ signed)
             value = float(np.abs(signed).sum() - weights @ energies)
             weights = walk.send(Answer(value, energies))
-
-
-def _easy_row(
-    name: str,
-    ours_ms: float,
-    make: Callable[[], Floats],
-    codes: NDArray,
-    seconds: float,
-    facts: dict[str, Any],
-) -> dict[str, object]:
-    if find_spec("MKLpy") is None or find_spec("torch") is None:
-        reason = "MKLpy is not installed; `make bench` installs it (GPL-3, with torch)"
-        return row(name, ours_ms, _EASY, None, reason=reason, **facts)
-    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
-        warnings.simplefilter("ignore")
-        torch = import_module("torch")
-        algorithms = import_module("MKLpy.algorithms")
-        torch.set_num_threads(1)
-        machine = algorithms.EasyMKL(multiclass_strategy="ovo")
-
-        def fit() -> None:
-            machine.fit([torch.tensor(kernel) for kernel in make()], codes)
-
-        peer_ms = cpu_ms(fit, seconds)
-    return row(name, ours_ms, _EASY, peer_ms, **facts)
 
 
 def _row_large(n_touches: int) -> dict[str, object]:

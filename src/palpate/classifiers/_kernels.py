@@ -14,7 +14,7 @@ from .._checks import check_count, check_number, check_positive
 from ._mkl_problem import Floats
 
 # Fourth powers in a row by which narrower Gaussians come from a wider one.
-_MOST_STEPS = 2
+_MOST_STEPS = 3
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def _fill_gaussians(
 ) -> None:
     """Widest first: half the width is the fourth power, cheaper than exponentials.
 
-    Twice in a row at most, since each time the rounding grows fourfold.
+    A few in a row at most, since each time the rounding grows fourfold.
     """
     known: dict[float, tuple[Floats, int]] = {}
     gaussians = [

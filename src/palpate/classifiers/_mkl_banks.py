@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor
+from scipy.linalg.lapack import dpotrf
 from sklearn.utils import check_array
 
 from ._kernels import Kernel, kernel_diagonals, kernel_stack
@@ -130,7 +130,7 @@ class GivenBank(DenseBank):
         rounding = _ROUNDING if stack.dtype == np.float64 else _COARSE_ROUNDING
         # One at a time: copies of the whole stack would cost more than the checks.
         for k in range(stack.shape[2]):
-            _refuse_not_a_kernel(self._values[:, :, k].copy(), k, rounding)
+            _refuse_not_a_kernel(self._values[:, :, k].copy("F"), k, rounding)
         self.n_touches, self.normalize = len(stack), normalize
         diagonals = np.einsum("iik->ki", self._values)
         mean = self._values.mean(axis=(0, 1)) if normalize == "variance" else None
@@ -212,15 +212,14 @@ def _refuse_not_a_kernel(matrix: Floats, k: int, rounding: float) -> None:
                 "Precomputed kernels must be symmetric, got a difference of "
                 f"{skew:.3g} across the diagonal of kernel {k}. Pass (K + K.T) / 2."
             )
-    lift = rounding * np.abs(matrix.diagonal()).sum()
-    lifted = matrix.copy()
+    trace = np.abs(matrix.diagonal()).sum()
+    lifted = matrix.copy("F")
     # A matrix of zeros has no trace, and is a kernel all the same.
-    lifted[np.diag_indices_from(lifted)] += lift if matrix.any() else 1.0
-    try:
-        cho_factor(lifted, overwrite_a=True, check_finite=False)
-    except np.linalg.LinAlgError:
+    lifted.ravel("F")[:: len(matrix) + 1] += rounding * trace if trace else 1.0
+    _, failed = dpotrf(lifted, lower=1, clean=0, overwrite_a=1)
+    if failed:
         lowest = np.linalg.eigvalsh(matrix)[0]
         raise ValueError(
             "Precomputed kernels must be positive semi-definite, got an eigenvalue "
             f"of {lowest:.3g} in kernel {k}. Clip its eigenvalues at zero."
-        ) from None
+        )

@@ -20,7 +20,7 @@ _NEAR = 30
 _PATIENCE, _SHORT_PATIENCE = 12, 1
 # Weights and multipliers below these shares of the largest become zero where the
 # gap stays within the tolerance.
-_SMALL = ((1e-5, 1e-7), (1e-3, 1e-6))
+_SMALL = ((1e-3, 1e-6), (1e-5, 1e-7), (0.0, 0.0))
 
 
 def relative_gap(task: Task, point: Point, view: View) -> Floats:
@@ -105,19 +105,26 @@ class Best:
 
     def solution(self, task: Task) -> Solution:
         """Return the machines, with tiny weights and multipliers set to zero."""
-        point = task.system.settled(task, self.point, 0)
-        view = task.view(point)
-        gap, energies = relative_gap(task, point, view), view.energies
+        point, gap = self.point, self.gap
+        energies = np.zeros_like(point.shares)
+        rows = np.arange(len(gap))
         for share_of_weight, share_of_alpha in _SMALL:
-            sparse = point.take(np.arange(len(gap)))
+            part = task if len(rows) == len(gap) else task.take(rows)
+            sparse = self.point.take(rows)
             alpha = sparse.alpha
             alpha[alpha < share_of_alpha * alpha.max(axis=1, keepdims=True)] = 0
-            sparse = task.system.settled(task, sparse, share_of_weight)
-            view = task.view(sparse)
-            found = relative_gap(task, sparse, view)
-            swap = found <= np.maximum(self._tol, gap)
-            point.overwrite(swap, sparse.take(swap))
-            gap[swap], energies[swap] = found[swap], view.energies[swap]
+            sparse = part.system.settled(part, sparse, share_of_weight)
+            view = part.view(sparse)
+            found = relative_gap(part, sparse, view)
+            fine = found <= np.maximum(self._tol, gap[rows])
+            # Nothing is left out in the last round: that is how it must be.
+            fine |= share_of_weight == share_of_alpha == 0
+            done = rows[fine]
+            point.overwrite(done, sparse.take(fine))
+            gap[done], energies[done] = found[fine], view.energies[fine]
+            rows = rows[~fine]
+            if not len(rows):
+                break
         weights = task.weights(point)
         return Solution(
             alpha=point.alpha,

@@ -89,30 +89,28 @@ def _start(task: Task) -> Point:
     (n_problems, n), n_kernels = labels.shape, system.n_kernels
     shares = np.full((n_problems, n_kernels), 1 / n_kernels)
     ray = _ray(labels)
-    energy = task.view(_point(task, ray, shares)).energies.max(axis=1, keepdims=True)
+    pulls = system.pulls(ray)
+    free = np.concatenate([np.zeros((n_problems, 2)), pulls], axis=1)
+    left = np.concatenate([ray, task.C - ray, shares], axis=1)
+    point = Point(left, np.zeros_like(left), free, n)
+    view, slope = task.view(point), task.slopes(point)[0]
     total = ray.sum(axis=1, keepdims=True)
-    length = np.minimum(total / np.maximum(2 * energy, 1e-300), task.C)
-    alpha = np.where(task.real > 0, length * ray, task.C / 2)
-    point = _point(task, alpha, shares)
-    view = task.view(point)
-    pulls = task.slopes(point)[0] * view.energies
+    energy = np.maximum(2 * view.energies.max(axis=1, keepdims=True), 1e-300)
+    length = np.minimum(total / energy, task.C)
+    # All that was seen along the ray grows with its length.
+    free[:, 2:] *= length
+    left[:, :n] = np.where(task.real > 0, length * ray, task.C / 2)
+    left[:, n : 2 * n] = task.C - left[:, :n]
+    missing = task.real - length * (task.real - view.missing)
+    pull = slope * length**2 * view.energies
     least = 1e-3 * length * total
-    level = 1.5 * np.maximum(pulls.max(axis=1, keepdims=True), least)
+    free[:, 1:2] = 1.5 * np.maximum(pull.max(axis=1, keepdims=True), least)
     centre, most = _CROWDED_START if system.crowded else _START
-    floor = centre * length * total / n / point.left
-    right = np.concatenate([-view.missing, view.missing, level - pulls], axis=1)
+    floor = centre * length * total / n / left
+    right = np.concatenate([-missing, missing, point.level - pull], axis=1)
     point.right[...] = np.maximum(right, floor)
     np.minimum(point.errors, most * floor[:, n : 2 * n], out=point.errors)
-    point.level[...] = level
     return point
-
-
-def _point(task: Task, alpha: Floats, shares: Floats) -> Point:
-    """A point without bias and multipliers of bounds."""
-    left = np.concatenate([alpha, task.C - alpha, shares], axis=1)
-    pulls = task.system.pulls(alpha)
-    free = np.concatenate([np.zeros((len(alpha), 2)), pulls], axis=1)
-    return Point(left, np.zeros_like(left), free, alpha.shape[1])
 
 
 def _ray(labels: Floats) -> Floats:
@@ -131,18 +129,16 @@ def _advanced(task: Task, point: Point, view: View, going: NDArray) -> Point:
     mean = products.mean(axis=1, keepdims=True)
     ahead = newton.direction(-products)
     reach = np.minimum(1, _reach(point, ahead))
-    there = point.moved(reach, ahead)
-    left = (there.left * there.right).mean(axis=1, keepdims=True)
+    bent = ahead.left * ahead.right
+    left = (1 - reach) * mean + reach**2 * bent.mean(axis=1, keepdims=True)
     centre = mean * np.clip(left / mean, 0, 1) ** 3
-    move = newton.direction(centre - products - ahead.left * ahead.right)
+    move = newton.direction(centre - products - bent)
     step = np.minimum(1, _SHARE_OF_WAY * _reach(point, move))
     moved = point.moved(step, move)
-    usable = going & np.isfinite(moved.free).all(axis=1)
-    usable &= np.isfinite(moved.left.sum(axis=1) + moved.right.sum(axis=1))
+    # What is not finite shows in the step, or in the bias and the level.
+    usable = going & np.isfinite(step[:, 0] + moved.free.sum(axis=1))
     if not usable.all():
-        stay = ~usable
-        moved.left[stay], moved.right[stay] = point.left[stay], point.right[stay]
-        moved.free[stay] = point.free[stay]
+        moved.overwrite(~usable, point.take(~usable))
     return moved
 
 

@@ -56,17 +56,19 @@ class DualNewton:
         self._point, self._labels = point, task.labels
         n = point.n_touches
         self._ratio = point.right / point.left
-        slope, bend = task.slopes(point)
-        self._forces = view.pull
+        self._forces, pulls = view.pull, view.energies
+        stiffness = self._ratio[:, 2 * n :]
         if task.norm > 1:
-            self._forces = slope[:, :, None] * view.pull
-        self._gain = 1 / (self._ratio[:, 2 * n :] - bend * view.energies)
+            slope, bend = task.slopes(point)
+            self._forces, pulls = slope[:, :, None] * view.pull, slope * view.energies
+            stiffness = stiffness - bend * view.energies
+        self._gain = 1 / stiffness
         self._total = self._gain.sum(axis=1, keepdims=True)
         self._lean = weighted(self._gain / self._total, self._forces)
         # What the optimality conditions lack, besides the products.
         self._missing = view.missing - point.errors + point.right[:, :n]
         self._imbalance = (self._labels * point.alpha).sum(axis=1, keepdims=True)
-        self._excess = point.level - slope * view.energies - point.slack
+        self._excess = point.level - pulls - point.slack
         self._surplus = point.shares.sum(axis=1, keepdims=True) - 1
         diagonal = self._ratio[:, :n] + self._ratio[:, n : 2 * n]
         pull = Pull(self._forces, self._gain)

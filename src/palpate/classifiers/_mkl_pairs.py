@@ -160,7 +160,8 @@ def _batches(
         labels = np.zeros((len(rows), largest))
         for row, (first, second) in enumerate(pairs[rows]):
             n_first, n_both = counts[first], counts[first] + counts[second]
-            index[row, :n_both] = np.r_[members[first], members[second]]
+            index[row, :n_first] = members[first]
+            index[row, n_first:n_both] = members[second]
             labels[row, :n_first], labels[row, n_first:n_both] = -1, 1
         yield rows, index, labels
 
