@@ -1,0 +1,341 @@
+"""Touches needed until the object is named: chosen touches, random ones, a raster.
+
+    python benchmarks/choose_touches.py --out benchmarks/choose_touches.json
+    python benchmarks/choose_touches.py --pool DATA/bathtip/bathtip50.npz
+
+In simulation the ten household objects are taught in one pose, 60 touches each in
+three recordings with the object put down anew (5 mm aside along x and y), then felt
+in an episode of their own: in the training pose, turned about the vertical by an
+unknown angle, or on another resting face. Everything goes through the simulated arm:
+noisy force, contact that shifts the object by up to 5 % of its size, approaches that
+find nothing. Touches are attempts: those that found nothing count.
+
+With --pool the touches of a recorded set are looked at in another order, chosen among
+their contact heights and radii. One object of each category is drawn per seed; the
+test touches are 25 of each, drawn at random ("between") or the last recorded ("last").
+
+"by touch" names the most probable object by the images alone (`Belief`), "by place" by
+images and the side they were felt on (`PlacedBelief`).
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterator
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from palpate import Touches
+from palpate.exploration import (
+    Guard,
+    Hemisphere,
+    InformativeRecorded,
+    InformativeTouch,
+    RandomHemisphere,
+    RandomRecorded,
+    Raster,
+    RasterRecorded,
+    SimulatedRobot,
+    TouchMap,
+    TouchRecord,
+    as_touches,
+    gather,
+    guarded_touch,
+    look_at_recorded,
+)
+from palpate.recognition import ObjectRecogniser
+from palpate.sensors import SimulatedBench, SimulatedSensor
+from palpate.simulation import HOUSEHOLD, DomeCamera, PlacedObject, SimObject
+
+CAMERA = DomeCamera(image_shape=(120, 120), n_nodes=32)
+GUARD = Guard(air_step_mm=2.0)
+PLACEMENT_MM = 5.0
+N_SESSIONS, TOUCHES_PER_SESSION = 3, 20
+CONDITIONS = ("training pose", "new yaw", "other face")
+STRATEGIES = ("random", "raster", "chosen", "chosen by touch")
+TEST_TOUCHES = 25
+WANTED = 0.95
+Hits = dict[str, Any]
+
+
+class Stand:
+    """One object put down once, with arm and sensor."""
+
+    def __init__(self, thing: SimObject, face: int, yaw_rad: float, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        placed = PlacedObject.resting(thing, face, yaw_rad)
+        x, y, z = placed.centre_mm
+        aside = np.array([*rng.normal(0, PLACEMENT_MM, 2), 0.0])
+        there = np.asarray(placed.position_mm) + aside
+        placed = PlacedObject(thing, placed.rotation, yaw_rad, there)
+        bench = SimulatedBench(placed, CAMERA, random_state=seed)
+        self.hemisphere = Hemisphere((float(x), float(y), float(z)))
+        home = self.hemisphere.pose(0.0, np.pi / 2)
+        self.robot = SimulatedRobot(bench, home, random_state=seed)
+        self.sensor = SimulatedSensor(bench, random_state=seed)
+
+    def touch(self, pose: Any) -> TouchRecord:
+        """Go round the object to a pose and touch from there."""
+        for waypoint in self.hemisphere.way(self.robot.read_pose(), pose):
+            self.robot.move_to(waypoint)
+        clock = self.robot.clock
+        return guarded_touch(self.robot, self.sensor, pose, GUARD, clock=clock)
+
+
+def taught(teaching: int) -> TouchMap:
+    """Touch every object in its usual pose, learn them and where they feel how."""
+    parts = []
+    for code, thing in enumerate(HOUSEHOLD):
+        for session in range(N_SESSIONS):
+            seed = _seed(1, teaching, code, session)
+            stand = Stand(thing, 0, 0.0, seed)
+            strategy = RandomHemisphere(stand.hemisphere, seed)
+            history = gather(
+                stand.robot,
+                stand.sensor,
+                strategy,
+                n_touches=TOUCHES_PER_SESSION,
+                guard=GUARD,
+                clock=stand.robot.clock,
+            )
+            part = as_touches(history, object=thing.name, geometry="dome")
+            parts.append(part.with_columns(session=np.full(len(part), session)))
+    touches = Touches.concatenate(parts)
+    recogniser = ObjectRecogniser(random_state=teaching).fit(touches)
+    return TouchMap(random_state=teaching).fit(recogniser, touches)
+
+
+def one_teaching(teaching: int, seeds: list[int], n_touches: int) -> list[Hits]:
+    """Run the episodes of some seeds on one teaching."""
+    touch_map = taught(teaching)
+    found = []
+    for seed in seeds:
+        for condition, strategy in product(CONDITIONS, STRATEGIES):
+            for code, thing in enumerate(HOUSEHOLD):
+                where = _seed(2, seed, code, CONDITIONS.index(condition))
+                stand = _put_down(thing, condition, where)
+                if stand is None:
+                    continue
+                named = episode(stand, touch_map, strategy, where, n_touches)
+                found.append(_hits(condition, strategy, seed, thing.name, named))
+        print(f"teaching {teaching}, seed {seed}", file=sys.stderr, flush=True)
+    return found
+
+
+def episode(
+    stand: Stand, touch_map: TouchMap, name: str, seed: int, n_touches: int
+) -> dict[str, list[str]]:
+    """Return the object named after each attempt, by touch and by place."""
+    choosers: dict[str, Callable[[], Any]] = {
+        "random": lambda: RandomHemisphere(stand.hemisphere, seed),
+        "raster": lambda: Raster(stand.hemisphere),
+        "chosen": lambda: InformativeTouch(touch_map, stand.hemisphere),
+        "chosen by touch": lambda: InformativeTouch(touch_map, stand.hemisphere),
+    }
+    strategy, belief = choosers[name](), touch_map.start()
+    history: list[TouchRecord] = []
+    named: dict[str, list[str]] = {"by touch": [], "by place": []}
+    for _ in range(n_touches):
+        told = belief.touch if name == "chosen by touch" else belief
+        record = stand.touch(strategy.next_pose(told, history))
+        history.append(record)
+        if record.touched:
+            belief.update(as_touches([record]))
+        named["by touch"].append(belief.touch.best)
+        named["by place"].append(belief.best)
+    return named
+
+
+def one_pool(data: str, split: str, seed: int, n_touches: int) -> list[Hits]:
+    """Look at recorded touches of ten objects, one of each category."""
+    touches = Touches.load(data)
+    rng = np.random.default_rng(_seed(3, seed))
+    places = heights_and_radii(touches)
+    train, tests = _split(touches, split, rng)
+    scaled = places / places[train].std(axis=0)
+    recogniser = ObjectRecogniser(random_state=seed).fit(touches[train])
+    touch_map = TouchMap(n_turns=1, random_state=seed)
+    touch_map.fit(recogniser, touches[train], scaled[train])
+    found = []
+    for thing, rows in tests.items():
+        for name, chooser in _choosers(touch_map, scaled[rows], seed):
+            _, by_touch, by_place = look_at_recorded(
+                touch_map, touches[rows], scaled[rows], chooser, n_touches
+            )
+            named = {"by touch": by_touch.tolist(), "by place": by_place.tolist()}
+            found.append(_hits(split, name, seed, thing, named))
+    print(f"pool {split}, seed {seed}", file=sys.stderr, flush=True)
+    return found
+
+
+def heights_and_radii(touches: Touches) -> np.ndarray:
+    """Height of each contact, and its distance from the object's median axis."""
+    raw = np.asarray(touches.columns["position_raw"], dtype=float)
+    radius = np.empty(len(raw))
+    for name in np.unique(touches.object):
+        rows = touches.object == name
+        middle = np.median(raw[rows, :2], axis=0)
+        radius[rows] = np.linalg.norm(raw[rows, :2] - middle, axis=1)
+    return np.column_stack([raw[:, 2], radius])
+
+
+def summary(found: list[Hits]) -> list[dict[str, Any]]:
+    """Accuracy after each touch and touches needed, with spread over seeds."""
+    rows = []
+    keys = sorted({(hit["condition"], hit["strategy"]) for hit in found})
+    for condition, strategy in keys:
+        for belief in ("by touch", "by place"):
+            curves = _curves(found, condition, strategy, belief)
+            rows.append(
+                {
+                    "condition": condition,
+                    "strategy": strategy,
+                    "belief": belief,
+                    "n_seeds": len(curves),
+                    "accuracy": curves.mean(axis=0).round(4).tolist(),
+                    "accuracy_sd": curves.std(axis=0, ddof=1).round(4).tolist(),
+                    "touches_for_95": _needed(curves.mean(axis=0)),
+                    "touches_for_95_range": _needed_range(curves),
+                    "touches_to_stay": _needed_to_stay(curves.mean(axis=0)),
+                }
+            )
+    return rows
+
+
+def _put_down(thing: SimObject, condition: str, seed: int) -> Stand | None:
+    """Put an object down as a condition asks; None if it has no other face."""
+    rng = np.random.default_rng(seed)
+    yaw = 0.0 if condition == "training pose" else rng.uniform(0, 2 * np.pi)
+    n_faces = len(thing.resting_rotations)
+    if condition != "other face":
+        return Stand(thing, 0, yaw, seed)
+    if n_faces == 1:
+        return None
+    return Stand(thing, int(rng.integers(1, n_faces)), yaw, seed)
+
+
+def _hits(
+    condition: str, strategy: str, seed: int, thing: str, named: dict[str, list[str]]
+) -> Hits:
+    hits = {belief: [name == thing for name in named[belief]] for belief in named}
+    about = {"condition": condition, "strategy": strategy, "seed": seed}
+    return {**about, "object": thing, **hits}
+
+
+def _curves(
+    found: list[Hits], condition: str, strategy: str, belief: str
+) -> np.ndarray:
+    """Accuracy over objects after each touch, one row per seed."""
+    wanted = condition, strategy
+    chosen = [hit for hit in found if (hit["condition"], hit["strategy"]) == wanted]
+    seeds = sorted({hit["seed"] for hit in chosen})
+    return np.array(
+        [np.mean([h[belief] for h in chosen if h["seed"] == s], axis=0) for s in seeds]
+    )
+
+
+def _needed(curve: np.ndarray) -> int | None:
+    """Touches after which the accuracy first is what is wanted."""
+    enough = np.flatnonzero(curve >= WANTED)
+    return int(enough[0]) + 1 if len(enough) else None
+
+
+def _needed_to_stay(curve: np.ndarray) -> int | None:
+    """Touches from which on the accuracy is never below what is wanted."""
+    below = np.flatnonzero(curve < WANTED)
+    needed = 1 if not len(below) else int(below[-1]) + 2
+    return needed if needed <= len(curve) else None
+
+
+def _needed_range(curves: np.ndarray) -> list[int | None]:
+    """5 % and 95 % of the touches needed, over seeds drawn with replacement."""
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(len(curves), size=(1000, len(curves)))
+    most = curves.shape[1] + 1
+    needed = [_needed(curves[rows].mean(axis=0)) or most for rows in drawn]
+    low, high = np.quantile(needed, [0.05, 0.95], method="inverted_cdf")
+    return [int(number) if number < most else None for number in (low, high)]
+
+
+def _split(
+    touches: Touches, split: str, rng: np.random.Generator
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Training touches, and the test touches of each object."""
+    train, tests = [], {}
+    for category in np.unique(touches.category):
+        thing = str(rng.choice(np.unique(touches.object[touches.category == category])))
+        rows = np.flatnonzero(touches.object == thing)
+        rows = rows[np.argsort(touches.order[rows], kind="stable")]
+        if split == "between":
+            rows = rng.permutation(rows)
+        train.append(np.sort(rows[:-TEST_TOUCHES]))
+        tests[thing] = np.sort(rows[-TEST_TOUCHES:])
+    return np.concatenate(train), tests
+
+
+class _ByTouch:
+    """A chooser that is told the belief by images alone."""
+
+    def __init__(self, chooser: InformativeRecorded) -> None:
+        self._chooser = chooser
+
+    def next_touch(self, belief: Any, used: Any) -> int:
+        return self._chooser.next_touch(belief.touch, used)
+
+
+def _choosers(
+    touch_map: TouchMap, places: np.ndarray, seed: int
+) -> Iterator[tuple[str, Any]]:
+    informative = InformativeRecorded(touch_map, places)
+    yield "random", RandomRecorded(len(places), seed)
+    yield "raster", RasterRecorded(places)
+    yield "chosen", informative
+    yield "chosen by touch", _ByTouch(informative)
+
+
+def _seed(*numbers: int) -> int:
+    return int(np.random.SeedSequence(numbers).generate_state(1)[0])
+
+
+def main() -> None:
+    """Run, print a table, and write JSON."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--teachings", type=int, default=5)
+    parser.add_argument("--touches", type=int, default=14)
+    parser.add_argument("--pool", metavar="FILE", help="an archive with position_raw")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--out", type=Path)
+    asked = parser.parse_args()
+    if asked.pool:
+        tasks = [
+            delayed(one_pool)(asked.pool, split, seed, asked.touches)
+            for split in ("between", "last")
+            for seed in range(asked.seeds)
+        ]
+    else:
+        parts = np.array_split(np.arange(asked.seeds), asked.teachings)
+        tasks = [
+            delayed(one_teaching)(teaching, seeds.tolist(), asked.touches)
+            for teaching, seeds in enumerate(parts)
+        ]
+    done = Parallel(n_jobs=asked.jobs)(tasks)
+    rows = summary([hit for part in done for hit in part])
+    for row in rows:
+        curve = " ".join(f"{value:.2f}" for value in row["accuracy"])
+        print(
+            f"{row['condition']:14s} {row['strategy']:16s} {row['belief']:9s} {curve}  "
+            f"95 %: {row['touches_for_95']} {row['touches_for_95_range']} "
+            f"stays {row['touches_to_stay']}"
+        )
+    if asked.out:
+        kept = {"arguments": sys.argv[1:], "rows": rows}
+        asked.out.write_text(json.dumps(kept, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,250 @@
+"""Episodes: choose a place, touch it, keep what happened, and know when to stop."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .._checks import check_count
+from ..sensors import TouchSensor
+from ._guarded import Clock, Guard, guarded_touch
+from ._log import EpisodeLog
+from ._record import TouchRecord, as_touches, tip_mm
+from ._robot import Robot, RobotError
+from ._strategies import Strategy
+
+if TYPE_CHECKING:  # scikit-learn is not needed to touch.
+    from ..recognition import Belief, ObjectRecogniser
+    from ._placed_belief import PlacedBelief
+    from ._touch_map import TouchMap
+
+    AnyBelief = Belief | PlacedBelief
+
+MAX_FAULTS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Exploration:
+    """An episode that has come to an end.
+
+    Attributes
+    ----------
+    decision : str or None
+        The object, "unknown", or None.
+    ended_by : {"decision", "unknown", "budget", "faults"}
+        Why it ended. After "faults" someone must look at the robot.
+    reason : str
+        One sentence.
+    belief : Belief or PlacedBelief
+        What the touches say.
+    history : list of TouchRecord
+        All attempts.
+    """
+
+    decision: str | None
+    ended_by: str
+    reason: str
+    belief: AnyBelief
+    history: list[TouchRecord]
+
+    @property
+    def n_touches(self) -> int:
+        """Number of attempts that were touches."""
+        return sum(record.touched for record in self.history)
+
+
+def explore(
+    robot: Robot,
+    sensor: TouchSensor,
+    recogniser: ObjectRecogniser | TouchMap,
+    strategy: Strategy,
+    folder: str | Path | None = None,
+    *,
+    guard: Guard | None = None,
+    max_attempts: int = 30,
+    error: float = 0.01,
+    max_faults: int = MAX_FAULTS,
+    clock: Clock = time.monotonic,
+    on_attempt: Callable[[TouchRecord, AnyBelief], None] | None = None,
+) -> Exploration:
+    """Touch an object until it is recognised.
+
+    Parameters
+    ----------
+    robot, sensor : Robot, TouchSensor
+        What moves and what feels.
+    recogniser : ObjectRecogniser or TouchMap
+        Knows the objects; made for this sensor. A `TouchMap` also uses from where
+        each touch was made.
+    strategy : Strategy
+        Where to touch.
+    folder : path, optional
+        Where to keep the attempts. A folder in which an episode was begun with the
+        same strategy goes on, whatever ended it.
+    guard : Guard, optional
+        How far and how hard each touch may go.
+    max_attempts : int, default=30
+        Budget, touches and attempts that found nothing or failed alike.
+    error : float, default=0.01
+        Accepted share of wrong decisions, see `Belief.decide`.
+    max_faults : int, default=3
+        Give up after so many faults in a row.
+    clock : callable, default=time.monotonic
+        Seconds, for time-outs.
+    on_attempt : callable, optional
+        Called with each new attempt and the belief after it.
+
+    Returns
+    -------
+    Exploration
+        The arm is back on the hemisphere, unless the last record says otherwise.
+
+    Raises
+    ------
+    EpisodeError
+        `folder` holds another episode, or is damaged.
+    RobotError
+        The arm cannot be brought outside the hemisphere to begin with.
+    """
+    check_count("max_attempts", max_attempts)
+    check_count("max_faults", max_faults)
+    guard = guard or Guard()
+    with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
+        n_before = len(log.history)
+        belief = _belief(recogniser, log.history)
+        end = _end(belief, n_before, max_attempts, error, "")
+        if end is None:
+            _come_out(robot, strategy)
+        while end is None:
+            record = _attempt(robot, sensor, strategy, belief, log, guard, clock)
+            _take_in(belief, record)
+            if on_attempt is not None:
+                on_attempt(record, belief)
+            gave_up = _gave_up(log.history[n_before:], max_faults)
+            end = _end(belief, len(log.history), max_attempts, error, gave_up)
+        return Exploration(*end, belief, list(log.history))
+
+
+def gather(
+    robot: Robot,
+    sensor: TouchSensor,
+    strategy: Strategy,
+    folder: str | Path | None = None,
+    *,
+    n_touches: int = 60,
+    guard: Guard | None = None,
+    max_faults: int = MAX_FAULTS,
+    clock: Clock = time.monotonic,
+) -> list[TouchRecord]:
+    """Touch an object many times, to learn it.
+
+    As `explore`, without a belief: it ends after `n_touches` touches. Give the
+    records to `as_touches` with the object's name. A folder that was begun goes on.
+
+    Raises
+    ------
+    RobotError
+        Too few of five attempts for each touch that is wanted were touches, or
+        `max_faults` faults came in a row. What was recorded stays.
+    """
+    check_count("n_touches", n_touches)
+    check_count("max_faults", max_faults)
+    guard = guard or Guard()
+    with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
+        n_before, wanted = len(log.history), n_touches - _n_touched(log.history)
+        if wanted > 0:
+            _come_out(robot, strategy)
+        while _n_touched(log.history) < n_touches:
+            _attempt(robot, sensor, strategy, None, log, guard, clock)
+            _refuse_few(log.history[n_before:], wanted, max_faults)
+        return list(log.history)
+
+
+def _attempt(
+    robot: Robot,
+    sensor: TouchSensor,
+    strategy: Strategy,
+    belief: AnyBelief | None,
+    log: EpisodeLog,
+    guard: Guard,
+    clock: Clock,
+) -> TouchRecord:
+    """Choose, go there, touch, keep; whatever goes wrong is in the record."""
+    pose = strategy.next_pose(belief, log.history)
+    try:
+        for waypoint in strategy.hemisphere.way(robot.read_pose(), pose):
+            robot.move_to(waypoint)
+    except Exception as error:
+        message = f"On the way to the start: {type(error).__name__}: {error}"
+        record = TouchRecord("robot error", pose, tip_mm(pose), message=message)
+    else:
+        record = guarded_touch(robot, sensor, pose, guard, clock=clock)
+    log.append(record)
+    return record
+
+
+def _come_out(robot: Robot, strategy: Strategy) -> None:
+    """Pull the arm out of the hemisphere, should a touch have been interrupted."""
+    way_mm = strategy.hemisphere.way_out_mm(robot.read_pose())
+    if way_mm > 0:
+        robot.retract(way_mm)
+
+
+def _belief(
+    recogniser: ObjectRecogniser | TouchMap, history: Sequence[TouchRecord]
+) -> AnyBelief:
+    belief = recogniser.start()
+    for record in history:
+        _take_in(belief, record)
+    return belief
+
+
+def _take_in(belief: AnyBelief, record: TouchRecord) -> None:
+    if record.touched:
+        belief.update(as_touches([record]))
+
+
+def _end(
+    belief: AnyBelief, n_attempts: int, max_attempts: int, error: float, gave_up: str
+) -> tuple[str | None, str, str] | None:
+    """Return decision, what ended the episode and why, or None to go on."""
+    decision = belief.decide(error)
+    if decision is not None:
+        ended_by = "unknown" if decision == "unknown" else "decision"
+        return decision, ended_by, belief.reason(error)
+    if gave_up:
+        return None, "faults", gave_up
+    if n_attempts >= max_attempts:
+        return None, "budget", f"{max_attempts} attempts made. {belief.reason(error)}"
+    return None
+
+
+def _gave_up(attempts: Sequence[TouchRecord], max_faults: int) -> str:
+    """Return why to touch no more, or nothing while it is safe to go on."""
+    if not attempts:
+        return ""
+    last = attempts[-1]
+    if not last.retracted:
+        return f"The arm would not retract and was stopped: {last.message}"
+    recent = attempts[-max_faults:]
+    if len(recent) == max_faults and all(record.faulty for record in recent):
+        return f"{max_faults} faults in a row, the last: {last.outcome}. {last.message}"
+    return ""
+
+
+def _refuse_few(attempts: Sequence[TouchRecord], wanted: int, max_faults: int) -> None:
+    """Give up gathering where touches do not come."""
+    gave_up = _gave_up(attempts, max_faults)
+    n_touched = _n_touched(attempts)
+    if gave_up or (len(attempts) >= 5 * wanted and n_touched < wanted):
+        raise RobotError(
+            f"Only {n_touched} of {wanted} touches came of {len(attempts)} attempts. "
+            f"{gave_up or 'Is the object where the hemisphere has its centre?'}"
+        )
+
+
+def _n_touched(history: Sequence[TouchRecord]) -> int:
+    return sum(record.touched for record in history)

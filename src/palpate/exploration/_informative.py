@@ -1,0 +1,214 @@
+"""Where to touch next: where the answer is expected to tell most.
+
+For a candidate place and every object and turn that is still possible, the training
+touches near that place, on that object turned so, are what may be felt there. Each
+would change the belief; the expected gain of the candidate is how much more probable
+(in nats) the truth becomes, averaged over what may be true and what may be felt:
+
+    I(c) = sum_(o, a) b(o, a) sum_i K_i(c turned back by a) [log b'(o | f_i) - log b(o)]
+
+the mutual information of the object and the touch, under the map. Training touches
+are weighed by what they would say had their stretch of the recording never been
+learnt, so a place where the recogniser errs is worth little, or less than nothing. A
+place near one that was touched before feels the same again: its gain is scaled by
+1 - exp(-d^2 / 2 w^2). Where nothing promises anything, the freshest place is next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from .._checks import check_count
+from ..simulation import SensorPose
+from ._hemisphere import Hemisphere, outward
+from ._placed_belief import PlacedBelief
+from ._places import Floats, freshness
+from ._record import TouchRecord, as_touches
+from ._touch_map import TouchMap
+
+if TYPE_CHECKING:
+    from ..recognition import Belief
+
+Floats32 = NDArray[np.floating[Any]]
+_LEAST_PROMISE = 1e-3
+_LEAST = np.float32(1e-30)
+
+
+class Stations:
+    """Rings of places round the objects, and what may be felt at each.
+
+    A candidate in the world is a station on the object: turning the object by a step
+    moves it one station back along its ring.
+
+    Parameters
+    ----------
+    touch_map : TouchMap
+        What is known.
+    places : ndarray of shape (n_rings, n_turns, n_dimensions)
+        The stations, `touch_map.n_turns` on each ring, a step apart.
+    """
+
+    def __init__(self, touch_map: TouchMap, places: Floats) -> None:
+        self._map = touch_map
+        n_rings, n_turns, _ = places.shape
+        closeness = touch_map.closeness(places.reshape(n_rings * n_turns, -1))
+        ratio = touch_map.station_ratio(*touch_map.left_out(), closeness)
+        felt = touch_map.touch_weight_ * touch_map.left_out_.T
+        evidence = felt + touch_map.placed_weight_ * ratio
+        shape = (n_rings, n_turns, touch_map.n_objects, len(touch_map.codes_))
+        by_object = evidence.astype(np.float32).reshape(shape).transpose(2, 0, 1, 3)
+        self._evidence = self._floored(by_object)
+        self._closeness = closeness.astype(np.float32).reshape(n_rings, n_turns, -1)
+        turn = np.arange(n_turns)
+        self._back = (turn[:, None] - turn) % n_turns
+
+    def expected_gain(self, log_joint: Floats, n_touches: int) -> Floats:
+        """Return the expected gain (nats) of each candidate, (n_rings * n_turns,).
+
+        Parameters
+        ----------
+        log_joint : ndarray of shape (n_objects, n_turns)
+            The belief.
+        n_touches : int
+            How many touches it rests on.
+        """
+        joint = np.exp(log_joint).astype(np.float32)
+        turned = joint[:, self._back]
+        discount = np.float32(self._map.discount(n_touches + 1))
+        told = turned[:, np.newaxis] @ np.exp(discount * self._evidence)
+        everything = np.maximum(told.sum(axis=0), _LEAST)
+        total = np.zeros(everything.shape[:2])
+        for code, rows in enumerate(self._map.rows_of_object):
+            felt = turned[code] @ self._closeness[..., rows]
+            after = told[code][..., rows] / everything[..., rows]
+            before = np.maximum(joint[code].sum(), _LEAST)
+            gain = np.log(np.maximum(after, _LEAST)) - np.log(before)
+            total += (felt * gain).sum(axis=-1)
+        return total.ravel()
+
+    def _floored(self, evidence: Floats32) -> Floats32:
+        """Apply the floor that a touch keeps for each object and turn."""
+        # On an object turned every way a candidate meets every station of its ring.
+        relative = evidence - logsumexp(evidence, axis=(0, 2), keepdims=True)
+        floor = self._map.recogniser.floor_
+        if floor == 0:
+            return relative
+        least = np.float32(np.log(floor / (self._map.n_objects * self._map.n_turns)))
+        floored: Floats32 = np.logaddexp(np.float32(np.log1p(-floor)) + relative, least)
+        return floored
+
+
+class InformativeTouch:
+    """Touches where most is expected to be learnt, given the belief.
+
+    Parameters
+    ----------
+    touch_map : TouchMap
+        What every object feels like from every side.
+    hemisphere : Hemisphere, optional
+        Where the poses lie.
+    n_rings : int, default=6
+        Rings of candidates, of equal height; `touch_map.n_turns` on each.
+
+    Notes
+    -----
+    With a `PlacedBelief` the belief over turns is used as it is. With a `Belief`, by
+    images alone, the objects are as probable as it says, and the turns of each as
+    the attempts so far make them. Without a belief the objects are equally probable.
+    """
+
+    def __init__(
+        self,
+        touch_map: TouchMap,
+        hemisphere: Hemisphere | None = None,
+        *,
+        n_rings: int = 6,
+    ) -> None:
+        self.touch_map = touch_map
+        self.hemisphere = Hemisphere() if hemisphere is None else hemisphere
+        self.n_rings = check_count("n_rings", n_rings)
+        grid = self._grid()
+        self._candidates = grid.reshape(-1, 3)
+        self._stations = Stations(touch_map, grid)
+        self._seen: list[TouchRecord] = []
+        self._placed = touch_map.start()
+
+    def next_pose(
+        self, belief: Belief | PlacedBelief | None, history: Sequence[TouchRecord]
+    ) -> SensorPose:
+        """Return the pose of the candidate with the largest expected gain."""
+        gain = self.expected_gain(belief, history)
+        best = most_promising(gain, self._fresh(history))
+        return self.hemisphere.pose_towards(self._candidates[best])
+
+    def expected_gain(
+        self, belief: Belief | PlacedBelief | None, history: Sequence[TouchRecord]
+    ) -> Floats:
+        """Return the expected gain of each candidate (nats), (n_candidates,).
+
+        As if nothing near it had been touched; what was is `next_pose`'s business.
+        """
+        log_joint, n_touches = self._joint(belief, history)
+        return self._stations.expected_gain(log_joint, n_touches)
+
+    def _fresh(self, history: Sequence[TouchRecord]) -> Floats:
+        touched = -np.array([record.direction for record in history]).reshape(-1, 3)
+        return freshness(self._candidates, touched, self.touch_map.width_)
+
+    def __repr__(self) -> str:
+        return (
+            f"InformativeTouch(hemisphere={self.hemisphere!r}, n_rings={self.n_rings}, "
+            f"n_turns={self.touch_map.n_turns})"
+        )
+
+    def _grid(self) -> Floats:
+        """Directions of the candidates, (n_rings, n_turns, 3), outward."""
+        lowest = np.sin(self.hemisphere.lowest_rad)
+        heights = lowest + (1 - lowest) * (np.arange(self.n_rings) + 0.5) / self.n_rings
+        n_turns = self.touch_map.n_turns
+        turns = np.arange(n_turns) * (2 * np.pi / n_turns)
+        return np.array([[outward(a, np.arcsin(h)) for a in turns] for h in heights])
+
+    def _joint(
+        self, belief: Belief | PlacedBelief | None, history: Sequence[TouchRecord]
+    ) -> tuple[Floats, int]:
+        if isinstance(belief, PlacedBelief):
+            return belief.log_joint, belief.touches_used
+        placed = self._follow(history)
+        if belief is None:
+            return placed.log_joint, placed.touches_used
+        turns = placed.log_joint - placed.log_posterior[:, None]
+        shares = np.array(list(belief.posterior.values()))
+        objects = np.log(np.maximum(shares, np.finfo(float).tiny))
+        return turns + objects[:, None], belief.touches_used
+
+    def _follow(self, history: Sequence[TouchRecord]) -> PlacedBelief:
+        """Return the placed belief after `history`; what was encoded stays so."""
+        felt = [record for record in history if record.touched]
+        n_seen = len(self._seen)
+        if n_seen > len(felt) or any(map(_differ, self._seen, felt)):
+            self._seen, self._placed, n_seen = [], self.touch_map.start(), 0
+        if len(felt) > n_seen:
+            self._placed.update(as_touches(felt[n_seen:]))
+            self._seen = felt
+        return self._placed
+
+
+def most_promising(gain: Floats, fresh: Floats) -> int:
+    """Return the candidate with the largest gain that is still to be had.
+
+    Gains below zero are not made better by having been there.
+    """
+    promise = np.where(gain > 0, gain * fresh, gain)
+    if promise.max() < _LEAST_PROMISE:
+        return int(fresh.argmax())
+    return int(promise.argmax())
+
+
+def _differ(one: TouchRecord, other: TouchRecord) -> bool:
+    return one is not other

@@ -1,0 +1,246 @@
+"""What every known object feels like from every side, learnt from its touches.
+
+The recogniser knows what an object feels like somewhere; a `TouchMap` knows where. A
+place is a point in the object's own frame: for touches from a hemisphere the unit
+vector from the centre towards the sensor. How the object is turned about the vertical
+is unknown, so a hypothesis is an object AND one of `n_turns` turns.
+
+For a touch with features f at a place u, under object o turned by a,
+
+    log p(f | o, a, u) = c (t log p(f | o) + p log r),
+    r = sum_j K(j) N(f; f_j, h) / mean_j N(f; f_j, h),
+
+over the training touches j of o, with K(j) falling with the distance of j's place from
+the place that u is on the object, and adding up to 1. So r says how much better the
+place explains the touch than any place does, and is 1 where the map knows nothing.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import log_softmax
+
+from .._checks import check_count
+from ..recognition import ObjectRecogniser, with_floor
+from ..recognition._calibration import left_out_log_likelihood
+from ..touches import Touches
+from ._places import Floats, places_of, squared_distances, turned_back
+from ._touch_map_choice import choose_kernels
+
+if TYPE_CHECKING:
+    from ._placed_belief import PlacedBelief
+
+_ELSEWHERE = 1e-3
+_TINY = 1e-6
+
+
+class TouchMap:
+    """Where on each object which touches are felt.
+
+    Parameters
+    ----------
+    n_turns : int, default=24
+        Turns about the vertical that are told apart; 1 where the object's own frame
+        is known, or where places do not turn (heights and radii).
+    random_state : int, default=0
+        Seed of the drawn episodes that choose widths and weights.
+
+    Attributes
+    ----------
+    places_ : ndarray of shape (n_touches, n_dimensions)
+        Places of the training touches.
+    features_ : ndarray of shape (n_touches, n_features)
+        Their features.
+    codes_, group_ : ndarray of shape (n_touches,)
+        Number of the object of each, and of what is left out with it.
+    left_out_ : ndarray of shape (n_touches, n_objects)
+        log p(f | o) of each by what was learnt without its group.
+    width_, bandwidth_ : float
+        Standard deviations of the kernels over places and over features.
+    touch_weight_, placed_weight_, correlation_ : float
+        t and p above, and c = 1 / (1 + (k - 1) correlation) after k touches.
+    log_loss_ : dict of str to float
+        Mean log loss (nats) of left-out episodes: "touch" by the touches alone,
+        "placed" with their places.
+    """
+
+    def __init__(self, *, n_turns: int = 24, random_state: int = 0) -> None:
+        self.n_turns = n_turns
+        self.random_state = random_state
+
+    def fit(
+        self,
+        recogniser: ObjectRecogniser,
+        touches: Touches,
+        places: ArrayLike | None = None,
+    ) -> Self:
+        """Learn where the touches that `recogniser` learnt were made.
+
+        Parameters
+        ----------
+        recogniser : ObjectRecogniser
+            Fitted on these touches.
+        touches : Touches
+            The same, in the same order.
+        places : array-like of shape (n_touches, n_dimensions), optional
+            By default from the column `direction` (unit vectors of the approach, in
+            the object's frame): the way back from the object.
+
+        Raises
+        ------
+        ValueError
+            The touches are not those, or they have no places.
+        """
+        check_count("n_turns", self.n_turns)
+        _refuse_others(recogniser, touches)
+        self.recogniser = recogniser
+        self.places_ = places_of(touches, places, self.n_turns)
+        self.features_ = np.asarray(recogniser.features_)
+        self.codes_ = np.searchsorted(recogniser.classes_, recogniser.labels_)
+        self.group_ = np.asarray(recogniser.stretches_)
+        codes = range(len(recogniser.classes_))
+        self.rows_of_object = [np.flatnonzero(self.codes_ == code) for code in codes]
+        self._squared = squared_distances(self.features_, self.features_)
+        self.left_out_ = log_softmax(
+            left_out_log_likelihood(
+                recogniser.classifier_, self.features_, recogniser.labels_, self.group_
+            ),
+            axis=1,
+        )
+        weights, by_touch, by_place = choose_kernels(self, self.random_state)
+        self.touch_weight_, self.placed_weight_, self.correlation_ = weights
+        self.log_loss_ = {"touch": by_touch, "placed": by_place}
+        return self
+
+    @property
+    def n_objects(self) -> int:
+        """Number of known objects."""
+        return len(self.rows_of_object)
+
+    def start(self) -> PlacedBelief:
+        """Return the belief before the first touch of an episode."""
+        from ._placed_belief import PlacedBelief
+
+        return PlacedBelief(self)
+
+    def set_kernels(self, width: float, bandwidth_share: float) -> None:
+        """Set the width, and the bandwidth by its share of the features' spread."""
+        spread = float(self._squared.mean())
+        self.width_, self.bandwidth_ = width, float(np.sqrt(bandwidth_share * spread))
+
+    def placed_ratio(self, features: Floats, places: Floats) -> Floats:
+        """Return log r of touches at places, (n_touches, n_objects, n_turns)."""
+        nearness = self._nearness(squared_distances(features, self.features_))
+        stations = turned_back(places, self.n_turns)
+        ratios = [
+            self.station_ratio(row[None], None, self.closeness(station))[..., 0].T
+            for row, station in zip(nearness, stations, strict=True)
+        ]
+        return np.stack(ratios)
+
+    def closeness(self, stations: Floats) -> Floats:
+        """Return K of training touches about stations, (n_stations, n_touches).
+
+        Stations are places in the object's frame. Each object's touches sum to 1.
+        """
+        squared = squared_distances(stations, self.places_)
+        kernel = np.exp(squared / (-2 * self.width_**2)) + _ELSEWHERE
+        for rows in self.rows_of_object:
+            kernel[:, rows] /= kernel[:, rows].sum(axis=1, keepdims=True)
+        return kernel
+
+    def left_out(self) -> tuple[Floats, Floats]:
+        """Return the nearness of training touches and who may speak, (n, n) each.
+
+        A touch hears nothing from its own group: 0 there, else 1.
+        """
+        allowed = (self.group_[:, None] != self.group_).astype(np.float64)
+        return self._nearness(self._squared), allowed
+
+    def station_ratio(
+        self, nearness: Floats, allowed: Floats | None, closeness: Floats
+    ) -> Floats:
+        """Return log r of touches at stations, (n_stations, n_objects, n_touches).
+
+        Parameters
+        ----------
+        nearness : ndarray of shape (n_touches, n_training)
+            N of their features about those of the training touches.
+        allowed : ndarray of shape (n_touches, n_training) or None
+            0 where a training touch may not speak about a touch, else 1.
+        closeness : ndarray of shape (n_stations, n_training)
+            From `closeness`.
+        """
+        free = np.ones_like(nearness) if allowed is None else allowed
+        near = nearness * free
+        result = np.empty((len(closeness), self.n_objects, len(nearness)))
+        for code, rows in enumerate(self.rows_of_object):
+            here = closeness[:, rows] @ near[:, rows].T
+            weight = closeness[:, rows] @ free[:, rows].T
+            anywhere = near[:, rows].sum(axis=1), free[:, rows].sum(axis=1)
+            result[:, code] = _log_ratio(here, weight, *anywhere)
+        return result
+
+    def own_ratio(self, nearness: Floats, allowed: Floats, closeness: Floats) -> Floats:
+        """Return log r of touch i at station i, (n_touches, n_objects)."""
+        near, close = nearness * allowed, closeness * allowed
+        result = np.empty((len(nearness), self.n_objects))
+        for code, rows in enumerate(self.rows_of_object):
+            here = (closeness[:, rows] * near[:, rows]).sum(axis=1)
+            weight = close[:, rows].sum(axis=1)
+            anywhere = near[:, rows].sum(axis=1), allowed[:, rows].sum(axis=1)
+            result[:, code] = _log_ratio(here, weight, *anywhere)
+        return result
+
+    def weighed(
+        self,
+        touch: Floats,
+        placed: Floats,
+        weights: tuple[float, float] | None = None,
+    ) -> Floats:
+        """Return the floored evidence of touches, (..., n_objects, n_turns).
+
+        Parameters
+        ----------
+        touch : ndarray of shape (..., n_objects)
+            log p(f | o).
+        placed : ndarray of shape (..., n_objects, n_turns)
+            log r.
+        weights : tuple of float, optional
+            Other weights than `touch_weight_` and `placed_weight_`.
+        """
+        by_touch, by_place = weights or (self.touch_weight_, self.placed_weight_)
+        evidence = by_touch * touch[..., None] + by_place * placed
+        flat = evidence.reshape(*evidence.shape[:-2], -1)
+        floored = with_floor(flat, self.recogniser.floor_)
+        return floored.reshape(evidence.shape)
+
+    def discount(self, n_touches: int) -> float:
+        """Return c after so many touches."""
+        return 1 / (1 + (max(n_touches, 1) - 1) * self.correlation_)
+
+    def _nearness(self, squared: Floats) -> Floats:
+        """N of features but for a factor per touch, at most 1."""
+        least = squared.min(axis=1, keepdims=True)
+        result: Floats = np.exp((squared - least) / (-2 * self.bandwidth_**2))
+        return result
+
+
+def _log_ratio(here: Floats, weight: Floats, total: Floats, n_free: Floats) -> Floats:
+    """Log of the weighed mean over the plain mean; 0 where nothing may speak."""
+    placed = here / np.maximum(weight, _TINY)
+    anywhere = total / np.maximum(n_free, 1)
+    ratio: Floats = np.log((placed + _TINY) / (anywhere + _TINY))
+    return ratio
+
+
+def _refuse_others(recogniser: ObjectRecogniser, touches: Touches) -> None:
+    labels = touches.object if recogniser.label == "object" else touches.category
+    if labels is None or not np.array_equal(labels, recogniser.labels_):
+        raise ValueError(
+            "touches must be those that the recogniser learnt, in the same order, got "
+            f"{touches!r}. Fit both on the same touches."
+        )

@@ -1,0 +1,247 @@
+"""A simulated bench: one object, one dome, and what happens between them.
+
+The simulated arm moves the dome and reads its force here, the simulated sensor sees
+it here. World: millimetres, z up; forces in newtons along the axis of the dome.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import check_number
+from ..simulation import (
+    Contact,
+    DomeCamera,
+    DomePress,
+    PlacedObject,
+    SensorPose,
+    gap_map,
+    solve_contact,
+)
+from ..simulation._placed import sleeve_gap
+
+Floats = NDArray[np.float64]
+_SAME_LINE_MM = 1e-6
+# Forces at which contact is solved; between them it is interpolated in logarithms.
+_FORCES_N = 0.03 * 2.5 ** np.arange(7)
+_FEEL_MM = 1e-3
+
+
+class SimulatedBench:
+    """An object and a dome that is moved against it in straight lines.
+
+    Parameters
+    ----------
+    target : PlacedObject
+        What to touch, where it stands at first.
+    camera : DomeCamera, optional
+        The dome; by default the BathTip with square pictures of 120 pixels.
+    shift_share : float, default=0.05
+        Contact may shift the object: no point of it ever strays further from its
+        place than this share of its largest extent. 0 fixes the object.
+    housing_n_mm : float, default=2.0
+        Stiffness once the rigid body that holds the dome is met, beyond the camera's
+        greatest depth or where its sleeve touches: of the arm, the mount and the
+        object together (N/mm). Guess.
+    random_state : int, default=0
+        Seed of the shifts.
+
+    Attributes
+    ----------
+    target : PlacedObject
+        The object where it is now.
+    centre_mm : ndarray of shape (3,)
+        Middle of the object where it stood at first.
+    pose : SensorPose or None
+        Where the tip is; None before the first move.
+    force_n : float
+        True force on the dome now.
+    peak_force_n : float
+        Greatest true force so far.
+
+    Notes
+    -----
+    Once per press, at a force drawn evenly below that of the camera, the object
+    slips where that lessens the force: mostly the way it is pushed, on the ground,
+    and a little about the vertical. Half of the allowance is for sliding, half for
+    turning. Friction, tipping and the ground itself are not simulated: the dome can
+    go below z = 0.
+    """
+
+    def __init__(
+        self,
+        target: PlacedObject,
+        camera: DomeCamera | None = None,
+        *,
+        shift_share: float = 0.05,
+        housing_n_mm: float = 2.0,
+        random_state: int = 0,
+    ) -> None:
+        self.target = target
+        self.camera = DomeCamera(image_shape=(120, 120)) if camera is None else camera
+        self.centre_mm = np.asarray(target.centre_mm)
+        self.pose: SensorPose | None = None
+        self.force_n = self.peak_force_n = 0.0
+        self._housing = check_number("housing_n_mm", housing_n_mm, low=0.0)
+        self._rng = np.random.default_rng(random_state)
+        extent = np.ptp(target.bounds_mm, axis=0).max()
+        share = check_number("shift_share", shift_share, low=0.0, high=1.0)
+        self._slide_mm, self._turn_rad = share * extent / 2, share
+        self._first, self._slid, self._turned = target, np.zeros(2), 0.0
+        self._line: _Line | None = None
+        self._slip_at_n = np.inf
+
+    def move_to(self, pose: SensorPose) -> None:
+        """Put the tip at a pose; the force there is known afterwards."""
+        if self._line is None or not self._line.holds(pose):
+            self._line = _Line(self.camera, self.target, pose)
+            can_slip = self._slide_mm > 0 or self._turn_rad > 0
+            most = self.camera.force_n if can_slip else np.inf
+            self._slip_at_n = float(self._rng.uniform(0, 1)) * most
+        self.pose = pose
+        self.force_n = self._force(self._line)
+        if self.force_n > self._slip_at_n:
+            self._slip()
+        self.peak_force_n = max(self.peak_force_n, self.force_n)
+
+    def frame(self, rng: np.random.Generator | None = None) -> NDArray[np.uint8]:
+        """Return what the camera in the dome sees now, with noise if `rng`."""
+        press = None
+        if self._line is not None and self.pose is not None:
+            press = self._line.press(self.pose)
+        return self.camera.image(press, rng)
+
+    def _force(self, line: "_Line") -> float:
+        """Force of the rubber and, beyond it, of the rigid body."""
+        assert self.pose is not None
+        travel = line.travel_mm(self.pose)
+        return line.force_n(travel) + self._housing * max(travel - line.hard_mm, 0.0)
+
+    def _slip(self) -> None:
+        """Let the object give way once in this press, within its allowance."""
+        assert self._line is not None
+        self._slip_at_n = np.inf
+        pushed = np.asarray(self._line.base.direction)[:2]
+        way = pushed + 0.5 * self._rng.standard_normal(2)
+        way *= self._rng.uniform(0, 0.5) * self._slide_mm / max(np.hypot(*way), 1e-9)
+        slid = self._slid + way
+        slid *= min(1.0, self._slide_mm / max(np.hypot(*slid), 1e-9))
+        turned = self._turned + self._rng.uniform(-0.5, 0.5) * self._turn_rad
+        turned = float(np.clip(turned, -self._turn_rad, self._turn_rad))
+        target = _shifted(self._first, slid, turned, self.centre_mm)
+        line = _Line(self.camera, target, self._line.base)
+        force = self._force(line)
+        if force <= self.force_n:
+            self._slid, self._turned = slid, turned
+            self.target, self._line, self.force_n = target, line, force
+
+
+def _shifted(
+    placed: PlacedObject, slid_mm: Floats, turned_rad: float, centre_mm: Floats
+) -> PlacedObject:
+    """Turn an object about the vertical through `centre_mm`, then slide it."""
+    cos, sin = np.cos(turned_rad), np.sin(turned_rad)
+    arm = np.asarray(placed.position_mm) - centre_mm
+    turn = np.array([[cos, -sin], [sin, cos]])
+    place = centre_mm + arm
+    place[:2] = centre_mm[:2] + turn @ arm[:2] + slid_mm
+    yaw = placed.yaw_rad + turned_rad
+    return PlacedObject(placed.thing, placed.rotation, yaw, place)
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """Force against depth, both as logarithms, at the forces that were solved."""
+
+    log_depth: Floats
+    log_force: Floats
+
+    def force_n(self, depth_mm: float) -> float:
+        log_depth = np.log(depth_mm)
+        if log_depth < self.log_depth[0]:  # Below the least force: as depth^1.5.
+            slope = 1.5 * (log_depth - self.log_depth[0])
+            return float(np.exp(self.log_force[0] + slope))
+        return float(np.exp(np.interp(log_depth, self.log_depth, self.log_force)))
+
+
+class _Line:
+    """Everything about moving along one straight line towards one object.
+
+    `first_mm` is how far along it the dome touches, `hard_mm` how far its rigid
+    body gets; infinity where nothing is ahead.
+    """
+
+    def __init__(
+        self, camera: DomeCamera, target: PlacedObject, base: SensorPose
+    ) -> None:
+        self.base = base
+        self._membrane = camera.membrane
+        gap = gap_map(target, base, camera.membrane)
+        self.first_mm = float(gap.min())
+        self._way_mm = gap - self.first_mm if np.isfinite(self.first_mm) else gap
+        sleeve = sleeve_gap(target, base, camera.membrane_radius_mm, camera.sleeve_mm)
+        self.hard_mm = min(sleeve, self.first_mm + camera.max_depth_mm)
+        self._curve: _Curve | None = None
+        self._pressed: tuple[float, DomePress] | None = None
+
+    def holds(self, pose: SensorPose) -> bool:
+        """Whether a pose lies on this line, looking the same way."""
+        if pose.roll_rad != self.base.roll_rad:
+            return False
+        if not np.array_equal(pose.direction, self.base.direction):
+            return False
+        way = np.asarray(pose.position_mm) - np.asarray(self.base.position_mm)
+        aside = way - (way @ self.base.direction) * np.asarray(self.base.direction)
+        return bool(np.linalg.norm(aside) < _SAME_LINE_MM)
+
+    def travel_mm(self, pose: SensorPose) -> float:
+        """How far along this line a pose is."""
+        way = np.asarray(pose.position_mm) - np.asarray(self.base.position_mm)
+        return float(way @ self.base.direction)
+
+    def force_n(self, travel_mm: float) -> float:
+        """Force of the rubber when the tip has come so far."""
+        depth = min(travel_mm, self.hard_mm) - self.first_mm
+        if not depth > _FEEL_MM:
+            return 0.0
+        if self._curve is None:
+            self._curve = self._solved()
+        return self._curve.force_n(depth)
+
+    def press(self, pose: SensorPose) -> DomePress | None:
+        """The state of the dome at a pose, or None where it touches nothing."""
+        travel = self.travel_mm(pose)
+        force = self.force_n(travel)
+        if force == 0:
+            return None
+        if self._pressed is None or self._pressed[0] != travel:
+            self._pressed = travel, self._press(travel, force)
+        return self._pressed[1]
+
+    def _press(self, travel_mm: float, force_n: float) -> DomePress:
+        contact = self._contact(force_n)
+        return DomePress(
+            stopped_by="force",
+            travel_mm=travel_mm,
+            depth_mm=travel_mm - self.first_mm,
+            force_n=force_n,
+            area_mm2=contact.area_mm2,
+            contact=contact,
+            gap_mm=self._way_mm,
+        )
+
+    def _solved(self) -> _Curve:
+        """Solve the contact at growing forces until the hard stop is passed."""
+        depths, forces = [0.0], [0.0]
+        for force in _FORCES_N:
+            depth = self._contact(force).depth_mm
+            if depth > depths[-1]:
+                depths.append(depth)
+                forces.append(force)
+            if depth > self.hard_mm - self.first_mm:
+                break
+        return _Curve(np.log(depths[1:]), np.log(forces[1:]))
+
+    def _contact(self, force_n: float) -> Contact:
+        return solve_contact(self._membrane, self._way_mm, force_n=force_n)

@@ -1,0 +1,128 @@
+"""The Gymnasium environment: Gymnasium's own checker, and what its rewards mean."""
+
+import re
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from palpate.exploration import Raster
+from palpate.simulation import DomeCamera
+
+gymnasium = pytest.importorskip("gymnasium")
+NAME = "palpate.exploration.environment:palpate/Touch-v0"
+CAMERA = DomeCamera(image_shape=(32, 32), n_nodes=20)
+
+
+@pytest.fixture
+def env():
+    made = gymnasium.make(
+        NAME, objects=["ball", "box", "mug"], camera=CAMERA, max_touches=4
+    )
+    yield made
+    made.close()
+
+
+def _act(out, logits):
+    return {
+        "action": np.asarray(out, np.float32),
+        "prediction": np.asarray(logits, np.float32),
+    }
+
+
+def test_gymnasium_objects_to_nothing_but_logits_without_bounds(env):
+    from gymnasium.utils.env_checker import check_env
+
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        check_env(env.unwrapped)
+    about = "infinity|normalized space"  # of the prediction, as in ap_gym
+    assert all(re.search(about, str(warning.message)) for warning in told)
+    assert len(told) == 3
+
+
+def test_the_reward_is_the_log_probability_of_the_truth(env):
+    env.reset(seed=1, options={"object": "box"})
+    _, reward, _, _, info = env.step(_act([0, 0, 1], np.log([0.2, 0.7, 0.1])))
+    assert reward == pytest.approx(np.log(0.7), abs=1e-6)
+    assert info["prediction"]["target"] == 1
+    assert info["prediction"]["loss"] == -reward
+    assert info["base_reward"] == 0
+
+
+def test_predictions_never_move_the_world(env):
+    images = []
+    for logits in ([0, 0, 0], [9, -9, 4]):
+        env.reset(seed=3)
+        for out in ([0.5, 0, 1], [0, 1, 0.2]):
+            observation, *_ = env.step(_act(out, logits))
+            images.append(observation["image"])
+    assert_array_equal(images[:2], images[2:])
+
+
+def test_an_episode_ends_with_its_budget(env):
+    observation, _ = env.reset(seed=0, options={"object": "ball"})
+    assert_array_equal(observation["image"][..., 0], CAMERA.no_contact())
+    assert observation["touched"] == 0
+    for left in (0.75, 0.5, 0.25, 0.0):
+        observation, _, ended, truncated, info = env.step(_act([0, 0, 1], [0, 0, 0]))
+        assert observation["touches_left"] == pytest.approx(left)
+        assert info["outcome"] == "touched"
+        assert observation["touched"] == 1
+        assert not ended
+    assert truncated
+
+
+def test_place_is_where_the_ball_is(env):
+    env.reset(seed=0, options={"object": "ball"})
+    observation, *_ = env.step(_act([0.3, 0.4, 0.5], [0, 0, 0]))
+    distance = np.linalg.norm(observation["place"]) * 300
+    # The ball has a radius of 36 mm, stands a few mm aside, and is pressed into the
+    # dome by some 7 mm.
+    assert distance == pytest.approx(36 - 7, abs=6)
+    direction = observation["place"] / np.linalg.norm(observation["place"])
+    assert_allclose(direction, np.array([3, 4, 5]) / np.sqrt(50), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("out", "like"), [([0, 0, 0], [0, 0, 1]), ([0.6, 0, -0.8], [0.6, 0, 0.8])]
+)
+def test_every_action_is_a_touch_from_above(env, out, like):
+    env.reset(seed=5)
+    one, *_ = env.step(_act(out, [0, 0, 0]))
+    env.reset(seed=5)
+    two, *_ = env.step(_act(like, [0, 0, 0]))
+    assert_array_equal(one["image"], two["image"])
+
+
+def test_strategies_can_play(env):
+    env.reset(seed=2, options={"object": "mug", "yaw_rad": 1.0})
+    inner = env.unwrapped
+    strategy = Raster(inner.hemisphere, 1, 4)
+    for _ in range(4):
+        pose = strategy.next_pose(None, inner.history)
+        env.step(_act(-pose.direction, [0, 0, 0]))
+    for number, record in enumerate(inner.history):
+        expected = strategy.next_pose(None, inner.history[:number]).direction
+        assert_allclose(record.direction, expected, atol=1e-6)
+
+
+def test_an_unknown_object_is_refused(env):
+    with pytest.raises(ValueError, match="object must be one of 'ball', 'box', 'mug'"):
+        env.reset(options={"object": "anvil"})
+
+
+def test_without_gymnasium_the_refusal_names_the_extra():
+    program = (
+        "import sys; sys.modules['gymnasium'] = None\n"
+        "import palpate.exploration\n"
+        "try:\n    import palpate.exploration.environment\n"
+        "except ImportError as error:\n    print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert "pip install palpate[sim]" in done.stdout

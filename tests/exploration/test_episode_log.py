@@ -1,0 +1,224 @@
+"""What is recorded stays recorded, whatever kills the program and when."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from palpate.exploration import (
+    EpisodeError,
+    EpisodeLog,
+    Hemisphere,
+    RobotError,
+    TouchRecord,
+    as_touches,
+    gather,
+    read_episode,
+)
+
+WORLD = Path(__file__).with_name("ball_world.py")
+N_TOUCHES = 30
+
+
+def _record(number=0, outcome="touched", **changes):
+    image = np.full((2, 3), number, dtype=np.uint8) if outcome == "touched" else None
+    start = Hemisphere().pose(0.1 * number, 0.3, roll_rad=0.2)
+    changes = {"force_n": 0.75, "image": image, **changes}
+    return TouchRecord(outcome, start, (1.0, 2.0, float(number)), **changes)
+
+
+def test_records_come_back_as_they_were(tmp_path):
+    told = {"message": "the “hand” slipped\n", "retracted": False, "travel_mm": 3.5}
+    records = [_record(0), _record(1, "nothing"), _record(2, "no frame", **told)]
+    with EpisodeLog(tmp_path / "new" / "folder", {"seed": 1}) as log:
+        for record in records:
+            log.append(record)
+    for one, two in zip(records, read_episode(log.folder), strict=True):
+        assert one.as_plain() == two.as_plain()
+        assert_array_equal(one.start.position_mm, two.start.position_mm)
+        if one.image is None:
+            assert two.image is None
+        else:
+            assert_array_equal(one.image, two.image)
+            assert one.image.dtype == two.image.dtype
+
+
+def test_an_episode_goes_on_where_it_ended(tmp_path):
+    for number in range(3):
+        with EpisodeLog(tmp_path, {"seed": 1}) as log:
+            assert len(log.history) == number
+            log.append(_record(number))
+    before = {p.name: p.read_bytes() for p in tmp_path.glob("touch_*")}
+    with EpisodeLog(tmp_path, {"seed": 1}) as log:
+        log.append(_record(3))
+    assert [record.position_mm[2] for record in read_episode(tmp_path)] == [0, 1, 2, 3]
+    assert {n: (tmp_path / n).read_bytes() for n in before} == before
+
+
+def test_other_settings_are_refused(tmp_path):
+    with EpisodeLog(tmp_path, {"seed": 1}):
+        pass
+    with (
+        pytest.raises(EpisodeError, match=r"'seed': 1.*'seed': 2.*another folder"),
+        EpisodeLog(tmp_path, {"seed": 2}),
+    ):
+        pass
+
+
+def test_only_one_program_adds_at_a_time(tmp_path):
+    pytest.importorskip("fcntl")
+    with (
+        EpisodeLog(tmp_path) as log,
+        pytest.raises(EpisodeError, match="in use: another program"),
+        EpisodeLog(tmp_path),
+    ):
+        pass
+    assert log.history == []
+    with EpisodeLog(tmp_path):
+        pass
+
+
+def test_a_folder_of_other_things_is_refused(tmp_path):
+    (tmp_path / "thesis.txt").write_text("mine")
+    with (
+        pytest.raises(EpisodeError, match=r"must be empty.*thesis\.txt"),
+        EpisodeLog(tmp_path),
+    ):
+        pass
+    assert (tmp_path / "thesis.txt").read_text() == "mine"
+
+
+def test_no_episode_a_gap_and_damage_are_named(tmp_path):
+    with pytest.raises(EpisodeError, match="must be the folder of an episode"):
+        read_episode(tmp_path)
+    with EpisodeLog(tmp_path) as log:
+        for number in range(3):
+            log.append(_record(number))
+    whole = (tmp_path / "touch_00001.npz").read_bytes()
+    (tmp_path / "touch_00001.npz").write_bytes(whole[:-30])
+    with pytest.raises(EpisodeError, match=r"touch_00001\.npz is damaged"):
+        read_episode(tmp_path)
+    (tmp_path / "touch_00001.npz").unlink()
+    with pytest.raises(EpisodeError, match="got no touch_00001"):
+        read_episode(tmp_path)
+
+
+def test_nothing_in_a_file_is_executed(tmp_path):
+    with EpisodeLog(tmp_path) as log:
+        log.append(_record())
+    harm = np.array([_record()], dtype=object)
+    np.savez(tmp_path / "touch_00000.npz", record=harm)
+    with pytest.raises(EpisodeError, match="allow_pickle=False"):
+        read_episode(tmp_path)
+
+
+def test_appending_to_a_closed_log_is_refused(tmp_path):
+    with EpisodeLog(tmp_path) as log:
+        pass
+    with pytest.raises(EpisodeError, match="is not open"):
+        log.append(_record())
+
+
+@pytest.mark.parametrize("call", ["fsync", "replace"])
+def test_a_full_disk_loses_only_the_attempt_that_was_not_recorded(
+    tmp_path, monkeypatch, call
+):
+    def full(*args):
+        raise OSError(28, "No space left on device")
+
+    with EpisodeLog(tmp_path) as log:
+        log.append(_record(0))
+        with monkeypatch.context() as disk:
+            disk.setattr(*((os, call) if call == "fsync" else (Path, call)), full)
+            with pytest.raises(OSError, match="No space"):
+                log.append(_record(1))
+        assert len(log.history) == 1
+        log.append(_record(2))
+    assert [record.position_mm[2] for record in read_episode(tmp_path)] == [0, 2]
+    assert not list(tmp_path.glob(".partial*"))
+
+
+def test_leftovers_of_a_killed_program_are_swept(tmp_path):
+    with EpisodeLog(tmp_path) as log:
+        log.append(_record(0))
+    (tmp_path / ".partial-0123456789ab").write_bytes(b"PK\x03\x04 half a touch")
+    with EpisodeLog(tmp_path) as log:
+        assert len(log.history) == 1
+    assert not list(tmp_path.glob(".partial*"))
+
+
+def _run_until_killed(folder, after):
+    """Run the program, kill it once it says `after` touches; return what it said."""
+    command = [sys.executable, str(WORLD), str(folder), str(N_TOUCHES), "1e-5"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+        said = []
+        for line in program.stdout:
+            said.append(line.strip())
+            if line.strip().isdigit() and int(line) >= after:
+                # Into the approach, the writing, or the next choice: it varies.
+                time.sleep(0.002 * (after % 7))
+                program.send_signal(signal.SIGKILL)
+                said += [rest.strip() for rest in program.stdout]
+        program.wait()
+    return said, program.returncode
+
+
+def test_killed_again_and_again_no_recorded_touch_is_lost(tmp_path, world):
+    folder, n_recorded, seen = tmp_path / "killed", 0, {}
+    for after in (1, 8, 15, 22):
+        said, code = _run_until_killed(folder, after)
+        assert code == -signal.SIGKILL
+        files = {p.name: p.read_bytes() for p in folder.glob("touch_*")}
+        # Each number said is of attempts that were recorded by then.
+        assert len(files) >= max(int(word) for word in said) >= n_recorded
+        assert all(files[name] == content for name, content in seen.items())
+        assert len(read_episode(folder)) == len(files)
+        n_recorded, seen = len(files), files
+    said, code = _run_until_killed(folder, N_TOUCHES + 1)
+    assert (said[-1], code) == ("done", 0)
+    arm = world.BallArm()
+    strategy = world.Told(Hemisphere(radius_mm=100), 5)
+    never_killed = gather(arm, world.BallSensor(arm), strategy, n_touches=N_TOUCHES)
+    for one, two in zip(read_episode(folder), never_killed, strict=True):
+        assert one.position_mm == two.position_mm
+        assert_array_equal(one.image, two.image)
+
+
+def test_records_become_touches(tmp_path):
+    history = [_record(0), _record(1, "nothing"), _record(2)]
+    touches = as_touches(history, object="cup", geometry="array")
+    assert touches.images[:, 0, 0].tolist() == [0, 2]
+    assert touches.object.tolist() == ["cup", "cup"]
+    assert touches.order.tolist() == [0, 2]
+    assert touches.columns["position_mm"].tolist() == [[1, 2, 0], [1, 2, 2]]
+    assert_array_equal(touches.columns["direction"][1], history[2].direction)
+    touches.save(tmp_path / "cup.npz")
+    assert type(touches).load(tmp_path / "cup.npz").object.tolist() == ["cup", "cup"]
+
+
+def test_records_without_a_touch_make_no_touches():
+    with pytest.raises(ValueError, match="must hold a touch, got 1 attempts"):
+        as_touches([_record(0, "nothing")])
+
+
+def test_gathering_gives_up_where_nothing_is(world, tmp_path):
+    arm = world.BallArm(radius_mm=0.0)
+    strategy = world.RandomHemisphere()
+    with pytest.raises(RobotError, match="Only 0 of 2 touches came of 10 attempts"):
+        gather(arm, world.BallSensor(arm), strategy, tmp_path, n_touches=2)
+    assert [record.outcome for record in read_episode(tmp_path)] == ["nothing"] * 10
+
+
+def test_settings_are_readable_json(world, tmp_path):
+    arm = world.BallArm()
+    strategy = world.RandomHemisphere(random_state=7)
+    gather(arm, world.BallSensor(arm), strategy, tmp_path, n_touches=1)
+    kept = json.loads((tmp_path / "episode.json").read_text())
+    assert "random_state=7" in kept["settings"]["strategy"]

@@ -1,0 +1,199 @@
+"""Every fault of the simulated arm in a real episode: it retracts, nothing is lost."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate.exploration import (
+    FAULTS,
+    Guard,
+    Hemisphere,
+    RandomHemisphere,
+    Robot,
+    SimulatedRobot,
+    explore,
+    gather,
+    guarded_touch,
+    read_episode,
+)
+from palpate.sensors import SimulatedBench, SimulatedSensor
+from palpate.simulation import DomeCamera, PlacedObject, find_object
+
+CAMERA = DomeCamera(image_shape=(32, 32), n_nodes=20)
+OUTCOME_OF = {
+    "stuck force": "force sensor",
+    "stuck force in contact": "force sensor",
+    "no force": "force sensor",
+    "overshoot": "limit exceeded",
+    "driver error": "robot error",
+    "slow": "timed out",
+    "retract error": "touched",
+    "arm stuck": "touched",
+}
+
+
+class Undecided:
+    """A recogniser that never decides."""
+
+    def start(self):
+        return self
+
+    def update(self, touches):
+        pass
+
+    def decide(self, error):
+        return None
+
+    def reason(self, error):
+        return "Undecided."
+
+
+class Setup:
+    """A ball or another object before the simulated arm and sensor."""
+
+    def __init__(self, name="ball", place=None, missing=(), **settings):
+        target = PlacedObject.resting(find_object(name))
+        if place is not None:
+            target = PlacedObject(target.thing, position_mm=place)
+        self.bench = SimulatedBench(target, CAMERA)
+        centre = PlacedObject.resting(find_object(name)).centre_mm
+        self.hemisphere = Hemisphere(tuple(centre), radius_mm=100)
+        home = self.hemisphere.pose(0.0, 1.5)
+        self.robot = SimulatedRobot(self.bench, home, **settings)
+        self.sensor = SimulatedSensor(self.bench, missing=missing)
+
+    def explore(self, folder=None, n_attempts=3, seed=0):
+        strategy = RandomHemisphere(self.hemisphere, seed)
+        guard = Guard(max_travel_mm=115)
+        return explore(
+            self.robot,
+            self.sensor,
+            Undecided(),
+            strategy,
+            folder,
+            guard=guard,
+            max_attempts=n_attempts,
+            clock=self.robot.clock,
+        )
+
+    @property
+    def distance_mm(self):
+        tip = np.asarray(self.bench.pose.position_mm)
+        return np.linalg.norm(tip - self.hemisphere.centre_mm)
+
+
+def test_the_simulated_arm_keeps_the_contract():
+    assert isinstance(Setup().robot, Robot)
+
+
+def test_the_force_sensor_has_offset_and_noise():
+    robot = Setup(noise_n=0.02, offset_n=0.3).robot
+    readings = np.array([robot.read_force() for _ in range(2000)])
+    # Standard errors of 2000 readings: 0.0005 of the mean, 0.0003 of the deviation.
+    assert_allclose(readings.mean(), 0.3, atol=0.003)
+    assert_allclose(readings.std(), 0.02, atol=0.002)
+
+
+@pytest.mark.parametrize("name", ["ball", "box", "stapler"])
+def test_a_touch_ends_at_the_force_in_spite_of_noise(name):
+    setup = Setup(name)
+    start = setup.hemisphere.pose(0.3, 0.9)
+    record = guarded_touch(setup.robot, setup.sensor, start, clock=setup.robot.clock)
+    assert record.outcome == "touched"
+    # Four standard deviations of three readings (0.01 N each), and a step of 0.25 mm
+    # at 0.3 N/mm beyond it.
+    assert 0.735 - 0.025 < setup.bench.peak_force_n < 0.735 + 0.025 + 0.08
+    assert_allclose(record.force_n, setup.bench.peak_force_n, atol=0.03)
+    moved = record.image.astype(float) - CAMERA.no_contact()
+    assert np.abs(moved).max() > 20
+
+
+def test_every_fault_is_told_in_this_file():
+    assert set(OUTCOME_OF) == set(FAULTS)
+
+
+@pytest.mark.parametrize("fault", [fault for fault in FAULTS if fault != "arm stuck"])
+def test_after_a_fault_the_arm_is_back_and_the_episode_goes_on(fault, tmp_path):
+    setup = Setup(faults={1: fault})
+    end = setup.explore(tmp_path)
+    outcomes = [record.outcome for record in end.history]
+    assert outcomes == ["touched", OUTCOME_OF[fault], "touched"]
+    assert end.history[1].message
+    assert [record.outcome for record in read_episode(tmp_path)] == outcomes
+    assert end.ended_by == "budget"
+    assert_allclose(setup.distance_mm, 100, atol=1e-6)
+    assert setup.bench.force_n == 0
+    assert not setup.robot.stopped
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_no_fault_presses_hard(fault):
+    setup = Setup(faults={0: fault})
+    setup.explore(n_attempts=1)
+    # The overshoot of 14 mm lands where it lands; all else ends within a millimetre
+    # of the force at which it should have ended, 0.3 N/mm.
+    most = 0.735 + 0.3 * 1.25 if fault != "overshoot" else 12.0
+    assert setup.bench.peak_force_n < most
+
+
+def test_an_arm_that_is_stuck_in_contact_is_stopped(tmp_path):
+    setup = Setup(faults={1: "arm stuck"})
+    end = setup.explore(tmp_path, n_attempts=10)
+    assert (end.ended_by, end.n_touches, len(end.history)) == ("faults", 2, 2)
+    assert setup.robot.stopped
+    assert "brakes" in end.reason
+    last = read_episode(tmp_path)[-1]
+    assert last.image is not None
+    assert not last.retracted
+
+
+def test_a_missing_frame_is_recorded_and_the_episode_goes_on(tmp_path):
+    setup = Setup(missing={1})
+    end = setup.explore(tmp_path)
+    assert [record.outcome for record in end.history] == [
+        "touched",
+        "no frame",
+        "touched",
+    ]
+    assert "Frame 1" in read_episode(tmp_path)[1].message
+    assert setup.bench.force_n == 0
+
+
+def test_an_object_out_of_reach_is_nothing(tmp_path):
+    setup = Setup(place=(500.0, 0.0, 0.0))
+    end = setup.explore(tmp_path)
+    assert [record.outcome for record in read_episode(tmp_path)] == ["nothing"] * 3
+    assert (end.ended_by, end.n_touches) == ("budget", 0)
+    assert setup.bench.peak_force_n == 0
+
+
+def test_faults_in_every_attempt_end_the_episode(tmp_path):
+    setup = Setup(faults=dict.fromkeys(range(10), "no force"))
+    end = setup.explore(tmp_path, n_attempts=10)
+    assert (end.ended_by, len(end.history)) == ("faults", 3)
+
+
+def test_a_fault_that_is_none_is_refused():
+    with pytest.raises(ValueError, match="faults must be one of 'stuck force'"):
+        Setup(faults={0: "tired"})
+
+
+def test_gathered_touches_are_the_same_for_the_same_seeds():
+    def images():
+        setup = Setup("box")
+        strategy = RandomHemisphere(setup.hemisphere, 5)
+        clock = setup.robot.clock
+        guard = Guard(max_travel_mm=115)
+        return [
+            record.image
+            for record in gather(
+                setup.robot,
+                setup.sensor,
+                strategy,
+                n_touches=3,
+                guard=guard,
+                clock=clock,
+            )
+        ]
+
+    assert all(map(np.array_equal, images(), images()))

@@ -1,0 +1,153 @@
+"""The simulated bench against the simulated dome it is made of, and its promises."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from palpate.sensors import SensorError, SimulatedBench, SimulatedSensor, TouchSensor
+from palpate.simulation import DomeCamera, PlacedObject, SensorPose, find_object
+
+CAMERA = DomeCamera(image_shape=(48, 48), n_nodes=24)
+OUT = np.array([0.5, 0.3, 0.8]) / np.sqrt(0.98)
+
+
+def _bench(name="box", **settings):
+    target = PlacedObject.resting(find_object(name), yaw_rad=0.4)
+    return SimulatedBench(target, CAMERA, **settings)
+
+
+def _start(bench):
+    return SensorPose(bench.centre_mm + 200 * OUT, -OUT)
+
+
+@pytest.mark.parametrize("name", ["box", "mug", "pen"])
+def test_force_and_picture_are_those_of_the_dome(name):
+    bench = _bench(name, shift_share=0.0)
+    start = _start(bench)
+    press = CAMERA.press(bench.target, start, force_n=0.5)
+    bench.move_to(start)
+    bench.move_to(start.advanced(press.travel_mm))
+    # The bench solves the contact at a few forces and interpolates between them.
+    # The pen meets the sleeve at that place, so the dome bears less than 0.5 N.
+    assert_allclose(bench.force_n, press.contact.force_n, rtol=0.05)
+    picture = CAMERA.image(press).astype(float)
+    assert_allclose(bench.frame().astype(float), picture, atol=6)
+    # That the picture is of this press and not of any: nothing pressed is far off.
+    assert np.abs(CAMERA.no_contact() - picture).max() > 20
+
+
+def test_force_grows_with_depth_and_is_zero_in_the_air():
+    bench = _bench(shift_share=0.0)
+    start = _start(bench)
+    first = CAMERA.press(bench.target, start, depth_mm=0.0).travel_mm
+    forces = []
+    for travel in first + np.linspace(-20, 12, 65):
+        bench.move_to(start.advanced(travel))
+        forces.append(bench.force_n)
+    forces = np.array(forces)
+    assert_array_equal(forces[:40], 0)
+    assert (np.diff(forces[42:]) > 0).all()
+    assert bench.peak_force_n == forces[-1]
+
+
+def test_beyond_the_deepest_press_the_housing_is_met():
+    bench = _bench("ball", shift_share=0.0, housing_n_mm=2.0)
+    start = SensorPose(bench.centre_mm + np.array([0, 0, 200]), (0, 0, -1))
+    deepest = 200 - 36 + CAMERA.max_depth_mm
+    bench.move_to(start.advanced(deepest + 1))
+    at_one = bench.force_n
+    bench.move_to(start.advanced(deepest + 3))
+    assert_allclose(bench.force_n - at_one, 2 * 2.0, rtol=1e-6)
+
+
+def test_frames_in_the_air_show_no_contact():
+    bench = _bench()
+    assert_array_equal(bench.frame(), CAMERA.no_contact())
+    bench.move_to(_start(bench))
+    assert_array_equal(bench.frame(), CAMERA.no_contact())
+
+
+@pytest.mark.parametrize("name", ["stapler", "box"])
+def test_contact_shifts_the_object_but_never_by_more_than_it_may(name):
+    bench = _bench(name, shift_share=0.05, random_state=1)
+    before = bench.target.vertices_mm
+    allowed = 0.05 * np.ptp(bench.target.bounds_mm, axis=0).max()
+    rng, strayed = np.random.default_rng(0), []
+    for _ in range(40):
+        out = rng.standard_normal(3) * (1, 1, 0) + (0, 0, 0.5)
+        way = out / np.linalg.norm(out)
+        start = SensorPose(bench.centre_mm + 200 * way, -way)
+        depth = CAMERA.press(bench.target, start, force_n=0.7).travel_mm
+        bench.move_to(start)
+        bench.move_to(start.advanced(depth))
+        moved = bench.target.vertices_mm - before
+        strayed.append(np.linalg.norm(moved, axis=1).max())
+        assert_allclose(moved[:, 2], 0, atol=1e-9)
+    # Half the allowance slides; half turns, taken at the end of the longest side,
+    # and the corner of a box is further out than that by at most the square root 2.
+    assert 0.3 * allowed < max(strayed) <= allowed * (0.5 + 0.5 * np.sqrt(2))
+
+
+def test_a_fixed_object_stays():
+    bench = _bench(shift_share=0.0)
+    target, start = bench.target, _start(bench)
+    for _ in range(5):
+        bench.move_to(start)
+        bench.move_to(start.advanced(CAMERA.press(target, start).travel_mm))
+        assert bench.force_n > 0.5
+    assert bench.target is target
+
+
+def test_the_same_seed_gives_the_same_bench():
+    def run(seed):
+        bench = _bench("stapler", random_state=seed)
+        start = _start(bench)
+        forces = []
+        for travel in np.arange(150, 200, 0.5):
+            bench.move_to(start.advanced(travel))
+            forces.append(bench.force_n)
+        return np.array(forces), bench.frame(np.random.default_rng(seed))
+
+    for one, two in zip(run(3), run(3), strict=True):
+        assert_array_equal(one, two)
+    assert not np.array_equal(run(3)[0], run(4)[0])
+
+
+def test_slipping_never_makes_the_force_jump():
+    for seed in range(10):
+        bench = _bench("textbook", random_state=seed)
+        start, forces = _start(bench), [0.0]
+        for travel in np.arange(120, 200, 0.25):
+            bench.move_to(start.advanced(travel))
+            forces.append(bench.force_n)
+            if bench.force_n > 0.735:
+                break
+        # 0.3 N/mm is the stiffest the rubber gets below 1 N; 2 N/mm is the housing.
+        assert np.diff(forces).max() < 0.25 * 2.0 + 1e-6
+
+
+def test_the_sensor_keeps_the_contract():
+    sensor = SimulatedSensor(_bench())
+    assert isinstance(sensor, TouchSensor)
+    assert sensor.read().shape == sensor.image_shape == (48, 48)
+    assert sensor.geometry == "dome"
+    assert_array_equal(sensor.no_contact(), CAMERA.no_contact())
+
+
+def test_frames_are_noisy_by_the_seed():
+    frames = [SimulatedSensor(_bench(), random_state=seed).read() for seed in (1, 1, 2)]
+    assert_array_equal(frames[0], frames[1])
+    assert not np.array_equal(frames[0], frames[2])
+
+
+def test_chosen_frames_are_missing():
+    sensor = SimulatedSensor(_bench(), missing={1})
+    assert sensor.read().shape == (48, 48)
+    with pytest.raises(SensorError, match="Frame 1 did not arrive"):
+        sensor.read()
+    assert sensor.read().shape == (48, 48)
+
+
+def test_a_share_that_is_none_is_refused():
+    with pytest.raises(ValueError, match="shift_share must be finite and between"):
+        _bench(shift_share=-0.1)
