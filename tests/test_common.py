@@ -15,12 +15,23 @@ from sklearn.exceptions import NotFittedError
 from palpate.encodings import (
     CentroidMoments,
     EncodingUnion,
+    FirstFeatures,
     FourierDescriptors,
+    HuMoments,
+    OrientedPCA,
+    PolarGradients,
+    ScaledPixels,
     ShapeGeometry,
     TaxelVector,
     ZernikeMoments,
+    ZernikePCA,
 )
-from palpate.images import ArrayCleanUp, DomeCrop
+from palpate.images import (
+    ArrayCleanUp,
+    DerivativeMagnitude,
+    DomeCrop,
+    OrientationRegulariser,
+)
 from palpate.recognition._known import KNOWN_CLASSES
 from palpate.recognition._model_file import read_model, write_model
 
@@ -32,8 +43,21 @@ ENCODERS = [
     EncodingUnion([ShapeGeometry(), ZernikeMoments(order=4)]),
     ZernikeMoments(),
     ZernikeMoments(output="noll", method="sample"),
+    FirstFeatures(ZernikeMoments(order=4), 5),
+    HuMoments(),
+    HuMoments(levels="raw", log=True),
+    OrientedPCA(),
+    PolarGradients(n_rings=3, n_harmonics=4),
+    ScaledPixels(),
+    ScaledPixels(4, min_anisotropy=None),
+    ZernikePCA(),
 ]
-CLEANERS = [ArrayCleanUp(), DomeCrop()]
+CLEANERS = [
+    ArrayCleanUp(),
+    DerivativeMagnitude(),
+    DomeCrop(),
+    OrientationRegulariser(),
+]
 encoders = pytest.mark.parametrize("encoder", ENCODERS, ids=repr)
 image_estimators = pytest.mark.parametrize("encoder", [*ENCODERS, *CLEANERS], ids=repr)
 

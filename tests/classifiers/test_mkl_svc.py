@@ -308,6 +308,7 @@ def test_touches_seen_twice_under_two_labels(rng):
         ({"normalize": "unit"}, ValueError, "normalize must be one of 'trace'"),
         ({"approximation": True}, ValueError, "approximation must be one of 'auto'"),
         ({"tol": -1}, ValueError, "tol must be positive"),
+        ({"probability": "no"}, ValueError, "probability must be one of True, False"),
         ({"max_iter": 0}, ValueError, "max_iter must be at least 1"),
         ({"n_landmarks": 0}, ValueError, "n_landmarks must be at least 1"),
         ({"kernels": "rbf"}, ValueError, "kernels must be 'paper'"),
@@ -353,6 +354,30 @@ def test_precomputed_kernels_need_a_column_per_training_touch(problem):
     machine = MKLSVC(kernels="precomputed").fit(kernels_of(X, X), labels)
     with pytest.raises(ValueError, match=r"X has 40 features.*column per training"):
         machine.predict(kernels_of(X, X[:40]))
+
+
+def test_other_kernels_than_were_learnt_are_refused(problem):
+    X, labels = problem
+    stack = kernels_of(X, X)
+    machine = MKLSVC(kernels="precomputed", probability=False).fit(stack, labels)
+    with pytest.raises(ValueError, match=f"must hold the {stack.shape[2]} kernels"):
+        machine.predict(stack[:, :, :1])
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"solver": "simplemkl"}, {"norm": 2}, {"approximation": "nystroem"}],
+    ids=str,
+)
+@pytest.mark.parametrize("names", ["ab", "abc"])
+def test_touches_that_are_all_alike_go_to_the_first_class(options, names):
+    labels = np.repeat(list(names), 3)
+    machine = MKLSVC(random_state=0, **options).fit(np.ones((len(labels), 3)), labels)
+    assert (machine.decision_function(np.ones((2, 3))).ravel() >= 0).all()
+    assert_array_equal(machine.predict(np.ones((2, 3))), ["a", "a"])
+    # Sigmoids are fitted to a flat target: rounding of the fit alone remains.
+    chances = machine.predict_proba(np.ones((1, 3)))
+    assert_allclose(chances, 1 / len(names), atol=1e-6)
 
 
 def test_one_class_and_touches_out_of_range_are_refused(problem):

@@ -67,6 +67,7 @@ def test_studies_are_listed():
         (["study", "liu2014", "--data", "gone"], "--data must name a folder"),
         (["study", "liu2014", "--protocol", "best"], "'nested', 'paper'"),
         (["study", "liu2014", "--report", "r.pdf"], "must end in .html"),
+        (["study", "corradi2015", "--protocol", "paper"], "got 'protocol'. Leave it"),
         (["study", "liu2014", "--workers", "0"], "workers must be at least 1"),
     ],
 )

@@ -1,6 +1,7 @@
 """Vector -> class: classifiers with log-likelihoods a belief can add up."""
 
 from ._kernel_density import KernelDensityBayes
+from ._kernel_density_index import IndexQuality, KernelDensityIndex
 from ._kernel_density_naive import KernelDensityNaiveBayes
 from ._kernel_ridge import KernelRidgeClassifier
 from ._kernels import GaussianKernel, LinearKernel, PolynomialKernel
@@ -10,7 +11,9 @@ from ._one_per_label import OnePerLabelSVC
 __all__ = [
     "MKLSVC",
     "GaussianKernel",
+    "IndexQuality",
     "KernelDensityBayes",
+    "KernelDensityIndex",
     "KernelDensityNaiveBayes",
     "KernelRidgeClassifier",
     "LinearKernel",

@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize, minimize_scalar
 from scipy.special import log_softmax
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.metrics.pairwise import euclidean_distances
@@ -34,7 +34,7 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
     widths : sequence of float, default=(0.5, 1.0, 2.0, 4.0)
         Candidate kernel widths g of exp(-g d^2 / m), with m the median squared
         distance between training touches.
-    ridges : sequence of float, default=(0.01, 0.03, 0.1, 0.3)
+    ridges : sequence of float, default=(0.003, 0.01, 0.03, 0.1, 0.3)
         Candidate ridges, added to the diagonal of the kernel matrix.
     max_choice_touches : int, default=1500
         With more training touches than this, width and ridge are chosen on an
@@ -50,8 +50,9 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
     log_loss_ : float
         Mean negative log posterior of the true label (nats) of the touches left
         out with their group, at the chosen pair.
-    temperature_ : float
-        Factor on the regression scores before the softmax.
+    temperature_, bend_ : float
+        Scores s enter the softmax as temperature s / (1 + bend |s|): regression
+        scores of sure touches are too large for a factor alone.
     log_counts_ : ndarray of shape (n_classes,)
         Logarithms of the numbers of training touches. The scores lean towards
         frequent labels; these are subtracted, so that posteriors are those under
@@ -87,7 +88,7 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
     def __init__(
         self,
         widths: Iterable[float] = (0.5, 1.0, 2.0, 4.0),
-        ridges: Iterable[float] = (0.01, 0.03, 0.1, 0.3),
+        ridges: Iterable[float] = (0.003, 0.01, 0.03, 0.1, 0.3),
         max_choice_touches: int = 1500,
     ) -> None:
         self.widths = widths
@@ -150,8 +151,8 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         self.touches_ = touches
         self.left_out_scores_ = _left_out(inverse, self.coefficients_, target, group)
         self.log_counts_ = _log_counts(codes, target.shape[1])
-        found = _best_temperature(self.left_out_scores_, codes)
-        self.temperature_, self.log_loss_ = found
+        shape, self.log_loss_ = _best_shape(self.left_out_scores_, codes)
+        self.temperature_, self.bend_ = shape
 
     def scores(self, X: ArrayLike) -> Floats:
         """Return the regression scores, shape (n_touches, n_classes); 1 is sure."""
@@ -168,14 +169,16 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         Shape (n_touches, n_classes). The posterior under equal priors, so each
         row is a likelihood but for a factor that no belief depends on.
         """
-        scores = self.scores(X)
-        return _log_posterior(self.temperature_, scores, self.log_counts_)
+        return self._log_posterior(self.scores(X))
 
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches with their groups left out."""
         check_is_fitted(self)
-        scores = self.left_out_scores_
-        return _log_posterior(self.temperature_, scores, self.log_counts_)
+        return self._log_posterior(self.left_out_scores_)
+
+    def _log_posterior(self, scores: Floats) -> Floats:
+        shape = (self.temperature_, self.bend_)
+        return _log_posterior(shape, scores, self.log_counts_)
 
     def predict_log_proba(self, X: ArrayLike) -> Floats:
         """Return the log posterior under equal priors, (n_touches, n_classes)."""
@@ -251,20 +254,45 @@ def _log_counts(codes: NDArray, n_classes: int) -> Floats:
     return counts
 
 
-def _log_posterior(temperature: float, scores: Floats, log_counts: Floats) -> Floats:
-    """Log posterior under equal priors."""
-    log_posterior: Floats = log_softmax(temperature * scores - log_counts, axis=1)
+def _log_posterior(
+    shape: tuple[float, float], scores: Floats, log_counts: Floats
+) -> Floats:
+    """Log posterior under equal priors; `shape` is (temperature, bend)."""
+    temperature, bend = shape
+    bent = temperature * scores / (1 + bend * np.abs(scores))
+    log_posterior: Floats = log_softmax(bent - log_counts, axis=1)
     return log_posterior
 
 
+def _loss(
+    shape: tuple[float, float], scores: Floats, codes: NDArray, log_counts: Floats
+) -> float:
+    log_posterior = _log_posterior(shape, scores, log_counts)
+    return float(-log_posterior[np.arange(len(codes)), codes].mean())
+
+
 def _best_temperature(scores: Floats, codes: NDArray) -> tuple[float, float]:
-    """Return the factor with the least log loss, and that loss (nats)."""
-    rows = np.arange(len(codes))
+    """Return the factor with the least log loss, unbent, and that loss (nats)."""
     log_counts = _log_counts(codes, scores.shape[1])
 
     def loss(log_factor: float) -> float:
-        log_posterior = _log_posterior(np.exp(log_factor), scores, log_counts)
-        return float(-log_posterior[rows, codes].mean())
+        return _loss((float(np.exp(log_factor)), 0.0), scores, codes, log_counts)
 
     found = minimize_scalar(loss, bounds=(-3, 6), method="bounded")
     return float(np.exp(found.x)), float(found.fun)
+
+
+def _best_shape(scores: Floats, codes: NDArray) -> tuple[tuple[float, float], float]:
+    """Return (temperature, bend) with the least log loss, and that loss (nats)."""
+    log_counts = _log_counts(codes, scores.shape[1])
+
+    def shape(raw: NDArray) -> tuple[float, float]:
+        log_temperature, log_bend = np.clip(raw, -8, 6)
+        return float(np.exp(log_temperature)), float(np.exp(log_bend))
+
+    def loss(raw: NDArray) -> float:
+        return _loss(shape(raw), scores, codes, log_counts)
+
+    start = np.log([_best_temperature(scores, codes)[0], 0.5])
+    found = minimize(loss, start, method="Nelder-Mead")
+    return shape(found.x), float(found.fun)

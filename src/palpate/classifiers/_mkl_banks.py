@@ -193,6 +193,16 @@ def check_given(X: object, n_train: int | None = None) -> Floats:
     return stack
 
 
+def check_same_kernels(stack: Floats, n_kernels: int) -> Floats:
+    """Return precomputed kernels if there are as many as were learnt."""
+    if stack.shape[2] != n_kernels:
+        raise ValueError(
+            f"X must hold the {n_kernels} kernels of the training touches, got "
+            f"{stack.shape[2]}. Stack the same kernels in the same order."
+        )
+    return stack
+
+
 def refuse_overflow(kernels: Sequence[Kernel], diagonals: Floats) -> None:
     finite = np.isfinite(diagonals).all(axis=1)
     if not finite.all():

@@ -36,6 +36,7 @@ def check_settings(
     """Return how to learn a pair, or explain what does not fit."""
     check_option("solver", solver, _TOLERANCES)
     check_option("approximation", approximation, _APPROXIMATION)
+    check_option("probability", probability, (True, False))
     power = check_number("norm", norm, low=1)
     if solver == "simplemkl" and (power != 1 or approximation == "nystroem"):
         raise ValueError(

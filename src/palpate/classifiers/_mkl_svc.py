@@ -19,7 +19,7 @@ from sklearn.utils.validation import (
 )
 
 from ._kernels import Kernel, kernel_stack
-from ._mkl_banks import FeatureBank, check_given
+from ._mkl_banks import FeatureBank, check_given, check_same_kernels
 from ._mkl_nystroem import LandmarkFeatures, NystroemBank
 from ._mkl_options import check_settings, is_given, make_bank
 from ._mkl_pairs import Bank, PairMachines, Settings, learn_pairs
@@ -32,6 +32,9 @@ from ._mkl_posterior import (
     vote,
 )
 from ._mkl_problem import Floats, row_blocks
+
+# Decisions this small tell nothing but the solver's rounding; the margin is 1.
+_ROUNDING = 1e-9
 
 
 def _has_probability(estimator: "MKLSVC") -> bool:
@@ -125,8 +128,10 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
     -----
     **Votes.** Each pair votes for one class; `predict` returns the class with most
     votes. Among equal votes the larger sum of decisions in favour counts, then the
-    order of `classes_`. `decision_function` is the votes plus that sum squeezed
-    below half a vote; with two classes it is the decision of the one pair.
+    order of `classes_`. A decision below 1e-9 (times `C` where that is below 1)
+    is rounding and counts as 0: half a vote for each, and with two classes the first.
+    `decision_function` is the votes plus that sum squeezed below half a vote; with two
+    classes it is the decision of the one pair.
 
     **Probabilities.** The touches of each class, in the order given, are cut into
     five stretches; each is judged by machines, kernel weights included, that learnt
@@ -292,7 +297,8 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
 
     def _validated_touches(self, X: ArrayLike) -> Floats:
         if is_given(self.kernels):
-            return check_given(X, self.n_features_in_)
+            stack = check_given(X, self.n_features_in_)
+            return check_same_kernels(stack, self.weights_.shape[1])
         touches: Floats = validate_data(self, X, dtype=np.float64, reset=False)
         return touches
 
@@ -348,7 +354,9 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
                 "X must lie where the kernels are finite, got touches too far from "
                 "the training touches. Scale the features as in training."
             )
-        return decisions + self.intercept_
+        decisions += self.intercept_
+        decisions[np.abs(decisions) < _ROUNDING * min(1, self.C)] = 0
+        return decisions
 
     def _decide(self, touches: Floats) -> Floats:
         """Decisions of all pairs less their bias, for a block of touches."""

@@ -14,8 +14,13 @@ from .bench import bench
 from .demo import demo
 from .doctor import doctor
 from .evaluate import evaluate
+from .explore import explore
 from .learn import learn
+from .library import library
+from .live import live
 from .recognise import recognise
+from .record import record
+from .serve import serve
 from .simulate import simulate
 from .study import study
 
@@ -28,7 +33,11 @@ app = typer.Typer(
 )
 for verb in (learn, recognise, evaluate, demo, study, bench, doctor):
     app.command()(verb)
+for live_verb in (serve, record, live):
+    app.command()(live_verb)
 app.add_typer(simulate, name="simulate")
+app.add_typer(library, name="library")
+app.add_typer(explore, name="explore")
 
 
 @app.callback()
@@ -43,7 +52,14 @@ def main() -> None:
     """
     try:
         app()
-    except (ValueError, TypeError, OSError, ImportError, MemoryError) as error:
+    except (
+        ValueError,
+        TypeError,
+        OSError,
+        RuntimeError,
+        ImportError,
+        MemoryError,
+    ) as error:
         if os.environ.get("PALPATE_DEBUG"):
             raise
         print(f"palpate: {error}", file=sys.stderr)

@@ -1,17 +1,21 @@
 """Options that several verbs share, and reading what they name."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 if TYPE_CHECKING:
+    from ..library import Selection
     from ..touches import Touches
 
 TouchesPath = Annotated[
     Path,
     typer.Argument(
-        metavar="TOUCHES", help="A touch archive (.npz) or a folder of JPEG/PNG images."
+        metavar="TOUCHES",
+        help="A touch archive (.npz), a folder of JPEG/PNG images, or a library.",
     ),
 ]
 ModelPath = Annotated[
@@ -47,6 +51,15 @@ NoContact = Annotated[
     Path | None,
     typer.Option("--no-contact", help="The image of the sensor touching nothing."),
 ]
+Where = Annotated[
+    str | None,
+    typer.Option(
+        "--where",
+        help="Of a library, the touches that meet this filter alone, such as "
+        '"object = mug and force_n > 0.5". Comparisons: = != < <= > >= in contains, '
+        "is null; joined by and, or, not.",
+    ),
+]
 MaxMegapixels = Annotated[
     float,
     typer.Option("--max-megapixels", help="Larger pictures are refused unread."),
@@ -58,13 +71,55 @@ def read_touches(
     name_pattern: str | None,
     no_contact: Path | None,
     max_megapixels: float,
+    where: str | None = None,
 ) -> "Touches":
-    """Read an archive or a folder as the shared options say."""
+    """Read an archive, a folder or a library as the shared options say."""
+    from ..library import TouchLibrary
     from ..touches import Touches
 
+    if TouchLibrary.is_library(path):
+        _refuse_picture_options(path, name_pattern, no_contact)
+        with TouchLibrary.open(path) as library:
+            return library.touches(where)
+    if where is not None:
+        raise ValueError(
+            f"--where must be given with a library of touches, got {where!r} with "
+            f"{path}. Make a library with `palpate library add`."
+        )
     return Touches.load(
         path,
         name_pattern=name_pattern,
         no_contact=no_contact,
         max_pixels=int(max_megapixels * 1e6),
     )
+
+
+@contextmanager
+def training_touches(
+    path: Path,
+    name_pattern: str | None,
+    no_contact: Path | None,
+    max_megapixels: float,
+    where: str | None,
+) -> "Iterator[Touches | Selection]":
+    """Read touches to learn from; those of a library are read as they are needed."""
+    from ..library import TouchLibrary
+
+    if not TouchLibrary.is_library(path):
+        yield read_touches(path, name_pattern, no_contact, max_megapixels, where)
+        return
+    _refuse_picture_options(path, name_pattern, no_contact)
+    with TouchLibrary.open(path) as library:
+        yield library.select(where)
+
+
+def _refuse_picture_options(
+    path: Path, name_pattern: str | None, no_contact: Path | None
+) -> None:
+    given = {"--name-pattern": name_pattern, "--no-contact": no_contact}
+    for option, value in given.items():
+        if value is not None:
+            raise ValueError(
+                f"{option} must be left out for a library, got {value} with {path}. "
+                "Give it to `palpate library add`, which keeps what it finds."
+            )

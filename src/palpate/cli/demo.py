@@ -1,4 +1,4 @@
-"""`palpate demo`: learn ten objects, recognise them by touch, meet unknown ones."""
+"""`palpate demo`: explore and learn ten objects, recognise them, meet unknown ones."""
 
 import os
 from pathlib import Path
@@ -6,11 +6,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._options import Seed
-from ._output import percent
+from ._options import AsJson, Seed
+from ._output import percent, print_json, table
 from ._stages import Stages
+from .explore import print_attempt, told
+from .recognise import print_episode, recognise_episodes
 
 if TYPE_CHECKING:
+    from ..evaluation import Trial
+    from ..recognition import ObjectRecogniser
     from ..touches import Touches
 
 SOURCE = "https://github.com/Exhor/deep_visuotactile_classification"
@@ -20,7 +24,13 @@ NAME_PATTERN = (
 )
 TRAIN_TOUCHES = 60
 TEST_TOUCHES = 30
+UNKNOWN_TOUCHES = 20
+SIDE = 96
+KNOWN_SHOWN = ("mug", "stapler", "water bottle")
 UNKNOWN_SHOWN = ("plastic card", "soft textbook")
+ERROR = 0.01
+
+Sets = tuple["Touches", "Touches", "Touches | None"]
 
 
 def demo(
@@ -31,55 +41,124 @@ def demo(
         Path, typer.Option("--output", help="Where to write the model and the report.")
     ] = Path("demo"),
     seed: Seed = 0,
+    as_json: AsJson = False,
 ) -> None:
     """Learn ten household objects from 60 touches each and recognise them.
 
-    Touches a dome camera's simulated objects, or reads recorded pictures with
-    --real. The last line printed is the path of the report.
+    A simulated arm explores simulated objects with a dome camera, or, with --real,
+    recorded pictures are read. The last line printed is the path of the report.
     """
     pictures = _pictures() if real else None
-    import numpy as np
-
-    from ..evaluation import (
-        Plan,
-        check_report_path,
-        evaluate,
-        write_report,
-    )
-    from .recognise import print_episode, recognise_episodes
+    from ..evaluation import Plan, check_report_path, evaluate, write_report
 
     folder.mkdir(parents=True, exist_ok=True)
     report = check_report_path(folder / "report.html")
     with Stages() as stage:
-        train, test, unknown = (
-            _read(pictures, seed, stage) if pictures else _simulate(seed)
-        )
+        sets = _read(pictures, seed, stage) if pictures else _explored(seed)
+        train, test, unknown = sets
         plan = Plan(touches=(1, 3, 5, 10), seed=seed)
         figures, trials = evaluate(
             train, test, unknown=unknown, plan=plan, progress=stage
         )
     recogniser = trials[0].recogniser
-    print(
-        f"Learnt {len(recogniser.classes_)} objects from {len(train)} touches "
-        f"({TRAIN_TOUCHES} each) and recognise the other {len(test)}, one by one:\n"
-    )
-    for episode in recognise_episodes(recogniser, test, error=0.01):
-        print_episode(episode)
-    if unknown is not None:
-        print("Objects that were never learnt:\n")
-        shown = unknown[np.isin(unknown.columns["object"], UNKNOWN_SHOWN)]
-        for episode in recognise_episodes(recogniser, shown, error=0.01):
-            print_episode(episode)
-    _print_end(figures)
+    if not as_json:
+        print(
+            f"Learnt {len(recogniser.classes_)} objects from {len(train)} touches "
+            f"({TRAIN_TOUCHES} each).\n"
+        )
+    if pictures:
+        episodes = _recognise_recorded(recogniser, test, quiet=as_json)
+    else:
+        episodes = _recognise_by_exploring(recogniser, train, seed, quiet=as_json)
     model = recogniser.save(folder / "ten-objects.palpate")
     write_report(report, figures, trials)
+    if as_json:
+        written = {"model": str(model.resolve()), "report": str(report.resolve())}
+        print_json({**figures, "episodes": episodes, **written})
+        return
+    _print_figures(figures, trials[0])
     print(f"model: {model.resolve()}")
     print(report.resolve())
 
 
-def _read(
-    pictures: Path, seed: int, stage: Stages
-) -> tuple["Touches", "Touches", None]:
+def _explored(seed: int) -> Sets:
+    """Explore to learn in six sessions, to be tested in two others, and unknowns.
+
+    In every session the object is put down and turned anew and the picture has
+    drifted.
+    """
+    from ..exploration import explore_to_learn
+    from ..simulation import HOUSEHOLD, UNSEEN, DomeCamera
+
+    def explore(things: Any, n_touches: int, n_sessions: int, number: int) -> "Touches":
+        return explore_to_learn(
+            things,
+            n_touches,
+            DomeCamera(image_shape=(SIDE, SIDE)),
+            n_sessions=n_sessions,
+            turned=True,
+            drift=True,
+            random_state=3 * seed + number,
+            n_jobs=-1,
+            progress=None,
+        )
+
+    return (
+        explore(HOUSEHOLD, TRAIN_TOUCHES, 6, 0),
+        explore(HOUSEHOLD, TEST_TOUCHES, 2, 1),
+        explore(UNSEEN, UNKNOWN_TOUCHES, 2, 2),
+    )
+
+
+def _recognise_by_exploring(
+    recogniser: "ObjectRecogniser", train: "Touches", seed: int, *, quiet: bool
+) -> list[dict[str, Any]]:
+    """Let the arm choose its touches on some objects until each is decided."""
+    import numpy as np
+
+    from ..exploration import InformativeTouch, TouchMap, explore, put_down
+    from ..simulation import DomeCamera, find_object
+
+    touch_map = TouchMap(random_state=seed).fit(recogniser, train)
+    episodes = []
+    for number, name in enumerate(KNOWN_SHOWN + UNKNOWN_SHOWN):
+        rng = np.random.default_rng([seed, number])
+        stand = put_down(
+            find_object(name),
+            DomeCamera(image_shape=(SIDE, SIDE)).drifted(rng),
+            yaw_rad=float(rng.uniform(0, 2 * np.pi)),
+            random_state=int(rng.integers(2**31)),
+        )
+        if not quiet:
+            met = "never learnt" if name in UNKNOWN_SHOWN else "learnt"
+            print(f"The arm touches the {name} ({met}) where it expects to learn most:")
+        end = explore(
+            stand.robot,
+            stand.sensor,
+            recogniser,
+            InformativeTouch(touch_map, stand.hemisphere),
+            error=ERROR,
+            clock=stand.robot.clock,
+            on_attempt=None if quiet else print_attempt,
+        )
+        if not quiet:
+            print(f"  {end.reason}\n")
+        episodes.append({"object": name, **told(recogniser, end)})
+    return episodes
+
+
+def _recognise_recorded(
+    recogniser: "ObjectRecogniser", test: "Touches", *, quiet: bool
+) -> list[dict[str, Any]]:
+    episodes = recognise_episodes(recogniser, test, error=ERROR)
+    if not quiet:
+        print(f"Recognising the other {len(test)} touches, one by one:\n")
+        for episode in episodes:
+            print_episode(episode)
+    return episodes
+
+
+def _read(pictures: Path, seed: int, stage: Stages) -> Sets:
     from ..evaluation import split_by_count
     from ..touches import Touches
 
@@ -92,39 +171,26 @@ def _read(
     return *split_by_count(touches, TRAIN_TOUCHES, seed), None
 
 
-def _simulate(seed: int) -> tuple["Touches", "Touches", "Touches"]:
-    """Learn in six sessions, recognise in two others.
-
-    In every session the object is turned anew and the camera has moved.
-    """
-    from ..simulation import HOUSEHOLD, UNSEEN, simulate_touches
-
-    def explore(
-        objects: Any, n_touches: int, n_sessions: int, number: int
-    ) -> "Touches":
-        return simulate_touches(
-            objects,
-            n_touches,
-            n_sessions=n_sessions,
-            random_state=3 * seed + number,
-            n_jobs=-1,
-            progress=None,
-        )
-
-    return (
-        explore(HOUSEHOLD, TRAIN_TOUCHES, 6, 0),
-        explore(HOUSEHOLD, TEST_TOUCHES, 2, 1),
-        explore(UNSEEN, TEST_TOUCHES, 2, 2),
-    )
-
-
-def _print_end(figures: dict[str, Any]) -> None:
+def _print_figures(figures: dict[str, Any], trial: "Trial") -> None:
+    """Print the accuracy with, beside it, what nuisance values alone achieve."""
+    controls = {k: v for k, v in figures["controls"].items() if v is not None}
+    columns = ["touches", "right %", "sd", *(f"{name} alone %" for name in controls)]
+    if "unknown_auroc" in figures:
+        columns.append("known from unknown")
+    rows = []
     for k, share in figures["accuracy"].items():
-        spread = percent(figures["accuracy_sd"][k])
-        line = f"right after {k:>2} touches: {percent(share):>5} % (sd {spread})"
+        row = [k, percent(share), percent(figures["accuracy_sd"][k])]
+        row += [percent(values.get(k)) for values in controls.values()]
         if "unknown_auroc" in figures:
-            line += f"; known from unknown: {figures['unknown_auroc'][k]:.2f} ROC area"
-        print(line)
+            row.append(f"{figures['unknown_auroc'][k]:.2f} ROC area")
+        rows.append(row)
+    n_objects = len(trial.recogniser.classes_)
+    n_test = len(trial.fold.test)
+    table(
+        f"{n_objects} objects (chance {100 / n_objects:.0f} %), {n_test} other touches",
+        columns,
+        rows,
+    )
 
 
 def _pictures() -> Path:

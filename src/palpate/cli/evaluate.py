@@ -14,9 +14,11 @@ from ._options import (
     NoContact,
     Preset,
     Seed,
+    Where,
     read_touches,
 )
 from ._output import percent, print_json, table
+from ._workers import Cluster, Workers, working
 
 
 def evaluate(
@@ -46,6 +48,13 @@ def evaluate(
         Path | None,
         typer.Option("--unknown", help="Touches of objects that are not trained on."),
     ] = None,
+    where: Where = None,
+    test_where: Annotated[
+        str | None, typer.Option("--test-where", help="The same for --test.")
+    ] = None,
+    unknown_where: Annotated[
+        str | None, typer.Option("--unknown-where", help="The same for --unknown.")
+    ] = None,
     error: Annotated[
         float, typer.Option("--error", help="Accepted share of wrong decisions.")
     ] = 0.01,
@@ -56,6 +65,8 @@ def evaluate(
     name_pattern: NamePattern = None,
     no_contact: NoContact = None,
     max_megapixels: MaxMegapixels = 50,
+    workers: Workers = None,
+    cluster: Cluster = None,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
@@ -77,14 +88,15 @@ def evaluate(
     if report is not None:
         check_report_path(report)
 
-    def read(path: Path | None) -> Any:
+    def read(path: Path | None, where: str | None) -> Any:
         if path is None:
             return None
         stage(f"reading {path}")
-        return read_touches(path, name_pattern, no_contact, max_megapixels)
+        return read_touches(path, name_pattern, no_contact, max_megapixels, where)
 
-    with Stages() as stage:
-        training, testing, strange = read(train), read(test), read(unknown)
+    with Stages() as stage, working(workers, cluster):
+        training, testing = read(train, where), read(test, test_where)
+        strange = read(unknown, unknown_where)
         figures, trials = run(
             training, testing, split=split, unknown=strange, plan=plan, progress=stage
         )

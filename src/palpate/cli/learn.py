@@ -1,7 +1,7 @@
 """`palpate learn`: touches -> model file."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,9 +15,16 @@ from ._options import (
     Preset,
     Seed,
     TouchesPath,
-    read_touches,
+    Where,
+    training_touches,
 )
 from ._output import print_json
+from ._workers import Cluster, Workers, working
+
+if TYPE_CHECKING:
+    from ..library import Selection
+    from ..recognition import ObjectRecogniser
+    from ..touches import Touches
 
 
 def learn(
@@ -25,6 +32,7 @@ def learn(
     output: Annotated[
         Path, typer.Option("-o", "--output", help="The model file to write (.palpate).")
     ],
+    where: Where = None,
     preset: Preset = "default",
     label: Label = "object",
     floor: Floor = None,
@@ -36,6 +44,16 @@ def learn(
             "parts lie on a pressure array. Default: what the archive says.",
         ),
     ] = None,
+    extend: Annotated[
+        Path | None,
+        typer.Option(
+            "--extend",
+            help="Add the objects of TOUCHES that this model does not know to it; its "
+            "encoding and what it knows stay as they are.",
+        ),
+    ] = None,
+    workers: Workers = None,
+    cluster: Cluster = None,
     name_pattern: NamePattern = None,
     no_contact: NoContact = None,
     max_megapixels: MaxMegapixels = 50,
@@ -47,24 +65,61 @@ def learn(
     from ._stages import Stages
 
     check_model_path(output)
-    with Stages() as stage:
+    read = (touches, name_pattern, no_contact, max_megapixels, where)
+    with Stages() as stage, working(workers, cluster):
         stage(f"reading {touches}")
-        training = read_touches(touches, name_pattern, no_contact, max_megapixels)
-        stage(f"learning from {len(training)} touches")
-        recogniser = ObjectRecogniser(
-            preset, label=label, floor=floor, random_state=seed
-        ).fit(training)
-        if pitch_mm is not None or "set_pitch_mm" in training.whole:
-            stage("learning where parts lie")
-            recogniser.fit_pose(training, pitch_mm)
+        with training_touches(*read) as training:
+            stage(f"learning from {len(training)} touches")
+            if extend is not None:
+                recogniser = _extended(extend, training)
+            else:
+                recogniser = ObjectRecogniser(
+                    preset, label=label, floor=floor, random_state=seed
+                ).fit(training)
+            if pitch_mm is not None or "set_pitch_mm" in training.whole:
+                stage("learning where parts lie")
+                recogniser.fit_pose(_held(training), pitch_mm)
         written = recogniser.save(output)
     learnt = summary(recogniser)
     if as_json:
         print_json({"model": str(written), **learnt})
         return
     print(
-        f"Learnt {learnt['n_labels']} {label} labels from "
+        f"Learnt {learnt['n_labels']} {learnt['label']} labels from "
         f"{learnt['n_train_touches']} touches ({learnt['chosen']['encoding']})."
         + (" Poses on the array are learnt too." if recogniser.pose_ else "")
     )
     print(written)
+
+
+def _extended(model: Path, training: "Touches | Selection") -> "ObjectRecogniser":
+    """Return a model that knows the new labels of `training` as well."""
+    import numpy as np
+
+    from ..recognition import ObjectRecogniser
+
+    recogniser = ObjectRecogniser.load(model)
+    labels = training.object if recogniser.label == "object" else training.category
+    if labels is None:
+        raise ValueError(
+            f"TOUCHES must have a column {recogniser.label!r} to extend a model with."
+        )
+    new = np.setdiff1d(labels, recogniser.classes_)
+    if not len(new):
+        raise ValueError(
+            f"TOUCHES must hold objects that {model} does not know, got none. To learn "
+            "more touches of known objects, learn again from all of them."
+        )
+    for name in new.tolist():
+        rows = np.flatnonzero(labels == name)
+        recogniser.add_object(name, training[rows])
+    return recogniser
+
+
+def _held(training: "Touches | Selection") -> "Touches":
+    """Return the touches of a selection with all their images."""
+    from ..touches import Touches
+
+    if isinstance(training, Touches):
+        return training
+    return training.touches(range(len(training)))

@@ -11,6 +11,7 @@ from ._options import (
     NamePattern,
     NoContact,
     TouchesPath,
+    Where,
     read_touches,
 )
 from ._output import belief_line, print_json
@@ -30,6 +31,7 @@ def recognise(
     error: Annotated[
         float, typer.Option("--error", help="Accepted share of wrong decisions.")
     ] = 0.01,
+    where: Where = None,
     name_pattern: NamePattern = None,
     no_contact: NoContact = None,
     max_megapixels: MaxMegapixels = 50,
@@ -43,7 +45,7 @@ def recognise(
         stage(f"reading {model}")
         recogniser = ObjectRecogniser.load(model)
         stage(f"reading {touches}")
-        tested = read_touches(touches, name_pattern, no_contact, max_megapixels)
+        tested = read_touches(touches, name_pattern, no_contact, max_megapixels, where)
         stage(f"recognising {len(tested)} touches")
         episodes = recognise_episodes(recogniser, tested, error)
     if as_json:

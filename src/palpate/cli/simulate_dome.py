@@ -92,7 +92,7 @@ def dome(
     )
     way = {"pose": "any" if any_pose else "usual", "aim_sd_mm": aim_sd}
     way |= {"drift": not no_drift, "n_sessions": sessions, "n_jobs": workers}
-    _make(output, _find(objects, unit), touches, camera, way, seed, as_json)
+    _make(output, find_objects(objects, unit), touches, camera, way, seed, as_json)
 
 
 @simulate.command()
@@ -121,7 +121,7 @@ def pins(
     camera = replace(usual, dome=seen, n_rings=rings)
     way = {"pose": "any" if any_pose else "usual", "aim_sd_mm": aim_sd}
     way |= {"drift": not no_drift, "n_sessions": sessions, "n_jobs": workers}
-    _make(output, _find(objects, unit), touches, camera, way, seed, as_json)
+    _make(output, find_objects(objects, unit), touches, camera, way, seed, as_json)
 
 
 def _make(
@@ -161,7 +161,7 @@ def _make(
     print(output)
 
 
-def _find(names: list[str] | None, unit: str) -> "list[SimObject]":
+def find_objects(names: list[str] | None, unit: str) -> "list[SimObject]":
     from ..simulation import BASIC_SHAPES, HOUSEHOLD, UNSEEN, find_object, load_mesh
 
     sets = dict(zip(SETS, (HOUSEHOLD, UNSEEN, BASIC_SHAPES), strict=True))

@@ -8,6 +8,7 @@ import typer
 
 from ._options import AsJson, Seed
 from ._output import print_json, table
+from ._workers import Cluster, Workers, working
 
 
 def study(
@@ -29,9 +30,8 @@ def study(
             "paper (on the runs reported). Default: both.",
         ),
     ] = None,
-    workers: Annotated[
-        int, typer.Option("--workers", help="Processes; -1 is one per core.")
-    ] = -1,
+    workers: Workers = None,
+    cluster: Cluster = None,
     report: Annotated[
         Path | None, typer.Option("--report", help="Write one self-contained .html.")
     ] = None,
@@ -47,10 +47,11 @@ def study(
             print(f"{known:12s} {one.summary}")
         return
     check_study(name)
-    options: dict[str, Any] = {"data": data, "quick": quick, "workers": workers}
+    options: dict[str, Any] = {"data": data, "quick": quick, "seed": seed}
     if protocol is not None:
         options["protocol"] = protocol
-    _run(name, {**options, "seed": seed}, report, as_json)
+    with working(-1 if workers is None and cluster is None else workers, cluster) as n:
+        _run(name, {**options, "workers": n}, report, as_json)
 
 
 def _run(

@@ -1,5 +1,6 @@
 """How well it recognises: splits, figures, nuisance controls and reports."""
 
+from ._cluster_quality import davies_bouldin
 from ._controls import brightness, disc_centres, sorted_pixels, without_contact
 from ._decisions import Decisions, decide_episodes
 from ._episodes import Episodes, Outcome, outcome, run_episodes, single_touches
@@ -21,6 +22,7 @@ __all__ = [
     "calibration_bins",
     "calibration_error",
     "check_report_path",
+    "davies_bouldin",
     "decide_episodes",
     "disc_centres",
     "draw_touches",

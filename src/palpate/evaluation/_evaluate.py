@@ -63,7 +63,7 @@ def evaluate(
     folds = _folds(train, test, split)
     if split == "unseen-objects":
         plan = replace(plan, label="category")
-    trials = [_run(fold, unknown, plan, progress) for fold in folds]
+    trials = _run_all(folds, unknown, plan, progress)
     return figures_of(trials, plan, split), trials
 
 
@@ -78,6 +78,24 @@ def _folds(train: Touches, test: Touches | None, split: str | None) -> list[Fold
         return split_touches(train, split)
     assert test is not None
     return [Fold("test", train, test)]
+
+
+def _run_all(
+    folds: list[Fold], unknown: Touches | None, plan: Plan, progress: Progress
+) -> list[Trial]:
+    """Run folds one after the other, or where `joblib.parallel_config` says."""
+    if len(folds) == 1:
+        return [_run(folds[0], unknown, plan, progress)]
+    from joblib import Parallel, delayed
+
+    progress(f"{len(folds)} folds")
+    jobs = (delayed(_run)(fold, unknown, plan, _silent) for fold in folds)
+    trials: list[Trial] = Parallel()(jobs)
+    return trials
+
+
+def _silent(stage: str) -> None:
+    """Tell nothing: another process has no screen."""
 
 
 def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) -> Trial:

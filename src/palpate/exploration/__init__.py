@@ -19,12 +19,15 @@ from ._recorded import (
 )
 from ._robot import Robot, RobotError
 from ._simulated_robot import FAULTS, SimulatedRobot
+from ._stand import QUICK_GUARD, Stand, put_down
 from ._strategies import RandomHemisphere, Raster, Strategy
+from ._teaching import explore_to_learn
 from ._touch_map import TouchMap
 
 __all__ = [
     "FAULTS",
     "OUTCOMES",
+    "QUICK_GUARD",
     "EpisodeError",
     "EpisodeLog",
     "Exploration",
@@ -40,13 +43,16 @@ __all__ = [
     "Robot",
     "RobotError",
     "SimulatedRobot",
+    "Stand",
     "Strategy",
     "TouchMap",
     "TouchRecord",
     "as_touches",
     "explore",
+    "explore_to_learn",
     "gather",
     "guarded_touch",
     "look_at_recorded",
+    "put_down",
     "read_episode",
 ]

@@ -234,7 +234,7 @@ class _Approach:
         for _ in range(self.guard.n_readings):
             forces.append(self._read() - self._offset_n)
             self.peak_force_n = max(self.peak_force_n, forces[-1])
-            self.force_n = float(np.mean(forces))
+            self.force_n = sum(forces) / len(forces)
             self._refuse_too_hard(forces[-1])
         if self.clock() - self._began > self.guard.timeout_s:
             raise _Fault("timed out", f"No end after {self.guard.timeout_s:g} s.")

@@ -21,12 +21,11 @@ from numpy.typing import NDArray
 from scipy.special import log_softmax
 
 from .._checks import check_count, check_number, check_option
-from ..sensors import SimulatedBench, SimulatedSensor
-from ..simulation import HOUSEHOLD, DomeCamera, PlacedObject, find_object
-from ._guarded import Guard, guarded_touch
+from ..simulation import HOUSEHOLD, DomeCamera, find_object
+from ._guarded import Guard
 from ._hemisphere import Hemisphere
 from ._record import TouchRecord
-from ._simulated_robot import SimulatedRobot
+from ._stand import put_down
 
 try:
     import gymnasium
@@ -162,24 +161,17 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         out = np.array([out[0], out[1], abs(out[2])])
         if np.linalg.norm(out) < 1e-6:
             out = np.array([0.0, 0.0, 1.0])
-        start = self.hemisphere.pose_towards(out)
-        for waypoint in self.hemisphere.way(self._robot.read_pose(), start):
-            self._robot.move_to(waypoint)
-        clock = self._robot.clock
-        return guarded_touch(self._robot, self._sensor, start, self._guard, clock=clock)
+        return self._stand.touch(self.hemisphere.pose_towards(out), self._guard)
 
     def _put_down(self, yaw_rad: float) -> None:
-        placed = PlacedObject.resting(self._things[self._target], 0, yaw_rad)
-        x, y, z = placed.centre_mm
-        aside = np.array([*self.np_random.normal(0, self._placement_mm, 2), 0.0])
-        place = np.asarray(placed.position_mm) + aside
-        seeds = [int(seed) for seed in self.np_random.integers(2**31, size=3)]
-        moved = PlacedObject(placed.thing, placed.rotation, yaw_rad, place)
-        bench = SimulatedBench(moved, self.camera, random_state=seeds[0])
-        self.hemisphere = Hemisphere((float(x), float(y), float(z)))
-        home = self.hemisphere.pose(0.0, np.pi / 2)
-        self._robot = SimulatedRobot(bench, home, random_state=seeds[1])
-        self._sensor = SimulatedSensor(bench, random_state=seeds[2])
+        self._stand = put_down(
+            self._things[self._target],
+            self.camera,
+            yaw_rad=yaw_rad,
+            placement_sd_mm=self._placement_mm,
+            random_state=int(self.np_random.integers(2**31)),
+        )
+        self.hemisphere = self._stand.hemisphere
 
     def _observation(self, record: TouchRecord | None) -> Observation:
         touched = record is not None and record.touched

@@ -1,5 +1,6 @@
 """Touches -> object: recogniser, belief, presets and model files."""
 
+from ._adapting import adapt
 from ._belief import Belief
 from ._geometry import find_geometry
 from ._model_file import ModelFileError, check_model_path
@@ -14,6 +15,7 @@ __all__ = [
     "ModelFileError",
     "ObjectRecogniser",
     "Trust",
+    "adapt",
     "check_model_path",
     "find_geometry",
     "log_posteriors",

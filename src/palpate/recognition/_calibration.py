@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from scipy.special import log_softmax
 from sklearn.base import clone
 
 from ._sequence import Floats, Trust, log_posteriors, unknown_scores
@@ -93,12 +94,15 @@ def fit_trust(
 ) -> Trust:
     """Return the trust with the least log loss over episodes of all lengths."""
 
+    sums = [floored[rows].sum(axis=1) for rows in episodes.values()]
+    truths = [codes[rows[:, 0]] for rows in episodes.values()]
+
     def loss(raw: NDArray) -> float:
         trust = _trust(raw)
         losses = []
-        for rows in episodes.values():
-            last = _final(floored, rows, log_prior, trust)
-            losses.append(-last[np.arange(len(rows)), codes[rows[:, 0]]].mean())
+        for n_touches, total, truth in zip(episodes, sums, truths, strict=True):
+            last = log_softmax(total * trust.weight(n_touches) + log_prior, axis=1)
+            losses.append(-last[np.arange(len(truth)), truth].mean())
         return float(np.mean(losses))
 
     found = minimize(loss, x0=[0.0, -2.0], method="Nelder-Mead")

@@ -63,8 +63,7 @@ class TouchEncoder(BaseEstimator):
     def clean(self, touches: Touches) -> NDArray:
         """Return the images after the clean-up alone."""
         self._check_size(touches)
-        images = _living(touches.images)
-        return images if self.clean_up_ is None else _in_blocks(self.clean_up_, images)
+        return self._clean(touches.images)
 
     def encode(self, cleaned: NDArray) -> Floats:
         """Return the features of images that were cleaned already."""
@@ -74,8 +73,20 @@ class TouchEncoder(BaseEstimator):
         return np.asarray(values, dtype=np.float64)
 
     def transform(self, touches: Touches) -> Floats:
-        """Return the features, shape (n_touches, n_features)."""
-        return self.encode(self.clean(touches))
+        """Return the features, shape (n_touches, n_features).
+
+        So many touches at a time pass through all steps that memory stays bounded,
+        however many there are.
+        """
+        self._check_size(touches)
+        starts = range(0, len(touches), BLOCK)
+        return np.concatenate(
+            [self.encode(self._clean(touches.images[s : s + BLOCK])) for s in starts]
+        )
+
+    def _clean(self, raw: NDArray) -> NDArray:
+        images = _living(raw)
+        return images if self.clean_up_ is None else _in_blocks(self.clean_up_, images)
 
     def _check_size(self, touches: Touches) -> None:
         got = touches.images.shape[1:]

@@ -7,11 +7,18 @@ from .. import classifiers, encodings, images
 from ._encoder import TouchEncoder
 from ._sequence import Trust
 
+# Made anew from a stored model; making one computes, which reading a file must not.
+_NEVER_STORED = ("IndexQuality", "KernelDensityIndex")
+
 
 def _public_classes() -> dict[str, type]:
     rooms = (classifiers, encodings, images)
     named = {name: getattr(room, name) for room in rooms for name in room.__all__}
-    return {name: item for name, item in named.items() if isinstance(item, type)}
+    return {
+        name: item
+        for name, item in named.items()
+        if isinstance(item, type) and name not in _NEVER_STORED
+    }
 
 
 KNOWN_CLASSES: dict[str, type] = {

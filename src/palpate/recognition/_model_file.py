@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
+from .. import __version__
+
 FORMAT = 1
 MAX_BYTES = 4 * 2**30
 
@@ -57,6 +59,16 @@ def write_model(path: str | Path, model: object, known: Mapping[str, type]) -> P
     finally:
         Path(name).unlink(missing_ok=True)
     return target
+
+
+def state_digest(model: object, known: Mapping[str, type]) -> str:
+    """Return a SHA-256 of all that `model` is and has learnt, and of palpate's version.
+
+    Two models with one digest answer alike.
+    """
+    tensors: Tensors = {}
+    state = json.dumps([FORMAT, __version__, _pack(model, tensors, known)])
+    return _checksum(state, tensors)
 
 
 def check_model_path(path: str | Path) -> Path:

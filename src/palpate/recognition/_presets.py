@@ -14,6 +14,7 @@ from ..encodings import (
     EncodingUnion,
     FourierDescriptors,
     KernelPCA,
+    PolarGradients,
     RootScaler,
     ShapeGeometry,
     TaxelVector,
@@ -23,6 +24,9 @@ from ..images import ArrayCleanUp, DomeCrop
 from ..touches import Touches
 from ._encoder import TouchEncoder
 from ._geometry import find_geometry
+
+# With fewer taxels on a side, gradients along rings have too few places.
+FINE_TAXELS = 24
 
 
 @dataclass(frozen=True)
@@ -79,19 +83,27 @@ def _liu2014_encoders(touches: Touches) -> dict[str, TouchEncoder]:
 def _default_encoders(touches: Touches) -> dict[str, TouchEncoder]:
     geometry = find_geometry(touches)
     if geometry == "none":
-        vector = TouchEncoder(None, [TaxelVector(), RootScaler()])
-        return {"taxels": vector}
-    disc = TouchEncoder(
-        DomeCrop(missing="inscribed"),
-        [ZernikeMoments(order=15, drop_constant=True), RootScaler()],
-    )
-    if geometry == "dome":
-        return {"Zernike moments on the rim's disc": disc}
-    centred = TouchEncoder(None, [CentroidMoments(), RootScaler()])
-    return {
-        "moments about the centroid": centred,
-        "Zernike moments on the inscribed disc": disc,
+        return {"taxels": TouchEncoder(None, [TaxelVector(), RootScaler()])}
+    offered = {"Zernike moments": [ZernikeMoments(order=15, drop_constant=True)]}
+    if min(touches.images.shape[1:]) >= FINE_TAXELS:
+        offered["polar gradients"] = [PolarGradients()]
+    place = "the rim's disc" if geometry == "dome" else "the inscribed disc"
+    encoders = {
+        f"{name} on {place}": TouchEncoder(
+            DomeCrop(missing="inscribed"), [*steps, RootScaler(), *_principal(steps)]
+        )
+        for name, steps in offered.items()
     }
+    if geometry != "dome":
+        moments = TouchEncoder(None, [CentroidMoments(), RootScaler()])
+        encoders["moments about the centroid"] = moments
+    return encoders
+
+
+def _principal(steps: list[Any]) -> list[Any]:
+    """Shorten features of which there are many; distances hardly change."""
+    many = any(isinstance(step, PolarGradients) for step in steps)
+    return [PCA(n_components=0.9, svd_solver="covariance_eigh")] if many else []
 
 
 PRESETS: dict[str, Preset] = {

@@ -20,11 +20,11 @@ from ._calibration import (
     touch_log_likelihood,
     unknown_limits,
 )
-from ._choice import choose_encoder
 from ._known import KNOWN_CLASSES
 from ._model_file import ModelFileError, read_model, write_model
 from ._presets import Preset, find_preset
 from ._sequence import Floats, Trust, with_floor
+from ._source import TouchSource, encoded, fit_encoder
 from ._training import stretches, training_groups, training_labels
 
 MAX_PIXELS = 50_000_000
@@ -103,8 +103,15 @@ class ObjectRecogniser(BaseEstimator):
         self.prior = prior
         self.random_state = random_state
 
-    def fit(self, touches: Touches) -> Self:
+    def fit(self, touches: Touches | TouchSource) -> Self:
         """Learn objects from labelled touches.
+
+        Parameters
+        ----------
+        touches : Touches or TouchSource
+            Of a source (`TouchLibrary.select`), the encoding is learnt from some
+            2000 touches and the rest are encoded piece by piece, so that their
+            images are never all in memory.
 
         Raises
         ------
@@ -113,17 +120,16 @@ class ObjectRecogniser(BaseEstimator):
             fewer than two touches.
         """
         preset = self._check_parameters()
-        if not isinstance(touches, Touches):
+        if not isinstance(touches, Touches | TouchSource):
             raise TypeError(
                 f"touches must be Touches, got {type(touches).__name__}. "
                 "Write Touches(images, object=labels)."
             )
         labels, objects = training_labels(touches, self.label)
         group = training_groups(touches, labels, objects, self.label)
-        encoder, self.chosen_ = choose_encoder(
+        encoder, self.chosen_, self.features_ = fit_encoder(
             preset, touches, labels, group, self.random_state
         )
-        self.features_ = encoder.fit_transform(touches)
         self.encoder_ = encoder
         self.labels_, self.objects_, self.stretches_ = labels, objects, group
         self.classifier_ = preset.classifier()
@@ -185,7 +191,7 @@ class ObjectRecogniser(BaseEstimator):
             )
         return self.pose_.estimate(touches.images, labels)
 
-    def add_object(self, name: str, touches: Touches) -> Self:
+    def add_object(self, name: str, touches: Touches | TouchSource) -> Self:
         """Learn one more object; the encoding and its choices stay as they are.
 
         Parameters
@@ -208,10 +214,11 @@ class ObjectRecogniser(BaseEstimator):
             )
         if not isinstance(name, str) or not name:
             raise ValueError(f"name must be a text that is not empty, got {name!r}.")
-        touches = as_touches(touches)
+        if not isinstance(touches, TouchSource):
+            touches = as_touches(touches)
         if len(touches) < 2:
             raise ValueError(f"{name!r} must have at least 2 touches, got 1.")
-        features = self.encoder_.transform(touches)
+        features = encoded(self.encoder_, touches)
         labels = np.full(len(touches), name)
         objects = labels if touches.object is None else touches.object
         group = stretches(labels, touches.order) + self.stretches_.max() + 1

@@ -1,14 +1,23 @@
 """What the training touches are: their labels, and which belong together in time."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ..touches import Touches
 
+if TYPE_CHECKING:
+    from ._source import TouchSource
+
 N_STRETCHES = 5
 
 
-def training_labels(touches: Touches, label: str) -> tuple[NDArray, NDArray]:
+def training_labels(
+    touches: Touches | TouchSource, label: str
+) -> tuple[NDArray, NDArray]:
     """Return the labels to learn and the objects they come from, one per touch.
 
     Raises
@@ -39,7 +48,7 @@ def training_labels(touches: Touches, label: str) -> tuple[NDArray, NDArray]:
 
 
 def training_groups(
-    touches: Touches, labels: NDArray, objects: NDArray, label: str
+    touches: Touches | TouchSource, labels: NDArray, objects: NDArray, label: str
 ) -> NDArray[np.intp]:
     """Return which training touches are left out together.
 

@@ -4,7 +4,7 @@ The simulated arm moves the dome and reads its force here, the simulated sensor 
 it here. World: millimetres, z up; forces in newtons along the axis of the dome.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,9 @@ from ..simulation import (
     PlacedObject,
     SensorPose,
     gap_map,
+    sleeve_gap,
     solve_contact,
 )
-from ..simulation._placed import sleeve_gap
 
 Floats = NDArray[np.float64]
 _SAME_LINE_MM = 1e-6
@@ -150,19 +150,32 @@ def _shifted(
     return PlacedObject(placed.thing, placed.rotation, yaw, place)
 
 
-@dataclass(frozen=True)
 class _Curve:
-    """Force against depth, both as logarithms, at the forces that were solved."""
+    """Force against depth, interpolated in logarithms, solved as deep as is asked."""
 
-    log_depth: Floats
-    log_force: Floats
+    def __init__(self, solve: Callable[[float], Contact]) -> None:
+        self._contact_at = solve
+        self._log_depth: list[float] = []
+        self._log_force: list[float] = []
+        self._to_solve = list(_FORCES_N[::-1])
 
     def force_n(self, depth_mm: float) -> float:
-        log_depth = np.log(depth_mm)
-        if log_depth < self.log_depth[0]:  # Below the least force: as depth^1.5.
-            slope = 1.5 * (log_depth - self.log_depth[0])
-            return float(np.exp(self.log_force[0] + slope))
-        return float(np.exp(np.interp(log_depth, self.log_depth, self.log_force)))
+        log_depth = float(np.log(depth_mm))
+        while self._to_solve and not self._reaches(log_depth):
+            self._solve(float(self._to_solve.pop()))
+        if log_depth < self._log_depth[0]:  # Below the least force: as depth^1.5.
+            slope = 1.5 * (log_depth - self._log_depth[0])
+            return float(np.exp(self._log_force[0] + slope))
+        return float(np.exp(np.interp(log_depth, self._log_depth, self._log_force)))
+
+    def _reaches(self, log_depth: float) -> bool:
+        return bool(self._log_depth) and self._log_depth[-1] >= log_depth
+
+    def _solve(self, force_n: float) -> None:
+        depth = self._contact_at(force_n).depth_mm
+        if depth > 0 and not self._reaches(np.log(depth)):
+            self._log_depth.append(float(np.log(depth)))
+            self._log_force.append(float(np.log(force_n)))
 
 
 class _Line:
@@ -206,7 +219,7 @@ class _Line:
         if not depth > _FEEL_MM:
             return 0.0
         if self._curve is None:
-            self._curve = self._solved()
+            self._curve = _Curve(self._contact)
         return self._curve.force_n(depth)
 
     def press(self, pose: SensorPose) -> DomePress | None:
@@ -230,18 +243,6 @@ class _Line:
             contact=contact,
             gap_mm=self._way_mm,
         )
-
-    def _solved(self) -> _Curve:
-        """Solve the contact at growing forces until the hard stop is passed."""
-        depths, forces = [0.0], [0.0]
-        for force in _FORCES_N:
-            depth = self._contact(force).depth_mm
-            if depth > depths[-1]:
-                depths.append(depth)
-                forces.append(force)
-            if depth > self.hard_mm - self.first_mm:
-                break
-        return _Curve(np.log(depths[1:]), np.log(forces[1:]))
 
     def _contact(self, force_n: float) -> Contact:
         return solve_contact(self._membrane, self._way_mm, force_n=force_n)

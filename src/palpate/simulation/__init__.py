@@ -14,7 +14,7 @@ from ._mesh import MeshError, load_mesh
 from ._objects import BASIC_SHAPES, HOUSEHOLD, UNSEEN, SimObject, find_object
 from ._parts import PARTS, Part, find_parts
 from ._pins import TacTipPins
-from ._placed import PlacedObject, SensorPose, gap_map
+from ._placed import PlacedObject, SensorPose, gap_map, sleeve_gap
 from ._presses import simulate_presses
 from ._shading import Lighting, shade
 
@@ -43,5 +43,6 @@ __all__ = [
     "shade",
     "simulate_presses",
     "simulate_touches",
+    "sleeve_gap",
     "solve_contact",
 ]

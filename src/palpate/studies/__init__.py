@@ -7,10 +7,13 @@ result)`. Figures are in per cent.
 
 from collections.abc import Sequence
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from .._checks import check_option
+from ._corradi2014_plan import Corradi2014Plan
+from ._corradi2015_plan import Corradi2015Plan
 from ._liu2014_plan import Liu2014Plan
 
 Table = tuple[str, list[str], list[list[str]]]
@@ -24,6 +27,8 @@ class Study(NamedTuple):
 
 
 STUDIES: dict[str, Study] = {
+    "corradi2014": Study("_corradi2014", "seven shapes before a dome camera"),
+    "corradi2015": Study("_corradi2015", "ten objects before a dome camera"),
     "liu2014": Study("_liu2014", "twelve metal parts on a 10 x 10 pressure array"),
 }
 
@@ -44,7 +49,15 @@ def run_study(name: str, **options: Any) -> dict[str, Any]:
         `data` (the folder of recorded touches), `quick`, `workers`, `seed`,
         `progress`, and what the study itself offers: see its module.
     """
-    result: dict[str, Any] = _module(name).run(**options)
+    module = _module(name)
+    known = signature(module.run).parameters
+    for option in options:
+        if option not in known:
+            raise ValueError(
+                f"options of the study {name} must be among {', '.join(known)}, got "
+                f"{option!r}. Leave it out."
+            )
+    result: dict[str, Any] = module.run(**options)
     return result
 
 
@@ -66,6 +79,8 @@ def _module(name: str) -> Any:
 
 __all__ = [
     "STUDIES",
+    "Corradi2014Plan",
+    "Corradi2015Plan",
     "Liu2014Plan",
     "Study",
     "check_study",

@@ -18,7 +18,8 @@ from ._liu2014_plan import (
     TABLE_2,
     Liu2014Plan,
 )
-from ._liu2014_touches import Encoded, Floats, encode, labels
+from ._liu2014_touches import Encoded, Floats, encode
+from ._recorded import labels
 from ._twofold import Codes, Method
 
 

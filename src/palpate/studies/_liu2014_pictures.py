@@ -14,7 +14,8 @@ from ..images import stage_pictures
 from ..simulation import find_parts
 from ..touches import Touches
 from ._liu2014_plan import Liu2014Plan
-from ._liu2014_touches import labels, simulated_presses
+from ._liu2014_touches import simulated_presses
+from ._recorded import labels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,13 +1,12 @@
 """The Liu 2014 study as one self-contained HTML page."""
 
-from html import escape
 from pathlib import Path
 from typing import Any
 
-from ..evaluation import _plots, check_report_path
-from ..evaluation._report import STYLE
+from ..evaluation import check_report_path
 from ._liu2014_pictures import pictures
-from ._liu2014_tables import Table, tables
+from ._liu2014_tables import tables
+from ._page import write_page
 
 TITLE = "One press of a pressure array: Liu et al. (2014) beside ours"
 CAPTIONS = {
@@ -28,41 +27,17 @@ REAL = (
 
 def write_report(path: str | Path, result: dict[str, Any]) -> Path:
     """Write tables and pictures as one page that loads nothing from elsewhere."""
-    target = check_report_path(path)
+    check_report_path(path)
     drawn = pictures(result)
-    sections = [_head(result)]
-    sections += [_table(one) for one in tables(result)]
-    for name, figure in drawn.items():
-        caption = escape(CAPTIONS[name])
-        sections.append(f"<p>{_plots._svg(figure)}</p><p class=note>{caption}</p>")
-    page = (
-        "<!doctype html><html lang=en><meta charset=utf-8>"
-        "<meta name=viewport content='width=device-width,initial-scale=1'>"
-        f"<title>{escape(TITLE)}</title><style>{STYLE}</style><body>"
-        + "".join(sections)
-        + "</body></html>"
-    )
-    target.write_text(page, encoding="utf-8")
-    return target
+    return write_page(path, TITLE, _head(result), tables(result), drawn, CAPTIONS)
 
 
 def _head(result: dict[str, Any]) -> str:
     plan = result["plan"]
     real = " ".join(result["skipped"]) or REAL
-    how = (
+    return (
         f"{len(plan['parts'])} simulated parts, {plan['n_presses']} presses each; "
         f"{plan['runs']} runs of twofold cross-validation, seed {plan['seed']}; mean ± "
         "standard deviation over runs, in per cent. nested: parameters chosen inside "
-        "the training half; paper: on the runs reported, as the paper did. "
+        f"the training half; paper: on the runs reported, as the paper did. {real}"
     )
-    return f"<h1>{escape(TITLE)}</h1><p>{escape(how + real)}</p>"
-
-
-def _table(table: Table) -> str:
-    title, columns, rows = table
-    head = "".join(f"<th>{escape(column)}</th>" for column in columns)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>"
-        for row in rows
-    )
-    return f"<h2>{escape(title)}</h2><table><tr>{head}</tr>{body}</table>"

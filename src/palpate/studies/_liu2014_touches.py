@@ -1,6 +1,5 @@
 """The touches of the Liu 2014 study: simulated presses and re-posed real ones."""
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from ..images import ArrayCleanUp, repose
 from ..simulation import PressureArray, simulate_presses
 from ..touches import Touches
 from ._liu2014_plan import PAPER_COVER_MM, PAPER_LOAD_KGF, Liu2014Plan
+from ._recorded import recorded_touches
 
 Floats = NDArray[np.float64]
 
@@ -42,15 +42,6 @@ class Encoded:
         if name == "FD":
             return descriptors
         return np.hstack([self.geometry, descriptors])
-
-
-def labels(touches: Touches) -> NDArray[np.str_]:
-    """Return the object of every touch; refuse touches without."""
-    if touches.object is None:
-        raise ValueError(
-            f"The presses must have a column 'object', got {touches!r}. Label them."
-        )
-    return touches.object
 
 
 def encode(images: NDArray[Any], n_partitions: int, n: int) -> Encoded:
@@ -99,31 +90,5 @@ def reposed_presses(touches: Touches, seed: int) -> Touches:
 
 
 def real_presses(data: str | Path | None) -> Touches | str:
-    """Return the recorded presses, or the sentence that says why there are none.
-
-    `data` is the folder of recorded touches; by default the one that PALPATE_DATA
-    names.
-
-    Raises
-    ------
-    ValueError
-        When `data` is given and the archive is not in it.
-    """
-    named = data if data is not None else os.environ.get("PALPATE_DATA")
-    if not named:
-        return (
-            f"The rows of real presses ({ARCHIVE.stem}) are left out: name their "
-            "folder with --data or PALPATE_DATA."
-        )
-    path = Path(named) / ARCHIVE
-    if path.is_file():
-        return Touches.load(path)
-    if data is not None:
-        raise ValueError(
-            f"--data must name a folder that holds {ARCHIVE}, got {named}. "
-            f"Fetch the presses from {SOURCE}, or leave --data out."
-        )
-    return (
-        f"The rows of real presses are left out: the folder of PALPATE_DATA has no "
-        f"{ARCHIVE}."
-    )
+    """Return the recorded presses, or the sentence that says why there are none."""
+    return recorded_touches(data, ARCHIVE, "real presses", SOURCE)

@@ -1,0 +1,305 @@
+"""What exploring in simulation shows: curves, other devices, from simulated to real.
+
+    python benchmarks/explore.py curve device          # simulation alone
+    PALPATE_DATA=... python benchmarks/explore.py      # all of it, with real touches
+    python benchmarks/explore.py --draw docs/images    # pictures of what was measured
+
+Each part replaces its rows in benchmarks/explore.json. How many touches choosing
+saves is measured by benchmarks/choose_touches.py. Protocols are in
+docs/exploration.md.
+"""
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drawing import draw
+from palpate import Touches
+from palpate.evaluation import Plan, evaluate, outcome, run_episodes, single_touches
+from palpate.recognition import ObjectRecogniser, adapt
+from palpate.simulation import HOUSEHOLD, UNSEEN, DomeCamera, simulate_touches
+
+Row = dict[str, Any]
+OUT = Path(__file__).with_suffix(".json")
+PRESETS = ("corradi2015", "default")
+N_TEST = 30
+PAPER = {"15": 0.87, "30": 0.95}
+SIDE = 80
+LENGTHS = (1, 5, 15)
+N_ADAPT = 20
+N_DEVICE_TOUCHES = 22
+HERE = DomeCamera(image_shape=(96, 96))
+DEVICES = {
+    "same device": HERE,
+    "membrane a quarter stiffer": replace(
+        HERE, youngs_mpa=0.125, thickness_mm=1.65, texture_seed=1
+    ),
+    "membrane twice as stiff": replace(
+        HERE, youngs_mpa=0.17, thickness_mm=2.0, texture_seed=1
+    ),
+    "other LEDs": replace(
+        HERE,
+        n_leds=6,
+        led_ring_radius_mm=12.0,
+        diffuse=0.25,
+        specular=0.7,
+        shininess=8.0,
+    ),
+    "other camera": replace(
+        HERE,
+        camera_distance_mm=55.0,
+        disc_centre=(0.47, 0.47),
+        disc_radius=0.5,
+        gamma=1.8,
+        noise_sd=5.0,
+    ),
+}
+# Simulated kinds on the left, BathTip's on the right.
+KINDS = {
+    "stapler": ("stapler",),
+    "ball": ("ball",),
+    "mug": ("mug",),
+    "box": ("box",),
+    "pot": ("can",),
+    "bottle": ("bottleempty", "bottlefull"),
+}
+
+
+def curve(data: Path | None, n_partitions: int) -> list[Row]:
+    """Accuracy after each touch over random partitions, beside the paper's."""
+    simulated = simulate_touches(
+        n_touches=90,
+        camera=DomeCamera(image_shape=(SIDE, SIDE)),
+        drift=False,
+        random_state=0,
+    )
+    rows = [_curve("simulated", simulated, 60, p, n_partitions) for p in PRESETS]
+    if data is not None:
+        recorded = _one_of_each(_bathtip(data))
+        few = max(n_partitions // 5, 1)
+        rows += [_curve("BathTip", recorded, 45, p, few) for p in PRESETS]
+    return rows
+
+
+def _curve(
+    name: str, touches: Touches, n_train: int, preset: str, n_partitions: int
+) -> Row:
+    curves = [
+        _one_partition(touches, n_train, preset, seed) for seed in range(n_partitions)
+    ]
+    train, test = _partition(touches, n_train, 0)
+    plan = Plan(preset="corradi2015", touches=(1, 15, 30), orders=20)
+    figures, _ = evaluate(touches[train], touches[test], plan=plan)
+    return {
+        "touches": name,
+        "preset": preset,
+        "n_objects": len(np.unique(touches.object)),
+        "n_train": n_train,
+        "n_partitions": n_partitions,
+        "accuracy": np.mean(curves, axis=0).round(4).tolist(),
+        "accuracy_sd": np.std(curves, axis=0).round(4).tolist(),
+        "controls": figures["controls"],
+    }
+
+
+def _one_partition(
+    touches: Touches, n_train: int, preset: str, seed: int
+) -> np.ndarray:
+    train, test = _partition(touches, n_train, seed)
+    recogniser = ObjectRecogniser(preset, random_state=seed).fit(touches[train])
+    tested = touches[test]
+    log_likelihood = recogniser.log_likelihood(tested)
+    names = tested.object
+    episodes = run_episodes(recogniser, log_likelihood, names, names, 1, seed)
+    return np.array(
+        [outcome(*episodes.after(k)).accuracy.mean() for k in range(1, N_TEST + 1)]
+    )
+
+
+def _partition(
+    touches: Touches, n_train: int, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    train, test = [], []
+    for name in np.unique(touches.object):
+        rows = rng.permutation(np.flatnonzero(touches.object == name))
+        train.append(rows[:n_train])
+        test.append(rows[n_train : n_train + N_TEST])
+    return np.sort(np.concatenate(train)), np.sort(np.concatenate(test))
+
+
+def device(data: Path | None, n_seeds: int) -> list[Row]:
+    """Accuracy on another device, before and after adapting with 20 touches."""
+    found: dict[str, list[Any]] = {name: [] for name in DEVICES}
+    for seed in range(n_seeds):
+        taught = simulate_touches(camera=HERE, n_sessions=3, random_state=seed)
+        recogniser = ObjectRecogniser(random_state=seed).fit(taught)
+        for name, camera in DEVICES.items():
+            felt = simulate_touches(
+                n_touches=N_DEVICE_TOUCHES,
+                camera=camera,
+                n_sessions=2,
+                random_state=1000 + seed,
+            )
+            few = _first(felt, N_ADAPT // len(recogniser.classes_))
+            rest = felt[np.setdiff1d(np.arange(len(felt)), few)]
+            adapted = adapt(recogniser, felt[few])
+            found[name].append([_accuracy(recogniser, rest), _accuracy(adapted, rest)])
+    return [
+        {
+            "device": name,
+            "n_seeds": n_seeds,
+            "touches": list(LENGTHS),
+            "before": np.mean(values, axis=0)[0].round(3).tolist(),
+            "before_sd": np.std(values, axis=0)[0].round(3).tolist(),
+            "after": np.mean(values, axis=0)[1].round(3).tolist(),
+            "after_sd": np.std(values, axis=0)[1].round(3).tolist(),
+        }
+        for name, values in found.items()
+    ]
+
+
+def real(data: Path | None, n_seeds: int) -> list[Row]:
+    """Learn kinds of object on simulated touches, recognise them on real ones."""
+    if data is None:
+        raise SystemExit("The part 'real' needs PALPATE_DATA.")
+    names = {kind: mine for mine, theirs in KINDS.items() for kind in theirs}
+    recorded = _bathtip(data)
+    recorded = recorded[np.isin(recorded.category, list(names))]
+    kinds = np.array([names[str(kind)] for kind in recorded.category])
+    recorded = recorded.with_columns(category=kinds)
+    shown = [thing for thing in HOUSEHOLD + UNSEEN if thing.category in KINDS]
+    found = []
+    for seed in range(n_seeds):
+        taught = simulate_touches(shown, n_sessions=3, random_state=seed)
+        recogniser = ObjectRecogniser(label="category", random_state=seed).fit(taught)
+        few, rest = _few_real(recorded, seed)
+        tested = recorded[rest]
+        adapted = adapt(recogniser, recorded[few])
+        alone = ObjectRecogniser(label="category", random_state=seed)
+        alone.fit(recorded[few].without("object"))
+        within, held_out = _within(taught, seed)
+        itself = ObjectRecogniser(label="category", random_state=seed).fit(within)
+        found.append(
+            [
+                _accuracy(one, touches)
+                for one, touches in (
+                    (recogniser, tested),
+                    (adapted, tested),
+                    (alone, tested),
+                    (itself, held_out),
+                )
+            ]
+        )
+    titles = (
+        "simulated",
+        "simulated, adapted with 18 real touches",
+        "those 18 real touches alone",
+        "simulated, tested on simulated",
+    )
+    mean, sd = np.mean(found, axis=0), np.std(found, axis=0)
+    return [
+        {
+            "learnt on": title,
+            "n_kinds": len(KINDS),
+            "n_seeds": n_seeds,
+            "touches": list(LENGTHS),
+            "accuracy": mean[number].round(3).tolist(),
+            "accuracy_sd": sd[number].round(3).tolist(),
+        }
+        for number, title in enumerate(titles)
+    ]
+
+
+def _few_real(recorded: Touches, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Three touches of one object of each kind; all touches of the other objects."""
+    rng = np.random.default_rng(seed)
+    few, used = [], []
+    for kind in KINDS:
+        names = np.unique(recorded.object[recorded.category == kind])
+        name = rng.choice(names)
+        rows = np.flatnonzero(recorded.object == name)
+        few.append(rng.permutation(rows)[: N_ADAPT // len(KINDS)])
+        used.append(name)
+    return np.concatenate(few), np.flatnonzero(~np.isin(recorded.object, used))
+
+
+def _within(taught: Touches, seed: int) -> tuple[Touches, Touches]:
+    """The last session of every object held out."""
+    last = taught.columns["session"] == np.max(taught.columns["session"])
+    return taught[~last], taught[last]
+
+
+def _accuracy(recogniser: ObjectRecogniser, touches: Touches) -> list[float]:
+    """Mean over objects after so many touches, 20 orders."""
+    truth = touches.object if recogniser.label == "object" else touches.category
+    objects = touches.object
+    log_likelihood = recogniser.log_likelihood(touches)
+    many = run_episodes(recogniser, log_likelihood, objects, truth, 20, 0)
+    one = single_touches(recogniser, log_likelihood, many, objects)
+    return [
+        float(outcome(*(one if k == 1 else many).after(k)).accuracy.mean())
+        for k in LENGTHS
+    ]
+
+
+def _first(touches: Touches, each: int) -> np.ndarray:
+    """The first touches of each object."""
+    objects = touches.object
+    rows = [np.flatnonzero(objects == name)[:each] for name in np.unique(objects)]
+    return np.concatenate(rows)
+
+
+def _bathtip(data: Path) -> Touches:
+    return Touches.load(data / "bathtip" / "bathtip50.npz")
+
+
+def _one_of_each(touches: Touches) -> Touches:
+    """The first object of each category."""
+    chosen = [
+        np.unique(touches.object[touches.category == category])[0]
+        for category in np.unique(touches.category)
+    ]
+    return touches[np.isin(touches.object, chosen)]
+
+
+PARTS: dict[str, tuple[Callable[[Path | None, int], list[Row]], int]] = {
+    "curve": (curve, 100),
+    "device": (device, 5),
+    "real": (real, 5),
+}
+
+
+def main() -> None:
+    """Run the parts that are asked for and write them beside this script."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], default=[])
+    parser.add_argument("--runs", type=int, help="partitions, or seeds")
+    parser.add_argument("--out", type=Path, default=OUT)
+    parser.add_argument("--draw", type=Path, metavar="FOLDER")
+    asked = parser.parse_args()
+    kept = json.loads(asked.out.read_text()) if asked.out.exists() else {}
+    if asked.draw is not None:
+        draw(asked.draw, kept, PAPER)
+        return
+    folder = os.environ.get("PALPATE_DATA")
+    data = None if folder is None else Path(folder)
+    for name in asked.parts or PARTS:
+        measure, usual = PARTS[name]
+        began = time.process_time()
+        rows = measure(data, asked.runs or usual)
+        kept[name] = {"cpu_s": round(time.process_time() - began), "rows": rows}
+        asked.out.write_text(json.dumps(kept, indent=1) + "\n")
+        for row in rows:
+            print(name, json.dumps(row), flush=True)
+
+
+if __name__ == "__main__":
+    main()

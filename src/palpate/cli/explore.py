@@ -1,0 +1,306 @@
+"""`palpate explore`: a simulated arm touches objects, to learn or to recognise them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ._options import AsJson, ModelPath, Preset, Seed
+from ._output import belief_line, print_json
+from .simulate_dome import Objects, Rows, Unit, Workers, find_objects
+
+if TYPE_CHECKING:
+    from ..exploration import Exploration, Stand, Strategy, TouchMap, TouchRecord
+    from ..recognition import ObjectRecogniser
+    from ..simulation import SimObject
+
+STRATEGIES = ("informative", "random", "raster")
+_LEAST_SIDE = 16
+
+explore = typer.Typer(
+    no_args_is_help=True, help="Let a simulated arm touch objects: learn, recognise."
+)
+Folder = Annotated[
+    Path | None,
+    typer.Option(
+        "--folder",
+        help="Keep every attempt here as it is made; the same command goes on there.",
+    ),
+]
+
+
+@explore.command()
+def learn(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="The model file to write (.palpate).")
+    ],
+    objects: Objects = None,
+    touches: Annotated[
+        int, typer.Option("--touches", help="Touches of each object.")
+    ] = 60,
+    sessions: Annotated[
+        int, typer.Option("--sessions", help="How often each object is put down anew.")
+    ] = 3,
+    preset: Preset = "default",
+    rows: Rows = 120,
+    folder: Folder = None,
+    unit: Unit = "mm",
+    workers: Workers = -1,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Touch objects from random points of a hemisphere and learn them.
+
+    Writes the model, and beside it (.npz) its touches with the directions that
+    choosing touches needs.
+    """
+    from ..exploration import RobotError, explore_to_learn
+    from ..recognition import ObjectRecogniser, check_model_path, summary
+    from ..simulation import DomeCamera
+    from ._stages import Stages
+
+    check_model_path(output)
+    things = find_objects(objects, unit)
+    if len(things) < 2:
+        raise ValueError("OBJECT must name at least 2 objects to learn. Add another.")
+    try:
+        taught = explore_to_learn(
+            things,
+            touches,
+            DomeCamera(image_shape=(rows, rows)),
+            n_sessions=sessions,
+            folder=folder,
+            random_state=seed,
+            n_jobs=workers,
+            progress=None,
+        )
+    except RobotError as error:
+        raise ValueError(str(error)) from error
+    with Stages() as stage:
+        stage(f"learning from {len(taught)} touches")
+        recogniser = ObjectRecogniser(preset, random_state=seed).fit(taught)
+    archive = taught_path(output)
+    taught.save(archive)
+    written = recogniser.save(output)
+    learnt = summary(recogniser)
+    if as_json:
+        print_json({"model": str(written), "touches": str(archive), **learnt})
+        return
+    print(f"Explored {len(things)} objects with {len(taught)} touches.")
+    print(archive)
+    print(written)
+
+
+@explore.command()
+def recognise(
+    model: ModelPath,
+    thing: Annotated[
+        str,
+        typer.Argument(metavar="OBJECT", help="A built-in object or a mesh file."),
+    ],
+    strategy: Annotated[
+        str, typer.Option("--strategy", help="informative, random or raster.")
+    ] = "informative",
+    taught: Annotated[
+        Path | None,
+        typer.Option(
+            "--taught",
+            help="The touches MODEL learnt, with their directions. Default: the .npz "
+            "of MODEL's name, where there is one.",
+        ),
+    ] = None,
+    most: Annotated[
+        int, typer.Option("--max-touches", help="Budget of attempts.")
+    ] = 30,
+    error: Annotated[
+        float, typer.Option("--error", help="Accepted share of wrong decisions.")
+    ] = 0.01,
+    folder: Folder = None,
+    yaw: Annotated[
+        float | None,
+        typer.Option("--yaw", help="Turn about the vertical, degrees. Default: drawn."),
+    ] = None,
+    face: Annotated[
+        int, typer.Option("--face", help="Which face it rests on; 0 is the usual one.")
+    ] = 0,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fault",
+            help="Let the arm fail, as '2=no force': in attempt 2. Repeatable.",
+        ),
+    ] = None,
+    unit: Unit = "mm",
+    seed: Seed = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Touch one object until it is recognised, or found to be unknown."""
+    from ..exploration import QUICK_GUARD, put_down, read_episode
+    from ..exploration import explore as explore_object
+    from ..recognition import ObjectRecogniser
+
+    found = one_object(thing, unit)
+    recogniser = ObjectRecogniser.load(model)
+    stand = put_down(
+        found,
+        _camera(recogniser),
+        face=face,
+        yaw_rad=_yaw_rad(yaw, seed),
+        random_state=seed,
+        faults=_faults(fault),
+    )
+    touch_map = _touch_map(recogniser, model, taught, strategy, seed)
+    way = _strategy(strategy, touch_map, stand, seed)
+    knower = recogniser if touch_map is None else touch_map
+    if folder is not None and (folder / "episode.json").exists() and not as_json:
+        print(f"Goes on after {len(read_episode(folder))} attempts.")
+    end = explore_object(
+        stand.robot,
+        stand.sensor,
+        knower,
+        way,
+        folder,
+        guard=QUICK_GUARD,
+        max_attempts=most,
+        error=error,
+        clock=stand.robot.clock,
+        on_attempt=None if as_json else print_attempt,
+    )
+    if as_json:
+        about = {"object": found.name, "strategy": strategy}
+        print_json({**about, **told(knower, end)})
+        return
+    print(f"  {end.reason}")
+
+
+def one_object(name: str, unit: str = "mm") -> "SimObject":
+    """Return one object by its name or mesh file; a set of objects is refused."""
+    things = find_objects([name], unit)
+    if len(things) != 1:
+        raise ValueError(
+            f"OBJECT must be one object, got the set {name!r}. Name one of: "
+            + ", ".join(thing.name for thing in things)
+            + "."
+        )
+    return things[0]
+
+
+def taught_path(model: Path) -> Path:
+    """Return where the touches of an explored model are kept."""
+    return model.with_suffix(".npz")
+
+
+def print_attempt(record: "TouchRecord", belief: Any) -> None:
+    """Print the belief after a touch, or what else came of the attempt."""
+    if record.touched:
+        print(belief_line(belief.touches_used, belief.posterior))
+    else:
+        print(f"  {record.outcome}. {record.message}".rstrip())
+
+
+def told(knower: "ObjectRecogniser | TouchMap", end: "Exploration") -> dict[str, Any]:
+    """Return an exploration as plain values, with the belief after every attempt."""
+    from ..exploration import as_touches
+
+    belief = knower.start()
+    attempts = []
+    for record in end.history:
+        if record.touched:
+            belief.update(as_touches([record]))
+        attempts.append(
+            {
+                "outcome": record.outcome,
+                "message": record.message,
+                "position_mm": list(record.position_mm),
+                "direction": record.direction.tolist(),
+                "force_n": record.force_n,
+                "retracted": record.retracted,
+                "posterior": belief.posterior,
+                "unknown": belief.unknown,
+            }
+        )
+    return {
+        "decision": end.decision,
+        "ended_by": end.ended_by,
+        "reasons": [end.reason],
+        "touches_used": end.n_touches,
+        "n_attempts": len(end.history),
+        "attempts": attempts,
+    }
+
+
+def _touch_map(
+    recogniser: "ObjectRecogniser",
+    model: Path,
+    taught: Path | None,
+    strategy: str,
+    seed: int,
+) -> "TouchMap | None":
+    """Learn where touches were made; None where that is neither known nor needed."""
+    from .._checks import check_option
+    from ..exploration import TouchMap
+    from ..touches import Touches
+    from ._stages import Stages
+
+    check_option("strategy", strategy, STRATEGIES)
+    archive = taught_path(model) if taught is None else taught
+    if taught is None and not archive.exists():
+        if strategy != "informative":
+            return None
+        raise ValueError(
+            f"strategy 'informative' needs the touches that {model} learnt, with their "
+            f"directions, got no {archive}. Name them with --taught, or take "
+            "--strategy random."
+        )
+    with Stages() as stage:
+        stage("learning where touches were made")
+        return TouchMap(random_state=seed).fit(recogniser, Touches.load(archive))
+
+
+def _strategy(
+    name: str, touch_map: "TouchMap | None", stand: "Stand", seed: int
+) -> "Strategy":
+    from ..exploration import InformativeTouch, RandomHemisphere, Raster
+
+    if name == "random":
+        return RandomHemisphere(stand.hemisphere, seed)
+    if name == "raster":
+        return Raster(stand.hemisphere)
+    assert touch_map is not None
+    return InformativeTouch(touch_map, stand.hemisphere)
+
+
+def _camera(recogniser: "ObjectRecogniser") -> Any:
+    from ..simulation import DomeCamera
+
+    shape = recogniser.encoder_.image_shape_
+    if min(shape) < _LEAST_SIDE:
+        raise ValueError(
+            f"MODEL must be of a dome camera, got one of {shape[0]} x {shape[1]} "
+            "taxels. Make one with: palpate explore learn."
+        )
+    return DomeCamera(image_shape=tuple(shape))
+
+
+def _yaw_rad(yaw: float | None, seed: int) -> float:
+    import numpy as np
+
+    from .._checks import check_number
+
+    if yaw is None:
+        return float(np.random.default_rng([seed, 1]).uniform(0, 2 * np.pi))
+    return float(np.deg2rad(check_number("yaw", yaw)))
+
+
+def _faults(given: Sequence[str] | None) -> dict[int, str]:
+    """Read '2=no force' as {2: "no force"}."""
+    faults = {}
+    for text in given or ():
+        number, _, name = text.partition("=")
+        if not number.strip().isdigit():
+            raise ValueError(
+                f"--fault must be NUMBER=NAME, got {text!r}. Write '2=no force'."
+            )
+        faults[int(number)] = name.strip()
+    return faults

@@ -1,0 +1,290 @@
+"""`palpate library`: touches on disk, durable and searchable."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ._options import (
+    AsJson,
+    MaxMegapixels,
+    NamePattern,
+    NoContact,
+    TouchesPath,
+    Where,
+    read_touches,
+)
+from ._output import print_json, table
+
+library = typer.Typer(
+    no_args_is_help=True,
+    help="Keep touches in a library: a folder that never loses one.",
+)
+
+LibraryPath = Annotated[
+    Path, typer.Argument(metavar="LIBRARY", help="The folder of the library.")
+]
+
+
+@library.command()
+def add(
+    folder: LibraryPath,
+    touches: TouchesPath,
+    where: Where = None,
+    session: Annotated[
+        str | None, typer.Option("--session", help="Name of the recording session.")
+    ] = None,
+    episode: Annotated[
+        str | None, typer.Option("--episode", help="Name of the episode.")
+    ] = None,
+    sensor: Annotated[
+        str | None, typer.Option("--sensor", help="Name of the sensor.")
+    ] = None,
+    kind: Annotated[
+        str | None, typer.Option("--kind", help="Kind of sensor: camera, array...")
+    ] = None,
+    unit: Annotated[
+        str | None, typer.Option("--unit", help="Unit of the images, such as kPa.")
+    ] = None,
+    pitch_mm: Annotated[
+        float | None,
+        typer.Option("--pitch-mm", help="Distance of neighbouring taxels in mm."),
+    ] = None,
+    topic: Annotated[
+        str | None,
+        typer.Option("--topic", help="Of a bag (ROS 2, MCAP): the topic to read."),
+    ] = None,
+    object_name: Annotated[
+        str | None,
+        typer.Option("--object", help="Of a bag: what is touched in all of it."),
+    ] = None,
+    name_pattern: NamePattern = None,
+    no_contact: NoContact = None,
+    max_megapixels: MaxMegapixels = 50,
+    as_json: AsJson = False,
+) -> None:
+    """Add touches; LIBRARY is made where there is none. Adding twice adds once."""
+    from ..library import SensorDescription, TouchLibrary
+
+    if sensor is None and (kind, unit, pitch_mm) != (None, None, None):
+        raise ValueError("--kind, --unit and --pitch-mm must come with --sensor NAME.")
+    if topic is None:
+        if object_name is not None:
+            raise ValueError("--object must come with a bag and --topic.")
+        found = read_touches(touches, name_pattern, no_contact, max_megapixels, where)
+    else:
+        from ..library import read_bag
+
+        found = read_bag(touches, topic, object=object_name)
+    told = sensor and SensorDescription(sensor, kind, unit, pitch_mm)
+    with TouchLibrary.open(folder, create=True) as opened:
+        before = opened.stats()
+        opened.add(found, session=session, episode=episode, sensor=told or None)
+        after = opened.stats()
+    n_new = sum(after[:2]) - sum(before[:2])
+    if as_json:
+        print_json({"library": str(folder), "given": len(found), "added": n_new})
+        return
+    print(f"{n_new} of {len(found)} touches are new; {after.n_touches} in {folder}.")
+
+
+@library.command("list")
+def list_touches(
+    folder: LibraryPath,
+    where: Where = None,
+    limit: Annotated[int, typer.Option("--limit", help="At most so many.")] = 50,
+    offset: Annotated[int, typer.Option("--offset", help="After so many.")] = 0,
+    retracted: Annotated[
+        bool, typer.Option("--retracted", help="Show retracted touches too.")
+    ] = False,
+    objects: Annotated[
+        bool, typer.Option("--objects", help="List objects instead of touches.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """List touches (or objects) in the order in which they were added."""
+    from ..library import TouchLibrary
+
+    with TouchLibrary.open(folder) as opened:
+        rows: list[Any] = (
+            opened.objects()
+            if objects
+            else opened.list(where, limit, offset, retracted=retracted)
+        )
+    plain = [row._asdict() for row in rows]
+    if as_json:
+        print_json({"library": str(folder), "rows": plain})
+        return
+    names = list(plain[0]) if objects and plain else _SHOWN
+    cells = [[_shown(row[name]) for name in names] for row in plain]
+    table(str(folder), list(names), cells)
+
+
+@library.command()
+def show(
+    folder: LibraryPath,
+    touch: Annotated[str, typer.Argument(help="Id of a touch, as listed.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Write the image to this .npy file."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show what is known of one touch; write its image with -o."""
+    import numpy as np
+
+    from ..library import TouchLibrary
+
+    if output is not None and output.suffix != ".npy":
+        raise ValueError(f"--output must end in .npy, got {output.name!r}.")
+    with TouchLibrary.open(folder) as opened:
+        image = opened.image(touch)
+        row = opened.list(f"id = '{touch}'", limit=1, retracted=True)[0]
+    known = row._asdict()
+    known |= {"least": image.min().item(), "largest": image.max().item()}
+    if output is not None:
+        np.save(output, image, allow_pickle=False)
+    if as_json:
+        print_json(known)
+        return
+    for name, value in known.items():
+        print(f"{name:10s} {_shown(value)}")
+
+
+@library.command()
+def export(
+    folder: LibraryPath,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            help="An archive (.npz), a Parquet file (.parquet), or a new folder "
+            "for a LeRobotDataset.",
+        ),
+    ],
+    where: Where = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write touches to an archive, a Parquet file or a LeRobotDataset."""
+    from ..library import TouchLibrary
+
+    with TouchLibrary.open(folder) as opened:
+        n_touches = opened.export(output, where)
+    if as_json:
+        print_json({"written": str(output), "n_touches": n_touches})
+        return
+    print(f"{n_touches} touches are in {output}.")
+
+
+@library.command()
+def check(
+    folder: LibraryPath,
+    repair: Annotated[
+        bool, typer.Option("--repair", help="Set aside what is damaged, keep the rest.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Compare everything with its checksums; exit code 1 where something is wrong."""
+    from ..library import check_library, repair_library
+
+    repaired = repair_library(folder) if repair else None
+    report = check_library(folder)
+    if as_json:
+        found = report._asdict()
+        found["problems"] = [p._asdict() for p in report.problems]
+        done = None if repaired is None else repaired._asdict()
+        print_json({**found, "repair": done})
+    else:
+        if repaired is not None:
+            print(
+                f"Database {'made anew' if repaired.rebuilt else 'kept'}; touches "
+                f"recovered: {repaired.n_recovered}, set aside: "
+                f"{repaired.n_set_aside}, come back: {repaired.n_restored}."
+            )
+        print(report)
+    if not report.ok:
+        raise typer.Exit(1)
+
+
+@library.command()
+def stats(folder: LibraryPath, as_json: AsJson = False) -> None:
+    """Tell how much the library holds."""
+    from ..library import TouchLibrary
+
+    with TouchLibrary.open(folder) as opened:
+        found = opened.stats()._asdict()
+        sensors = [sensor._asdict() for sensor in opened.sensors()]
+    if as_json:
+        print_json({**found, "sensors": sensors})
+        return
+    for name, value in found.items():
+        print(f"{name:15s} {value:,}")
+    for sensor in sensors:
+        print("sensor         ", ", ".join(str(v) for v in sensor.values() if v))
+
+
+@library.command()
+def rename(
+    folder: LibraryPath,
+    old: Annotated[str, typer.Argument(help="An object.")],
+    new: Annotated[str, typer.Argument(help="Its new name.")],
+) -> None:
+    """Give an object another name."""
+    from ..library import TouchLibrary
+
+    with TouchLibrary.open(folder) as opened:
+        opened.rename_object(old, new)
+    print(f"{old} is now {new}.")
+
+
+@library.command()
+def merge(
+    folder: LibraryPath,
+    source: Annotated[str, typer.Argument(help="An object.")],
+    into: Annotated[str, typer.Argument(help="What it really is.")],
+) -> None:
+    """Make two objects one."""
+    from ..library import TouchLibrary
+
+    with TouchLibrary.open(folder) as opened:
+        opened.merge_objects(source, into)
+    print(f"{source} is now part of {into}.")
+
+
+@library.command()
+def retract(
+    folder: LibraryPath,
+    where: Annotated[str, typer.Argument(help="A filter, as for --where.")],
+    reason: Annotated[str, typer.Option("--reason", help="Why.")],
+) -> None:
+    """Leave touches out from now on; they are kept and can be restored."""
+    from ..library import TouchLibrary
+
+    with TouchLibrary.open(folder) as opened:
+        ids = [row.id for row in opened.list(where, limit=None)]
+        n_retracted = opened.retract(ids, reason=reason)
+    print(f"{n_retracted} touches are retracted.")
+
+
+@library.command()
+def restore(
+    folder: LibraryPath,
+    where: Annotated[str, typer.Argument(help="A filter, as for --where.")],
+) -> None:
+    """Take retracted touches back in."""
+    from ..library import TouchLibrary
+
+    with TouchLibrary.open(folder) as opened:
+        rows = opened.list(where, limit=None, retracted=True)
+        n_restored = opened.restore([row.id for row in rows if row.retracted])
+    print(f"{n_restored} touches are back.")
+
+
+_SHOWN = ("id", "object", "session", "episode", "order", "force_n", "retracted")
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:g}" if isinstance(value, float) else str(value)

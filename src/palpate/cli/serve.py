@@ -1,0 +1,118 @@
+"""`palpate serve`: a sensor on the desk, taught and asked in the browser."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ._live_options import (
+    Baud,
+    Checksum,
+    ErrorRate,
+    FramingName,
+    Gap,
+    Hold,
+    Place,
+    RateHz,
+    Shape,
+    Summary,
+    chosen_sensor,
+)
+from ._options import AsJson, NamePattern, NoContact
+from ._output import print_json
+
+HERE = "127.0.0.1"
+
+
+def serve(
+    sensor: Annotated[
+        str | None,
+        typer.Option(
+            "--sensor",
+            help="camera:NAME, serial:PORT, replay:PATH or sim:OBJECT. Without one "
+            "touches come through the API alone.",
+        ),
+    ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            "--model",
+            help="Model file to start from; learning writes it. Default: "
+            "model.palpate in the library.",
+        ),
+    ] = None,
+    library: Annotated[
+        Path | None,
+        typer.Option(
+            "--library", help="Folder that keeps what is taught; made if missing."
+        ),
+    ] = None,
+    host: Annotated[
+        str,
+        typer.Option(
+            "--host", help="Address to listen on; other than 127.0.0.1 is the network."
+        ),
+    ] = HERE,
+    port: Annotated[
+        int, typer.Option("--port", help="Port to listen on; 0 takes a free one.")
+    ] = 8765,
+    error: ErrorRate = 0.01,
+    summary: Summary = "peak",
+    shape: Shape = None,
+    rate: RateHz = None,
+    baud: Baud = None,
+    framing: FramingName = None,
+    checksum: Checksum = True,
+    hold: Hold = None,
+    gap: Gap = None,
+    place: Place = None,
+    name_pattern: NamePattern = None,
+    no_contact: NoContact = None,
+    as_json: AsJson = False,
+) -> None:
+    """Serve the page and the API of one sensor, to whoever has the printed address."""
+    from ..web import LiveSession, create_app, new_token, require_web
+    from ..web.serving import open_socket, run_app
+
+    require_web()
+    chosen = None
+    if sensor is not None:
+        chosen = chosen_sensor(
+            sensor,
+            shape=shape,
+            rate=rate,
+            baud=baud,
+            framing=framing,
+            checksum=checksum,
+            hold=hold,
+            gap=gap,
+            no_contact=no_contact,
+            name_pattern=name_pattern,
+            place=place,
+        )
+    session = LiveSession(
+        chosen, model=model, library=library, error=error, summary=summary
+    )
+    token = new_token()
+    app = create_app(session, token)
+    socket = open_socket(host, port)
+    address = f"http://{_in_url(host)}:{socket.getsockname()[1]}/"
+    if host not in (HERE, "localhost", "::1"):
+        print(
+            f"palpate: listening on {host}: everybody on that network who knows the "
+            "token may see the sensor, teach and forget; nothing is encrypted.",
+            file=sys.stderr,
+        )
+    if as_json:
+        print_json({"address": address, "token": token})
+        sys.stdout.flush()
+    else:
+        print(f"Open {address}?token={token}", flush=True)
+        print("End with Ctrl-C. What is taught is kept at once.", flush=True)
+    run_app(app, socket)
+
+
+def _in_url(host: str) -> str:
+    shown = HERE if host in ("0.0.0.0", "::") else host
+    return f"[{shown}]" if ":" in shown else shown

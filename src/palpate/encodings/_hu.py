@@ -1,0 +1,151 @@
+"""Hu's seven moments: what a shape keeps when it is moved, turned and scaled."""
+
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.utils import Tags
+from sklearn.utils.validation import check_is_fitted
+
+from .._checks import check_count, check_images, check_option
+from ..images import CentralMoments, above_least, central_moments, inscribed_mask
+
+Floats = NDArray[np.float64]
+N_MOMENTS = 7
+LEVELS = ("above-least", "raw")
+REGIONS = ("disc", "frame")
+# Sizes at which the logarithm starts: below lies rounding error.
+_SMALLEST = 1e-12
+
+
+class HuMoments(TransformerMixin, BaseEstimator):
+    """Encode tactile images by Hu's moment invariants.
+
+    Parameters
+    ----------
+    n_components : int, default=7
+        How many of the seven to keep, from the first.
+    region : {"disc", "frame"}, default="disc"
+        Whether only the inscribed disc is looked at. In a square frame the corners
+        turn with the image, and nothing is invariant.
+    levels : {"above-least", "raw"}, default="above-least"
+        "above-least" counts levels from the least one in the region and divides
+        them by their mean, so that brightness and contrast do not matter and
+        standardised images have moments at all. "raw" takes levels as they are.
+    log : bool, default=False
+        Replace h by sign(h) log10(1 + |h| / 1e-12): the seven differ by many orders
+        of magnitude.
+
+    Attributes
+    ----------
+    image_shape_ : tuple of int
+        (n_rows, n_cols) of the images seen by `fit`.
+
+    Notes
+    -----
+    From normalised central moments eta[p, q] = mu[p, q] / mu[0, 0]^(1 + (p + q) / 2).
+    The seventh changes its sign in a mirror; of the two signs in use, ours is
+    OpenCV's. A blank image, or raw levels without a positive sum, gives zeros.
+
+    References
+    ----------
+    .. [1] M.-K. Hu, "Visual pattern recognition by moment invariants", IRE Trans.
+       Inf. Theory 8(2), 1962. doi:10.1109/TIT.1962.1057692
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate.encodings import HuMoments
+    >>> image = np.zeros((1, 20, 20))
+    >>> image[0, 13:17, 13:17], image[0, 10:12, 10:12] = 0.5, 1
+    >>> HuMoments(2, levels="raw").fit_transform(image).round(6)
+    array([[0.74537 , 0.351166]])
+    """
+
+    def __init__(
+        self,
+        n_components: int = N_MOMENTS,
+        *,
+        region: str = "disc",
+        levels: str = "above-least",
+        log: bool = False,
+    ) -> None:
+        self.n_components = n_components
+        self.region = region
+        self.levels = levels
+        self.log = log
+
+    def fit(self, X: ArrayLike, y: object = None) -> Self:
+        """Learn the image size; `y` is ignored."""
+        images = check_images(X)
+        if check_count("n_components", self.n_components) > N_MOMENTS:
+            raise ValueError(
+                f"n_components must be at most 7, got {self.n_components}. "
+                "There are seven Hu moments."
+            )
+        check_option("region", self.region, REGIONS)
+        check_option("levels", self.levels, LEVELS)
+        self.image_shape_ = (images.shape[1], images.shape[2])
+        return self
+
+    def transform(self, X: ArrayLike) -> Floats:
+        """Return the moments, shape (n_touches, n_components)."""
+        check_is_fitted(self)
+        images = check_images(X, shape=self.image_shape_)
+        mask = np.ones(self.image_shape_, dtype=bool)
+        if self.region == "disc":
+            mask = inscribed_mask(*self.image_shape_)
+        raw = self.levels == "raw"
+        seen = images * mask if raw else _relative(images, mask)
+        invariants = _hu(central_moments(seen))[:, : self.n_components]
+        return _signed_log(invariants) if self.log else invariants
+
+    def get_feature_names_out(self, input_features: object = None) -> NDArray:
+        """Return "hu1" to "hu7"."""
+        check_is_fitted(self)
+        return np.array([f"hu{i + 1}" for i in range(self.n_components)], dtype=object)
+
+    def __sklearn_tags__(self) -> Tags:
+        tags = super().__sklearn_tags__()
+        tags.input_tags.two_d_array = False
+        tags.input_tags.three_d_array = True
+        return tags
+
+
+def _relative(images: Floats, mask: NDArray[np.bool_]) -> Floats:
+    levels = above_least(images, mask)
+    mean = levels.sum(axis=(1, 2), keepdims=True) / mask.sum()
+    size = np.abs(images).max(axis=(1, 2), keepdims=True)
+    blank = mean <= 1e-12 * size
+    return np.where(blank, 0.0, levels / np.where(blank, 1.0, mean))
+
+
+def _hu(moments: CentralMoments) -> Floats:
+    """Return the seven invariants, zeros where there is no mass."""
+    lit = moments.mass > 0
+    mass = np.where(lit, moments.mass, 1.0)[:, None, None]
+    order = np.add.outer(np.arange(4), np.arange(4))
+    eta = np.where(lit[:, None, None], moments.mu / mass ** (1 + order / 2), 0.0)
+    e20, e02, e11 = eta[:, 0, 2], eta[:, 2, 0], eta[:, 1, 1]
+    e30, e21, e12, e03 = eta[:, 0, 3], eta[:, 1, 2], eta[:, 2, 1], eta[:, 3, 0]
+    # Complex moments c[p, q], of which turning changes the phase alone.
+    c20 = (e20 - e02) + 2j * e11
+    c21 = (e30 + e12) + 1j * (e21 + e03)
+    c30 = (e30 - 3 * e12) + 1j * (3 * e21 - e03)
+    fourth, sixth = c30 * c21.conj() ** 3, c20 * c21.conj() ** 2
+    invariants = [
+        e20 + e02,
+        np.abs(c20) ** 2,
+        np.abs(c30) ** 2,
+        np.abs(c21) ** 2,
+        fourth.real,
+        sixth.real,
+        fourth.imag,
+    ]
+    return np.stack(invariants, axis=1)
+
+
+def _signed_log(values: Floats) -> Floats:
+    logs: Floats = np.sign(values) * np.log10(1 + np.abs(values) / _SMALLEST)
+    return logs

@@ -1,0 +1,174 @@
+"""Gradients on rings about the disc's centre: edges and ridges, whatever the angle.
+
+At every place of a polar grid the image is described by its gradient along and
+across the radius, by how strongly and in which direction its surroundings change,
+and by its curvature. Turning the image shifts each ring of such values along itself,
+so the sizes of their Fourier coefficients along the ring stay as they are.
+"""
+
+from typing import Self
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.utils import Tags
+from sklearn.utils.validation import check_is_fitted
+
+from .._checks import check_count, check_images, check_number
+
+Floats = NDArray[np.float64]
+
+CHANNELS = ("radial", "tangential", "strength", "along", "oblique", "curvature")
+# Rings between these shares of the radius: nearer the centre a ring has no angles,
+# nearer the edge the smoothing reaches what lies outside.
+_INNER, _OUTER = 0.06, 0.93
+_SURROUNDINGS = 1.5
+_LEAST_STRENGTH = 1e-2
+
+
+class PolarGradients(TransformerMixin, BaseEstimator):
+    """Encode images by sizes of the harmonics of their gradients along rings.
+
+    Parameters
+    ----------
+    n_rings : int, default=14
+        Rings about the centre of the image.
+    n_harmonics : int, default=16
+        Harmonics per ring, besides the mean; at most 23 (48 places on a ring).
+    smoothing : float, default=0.025
+        Standard deviation of the smoothing before gradients are taken, as a share
+        of the disc's radius. At least 0.5 taxels are taken.
+
+    Attributes
+    ----------
+    image_shape_ : tuple of int
+        (n_rows, n_cols) of the images seen by `fit`.
+    scale_ : ndarray of shape (6,)
+        Root mean power of each channel over the training touches, by which it is
+        divided; 1 for a channel that is always zero.
+
+    Notes
+    -----
+    Channels: the gradient's components along and across the radius, each gradient
+    shortened to the square root of its length, so that one strong edge does not
+    drown the others; the structure tensor of these [1]_ as its strength and the two
+    components of its doubled direction, relative to the radius; and the signed root
+    of the Laplacian. Rings count by the root of their radius, so that distances between
+    vectors are distances over the disc. Rotation invariance is that of the sampling:
+    a turned image of 97 x 97 taxels moves by a few per cent of its distance to others.
+
+    References
+    ----------
+    .. [1] J. Bigun, G. H. Granlund, "Optimal orientation detection of linear symmetry",
+       ICCV 1987, 433-438.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate.encodings import PolarGradients
+    >>> touches = np.random.default_rng(0).random((2, 40, 40))
+    >>> PolarGradients(n_rings=5, n_harmonics=3).fit_transform(touches).shape
+    (2, 120)
+    """
+
+    def __init__(
+        self, n_rings: int = 14, n_harmonics: int = 16, smoothing: float = 0.025
+    ) -> None:
+        self.n_rings = n_rings
+        self.n_harmonics = n_harmonics
+        self.smoothing = smoothing
+
+    def fit(self, X: ArrayLike, y: object = None) -> Self:
+        """Learn how strong each channel is in the touches `X`; `y` is ignored."""
+        self._check()
+        images = check_images(X)
+        self.image_shape_ = images.shape[1:]
+        raw = self._harmonics(images)
+        spread = raw.copy()
+        spread[..., 0] -= raw[..., 0].mean(axis=0)
+        power = (np.abs(spread) ** 2).sum(axis=(2, 3)).mean(axis=0)
+        self.scale_ = np.where(power > 1e-24, np.sqrt(power), 1.0)
+        return self
+
+    def transform(self, X: ArrayLike) -> Floats:
+        """Return the sizes, (n_touches, 6 * n_rings * (n_harmonics + 1))."""
+        check_is_fitted(self)
+        images = check_images(X, shape=self.image_shape_)
+        sizes = np.abs(self._harmonics(images))
+        sizes /= self.scale_[:, np.newaxis, np.newaxis]
+        result: Floats = sizes.reshape(len(images), -1)
+        return result
+
+    def _check(self) -> None:
+        check_count("n_rings", self.n_rings)
+        check_count("n_harmonics", self.n_harmonics)
+        check_number("n_harmonics", self.n_harmonics, high=_PLACES // 2 - 1)
+        check_number("smoothing", self.smoothing, low=1e-3, high=0.5)
+
+    def _harmonics(self, images: Floats) -> NDArray[np.complex128]:
+        """Fourier coefficients, (n_touches, 6, n_rings, n_harmonics + 1)."""
+        n_rows, n_cols = images.shape[1:]
+        radius = min(n_rows, n_cols) / 2
+        rings = np.linspace(_INNER, _OUTER, self.n_rings)
+        grid = _grid(rings * radius, (n_rows - 1) / 2, (n_cols - 1) / 2)
+        sigma = max(self.smoothing * radius, 0.5)
+        values = np.stack([_channels(image, sigma, grid) for image in images])
+        found = np.fft.rfft(values, axis=-1)[..., : self.n_harmonics + 1] / _PLACES
+        found *= np.sqrt(rings)[:, np.newaxis]
+        # A coefficient stands for itself and its conjugate; the mean has none.
+        found[..., 0] /= np.sqrt(2)
+        return found
+
+    def __sklearn_tags__(self) -> Tags:
+        tags = super().__sklearn_tags__()
+        tags.input_tags.two_d_array = False
+        tags.input_tags.three_d_array = True
+        return tags
+
+
+_PLACES = 48
+_ANGLES = 2 * np.pi * np.arange(_PLACES) / _PLACES
+
+
+def _grid(
+    radii: Floats, row: float, col: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Columns and rows of the places on all rings, (n_rings, 48) each."""
+    cols = col + radii[:, np.newaxis] * np.cos(_ANGLES)
+    rows = row + radii[:, np.newaxis] * np.sin(_ANGLES)
+    return cols.astype(np.float32), rows.astype(np.float32)
+
+
+def _channels(
+    image: Floats, sigma: float, grid: tuple[NDArray[np.float32], NDArray[np.float32]]
+) -> NDArray[np.float32]:
+    """Values of the six channels on the rings, (6, n_rings, 48)."""
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma)
+    across = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1 / 8)
+    down = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=1 / 8)
+    curvature = cv2.Laplacian(smooth, cv2.CV_32F, ksize=3)
+    root = np.sqrt(np.hypot(across, down)) + 1e-6
+    across, down = across / root, down / root
+    curvature = np.sign(curvature) * np.sqrt(np.abs(curvature))
+    tensor = [
+        cv2.GaussianBlur(product, (0, 0), _SURROUNDINGS * sigma)
+        for product in (across * across, down * down, across * down)
+    ]
+    planes = [across, down, curvature, *tensor]
+    x, y, bend, xx, yy, xy = (cv2.remap(p, *grid, cv2.INTER_LINEAR) for p in planes)
+    cos, sin = np.cos(_ANGLES), np.sin(_ANGLES)
+    strength = np.sqrt(np.maximum(xx + yy, 0))
+    along, oblique = _turned(xx - yy, 2 * xy, np.cos(2 * _ANGLES), np.sin(2 * _ANGLES))
+    weight = 1 / np.maximum(strength, _LEAST_STRENGTH)
+    radial, tangential = _turned(x, y, cos, sin)
+    return np.stack(
+        [radial, tangential, strength, along * weight, oblique * weight, bend]
+    )
+
+
+def _turned(
+    first: NDArray, second: NDArray, cos: Floats, sin: Floats
+) -> tuple[NDArray, NDArray]:
+    """Components relative to the direction with this cosine and sine."""
+    return first * cos + second * sin, second * cos - first * sin

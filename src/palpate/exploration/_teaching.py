@@ -1,0 +1,170 @@
+"""Exploring simulated objects to learn them, as in Corradi 2015.
+
+Each object is put down on its usual face, several times, and touched from random
+points of the hemisphere each time. How it is turned is known to the teacher, so the
+places and directions of touches are in the object's own frame, as a `TouchMap` wants
+them.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+from numpy.typing import NDArray
+
+from .._checks import check_count
+from .._progress import Progress
+from ..simulation import HOUSEHOLD, DomeCamera, SimObject
+from ..touches import Touches
+from ._episode import gather
+from ._guarded import Guard
+from ._record import as_touches
+from ._stand import QUICK_GUARD, put_down
+from ._strategies import RandomHemisphere
+
+
+def explore_to_learn(
+    things: Iterable[SimObject] = HOUSEHOLD,
+    n_touches: int = 60,
+    camera: DomeCamera | None = None,
+    *,
+    n_sessions: int = 3,
+    turned: bool = False,
+    drift: bool = False,
+    placement_sd_mm: float = 5.0,
+    guard: Guard = QUICK_GUARD,
+    folder: str | Path | None = None,
+    random_state: int = 0,
+    n_jobs: int | None = None,
+    progress: bool | None = False,
+) -> Touches:
+    """Touch simulated objects with the simulated arm, to learn them.
+
+    Parameters
+    ----------
+    things : iterable of SimObject, default=HOUSEHOLD
+        What to touch.
+    n_touches : int, default=60
+        Touches of each object; approaches that find nothing are not counted.
+    camera : DomeCamera, optional
+        The dome, see `SimulatedBench`.
+    n_sessions : int, default=3
+        How often each object is put down anew.
+    turned : bool, default=False
+        Whether it is turned anew about the vertical each time.
+    drift : bool, default=False
+        Whether exposure and place of the picture change between sessions, see
+        `DomeCamera.drifted`.
+    placement_sd_mm : float, default=5.0
+        See `put_down`.
+    guard : Guard, default=QUICK_GUARD
+        How touches are made.
+    folder : path, optional
+        Where to keep the attempts, an episode for each time an object is put down:
+        what was begun there goes on.
+    random_state : int, default=0
+        Same number, same touches.
+    n_jobs : int, optional
+        Processes, as in joblib.
+    progress : bool, optional
+        Show a bar on standard error; None where that is a terminal.
+
+    Returns
+    -------
+    Touches
+        Object after object, with the columns of `as_touches`, `category` and
+        `session`, and the frame of no contact.
+
+    Raises
+    ------
+    RobotError
+        Touches of an object do not come.
+    """
+    objects = list(things)
+    count = check_count("n_touches", n_touches)
+    sessions = min(check_count("n_sessions", n_sessions), count)
+    shares = [len(part) for part in np.array_split(range(count), sessions)]
+    seen_by = DomeCamera(image_shape=(120, 120)) if camera is None else camera
+    way = _Way(seen_by, turned, drift, placement_sd_mm, guard)
+    home = None if folder is None else Path(folder)
+    tasks = [
+        delayed(_one_session)(
+            thing,
+            session,
+            shares[session],
+            way,
+            None if home is None else home / thing.name / str(session),
+            _seed(random_state, number, session),
+        )
+        for number, thing in enumerate(objects)
+        for session in range(sessions)
+    ]
+    parts = []
+    with Progress(len(objects) * count, "Exploring", progress) as bar:
+        for part in Parallel(n_jobs=n_jobs, return_as="generator")(tasks):
+            parts.append(part)
+            bar.advance(len(part))
+    made = Touches.concatenate(parts)
+    return made.with_columns(no_contact=seen_by.no_contact())
+
+
+@dataclass(frozen=True)
+class _Way:
+    """How every object is put down and touched."""
+
+    camera: DomeCamera
+    turned: bool
+    drift: bool
+    placement_sd_mm: float
+    guard: Guard
+
+
+def _one_session(
+    thing: SimObject,
+    session: int,
+    n_touches: int,
+    way: _Way,
+    folder: Path | None,
+    seed: int,
+) -> Touches:
+    """Put an object down once and touch it."""
+    rng = np.random.default_rng([seed, 1])
+    yaw = float(rng.uniform(0, 2 * np.pi)) if way.turned else 0.0
+    stand = put_down(
+        thing,
+        way.camera.drifted(rng) if way.drift else way.camera,
+        yaw_rad=yaw,
+        placement_sd_mm=way.placement_sd_mm,
+        random_state=seed,
+    )
+    history = gather(
+        stand.robot,
+        stand.sensor,
+        RandomHemisphere(stand.hemisphere, seed),
+        folder,
+        n_touches=n_touches,
+        guard=way.guard,
+        clock=stand.robot.clock,
+    )
+    touches = as_touches(
+        history, object=thing.name, category=thing.category, geometry="dome"
+    )
+    return touches.with_columns(
+        session=np.full(len(touches), session),
+        position_mm=_turned_back(touches.columns["position_mm"], yaw),
+        direction=_turned_back(touches.columns["direction"], yaw),
+    )
+
+
+def _turned_back(vectors: Any, yaw_rad: float) -> NDArray[np.float64]:
+    """Turn vectors about the vertical by minus the yaw of the object."""
+    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    return np.asarray(np.asarray(vectors, dtype=np.float64) @ turn)
+
+
+def _seed(*numbers: int) -> int:
+    return int(np.random.SeedSequence(numbers).generate_state(1)[0])

@@ -1,0 +1,106 @@
+"""Central moments: mass, middle and shape of what an image shows, to order 3.
+
+x points along the columns, y along the rows (downwards); lengths are in pixels.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import pascal
+
+from .._checks import check_images
+
+Floats = NDArray[np.float64]
+ORDER = 3
+
+
+@dataclass(frozen=True)
+class CentralMoments:
+    """Moments of a set of images about each image's own centroid.
+
+    Attributes
+    ----------
+    mass : ndarray of shape (n_touches,)
+        Sum of the levels.
+    x, y : ndarray of shape (n_touches,)
+        Centroid, in pixels from the middle of the frame; 0 where the mass is 0.
+    mu : ndarray of shape (n_touches, 4, 4)
+        `mu[:, q, p]` is the sum of level * (x - centroid)^p * (y - centroid)^q.
+    """
+
+    mass: Floats
+    x: Floats
+    y: Floats
+    mu: Floats
+
+
+def central_moments(images: ArrayLike) -> CentralMoments:
+    """Return the central moments of images to order 3 along x and y.
+
+    Parameters
+    ----------
+    images : array-like of shape (n_touches, n_rows, n_cols)
+
+    Examples
+    --------
+    >>> from palpate.images import central_moments
+    >>> central_moments([[[0, 1, 1, 0]]]).mu[0, 0]
+    array([2. , 0. , 0.5, 0. ])
+    """
+    checked = check_images(images)
+    _, n_rows, n_cols = checked.shape
+    down, across = _powers(n_rows), _powers(n_cols)
+    raw = down.T @ checked @ across
+    mass = raw[:, 0, 0]
+    safe = np.where(mass == 0, 1.0, mass)
+    x = np.where(mass == 0, 0.0, raw[:, 0, 1] / safe)
+    y = np.where(mass == 0, 0.0, raw[:, 1, 0] / safe)
+    mu = _shift(y) @ raw @ _shift(x).transpose(0, 2, 1)
+    return CentralMoments(mass, x, y, mu)
+
+
+def inscribed_mask(n_rows: int, n_cols: int) -> NDArray[np.bool_]:
+    """Return which pixel centres lie in the largest disc about the frame's middle.
+
+    Examples
+    --------
+    >>> from palpate.images import inscribed_mask
+    >>> inscribed_mask(3, 5).astype(int)
+    array([[0, 1, 1, 1, 0],
+           [0, 1, 1, 1, 0],
+           [0, 1, 1, 1, 0]])
+    """
+    row = np.arange(n_rows) - (n_rows - 1) / 2
+    col = np.arange(n_cols) - (n_cols - 1) / 2
+    squared = row[:, np.newaxis] ** 2 + col**2
+    inside: NDArray[np.bool_] = squared <= (min(n_rows, n_cols) / 2) ** 2
+    return inside
+
+
+def above_least(images: ArrayLike, mask: NDArray[np.bool_]) -> Floats:
+    """Return levels above each image's least level in the mask, zero outside it.
+
+    Moments of these do not notice a shift of all levels, and exist for
+    standardised images too, whose own levels sum to zero.
+    """
+    checked = check_images(images)
+    least = np.min(checked, axis=(1, 2), keepdims=True, where=mask, initial=np.inf)
+    return np.where(mask, checked - least, 0.0)
+
+
+def _powers(n: int) -> Floats:
+    """Return 1, x, x^2, x^3 of pixel centres from the middle, (n, 4)."""
+    from_middle = np.arange(n) - (n - 1) / 2
+    powers: Floats = (from_middle[:, None] ** np.arange(ORDER + 1)).astype(np.float64)
+    return powers
+
+
+def _shift(centre: Floats) -> Floats:
+    """Matrices that turn moments about the middle into moments about `centre`."""
+    order = np.arange(ORDER + 1)
+    gap = order[:, None] - order
+    binomial = pascal(ORDER + 1, kind="lower").astype(float)
+    powers = (-centre[:, None, None]) ** np.maximum(gap, 0)
+    shift: Floats = np.where(gap >= 0, binomial * powers, 0.0)
+    return shift

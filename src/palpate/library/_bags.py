@@ -1,0 +1,182 @@
+"""Touches from ROS 2 bags and MCAP files, without ROS installed.
+
+Every message of the chosen topic is one touch:
+
+- `sensor_msgs/msg/Image`, encodings mono8, mono16, 8UC1, 16UC1, 32FC1, rgb8, bgr8,
+  rgba8 and bgra8; colour becomes its luma (ITU-R BT.601), rounded.
+- `std_msgs/msg/*MultiArray`: the last two dimensions of `layout.dim` that are longer
+  than one are rows and columns; without a layout the values are one row.
+
+`time_s` is the stamp in the message's header, or the time of recording where there
+is none (both in seconds since 1970); `order` counts the messages.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..touches import Touches
+from ._errors import LibraryError
+from ._extra import needed
+
+MAX_BYTES = 4 * 2**30
+_IMAGE = "sensor_msgs/msg/Image"
+_GREY = {
+    "mono8": "u1",
+    "8UC1": "u1",
+    "mono16": "u2",
+    "16UC1": "u2",
+    "32FC1": "f4",
+}
+_COLOUR = {
+    "rgb8": (0, 1, 2),
+    "bgr8": (2, 1, 0),
+    "rgba8": (0, 1, 2),
+    "bgra8": (2, 1, 0),
+}
+_LUMA = np.array([0.299, 0.587, 0.114])
+
+
+def read_bag(
+    path: str | Path,
+    topic: str,
+    *,
+    object: str | None = None,
+    max_bytes: int = MAX_BYTES,
+) -> Touches:
+    """Read one topic of a ROS 2 bag (a folder, `.mcap` or `.db3`) as touches.
+
+    Parameters
+    ----------
+    path : path
+        The bag.
+    topic : str
+        A topic of images or of arrays.
+    object : str, optional
+        What is touched in all of it.
+    max_bytes : int, default=4 GiB
+        Most memory that the images may take.
+
+    Raises
+    ------
+    ImportError
+        rosbags is missing; the message names the extra.
+    LibraryError
+        It is no bag, lacks the topic, or a message is no image.
+    """
+    highlevel = needed("rosbags.highlevel", "ros", "Reading ROS 2 bags")
+    bag = Path(path)
+    try:
+        with highlevel.AnyReader([bag], default_typestore=_types()) as reader:
+            images, times = _messages(reader, topic, max_bytes)
+    except LibraryError:
+        raise
+    except Exception as error:  # rosbags raises many kinds on damaged bags
+        raise LibraryError(
+            f"{bag} must be a ROS 2 bag or an MCAP file, got: "
+            f"{error or type(error).__name__}. Check the path; it may be damaged."
+        ) from error
+    labels = None if object is None else np.full(len(images), object)
+    return Touches(
+        np.stack(images),
+        object=labels,
+        order=np.arange(len(images)),
+        time_s=np.array(times),
+        set_topic=np.array(topic),
+    )
+
+
+def _types() -> Any:
+    typesys = needed("rosbags.typesys", "ros", "Reading ROS 2 bags")
+    return typesys.get_typestore(typesys.Stores.LATEST)
+
+
+def _messages(
+    reader: Any, topic: str, max_bytes: int
+) -> tuple[list[NDArray[Any]], list[float]]:
+    chosen = [c for c in reader.connections if c.topic == topic]
+    if not chosen:
+        listed = ", ".join(sorted({c.topic for c in reader.connections})) or "none"
+        raise LibraryError(f"topic must be one of the bag ({listed}), got {topic!r}.")
+    images: list[NDArray[Any]] = []
+    times: list[float] = []
+    n_bytes = 0
+    for connection, recorded_ns, raw in reader.messages(connections=chosen):
+        message = reader.deserialize(raw, connection.msgtype)
+        where = f"message {len(images)} of {topic}"
+        image = _image(message, connection.msgtype, where)
+        if images and (image.shape, image.dtype) != (images[0].shape, images[0].dtype):
+            raise LibraryError(
+                f"All images of {topic} must have one size and type, got "
+                f"{image.shape} {image.dtype} in {where} after {images[0].shape} "
+                f"{images[0].dtype}."
+            )
+        n_bytes += image.nbytes
+        if n_bytes > max_bytes:
+            raise LibraryError(
+                f"The images of {topic} must take at most {max_bytes} bytes. Cut the "
+                "bag, or raise max_bytes."
+            )
+        images.append(image)
+        times.append(_seconds(message, recorded_ns))
+    if not images:
+        raise LibraryError(f"topic must have messages, got none in {topic!r}.")
+    return images, times
+
+
+def _image(message: Any, kind: str, where: str) -> NDArray[Any]:
+    if kind == _IMAGE:
+        return _picture(message, where)
+    if kind.startswith("std_msgs/msg/") and kind.endswith("MultiArray"):
+        return _array(message, where)
+    raise LibraryError(
+        f"{where} must be {_IMAGE} or a std_msgs array such as "
+        f"std_msgs/msg/Float32MultiArray, got {kind}."
+    )
+
+
+def _picture(message: Any, where: str) -> NDArray[Any]:
+    n_rows, n_cols, step = int(message.height), int(message.width), int(message.step)
+    encoding = str(message.encoding)
+    if encoding not in _GREY and encoding not in _COLOUR:
+        known = ", ".join([*_GREY, *_COLOUR])
+        raise LibraryError(f"{where} must be encoded as {known}, got {encoding!r}.")
+    n_channels = 1 if encoding in _GREY else 4 if "a" in encoding else 3
+    order = ">" if message.is_bigendian else "<"
+    dtype = np.dtype(order + _GREY.get(encoding, "u1"))
+    row_bytes = n_cols * n_channels * dtype.itemsize
+    content = np.asarray(message.data, dtype=np.uint8).tobytes()
+    if step < row_bytes or not row_bytes or len(content) != step * n_rows:
+        raise LibraryError(
+            f"{where} must hold {n_rows} rows of {step} bytes, got {len(content)} "
+            f"bytes for {n_cols} columns of {encoding}."
+        )
+    rows = np.frombuffer(content, np.uint8).reshape(n_rows, step)[:, :row_bytes]
+    values = np.ascontiguousarray(rows).view(dtype).astype(dtype.newbyteorder("="))
+    if encoding in _GREY:
+        return values
+    colours = values.reshape(n_rows, n_cols, n_channels)[..., list(_COLOUR[encoding])]
+    return np.rint(colours @ _LUMA).astype(np.uint8)
+
+
+def _array(message: Any, where: str) -> NDArray[Any]:
+    values = np.asarray(message.data)
+    sizes = [int(d.size) for d in message.layout.dim if int(d.size) > 1]
+    shape = (1, len(values)) if not sizes else (1, *sizes)[-2:]
+    start = int(message.layout.data_offset)
+    n_values = shape[0] * shape[1]
+    if len(sizes) > 2 or n_values != len(values) - start or not n_values:
+        raise LibraryError(
+            f"{where} must hold one array of rows and columns, got dimensions "
+            f"{sizes} for {len(values)} values."
+        )
+    return values[start:].reshape(shape)
+
+
+def _seconds(message: Any, recorded_ns: int) -> float:
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    if stamp is None or not (stamp.sec or stamp.nanosec):
+        return recorded_ns / 1e9
+    return float(stamp.sec) + stamp.nanosec / 1e9

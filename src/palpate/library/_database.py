@@ -1,0 +1,203 @@
+"""The database of a library: its tables, its version, and safe transactions.
+
+Write-ahead logging with `synchronous=FULL`: once a transaction has ended, it is on
+the disk. Readers never wait for writers; writers wait for one another.
+"""
+
+import sqlite3
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from ._errors import LibraryError
+
+FILE_NAME = "library.sqlite"
+VERSION = 1
+PATIENCE_S = 60.0
+_APPLICATION = 0x70616C70  # "palp"
+
+_TABLES = """
+CREATE TABLE objects (
+    id INTEGER PRIMARY KEY,
+    name TEXT NOT NULL UNIQUE,
+    merged_into INTEGER REFERENCES objects (id));
+CREATE TABLE recordings (
+    id INTEGER PRIMARY KEY,
+    digest BLOB NOT NULL UNIQUE,
+    sensor TEXT, kind TEXT, unit TEXT, pitch_mm REAL, geometry TEXT,
+    n_rows INTEGER NOT NULL, n_cols INTEGER NOT NULL, dtype TEXT NOT NULL,
+    whole TEXT NOT NULL);
+CREATE TABLE layouts (id INTEGER PRIMARY KEY, columns TEXT NOT NULL UNIQUE);
+CREATE TABLE files (
+    id INTEGER PRIMARY KEY,
+    name BLOB NOT NULL UNIQUE,
+    n_touches INTEGER NOT NULL,
+    offset INTEGER NOT NULL);
+CREATE TABLE changes (
+    id INTEGER PRIMARY KEY,
+    name TEXT NOT NULL UNIQUE,
+    time_s REAL NOT NULL,
+    action TEXT NOT NULL,
+    content TEXT NOT NULL);
+CREATE TABLE touches (
+    number INTEGER PRIMARY KEY,
+    id BLOB NOT NULL UNIQUE,
+    object INTEGER REFERENCES objects (id),
+    category TEXT, session, episode, sensor, "order", time_s REAL, force_n REAL,
+    press, frame, source_path TEXT,
+    extra TEXT,
+    layout INTEGER NOT NULL REFERENCES layouts (id),
+    recording INTEGER NOT NULL REFERENCES recordings (id),
+    file INTEGER NOT NULL REFERENCES files (id),
+    place INTEGER NOT NULL,
+    image BLOB NOT NULL,
+    added_s REAL NOT NULL,
+    retraction INTEGER REFERENCES changes (id));
+CREATE INDEX touches_of_object ON touches (object, retraction, session, episode);
+"""
+
+
+class Database:
+    """One connection, used by one thread at a time.
+
+    Parameters
+    ----------
+    path : Path
+        The database file.
+    create : bool
+        Make the tables where there are none.
+
+    Raises
+    ------
+    LibraryError
+        There is no library, it is damaged, or a newer palpate made it.
+    """
+
+    def __init__(self, path: Path, *, create: bool) -> None:
+        self.path = path
+        self._lock = threading.RLock()
+        if not create and not path.is_file():
+            raise LibraryError(
+                f"{path.parent} must be a library of touches, got no {path.name} in "
+                "it. Make one with `palpate library add`."
+            )
+        with self.explained():
+            self._connection = sqlite3.connect(
+                path, timeout=PATIENCE_S, isolation_level=None, check_same_thread=False
+            )
+        try:
+            self._prepare(create)
+        except BaseException:
+            self._connection.close()
+            raise
+
+    def close(self) -> None:
+        """Close the connection; closing twice does nothing."""
+        with self._lock:
+            self._connection.close()
+
+    def rows(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
+        """Return all rows of a query."""
+        with self._lock, self.explained():
+            return self._connection.execute(sql, values).fetchall()
+
+    def one(self, sql: str, values: Sequence[Any] = ()) -> tuple[Any, ...] | None:
+        """Return the first row of a query, or None."""
+        with self._lock, self.explained():
+            row: tuple[Any, ...] | None = self._connection.execute(
+                sql, values
+            ).fetchone()
+            return row
+
+    def run(self, sql: str, values: Sequence[Any] = ()) -> int:
+        """Run one statement inside `writing` and return how many rows it changed."""
+        return self._connection.execute(sql, values).rowcount
+
+    def run_many(self, sql: str, values: Sequence[Sequence[Any]]) -> int:
+        """Run one statement per entry of `values` inside `writing`."""
+        return self._connection.executemany(sql, values).rowcount
+
+    def added(self, sql: str, values: Sequence[Any]) -> int:
+        """Insert one row inside `writing` and return its key."""
+        return int(self._connection.execute(sql, values).lastrowid or 0)
+
+    @contextmanager
+    def writing(self) -> Iterator[None]:
+        """Run a transaction: when the block has ended, all of it is on the disk."""
+        with self._lock, self.explained():
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield
+                self._connection.execute("COMMIT")
+            except BaseException:
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
+                raise
+
+    @contextmanager
+    def explained(self) -> Iterator[None]:
+        """Turn what SQLite stumbles over into one sentence with the fix."""
+        try:
+            yield
+        except sqlite3.Error as error:
+            raise LibraryError(_told(self.path, error)) from error
+
+    def _prepare(self, create: bool) -> None:
+        with self.explained():
+            run = self._connection.execute
+            run(f"PRAGMA busy_timeout = {int(PATIENCE_S * 1000)}")
+            run("PRAGMA synchronous = FULL")
+            run("PRAGMA foreign_keys = ON")
+            run("PRAGMA trusted_schema = OFF")
+            if self._version() == 0 and create:
+                run("PRAGMA journal_mode = WAL")
+                self._make_tables()
+            version = self._version()
+        if version > VERSION:
+            raise LibraryError(
+                f"{self.path} has library format {version}, this palpate reads up to "
+                f"{VERSION}. Update palpate; the images beside it are plain .npy files."
+            )
+        if version < 1 or self._application() != _APPLICATION:
+            raise LibraryError(
+                f"{self.path} must be the database of a library of touches, got "
+                "another one, or an empty file. Give another folder, or rebuild it "
+                "from its images with `palpate library check --repair`."
+            )
+
+    def _make_tables(self) -> None:
+        with self.writing():
+            if self._connection.execute("SELECT 1 FROM sqlite_master").fetchone():
+                return  # another process was faster, or it is another database
+            for statement in _TABLES.split(";"):
+                self._connection.execute(statement)
+            self._connection.execute(f"PRAGMA application_id = {_APPLICATION}")
+            self._connection.execute(f"PRAGMA user_version = {VERSION}")
+
+    def _version(self) -> int:
+        return int(self._connection.execute("PRAGMA user_version").fetchone()[0])
+
+    def _application(self) -> int:
+        return int(self._connection.execute("PRAGMA application_id").fetchone()[0])
+
+
+def _told(path: Path, error: sqlite3.Error) -> str:
+    text = str(error)
+    if "full" in text:
+        fix = "Free space on the disk and go on; what was acknowledged is kept."
+    elif "locked" in text or "busy" in text:
+        fix = "Another program has been writing for a minute; wait, or end it."
+    elif "malformed" in text or "not a database" in text or "disk I/O" in text:
+        fix = (
+            "It is damaged; `palpate library check --repair` rebuilds it from the "
+            "image files."
+        )
+    elif "closed" in text:
+        fix = "The library was closed; open it again."
+    else:
+        fix = (
+            "Check that the folder may be written to, and run `palpate library check`."
+        )
+    return f"{path} must be a sound database, got: {text}. {fix}"

@@ -1,0 +1,174 @@
+"""Files of a library: plain `.npy` arrays, named after their content, never changed.
+
+A file holds one or several arrays, one after the other, each exactly as
+`numpy.save` writes it; `numpy.load` reads the first. It gets its name, the SHA-256
+of its bytes, only when all of it is on the disk. Reading never unpickles, and reads
+no more than the size of the file allows.
+"""
+
+import hashlib
+import io
+import os
+import re
+import secrets
+from collections.abc import Sequence
+from contextlib import suppress
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from ._errors import LibraryError
+
+PARTIAL = ".partial-"
+_MAX_HEADER = 2**14
+_NAME = re.compile("[0-9a-f]{64}")
+_PLAIN_KINDS = "biufcSUMm"
+
+
+def file_path(folder: Path, name: str) -> Path:
+    """Return where the file called `name` (64 hexadecimal digits) stands."""
+    if not _NAME.fullmatch(name):
+        raise LibraryError(
+            f"Files must be named by 64 hexadecimal digits, got {name!r}."
+        )
+    return folder / name[:2] / f"{name}.npy"
+
+
+def packed(arrays: Sequence[NDArray[Any]]) -> bytes:
+    """Return arrays as the bytes of one file."""
+    stream = io.BytesIO()
+    for array in arrays:
+        npy.write_array(stream, np.asarray(array, order="C"), allow_pickle=False)
+    return stream.getvalue()
+
+
+def header_size(array: NDArray[Any]) -> int:
+    """Return how many bytes `packed` writes before the values of `array`."""
+    return len(packed([array])) - array.nbytes
+
+
+def publish(folder: Path, content: bytes) -> str:
+    """Put a file in place and return its name; afterwards it is on the disk.
+
+    Raises
+    ------
+    OSError
+        The disk is full, or the folder may not be written to. Nothing is left.
+    """
+    name = hashlib.sha256(content).hexdigest()
+    target = file_path(folder, name)
+    if target.is_file() and target.read_bytes() == content:
+        flush_folder(target.parent)
+        return name
+    if not target.parent.is_dir():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        flush_folder(folder)
+    partial = target.with_name(f"{PARTIAL}{secrets.token_hex(8)}")
+    try:
+        with partial.open("xb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(target)
+    finally:
+        with suppress(OSError):
+            partial.unlink()
+    flush_folder(target.parent)
+    return name
+
+
+def flush_folder(folder: Path) -> None:
+    """Make new names in `folder` durable, where folders can be opened."""
+    with suppress(PermissionError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def read_values(
+    path: Path, offset: int, shape: tuple[int, ...], dtype: np.dtype[Any]
+) -> NDArray[Any]:
+    """Return values that stand at `offset` of a file; the caller checks them.
+
+    Raises
+    ------
+    LibraryError
+        The file is missing or too short.
+    """
+    n_bytes = prod(shape) * dtype.itemsize
+    try:
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            content = os.pread(handle, n_bytes, offset)
+        finally:
+            os.close(handle)
+    except OSError as error:
+        reason = error.strerror or error
+        raise LibraryError(f"{path} must be readable, got: {reason}.") from error
+    if len(content) != n_bytes:
+        raise LibraryError(f"{path} must be whole, got a file that is cut short.")
+    return np.frombuffer(content, dtype=dtype).reshape(shape)
+
+
+def read_file(folder: Path, name: str) -> list[NDArray[Any]]:
+    """Return all arrays of a file, which must be what its name says.
+
+    Raises
+    ------
+    LibraryError
+        It is missing, altered, or holds something else than plain arrays.
+    """
+    path = file_path(folder, name)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        reason = error.strerror or error
+        raise LibraryError(f"{path} must be readable, got: {reason}.") from error
+    if hashlib.sha256(content).hexdigest() != name:
+        raise LibraryError(f"{path} must be as it was written, got altered content.")
+    return unpacked(path, content)
+
+
+def unpacked(path: Path, content: bytes) -> list[NDArray[Any]]:
+    """Return the arrays in the bytes of a file; nothing is unpickled."""
+    arrays = []
+    start = 0
+    while start < len(content):
+        array, start = _array_at(path, content, start)
+        arrays.append(array)
+    return arrays
+
+
+def _array_at(path: Path, content: bytes, start: int) -> tuple[NDArray[Any], int]:
+    stream = io.BytesIO(content[start : start + _MAX_HEADER + 16])
+    try:
+        version = npy.read_magic(stream)
+        read = npy.read_array_header_1_0
+        if version == (2, 0):
+            read = npy.read_array_header_2_0
+        elif version != (1, 0):
+            raise ValueError(f"version {version}")
+        shape, fortran, dtype = read(stream, max_header_size=_MAX_HEADER)
+    except Exception as error:  # the header is a literal: it fails in many ways
+        raise _no_array(path, str(error)[:80]) from error
+    if dtype.hasobject or dtype.kind not in _PLAIN_KINDS or fortran:
+        raise _no_array(path, f"values of {dtype}")
+    first = start + stream.tell()
+    last = first + prod(shape) * dtype.itemsize
+    if not dtype.itemsize or min(shape, default=0) < 0 or last > len(content):
+        raise _no_array(path, f"shape {shape} of {dtype}")
+    values = np.frombuffer(content[first:last], dtype=dtype)
+    return values.reshape(shape), last
+
+
+def _no_array(path: Path, got: str) -> LibraryError:
+    return LibraryError(
+        f"{path} must hold plain arrays as numpy.save writes them, got {got}. "
+        "It is damaged: `palpate library check --repair` sets it aside."
+    )

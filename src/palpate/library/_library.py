@@ -1,0 +1,387 @@
+"""`TouchLibrary`: touches in a folder, none of them ever lost."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..touches import Touches
+from ._adding import ARRAYS, IMAGES, add_touches
+from ._changes import make_change, object_key
+from ._checking import CheckReport, RepairReport, check_library, repair_library
+from ._database import FILE_NAME, Database
+from ._errors import LibraryError
+from ._exporting import export_touches
+from ._files import flush_folder, read_file
+from ._objects import object_rows
+from ._reading import (
+    condition,
+    id_bytes,
+    list_touches,
+    numbers_of,
+    read_one_image,
+    read_touches,
+)
+from ._records import ObjectRow, SensorDescription, Stats, TouchRow
+from ._selection import Selection
+
+MAX_BYTES = 64 * 2**30
+Sensors = list[SensorDescription]
+Ids = list[str]  # inside the class, `list` is a method
+
+
+class TouchLibrary:
+    """Touches in a folder: durable, searchable, growing.
+
+    A SQLite database holds what is known of every touch; the images are plain
+    `.npy` files named after their content. When `add` has returned, its touches
+    survive a killed program and a power cut. Several programs of one machine may
+    read and write at once; one library object may be shared by threads.
+
+    Parameters
+    ----------
+    folder : path
+        The library; `open` makes a new one.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import numpy as np
+    >>> from palpate import Touches
+    >>> from palpate.library import TouchLibrary
+    >>> touches = Touches(np.ones((2, 4, 4)), object=["cup", "pen"])
+    >>> with TouchLibrary.open(tempfile.mkdtemp(), create=True) as library:
+    ...     ids = library.add(touches, episode="first")
+    ...     [row.name for row in library.objects()]
+    ['cup', 'pen']
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+        self._database = Database(self.folder / FILE_NAME, create=False)
+
+    @classmethod
+    def open(cls, folder: str | Path, create: bool = False) -> Self:
+        """Open the library in `folder`; `create` makes one where there is none.
+
+        Raises
+        ------
+        LibraryError
+            There is none, it is damaged, or a newer palpate made it.
+        """
+        place = Path(folder)
+        if create:
+            _make(place)
+        return cls(place)
+
+    @staticmethod
+    def is_library(folder: str | Path) -> bool:
+        """Tell whether `folder` holds a library."""
+        return (Path(folder) / FILE_NAME).is_file()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.folder,)
+
+    def __len__(self) -> int:
+        """Return the number of touches that are not retracted."""
+        row = self._database.one(
+            "SELECT count(*) FROM touches WHERE retraction IS NULL"
+        )
+        return 0 if row is None else int(row[0])
+
+    def __repr__(self) -> str:
+        return f"TouchLibrary({str(self.folder)!r})"
+
+    def close(self) -> None:
+        """Close the library; it can be opened again."""
+        self._database.close()
+
+    def add(
+        self,
+        touches: Touches,
+        *,
+        episode: str | None = None,
+        session: str | None = None,
+        sensor: SensorDescription | None = None,
+        progress: bool | None = None,
+    ) -> Ids:
+        """Store touches; when this returns, they are on the disk.
+
+        Parameters
+        ----------
+        touches : Touches
+            One or many. Their columns and whole-set entries are kept.
+        episode, session : str, optional
+            Given to all of them in place of the column of that name.
+        sensor : SensorDescription, optional
+            What took them; its name becomes their column `sensor`, its pitch and
+            unit their `set_pitch_mm` and `set_unit`.
+        progress : bool, optional
+            Show a bar on standard error when it takes over two seconds; by default
+            where that is a terminal.
+
+        Returns
+        -------
+        ids : list of str
+            One per touch, the same whenever the same touch is added: it follows
+            from the image, object, session, episode, sensor, order, time, place and
+            force. A touch that is in the library already (even retracted) is not
+            stored again.
+
+        Raises
+        ------
+        LibraryError
+            The disk is full or the folder cannot be written to; the message says
+            how many touches are stored.
+        """
+        if not isinstance(touches, Touches):
+            raise TypeError(
+                f"touches must be Touches, got {type(touches).__name__}. "
+                "Write Touches(images, object=labels)."
+            )
+        told = None if sensor is None else sensor.checked()
+        labelled = _labelled(touches, episode, session, told)
+        return add_touches(self._database, self.folder, labelled, told, progress)
+
+    def objects(self) -> list[ObjectRow]:
+        """Return all objects with touches, sorted by name."""
+        return object_rows(self._database)
+
+    def list(
+        self,
+        where: str | None = None,
+        limit: int | None = 100,
+        offset: int = 0,
+        *,
+        retracted: bool = False,
+    ) -> list[TouchRow]:
+        """Return what is known of touches, in the order added, without images.
+
+        Parameters
+        ----------
+        where : str, optional
+            A filter such as "object = mug and force_n > 0.5".
+        limit, offset : int
+            So many rows (None is all) after so many others.
+        retracted : bool, default=False
+            Show retracted touches too.
+        """
+        found = condition(self._database, where, retracted=retracted)
+        return list_touches(self._database, found, limit, offset)
+
+    def count(self, where: str | None = None) -> int:
+        """Return how many touches meet a filter."""
+        return len(numbers_of(self._database, condition(self._database, where)))
+
+    def image(self, id: str) -> NDArray[Any]:
+        """Return the image of one touch, shape (n_rows, n_cols), retracted or not."""
+        return read_one_image(self._database, self.folder, id)
+
+    def no_contact(self, session: str | int | None = None) -> NDArray[Any] | None:
+        """Return the latest no-contact image of a session (of all), or None."""
+        chosen = "" if session is None else "AND t.session IS ? "
+        row = self._database.one(
+            "SELECT json_extract(r.whole, '$.no_contact') FROM touches t "
+            "JOIN recordings r ON r.id = t.recording "
+            f"WHERE json_extract(r.whole, '$.no_contact') IS NOT NULL {chosen}"
+            "ORDER BY t.number DESC LIMIT 1",
+            [] if session is None else [session],
+        )
+        return None if row is None else read_file(self.folder / ARRAYS, row[0])[0]
+
+    def sensors(self) -> Sensors:
+        """Return the sensors that took the touches, in the order first met."""
+        rows = self._database.rows(
+            "SELECT sensor, kind, unit, pitch_mm, geometry FROM recordings "
+            "WHERE sensor IS NOT NULL ORDER BY id"
+        )
+        return list(dict.fromkeys(SensorDescription(*row) for row in rows))
+
+    def touches(
+        self, where: str | None = None, *, max_bytes: int = MAX_BYTES
+    ) -> Touches:
+        """Return touches that are not retracted, in the order added.
+
+        Beyond 256 MiB the images are mapped to a temporary file rather than held in
+        memory.
+
+        Parameters
+        ----------
+        where : str, optional
+            A filter such as "object = mug and force_n > 0.5".
+        max_bytes : int, default=64 GiB
+            Most bytes that the images may take.
+
+        Raises
+        ------
+        LibraryError
+            None is found, they differ in size, type or geometry, or an image is
+            missing or altered; the message names it and the fix.
+
+        Notes
+        -----
+        Columns that only some touches have are NaN or empty for the others. Entries
+        of the whole set that differ between recordings (mostly the no-contact
+        image) are left out; see `no_contact`.
+        """
+        numbers = numbers_of(self._database, condition(self._database, where))
+        return read_touches(self._database, self.folder, numbers, max_bytes)
+
+    def select(self, where: str | None = None) -> Selection:
+        """Return touches as a source that reads images only as they are needed.
+
+        `ObjectRecogniser.fit` and `add_object` take it in place of `Touches`.
+        """
+        numbers = numbers_of(self._database, condition(self._database, where))
+        return Selection(self._database, self.folder, numbers)
+
+    def export(self, path: str | Path, where: str | None = None) -> int:
+        """Write touches in another form and return how many there are.
+
+        Parameters
+        ----------
+        path : path
+            `.npz` is a touch archive, `.parquet` a Parquet file, and a new folder a
+            LeRobotDataset (format v3.0).
+        where : str, optional
+            A filter such as "object = mug and force_n > 0.5".
+        """
+        numbers = numbers_of(self._database, condition(self._database, where))
+        return export_touches(self._database, self.folder, numbers, Path(path))
+
+    def rename_object(self, old: str, new: str) -> None:
+        """Give an object another name; the old one is free afterwards."""
+        self._change(action="rename", old=old, new=new)
+
+    def merge_objects(self, source: str, into: str) -> None:
+        """Make two objects one; touches added as `source` go there as well."""
+        self._change(action="merge", source=source, into=into)
+
+    def retract(
+        self,
+        ids: str | Iterable[str] | None = None,
+        *,
+        object: str | None = None,
+        reason: str,
+    ) -> int:
+        """Leave touches, or all of an object, out from now on; nothing is erased.
+
+        Returns
+        -------
+        n_retracted : int
+            How many touches it concerned.
+        """
+        if not isinstance(reason, str) or not reason.strip():
+            raise ValueError(f"reason must be a text, got {reason!r}. Say why.")
+        chosen = self._chosen(ids, object, "t.retraction IS NULL")
+        return self._change(action="retract", ids=chosen, object=object, reason=reason)
+
+    def restore(
+        self, ids: str | Iterable[str] | None = None, *, object: str | None = None
+    ) -> int:
+        """Take retracted touches back in; return how many it concerned."""
+        chosen = self._chosen(ids, object, "t.retraction IS NOT NULL")
+        return self._change(action="restore", ids=chosen, object=object)
+
+    def stats(self) -> Stats:
+        """Return how much the library holds."""
+        row = self._database.one(
+            "SELECT count(*), count(retraction), (SELECT count(*) FROM files), "
+            "(SELECT count(*) FROM (SELECT DISTINCT session FROM touches)) FROM touches"
+        )
+        n_touches, n_retracted, n_files, n_sessions = row or (0, 0, 0, 0)
+        return Stats(
+            n_touches - n_retracted,
+            n_retracted,
+            len(self.objects()),
+            n_sessions,
+            n_files,
+            sum(p.stat().st_size for p in self.folder.glob(f"{FILE_NAME}*")),
+            _bytes_below(self.folder / IMAGES) + _bytes_below(self.folder / ARRAYS),
+            _bytes_below(self.folder / "features"),
+        )
+
+    def check(self, *, progress: bool | None = None) -> CheckReport:
+        """Read everything and compare it with its checksums; see `check_library`."""
+        return check_library(self.folder, progress=progress)
+
+    def repair(self, *, progress: bool | None = None) -> RepairReport:
+        """Set aside what is damaged and recover what is not; see `repair_library`."""
+        return repair_library(self.folder, progress=progress)
+
+    def _change(self, **content: Any) -> int:
+        return make_change(self._database, self.folder, content)
+
+    def _chosen(
+        self, ids: str | Iterable[str] | None, name: str | None, state: str
+    ) -> Ids:
+        """Return the ids that are meant, or say that one is not in the library."""
+        if (ids is None) == (name is None):
+            raise ValueError("Give either ids or object, got both or neither.")
+        if name is not None:
+            rows = self._database.rows(
+                "SELECT lower(hex(t.id)) FROM touches t "
+                "JOIN objects o ON o.id = t.object "
+                f"WHERE coalesce(o.merged_into, o.id) = ? AND {state}",
+                [object_key(self._database, name)],
+            )
+            return [row[0] for row in rows]
+        given = [ids] if isinstance(ids, str) else list(ids or [])
+        for key in given:
+            known = "SELECT 1 FROM touches WHERE id = ?"
+            if self._database.one(known, [id_bytes(key)]) is None:
+                raise LibraryError(
+                    f"ids must be of touches in the library, got {key!r}. "
+                    "See `palpate library list`."
+                )
+        return given
+
+
+def _make(place: Path) -> None:
+    """Make an empty library; several programs may try at once."""
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LibraryError(
+            f"{place} must be a folder that can be made, got: {error.strerror}."
+        ) from error
+    Database(place / FILE_NAME, create=True).close()
+    flush_folder(place)
+    flush_folder(place.parent)
+
+
+def _labelled(
+    touches: Touches,
+    episode: str | None,
+    session: str | None,
+    sensor: SensorDescription | None,
+) -> Touches:
+    given: dict[str, Any] = {"episode": episode, "session": session}
+    if sensor is not None:
+        given["sensor"] = sensor.name
+    columns: dict[str, Any] = {
+        n: np.full(len(touches), v) for n, v in given.items() if v is not None
+    }
+    if sensor is not None:
+        more = {"set_pitch_mm": sensor.pitch_mm, "set_unit": sensor.unit}
+        more["geometry"] = None if touches.geometry else sensor.geometry
+        columns |= {n: np.array(v) for n, v in more.items() if v is not None}
+    return touches.with_columns(**columns) if columns else touches
+
+
+def _bytes_below(folder: Path) -> int:
+    return sum(p.stat().st_size for p in folder.rglob("*") if p.is_file())

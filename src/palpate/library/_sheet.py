@@ -1,0 +1,254 @@
+"""Touches as rows of plain values and back.
+
+Short values (numbers and text, at most `WIDE` numbers a touch) become cells of the
+database; longer ones (a press as thirty frames) stay arrays in the touch's own file.
+The same cells are written into that file as well, so that a lost database can be
+rebuilt from the files.
+"""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..touches import Touches
+from ._errors import LibraryError
+
+WIDE = 16
+CELLS = (
+    "object",
+    "category",
+    "session",
+    "episode",
+    "sensor",
+    "order",
+    "time_s",
+    "force_n",
+    "press",
+    "frame",
+    "source_path",
+)
+# What tells two touches with the same image apart.
+IDENTITY = (
+    "object",
+    "session",
+    "episode",
+    "sensor",
+    "order",
+    "time_s",
+    "force_n",
+    "press",
+    "frame",
+    "position_mm",
+    "position_raw",
+)
+Arrays = dict[str, NDArray[Any]]
+
+
+class Column(NamedTuple):
+    """One column of some touches: its type, the shape of a row, and where it is."""
+
+    name: str
+    dtype: str
+    shape: tuple[int, ...]
+    wide: bool
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """Some touches as they are stored together in one file.
+
+    Attributes
+    ----------
+    layout : list of Column
+        All columns in their order.
+    values : dict of list
+        Plain values per touch of the columns that are not wide.
+    wide : dict of ndarray
+        The wide columns.
+    images : ndarray of shape (n_touches, n_rows, n_cols)
+        The images.
+    ids, digests : list of bytes
+        Identity of each touch (16 bytes) and SHA-256 of each image.
+    recording : dict
+        What is the same for all, as `recording_of` gives it.
+    added_s : float
+        When they were added (s since 1970).
+    """
+
+    layout: list[Column]
+    values: dict[str, list[Any]]
+    wide: Arrays
+    images: NDArray[Any]
+    recording: dict[str, Any]
+    added_s: float
+    ids: list[bytes] = field(default_factory=list)
+    digests: list[bytes] = field(default_factory=list)
+
+    def arrays(self) -> list[NDArray[Any]]:
+        """Return what is written into the file: images, wide columns, the rest."""
+        sheet = {
+            "format": 1,
+            "layout": [list(column) for column in self.layout],
+            "values": self.values,
+            "recording": self.recording,
+            "added_s": self.added_s,
+            "ids": [key.hex() for key in self.ids],
+        }
+        text = np.frombuffer(canonical(sheet).encode(), dtype=np.uint8)
+        return [self.images, *self.wide.values(), text]
+
+    def picked(self, rows: Sequence[int]) -> "Sheet":
+        """Return some of these touches."""
+        return Sheet(
+            self.layout,
+            {name: [cells[i] for i in rows] for name, cells in self.values.items()},
+            {name: array[list(rows)] for name, array in self.wide.items()},
+            self.images[list(rows)],
+            self.recording,
+            self.added_s,
+            [self.ids[i] for i in rows],
+            [self.digests[i] for i in rows],
+        )
+
+
+def sheet_of(touches: Touches, recording: dict[str, Any], added_s: float) -> Sheet:
+    """Return touches as a sheet, each with its identity."""
+    layout, values, wide = [], {}, {}
+    for name, array in touches.columns.items():
+        is_wide = not _fits_cells(array)
+        layout.append(Column(name, array.dtype.str, array.shape[1:], is_wide))
+        if is_wide:
+            wide[name] = np.ascontiguousarray(array)
+        else:
+            values[name] = _cells(name, array)
+    images = np.ascontiguousarray(touches.images)
+    digests = [image_digest(image) for image in images]
+    ids = [_identity(d, values, wide, row) for row, d in enumerate(digests)]
+    return Sheet(layout, values, wide, images, recording, added_s, ids, digests)
+
+
+def read_sheet(arrays: Sequence[NDArray[Any]]) -> Sheet:
+    """Return the sheet that `Sheet.arrays` wrote.
+
+    Raises
+    ------
+    ValueError, TypeError, KeyError
+        The arrays are no sheet.
+    """
+    images, *blocks, text = arrays
+    if images.ndim != 3 or text.dtype != np.uint8:
+        raise ValueError("no images, or no sheet after them")
+    sheet = json.loads(text.tobytes())
+    if sheet["format"] != 1:
+        raise ValueError(f"sheet format {sheet['format']!r}")
+    layout = [Column(n, d, tuple(s), bool(w)) for n, d, s, w in sheet["layout"]]
+    names = [column.name for column in layout if column.wide]
+    wide = dict(zip(names, blocks, strict=True))
+    ids = [bytes.fromhex(key) for key in sheet["ids"]]
+    lengths = {len(ids), len(images), *map(len, sheet["values"].values())}
+    if lengths | {len(array) for array in wide.values()} != {len(images)}:
+        raise ValueError("columns of unequal length")
+    digests = [image_digest(image) for image in images]
+    return Sheet(
+        layout,
+        sheet["values"],
+        wide,
+        images,
+        sheet["recording"],
+        float(sheet["added_s"]),
+        ids,
+        digests,
+    )
+
+
+def column_array(columns: Sequence[Column], cells: Sequence[Any]) -> NDArray[Any]:
+    """Return cells as one array of the type that holds all of `columns`.
+
+    None is NaN among numbers and empty among text; numbers among text become text.
+    """
+    dtypes = {np.dtype(column.dtype) for column in columns}
+    is_text = any(dtype.kind == "U" for dtype in dtypes)
+    if any(cell is None for cell in cells):
+        nothing = "" if is_text else np.nan
+        blank = np.full(columns[0].shape, nothing).tolist()
+        cells = [blank if cell is None else cell for cell in cells]
+    if is_text:
+        return np.array(cells, dtype=np.str_)
+    array = np.array(cells, dtype=np.float64 if _has_none(cells) else None)
+    dtype = np.result_type(*dtypes)
+    lacks = array.dtype.kind == "f" and np.isnan(array).any()
+    if lacks and dtype.kind in "biu":
+        dtype = np.result_type(dtype, np.float16)
+    return array.astype(dtype)
+
+
+def image_digest(image: NDArray[Any]) -> bytes:
+    """Return the SHA-256 of an image: its type, its shape and its values."""
+    start = f"{image.dtype.str} {image.shape}".encode()
+    return hashlib.sha256(start + image.tobytes()).digest()
+
+
+def canonical(value: Any) -> str:
+    """Return `value` as JSON that is the same whenever the value is."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _fits_cells(array: NDArray[Any]) -> bool:
+    kind, n_numbers = array.dtype.kind, int(np.prod(array.shape[1:]))
+    if n_numbers > WIDE or not n_numbers or kind not in "biufU":
+        return False
+    if kind == "f":
+        return array.dtype.itemsize <= 8 and not np.isinf(array).any()
+    return kind != "u" or array.dtype.itemsize < 8 or int(array.max()) < 2**63
+
+
+def _cells(name: str, array: NDArray[Any]) -> list[Any]:
+    cells: list[Any] = array.tolist()
+    if array.dtype.kind == "f":
+        return _without_nan(cells) if np.isnan(array).any() else cells
+    if array.dtype.kind == "U":
+        try:
+            "".join(array.ravel().tolist()).encode()
+        except UnicodeEncodeError as error:
+            raise LibraryError(
+                f"column {name!r} must be text that UTF-8 can hold, got {error}. "
+                "Clean it first."
+            ) from error
+    return cells
+
+
+def _without_nan(cells: list[Any]) -> list[Any]:
+    return [
+        _without_nan(cell)
+        if isinstance(cell, list)
+        else (None if cell != cell else cell)
+        for cell in cells
+    ]
+
+
+def _has_none(cells: Any) -> bool:
+    if not isinstance(cells, list | tuple):
+        return cells is None
+    return any(_has_none(cell) for cell in cells)
+
+
+def _identity(
+    digest: bytes, values: dict[str, list[Any]], wide: Arrays, row: int
+) -> bytes:
+    known = {n: values[n][row] for n in IDENTITY if n in values}
+    whole = {n: _whole_numbers(cell) for n, cell in known.items() if cell is not None}
+    parts = [digest, canonical(whole).encode()]
+    parts += [n.encode() + wide[n][row].tobytes() for n in IDENTITY if n in wide]
+    return hashlib.sha256(b"\0".join(parts)).digest()[:16]
+
+
+def _whole_numbers(cell: Any) -> Any:
+    """Write 3.0 as 3, so that the type of a column does not tell touches apart."""
+    if isinstance(cell, list):
+        return [_whole_numbers(item) for item in cell]
+    return int(cell) if isinstance(cell, float) and cell.is_integer() else cell

@@ -1,0 +1,257 @@
+"""Filters such as `object = mug and force_n > 0.5`: parsed, never pasted.
+
+A filter is comparisons of one column with one literal, joined by `and`, `or`, `not`
+and brackets. Comparisons: `= != < <= > >=`, `in (a, b)`, `is null`, `is not null`
+and `contains`. A literal is a number, a quoted text or a bare word. What a filter
+says reaches the database as parameters alone; column names are looked up in a table.
+"""
+
+import re
+from collections.abc import Collection
+from typing import Any, NamedTuple
+
+from ._errors import LibraryError
+
+COLUMNS = {
+    "object": "o.name",
+    "category": "t.category",
+    "session": "t.session",
+    "episode": "t.episode",
+    "sensor": "coalesce(t.sensor, r.sensor)",
+    "order": 't."order"',
+    "time_s": "t.time_s",
+    "force_n": "t.force_n",
+    "press": "t.press",
+    "frame": "t.frame",
+    "source_path": "t.source_path",
+    "id": "lower(hex(t.id))",
+    "added_s": "t.added_s",
+    "kind": "r.kind",
+    "unit": "r.unit",
+    "pitch_mm": "r.pitch_mm",
+    "geometry": "r.geometry",
+    "n_rows": "r.n_rows",
+    "n_cols": "r.n_cols",
+    "x_mm": "json_extract(t.extra, '$.position_mm[0]')",
+    "y_mm": "json_extract(t.extra, '$.position_mm[1]')",
+    "z_mm": "json_extract(t.extra, '$.position_mm[2]')",
+}
+_TOKENS = re.compile(
+    r"""\s*(?:(?P<op><=|>=|!=|==|<>|[=<>(),])
+    |'(?P<single>[^']*)'|"(?P<double>[^"]*)"
+    |(?P<word>[^\s=<>!(),'"]+))""",
+    re.VERBOSE,
+)
+_OPERATORS = {
+    "=": "IS",
+    "==": "IS",
+    "!=": "IS NOT",
+    "<>": "IS NOT",
+    "<": "<",
+    "<=": "<=",
+    ">": ">",
+    ">=": ">=",
+}
+_LONGEST = 10_000
+_DEEPEST = 50
+
+
+class Condition(NamedTuple):
+    """A piece of SQL with question marks, and the values that stand for them."""
+
+    sql: str
+    values: list[Any]
+
+
+class _Token(NamedTuple):
+    text: str
+    quoted: bool
+    operator: bool
+
+
+def parse_where(text: str, extra: Collection[str] = ()) -> Condition:
+    """Return a filter as SQL and its parameters.
+
+    Parameters
+    ----------
+    text : str
+        The filter.
+    extra : collection of str
+        Further columns that some touches have.
+
+    Raises
+    ------
+    LibraryError
+        It is no filter; the message says where it stops being one.
+    """
+    if len(text) > _LONGEST:
+        raise LibraryError(
+            f"--where must have at most {_LONGEST} characters, got {len(text)}."
+        )
+    parser = _Parser(text, extra)
+    condition = parser.either(0)
+    parser.end()
+    return condition
+
+
+class _Parser:
+    """Recursive descent: either > both > one."""
+
+    def __init__(self, text: str, extra: Collection[str]) -> None:
+        self._text, self._extra = text, extra
+        self._tokens = _tokens(text)
+        self._next = 0
+
+    def either(self, depth: int) -> Condition:
+        return self._joined("or", self._both, depth)
+
+    def _both(self, depth: int) -> Condition:
+        return self._joined("and", self._one, depth)
+
+    def end(self) -> None:
+        if self._next < len(self._tokens):
+            raise self._error("and, or, or its end")
+
+    def _joined(self, word: str, part: Any, depth: int) -> Condition:
+        parts = [part(depth)]
+        while self._is_word(word):
+            self._next += 1
+            parts.append(part(depth))
+        if len(parts) == 1:
+            only: Condition = parts[0]
+            return only
+        sql = f" {word.upper()} ".join(p.sql for p in parts)
+        return Condition(f"({sql})", [v for p in parts for v in p.values])
+
+    def _one(self, depth: int) -> Condition:
+        if depth > _DEEPEST:
+            raise LibraryError(f"--where must nest at most {_DEEPEST} brackets deep.")
+        if self._is_word("not"):
+            self._next += 1
+            inner = self._one(depth + 1)
+            return Condition(f"(NOT coalesce({inner.sql}, 0))", inner.values)
+        if self._take("("):
+            inner = self.either(depth + 1)
+            self._expect(")")
+            return inner
+        return self._comparison()
+
+    def _comparison(self) -> Condition:
+        column, bound = self._column()
+        if self._is_word("is"):
+            return self._null(column, bound)
+        if self._is_word("in"):
+            self._next += 1
+            self._expect("(")
+            parts = [self._equal(column, bound, "IS")]
+            while self._take(","):
+                parts.append(self._equal(column, bound, "IS"))
+            self._expect(")")
+            sql = " OR ".join(p.sql for p in parts)
+            return Condition(f"({sql})", [v for p in parts for v in p.values])
+        if self._is_word("contains"):
+            self._next += 1
+            text = self._literal().text
+            return Condition(f"(instr({column}, ?) > 0)", [*bound, text])
+        token = self._current()
+        if token is None or not token.operator or token.text not in _OPERATORS:
+            raise self._error("a comparison such as = or <")
+        self._next += 1
+        operator = _OPERATORS[token.text]
+        if operator.startswith("IS"):
+            return self._equal(column, bound, operator)
+        return Condition(f"({column} {operator} ?)", [*bound, _value(self._literal())])
+
+    def _equal(self, column: str, bound: list[Any], operator: str) -> Condition:
+        """Compare with the text and with the number that a literal may mean."""
+        token = self._literal()
+        values = list(dict.fromkeys([token.text, _value(token)]))
+        joint = " OR " if operator == "IS" else " AND "
+        sql = joint.join(f"{column} {operator} ?" for _ in values)
+        return Condition(f"({sql})", [v for value in values for v in (*bound, value)])
+
+    def _null(self, column: str, bound: list[Any]) -> Condition:
+        self._next += 1
+        negated = self._is_word("not")
+        self._next += negated
+        if not self._is_word("null"):
+            raise self._error("null")
+        self._next += 1
+        return Condition(f"({column} IS {'NOT ' * negated}NULL)", bound)
+
+    def _column(self) -> tuple[str, list[Any]]:
+        token = self._current()
+        if token is None or token.operator:
+            raise self._error("the name of a column")
+        if token.text in COLUMNS:
+            self._next += 1
+            return COLUMNS[token.text], []
+        if token.text in self._extra:
+            self._next += 1
+            return "json_extract(t.extra, ?)", [f'$."{token.text}"']
+        names = ", ".join([*COLUMNS, *sorted(self._extra)])
+        raise LibraryError(
+            f"--where must name columns of the library ({names}), got {token.text!r}."
+        )
+
+    def _literal(self) -> _Token:
+        token = self._current()
+        if token is None or token.operator:
+            raise self._error("a number, a word or a quoted text")
+        self._next += 1
+        return token
+
+    def _current(self) -> _Token | None:
+        return self._tokens[self._next] if self._next < len(self._tokens) else None
+
+    def _is_word(self, word: str) -> bool:
+        token = self._current()
+        return token is not None and not token.quoted and token.text.lower() == word
+
+    def _take(self, operator: str) -> bool:
+        token = self._current()
+        found = token is not None and token.operator and token.text == operator
+        self._next += found
+        return found
+
+    def _expect(self, operator: str) -> None:
+        if not self._take(operator):
+            raise self._error(repr(operator))
+
+    def _error(self, wanted: str) -> LibraryError:
+        token = self._current()
+        got = "its end" if token is None else repr(token.text)
+        return LibraryError(
+            f"--where {self._text!r} must go on with {wanted}, got {got}. Write "
+            'for example "object = mug and force_n > 0.5".'
+        )
+
+
+def _tokens(text: str) -> list[_Token]:
+    tokens, place = [], 0
+    text = text.rstrip()
+    while place < len(text):
+        found = _TOKENS.match(text, place)
+        if found is None:
+            raise LibraryError(
+                f"--where {text!r} must be a filter, got {text[place:][:20]!r} in it. "
+                "Put texts with odd characters between quotes."
+            )
+        kind = str(found.lastgroup)
+        quoted = kind in ("single", "double")
+        tokens.append(_Token(found[kind], quoted, kind == "op"))
+        place = found.end()
+    return tokens
+
+
+def _value(token: _Token) -> Any:
+    """Return the number that an unquoted literal spells, or its text."""
+    if token.quoted:
+        return token.text
+    for kind in (int, float):
+        try:
+            number = kind(token.text)
+        except ValueError:
+            continue
+        return number if abs(number) < 2**63 else float(number)
+    return token.text

@@ -1,0 +1,264 @@
+"""Where a touch begins and ends in a stream of frames.
+
+A frame is compared with the frame of no contact (the zero). Its change is the root
+mean square of the difference over the taxels that work, in the sensor's unit. A
+touch begins where the change rises above one limit and ends where it falls below a
+lower one, so that a change near a limit does not make many touches of one.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import check_count, check_option, check_positive
+from ._contract import Frame
+
+SUMMARIES = ("peak", "mean")
+# Limits in units of the noise, and for integers never below so many units.
+_BEGIN_NOISES, _LEAST_UNITS = 6.0, 2.0
+_END_SHARE = 0.5
+_HOLD_SHARE = 0.8
+_LONGEST_HOLD = 64
+_LARGEST_SIDE = 160
+_IDLE_S, _STUCK_S = 2.0, 20.0
+_STEADY_NOISES = 3.0
+
+
+class ContactError(ValueError):
+    """A zero that was asked for while something touches the sensor."""
+
+
+@dataclass(frozen=True, eq=False)
+class DetectedTouch:
+    """One touch, found in a stream of frames.
+
+    Attributes
+    ----------
+    image : ndarray of shape (n_rows, n_cols)
+        What stands for it: the frame of greatest change, or the mean over the hold.
+    began_s, ended_s : float
+        On the clock of the frames (seconds).
+    change : float
+        The greatest change, in the sensor's unit.
+    n_frames : int
+        Frames from beginning to end.
+    """
+
+    image: NDArray[Any]
+    began_s: float
+    ended_s: float
+    change: float
+    n_frames: int
+
+
+class TouchDetector:
+    """Finds touches in frames that come one after the other.
+
+    Parameters
+    ----------
+    no_contact : ndarray of shape (n_rows, n_cols), optional
+        The zero, where the sensor knows it; else call `take_zero`.
+    summary : {"peak", "mean"}, default="peak"
+        What stands for a touch: the frame of greatest change, or the mean of the
+        frames that change by at least 0.8 of the greatest (of the last 64).
+    begin, end : float, optional
+        Limits of the change (sensor's unit). By default a touch begins at 6 times
+        the noise of the frames that the zero was taken from (at 2 units at least for
+        integers), and ends at half of that.
+    min_frames : int, default=2
+        Contact that lasts fewer frames is no touch.
+
+    Attributes
+    ----------
+    zero : ndarray of shape (n_rows, n_cols) or None
+        The frame of no contact; without one nothing is detected.
+    touching : bool
+        Whether something touches the sensor now.
+    change : float
+        Change of the last frame.
+    """
+
+    def __init__(
+        self,
+        no_contact: NDArray[Any] | None = None,
+        *,
+        summary: str = "peak",
+        begin: float | None = None,
+        end: float | None = None,
+        min_frames: int = 2,
+    ) -> None:
+        self.summary = check_option("summary", summary, SUMMARIES)
+        self._begin = None if begin is None else check_positive("begin", begin)
+        self._end = None if end is None else check_positive("end", end)
+        self._min_frames = check_count("min_frames", min_frames)
+        self.noise = self.change = 0.0
+        self.touching = False
+        self.zero: NDArray[Any] | None = None
+        self._recent: deque[tuple[float, NDArray[Any]]] = deque(maxlen=_LONGEST_HOLD)
+        self._set_zero(no_contact)
+
+    @property
+    def begin(self) -> float:
+        """The change at which a touch begins (sensor's unit)."""
+        if self._begin is not None:
+            return self._begin
+        whole = self.zero is not None and self.zero.dtype.kind in "iu"
+        least = _LEAST_UNITS if whole else np.finfo(np.float32).tiny
+        return max(_BEGIN_NOISES * self.noise, float(least))
+
+    @property
+    def end(self) -> float:
+        """The change at which a touch ends (sensor's unit)."""
+        return _END_SHARE * self.begin if self._end is None else self._end
+
+    def take_zero(self, frames: Sequence[NDArray[Any]], *, force: bool = False) -> None:
+        """Take the frame of no contact: the mean of frames of touching nothing.
+
+        Parameters
+        ----------
+        frames : sequence of ndarray of shape (n_rows, n_cols)
+            At least 3, from now; 10 or more tell the noise well.
+        force : bool, default=False
+            Take it although something seems to touch: for a sensor that has
+            changed so much that rest looks like contact.
+
+        Raises
+        ------
+        ContactError
+            Something touches the sensor, or the frames are not steady.
+        """
+        check_count("the number of frames", len(frames), at_least=3)
+        if self.touching and not force:
+            raise ContactError(
+                "Something touches the sensor. Lift it and take the zero again; if "
+                "nothing touches it, insist (force)."
+            )
+        stack = np.stack(frames).astype(np.float64)
+        if not force and _moving(stack, whole=np.asarray(frames[0]).dtype.kind in "iu"):
+            raise ContactError(
+                "The frames were still changing, so something may touch the sensor. "
+                "Leave it alone for a second and take the zero again."
+            )
+        mean = stack.mean(axis=0)
+        levels = [_rms(frame - mean) for frame in stack]
+        kind = np.asarray(frames[0]).dtype
+        self.noise = float(np.median(levels))
+        self._set_zero((np.rint(mean) if kind.kind in "iu" else mean).astype(kind))
+
+    def update(self, frame: Frame) -> DetectedTouch | None:
+        """Take in the next frame; return the touch that ended with it, if any."""
+        if self.zero is None:
+            return None
+        self.change = self._change(frame.image)
+        now_s = frame.time_s
+        if not self.touching:
+            if self.change <= self.begin:
+                self._rest(now_s)
+                return None
+            self.touching, self._began_s, self._peak = True, now_s, -1.0
+            self._n_frames = 0
+            self._recent.clear()
+            self._calm_since_s, self._calm_change = now_s, self.change
+        elif self.change < self.end:
+            return self._ended(now_s)
+        self._hold(frame)
+        return None
+
+    def rezero_offer(self, now_s: float) -> str:
+        """Return why the zero should be taken again, or nothing.
+
+        Parameters
+        ----------
+        now_s : float
+            On the clock of the frames.
+        """
+        if self.zero is None:
+            return "No zero yet: leave the sensor alone and take it."
+        if self.touching:
+            stuck = now_s - self._calm_since_s > _STUCK_S
+            return (
+                "The same contact for over 20 s: if nothing touches the sensor, "
+                "insist on a new zero."
+                if stuck
+                else ""
+            )
+        idle_s = now_s - self._idle_since_s
+        if idle_s > _IDLE_S and self._idle_change > self.end:
+            return "The sensor at rest no longer reads its zero: take it again."
+        return ""
+
+    def _set_zero(self, zero: NDArray[Any] | None) -> None:
+        self.zero = None if zero is None else np.array(zero)
+        self._small_zero = np.empty(0) if zero is None else _small(np.asarray(zero))
+        self.touching, self.change = False, 0.0
+        self._n_frames, self._peak, self._began_s = 0, -1.0, 0.0
+        self._peak_image: NDArray[Any] | None = None
+        self._recent.clear()
+        self._idle_since_s, self._idle_change = float("inf"), 0.0
+        self._calm_since_s, self._calm_change = 0.0, 0.0
+
+    def _change(self, image: NDArray[Any]) -> float:
+        return _rms(_small(image) - self._small_zero)
+
+    def _rest(self, now_s: float) -> None:
+        """Follow how far rest is from the zero, over about half a second."""
+        if self._idle_since_s > now_s:
+            self._idle_since_s, self._idle_change = now_s, self.change
+        self._idle_change += 0.1 * (self.change - self._idle_change)
+
+    def _hold(self, frame: Frame) -> None:
+        self._n_frames += 1
+        if self.change > self._peak:
+            self._peak, self._peak_image = self.change, frame.image
+        if self.summary == "mean":
+            self._recent.append((self.change, frame.image))
+        if abs(self.change - self._calm_change) > max(3 * self.noise, self.end):
+            self._calm_since_s, self._calm_change = frame.time_s, self.change
+
+    def _ended(self, now_s: float) -> DetectedTouch | None:
+        self.touching = False
+        self._idle_since_s, self._idle_change = now_s, self.change
+        image, recent = self._peak_image, list(self._recent)
+        self._peak_image = None
+        self._recent.clear()
+        if self._n_frames < self._min_frames or image is None:
+            return None
+        if self.summary == "mean":
+            held = [i for change, i in recent if change >= _HOLD_SHARE * self._peak]
+            image = _mean(held or [image])
+        return DetectedTouch(image, self._began_s, now_s, self._peak, self._n_frames)
+
+
+def _moving(stack: NDArray[np.float64], *, whole: bool) -> bool:
+    """Tell whether frames go somewhere, by more than their noise.
+
+    Noise is what second differences show (for noise alone their variance is six
+    times that of a frame), so that a steady way down is no noise.
+    """
+    bends = stack[2:] - 2 * stack[1:-1] + stack[:-2]
+    noise = float(np.median([_rms(bend) for bend in bends])) / np.sqrt(6)
+    first, second = np.array_split(stack, 2)
+    moved = _rms(second.mean(axis=0) - first.mean(axis=0))
+    return moved > max(_STEADY_NOISES * noise, _LEAST_UNITS if whole else 0.0)
+
+
+def _mean(images: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    kind = images[0].dtype
+    mean = np.mean(np.stack(images), axis=0, dtype=np.float64)
+    return (np.rint(mean) if kind.kind in "iu" else mean).astype(kind)
+
+
+def _small(image: NDArray[Any]) -> NDArray[np.float64]:
+    """Return an image at most some 160 taxels a side: every second, third, ... one."""
+    step = max(1, -(-max(image.shape) // _LARGEST_SIDE))
+    return image[::step, ::step].astype(np.float64)
+
+
+def _rms(difference: NDArray[np.float64]) -> float:
+    """Root mean square over taxels that are not NaN; 0 where all are."""
+    alive = difference[~np.isnan(difference)]
+    return float(np.sqrt(np.mean(np.square(alive)))) if alive.size else 0.0

@@ -1,0 +1,153 @@
+"""Whether a sensor still is what it was when its touches were learnt.
+
+What is remembered of a sensor: its frame of no contact, how much its touches change
+it, and, for arrays, how strongly each taxel answers. All of it can be kept in a
+model file.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+MOST_TAXELS = 4096
+_ENOUGH_TOUCHES = 10
+_ZERO_TOLERANCE = 0.25
+_GAIN_TOLERANCE = 2.0
+_SURE_SD = 4.0
+_NAMED = 3
+
+
+@dataclass(frozen=True, eq=False)
+class SensorMemory:
+    """What touches tell of the sensor that made them.
+
+    Attributes
+    ----------
+    no_contact : ndarray of shape (n_rows, n_cols)
+        Its zero when they were made.
+    touch_change : float
+        Median over touches of their root mean square difference from the zero.
+    response, response_var : ndarray of shape (n_rows, n_cols) or (0, 0)
+        Mean over touches, and the variance of that mean, of the share that each
+        taxel has in a touch's change; empty for sensors of over 4096 taxels.
+    n_touches : int
+        Number of touches.
+    """
+
+    no_contact: Floats
+    touch_change: float
+    response: Floats
+    response_var: Floats
+    n_touches: int
+
+    @classmethod
+    def of(cls, images: NDArray[Any], no_contact: NDArray[Any]) -> Self:
+        """Remember the sensor that made these touches, (n_touches, n_rows, n_cols)."""
+        zero = np.asarray(no_contact, dtype=np.float64)
+        changes, shares = [], []
+        for image in images:
+            size = np.abs(image - zero)
+            changes.append(float(np.sqrt(np.nanmean(size**2))))
+            shares.append(size / max(float(np.nansum(size)), np.finfo(float).tiny))
+            if zero.size > MOST_TAXELS:
+                shares.clear()
+        response = np.mean(shares, axis=0) if shares else np.empty((0, 0))
+        spread = np.var(shares, axis=0) / len(shares) if shares else np.empty((0, 0))
+        return cls(zero, float(np.median(changes)), response, spread, len(images))
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> Self:
+        """Return what `to_dict` gave."""
+        return cls(
+            np.asarray(stored["no_contact"], dtype=np.float64),
+            float(stored["touch_change"]),
+            np.asarray(stored["response"], dtype=np.float64),
+            np.asarray(stored["response_var"], dtype=np.float64),
+            int(stored["n_touches"]),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return arrays and plain values, for a model file."""
+        return {
+            "no_contact": self.no_contact,
+            "touch_change": self.touch_change,
+            "response": self.response,
+            "response_var": self.response_var,
+            "n_touches": self.n_touches,
+        }
+
+
+def zero_warning(
+    memory: SensorMemory,
+    no_contact: NDArray[Any],
+    *,
+    tolerance: float = _ZERO_TOLERANCE,
+) -> str:
+    """Return a sentence if the zero has left tolerance, else nothing.
+
+    Parameters
+    ----------
+    memory : SensorMemory
+        Of the sensor that the model learnt from.
+    no_contact : ndarray of shape (n_rows, n_cols)
+        The present zero.
+    tolerance : float, default=0.25
+        Accepted root mean square difference, as a share of what a touch changes.
+    """
+    if memory.no_contact.shape != no_contact.shape:
+        old, new = (
+            f"{shape[0]} x {shape[1]}"
+            for shape in (memory.no_contact.shape, no_contact.shape)
+        )
+        return (
+            f"The model learnt from a sensor of {old} taxels, this one has {new}. "
+            "Learn again with this sensor."
+        )
+    off = float(np.sqrt(np.nanmean((no_contact - memory.no_contact) ** 2)))
+    if off <= tolerance * memory.touch_change:
+        return ""
+    share = f"{off / memory.touch_change:.0%}" if memory.touch_change else "all"
+    return (
+        f"At rest the sensor differs from when the model learnt by {share} of what a "
+        "touch changes. Check how it is mounted and lit, or learn again."
+    )
+
+
+def gain_warning(
+    memory: SensorMemory, now: SensorMemory, *, tolerance: float = _GAIN_TOLERANCE
+) -> str:
+    """Return a sentence if taxels answer otherwise than they did, else nothing.
+
+    Parameters
+    ----------
+    memory, now : SensorMemory
+        Of the touches that were learnt, and of recent ones.
+    tolerance : float, default=2.0
+        Accepted factor, up or down, of a taxel's share in touches; a taxel is named
+        only where that is also 4 standard errors away. Needs 10 touches each.
+    """
+    too_few = min(memory.n_touches, now.n_touches) < _ENOUGH_TOUCHES
+    if (
+        too_few
+        or not memory.response.size
+        or memory.response.shape != now.response.shape
+    ):
+        return ""
+    before, after = np.nan_to_num(memory.response), np.nan_to_num(now.response)
+    error = np.sqrt(np.nan_to_num(memory.response_var + now.response_var))
+    sure = np.abs(after - before) > _SURE_SD * error
+    far = (after > tolerance * before) | (after < before / tolerance)
+    taxels = np.argwhere(sure & far)
+    if not len(taxels):
+        return ""
+    named = ", ".join(f"row {row} column {col}" for row, col in taxels[:_NAMED])
+    more = f" and {len(taxels) - _NAMED} more" if len(taxels) > _NAMED else ""
+    return (
+        f"Taxels answer otherwise than when the model learnt: {named}{more}. "
+        "They may be damaged or loose; calibrate, or learn again."
+    )

@@ -1,0 +1,218 @@
+"""How a pressure array writes frames on a serial line: as lines, or as bytes.
+
+**Lines**, which any microcontroller can print and people can read. One frame is one
+line: all taxels row after row, separated by commas, spaces or tabs; numbers as
+Python reads them, `nan` for a dead taxel. With a checksum the values stand between
+`$` and `*`, and after `*` come two hexadecimal digits: the exclusive or of all bytes
+between them (as in NMEA 0183)::
+
+    $0,0,12,255*1E
+
+**Bytes**, about a quarter as long and numbered. All integers are little-endian:
+
+| bytes | what |
+|---|---|
+| 2 | A5 5A |
+| 1 | type of a taxel: 1 uint8, 2 uint16, 3 int16, 4 float32 |
+| 1, 1 | rows, columns |
+| 2 | number of the frame, 0 to 65535 and round again |
+| rows x columns x size | taxels, row after row |
+| 2 | CRC-16/CCITT-FALSE of everything after A5 5A |
+
+Whatever is no frame is skipped: after garbage, or a frame that was cut or changed on
+the way, the next whole frame is read.
+"""
+
+import binascii
+import struct
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import check_option
+
+SYNC = b"\xa5\x5a"
+_HEAD = struct.Struct("<BBBH")
+_TYPES = {1: "<u1", 2: "<u2", 3: "<i2", 4: "<f4"}
+_LONGEST_NUMBER = 32
+_MANY_MISSED = 1000
+
+
+class Framing(Protocol):
+    """Bytes -> frames; remembers what is not whole yet.
+
+    Attributes
+    ----------
+    n_damaged : int
+        Frames that came but were no good.
+    n_missed : int
+        Frames that never came, where frames carry numbers.
+    """
+
+    n_damaged: int
+    n_missed: int
+
+    def feed(self, data: bytes) -> list[NDArray[Any]]:
+        """Take in what arrived; return the frames that are whole now."""
+        ...
+
+
+class LineFraming:
+    """Frames as lines of text.
+
+    Parameters
+    ----------
+    image_shape : (int, int)
+        (n_rows, n_cols).
+    checksum : bool, default=True
+        Whether to refuse lines that carry no checksum; wrong ones are always refused.
+    """
+
+    def __init__(self, image_shape: tuple[int, int], checksum: bool = True) -> None:
+        self.image_shape = image_shape
+        self.checksum = checksum
+        self.n_damaged = self.n_missed = 0
+        self._begun = b""
+        self._longest = _LONGEST_NUMBER * image_shape[0] * image_shape[1] + 8
+
+    def feed(self, data: bytes) -> list[NDArray[np.float32]]:
+        """Take in what arrived; return the frames that are whole now."""
+        *lines, self._begun = (self._begun + data).split(b"\n")
+        if len(self._begun) > self._longest:
+            self._begun = b""
+            self.n_damaged += 1
+        frames = []
+        for line in lines:
+            if not line.strip():
+                continue
+            frame = self._frame(line.strip())
+            if frame is None:
+                self.n_damaged += 1
+            else:
+                frames.append(frame)
+        return frames
+
+    def _frame(self, line: bytes) -> NDArray[np.float32] | None:
+        dollar = line.rfind(b"$")
+        if dollar >= 0:
+            line, star, check = line[dollar + 1 :].partition(b"*")
+            if not star or not _is_check(check, line):
+                return None
+        elif self.checksum:
+            return None
+        try:
+            values = [float(v) for v in line.replace(b",", b" ").split()]
+        except ValueError:
+            return None
+        n_rows, n_cols = self.image_shape
+        if len(values) != n_rows * n_cols:
+            return None
+        frame = np.array(values).reshape(n_rows, n_cols)
+        if np.isinf(frame).any() or np.nanmax(np.abs(frame), initial=0) > 3e38:
+            return None
+        return frame.astype(np.float32)
+
+
+class BinaryFraming:
+    """Frames as bytes, numbered, with a cyclic checksum.
+
+    Parameters
+    ----------
+    image_shape : (int, int)
+        (n_rows, n_cols), at most 255 each.
+    dtype : dtype, default=uint16
+        uint8, uint16, int16 or float32.
+    """
+
+    def __init__(
+        self, image_shape: tuple[int, int], dtype: np.typing.DTypeLike = np.uint16
+    ) -> None:
+        names = {np.dtype(t).name: code for code, t in _TYPES.items()}
+        name = check_option("dtype", np.dtype(dtype).name, names)
+        n_rows, n_cols = image_shape
+        if max(image_shape) > 255:
+            raise ValueError(
+                f"image_shape must be at most 255 x 255, got {n_rows} x {n_cols}. "
+                "Send it as lines."
+            )
+        self.image_shape = image_shape
+        self.n_damaged = self.n_missed = 0
+        self._type = np.dtype(_TYPES[names[name]])
+        self._expected = bytes((names[name], n_rows, n_cols))
+        n_bytes = n_rows * n_cols * self._type.itemsize
+        self._length = len(SYNC) + _HEAD.size + n_bytes + 2
+        self._buffer = bytearray()
+        self._last: int | None = None
+        self._astray = False
+
+    def feed(self, data: bytes) -> list[NDArray[Any]]:
+        """Take in what arrived; return the frames that are whole now."""
+        self._buffer += data
+        frames: list[NDArray[Any]] = []
+        while (start := self._buffer.find(SYNC)) >= 0:
+            if start:
+                self._skip(start)
+            if not self._expected.startswith(bytes(self._buffer[2:5])):
+                self._skip(1)
+            elif len(self._buffer) < self._length:
+                return frames
+            elif (frame := self._frame(bytes(self._buffer[: self._length]))) is None:
+                self._skip(1)
+            else:
+                self._astray = False
+                frames.append(frame)
+                del self._buffer[: self._length]
+        self._skip(len(self._buffer) - self._buffer.endswith(SYNC[:1]))
+        return frames
+
+    def _skip(self, n_bytes: int) -> None:
+        """Drop bytes that begin no frame; a stretch of them counts as one frame."""
+        if n_bytes <= 0:
+            return
+        del self._buffer[:n_bytes]
+        self.n_damaged += not self._astray
+        self._astray = True
+
+    def _frame(self, packet: bytes) -> NDArray[Any] | None:
+        body, check = packet[2:-2], packet[-2:]
+        if binascii.crc_hqx(body, 0xFFFF).to_bytes(2, "little") != check:
+            return None
+        taxels = np.frombuffer(body, self._type, offset=_HEAD.size)
+        if self._type.kind == "f" and np.isinf(taxels).any():
+            return None
+        self._count(_HEAD.unpack_from(body)[3])
+        return taxels.reshape(self.image_shape)
+
+    def _count(self, number: int) -> None:
+        if self._last is not None:
+            gap = (number - self._last - 1) % 65536
+            self.n_missed += gap if gap < _MANY_MISSED else 0
+        self._last = number
+
+
+def write_line(image: NDArray[Any]) -> bytes:
+    """Return a frame as one line with its checksum."""
+    values = ",".join(f"{value:g}" for value in np.asarray(image).ravel()).encode()
+    return b"$" + values + f"*{_exclusive_or(values):02X}\n".encode()
+
+
+def write_binary(image: NDArray[Any], number: int = 0) -> bytes:
+    """Return a frame as bytes; `number` counts frames."""
+    image = np.asarray(image)
+    codes = {np.dtype(t).name: code for code, t in _TYPES.items()}
+    code = codes[check_option("image.dtype", image.dtype.name, codes)]
+    body = _HEAD.pack(code, *image.shape, number % 65536)
+    body += image.astype(_TYPES[code]).tobytes()
+    return SYNC + body + binascii.crc_hqx(body, 0xFFFF).to_bytes(2, "little")
+
+
+def _is_check(written: bytes, values: bytes) -> bool:
+    try:
+        return len(written) == 2 and int(written, 16) == _exclusive_or(values)
+    except ValueError:
+        return False
+
+
+def _exclusive_or(values: bytes) -> int:
+    return int(np.bitwise_xor.reduce(np.frombuffer(values, np.uint8), initial=0))

@@ -1,0 +1,149 @@
+"""A simulated sensor on the desk: a dome camera or a pressure array that runs live."""
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import check_option
+from ..simulation import (
+    HOUSEHOLD,
+    PARTS,
+    UNSEEN,
+    DomeCamera,
+    PressureArray,
+    simulate_presses,
+    simulate_touches,
+)
+from ._played import PlayedSensor
+
+_NOISE_FRAMES = 8
+_NOISE_LEVELS = {"dome": 1.0, "array": 0.5}
+
+
+class SimulatedStream(PlayedSensor):
+    """Plays simulated touches of one object after the other, live.
+
+    Parameters
+    ----------
+    name : str, default="mug"
+        What lies on the desk at first: a built-in object, which a dome camera
+        touches, or a built-in part, which is pressed on a pressure array.
+    image_shape : (int, int), optional
+        By default 120 x 120 for the dome; the array has its own 10 x 10.
+    rate_hz : float, default=25
+        Frames per second.
+    hold, gap, ramp : int, default=6, 8, 3
+        Frames that a touch is held, of nothing between two, and of the way in.
+    random_state : int, default=0
+        Seed of touches and noise.
+
+    Attributes
+    ----------
+    objects : tuple of str
+        What can be placed on the desk: whatever the same sensor can touch.
+
+    Notes
+    -----
+    Each touch is simulated as `simulate_touches` or `simulate_presses` does, while
+    frames of nothing are played. The way in and out is a blend of the two pictures.
+    Noise has a standard deviation of 1 grey level (dome) or half of one (array).
+
+    Raises
+    ------
+    ValueError
+        There is no such object; the message lists all.
+    """
+
+    def __init__(
+        self,
+        name: str = "mug",
+        image_shape: tuple[int, int] | None = None,
+        *,
+        rate_hz: float = 25.0,
+        hold: int = 6,
+        gap: int = 8,
+        ramp: int = 3,
+        random_state: int = 0,
+    ) -> None:
+        solids = [thing.name for thing in (*HOUSEHOLD, *UNSEEN)]
+        parts = [part.name for part in PARTS]
+        check_option("name", name, [*solids, *parts])
+        dome = name in solids
+        self._device: DomeCamera | PressureArray
+        self._device, self._rest_image = _dome(image_shape) if dome else _array()
+        self._rng = np.random.default_rng(random_state)
+        self._noise = _noise(self._rest_image, "dome" if dome else "array", self._rng)
+        self._pool: ThreadPoolExecutor | None = None
+        self._made: tuple[str, Future[NDArray[Any]]] | None = None
+        super().__init__(
+            f"simulated {'dome camera' if dome else 'pressure array'}",
+            "grey level",
+            self._rest_image.shape,
+            np.uint8,
+            "dome" if dome else "array",
+            objects=solids if dome else parts,
+            rate_hz=rate_hz,
+            hold=hold,
+            gap=gap,
+            ramp=ramp,
+        )
+        self._placed = name
+
+    def no_contact(self) -> NDArray[Any]:
+        """Return the frame of touching nothing, without noise."""
+        return self._rest_image
+
+    def _open(self) -> None:
+        super()._open()
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="palpate simulation")
+
+    def _close(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+        self._pool = self._made = None
+
+    def _next_touch(self, name: str) -> NDArray[Any] | None:
+        assert self._pool is not None
+        if self._made is None or self._made[0] != name:
+            self._made = name, self._pool.submit(self._touched, name)
+        future = self._made[1]
+        if not future.done():
+            return None
+        self._made = name, self._pool.submit(self._touched, name)
+        return future.result()
+
+    def _touched(self, name: str) -> NDArray[Any]:
+        seed = int(self._rng.integers(2**31))
+        if isinstance(self._device, DomeCamera):
+            touches = simulate_touches(
+                name, 1, self._device, drift=False, random_state=seed
+            )
+        else:
+            touches = simulate_presses(name, 1, array=self._device, random_state=seed)
+        image: NDArray[Any] = touches.images[0]
+        return image
+
+    def _with_noise(self, image: NDArray[Any]) -> NDArray[Any]:
+        noise = self._noise[self._number % _NOISE_FRAMES]
+        noisy: NDArray[Any] = (image + noise).clip(0, 255).astype(np.uint8)
+        return noisy
+
+
+def _dome(shape: tuple[int, int] | None) -> tuple[DomeCamera, NDArray[np.uint8]]:
+    camera = DomeCamera(image_shape=(120, 120) if shape is None else shape)
+    return camera, camera.no_contact()
+
+
+def _array() -> tuple[PressureArray, NDArray[np.uint8]]:
+    array = PressureArray()
+    return array, np.zeros((array.rows, array.cols), dtype=np.uint8)
+
+
+def _noise(
+    rest: NDArray[np.uint8], kind: str, rng: np.random.Generator
+) -> NDArray[np.int16]:
+    """Return fields of noise, (n_frames, n_rows, n_cols), that are played round."""
+    drawn = rng.normal(scale=_NOISE_LEVELS[kind], size=(_NOISE_FRAMES, *rest.shape))
+    return np.rint(drawn).astype(np.int16)

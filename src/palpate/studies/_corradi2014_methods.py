@@ -1,0 +1,127 @@
+"""Encodings and classifiers of the Corradi 2014 study, over numbers of components."""
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.neighbors import KNeighborsClassifier
+from sklearn.neural_network import MLPClassifier
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from ..classifiers import KernelDensityNaiveBayes, OnePerLabelSVC
+from ..encodings import encoder_named
+
+Floats = NDArray[np.float64]
+Codes = NDArray[np.intp]
+Images = NDArray[np.float32]
+PRINCIPAL = {"zernike-pca": "zernike", "oriented-pca": "scaled-pixels"}
+# Rows and columns that turned images are averaged to before their components.
+PCA_SIDE = 32
+_ROUNDING = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Encoded:
+    """Everything about a set of touches that is encoded once for all folds.
+
+    Attributes
+    ----------
+    known, asked : dict of int to ndarray (n_touches, n_features)
+        Features by number of components, as training and as test touches show
+        them; where the components are principal ones, the features before these,
+        under the number 0.
+    principal : bool
+        Whether components are learnt from the training touches of each fold.
+    """
+
+    known: dict[int, Floats]
+    asked: dict[int, Floats]
+    principal: bool
+
+    def features(
+        self, train: Codes, test: Codes, counts: tuple[int, ...]
+    ) -> dict[int, tuple[Floats, Floats]]:
+        """Return training and test features for each number of components."""
+        if not self.principal:
+            return {n: (self.known[n][train], self.asked[n][test]) for n in counts}
+        old, new = self.known[0][train], self.asked[0][test]
+        mean = old.mean(axis=0)
+        directions = _directions(old - mean, max(counts))
+        old, new = (old - mean) @ directions, (new - mean) @ directions
+        return {n: (old[:, :n], new[:, :n]) for n in counts}
+
+
+def encode(name: str, known: Floats, asked: Floats, counts: tuple[int, ...]) -> Encoded:
+    """Encode images by the encoding called `name`, for all its component counts."""
+    same = asked is known
+    if name in PRINCIPAL:
+        options = {"side": PCA_SIDE} if name == "oriented-pca" else {}
+        encoder = encoder_named(PRINCIPAL[name], **options).fit(known)
+        old = {0: encoder.transform(known)}
+        new = old if asked is None else {0: encoder.transform(asked)}
+    elif name == "scaled-pixels":
+        fitted = {n: encoder_named(name, n).fit(known) for n in counts}
+        old = {n: encoder.transform(known) for n, encoder in fitted.items()}
+        new = old
+        if asked is not None:
+            new = {n: encoder.transform(asked) for n, encoder in fitted.items()}
+    else:
+        encoder = encoder_named(name).fit(known)
+        old = _heads(encoder.transform(known), counts)
+        new = old if asked is None else _heads(encoder.transform(asked), counts)
+    return Encoded(old, new, name in PRINCIPAL)
+
+
+def classifier(name: str, seed: int) -> Any:
+    """Return one of the paper's four classifiers, unfitted.
+
+    Distances of 1-NN are between features as they are; the network and the support
+    vector machines get features of mean 0 and variance 1; densities per feature do
+    not notice their scale. The paper says nothing of scaling.
+    """
+    if name == "1-NN":
+        return KNeighborsClassifier(1, algorithm="kd_tree")
+    if name == "naive Bayes":
+        return KernelDensityNaiveBayes()
+    if name == "SVMs":
+        return make_pipeline(StandardScaler(), OnePerLabelSVC(C=10.0))
+    network = MLPClassifier((7,), solver="lbfgs", max_iter=200, random_state=seed)
+    return make_pipeline(StandardScaler(), network)
+
+
+def answers(name: str, train: Floats, codes: Codes, test: Floats, seed: int) -> Codes:
+    """Return the label that a classifier gives to each test touch."""
+    with warnings.catch_warnings():
+        # The network stops after so many steps, converged or not.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        fitted = classifier(name, seed).fit(train, codes)
+    predicted: Codes = fitted.predict(test)
+    return predicted
+
+
+def _heads(features: Floats, counts: tuple[int, ...]) -> dict[int, Floats]:
+    return {n: features[:, :n] for n in counts}
+
+
+def _directions(centred: Floats, n_components: int) -> Floats:
+    """Return the first principal directions, (n_features, n_components or fewer).
+
+    From the smaller of covariance and inner products; a direction of no variance
+    does not exist.
+    """
+    n_touches, n_features = centred.shape
+    wide = n_features > n_touches
+    square = centred @ centred.T if wide else centred.T @ centred
+    lowest = max(len(square) - n_components, 0)
+    values, vectors = eigh(square, subset_by_index=(lowest, len(square) - 1))
+    real = values > _ROUNDING * values[-1]
+    values, vectors = values[real][::-1], vectors[:, real][:, ::-1]
+    directions: Floats = vectors
+    if wide:
+        directions = centred.T @ vectors / np.sqrt(values)
+    return directions

@@ -1,0 +1,122 @@
+"""From the session's threads to the websockets of pages, none waiting for another.
+
+Every client has a place for one frame, the newest, and a short queue for all else.
+One that stops reading misses frames; when its queue is full it is let go.
+"""
+
+import asyncio
+import json
+from collections import deque
+
+from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+
+from ._events import Event
+from ._session import LiveSession
+
+_LONGEST_QUEUE = 200
+_PATIENCE_S = 10.0
+MOST_CLIENTS = 64
+
+
+class Hub:
+    """Hands events of a session to all its websockets.
+
+    Parameters
+    ----------
+    session : LiveSession
+        What to listen to.
+    """
+
+    def __init__(self, session: LiveSession) -> None:
+        self._session = session
+        self._clients: set[_Client] = set()
+
+    def __len__(self) -> int:
+        return len(self._clients)
+
+    async def serve(self, socket: WebSocket) -> None:
+        """Send one client everything until it goes."""
+        if len(self._clients) >= MOST_CLIENTS:
+            await socket.close(code=1013, reason="Too many pages are open.")
+            return
+        await socket.accept()
+        client = _Client(socket, asyncio.get_running_loop())
+        self._clients.add(client)
+        self._session.listeners.add(client.hear)
+        client.put(Event("state", self._session.state()))
+        listening = asyncio.create_task(client.listen())
+        sending = asyncio.create_task(client.send())
+        try:
+            await asyncio.wait(
+                (listening, sending), return_when=asyncio.FIRST_COMPLETED
+            )
+        finally:
+            self._session.listeners.remove(client.hear)
+            self._clients.discard(client)
+            for task in (listening, sending):
+                task.cancel()
+            await asyncio.gather(listening, sending, return_exceptions=True)
+            await _closed(socket)
+
+
+class _Client:
+    def __init__(self, socket: WebSocket, loop: asyncio.AbstractEventLoop) -> None:
+        self._socket, self._loop = socket, loop
+        self._frame: Event | None = None
+        self._waiting: deque[Event] = deque()
+        self._some = asyncio.Event()
+        self._full = False
+
+    def hear(self, event: Event) -> None:
+        """Take an event from another thread."""
+        self._loop.call_soon_threadsafe(self.put, event)
+
+    def put(self, event: Event) -> None:
+        if event.kind == "frame":
+            self._frame = event
+        elif len(self._waiting) < _LONGEST_QUEUE:
+            self._waiting.append(event)
+        else:
+            self._full = True
+        self._some.set()
+
+    async def send(self) -> None:
+        """Send what there is, as it comes; end where the client is too slow."""
+        while not self._full:
+            await self._some.wait()
+            self._some.clear()
+            while self._waiting:
+                await self._say(self._waiting.popleft())
+            frame, self._frame = self._frame, None
+            if frame is not None:
+                await self._say(frame)
+
+    async def listen(self) -> None:
+        """Read until the client goes; all that it says is that it is there."""
+        while True:
+            message = await self._socket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            if message.get("text") == "ping":
+                self.put(Event("pong"))
+
+    async def _say(self, event: Event) -> None:
+        head = json.dumps({"kind": event.kind, **event.values}, default=str)
+        async with asyncio.timeout(_PATIENCE_S):
+            if event.picture:
+                text = head.encode()
+                await self._socket.send_bytes(
+                    len(text).to_bytes(4, "big") + text + event.picture
+                )
+            else:
+                await self._socket.send_text(head)
+
+
+async def _closed(socket: WebSocket) -> None:
+    if socket.application_state is not WebSocketState.CONNECTED:
+        return
+    try:
+        async with asyncio.timeout(1.0):
+            await socket.close()
+    except (RuntimeError, TimeoutError, WebSocketDisconnect):
+        return

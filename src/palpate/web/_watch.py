@@ -1,0 +1,196 @@
+"""Following a sensor: frames to those who look, touches to whoever takes them.
+
+One thread follows the frames and never waits for anything else; another hands on
+the touches it finds, one after the other.
+"""
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..sensors import (
+    DetectedTouch,
+    Frame,
+    LiveSensor,
+    SensorError,
+    SensorMemory,
+    TouchDetector,
+    desk_of,
+    gain_warning,
+    zero_warning,
+)
+from ._events import Event, Listeners
+from ._health import Health
+from ._pictures import FramePainter
+
+_ZERO_FRAMES = 10
+_SHOWN_HZ = 31.0
+_TOLD_S = 1.0
+_RECENT = 40
+
+TakeTouch = Callable[[NDArray[Any], float], None]
+
+
+class SensorWatch:
+    """Follows a sensor from `start` to `stop`.
+
+    Parameters
+    ----------
+    sensor : LiveSensor
+        Not connected yet.
+    take : callable
+        Called with the image of each touch and the time its last frame was taken
+        (`time.monotonic`), in a thread of its own.
+    listeners : Listeners
+        Told of frames ("frame") and of what the sensor is like ("contact").
+    health : Health
+        Counts frames.
+    summary : {"peak", "mean"}
+        What stands for a touch, see `TouchDetector`.
+    """
+
+    def __init__(
+        self,
+        sensor: LiveSensor,
+        take: TakeTouch,
+        listeners: Listeners,
+        health: Health,
+        summary: str,
+    ) -> None:
+        self.sensor = sensor
+        self.detector = TouchDetector(sensor.no_contact(), summary=summary)
+        self.memory: SensorMemory | None = None
+        self._take, self._listeners, self._health = take, listeners, health
+        self._painter = FramePainter(sensor.image_shape)
+        self._recent: list[NDArray[Any]] = []
+        self._zeroing: list[NDArray[Any]] | None = None
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._found: queue.Queue[tuple[DetectedTouch, float] | None] = queue.Queue()
+        self._threads: list[threading.Thread] = []
+
+    def start(self) -> None:
+        """Connect the sensor and follow it."""
+        self.sensor.connect()
+        for work in (self._follow, self._hand_on):
+            thread = threading.Thread(target=work, daemon=True)
+            self._threads.append(thread)
+            thread.start()
+
+    def stop(self) -> None:
+        """End both threads and free the sensor."""
+        self._stop.set()
+        self._found.put(None)
+        self.sensor.disconnect()
+        for thread in self._threads:
+            thread.join(timeout=5.0)
+
+    def take_zero(self, *, force: bool = False, timeout_s: float = 3.0) -> None:
+        """Take the frame of no contact from the next frames of the sensor.
+
+        Raises
+        ------
+        ContactError
+            Something touches the sensor, or it is not steady.
+        SensorError
+            Frames do not come.
+        """
+        frames: list[NDArray[Any]] = []
+        if not self.detector.touching or force:
+            self._zeroing = frames
+            deadline = time.monotonic() + timeout_s
+            while len(frames) < _ZERO_FRAMES and time.monotonic() < deadline:
+                time.sleep(0.01)
+            self._zeroing = None
+        else:  # is refused with the reason
+            frames = [self.sensor.read_latest().image] * _ZERO_FRAMES
+        if len(frames) < _ZERO_FRAMES:
+            raise SensorError(f"{self.sensor.name} gave too few frames for a zero.")
+        with self._lock:
+            self.detector.take_zero(frames, force=force)
+            self._recent.clear()
+
+    def state(self) -> dict[str, Any]:
+        """Return what the sensor is like now, as plain values."""
+        sensor, desk = self.sensor, desk_of(self.sensor)
+        return {
+            "name": sensor.name,
+            "unit": sensor.unit,
+            "shape": list(sensor.image_shape),
+            "lost": sensor.lost,
+            "zero": self.detector.zero is not None,
+            "touching": self.detector.touching,
+            "offer": self.detector.rezero_offer(time.monotonic()),
+            "warnings": self.warnings(),
+            "desk": None
+            if desk is None
+            else {"objects": list(desk.objects), "placed": desk.placed},
+        }
+
+    def health_state(self) -> dict[str, Any]:
+        """Return frame rate (Hz), frames dropped, and latencies (ms)."""
+        return {**self._health.told(), "n_dropped": self.sensor.n_dropped}
+
+    def warnings(self) -> list[str]:
+        """Return what has left tolerance since the model learnt, as sentences."""
+        zero, memory = self.detector.zero, self.memory
+        if zero is None or memory is None:
+            return []
+        found = [zero_warning(memory, zero.astype(np.float64))]
+        recent = list(self._recent)
+        if recent and not found[0]:
+            found.append(gain_warning(memory, SensorMemory.of(np.stack(recent), zero)))
+        return [warning for warning in found if warning]
+
+    def _follow(self) -> None:
+        shown_s = told_s = 0.0
+        touching = False
+        while not self._stop.is_set():
+            try:
+                frame = self.sensor.read_next(0.5)
+            except SensorError:
+                frame = None
+            now_s = time.monotonic()
+            if frame is not None:
+                self._step(frame)
+                if now_s - shown_s >= 1 / _SHOWN_HZ:
+                    shown_s = now_s
+                    self._show(frame)
+            if touching != self.detector.touching or now_s - told_s > _TOLD_S:
+                touching, told_s = self.detector.touching, now_s
+                values = {"sensor": self.state(), "health": self.health_state()}
+                self._listeners.tell(Event("contact", values))
+
+    def _step(self, frame: Frame) -> None:
+        self._health.count_frame(frame.time_s)
+        zeroing = self._zeroing
+        if zeroing is not None:
+            zeroing.append(frame.image)
+            return
+        with self._lock:
+            touch = self.detector.update(frame)
+        if touch is not None:
+            self._found.put((touch, frame.time_s))
+
+    def _show(self, frame: Frame) -> None:
+        if not len(self._listeners):
+            return
+        picture = self._painter.paint(frame.image)
+        self._health.count_shown(frame.time_s)
+        values = {
+            "type": self._painter.content_type,
+            "number": frame.number,
+            "touching": self.detector.touching,
+        }
+        self._listeners.tell(Event("frame", values, picture))
+
+    def _hand_on(self) -> None:
+        while (found := self._found.get()) is not None:
+            touch, ended_s = found
+            self._recent = [*self._recent[1 - _RECENT :], touch.image]
+            self._take(touch.image, ended_s)

@@ -1,0 +1,33 @@
+// The API: the same one that robots use.
+
+import { say } from "./dom.js";
+
+export async function post(path, body) {
+  const order = { method: "POST", headers: {} };
+  if (body !== undefined) {
+    order.headers["Content-Type"] = "application/json";
+    order.body = JSON.stringify(body);
+  }
+  return answered(() => fetch(`/api/${path}`, order));
+}
+
+export const get = (path) => answered(() => fetch(`/api/${path}`));
+
+async function answered(ask) {
+  let answer;
+  try {
+    answer = await ask();
+  } catch {
+    say("The server does not answer.");
+    return null;
+  }
+  const told = await answer.json().catch(() => ({}));
+  if (answer.ok) return told;
+  say(worded(told.detail) || `Refused (${answer.status}).`);
+  return null;
+}
+
+function worded(detail) {
+  if (typeof detail === "string") return detail;
+  return Array.isArray(detail) ? detail.map((one) => one.msg).join("; ") : "";
+}

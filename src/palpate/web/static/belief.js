@@ -1,0 +1,167 @@
+// The belief: bars, doubt, its history over the episode, and the decision.
+
+import { get, post } from "./api.js";
+import { find, make, percent, say, show, text } from "./dom.js";
+
+const SVG = "http://www.w3.org/2000/svg";
+const SHOWN = 6;
+const HUES = 7;
+const OTHERS = "var(--c7)";
+
+let episode = null;
+let announced = "";
+const hues = new Map();
+
+export function startBelief() {
+  find("fresh").addEventListener("click", () => post("episode/start"));
+}
+
+export function showEpisode(whole) {
+  episode = whole;
+  draw();
+}
+
+export async function addTouch(news) {
+  const [touch] = news.touches;
+  const inOrder = episode && episode.number === news.number &&
+    touch.number === episode.touches.length + 1;
+  if (inOrder) episode = { ...news, touches: [...episode.touches, touch] };
+  else episode = touch.number === 1 ? news : (await get("episode")) ?? news;
+  draw();
+}
+
+export function showNearest(nearest) {
+  show(find("near"), nearest.length > 0);
+  find("nearest").replaceChildren(...nearest.map(({ id, object, distance }) => {
+    const words = `${object}, distance ${distance.toFixed(2)}`;
+    const picture = id === null ? [] : [make("img", {
+      class: "thumb", alt: words, loading: "lazy", src: `/api/touches/${id}/picture` })];
+    return make("li", { title: words }, ...picture, object);
+  }));
+}
+
+function draw() {
+  const { touches } = episode;
+  const last = touches.at(-1);
+  const n = touches.length;
+  text(find("count"), n === 0 ? "no touch yet" : `${n} touch${n === 1 ? "" : "es"}${episode.open ? "" : ", ended"}`);
+  drawDecision(n);
+  drawBars(last?.posterior ?? {});
+  drawDoubt(last);
+  drawHistory();
+}
+
+function drawDecision(n) {
+  const place = find("decision");
+  const { decision, best, reason } = episode;
+  const words = decision === "unknown" ? "I do not know this one"
+    : decision ?? (best ? `${best}?` : n ? "Not learnt yet" : "Touch something");
+  text(place, words);
+  place.className = decision === "unknown" ? "unknown" : decision ? "decided" : "undecided";
+  text(find("reason"), reason);
+  const now = `${episode.number} ${decision}`;
+  if (decision && now !== announced) {
+    say(decision === "unknown" ? "Unknown: I do not know this one." : `Decided: ${decision}. ` +
+      `At most ${percent(episode.error)} of such decisions should be wrong.`);
+  }
+  announced = now;
+}
+
+function ranked(posterior) {
+  return Object.entries(posterior).sort((a, b) => b[1] - a[1]);
+}
+
+function hue(name) {
+  if (!hues.has(name)) hues.set(name, `var(--c${hues.size % HUES})`);
+  return hues.get(name);
+}
+
+function drawBars(posterior) {
+  const list = find("bars");
+  const rows = ranked(posterior).slice(0, SHOWN);
+  while (list.children.length > rows.length) list.lastChild.remove();
+  while (list.children.length < rows.length) list.append(bar());
+  rows.forEach(([name, share], at) => {
+    const [label, track, value] = list.children[at].children;
+    list.children[at].style.setProperty("--hue", hue(name));
+    text(label, name);
+    label.title = name;
+    text(value, percent(share));
+    track.setAttribute("aria-label", name);
+    track.setAttribute("aria-valuenow", share.toFixed(4));
+    track.setAttribute("aria-valuetext", percent(share));
+    track.firstChild.style.width = `${100 * share}%`;
+  });
+}
+
+function bar() {
+  const track = make("div", { class: "track", role: "meter", "aria-valuemin": "0", "aria-valuemax": "1" },
+    make("div", { class: "fill" }));
+  return make("li", {}, make("span", { class: "name" }), track, make("span", { class: "value" }));
+}
+
+function drawDoubt(last) {
+  const known = last !== undefined && last.unknown !== null;
+  show(find("doubt"), known);
+  show(find("doubt-hint"), known);
+  if (!known) return;
+  const row = find("doubt");
+  const meter = find("doubt-meter");
+  row.classList.toggle("over", last.unknown > last.limit);
+  meter.firstElementChild.style.width = `${100 * last.unknown}%`;
+  meter.lastElementChild.style.left = `${100 * Math.min(0.995, last.limit)}%`;
+  meter.setAttribute("aria-valuenow", last.unknown.toFixed(3));
+  meter.setAttribute("aria-valuetext", `${percent(last.unknown)}, unknown above ${percent(last.limit)}`);
+  text(row.querySelector(".value"), percent(last.unknown));
+}
+
+function drawHistory() {
+  const { touches } = episode;
+  const believed = touches.filter((touch) => touch.unknown !== null);
+  show(find("history"), touches.length > 0);
+  const chart = find("history").querySelector("svg");
+  show(chart, believed.length > 0);
+  drawColumns(chart, believed);
+  drawStrip(touches);
+}
+
+function drawColumns(chart, touches) {
+  const top = ranked(touches.at(-1)?.posterior ?? {}).slice(0, SHOWN).map(([name]) => name);
+  const slots = Math.max(8, touches.length);
+  chart.setAttribute("viewBox", `0 0 ${slots} 1`);
+  chart.replaceChildren(...touches.flatMap((touch, at) => column(touch, at, top)));
+  const told = touches.map((touch) => {
+    const [[name, share]] = ranked(touch.posterior);
+    return `touch ${touch.number}: ${name} ${percent(share)}`;
+  });
+  chart.setAttribute("aria-label", `Belief after each touch. ${told.slice(-20).join("; ")}.`);
+}
+
+function column(touch, at, top) {
+  let above = 0;
+  const parts = top.map((name) => [hue(name), touch.posterior[name] ?? 0]);
+  parts.push([OTHERS, 1 - parts.reduce((sum, [, share]) => sum + share, 0)]);
+  return parts.filter(([, share]) => share > 0.002).map(([fill, share]) => {
+    const block = document.createElementNS(SVG, "rect");
+    const place = { x: at + 0.06, y: above, width: 0.88, height: share };
+    for (const [name, value] of Object.entries(place)) block.setAttribute(name, value);
+    block.style.fill = fill;
+    above += share;
+    return block;
+  });
+}
+
+function drawStrip(touches) {
+  const strip = find("strip");
+  if (strip.dataset.episode !== String(episode.number) || touches.length < strip.children.length) {
+    strip.replaceChildren();
+    strip.dataset.episode = String(episode.number);
+  }
+  for (const touch of touches.slice(strip.children.length)) {
+    strip.append(make("li", {}, make("img", {
+      class: "thumb", alt: `Touch ${touch.number}`,
+      src: `/api/episode/touches/${touch.number}/picture?episode=${episode.number}` }),
+    String(touch.number)));
+    strip.scrollLeft = strip.scrollWidth;
+  }
+}

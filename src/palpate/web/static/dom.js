@@ -1,0 +1,36 @@
+// Small helpers: finding elements, making them, changing them only when they differ.
+
+export const find = (id) => document.getElementById(id);
+
+export function make(tag, properties = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(properties)) {
+    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else if (name === "class") element.className = value;
+    else if (name in element) element[name] = value;
+    else element.setAttribute(name, value);
+  }
+  element.append(...children);
+  return element;
+}
+
+export function text(element, words) {
+  if (element.textContent !== words) element.textContent = words;
+}
+
+export function show(element, whether) {
+  if (element.hidden === whether) element.hidden = !whether;
+}
+
+export const percent = (share) =>
+  share > 0.9995 && share < 1 ? ">99.9 %" : `${(100 * share).toFixed(share < 0.0995 ? 1 : 0)} %`;
+
+let hiding = 0;
+
+export function say(words) {
+  const status = find("status");
+  text(status, words);
+  status.classList.toggle("shown", words !== "");
+  clearTimeout(hiding);
+  hiding = setTimeout(() => status.classList.remove("shown"), 6000);
+}

@@ -1,0 +1,79 @@
+// Objects of the library: their touches, renaming, forgetting, export.
+
+import { get, post } from "./api.js";
+import { find, make, show, text } from "./dom.js";
+
+const THUMBNAILS = 8;
+const cards = new Map();
+
+export function showObjects({ library, model }) {
+  const objects = library ? library.objects : [];
+  const learnt = new Set(model ? model.objects : []);
+  const names = new Set(objects.map((one) => one.name));
+  const alone = [...learnt].filter((name) => !names.has(name))
+    .map((name) => ({ name, n_touches: 0 }));
+  const all = [...objects, ...alone];
+  show(find("none"), all.length === 0);
+  for (const [name, card] of cards) {
+    if (all.some((one) => one.name === name)) continue;
+    card.remove();
+    cards.delete(name);
+  }
+  all.forEach((one, at) => {
+    if (!cards.has(one.name)) cards.set(one.name, makeCard(one.name, library !== null));
+    const card = cards.get(one.name);
+    if (find("list").children[at] !== card) find("list").insertBefore(card, find("list").children[at] ?? null);
+    update(card, one, learnt.has(one.name), names.has(one.name));
+  });
+}
+
+function makeCard(name, manage) {
+  const about = { "aria-label": `Rename ${name}`, type: "button", onclick: () => rename(name) };
+  const leave = { "aria-label": `Forget ${name}`, type: "button", onclick: () => forget(name) };
+  const link = { class: "button", download: "", "aria-label": `Export ${name}`,
+    href: `/api/objects/archive?object=${encodeURIComponent(name)}` };
+  return make("li", { class: "object" },
+    make("h3", {}, name), make("p", { class: "meta" }), make("div", { class: "thumbs" }),
+    ...(manage ? [make("div", { class: "row" }, make("button", about, "Rename"),
+      make("button", leave, "Forget"), make("a", link, "Export"))] : []));
+}
+
+function update(card, { name, n_touches: count }, learnt, stored) {
+  const state = learnt ? "learnt" : count > 1 ? "not learnt yet" : "too few to learn";
+  const [, meta, thumbs] = card.children;
+  const touches = stored ? `${count} touch${count === 1 ? "" : "es"}, ` : "in the model, ";
+  text(meta, touches + state);
+  const [renaming, , exporting] = card.querySelectorAll(".row > *");
+  if (renaming) renaming.disabled = !stored;
+  if (exporting) show(exporting, stored);
+  if (stored && card.dataset.count !== String(count)) {
+    card.dataset.count = String(count);
+    showThumbs(thumbs, name);
+  }
+}
+
+async function showThumbs(place, name) {
+  const ids = await get(`objects/touches?object=${encodeURIComponent(name)}&limit=${THUMBNAILS}`);
+  if (!ids) return;
+  place.replaceChildren(...ids.map(({ id }) => make("img", {
+    class: "thumb", alt: `A touch of ${name}`, loading: "lazy", src: `/api/touches/${id}/picture` })));
+}
+
+async function asked(dialog) {
+  dialog.returnValue = "";
+  dialog.showModal();
+  await new Promise((resolve) => dialog.addEventListener("close", resolve, { once: true }));
+  return dialog.returnValue === "ok";
+}
+
+async function rename(name) {
+  text(find("rename-title"), `Rename ${name}`);
+  find("new-name").value = name;
+  if (await asked(find("rename"))) await post("objects/rename", { object: name, name: find("new-name").value });
+}
+
+async function forget(name) {
+  text(find("forget-title"), `Forget ${name}?`);
+  text(find("forget-text"), `Its touches are left out from now on, and ${name} is no longer recognised.`);
+  if (await asked(find("forget"))) await post("objects/forget", { object: name });
+}

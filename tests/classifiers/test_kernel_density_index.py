@@ -1,0 +1,91 @@
+"""The index beside the exact sums that it stands for."""
+
+import sys
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate.classifiers import KernelDensityBayes, KernelDensityIndex
+
+pytest.importorskip("faiss")
+
+
+@pytest.fixture(scope="module")
+def stored():
+    """Six objects, each a handful of places with 300 touches about them."""
+    rng = np.random.default_rng(0)
+    places = rng.normal(size=(6, 5, 8))
+    labels = np.repeat(np.arange(6), 1500)
+    which = rng.integers(0, 5, len(labels))
+    touches = places[labels, which] + 0.3 * rng.normal(size=(len(labels), 8))
+    new = places[labels[::50], which[::50]] + 0.3 * rng.normal(size=(180, 8))
+    return touches, labels, new
+
+
+@pytest.mark.parametrize("bandwidth", ["pooled", "per-object", "full"])
+def test_likely_objects_are_exact(stored, bandwidth):
+    touches, labels, new = stored
+    model = KernelDensityBayes(bandwidth, scale=0.5).fit(touches, labels)
+    index = KernelDensityIndex(model, n_exact=2)
+    exact, rough = model.log_likelihood(new), index.log_likelihood(new)
+    kept = np.argsort(-rough, axis=1)[:, :1]
+    # The same tiles multiplied one object at a time: float32 rounds alike or nearly.
+    assert_allclose(
+        np.take_along_axis(rough, kept, 1),
+        np.take_along_axis(exact, kept, 1),
+        atol=1e-3,
+    )
+    assert index.quality(new).equal_decisions >= 0.99
+
+
+def test_with_all_objects_exact_it_is_the_model(stored):
+    touches, labels, new = stored
+    model = KernelDensityBayes(scale=0.5).fit(touches, labels)
+    index = KernelDensityIndex(model, n_exact=100)
+    assert index.n_exact == 6
+    far = np.vstack([new, new[:2] * 1000])
+    assert_allclose(index.log_likelihood(far), model.log_likelihood(far), atol=2e-3)
+    quality = index.quality(new)
+    assert quality.error_nats < 2e-3
+    assert quality.n_touches == 180
+
+
+def test_cells_of_one_touch_are_exact(stored):
+    """A cell of one touch has no spread: its normal density is the kernel itself."""
+    touches, labels, new = stored
+    few = slice(None, None, 100)
+    model = KernelDensityBayes(precision="double").fit(touches[few], labels[few])
+    index = KernelDensityIndex(model, n_exact=1, n_cells=15)
+    # float32 products of some tens of nats.
+    assert_allclose(index.log_likelihood(new), model.log_likelihood(new), atol=1e-3)
+
+
+def test_one_cell_per_object_is_a_normal_density():
+    """Touches that are normal, kernels as narrow as can be: the density is known."""
+    rng = np.random.default_rng(1)
+    touches = np.vstack([rng.normal(size=(4000, 2)), rng.normal(3, 1, (4000, 2))])
+    labels = np.repeat([0, 1], 4000)
+    model = KernelDensityBayes("per-object", scale=0.05).fit(touches, labels)
+    index = KernelDensityIndex(model, n_exact=1, n_cells=1)
+    rough = index.log_likelihood([[3.0, 3.0]])[0, 0]
+    known = -(3**2 + 3**2) / 2 - np.log(2 * np.pi)
+    # Means and variances of 4,000 touches are off by 2 %, and 9 nats feel that.
+    assert abs(rough - known) < 0.4
+
+
+def test_the_same_seed_gives_the_same_index(stored):
+    touches, labels, new = stored
+    model = KernelDensityBayes().fit(touches, labels)
+    one, other = (KernelDensityIndex(model, n_exact=1) for _ in range(2))
+    np.testing.assert_array_equal(one.weights_, other.weights_)
+    np.testing.assert_array_equal(one.log_likelihood(new), other.log_likelihood(new))
+
+
+def test_without_faiss_the_extra_is_named(stored, monkeypatch):
+    model = KernelDensityBayes().fit(stored[0][::100], stored[1][::100])
+    monkeypatch.setitem(sys.modules, "faiss", None)
+    with pytest.raises(ImportError, match=r"palpate\[index\]"):
+        KernelDensityIndex(model)
+    with pytest.raises(ValueError, match="n_exact must be at least 1"):
+        KernelDensityIndex(model, n_exact=0)

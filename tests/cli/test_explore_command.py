@@ -1,0 +1,180 @@
+"""`palpate explore` from outside: learning, recognising, going on, refusing."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from palpate import Touches
+from palpate.exploration import explore_to_learn, read_episode
+from palpate.recognition import ObjectRecogniser
+from palpate.simulation import DomeCamera, find_object
+
+ENDS = {"decision", "unknown", "budget"}
+
+
+@pytest.fixture(scope="module")
+def taught():
+    camera = DomeCamera(image_shape=(48, 48), n_nodes=24)
+    things = [find_object(name) for name in ("ball", "box", "pen")]
+    return explore_to_learn(things, 14, camera, n_sessions=2)
+
+
+@pytest.fixture
+def model(taught, tmp_path):
+    taught.save(tmp_path / "m.npz")
+    return ObjectRecogniser().fit(taught).save(tmp_path / "m.palpate")
+
+
+def test_learning_writes_a_model_and_its_touches_and_goes_on(palpate, tmp_path):
+    wish = (
+        "explore", "learn", "pen", "ball", "--touches", 4, "--sessions", 2,
+        "--rows", 32, "--workers", 1, "--json", "--folder", "kept",
+    )  # fmt: skip
+    done = palpate(*wish, "-o", "m.palpate", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["labels"] == ["ball", "pen"]
+    made = Touches.load(tmp_path / told["touches"])
+    assert made.object.tolist() == ["pen"] * 4 + ["ball"] * 4
+    assert made.columns["direction"].shape == (8, 3)
+    assert ObjectRecogniser.load(tmp_path / told["model"]).classes_.size == 2
+    # What was recorded is not touched again: its files keep their times.
+    files = sorted((tmp_path / "kept").rglob("touch_*.npz"))
+    times = [file.stat().st_mtime_ns for file in files]
+    again = palpate(*wish, "-o", "again.palpate", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert [file.stat().st_mtime_ns for file in files] == times
+    assert np.array_equal(Touches.load(tmp_path / "again.npz").images, made.images)
+
+
+@pytest.mark.parametrize("strategy", ["informative", "random", "raster"])
+def test_every_strategy_comes_to_an_end(palpate, model, strategy):
+    done = palpate(
+        "explore", "recognise", model, "ball", "--strategy", strategy,
+        "--max-touches", 6, "--json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["strategy"] == strategy
+    assert told["ended_by"] in ENDS
+    assert told["n_attempts"] == len(told["attempts"]) <= 6
+    for attempt in told["attempts"]:
+        assert set(attempt["posterior"]) == {"ball", "box", "pen"}
+        # Probabilities in doubles: rounding of three terms.
+        assert abs(sum(attempt["posterior"].values()) - 1) < 1e-9
+
+
+def test_the_belief_is_drawn_and_faults_are_told(palpate, model, tmp_path):
+    done = palpate(
+        "explore", "recognise", model, "box", "--strategy", "raster", "--error", 1e-6,
+        "--max-touches", 3, "--fault", "1=no force", "--folder", "kept", cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert "touch   1" in lines[0]
+    assert "reads nan" in lines[1]
+    outcomes = [record.outcome for record in read_episode(tmp_path / "kept")]
+    assert outcomes[:2] == ["touched", "force sensor"]
+
+
+def test_an_episode_goes_on_in_its_folder(palpate, model, tmp_path):
+    def run(most, *more):
+        return palpate(
+            "explore", "recognise", model, "box", "--strategy", "random",
+            "--error", 1e-6, "--max-touches", most, "--folder", "kept", *more,
+            cwd=tmp_path,
+        )  # fmt: skip
+
+    first = json.loads(run(2, "--json").stdout)
+    second = run(4)
+    assert second.stdout.startswith("Goes on after 2 attempts.")
+    third = json.loads(run(4, "--json").stdout)
+    assert third["attempts"][:2] == first["attempts"]
+    assert third["n_attempts"] == len(read_episode(tmp_path / "kept"))
+
+
+@pytest.mark.slow
+def test_killed_while_learning_nothing_recorded_is_lost(tmp_path):
+    arguments = (
+        "explore", "learn", "pen", "ball", "--touches", "8", "--sessions", "1",
+        "--rows", "48", "--workers", "1", "--folder", "kept", "-o", "m.palpate",
+    )  # fmt: skip
+    code = (
+        f"import sys; sys.argv[1:] = {arguments}\nfrom palpate.cli import main\nmain()"
+    )
+
+    def start():
+        return subprocess.Popen(
+            [sys.executable, "-c", code],
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env={**os.environ, "OMP_NUM_THREADS": "1"},
+        )
+
+    for wanted in (2, 5):
+        program = start()
+        end = time.monotonic() + 60
+        while len(list((tmp_path / "kept").rglob("touch_*.npz"))) < wanted:
+            assert time.monotonic() < end
+            assert program.poll() is None
+            time.sleep(0.01)
+        program.send_signal(signal.SIGKILL)
+        program.communicate()
+        kept = read_episode(tmp_path / "kept" / "pen" / "0")
+        assert len(kept) >= wanted
+    images = [record.image for record in kept]
+    program = start()
+    _, errors = program.communicate(timeout=120)
+    assert program.returncode == 0, errors
+    made = Touches.load(tmp_path / "m.npz")
+    assert made.object.tolist() == ["pen"] * 8 + ["ball"] * 8
+    felt = [image for image in images if image is not None]
+    assert all(map(np.array_equal, made.images, felt))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["learn", "pen", "-o", "n.palpate"], "at least 2 objects"),
+        (["learn", "pen", "spoon", "-o", "n.palpate"], "got 'spoon'"),
+        (["learn", "pen", "nothing", "-o", "n.palpate"], "Only 0 of 20 touches"),
+        (["learn", "pen", "ball", "-o", "n.txt"], "must end in .palpate"),
+        (["recognise", "m.palpate", "household"], "got the set 'household'"),
+        (["recognise", "m.palpate", "ball", "--strategy", "best"], "'informative'"),
+        (["recognise", "m.palpate", "ball", "--fault", "x"], "NUMBER=NAME"),
+        (["recognise", "m.palpate", "ball", "--fault", "0=x"], "'stuck force'"),
+        (["recognise", "m.palpate", "ball", "--face", "9"], "face must be below"),
+        (["recognise", "m.palpate", "ball", "--taught", "gone.npz"], "gone.npz"),
+        (["recognise", "gone.palpate", "ball"], "no model file gone.palpate"),
+    ],
+)
+def test_refusals(palpate, model, tmp_path, arguments, message):
+    few = ["--workers", "1", "--rows", "24"] if arguments[0] == "learn" else []
+    done = palpate("explore", *arguments, *few, cwd=tmp_path)
+    assert done.returncode == 1
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["m.npz", "m.palpate"]
+
+
+def test_choosing_needs_the_touches_that_were_learnt(palpate, model, tmp_path):
+    (tmp_path / "m.npz").unlink()
+    done = palpate("explore", "recognise", model, "ball")
+    assert done.returncode == 1
+    assert "--taught" in done.stderr
+
+
+def test_a_model_of_another_sensor_is_refused(palpate, tmp_path):
+    rng = np.random.default_rng(0)
+    touches = Touches(rng.random((8, 3, 8)), object=["a", "b"] * 4, geometry="none")
+    path = ObjectRecogniser().fit(touches).save(tmp_path / "array.palpate")
+    done = palpate("explore", "recognise", path, "ball", "--strategy", "random")
+    assert done.returncode == 1
+    assert "must be of a dome camera, got one of 3 x 8" in done.stderr

@@ -1,0 +1,172 @@
+"""`palpate library`, and every verb that takes touches taking a library."""
+
+import json
+
+import numpy as np
+import pytest
+
+from palpate import Touches
+from palpate.library import TouchLibrary
+
+NAMES = ("ball", "mug", "pen")
+VERBS = (
+    "add",
+    "list",
+    "show",
+    "export",
+    "check",
+    "stats",
+    "rename",
+    "merge",
+    "retract",
+    "restore",
+)
+
+
+def _touches(seed, names=NAMES, n_each=20):
+    rng = np.random.default_rng(3)
+    patterns = {name: rng.normal(size=(3, 24)) for name in (*NAMES, "cap")}
+    noise = np.random.default_rng(seed)
+    objects = np.repeat(names, n_each)
+    images = [patterns[o] + 0.5 * noise.normal(size=(3, 24)) for o in objects]
+    order = np.tile(np.arange(n_each), len(names))
+    return Touches(np.array(images), object=objects, order=order, geometry="none")
+
+
+@pytest.fixture
+def archive(tmp_path):
+    _touches(0).save(tmp_path / "t.npz")
+    return tmp_path / "t.npz"
+
+
+@pytest.fixture
+def folder(tmp_path, archive, palpate):
+    folder = tmp_path / "library"
+    done = palpate("library", "add", folder, archive, "--session", "monday", "--json")
+    assert json.loads(done.stdout)["added"] == 60
+    return folder
+
+
+def test_every_verb_has_help(palpate):
+    listed = palpate("library", "--help").stdout
+    for verb in VERBS:
+        assert verb in listed
+        assert "Usage" in palpate("library", verb, "--help").stdout
+
+
+def test_adding_twice_adds_once(palpate, folder, archive):
+    done = palpate("library", "add", folder, archive, "--session", "monday")
+    assert done.stdout.startswith("0 of 60 touches are new; 60 in")
+
+
+def test_touches_are_listed_and_shown(palpate, folder, tmp_path):
+    done = palpate("library", "list", folder, "--where", "object = mug", "--json")
+    rows = json.loads(done.stdout)["rows"]
+    assert len(rows) == 20
+    assert {row["session"] for row in rows} == {"monday"}
+    done = palpate("library", "list", folder, "--objects")
+    assert all(name in done.stdout for name in NAMES)
+    key = rows[3]["id"]
+    done = palpate("library", "show", folder, key, "-o", tmp_path / "i.npy", "--json")
+    assert json.loads(done.stdout)["object"] == "mug"
+    assert np.load(tmp_path / "i.npy").shape == (3, 24)
+    assert palpate("library", "show", folder, "zz").returncode == 1
+    assert "mug" in palpate("library", "show", folder, key).stdout
+
+
+def test_objects_are_renamed_merged_retracted_and_restored(palpate, folder):
+    assert "is now cup" in palpate("library", "rename", folder, "mug", "cup").stdout
+    assert "part of pen" in palpate("library", "merge", folder, "cup", "pen").stdout
+    done = palpate("library", "retract", folder, "object = ball", "--reason", "wet")
+    assert done.stdout == "20 touches are retracted.\n"
+    stats = json.loads(palpate("library", "stats", folder, "--json").stdout)
+    assert (stats["n_touches"], stats["n_retracted"], stats["n_objects"]) == (40, 20, 1)
+    done = palpate("library", "restore", folder, "object = ball")
+    assert done.stdout == "20 touches are back.\n"
+    assert "n_touches" in palpate("library", "stats", folder).stdout
+
+
+def test_a_check_finds_damage_and_repairs(palpate, folder):
+    assert palpate("library", "check", folder).returncode == 0
+    next((folder / "images").rglob("*.npy")).unlink()
+    done = palpate("library", "check", folder, "--json")
+    assert done.returncode == 1
+    assert len(json.loads(done.stdout)["problems"][0]["touches"]) == 60
+    done = palpate("library", "check", folder, "--repair")
+    assert done.returncode == 0
+    assert "set aside: 60" in done.stdout
+
+
+def test_touches_are_exported(palpate, folder, tmp_path):
+    done = palpate(
+        "library",
+        "export",
+        folder,
+        "-o",
+        tmp_path / "pens.npz",
+        "--where",
+        "object=pen",
+    )
+    assert done.stdout.startswith("20 touches are in")
+    assert len(Touches.load(tmp_path / "pens.npz")) == 20
+
+
+def test_verbs_take_a_library_with_a_filter(palpate, folder, archive, tmp_path):
+    model = tmp_path / "m.palpate"
+    done = palpate("learn", folder, "--where", "object != pen", "-o", model, "--json")
+    assert json.loads(done.stdout)["n_train_touches"] == 40
+    done = palpate(
+        "recognise",
+        model,
+        folder,
+        "--where",
+        "object = ball",
+        "--json",
+        "--error",
+        "0.05",
+    )
+    [episode] = json.loads(done.stdout)["episodes"]
+    assert (episode["object"], len(episode["beliefs"])) == ("ball", 20)
+    done = palpate(
+        "evaluate",
+        *("--train", folder, "--where", "order < 10"),
+        *("--test", folder, "--test-where", "order >= 10"),
+        *("--touches", "1,5", "--orders", "2", "--json"),
+    )
+    figures = json.loads(done.stdout)
+    assert (figures["n_train_touches"], figures["n_test_touches"]) == (30, 30)
+    refused = palpate("learn", archive, "--where", "object = pen", "-o", model)
+    assert refused.returncode == 1
+    assert "--where must be given with a library" in refused.stderr
+    refused = palpate("learn", folder, "--name-pattern", "x", "-o", model)
+    assert "--name-pattern must be left out for a library" in refused.stderr
+    refused = palpate("learn", folder, "--where", "colour = red", "-o", model)
+    assert "must name columns of the library" in refused.stderr
+
+
+def test_a_model_is_extended_from_new_episodes(palpate, folder, tmp_path):
+    old, new = tmp_path / "old.palpate", tmp_path / "new.palpate"
+    palpate("learn", folder, "-o", old)
+    refused = palpate("learn", folder, "--extend", old, "-o", new)
+    assert "does not know, got none" in refused.stderr
+    with TouchLibrary.open(folder) as library:
+        library.add(_touches(1, ("cap",)), episode="new")
+    done = palpate(
+        *("learn", folder, "--where", "episode = new"),
+        *("--extend", old, "-o", new, "--json"),
+    )
+    assert json.loads(done.stdout)["n_labels"] == 4
+
+
+def test_a_cluster_that_is_not_there_is_told(palpate, folder, tmp_path, monkeypatch):
+    import palpate.cli._workers as workers
+
+    monkeypatch.setattr(workers, "CONNECT_S", 0.2)
+    model = tmp_path / "m.palpate"
+    refused = palpate("learn", folder, "-o", model, "--cluster", "nowhere:1")
+    assert refused.returncode == 1
+    assert "--cluster must be the address of a Dask scheduler" in refused.stderr
+    refused = palpate("learn", folder, "-o", model, "--cluster", "x", "--workers", 2)
+    assert "either --workers or --cluster" in refused.stderr
+    refused = palpate("learn", folder, "-o", model, "--workers", "0")
+    assert "--workers must be at least 1" in refused.stderr

@@ -1,0 +1,232 @@
+"""Hu moments, scaled pixels, the two PCA encodings, and encodings by name."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.ndimage import affine_transform
+
+from palpate.encodings import (
+    ENCODINGS,
+    CentroidMoments,
+    EncodingUnion,
+    FirstFeatures,
+    HuMoments,
+    OrientedPCA,
+    ScaledPixels,
+    ZernikeMoments,
+    ZernikePCA,
+    encoder_named,
+)
+
+
+def blobs(rng, n=6, size=81):
+    """Smooth images without symmetry, dark towards the frame."""
+    axis = (np.arange(size) - (size - 1) / 2) / (size / 2)
+    x, y = np.meshgrid(axis, axis)
+    images = np.zeros((n, size, size))
+    for image in images:
+        for centre_x, centre_y in rng.uniform(-0.35, 0.35, (3, 2)):
+            wide, strong = rng.uniform(0.01, 0.03), rng.uniform(0.3, 1)
+            squared = (x - centre_x) ** 2 + (y - centre_y) ** 2
+            image += strong * np.exp(-squared / wide)
+    return images
+
+
+def turned(image, angle_deg):
+    """Turn an image about its middle, with cubic splines."""
+    a, middle = np.deg2rad(angle_deg), (np.array(image.shape) - 1) / 2
+    turn = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
+    return affine_transform(image, turn, offset=middle - turn @ middle, order=3)
+
+
+def test_hu_moments_of_two_squares():
+    image = np.zeros((1, 20, 20))
+    image[0, 13:17, 13:17], image[0, 10:12, 10:12] = 0.5, 1
+    known = [0.74537037, 0.35116598, 0.10404918, 0.04064421, 0.00264312, 0.02408546, 0]
+    # Eight decimals are given.
+    assert_allclose(HuMoments(levels="raw").fit_transform(image)[0], known, atol=5e-9)
+
+
+def test_hu_moments_are_opencvs(rng):
+    cv2 = pytest.importorskip("cv2")
+    image = rng.uniform(size=(15, 22))
+    ours = HuMoments(levels="raw", region="frame").fit_transform(image[np.newaxis])
+    theirs = cv2.HuMoments(cv2.moments(image)).ravel()
+    # Rounding of central moments, relative to the largest of equal degree.
+    assert_allclose(ours[0], theirs, rtol=1e-7, atol=1e-18)
+
+
+def test_hu_moments_stay_when_the_image_turns_and_the_last_sees_mirrors(rng):
+    images = blobs(rng)
+    hu = HuMoments(log=True)
+    straight = hu.fit_transform(images)
+    around = hu.transform(np.stack([turned(image, 37) for image in images]))
+    mirrored = hu.transform(images[:, :, ::-1])
+    # Resampling, in decades.
+    assert_allclose(around[:, :4], straight[:, :4], atol=0.02)
+    # A sign that a mirror does not change, and one that it does.
+    assert_allclose(mirrored[:, :6], straight[:, :6], atol=1e-6)
+    assert_allclose(mirrored[:, 6], -straight[:, 6], atol=1e-6)
+
+
+def test_hu_moments_ignore_brightness_and_contrast_unless_raw(rng):
+    images = blobs(rng)
+    relative, raw = HuMoments(), HuMoments(levels="raw")
+    straight = relative.fit_transform(images)
+    # Digits of 30 against 0.1.
+    assert_allclose(relative.transform(30 + 0.1 * images), straight, rtol=1e-6)
+    assert_allclose(
+        raw.fit_transform(0.5 * images)[:, 0], 2 * raw.transform(images)[:, 0]
+    )
+
+
+def test_hu_moments_see_the_disc_alone(rng):
+    images = blobs(rng)
+    corner = images.copy()
+    corner[:, 0, 0] = 9
+    hu = HuMoments()
+    assert_array_equal(hu.fit_transform(corner), hu.transform(images))
+    frame = HuMoments(region="frame")
+    assert (frame.fit_transform(corner) != frame.transform(images)).any()
+
+
+@pytest.mark.parametrize("levels", ["raw", "above-least"])
+def test_without_mass_hu_moments_are_zero(levels):
+    blank = np.stack([np.zeros((8, 8)), np.full((8, 8), -3.0)])
+    assert_array_equal(HuMoments(levels=levels).fit_transform(blank), 0)
+
+
+def test_first_hu_moments(rng):
+    images = blobs(rng)
+    some = HuMoments(3).fit(images)
+    assert_array_equal(some.transform(images), HuMoments().fit_transform(images)[:, :3])
+    assert some.get_feature_names_out().tolist() == ["hu1", "hu2", "hu3"]
+
+
+def test_scaled_pixels_are_means_over_areas(rng):
+    image = rng.normal(size=(1, 6, 9))
+    straight = {"min_anisotropy": None}
+    assert_allclose(
+        ScaledPixels(3, **straight).fit_transform(image)[0],
+        image.reshape(3, 2, 3, 3).mean(axis=(1, 3)).ravel(),
+    )
+    # Cells that cut pixels: 2.5 pixels of 5 along each side.
+    half = ScaledPixels(2, **straight).fit_transform(np.ones((1, 5, 5)))
+    assert_allclose(half, 1)
+    row = np.arange(5.0)
+    (cells,) = ScaledPixels(2, **straight).fit_transform(np.tile(row, (1, 5, 1)))
+    # (0 + 1 + 2 / 2) / 2.5 and (2 / 2 + 3 + 4) / 2.5
+    assert_allclose(cells, [0.8, 3.2, 0.8, 3.2])
+
+
+def test_scaled_pixels_do_not_enlarge(rng):
+    image = rng.normal(size=(2, 4, 5))
+    same = ScaledPixels(13, min_anisotropy=None).fit_transform(image)
+    assert_allclose(same, image.reshape(2, -1))
+
+
+@pytest.mark.parametrize(
+    "encoder", [ScaledPixels(13), OrientedPCA(4)], ids=["pixels", "pca"]
+)
+def test_turned_images_have_nearly_the_same_pixels(encoder, rng):
+    images = blobs(rng)
+    straight = encoder.fit_transform(images)
+    around = encoder.transform(np.stack([turned(image, 100) for image in images]))
+    away = np.linalg.norm(around - straight, axis=1)
+    # Two interpolations; images not regularised would be as far as others are.
+    apart = np.linalg.norm(straight - straight[::-1], axis=1)
+    assert (away < 0.15 * apart).all()
+
+
+@pytest.mark.parametrize("encoder", [OrientedPCA, ZernikePCA])
+def test_principal_components_are_uncorrelated_and_fall(encoder, rng):
+    images = rng.normal(size=(40, 16, 16))
+    fitted = encoder(5).fit(images)
+    covariance = np.cov(fitted.transform(images).T)
+    variances = np.diag(covariance)
+    # Rounding of products of about 40 touches.
+    assert_allclose(covariance, np.diag(variances), atol=1e-10 * variances[0])
+    assert (np.diff(variances) < 0).all()
+    total = fitted.first_.transform(images).var(axis=0, ddof=1).sum()
+    assert_allclose(variances / total, fitted.explained_variance_ratio_)
+
+
+@pytest.mark.parametrize("encoder", [OrientedPCA, ZernikePCA])
+def test_number_of_components(encoder, rng):
+    images = rng.normal(size=(12, 16, 16))
+    whole = encoder(None).fit(images)
+    # Twelve touches about their mean span eleven directions; the twelfth is empty.
+    assert whole.n_components_ == 12
+    assert encoder(500).fit(images).n_components_ == 12
+    share = encoder(0.6).fit(images)
+    kept = whole.explained_variance_ratio_.cumsum()
+    assert share.n_components_ == (kept < 0.6).sum() + 1
+    for value, message in ((0, "at least 1"), (1.5, "between 0"), (1.0, "below 1")):
+        with pytest.raises(ValueError, match=f"n_components must be .*{message}"):
+            encoder(value).fit(images)
+    with pytest.raises(ValueError, match="touches that differ"):
+        encoder().fit(np.ones((3, 16, 16)))
+
+
+def test_test_touches_do_not_move_the_components(rng):
+    images = rng.normal(size=(20, 16, 16))
+    fitted = ZernikePCA(3).fit(images[:15])
+    before = fitted.components_.copy()
+    fitted.transform(images[15:])
+    assert_array_equal(fitted.components_, before)
+
+
+def test_zernike_pca_refuses_complex_moments():
+    with pytest.raises(ValueError, match="output must be one of 'abs', 'noll'"):
+        ZernikePCA(output="complex").fit(np.zeros((3, 8, 8)))
+
+
+@pytest.mark.parametrize("name", sorted(ENCODINGS))
+def test_every_name_makes_an_encoder_with_that_many_features(name, rng):
+    images = blobs(rng, n=8, size=24)
+    assert encoder_named(name, 4).fit_transform(images).shape == (8, 4)
+    assert len(encoder_named(name).fit_transform(images)) == 8
+    assert ENCODINGS[name].summary
+
+
+def test_fewer_components_are_the_first_of_more(rng):
+    images = blobs(rng, n=8, size=24)
+    for name in set(ENCODINGS) - {"scaled-pixels"}:
+        few, more = (encoder_named(name, n).fit_transform(images) for n in (2, 5))
+        # The same sums, in products of other sizes.
+        assert_allclose(few, more[:, :2], rtol=1e-9, atol=1e-12)
+
+
+def test_names_joined_by_plus_are_a_union(rng):
+    images = blobs(rng, n=8, size=24)
+    both = encoder_named("hu + zernike", 3)
+    assert isinstance(both, EncodingUnion)
+    parts = [encoder_named(name, 3).fit_transform(images) for name in ("hu", "zernike")]
+    assert_array_equal(both.fit_transform(images), np.hstack(parts))
+
+
+def test_options_reach_the_encoder():
+    encoder = encoder_named("zernike", 5, order=4, output="noll")
+    assert isinstance(encoder, FirstFeatures)
+    assert (encoder.encoder.order, encoder.encoder.output) == (4, "noll")
+    assert isinstance(encoder_named("zernike"), ZernikeMoments)
+    assert isinstance(encoder_named("centroid-moments"), CentroidMoments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("zernicke",), "name must be one of 'hu', 'log-hu', 'zernike'.*'zernicke'"),
+        (("hu+",), "got 'hu\\+'"),
+        (("scaled-pixels", 5), "square number .*got 5. Use 4 or 9"),
+        (("zernike", 0), "n_components must be at least 1, got 0"),
+    ],
+)
+def test_wrong_names_and_counts_say_what_is_right(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        encoder_named(*arguments)
+
+
+def test_more_than_seven_hu_moments_are_refused():
+    with pytest.raises(ValueError, match="at most 7, got 8"):
+        HuMoments(8).fit(np.zeros((1, 5, 5)))

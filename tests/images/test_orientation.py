@@ -1,0 +1,134 @@
+"""Central moments, orientation and derivative against drawn images."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from palpate.images import (
+    DerivativeMagnitude,
+    OrientationRegulariser,
+    above_least,
+    central_moments,
+    derivative_magnitude,
+    disc_mask,
+    inscribed_mask,
+    orientations,
+)
+
+
+def drop(angle_deg, size=101, long=18.0, short=9.0, skew=0.25):
+    """An elongated blob about the middle, its longer tail towards `angle_deg`."""
+    axis = np.arange(size) - (size - 1) / 2
+    x, y = np.meshgrid(axis, axis)
+    a = np.deg2rad(angle_deg)
+    along, across = x * np.cos(a) + y * np.sin(a), y * np.cos(a) - x * np.sin(a)
+    width = long * np.exp(skew * np.sign(along))
+    return np.exp(-(along**2) / (2 * width**2) - across**2 / (2 * short**2))
+
+
+def test_central_moments_are_their_definition(rng):
+    image = rng.uniform(size=(5, 7))
+    found = central_moments(image[np.newaxis])
+    x, y = np.meshgrid(np.arange(7) - 3.0, np.arange(5) - 2.0)
+    middle_x, middle_y = (
+        (image * x).sum() / image.sum(),
+        (image * y).sum() / image.sum(),
+    )
+    assert_allclose([found.x[0], found.y[0]], [middle_x, middle_y])
+    for p in range(4):
+        for q in range(4):
+            direct = (image * (x - middle_x) ** p * (y - middle_y) ** q).sum()
+            # Sums of 35 numbers of at most 27 * 8.
+            assert_allclose(found.mu[0, q, p], direct, atol=1e-11)
+
+
+def test_an_image_without_mass_has_its_middle_in_the_middle():
+    found = central_moments(np.zeros((1, 4, 6)))
+    assert (found.mass[0], found.x[0], found.y[0]) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("size", [1, 2, 9, 10])
+def test_the_mask_of_a_square_is_that_of_domes(size):
+    assert_array_equal(inscribed_mask(size, size), disc_mask(size))
+
+
+def test_levels_count_from_the_least_in_the_mask():
+    levels = above_least([[[-9.0, 2.0], [5.0, 3.0]]], np.array([[False, True]] * 2))
+    assert_array_equal(levels, [[[0, 0], [0, 1]]])
+
+
+@pytest.mark.parametrize("angle", [-170, -90, -30, 0, 20, 45, 90, 135, 180])
+def test_the_longer_tail_gives_the_direction(angle):
+    found = orientations(drop(angle)[np.newaxis])
+    away = (found.angle_deg[0] - angle + 180) % 360 - 180
+    # Sampling on whole pixels, and a disc that cuts the tails.
+    assert abs(away) < 0.5
+    assert 0.2 < found.anisotropy[0] < 0.8
+
+
+def test_brightness_and_contrast_do_not_turn():
+    image = drop(33)[np.newaxis]
+    straight, changed = orientations(image), orientations(-7 + 0.01 * image)
+    # The least level is subtracted: digits of 7 against 0.01.
+    assert_allclose(changed.angle_deg, straight.angle_deg, atol=1e-9)
+    assert_allclose(changed.anisotropy, straight.anisotropy, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "image",
+    [np.zeros((9, 9)), np.full((9, 9), 4.0), drop(0, 41, 6, 6, 0)],
+    ids=["blank", "flat", "round"],
+)
+def test_what_has_no_direction_is_not_turned(image):
+    found = orientations(image[np.newaxis])
+    assert found.angle_deg[0] == 0
+    assert found.anisotropy[0] == 0
+
+
+def test_a_line_is_as_anisotropic_as_can_be():
+    line = np.zeros((1, 11, 11))
+    line[0, 5, 2:9] = 1
+    assert orientations(line).anisotropy[0] == pytest.approx(1)
+
+
+@pytest.mark.parametrize("angle", [-120, -60, 75, 180])
+def test_turned_images_are_regularised_to_one(angle):
+    straight, turned = drop(0), drop(angle)
+    regular = OrientationRegulariser().fit_transform(np.stack([straight, turned]))
+    # Linear interpolation of a blob ten pixels wide.
+    assert_allclose(regular[1], regular[0], atol=0.02)
+
+
+def test_images_below_the_threshold_stay():
+    image = drop(40)[np.newaxis]
+    kept = OrientationRegulariser(min_anisotropy=0.9).fit_transform(image)
+    assert_array_equal(kept, image * inscribed_mask(101, 101))
+    with pytest.raises(ValueError, match="min_anisotropy must be finite and between 0"):
+        OrientationRegulariser(min_anisotropy=2).fit(image)
+
+
+def test_derivative_of_a_slope_is_its_steepness():
+    x, y = np.meshgrid(np.arange(6.0), np.arange(5.0))
+    slope = (3 * x + 4 * y)[np.newaxis]
+    # Central differences span two pixels: 2 * hypot(3, 4).
+    assert_allclose(derivative_magnitude(slope), np.full((1, 3, 4), 10.0))
+    assert_array_equal(derivative_magnitude(slope + 5), derivative_magnitude(slope))
+
+
+def test_derivative_has_a_minus_where_eq_1_prints_a_plus():
+    flat = np.full((1, 4, 4), 9.0)
+    assert_array_equal(derivative_magnitude(flat), np.zeros((1, 2, 2)))
+
+
+def test_no_difference_reaches_across_the_rim():
+    inside = inscribed_mask(21, 21) * 50.0
+    assert_array_equal(DerivativeMagnitude().fit_transform(inside[np.newaxis]), 0)
+    whole = DerivativeMagnitude(region="frame").fit_transform(inside[np.newaxis])
+    assert whole.max() == pytest.approx(np.hypot(50, 50))
+
+
+def test_derivative_refuses_what_it_cannot_differentiate():
+    with pytest.raises(ValueError, match="at least 3 x 3 pixels"):
+        derivative_magnitude(np.zeros((1, 2, 5)))
+    with pytest.raises(ValueError, match="region must be one of 'frame', 'disc'"):
+        DerivativeMagnitude(region="all").fit(np.zeros((1, 5, 5)))

@@ -1,0 +1,214 @@
+"""Exports are read back by other people's readers; bags are written by rosbags."""
+
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from palpate import Touches
+from palpate.library import LibraryError, TouchLibrary, lerobot_frames, read_bag
+
+pq = pytest.importorskip("pyarrow.parquet")
+
+
+@pytest.fixture
+def library(tmp_path, rng):
+    touches = Touches(
+        rng.normal(size=(7, 3, 4)).astype(np.float32),
+        object=["cup"] * 3 + ["pen"] * 4,
+        session=["a", "a", "b", "a", "a", "a", "b"],
+        time_s=100 + np.arange(7) * 0.5,
+        force_n=np.linspace(0, 1, 7),
+        position_mm=rng.normal(size=(7, 3)),
+        no_contact=np.zeros((3, 4), np.float32),
+    )
+    with TouchLibrary.open(tmp_path / "library", create=True) as opened:
+        opened.add(touches)
+        yield opened
+
+
+def test_an_archive_holds_the_same_touches(library, tmp_path):
+    assert library.export(tmp_path / "t.npz", "object = pen") == 4
+    again = Touches.load(tmp_path / "t.npz")
+    chosen = library.touches("object = pen")
+    assert_array_equal(again.images, chosen.images)
+    assert set(again.columns) == set(chosen.columns)
+    other = TouchLibrary.open(tmp_path / "other", create=True)
+    with other:
+        other.add(again)
+        kept = {row.id for row in library.list("object = pen")}
+        assert {row.id for row in other.list()} == kept
+
+
+def test_a_parquet_file_holds_the_same_touches(library, tmp_path, monkeypatch):
+    import palpate.library._exporting as exporting
+
+    monkeypatch.setattr(exporting, "AT_ONCE", 3)
+    assert library.export(tmp_path / "t.parquet") == 7
+    file = pq.ParquetFile(tmp_path / "t.parquet")
+    assert file.num_row_groups == 3
+    table = file.read()
+    expected = library.touches()
+    images = np.array(table["image"].to_pylist(), dtype=np.float32)
+    assert_array_equal(images.reshape(7, 3, 4), expected.images)
+    assert table["object"].to_pylist() == expected.object.tolist()
+    assert_allclose(table["position_mm"].to_pylist(), expected.columns["position_mm"])
+    about = json.loads(table.schema.metadata[b"palpate"])
+    assert (about["n_rows"], about["n_cols"], about["dtype"]) == (3, 4, "<f4")
+    assert about["whole"]["no_contact"] == [[0.0] * 4] * 3
+    assert not list(tmp_path.glob(".*partial"))
+
+
+def test_a_lerobot_dataset_has_the_layout_of_v3(library, tmp_path):
+    folder = tmp_path / "robot"
+    assert library.export(folder) == 7
+    info = json.loads((folder / "meta/info.json").read_text())
+    assert info["codebase_version"] == "v3.0"
+    assert (info["total_episodes"], info["total_frames"], info["total_tasks"]) == (
+        4,
+        7,
+        2,
+    )
+    path = info["data_path"].format(chunk_index=0, file_index=0)
+    frames = pq.read_table(folder / path).to_pydict()
+    assert set(frames) == set(info["features"])
+    assert frames["index"] == list(range(7))
+    assert frames["frame_index"] == [0, 1, 0, 0, 1, 2, 0]
+    assert frames["episode_index"] == [0, 0, 1, 2, 2, 2, 3]
+    assert frames["timestamp"] == [0, 0.5, 0, 0, 0.5, 1.0, 0]
+    assert np.shape(frames["observation.tactile"]) == (7, 3, 4)
+    assert info["features"]["observation.tactile"]["shape"] == [3, 4]
+    tasks = pq.read_table(folder / "meta/tasks.parquet").to_pydict()
+    assert tasks == {"task_index": [0, 1], "task": ["touch cup", "touch pen"]}
+    rows = pq.read_table(folder / "meta/episodes/chunk-000/file-000.parquet")
+    for row in rows.to_pylist():
+        inside = frames["episode_index"][
+            row["dataset_from_index"] : row["dataset_to_index"]
+        ]
+        assert inside == [row["episode_index"]] * row["length"]
+    stats = json.loads((folder / "meta/stats.json").read_text())
+    images = np.array(frames["observation.tactile"])
+    told = stats["observation.tactile"]
+    # float32 values summed in float64: equal but for the order of the sums.
+    assert_allclose(told["mean"], images.mean(axis=0), atol=1e-12)
+    assert_allclose(told["std"], images.std(axis=0), atol=1e-7)
+    assert_allclose(told["max"], images.max(axis=0))
+    with pytest.raises(LibraryError, match="new or empty folder"):
+        library.export(folder)
+
+
+def test_frames_without_times_count_touches():
+    frames = lerobot_frames(Touches(np.ones((3, 2, 2))), episode=5, first=40, task=2)
+    assert frames["timestamp"].tolist() == [0, 1, 2]
+    assert frames["index"].tolist() == [40, 41, 42]
+    assert "observation.force_n" not in frames
+
+
+def test_other_endings_are_refused(library, tmp_path):
+    with pytest.raises(LibraryError, match=r"got 't\.csv'"):
+        library.export(tmp_path / "t.csv")
+
+
+rosbag2 = pytest.importorskip("rosbags.rosbag2")
+typesys = pytest.importorskip("rosbags.typesys")
+STORE = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+
+
+def _image(values, encoding, step=None, stamp=0, big=0):
+    types = STORE.types
+    rows = values.reshape(len(values), -1).view(np.uint8)
+    if step is not None:
+        rows = np.pad(rows, ((0, 0), (0, step - rows.shape[1])))
+    return types["sensor_msgs/msg/Image"](
+        types["std_msgs/msg/Header"](
+            types["builtin_interfaces/msg/Time"](stamp, 250_000_000), "pad"
+        ),
+        values.shape[0],
+        values.shape[1],
+        encoding,
+        big,
+        rows.shape[1],
+        np.ascontiguousarray(rows).reshape(-1),
+    )
+
+
+def _array(values, sizes):
+    types = STORE.types
+    dims = [
+        types["std_msgs/msg/MultiArrayDimension"](f"d{i}", n, n)
+        for i, n in enumerate(sizes)
+    ]
+    layout = types["std_msgs/msg/MultiArrayLayout"](dims, 0)
+    return types["std_msgs/msg/Float32MultiArray"](layout, values.astype(np.float32))
+
+
+@pytest.fixture(params=["SQLITE3", "MCAP"])
+def bag(request, tmp_path):
+    """Write messages to a new bag; return its path."""
+
+    def write(*messages, topic="/pad"):
+        path = tmp_path / f"bag{len(list(tmp_path.iterdir()))}"
+        plugin = rosbag2.StoragePlugin[request.param]
+        with rosbag2.Writer(path, version=9, storage_plugin=plugin) as writer:
+            kind = messages[0].__msgtype__
+            connection = writer.add_connection(topic, kind, typestore=STORE)
+            for number, message in enumerate(messages):
+                raw = STORE.serialize_cdr(message, kind)
+                writer.write(connection, number * 10**9, raw)
+        return path
+
+    return write
+
+
+def test_images_of_a_bag_are_touches(bag, rng):
+    images = rng.integers(0, 2**16, (3, 4, 5), dtype=np.uint16)
+    path = bag(
+        *[_image(i, "mono16", step=12, stamp=7 + n) for n, i in enumerate(images)]
+    )
+    touches = read_bag(path, "/pad", object="cup")
+    assert_array_equal(touches.images, images)
+    assert touches.images.dtype == np.uint16
+    assert touches.object.tolist() == ["cup"] * 3
+    assert touches.columns["time_s"].tolist() == [7.25, 8.25, 9.25]
+
+
+def test_byte_order_and_colour_are_understood(bag):
+    wide = np.array([[1, 258], [3, 4]], dtype=">u2")
+    big = read_bag(bag(_image(wide, "16UC1", big=1)), "/pad")
+    assert_array_equal(big.images[0], wide)
+    # Pure red and white: luma 0.299 * 255 = 76.2 and 255.
+    bgr = np.array([[[0, 0, 255], [255, 255, 255]]], dtype=np.uint8)
+    assert read_bag(bag(_image(bgr, "bgr8")), "/pad").images.tolist() == [[[76, 255]]]
+
+
+@pytest.mark.parametrize(
+    ("sizes", "shape"), [((3, 4), (3, 4)), ((1, 3, 4), (3, 4)), ((), (1, 12))]
+)
+def test_arrays_of_a_bag_are_touches(bag, sizes, shape):
+    values = np.arange(12.0)
+    touches = read_bag(bag(_array(values, sizes), _array(values, sizes)), "/pad")
+    assert touches.images.shape == (2, *shape)
+    assert_array_equal(touches.images[1].ravel(), values)
+    assert touches.columns["time_s"].tolist() == [0, 1]
+
+
+def test_what_is_no_touch_is_refused(bag, tmp_path):
+    good = _image(np.zeros((2, 2), np.uint8), "mono8")
+    with pytest.raises(LibraryError, match=r"one of the bag \(/pad\), got '/other'"):
+        read_bag(bag(good), "/other")
+    with pytest.raises(LibraryError, match="encoded as mono8"):
+        read_bag(bag(_image(np.zeros((2, 2), np.uint8), "bayer_rggb8")), "/pad")
+    short = _image(np.zeros((2, 2), np.uint8), "mono8")
+    short.height = 1000
+    with pytest.raises(LibraryError, match="1000 rows of 2 bytes, got 4"):
+        read_bag(bag(short), "/pad")
+    with pytest.raises(LibraryError, match="one size and type"):
+        read_bag(bag(good, _image(np.zeros((3, 2), np.uint8), "mono8")), "/pad")
+    with pytest.raises(LibraryError, match="at most 5 bytes"):
+        read_bag(bag(good, good), "/pad", max_bytes=5)
+    with pytest.raises(LibraryError, match="one array of rows and columns"):
+        read_bag(bag(_array(np.zeros(5), (2, 3))), "/pad")
+    (tmp_path / "no.mcap").write_bytes(b"nothing")
+    with pytest.raises(LibraryError, match="must be a ROS 2 bag"):
+        read_bag(tmp_path / "no.mcap", "/pad")

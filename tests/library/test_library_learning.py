@@ -1,0 +1,149 @@
+"""Learning from a library: the same model, features once, images never all at once."""
+
+import numpy as np
+import pytest
+from joblib import parallel_config
+from numpy.testing import assert_allclose, assert_array_equal
+
+from palpate import Touches
+from palpate.library import LibraryError, TouchLibrary
+from palpate.recognition import ObjectRecogniser
+
+NAMES = ("ball", "mug", "pen")
+
+
+def _touches(seed, names=NAMES, n_each=30):
+    """Objects are patterns of 3 x 24 values with noise; geometry does not matter."""
+    rng = np.random.default_rng(7)
+    patterns = {name: rng.normal(size=(3, 24)) for name in (*NAMES, "cap")}
+    noise = np.random.default_rng(seed)
+    object = np.repeat(names, n_each)
+    images = np.array([patterns[o] + 0.7 * noise.normal(size=(3, 24)) for o in object])
+    return Touches(
+        images,
+        object=object,
+        order=np.tile(np.arange(n_each), len(names)),
+        geometry="none",
+    )
+
+
+@pytest.fixture
+def library(tmp_path):
+    with TouchLibrary.open(tmp_path / "library", create=True) as opened:
+        opened.add(_touches(0), episode="first")
+        yield opened
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """How many touches were encoded, one entry per call."""
+    from palpate.recognition._encoder import TouchEncoder
+
+    calls = []
+    transform = TouchEncoder.transform
+
+    def counting(self, touches):
+        calls.append(len(touches))
+        return transform(self, touches)
+
+    monkeypatch.setattr(TouchEncoder, "transform", counting)
+    return calls
+
+
+def test_a_library_teaches_what_its_touches_teach(library):
+    held = ObjectRecogniser().fit(library.touches())
+    read = ObjectRecogniser().fit(library.select())
+    tested = _touches(1)
+    # Every step is the same but for the size of the blocks that are encoded.
+    assert_allclose(
+        read.log_likelihood(tested), held.log_likelihood(tested), atol=1e-10
+    )
+    assert read.chosen_ == held.chosen_
+
+
+def test_features_are_computed_once(library, counted):
+    ObjectRecogniser("corradi2015").fit(library.select())
+    assert sum(counted) == 90
+    counted.clear()
+    ObjectRecogniser("corradi2015").fit(library.select())
+    assert counted == []
+    library.add(_touches(2, ("pen",), 4), episode="second")
+    ObjectRecogniser("corradi2015").fit(library.select())
+    # PCA is learnt anew from other touches: another encoder, so nothing is kept.
+    assert sum(counted) == 94
+
+
+def test_an_object_is_added_from_its_new_episodes_alone(library, counted):
+    recogniser = ObjectRecogniser().fit(library.select())
+    counted.clear()
+    library.add(_touches(3, ("cap",)), episode="second")
+    recogniser.add_object("cap", library.select("episode = second"))
+    assert sum(counted) == 30
+    assert "cap" in recogniser.classes_
+    belief = recogniser.start().update(_touches(4, ("cap",), 5))
+    assert belief.best == "cap"
+
+
+def test_an_encoding_is_learnt_from_some_touches_of_each_label(library, monkeypatch):
+    import palpate.recognition._source as source
+
+    rows = source.shown_rows(np.repeat(["a", "b"], [1000, 5]), n_shown=40)
+    assert len(rows) == 25
+    assert (np.diff(rows) > 0).all()
+    assert (rows >= 1000).sum() == 5
+    monkeypatch.setattr(source.shown_rows, "__defaults__", (30,))
+    read = ObjectRecogniser().fit(library.select())
+    assert len(read.features_) == 90
+    answer = read.log_likelihood(_touches(5)).argmax(axis=1)
+    assert (read.classes_[answer] == _touches(5).object).mean() > 0.9
+
+
+def test_features_are_the_same_from_one_process_and_two(library, monkeypatch):
+    import palpate.library._features as features
+
+    monkeypatch.setattr(features, "AT_ONCE", 20)
+    chosen = library.select()
+    one = chosen.features("one", _means)
+    assert_array_equal(one, library.touches().images.mean(axis=2))
+    with parallel_config("threading", n_jobs=2):
+        assert_array_equal(chosen.features("two", _means), one)
+
+
+def _means(touches):
+    return touches.images.mean(axis=2)
+
+
+def test_a_damaged_cache_is_computed_again(library):
+    chosen = library.select()
+    first = chosen.features("means", _means)
+    for path in (library.folder / "features").rglob("*.npy"):
+        path.write_bytes(path.read_bytes()[:-3])
+    assert_array_equal(chosen.features("means", _means), first)
+    with pytest.raises(ValueError, match="letters and digits"):
+        chosen.features("../x", _means)
+
+
+def test_a_selection_reads_what_is_asked_for(library):
+    chosen = library.select("object = mug")
+    assert len(chosen) == 30
+    assert set(chosen.object) == {"mug"}
+    assert chosen.category is None
+    some = chosen.touches([2, 5])
+    assert_array_equal(some.images, library.touches("object = mug").images[[2, 5]])
+    with pytest.raises(LibraryError, match="that rise"):
+        chosen.touches([5, 2])
+    with pytest.raises(LibraryError, match="at least one touch"):
+        library.select("object = nobody")
+
+
+@pytest.mark.realdata
+def test_real_touches_learn_alike_from_a_library(tmp_path, data_folder):
+    """Ten objects of the dome camera, a fifth of their touches."""
+    touches = Touches.load(data_folder / "bathtip" / "bathtip50.npz")
+    some = np.isin(touches.object, np.unique(touches.object)[:10])
+    touches = touches[np.flatnonzero(some)[::5]]
+    with TouchLibrary.open(tmp_path, create=True) as library:
+        library.add(touches)
+        read = ObjectRecogniser("corradi2015").fit(library.select())
+    held = ObjectRecogniser("corradi2015").fit(touches)
+    assert_allclose(read.features_, held.features_, atol=1e-9)

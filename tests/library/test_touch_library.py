@@ -1,0 +1,309 @@
+"""A library of touches: what goes in comes out, and nothing is lost or doubled."""
+
+import json
+import mmap
+import pickle
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from palpate import Touches
+from palpate.library import LibraryError, SensorDescription, TouchLibrary
+
+
+@pytest.fixture
+def library(tmp_path):
+    with TouchLibrary.open(tmp_path / "library", create=True) as opened:
+        yield opened
+
+
+@pytest.fixture
+def cups(rng):
+    return Touches(
+        rng.integers(0, 255, (6, 5, 7), dtype=np.uint8),
+        object=["cup"] * 3 + ["pen"] * 3,
+        category=["vessel"] * 3 + ["tool"] * 3,
+        order=np.arange(6, dtype=np.int16),
+        session=["a", "a", "b", "a", "a", "b"],
+        force_n=np.array([0.1, np.nan, 0.3, 0.4, 0.5, 0.6]),
+        position_mm=rng.normal(size=(6, 3)).astype(np.float32),
+        clicks=rng.integers(0, 9, (6, 2, 2)),
+        pressed=np.array([True, False] * 3),
+        frames=rng.normal(size=(6, 3, 5, 7)),
+        no_contact=np.full((5, 7), 9, np.uint8),
+        geometry="array",
+        set_pitch_mm=2.5,
+    )
+
+
+def test_what_is_added_comes_back(library, cups):
+    ids = library.add(cups)
+    again = library.touches()
+    assert_array_equal(again.images, cups.images)
+    assert again.images.dtype == cups.images.dtype
+    assert list(again.columns) == list(cups.columns)
+    for name, column in cups.columns.items():
+        assert_array_equal(again.columns[name], column, err_msg=name)
+        assert again.columns[name].dtype.kind == column.dtype.kind
+    assert set(again.whole) == set(cups.whole)
+    for name, value in cups.whole.items():
+        assert_array_equal(again.whole[name], value, err_msg=name)
+    assert_array_equal(library.image(ids[4]), cups.images[4])
+    assert_array_equal(library.no_contact(), cups.no_contact)
+    assert_array_equal(library.no_contact("b"), cups.no_contact)
+    assert library.no_contact("elsewhere") is None
+
+
+@pytest.mark.parametrize("dtype", [bool, np.int16, np.uint64, np.float32, ">f8"])
+def test_types_of_images_are_kept(library, dtype, rng):
+    images = (rng.random((3, 4, 4)) * 5).astype(dtype)
+    library.add(Touches(images, object=["a", "b", "c"]))
+    again = library.touches().images
+    assert_array_equal(again, images)
+    assert again.dtype == images.dtype
+
+
+def test_odd_columns_survive(library):
+    """Infinities, dates, huge integers and text of any script come back alike."""
+    columns = {
+        "wild": np.array([np.inf, -np.inf, np.nan]),
+        "day": np.array(["2024-01-01", "2024-01-02", "NaT"], dtype="M8[D]"),
+        "huge": np.array([2**64 - 1, 0, 1], dtype=np.uint64),
+        "ツ": np.array(["ä", "", "'; DROP TABLE touches; --"]),
+        "wave": np.array([1 + 2j, 0, -1j]),
+        "raw": np.array([b"ab", b"", b"c"]),
+    }
+    library.add(Touches(np.eye(3)[np.newaxis] * [[[1]], [[2]], [[3]]], **columns))
+    again = library.touches().columns
+    for name, column in columns.items():
+        assert_array_equal(again[name], column, err_msg=name)
+
+
+def test_the_same_touch_twice_is_one_touch(library, cups):
+    first = library.add(cups)
+    assert library.add(cups) == first
+    assert library.add(cups[[4, 1]]) == [first[4], first[1]]
+    assert len(library) == 6
+    assert len(set(first)) == 6
+
+
+def test_a_better_category_or_a_new_column_is_no_new_touch(library, cups):
+    first = library.add(cups.without("category", "clicks"))
+    assert library.add(cups) == first
+
+
+def test_the_same_image_of_another_object_or_session_is_another_touch(library, cups):
+    library.add(cups)
+    library.add(cups.with_columns(object=["mug"] * 6))
+    library.add(cups, session="tuesday")
+    library.add(cups, episode="e7")
+    assert len(library) == 24
+
+
+def test_one_touch_at_a_time_equals_all_at_once(tmp_path, cups):
+    with TouchLibrary.open(tmp_path / "one", create=True) as one:
+        ids = [key for touch in cups for key in one.add(touch)]
+        with TouchLibrary.open(tmp_path / "all", create=True) as other:
+            assert other.add(cups) == ids
+            assert_array_equal(other.touches().images, one.touches().images)
+
+
+def test_objects_are_counted_with_their_episodes(library, cups):
+    library.add(cups)
+    rows = {row.name: row for row in library.objects()}
+    assert rows["cup"] == ("cup", "vessel", 3, 2)
+    assert rows["pen"] == ("pen", "tool", 3, 2)
+
+
+def test_rows_are_listed_without_reading_an_image(library, cups):
+    library.add(cups)
+    for path in (library.folder / "images").rglob("*.npy"):
+        path.unlink()
+    rows = library.list(limit=2, offset=3)
+    assert [row.order for row in rows] == [3, 4]
+    assert rows[0].object == "pen"
+    assert (rows[0].n_rows, rows[0].n_cols, rows[0].dtype) == (5, 7, "|u1")
+    assert library.list("force_n is null")[0].force_n is None
+    json.dumps(rows[0]._asdict())
+
+
+def test_a_renamed_object_is_the_same_object(library, cups):
+    library.add(cups)
+    library.rename_object("cup", "white cup")
+    assert [row.name for row in library.objects()] == ["pen", "white cup"]
+    assert set(library.touches().object) == {"pen", "white cup"}
+    assert len(library.add(cups)) == len(library) == 6
+    with pytest.raises(LibraryError, match="merge 'pen' into it"):
+        library.rename_object("pen", "white cup")
+    with pytest.raises(LibraryError, match="must be one in the library"):
+        library.rename_object("cup", "x")
+
+
+def test_merged_objects_are_one_and_stay_one(library, cups):
+    library.add(cups)
+    library.merge_objects("cup", "pen")
+    assert library.objects() == [("pen", "tool", 6, 2)]
+    library.add(cups.with_columns(object=["cup"] * 6, order=np.arange(6, 12)))
+    assert [(row.name, row.n_touches) for row in library.objects()] == [("pen", 12)]
+    with pytest.raises(LibraryError, match="which are one"):
+        library.merge_objects("pen", "cup")
+
+
+def test_retracted_touches_are_left_out_and_can_be_restored(library, cups):
+    ids = library.add(cups)
+    assert library.retract(ids[1], reason="slipped") == 1
+    assert library.retract(ids[:2], reason="slipped") == 1
+    assert len(library.touches()) == 4
+    gone = [row for row in library.list(retracted=True) if row.retracted]
+    assert [row.id for row in gone] == ids[:2]
+    assert {row.reason for row in gone} == {"slipped"}
+    assert library.add(cups) == ids
+    assert len(library) == 4
+    assert library.restore(ids) == 2
+    assert len(library) == 6
+
+
+def test_a_whole_object_can_be_retracted(library, cups):
+    library.add(cups)
+    assert library.retract(object="cup", reason="wrong thing") == 3
+    assert [row.name for row in library.objects()] == ["pen"]
+    assert library.restore(object="cup") == 3
+    with pytest.raises(ValueError, match="reason must be a text"):
+        library.retract(object="cup", reason=" ")
+    with pytest.raises(ValueError, match="either ids or object"):
+        library.retract(reason="x")
+    with pytest.raises(LibraryError, match="hexadecimal"):
+        library.retract("xyz", reason="x")
+    with pytest.raises(LibraryError, match="in the library, got"):
+        library.retract("00" * 16, reason="x")
+
+
+def test_sensors_are_described(library, cups):
+    plain = cups.without("set_pitch_mm", "geometry")
+    sensor = SensorDescription("pad 3", "array", "kPa", 4.0, "array")
+    library.add(plain, sensor=sensor)
+    assert library.sensors() == [sensor]
+    again = library.touches("sensor = 'pad 3' and unit = kPa and pitch_mm > 3")
+    assert again.geometry == "array"
+    assert float(again.whole["set_pitch_mm"]) == 4.0
+    assert str(again.whole["set_unit"]) == "kPa"
+    with pytest.raises(ValueError, match="sensor name must be a text"):
+        library.add(plain, sensor=SensorDescription(""))
+
+
+def test_columns_that_some_touches_lack_are_filled(library, cups):
+    library.add(cups)
+    bare = Touches(cups.images + 1, object=["cap"] * 6, geometry="array")
+    library.add(bare)
+    again = library.touches()
+    assert np.isnan(again.columns["order"][6:].astype(float)).all()
+    assert again.session[6:].tolist() == [""] * 6
+    assert np.isnan(again.columns["position_mm"][6:]).all()
+    assert again.category is None
+    assert again.no_contact is None
+    assert library.touches("object = cup").no_contact is not None
+
+
+def test_touches_without_labels_are_kept_apart(library, cups):
+    library.add(cups)
+    library.add(Touches(cups.images + 1, geometry="array"))
+    with pytest.raises(LibraryError, match="object is not null"):
+        library.touches()
+    assert len(library.touches("object is not null")) == 6
+    assert library.touches("object is null").object is None
+
+
+def test_images_of_two_sizes_are_not_mixed(library, cups):
+    library.add(cups)
+    library.add(Touches(np.ones((1, 3, 3)), object=["dot"]))
+    with pytest.raises(LibraryError, match="one image size and type"):
+        library.touches()
+    assert library.touches("n_rows = 3").images.shape == (1, 3, 3)
+    with pytest.raises(LibraryError, match="at least one touch"):
+        library.touches("object = nothing")
+
+
+def test_an_altered_image_is_named_and_the_rest_is_readable(library, cups):
+    ids = library.add(cups.without("frames"))
+    path = next((library.folder / "images").rglob("*.npy"))
+    content = bytearray(path.read_bytes())
+    content[128 + 35 * 2 + 3] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(LibraryError, match=f"{ids[2]}.*altered"):
+        library.touches()
+    assert_array_equal(library.image(ids[3]), cups.images[3])
+    assert len(library.touches(f"id != {ids[2]}")) == 5
+    path.write_bytes(content[: 128 + 35 * 4])
+    with pytest.raises(LibraryError, match=f"{ids[5]}.*cut short"):
+        library.image(ids[5])
+    assert_array_equal(library.image(ids[1]), cups.images[1])
+
+
+def test_adding_again_heals_a_lost_file(library, cups):
+    ids = library.add(cups)
+    for path in (library.folder / "images").rglob("*.npy"):
+        path.unlink()
+    assert library.add(cups) == ids
+    assert_array_equal(library.touches().images, cups.images)
+    assert_array_equal(library.touches().columns["frames"], cups.columns["frames"])
+
+
+def test_image_files_are_plain_arrays(library, cups):
+    library.add(cups)
+    path = next((library.folder / "images").rglob("*.npy"))
+    assert_array_equal(np.load(path), cups.images)
+
+
+def test_large_selections_are_mapped(library, cups, monkeypatch):
+    import palpate.library._reading as reading
+
+    library.add(cups)
+    monkeypatch.setattr(reading, "IN_MEMORY", 10)
+    again = library.touches()
+    assert _is_mapped(again.images)
+    assert_array_equal(again.images, cups.images)
+    with pytest.raises(LibraryError, match="at most 100 bytes"):
+        library.touches(max_bytes=100)
+
+
+def _is_mapped(array):
+    while isinstance(array, np.ndarray):
+        array = array.base
+    return isinstance(array, mmap.mmap)
+
+
+def test_a_folder_without_library_is_refused(tmp_path):
+    with pytest.raises(LibraryError, match=r"got no library\.sqlite"):
+        TouchLibrary.open(tmp_path)
+    assert not TouchLibrary.is_library(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_newer_library_is_refused_by_name(library):
+    library.close()
+    database = sqlite3.connect(library.folder / "library.sqlite")
+    database.execute("PRAGMA user_version = 7")
+    database.close()
+    with pytest.raises(LibraryError, match="format 7, this palpate reads up to 1"):
+        TouchLibrary.open(library.folder)
+
+
+@pytest.mark.parametrize("content", [b"", b"no database at all" * 300])
+def test_another_file_is_no_library(tmp_path, content):
+    Path(tmp_path / "library.sqlite").write_bytes(content)
+    with pytest.raises(LibraryError, match="check --repair"):
+        TouchLibrary.open(tmp_path)
+
+
+def test_a_library_travels_to_other_processes_by_its_folder(library, cups):
+    library.add(cups)
+    with pickle.loads(pickle.dumps(library)) as again:
+        assert len(again) == 6
+
+
+def test_only_touches_are_added(library):
+    with pytest.raises(TypeError, match="must be Touches, got ndarray"):
+        library.add(np.ones((1, 2, 2)))

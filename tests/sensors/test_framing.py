@@ -1,0 +1,137 @@
+"""Frames on a serial line: what was written comes back, whatever lies between."""
+
+import binascii
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+
+from palpate.sensors import BinaryFraming, LineFraming, write_binary, write_line
+
+SHAPE = (3, 4)
+garbage = st.binary(max_size=40)
+numbers = st.lists(
+    st.integers(0, 65535).map(float), min_size=12, max_size=12
+)  # whole numbers survive "%g" up to six digits
+
+
+def chunks(data, sizes):
+    """Cut data into pieces of the given sizes, over and over."""
+    start = 0
+    while start < len(data):
+        for size in sizes:
+            yield data[start : start + size]
+            start += size
+
+
+def test_the_documented_line_is_read():
+    # 0x30 ^ ',' ^ ... worked out by hand for "0,12": 30^2C^31^32 = 1F.
+    assert_array_equal(LineFraming((1, 2)).feed(b"$0,12*1F\n"), [[[0, 12]]])
+
+
+def test_the_checksum_of_bytes_is_ccitt_false():
+    # The catalogue's check value of CRC-16/CCITT-FALSE for "123456789".
+    assert binascii.crc_hqx(b"123456789", 0xFFFF) == 0x29B1
+    packet = write_binary(np.zeros((1, 1), np.uint8), number=7)
+    assert packet[:7] == bytes((0xA5, 0x5A, 1, 1, 1, 7, 0))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    frames=st.lists(numbers, min_size=1, max_size=4),
+    noise=garbage.filter(lambda noise: b"\n" not in noise),
+    sizes=st.lists(st.integers(1, 50), min_size=1, max_size=4),
+)
+def test_lines_survive_garbage_before_them(frames, noise, sizes):
+    images = [np.reshape(values, SHAPE) for values in frames]
+    written = noise.replace(b"*", b"") + b"\n" + b"".join(map(write_line, images))
+    framing = LineFraming(SHAPE)
+    got = [f for piece in chunks(written, sizes) for f in framing.feed(piece)]
+    assert_array_equal(got, np.array(images, np.float32))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    frames=st.lists(numbers, min_size=1, max_size=4),
+    noise=garbage,
+    sizes=st.lists(st.integers(1, 50), min_size=1, max_size=4),
+)
+def test_bytes_survive_garbage_between_them(frames, noise, sizes):
+    images = [np.reshape(values, SHAPE).astype(np.uint16) for values in frames]
+    framing = BinaryFraming(SHAPE)
+    written = b"".join(noise + write_binary(i, n) for n, i in enumerate(images))
+    # A frame's length of zeros ends whatever the garbage may have begun.
+    written += bytes(64)
+    got = [f for piece in chunks(written, sizes) for f in framing.feed(piece)]
+    assert_array_equal(got, images)
+    assert framing.n_missed == 0
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.int16, np.float32])
+def test_every_type_of_taxel_comes_back(kind, rng):
+    image = rng.uniform(0, 200, size=SHAPE).astype(kind)
+    (got,) = BinaryFraming(SHAPE, kind).feed(write_binary(image))
+    assert got.dtype == kind
+    assert_array_equal(got, image)
+
+
+def test_a_flipped_bit_anywhere_loses_that_frame_and_no_other(rng):
+    images = rng.integers(0, 60000, size=(3, *SHAPE)).astype(np.uint16)
+    packets = [write_binary(image, n) for n, image in enumerate(images)]
+    for at in range(len(packets[1])):
+        broken = bytearray(packets[1])
+        broken[at] ^= 0x10
+        framing = BinaryFraming(SHAPE)
+        got = framing.feed(packets[0] + bytes(broken) + packets[2] + bytes(64))
+        assert_array_equal(got, images[[0, 2]])
+        assert framing.n_missed == 1
+        assert framing.n_damaged >= 1
+
+
+def test_numbers_tell_how_many_frames_are_missing():
+    framing = BinaryFraming((1, 1))
+    for number in (65534, 65535, 0, 3):
+        framing.feed(write_binary(np.ones((1, 1), np.uint16), number))
+    assert framing.n_missed == 2
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"$1,2,3*00\n",
+        b"$1,2*1D\n",
+        b"1,2\n",
+        b"$1,2\n",
+        b"$1,inf*5C\n",
+        b"$1,x*66\n",
+        b"\xff\xfe\n",
+    ],
+)
+def test_a_line_that_is_no_frame_is_counted_and_skipped(line):
+    framing = LineFraming((1, 2))
+    assert framing.feed(line) == []
+    assert framing.n_damaged == 1
+    assert len(framing.feed(write_line(np.array([[4.0, 5.0]])))) == 1
+
+
+def test_lines_without_checksum_are_read_where_asked_for():
+    (frame,) = LineFraming((2, 2), checksum=False).feed(b"1 2\t3,nan\r\n")
+    assert_array_equal(frame, [[1, 2], [3, np.nan]])
+
+
+def test_endless_garbage_takes_no_memory():
+    line, binary = LineFraming((2, 2)), BinaryFraming((2, 2))
+    for _ in range(100):
+        line.feed(b"7" * 1000)
+        binary.feed(b"\xa5" * 1000)
+    assert len(line._begun) < 2000
+    assert len(binary._buffer) < 2000
+
+
+def test_what_bytes_cannot_carry_is_refused():
+    with pytest.raises(ValueError, match="at most 255 x 255, got 256 x 2"):
+        BinaryFraming((256, 2))
+    with pytest.raises(ValueError, match="dtype must be one of 'uint8'"):
+        BinaryFraming((2, 2), np.float64)

@@ -1,0 +1,132 @@
+"""A pressure array over a pseudo-terminal: the port is real, the array is not."""
+
+import os
+import threading
+import time
+import tty
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from palpate.sensors import (
+    SensorError,
+    SerialArraySensor,
+    check_sensor,
+    write_binary,
+    write_line,
+)
+
+serial = pytest.importorskip("serial", reason="pyserial is not installed")
+
+
+class Terminal:
+    """A pseudo-terminal; what is written to it arrives at its port."""
+
+    def __init__(self):
+        self.master, self.slave = os.openpty()
+        tty.setraw(self.slave)
+        self.port = os.ttyname(self.slave)
+        self.stop = threading.Event()
+        self.thread = None
+
+    def play(self, packets, rate_hz):
+        """Write packets at a rate, over and over if they are a function."""
+
+        def run():
+            due = time.monotonic()
+            for packet in packets:
+                if self.stop.wait(max(0.0, due - time.monotonic())):
+                    return
+                os.write(self.master, packet)
+                due += 1 / rate_hz
+
+        self.thread = threading.Thread(target=run, daemon=True)
+        self.thread.start()
+
+    def close(self):
+        self.stop.set()
+        if self.thread:
+            self.thread.join(5)
+        for end in (self.master, self.slave):
+            os.close(end)
+
+
+@pytest.fixture
+def terminal():
+    made = Terminal()
+    yield made
+    made.close()
+
+
+def endless(shape, write):
+    number = 0
+    while True:
+        yield write(np.full(shape, number % 200, np.uint16), number)
+        number += 1
+
+
+def as_line(image, number):
+    return write_line(image)
+
+
+@pytest.mark.parametrize(
+    ("framing", "write"), [("line", as_line), ("binary", write_binary)]
+)
+def test_it_keeps_the_contract(terminal, framing, write):
+    terminal.play(endless((3, 4), write), 200)
+    check_sensor(SerialArraySensor(terminal.port, (3, 4), framing=framing))
+
+
+def test_16_x_16_at_100_hz_arrive_without_loss(terminal):
+    n_frames = 150
+    images = np.arange(n_frames * 256, dtype=np.uint16).reshape(n_frames, 16, 16)
+    sensor = SerialArraySensor(terminal.port, (16, 16), framing="binary", baud=921600)
+    with sensor:
+        terminal.play([write_binary(im, n) for n, im in enumerate(images)], 100)
+        frames = [sensor.read_next() for _ in range(n_frames)]
+    assert_array_equal([frame.image for frame in frames], images)
+    assert sensor.n_dropped == 0
+
+
+def test_garbage_and_cut_frames_are_counted_and_left_behind(terminal):
+    good = [write_binary(np.full((2, 2), n, np.uint16), n) for n in range(4)]
+    with SerialArraySensor(terminal.port, (2, 2), framing="binary") as sensor:
+        os.write(terminal.master, b"booting...\r\n" + good[0] + good[1][:7])
+        os.write(terminal.master, good[2] + b"\xa5\x5a\x02" + good[3])
+        levels = [int(sensor.read_next().image[0, 0]) for _ in range(3)]
+        assert levels == [0, 2, 3]
+        assert sensor.n_dropped >= 3
+
+
+def test_a_pulled_plug_is_noticed_and_the_array_found_again(tmp_path):
+    first, second = Terminal(), Terminal()
+    port = tmp_path / "array"  # as /dev/serial/by-id does, this name stays
+    port.symlink_to(first.port)
+    sensor = SerialArraySensor(str(port), (2, 2), framing="binary")
+    sensor.retry_s = 0.02
+    packet = write_binary(np.ones((2, 2), np.uint16))
+    with sensor:
+        os.write(first.master, packet)
+        sensor.read_next()
+        port.unlink()
+        first.close()
+        with pytest.raises(SensorError, match=r"is lost: The serial port .* cannot be"):
+            sensor.read_next(0.5)
+        port.symlink_to(second.port)
+        deadline = time.monotonic() + 5
+        while sensor.lost and time.monotonic() < deadline:
+            time.sleep(0.01)
+        os.write(second.master, packet)
+        assert_array_equal(sensor.read_next().image, np.ones((2, 2)))
+    second.close()
+
+
+def test_a_port_that_is_not_there_or_busy_is_refused(terminal):
+    with pytest.raises(SensorError, match="/dev/nowhere cannot be opened"):
+        SerialArraySensor("/dev/nowhere", (2, 2)).connect()
+    with (
+        SerialArraySensor(terminal.port, (2, 2)),
+        pytest.raises(SensorError, match="Another program uses it"),
+    ):
+        SerialArraySensor(terminal.port, (2, 2)).connect()

@@ -1,0 +1,143 @@
+"""Touches in streams whose touches are known."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from palpate.sensors import ContactError, Frame, TouchDetector
+
+ZERO = np.full((4, 4), 100, np.uint8)
+
+
+def frames(levels, zero=ZERO, rate_hz=10.0):
+    """One frame per level, each `level` above the zero everywhere."""
+    for number, level in enumerate(levels):
+        image = (zero.astype(float) + level).astype(zero.dtype)
+        yield Frame(image, number / rate_hz, number)
+
+
+def touches_of(detector, levels, zero=ZERO):
+    found = (detector.update(frame) for frame in frames(levels, zero))
+    return [touch for touch in found if touch is not None]
+
+
+def test_one_touch_is_its_frame_of_greatest_change():
+    (touch,) = touches_of(TouchDetector(ZERO), [0, 0, 10, 40, 30, 10, 0, 0])
+    assert_array_equal(touch.image, ZERO + 40)
+    assert touch.change == 40
+    assert (touch.began_s, touch.ended_s, touch.n_frames) == (0.2, 0.6, 4)
+
+
+def test_or_the_mean_over_the_hold():
+    detector = TouchDetector(ZERO, summary="mean")
+    (touch,) = touches_of(detector, [0, 10, 40, 34, 40, 34, 10, 0])
+    # The hold is what reaches 0.8 of 40: four frames, their mean 37.
+    assert_array_equal(touch.image, ZERO + 37)
+
+
+def test_a_change_that_wavers_about_the_limit_is_one_touch():
+    detector = TouchDetector(ZERO, begin=10, end=4)
+    assert len(touches_of(detector, [0, 12, 6, 12, 5, 11, 9, 12, 0])) == 1
+    flat = TouchDetector(ZERO, begin=10, end=10)
+    assert len(touches_of(flat, [0, 12, 12, 6, 12, 12, 6, 12, 12, 0])) == 3
+
+
+def test_pulling_counts_like_pressing():
+    (touch,) = touches_of(TouchDetector(ZERO), [0, -20, -50, -20, 0])
+    assert touch.change == 50
+
+
+def test_a_flash_of_one_frame_is_no_touch():
+    assert touches_of(TouchDetector(ZERO), [0, 50, 0, 0, 50, 0]) == []
+    assert len(touches_of(TouchDetector(ZERO, min_frames=1), [0, 50, 0, 50, 0])) == 2
+
+
+def test_dead_taxels_do_not_hide_touches():
+    zero = np.full((4, 4), 1.0)
+    zero[0] = np.nan
+    (touch,) = touches_of(TouchDetector(zero, begin=0.5), [0, 1, 2, 1, 0], zero)
+    assert_allclose(touch.change, 2)
+
+
+def test_without_a_zero_nothing_is_detected():
+    detector = TouchDetector()
+    assert touches_of(detector, [0, 50, 50, 0]) == []
+    assert "No zero yet" in detector.rezero_offer(0.0)
+
+
+def test_the_zero_is_the_mean_and_sets_the_limits(rng):
+    noisy = rng.normal(scale=3.0, size=(20, 40, 40)) + 100
+    detector = TouchDetector()
+    detector.take_zero(list(noisy))
+    # Mean of 20: its own noise is 3 / sqrt(20) = 0.7; four of those bound it.
+    assert_allclose(detector.zero, 100, atol=4 * 0.7 * 1.5)
+    # The frames' noise about their mean is 3 sqrt(1 - 1/20).
+    assert_allclose(detector.begin, 6 * 3 * np.sqrt(0.95), rtol=0.05)
+    assert_allclose(detector.end, detector.begin / 2)
+
+
+def test_the_zero_is_refused_while_touching_unless_insisted_on():
+    detector = TouchDetector(ZERO)
+    touches_of(detector, [0, 50, 50])
+    with pytest.raises(ContactError, match="Something touches the sensor"):
+        detector.take_zero([ZERO + 50] * 3)
+    assert detector.touching
+    detector.take_zero([ZERO + 50] * 3, force=True)
+    assert not detector.touching
+    assert_array_equal(detector.zero, ZERO + 50)
+
+
+def test_the_zero_is_refused_while_something_comes_down():
+    coming = [ZERO + 5 * step for step in range(10)]
+    with pytest.raises(ContactError, match="still changing"):
+        TouchDetector(ZERO).take_zero(coming)
+    with pytest.raises(ValueError, match="number of frames must be at least 3"):
+        TouchDetector(ZERO).take_zero([ZERO])
+
+
+def test_a_new_zero_is_offered_when_rest_has_moved():
+    detector = TouchDetector(ZERO, begin=10, end=4)
+    touches_of(detector, [0] * 60)
+    assert detector.rezero_offer(6.0) == ""
+    touches_of(detector, [6] * 100)
+    assert "take it again" in detector.rezero_offer(10.0)
+
+
+def test_a_contact_without_end_is_questioned():
+    detector = TouchDetector(ZERO)
+    touches_of(detector, [50] * 250)
+    assert "insist on a new zero" in detector.rezero_offer(25.0)
+    moving = TouchDetector(ZERO)
+    touches_of(moving, [50, 90] * 125)
+    assert moving.rezero_offer(25.0) == ""
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.integers(2, 6), st.integers(1, 5), st.integers(5, 100)),
+        max_size=6,
+    )
+)
+def test_as_many_touches_come_out_as_went_in(presses):
+    levels = [0]
+    for hold, rest, level in presses:
+        levels += [level] * hold + [0] * rest
+    found = touches_of(TouchDetector(ZERO), levels)
+    assert [touch.change for touch in found] == [level for _, _, level in presses]
+
+
+@pytest.mark.realdata
+def test_real_touches_played_with_gaps_are_all_found(data_folder):
+    stored = np.load(data_folder / "bathtip" / "bathtip50.npz")
+    rows = np.flatnonzero(stored["object"] == stored["object"][0])[:40]
+    images, zero = stored["images"][rows], stored["no_contact"]
+    change = np.sqrt(((images.astype(float) - zero) ** 2).mean((1, 2)))
+    detector = TouchDetector(zero)
+    found = 0
+    for image in images:
+        for number, frame in enumerate([zero, image, image, image, zero]):
+            found += detector.update(Frame(frame, number / 25, number)) is not None
+    assert found == (change > detector.begin).sum()

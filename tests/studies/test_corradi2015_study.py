@@ -1,0 +1,175 @@
+"""The Corradi 2015 study on few touches: which rows there are, and that they repeat."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from palpate.cli._app import app
+from palpate.studies import (
+    Corradi2015Plan,
+    run_study,
+    study_tables,
+    write_study_report,
+)
+from palpate.studies._corradi2015_pictures import draw_pictures
+
+TINY = {
+    "partitions": 2,
+    "default_partitions": 1,
+    "n_train": 8,
+    "n_test": 4,
+    "few_train": 6,
+    "touches": (1, 4, 30),
+    "n_simulated": 12,
+    "orders": 2,
+    "clusters": (4, 8),
+    "components": (1, 2),
+    "later": False,
+}
+
+
+@pytest.fixture(scope="module")
+def result():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("PALPATE_DATA", raising=False)
+        plan = Corradi2015Plan(**TINY)
+        return run_study("corradi2015", plan=plan, workers=1, progress=False)
+
+
+def held(result, **wanted):
+    return [
+        row
+        for row in result["rows"]
+        if all(row.get(key) == value for key, value in wanted.items())
+    ]
+
+
+def test_every_recogniser_has_a_figure_after_each_number_of_touches(result):
+    rows = held(result, table="ten objects")
+    names = {row["recogniser"] for row in rows}
+    assert {"corradi2015", "default", "k-means", "mixtures of 2"} <= names
+    assert {"bag, Fourier", "bag, moments", "disc centre", "brightness"} <= names
+    for name in names - {"idle, corradi2015", "idle, default"}:
+        # 30 touches are more than an episode has.
+        touches = [row["touches"] for row in held(result, recogniser=name)]
+        assert touches[:2] == [1, 4]
+    for row in rows:
+        assert 0 <= row["ours"] <= 100
+        assert row["data"] == "simulated"
+        assert row["partitions"] in (1, 2)
+
+
+def test_the_same_camera_at_the_same_place_tells_no_object(result):
+    # Chance is 10 %; after 4 touches of 10 objects 50 % has a chance below 1e-3.
+    (row,) = held(result, recogniser="disc centre", touches=4)
+    assert row["ours"] < 50
+
+
+def test_mixtures_say_how_under_determined_they_are(result):
+    row = held(result, recogniser="mixtures of 2")[0]
+    n = row["n_features"]
+    # Eight touches an object cannot span two covariances of more features.
+    assert n > 8
+    assert row["singular"] == 100
+    whole = [2 * (k + k * (k + 1) / 2) + 1 for k in (np.floor(n), np.ceil(n))]
+    assert whole[0] <= row["parameters"] <= whole[1]
+
+
+def test_confusions_are_shares_and_pairs_are_sorted():
+    from palpate.studies._corradi2015_rows import worst_pairs
+
+    confusion = np.array([[0.6, 0.4, 0.0], [0.2, 0.7, 0.1], [0.0, 0.0, 1.0]])
+    pairs = worst_pairs(confusion, ["pen", "brush", "mug"])
+    assert pairs[0] == {"objects": ["pen", "brush"], "share": pytest.approx(30.0)}
+    assert pairs[1] == {"objects": ["brush", "mug"], "share": pytest.approx(5.0)}
+
+
+def test_objects_never_learnt_share_one_belief(result):
+    curves = result["unseen"]["simulated"]["corradi2015"]
+    assert len(curves) == 5
+    for curve in curves.values():
+        assert np.shape(curve) == (4, 10)
+        # Ten numbers rounded to four decimals.
+        np.testing.assert_allclose(np.sum(curve, axis=1), 1, atol=5e-4)
+
+
+def test_timings_stand_beside_the_papers(result):
+    rows = held(result, table="timings")
+    encode = next(row for row in rows if row["name"].startswith("Zernike"))
+    assert encode["paper"] == 3.7
+    assert all(row["unit"] == "ms" and row["ours"] > 0 for row in rows)
+
+
+def test_what_is_missing_is_said_and_json_holds_everything(result):
+    assert "--data or PALPATE_DATA" in result["skipped"][0]
+    assert json.loads(json.dumps(result))["study"] == "corradi2015"
+
+
+def test_the_same_seed_gives_the_same_figures(result, monkeypatch):
+    monkeypatch.delenv("PALPATE_DATA", raising=False)
+    plan = Corradi2015Plan(**{**TINY, "default_partitions": 0})
+    again = run_study("corradi2015", plan=plan, workers=1, progress=False)
+    for name in ("corradi2015", "bag, moments", "mixtures of 2"):
+        assert held(again, recogniser=name, table="ten objects") == held(
+            result, recogniser=name, table="ten objects"
+        )
+    assert again["unseen"] == result["unseen"]
+
+
+def test_tables_pictures_and_report(result, tmp_path):
+    titles = [table[0] for table in study_tables(result)]
+    assert titles[0].startswith("Ten objects, simulated")
+    assert "Milliseconds, one thread" in titles
+    for _, columns, rows in study_tables(result):
+        assert all(len(row) == len(columns) for row in rows)
+    names = [path.name for path in draw_pictures(tmp_path, result)]
+    assert names == [
+        f"corradi2015-{n}.png" for n in ("accuracy", "confusion", "unseen")
+    ]
+    page = write_study_report(tmp_path / "page.html", result).read_text("utf-8")
+    assert page.startswith("<!doctype html>")
+    assert "Most confused pairs" in page
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"partitions": 0}, "partitions must be at least 1"),
+        ({"n_train": 2}, "n_train must be at least 6"),
+        ({"n_simulated": 20}, "n_simulated must be at least 75"),
+        ({"clusters": (0,)}, "clusters must be at least 1"),
+        ({"seed": -1}, "seed must be at least 0"),
+    ],
+)
+def test_bad_sizes_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        Corradi2015Plan(**changes)
+
+
+def test_a_folder_without_the_touches_is_refused(tmp_path):
+    with pytest.raises(
+        ValueError, match="--data must name a folder that holds bathtip"
+    ):
+        run_study("corradi2015", data=tmp_path, quick=True)
+
+
+def test_the_command_lists_it():
+    done = CliRunner().invoke(app, ["study", "--list"])
+    assert "corradi2015" in done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+def test_recorded_touches_are_recognised_as_the_paper_says(data_folder):
+    result = run_study("corradi2015", data=data_folder, quick=True, progress=False)
+    figures = {
+        row["touches"]: row["ours"]
+        for row in held(result, data="bathtip", recogniser="corradi2015")
+        if row["table"] == "ten objects"
+    }
+    # Ten partitions of ten objects: a standard error of 3 points after 15 touches.
+    assert figures[15] == pytest.approx(87, abs=9)
+    assert figures[30] == pytest.approx(95, abs=9)
+    assert result["seconds"] < 120

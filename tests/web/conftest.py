@@ -1,0 +1,109 @@
+"""Sessions, servers and drawn things to touch, for the whole room."""
+
+import threading
+import time
+from contextlib import contextmanager
+
+import httpx
+import numpy as np
+import pytest
+
+from palpate import Touches
+from palpate.sensors import ReplaySensor
+from palpate.web import LiveSession, create_app, new_token
+
+pytest.importorskip("fastapi", reason="pip install palpate[web]")
+pytest.importorskip("uvicorn", reason="pip install palpate[web]")
+
+SIDE = 12
+
+
+def drawn_touches(name, count, rng):
+    """Presses of a drawn object: its shape at a random place, over noise."""
+    row, col = np.mgrid[:SIDE, :SIDE]
+    images = []
+    for number in range(count):
+        shape = name if name != "both" else ("disc", "bar")[number % 2]
+        y, x = rng.uniform(4, 7, size=2)
+        if shape == "disc":
+            image = np.hypot(row - y, col - x) < 3.2
+        else:
+            image = (abs(row - y) < 1.2) & (abs(col - x) < 4.5)
+        images.append(image * 150 + rng.normal(scale=3, size=image.shape))
+    return np.rint(images).clip(0, 255).astype(np.uint8)
+
+
+@pytest.fixture(scope="session")
+def drawn():
+    """Thirty touches each of a disc, a bar, and a thing that is both by turns."""
+    rng = np.random.default_rng(1)
+    names = ["disc", "bar", "both"]
+    images = np.concatenate([drawn_touches(name, 30, rng) for name in names])
+    rest = np.zeros((SIDE, SIDE), np.uint8)
+    return Touches(
+        images, object=np.repeat(names, 30), no_contact=rest, geometry="array"
+    )
+
+
+@pytest.fixture(scope="session")
+def make_session(tmp_path_factory, drawn):
+    """Return a function that makes a session over a fast replay of drawn touches."""
+
+    def make(sensor=True, **options):
+        options.setdefault("library", tmp_path_factory.mktemp("live") / "library")
+        replay = ReplaySensor(drawn, rate_hz=250, hold=3, gap=3) if sensor else None
+        if replay is not None:
+            replay.place(None)
+        return LiveSession(replay, **options)
+
+    return make
+
+
+@contextmanager
+def serving(session, token=None, **limits):
+    """Run the application of a session on a free port; give its address and token."""
+    import uvicorn
+
+    from palpate.web.serving import open_socket
+
+    token = token or new_token()
+    opened = open_socket("127.0.0.1", 0)
+    app = create_app(session, token, **limits)
+    config = uvicorn.Config(
+        app, log_level="error", access_log=False, ws="websockets-sansio"
+    )
+    server = uvicorn.Server(config)
+    server.install_signal_handlers = lambda: None
+    thread = threading.Thread(target=server.run, args=([opened],), daemon=True)
+    thread.start()
+    while not server.started:
+        time.sleep(0.01)
+    try:
+        yield f"http://127.0.0.1:{opened.getsockname()[1]}", token
+    finally:
+        server.should_exit = True
+        thread.join(10)
+        opened.close()
+
+
+@pytest.fixture(name="serving", scope="session")
+def serving_fixture():
+    """Give `serving` to tests."""
+    return serving
+
+
+@pytest.fixture(scope="session")
+def connected():
+    """Return a context manager: a client of a served session, with its token or not."""
+
+    @contextmanager
+    def connect(session, token="token", *, known=True, **limits):
+        with serving(session, token, **limits) as (address, _):
+            headers = {"Authorization": f"Bearer {token}"} if known else {}
+            with httpx.Client(
+                base_url=address, headers=headers, timeout=30, follow_redirects=True
+            ) as client:
+                client.session = session
+                yield client
+
+    return connect

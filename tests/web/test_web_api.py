@@ -1,0 +1,277 @@
+"""The API does what the page does: teach, recognise, undo, rename, forget, export."""
+
+import io
+import json
+import re
+import time
+import zlib
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from palpate import Touches
+from palpate.library import TouchLibrary
+
+
+@pytest.fixture(scope="module")
+def shared(make_session, connected):
+    """A client for what is refused: nothing it does leaves a trace."""
+    with connected(make_session(sensor=False), max_body=400_000) as client:
+        yield client
+
+
+@pytest.fixture
+def client(make_session, connected):
+    with connected(make_session(sensor=False), rate_hz=2000) as client:
+        yield client
+
+
+def picture(image, kind="PNG"):
+    written = io.BytesIO()
+    Image.fromarray(image).save(written, kind)
+    return written.getvalue()
+
+
+def teach(client, drawn, name, count):
+    """Store the first touches of an object; return their ids."""
+    images = drawn.images[drawn.object == name][:count]
+    bodies = [{"object": name, "image": image.tolist()} for image in images]
+    answers = [client.post("/api/teach/touch", json=body) for body in bodies]
+    assert {answer.status_code for answer in answers} == {200}
+    return [answer.json()["id"] for answer in answers]
+
+
+def learnt(client):
+    """Learn and wait; return the state."""
+    answer = client.post("/api/learn")
+    assert answer.status_code == 202
+    return settled(client)
+
+
+def settled(client):
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        state = client.get("/api/state").json()
+        if not state["learning"]:
+            return state
+        time.sleep(0.05)
+    raise AssertionError("it never stopped learning")
+
+
+def touch(client, image):
+    return client.post("/api/touch", json={"image": image.tolist()})
+
+
+def test_taught_touches_are_recognised_undone_renamed_and_forgotten(client, drawn):
+    """One long walk, since learning takes a second each time."""
+    for name in ("disc", "bar"):
+        teach(client, drawn, name, 12)
+    assert client.post("/api/teach/undo").json()["message"].endswith("bar is undone.")
+    state = learnt(client)
+    assert state["model"]["objects"] == ["bar", "disc"]
+    assert state["model"]["n_touches"] == 23
+    held_out = drawn.images[drawn.object == "disc"][20:26]
+    answers = [touch(client, image).json() for image in held_out]
+    assert answers[-1]["best"] == "disc"
+    assert [len(answer["touches"]) for answer in answers] == [1, 2, 3, 4, 5, 6]
+    shares = answers[-1]["touches"][-1]["posterior"]
+    assert sum(shares.values()) == pytest.approx(1)
+    _check_downloads(client, held_out)
+    _check_nearest(client)
+    renamed = client.post(
+        "/api/objects/rename", json={"object": "disc", "name": "coin"}
+    )
+    assert renamed.status_code == 200
+    assert settled(client)["model"]["objects"] == ["bar", "coin"]
+    assert touch(client, held_out[0]).json()["best"] == "coin"
+    assert client.post("/api/objects/forget", json={"object": "bar"}).status_code == 200
+    state = settled(client)
+    assert state["model"] is None  # one object is no model
+    assert "at least two objects" in state["learn_error"]
+    assert state["library"]["objects"] == [{"name": "coin", "n_touches": 12}]
+
+
+def _check_downloads(client, held_out):
+    archive = client.get("/api/episode/archive")
+    assert "attachment" in archive.headers["content-disposition"]
+    with np.load(io.BytesIO(archive.content)) as stored:
+        assert (stored["images"] == held_out).all()
+    report = client.get("/api/episode/report").text
+    assert report.count("<img") == 6
+    assert "http" not in report
+    shown = client.get("/api/episode/touches/1/picture")
+    assert Image.open(io.BytesIO(shown.content)).size == (96, 96)
+    assert client.get("/api/episode/touches/99/picture").status_code == 404
+
+
+def _check_nearest(client):
+    nearest = client.get("/api/state").json()["nearest"]
+    assert [one["distance"] for one in nearest] == sorted(
+        one["distance"] for one in nearest
+    )
+    assert nearest[0]["object"] == "disc"
+    shown = client.get(f"/api/touches/{nearest[0]['id']}/picture")
+    assert shown.headers["content-type"] == "image/png"
+
+
+def test_what_is_acknowledged_is_in_the_library(client, drawn):
+    ids = teach(client, drawn, "disc", 3)
+    library = TouchLibrary.open(client.session.teacher.folder)
+    assert [row.id for row in library.list()] == ids
+    for key, image in zip(ids, drawn.images[:3], strict=True):
+        assert (library.image(key) == image).all()
+    library.close()
+
+
+def test_an_object_is_exported_as_an_archive(client, drawn, tmp_path):
+    teach(client, drawn, "bar", 3)
+    answer = client.get("/api/objects/archive", params={"object": "bar"})
+    (tmp_path / "bar.npz").write_bytes(answer.content)
+    touches = Touches.load(tmp_path / "bar.npz")
+    assert touches.object.tolist() == ["bar"] * 3
+    ids = client.get("/api/objects/touches", params={"object": "bar"}).json()
+    assert len(ids) == 3
+    missing = client.get("/api/objects/archive", params={"object": "hat"})
+    assert missing.status_code == 422
+    assert "no object 'hat'" in missing.json()["detail"]
+
+
+def test_pictures_are_touches_too(client, drawn):
+    image = drawn.images[0]
+    kind = {"Content-Type": "image/png"}
+    answer = client.post("/api/touch/picture", content=picture(image), headers=kind)
+    assert answer.json()["touches"][0]["number"] == 1
+    stored = client.post(
+        "/api/teach/touch/picture",
+        params={"object": "cup"},
+        content=picture(image),
+        headers=kind,
+    )
+    assert (client.session.teacher.library.image(stored.json()["id"]) == image).all()
+
+
+def test_episodes_start_and_end(client, drawn):
+    touch(client, drawn.images[0])
+    assert client.post("/api/episode/end").json()["open"] is False
+    assert len(touch(client, drawn.images[1]).json()["touches"]) == 1
+    assert client.post("/api/episode/start").json()["touches"] == []
+    assert client.get("/api/episode/report").status_code == 422
+
+
+def bomb(n_rows, n_cols):
+    """A PNG header that promises far more pixels than it has."""
+    head = n_cols.to_bytes(4, "big") + n_rows.to_bytes(4, "big") + b"\x08\0\0\0\0"
+
+    def chunk(kind, data):
+        check = zlib.crc32(kind + data).to_bytes(4, "big")
+        return len(data).to_bytes(4, "big") + kind + data + check
+
+    pixels = zlib.compress(bytes(1000))
+    chunks = chunk(b"IHDR", head) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + chunks
+
+
+@pytest.mark.parametrize(
+    ("content", "kind", "message"),
+    [
+        (b"", "image/png", "empty"),
+        (b"hello", "image/png", "neither JPEG nor PNG"),
+        (
+            picture(np.zeros((12, 12), np.uint8))[:-20],
+            "image/png",
+            "cut short|checksum",
+        ),
+        (
+            picture(np.zeros((64, 64), np.uint8), "JPEG")[:300],
+            "image/jpeg",
+            "cut short",
+        ),
+        (bomb(30_000, 30_000), "image/png", "pixels"),
+        (bomb(12, 12), "image/png", "decoded|damaged|cut"),
+        (b"GIF89a", "image/gif", "image/png or image/jpeg"),
+        (b"x", "", "image/png or image/jpeg"),
+    ],
+    ids=["empty", "text", "cut png", "cut jpeg", "bomb", "short", "gif", "untyped"],
+)
+@pytest.mark.parametrize("path", ["/api/touch/picture", "/api/teach/touch/picture"])
+def test_hostile_pictures_are_refused(shared, path, content, kind, message):
+    headers = {"Content-Type": kind}
+    params = {"object": "x"}
+    answer = shared.post(path, content=content, headers=headers, params=params)
+    assert answer.status_code == 422
+    assert re.search(message, answer.json()["detail"])
+    assert "/tmp" not in answer.json()["detail"]
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"",
+        b"{",
+        b"\xff\xfe",
+        b"[" * 5000,
+        b'{"image": []}',
+        b'{"image": [[]]}',
+        b'{"image": [[1], [1, 2]]}',
+        b'{"image": [[1e999]]}',
+        b'{"image": [["a"]]}',
+        b'{"image": [[1e39]]}',
+        b'{"image": 3, "more": 4}',
+        json.dumps({"image": [[0] * 4097]}).encode() * 2,
+    ],
+)
+@pytest.mark.parametrize("path", ["/api/touch", "/api/teach/touch", "/api/teach"])
+def test_hostile_bodies_are_refused(shared, path, body):
+    headers = {"Content-Type": "application/json"}
+    answer = shared.post(path, content=body, headers=headers)
+    assert answer.status_code in (400, 422)
+    assert "detail" in answer.json()
+
+
+@pytest.mark.parametrize(
+    "name", ["", " ", "x" * 81, "a\0b", "unknown", "\u202e", "\ud800"]
+)
+def test_names_that_are_none_are_refused(shared, drawn, name):
+    headers = {"Content-Type": "application/json"}
+    body = json.dumps({"object": name, "image": drawn.images[0].tolist()})
+    answer = shared.post("/api/teach/touch", content=body, headers=headers)
+    assert answer.status_code == 422
+
+
+def test_blanks_in_names_are_tidied(client, drawn):
+    body = {"object": " tea\n cup ", "image": drawn.images[0].tolist()}
+    assert client.post("/api/teach/touch", json=body).status_code == 200
+    state = client.get("/api/state").json()
+    assert state["library"]["objects"][0]["name"] == "tea cup"
+
+
+def test_an_image_must_suit_those_before_it(client, drawn):
+    teach(client, drawn, "disc", 1)
+    wide = client.post("/api/touch", json={"image": [[0, 0]]})
+    assert "12 x 12 taxels, got 1 x 2" in wide.json()["detail"]
+    touch(client, drawn.images[0].astype(float))
+
+
+def test_what_this_server_cannot_do_is_said(client):
+    for path, body, words in [
+        ("/api/zero", {"force": False}, "no sensor"),
+        ("/api/place", {"object": "mug"}, "cannot be chosen"),
+        ("/api/teach/undo", None, "no touch to undo"),
+        ("/api/objects/forget", {"object": "hat"}, "no object 'hat'"),
+        ("/api/objects/rename", {"object": "hat", "name": "cap"}, "'hat'"),
+        ("/api/episode/archive", None, "no touch yet"),
+    ]:
+        method = "GET" if path.endswith("archive") else "POST"
+        answer = client.request(method, path, json=body)
+        assert answer.status_code in (409, 422), path
+        assert words in answer.json()["detail"]
+    assert client.get("/api/touches/zz/picture").status_code == 404
+
+
+def test_without_a_library_nothing_is_taught(make_session, connected):
+    with connected(make_session(sensor=False, library=None)) as client:
+        answer = client.post("/api/teach", json={"object": "cup"})
+        assert answer.status_code == 422
+        assert "--library FOLDER" in answer.json()["detail"]
+        assert client.get("/api/objects/touches?object=cup").status_code == 409
