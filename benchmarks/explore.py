@@ -1,8 +1,8 @@
-"""What exploring in simulation shows: curves, other devices, from simulated to real.
+"""What simulated touches are worth: on other devices, and on real ones.
 
-    python benchmarks/explore.py curve device          # simulation alone
+    python benchmarks/explore.py device                # simulation alone
     PALPATE_DATA=... python benchmarks/explore.py      # all of it, with real touches
-    python benchmarks/explore.py --draw docs/images    # pictures of what was measured
+    python benchmarks/explore.py --write docs          # tables and pictures of it
 
 Each part replaces its rows in benchmarks/explore.json. How many touches choosing
 saves is measured by benchmarks/choose_touches.py. Protocols are in
@@ -20,18 +20,15 @@ from typing import Any
 
 import numpy as np
 
-from drawing import draw
+from exploration_pictures import draw
+from exploration_tables import fill
 from palpate import Touches
-from palpate.evaluation import Plan, evaluate, outcome, run_episodes, single_touches
+from palpate.evaluation import outcome, run_episodes, single_touches
 from palpate.recognition import ObjectRecogniser, adapt
 from palpate.simulation import HOUSEHOLD, UNSEEN, DomeCamera, simulate_touches
 
 Row = dict[str, Any]
 OUT = Path(__file__).with_suffix(".json")
-PRESETS = ("corradi2015", "default")
-N_TEST = 30
-PAPER = {"15": 0.87, "30": 0.95}
-SIDE = 80
 LENGTHS = (1, 5, 15)
 N_ADAPT = 20
 N_DEVICE_TOUCHES = 22
@@ -70,69 +67,6 @@ KINDS = {
     "pot": ("can",),
     "bottle": ("bottleempty", "bottlefull"),
 }
-
-
-def curve(data: Path | None, n_partitions: int) -> list[Row]:
-    """Accuracy after each touch over random partitions, beside the paper's."""
-    simulated = simulate_touches(
-        n_touches=90,
-        camera=DomeCamera(image_shape=(SIDE, SIDE)),
-        drift=False,
-        random_state=0,
-    )
-    rows = [_curve("simulated", simulated, 60, p, n_partitions) for p in PRESETS]
-    if data is not None:
-        recorded = _one_of_each(_bathtip(data))
-        few = max(n_partitions // 5, 1)
-        rows += [_curve("BathTip", recorded, 45, p, few) for p in PRESETS]
-    return rows
-
-
-def _curve(
-    name: str, touches: Touches, n_train: int, preset: str, n_partitions: int
-) -> Row:
-    curves = [
-        _one_partition(touches, n_train, preset, seed) for seed in range(n_partitions)
-    ]
-    train, test = _partition(touches, n_train, 0)
-    plan = Plan(preset="corradi2015", touches=(1, 15, 30), orders=20)
-    figures, _ = evaluate(touches[train], touches[test], plan=plan)
-    return {
-        "touches": name,
-        "preset": preset,
-        "n_objects": len(np.unique(touches.object)),
-        "n_train": n_train,
-        "n_partitions": n_partitions,
-        "accuracy": np.mean(curves, axis=0).round(4).tolist(),
-        "accuracy_sd": np.std(curves, axis=0).round(4).tolist(),
-        "controls": figures["controls"],
-    }
-
-
-def _one_partition(
-    touches: Touches, n_train: int, preset: str, seed: int
-) -> np.ndarray:
-    train, test = _partition(touches, n_train, seed)
-    recogniser = ObjectRecogniser(preset, random_state=seed).fit(touches[train])
-    tested = touches[test]
-    log_likelihood = recogniser.log_likelihood(tested)
-    names = tested.object
-    episodes = run_episodes(recogniser, log_likelihood, names, names, 1, seed)
-    return np.array(
-        [outcome(*episodes.after(k)).accuracy.mean() for k in range(1, N_TEST + 1)]
-    )
-
-
-def _partition(
-    touches: Touches, n_train: int, seed: int
-) -> tuple[np.ndarray, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    train, test = [], []
-    for name in np.unique(touches.object):
-        rows = rng.permutation(np.flatnonzero(touches.object == name))
-        train.append(rows[:n_train])
-        test.append(rows[n_train : n_train + N_TEST])
-    return np.sort(np.concatenate(train)), np.sort(np.concatenate(test))
 
 
 def device(data: Path | None, n_seeds: int) -> list[Row]:
@@ -261,17 +195,7 @@ def _bathtip(data: Path) -> Touches:
     return Touches.load(data / "bathtip" / "bathtip50.npz")
 
 
-def _one_of_each(touches: Touches) -> Touches:
-    """The first object of each category."""
-    chosen = [
-        np.unique(touches.object[touches.category == category])[0]
-        for category in np.unique(touches.category)
-    ]
-    return touches[np.isin(touches.object, chosen)]
-
-
 PARTS: dict[str, tuple[Callable[[Path | None, int], list[Row]], int]] = {
-    "curve": (curve, 100),
     "device": (device, 5),
     "real": (real, 5),
 }
@@ -281,13 +205,14 @@ def main() -> None:
     """Run the parts that are asked for and write them beside this script."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("parts", nargs="*", choices=[*PARTS, []], default=[])
-    parser.add_argument("--runs", type=int, help="partitions, or seeds")
+    parser.add_argument("--runs", type=int, help="seeds")
     parser.add_argument("--out", type=Path, default=OUT)
-    parser.add_argument("--draw", type=Path, metavar="FOLDER")
+    parser.add_argument("--write", type=Path, metavar="DOCS")
     asked = parser.parse_args()
     kept = json.loads(asked.out.read_text()) if asked.out.exists() else {}
-    if asked.draw is not None:
-        draw(asked.draw, kept, PAPER)
+    if asked.write is not None:
+        fill(asked.write / "exploration.md", kept)
+        draw(asked.write / "images")
         return
     folder = os.environ.get("PALPATE_DATA")
     data = None if folder is None else Path(folder)

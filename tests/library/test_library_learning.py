@@ -40,13 +40,13 @@ def counted(monkeypatch):
     from palpate.recognition._encoder import TouchEncoder
 
     calls = []
-    transform = TouchEncoder.transform
+    encode = TouchEncoder.encode
 
-    def counting(self, touches):
-        calls.append(len(touches))
-        return transform(self, touches)
+    def counting(self, cleaned):
+        calls.append(len(cleaned))
+        return encode(self, cleaned)
 
-    monkeypatch.setattr(TouchEncoder, "transform", counting)
+    monkeypatch.setattr(TouchEncoder, "encode", counting)
     return calls
 
 

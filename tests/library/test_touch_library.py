@@ -2,8 +2,12 @@
 
 import json
 import mmap
+import multiprocessing
 import pickle
+import shutil
 import sqlite3
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -307,3 +311,72 @@ def test_a_library_travels_to_other_processes_by_its_folder(library, cups):
 def test_only_touches_are_added(library):
     with pytest.raises(TypeError, match="must be Touches, got ndarray"):
         library.add(np.ones((1, 2, 2)))
+
+
+def test_a_forked_process_opens_the_library_anew(library, cups):
+    """SQLite's connections must not cross a fork: the child is told so."""
+    library.add(cups)
+    process = multiprocessing.get_context("fork").Process(
+        target=_count_in_child, args=(library,)
+    )
+    process.start()
+    process.join()
+    assert process.exitcode == 0
+
+
+def _count_in_child(library):
+    with pytest.raises(LibraryError, match="Open the library again"):
+        len(library)
+    with TouchLibrary.open(library.folder) as again:
+        assert len(again) == 6
+
+
+def test_threads_share_a_library(library, rng):
+    """Eight threads add and read at once; every touch is there in the end."""
+    parts = [
+        Touches(rng.integers(0, 9, (5, 3, 3)), object=["o"] * 5, press=[n] * 5)
+        for n in range(16)
+    ]
+
+    def add(part):
+        ids = library.add(part)
+        return ids, [library.image(key) for key in ids]
+
+    with ThreadPoolExecutor(8) as pool:
+        done = list(pool.map(add, parts))
+    for part, (_, images) in zip(parts, done, strict=True):
+        assert_array_equal(images, part.images)
+    assert len(library) == len({key for ids, _ in done for key in ids})
+
+
+def test_a_hostile_database_reads_nothing_outside(library, cups):
+    """Sizes and names in the database are not trusted."""
+    library.add(cups)
+    library.close()
+    database = sqlite3.connect(library.folder / "library.sqlite")
+    whole = json.dumps({"no_contact": "../../../../etc/passwd"})
+    database.execute("UPDATE recordings SET n_rows = 1000000000000, whole = ?", [whole])
+    database.commit()
+    database.close()
+    with TouchLibrary.open(library.folder) as again:
+        with pytest.raises(LibraryError, match="cut short"):
+            again.image(again.list()[0].id)
+        with pytest.raises(LibraryError, match="64 hexadecimal digits"):
+            again.no_contact()
+        with pytest.raises(LibraryError, match="at most"):
+            again.touches()
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand_touches_open_at_once(tmp_path, rng):
+    """Opening and listing take milliseconds; a second leaves room for a busy disk."""
+    images = rng.integers(0, 255, (100_000, 4, 4), dtype=np.uint8)
+    labels = np.char.add("o", (np.arange(100_000) % 50).astype(str))
+    with TouchLibrary.open(tmp_path, create=True) as library:
+        library.add(Touches(images, object=labels, order=np.arange(100_000)))
+    shutil.rmtree(tmp_path / "images")
+    started = time.perf_counter()
+    with TouchLibrary.open(tmp_path) as library:
+        assert len(library.list(limit=100, offset=50_000)) == 100
+        assert len(library) == 100_000
+    assert time.perf_counter() - started < 1

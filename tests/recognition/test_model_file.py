@@ -10,7 +10,12 @@ import pytest
 from numpy.testing import assert_array_equal
 from safetensors.numpy import save_file
 
-from palpate.recognition._model_file import ModelFileError, read_model, write_model
+from palpate.recognition._model_file import (
+    FORMAT,
+    ModelFileError,
+    read_model,
+    write_model,
+)
 
 
 @dataclass
@@ -82,7 +87,7 @@ def test_writing_replaces_in_one_step(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["b.palpate"]
 
 
-def forged(path, model, version=1):
+def forged(path, model, version=FORMAT):
     """A file with a right checksum and any content."""
     document = json.dumps({"format": version, "model": model})
     digest = sha256(document.encode())
@@ -119,7 +124,7 @@ def test_forged_content_is_refused(tmp_path, model, message):
 
 def test_another_version_is_named(tmp_path):
     path = forged(tmp_path / "b.palpate", HOSTILE, version=99)
-    with pytest.raises(ModelFileError, match="format 99, this palpate reads 1"):
+    with pytest.raises(ModelFileError, match=f"format 99, this palpate reads {FORMAT}"):
         read_model(path, KNOWN)
 
 

@@ -172,4 +172,3 @@ def test_recorded_touches_are_recognised_as_the_paper_says(data_folder):
     # Ten partitions of ten objects: a standard error of 3 points after 15 touches.
     assert figures[15] == pytest.approx(87, abs=9)
     assert figures[30] == pytest.approx(95, abs=9)
-    assert result["seconds"] < 120

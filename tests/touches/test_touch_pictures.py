@@ -259,3 +259,18 @@ def test_another_picture_than_announced_is_refused(grey):
     for other in (bomb, coded(Image.fromarray(grey), "JPEG")):
         with pytest.raises(PictureError, match="changed meanwhile"):
             grey_levels(other, header)
+
+
+def test_a_picture_in_memory_is_as_in_a_file():
+    import cv2
+
+    from palpate.touches import TouchesError, decode_picture
+
+    image = np.arange(60, dtype=np.uint8).reshape(6, 10)
+    data = cv2.imencode(".png", image)[1].tobytes()
+    np.testing.assert_array_equal(decode_picture(data), image)
+    with pytest.raises(TouchesError, match="at most 50 pixels"):
+        decode_picture(data, max_pixels=50)
+    for broken in (data[:-9], b"", b"GIF89a"):
+        with pytest.raises(TouchesError, match="JPEG or PNG"):
+            decode_picture(broken)

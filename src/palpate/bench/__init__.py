@@ -15,7 +15,24 @@ BENCHES: dict[str, tuple[str, str, str]] = {
         "bench_decode_here",
         "reading a folder of pictures, peak memory",
     ),
+    "library": (
+        "_library",
+        "bench_library",
+        "a library of 10^4 and 10^5 touches: adding, opening, likelihoods",
+    ),
+    "library-large": ("_library", "bench_library_large", "the same with 10^6"),
+    "encodings": (
+        "_encodings",
+        "bench_encodings_here",
+        "from a picture to a vector, by stage",
+    ),
+    "latency": (
+        "_latency",
+        "bench_latency",
+        "from a JPEG in memory to the new belief over 50 objects, by stage",
+    ),
     "likelihood": ("_likelihood", "bench_likelihood", "kernel densities per touch"),
+    "live": ("_live", "bench_live", "frames to a page, touches to a belief"),
     "mkl": ("_mkl", "bench_mkl", "multiple kernel learning beside MKLpy and SVC"),
     "simulate": (
         "_simulate",

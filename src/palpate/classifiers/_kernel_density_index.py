@@ -1,9 +1,10 @@
-"""An index over very many stored touches: rough for all objects, exact for the likely.
+"""An index over very many stored touches: rough far away, exact where it matters.
 
 The touches of each object are cut into cells. For a new touch, every cell answers in
-closed form as if its touches were normally distributed about their mean; the objects
-that come out most probable are then summed exactly. Worth while from some 10^5 stored
-touches on; below, the exact sum is as fast.
+closed form as if its touches were normally distributed about their mean. Of the
+objects that come out most probable, the cells that contribute most are then summed
+touch by touch. Worth while from some 10^5 stored touches on; below, the exact sum is
+as fast.
 """
 
 from typing import Any, NamedTuple
@@ -17,16 +18,16 @@ from ._inputs import Floats, as_touches
 from ._kernel_density import KernelDensityBayes
 from ._kernel_sums import (
     blocks_of,
-    count_tiles,
     exact_log_sums,
     is_precise,
+    make_tiles,
     squared_distances,
-    tile_log_sums,
 )
 
-TOUCHES_PER_CELL = 64
+TOUCHES_PER_CELL = 8
 MOST_CELLS = 256
 _ROUNDS = 8
+_TAUGHT_PER_CELL = 64
 
 
 class IndexQuality(NamedTuple):
@@ -62,10 +63,12 @@ class KernelDensityIndex:
     ----------
     model : KernelDensityBayes
         Fitted; when it learns or forgets an object, make a new index.
-    n_exact : int, default=3
-        How many of the most probable objects are summed exactly.
+    n_exact : int, default=4
+        How many of the most probable objects are summed touch by touch...
+    n_near : int, default=32
+        ...in so many of their cells, those that contribute most.
     n_cells : int, optional
-        Cells per object; by default one for 64 touches, at most 256.
+        Cells per object; by default one for 8 touches, at most 256.
     random_state : int, default=0
         Seed of the cells.
 
@@ -77,6 +80,10 @@ class KernelDensityIndex:
         Cell by cell, what [x^2, x, 1] is multiplied by.
     starts_ : ndarray of int, shape (n_objects,)
         First cell of each object.
+    packed_ : ndarray of float32, shape (n_touches, n_directions + 1)
+        The stored touches, object by object and cell by cell, see `make_tiles`.
+    ends_ : ndarray of int, shape (n_cells in all,)
+        Where each cell ends in `packed_`.
 
     Notes
     -----
@@ -100,7 +107,8 @@ class KernelDensityIndex:
         self,
         model: KernelDensityBayes,
         *,
-        n_exact: int = 3,
+        n_exact: int = 4,
+        n_near: int = 32,
         n_cells: int | None = None,
         random_state: int = 0,
     ) -> None:
@@ -109,22 +117,28 @@ class KernelDensityIndex:
         self.n_exact = min(check_count("n_exact", n_exact), len(model.classes_))
         most = MOST_CELLS if n_cells is None else check_count("n_cells", n_cells)
         self.classes_ = model.classes_
+        self.n_near = check_count("n_near", n_near)
         faiss = _faiss()
-        parts: list[NDArray] = []
-        starts = [0]
+        weights, packed, sizes, starts = [], [], [], [0]
         for place, rows in enumerate(self.model._rows()):
-            points = model.points_[rows]
+            points, precision = model.points_[rows], model._precision(place)
             count = most if n_cells is not None else -(-len(points) // TOUCHES_PER_CELL)
             cell = _cells(faiss, points, min(count, most, len(points)), random_state)
-            parts.append(_weights(points, cell, model._precision(place)))
-            starts.append(starts[-1] + parts[-1].shape[1])
-        self.weights_ = np.concatenate(parts, axis=1)
+            weights.append(_weights(points, cell, precision))
+            tiles = make_tiles(points, precision, "float32")[0]
+            flat = tiles.reshape(-1, tiles.shape[2])[: len(points)]
+            packed.append(flat[np.argsort(cell, kind="stable")])
+            sizes.append(np.bincount(cell))
+            starts.append(starts[-1] + len(sizes[-1]))
+        self.weights_ = np.concatenate(weights, axis=1)
+        self.packed_ = np.concatenate(packed)
         self.starts_ = np.array(starts[:-1])
+        self.ends_ = np.cumsum(np.concatenate(sizes))
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return log p(touch | object) in nats, shape (n_touches, n_objects).
 
-        Exact for the `n_exact` most probable objects of each touch.
+        Most exact for the `n_exact` most probable objects of each touch.
         """
         touches = as_touches(self.model, X)
         result = np.empty((len(touches), len(self.classes_)))
@@ -148,40 +162,59 @@ class KernelDensityIndex:
         )
 
     def _of_block(self, x: Floats) -> Floats:
-        sums = self._rough(x) + self.model.log_norms_
+        model = self.model
+        one = np.ones((len(x), 1))
+        cells = np.hstack([x**2, x, one]).astype(np.float32) @ self.weights_
+        sums = self._sums_of(cells) + model.log_norms_
         kept = np.argpartition(-sums, self.n_exact - 1, axis=1)[:, : self.n_exact]
-        for place in np.unique(kept).tolist():
-            rows = np.flatnonzero((kept == place).any(axis=1))
-            sums[rows, place] = self._exact(x[rows], place)
+        shared = squared_distances(x, model.means_, model.precisions_) / 2
+        precise = is_precise(x, model.reaches_, "float32")
+        extended = np.hstack([x, one]).astype(np.float32)
+        for row, place in (
+            (r, p) for r, some in enumerate(kept.tolist()) for p in some
+        ):
+            if precise[row, place]:
+                found = self._refined(extended[row], place, cells[row], shared[row])
+            else:
+                points = model.points_[model._rows()[place]]
+                precision = model._precision(place)
+                found = exact_log_sums(x[row : row + 1], points, precision)[0]
+            sums[row, place] = found + model.log_norms_[place]
         return sums
 
-    def _rough(self, x: Floats) -> Floats:
-        one = np.ones((len(x), 1))
-        exponents = np.hstack([x**2, x, one]).astype(np.float32) @ self.weights_
-        top = np.maximum.reduceat(exponents, self.starts_, axis=1)
-        counts = np.diff(np.append(self.starts_, exponents.shape[1]))
-        exponents -= np.repeat(top, counts, axis=1)
-        np.exp(exponents, out=exponents)
-        sums = np.add.reduceat(exponents, self.starts_, axis=1)
+    def _sums_of(self, cells: NDArray[np.float32]) -> Floats:
+        """Return the log of the sum over the cells of each object."""
+        top = np.maximum.reduceat(cells, self.starts_, axis=1)
+        counts = np.diff(np.append(self.starts_, cells.shape[1]))
+        relative = np.exp(cells - np.repeat(top, counts, axis=1))
+        sums = np.add.reduceat(relative, self.starts_, axis=1)
         result: Floats = top.astype(np.float64) + np.log(sums)
         return result
 
-    def _exact(self, x: Floats, place: int) -> Floats:
-        """Return log densities of one object, as the model itself computes them."""
-        model, one = self.model, slice(place, place + 1)
-        ends = np.cumsum(count_tiles(model.counts_))
-        first = 0 if place == 0 else ends[place - 1]
-        tiles = model.tiles_[first : ends[place]]
-        precision = model._precision(place)
-        shared = None if precision is None else precision[np.newaxis]
-        sums = tile_log_sums(x, tiles, np.array([len(tiles)]))[:, 0]
-        sums -= squared_distances(x, model.means_[one], shared)[:, 0] / 2
-        rough = ~is_precise(x, model.reaches_[one], model.dtype_)[:, 0]
-        if rough.any():
-            points = model.points_[model._rows()[place]]
-            sums[rough] = exact_log_sums(x[rough], points, precision)
-        result: Floats = sums + model.log_norms_[place]
-        return result
+    def _refined(
+        self, x: NDArray[np.float32], place: int, cells: NDArray, shared: Floats
+    ) -> float:
+        """Return the log sum of one object: near cells by touch, far ones rough."""
+        first = self.starts_[place]
+        own = cells[first : np.append(self.starts_, len(cells))[place + 1]]
+        n_near = min(self.n_near, len(own))
+        order = np.argpartition(-own, n_near - 1)
+        ends = self.ends_[first + order[:n_near]]
+        begins = np.where(
+            first + order[:n_near] > 0, self.ends_[first + order[:n_near] - 1], 0
+        )
+        near = np.concatenate(
+            [self.packed_[b:e] @ x for b, e in zip(begins, ends, strict=True)]
+        )
+        total = _log_sum(near) - shared[place]
+        if n_near < len(own):
+            total = np.logaddexp(total, _log_sum(own[order[n_near:]]))
+        return float(total)
+
+
+def _log_sum(exponents: NDArray[np.float32]) -> float:
+    top = exponents.max()
+    return float(top + np.log(np.exp(exponents - top).sum()))
 
 
 def _faiss() -> Any:
@@ -204,7 +237,7 @@ def _cells(faiss: Any, points: Floats, n_cells: int, seed: int) -> NDArray[np.in
         niter=_ROUNDS,
         seed=seed,
         min_points_per_centroid=1,
-        max_points_per_centroid=TOUCHES_PER_CELL,
+        max_points_per_centroid=_TAUGHT_PER_CELL,
     )
     means.train(single)
     nearest: NDArray[np.intp] = means.index.search(single, 1)[1][:, 0]

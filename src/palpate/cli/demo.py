@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ._options import AsJson, Seed
-from ._output import percent, print_json, table
+from ._output import percent, print_json
 from ._stages import Stages
 from .explore import print_attempt, told
 from .recognise import print_episode, recognise_episodes
@@ -28,7 +28,8 @@ UNKNOWN_TOUCHES = 20
 SIDE = 96
 KNOWN_SHOWN = ("mug", "stapler", "water bottle")
 UNKNOWN_SHOWN = ("plastic card", "soft textbook")
-ERROR = 0.01
+ERROR = 0.05
+MOST_ATTEMPTS = 16
 
 Sets = tuple["Touches", "Touches", "Touches | None"]
 
@@ -137,6 +138,7 @@ def _recognise_by_exploring(
             stand.sensor,
             recogniser,
             InformativeTouch(touch_map, stand.hemisphere),
+            max_attempts=MOST_ATTEMPTS,
             error=ERROR,
             clock=stand.robot.clock,
             on_attempt=None if quiet else print_attempt,
@@ -174,23 +176,24 @@ def _read(pictures: Path, seed: int, stage: Stages) -> Sets:
 def _print_figures(figures: dict[str, Any], trial: "Trial") -> None:
     """Print the accuracy with, beside it, what nuisance values alone achieve."""
     controls = {k: v for k, v in figures["controls"].items() if v is not None}
-    columns = ["touches", "right %", "sd", *(f"{name} alone %" for name in controls)]
+    heads = ["touches", "right %", "sd", *(f"{name} %" for name in controls)]
     if "unknown_auroc" in figures:
-        columns.append("known from unknown")
-    rows = []
-    for k, share in figures["accuracy"].items():
-        row = [k, percent(share), percent(figures["accuracy_sd"][k])]
-        row += [percent(values.get(k)) for values in controls.values()]
-        if "unknown_auroc" in figures:
-            row.append(f"{figures['unknown_auroc'][k]:.2f} ROC area")
-        rows.append(row)
+        heads.append("known from unknown")
     n_objects = len(trial.recogniser.classes_)
-    n_test = len(trial.fold.test)
-    table(
-        f"{n_objects} objects (chance {100 / n_objects:.0f} %), {n_test} other touches",
-        columns,
-        rows,
+    print(
+        f"{len(trial.fold.test)} other touches of {n_objects} objects (chance "
+        f"{100 / n_objects:.0f} %). Beside what is right, controls: what the place of "
+        "the disc, brightness\nor grey levels alone get right, and touches without "
+        "contact; then the ROC area of known against unknown."
     )
+    print("  ".join(heads))
+    for k, share in figures["accuracy"].items():
+        cells = [k, percent(share), percent(figures["accuracy_sd"][k])]
+        cells += [percent(values.get(k)) for values in controls.values()]
+        if "unknown_auroc" in figures:
+            cells.append(f"{figures['unknown_auroc'][k]:.2f}")
+        pairs = zip(cells, heads, strict=True)
+        print("  ".join(cell.rjust(len(head)) for cell, head in pairs))
 
 
 def _pictures() -> Path:

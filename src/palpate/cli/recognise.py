@@ -59,23 +59,28 @@ def recognise_episodes(
     recogniser: "ObjectRecogniser", touches: "Touches", error: float
 ) -> list[dict[str, Any]]:
     """Return the beliefs, the decision and its reasons for every episode."""
-    log_likelihood = recogniser.log_likelihood(touches)
+    felt = recogniser.feel(touches)
     result = []
     for label, _, rows in touches.episodes():
         belief = recogniser.start()
         beliefs: list[dict[str, Any]] = []
         decision, used, reasons = None, len(rows), []
-        for number, row in enumerate(log_likelihood[rows], start=1):
-            belief.update_from_log_likelihood(row)
+        for number, row in enumerate(rows, start=1):
+            belief.update_from_log_likelihood(
+                felt.log_likelihood[row],
+                features=felt.features[row],
+                marks=[felt.marks[row]],
+            )
             beliefs.append(
                 {
                     "touch": number,
                     "posterior": belief.posterior,
                     "unknown": belief.unknown,
+                    "mark": belief.marks[-1],
                 }
             )
             if recogniser.pose_ is not None:
-                touch = touches[int(rows[number - 1])]
+                touch = touches[int(row)]
                 beliefs[-1]["pose"] = press_pose(recogniser, touch, belief.best)
             if decision is None and (decision := belief.decide(error)) is not None:
                 used, reasons = number, [belief.reason(error)]
@@ -86,6 +91,7 @@ def recognise_episodes(
                 "decision": decision,
                 "touches_used": used,
                 "reasons": reasons or [belief.reason(error)],
+                "explanation": belief.explain(),
             }
         )
     return result

@@ -9,6 +9,7 @@ from ._moments import CentroidMoments, sorted_taxels
 from ._names import ENCODINGS, Encoding, encoder_named
 from ._oriented_pca import OrientedPCA
 from ._polar_gradients import PolarGradients
+from ._principal_share import PrincipalShare
 from ._root import RootScaler
 from ._scaled_pixels import ScaledPixels
 from ._taxel_vector import TaxelVector
@@ -27,6 +28,7 @@ __all__ = [
     "KernelPCA",
     "OrientedPCA",
     "PolarGradients",
+    "PrincipalShare",
     "RootScaler",
     "ScaledPixels",
     "ShapeGeometry",

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ..recognition import (
     ObjectRecogniser,
     log_posteriors,
+    told,
     unknown_scores,
     with_floor,
 )
@@ -28,11 +29,14 @@ class Episodes:
         Column of the true label per object; -1 for an unknown one.
     beliefs : list of ndarray of shape (n_orders, n_touches, n_labels)
         Log posterior after each touch of each order, per object.
+    n_told : list of ndarray of int, shape (n_orders, n_touches)
+        How many of the touches so far said anything: not those without contact.
     """
 
     objects: list[str]
     truth: list[int]
     beliefs: list[Floats]
+    n_told: list[NDArray]
 
     def after(self, k: int) -> tuple[list[int], list[Floats]]:
         """Return true columns and log posteriors after `k` touches.
@@ -60,7 +64,7 @@ def run_episodes(
     rng = np.random.default_rng(seed)
     floored = with_floor(log_likelihood, recogniser.floor_)
     names = np.unique(objects)
-    truth, beliefs = [], []
+    truth, beliefs, counts = [], [], []
     classes = recogniser.classes_.tolist()
     for name in names:
         rows = np.flatnonzero(objects == name)
@@ -68,9 +72,10 @@ def run_episodes(
         beliefs.append(
             log_posteriors(floored[orders], recogniser.log_prior(), recogniser.trust_)
         )
+        counts.append(told(floored[orders]))
         label = None if labels is None else str(labels[rows[0]])
         truth.append(classes.index(label) if label in classes else -1)
-    return Episodes([str(name) for name in names], truth, beliefs)
+    return Episodes([str(name) for name in names], truth, beliefs, counts)
 
 
 def single_touches(
@@ -83,7 +88,8 @@ def single_touches(
     floored = with_floor(log_likelihood, recogniser.floor_)[:, np.newaxis]
     after_one = log_posteriors(floored, recogniser.log_prior(), recogniser.trust_)
     beliefs = [after_one[objects == name] for name in episodes.objects]
-    return Episodes(episodes.objects, episodes.truth, beliefs)
+    counts = [told(floored[objects == name]) for name in episodes.objects]
+    return Episodes(episodes.objects, episodes.truth, beliefs, counts)
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,7 @@ from numpy.typing import ArrayLike
 from scipy.special import log_softmax
 
 from .._checks import check_count
-from ..recognition import ObjectRecogniser, with_floor
-from ..recognition._calibration import left_out_log_likelihood
+from ..recognition import ObjectRecogniser, left_out_log_likelihood, with_floor
 from ..touches import Touches
 from ._places import Floats, places_of, squared_distances, turned_back
 from ._touch_map_choice import choose_kernels

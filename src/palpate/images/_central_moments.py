@@ -4,6 +4,7 @@ x points along the columns, y along the rows (downwards); lengths are in pixels.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -71,11 +72,7 @@ def inscribed_mask(n_rows: int, n_cols: int) -> NDArray[np.bool_]:
            [0, 1, 1, 1, 0],
            [0, 1, 1, 1, 0]])
     """
-    row = np.arange(n_rows) - (n_rows - 1) / 2
-    col = np.arange(n_cols) - (n_cols - 1) / 2
-    squared = row[:, np.newaxis] ** 2 + col**2
-    inside: NDArray[np.bool_] = squared <= (min(n_rows, n_cols) / 2) ** 2
-    return inside
+    return _inscribed(n_rows, n_cols).copy()
 
 
 def above_least(images: ArrayLike, mask: NDArray[np.bool_]) -> Floats:
@@ -85,8 +82,18 @@ def above_least(images: ArrayLike, mask: NDArray[np.bool_]) -> Floats:
     standardised images too, whose own levels sum to zero.
     """
     checked = check_images(images)
-    least = np.min(checked, axis=(1, 2), keepdims=True, where=mask, initial=np.inf)
-    return np.where(mask, checked - least, 0.0)
+    least = np.where(mask, checked, np.inf).min(axis=(1, 2), keepdims=True)
+    levels: Floats = (checked - least) * mask
+    return levels
+
+
+@lru_cache(maxsize=16)
+def _inscribed(n_rows: int, n_cols: int) -> NDArray[np.bool_]:
+    row = np.arange(n_rows) - (n_rows - 1) / 2
+    col = np.arange(n_cols) - (n_cols - 1) / 2
+    squared = row[:, np.newaxis] ** 2 + col**2
+    inside: NDArray[np.bool_] = squared <= (min(n_rows, n_cols) / 2) ** 2
+    return inside
 
 
 def _powers(n: int) -> Floats:

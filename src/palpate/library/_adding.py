@@ -171,8 +171,13 @@ def _rows(
         for name in CELLS
     ]
     more = [name for name in sheet.values if name not in CELLS or name not in scalar]
-    labels = cells[0]
-    objects = {name: _object_key(database, name) for name in set(labels) - {None}}
+    labels, categories = cells[:2]
+    kinds = dict(zip(labels, categories, strict=True))
+    objects = {
+        name: _object_key(database, name, category)
+        for name, category in kinds.items()
+        if name is not None
+    }
     layout, recording, file = keys
     for row, key in enumerate(sheet.ids):
         extra = {name: sheet.values[name][row] for name in more}
@@ -190,8 +195,14 @@ def _rows(
         )
 
 
-def _object_key(database: Database, name: str) -> int:
-    return _key(database, "objects", {"name": str(name)}, "name")
+def _object_key(database: Database, name: str, category: str | None) -> int:
+    """Return the key of an object; the first category told of it is kept."""
+    key = _key(database, "objects", {"name": name, "category": category}, "name")
+    database.run(
+        "UPDATE objects SET category = ? WHERE id = ? AND category IS NULL",
+        [category, key],
+    )
+    return key
 
 
 def _recording_key(database: Database, recording: dict[str, Any]) -> int:

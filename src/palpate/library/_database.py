@@ -4,6 +4,7 @@ Write-ahead logging with `synchronous=FULL`: once a transaction has ended, it is
 the disk. Readers never wait for writers; writers wait for one another.
 """
 
+import os
 import sqlite3
 import threading
 from collections.abc import Iterator, Sequence
@@ -22,6 +23,7 @@ _TABLES = """
 CREATE TABLE objects (
     id INTEGER PRIMARY KEY,
     name TEXT NOT NULL UNIQUE,
+    category TEXT,
     merged_into INTEGER REFERENCES objects (id));
 CREATE TABLE recordings (
     id INTEGER PRIMARY KEY,
@@ -78,6 +80,7 @@ class Database:
     def __init__(self, path: Path, *, create: bool) -> None:
         self.path = path
         self._lock = threading.RLock()
+        self._process = os.getpid()
         if not create and not path.is_file():
             raise LibraryError(
                 f"{path.parent} must be a library of touches, got no {path.name} in "
@@ -139,6 +142,11 @@ class Database:
     @contextmanager
     def explained(self) -> Iterator[None]:
         """Turn what SQLite stumbles over into one sentence with the fix."""
+        if os.getpid() != self._process:
+            raise LibraryError(
+                f"{self.path} was opened by another process, which has been forked. "
+                "Open the library again in this one: TouchLibrary.open(folder)."
+            )
         try:
             yield
         except sqlite3.Error as error:

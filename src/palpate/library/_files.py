@@ -103,15 +103,14 @@ def read_values(
     """
     n_bytes = prod(shape) * dtype.itemsize
     try:
-        handle = os.open(path, os.O_RDONLY)
-        try:
-            content = os.pread(handle, n_bytes, offset)
-        finally:
-            os.close(handle)
+        with path.open("rb") as file:
+            room = os.fstat(file.fileno()).st_size - offset
+            file.seek(offset)
+            content = file.read(min(n_bytes, max(0, room)))
     except OSError as error:
         reason = error.strerror or error
         raise LibraryError(f"{path} must be readable, got: {reason}.") from error
-    if len(content) != n_bytes:
+    if len(content) != n_bytes or dtype.hasobject:
         raise LibraryError(f"{path} must be whole, got a file that is cut short.")
     return np.frombuffer(content, dtype=dtype).reshape(shape)
 

@@ -28,15 +28,9 @@ def object_rows(database: Database) -> list[ObjectRow]:
 
 def _category(database: Database, key: int) -> str | None:
     """Return the category of an object, else that of one merged into it."""
-    merged = database.rows(
-        "SELECT id FROM objects WHERE merged_into = ? ORDER BY id", [key]
+    row = database.one(
+        "SELECT category FROM objects WHERE (id = ? OR merged_into = ?) "
+        "AND category IS NOT NULL ORDER BY merged_into IS NOT NULL, id LIMIT 1",
+        [key, key],
     )
-    for (one,) in [(key,), *merged]:
-        row = database.one(
-            "SELECT category FROM touches WHERE object = ? "
-            "AND category IS NOT NULL LIMIT 1",
-            [one],
-        )
-        if row is not None:
-            return str(row[0])
-    return None
+    return None if row is None else str(row[0])

@@ -47,6 +47,9 @@ IDENTITY = (
     "position_raw",
 )
 Arrays = dict[str, NDArray[Any]]
+_CANONICAL = json.JSONEncoder(
+    sort_keys=True, separators=(",", ":"), allow_nan=False, check_circular=False
+)
 
 
 class Column(NamedTuple):
@@ -195,7 +198,7 @@ def image_digest(image: NDArray[Any]) -> bytes:
 
 def canonical(value: Any) -> str:
     """Return `value` as JSON that is the same whenever the value is."""
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return _CANONICAL.encode(value)
 
 
 def _fits_cells(array: NDArray[Any]) -> bool:

@@ -2,24 +2,30 @@
 
 from ._adapting import adapt
 from ._belief import Belief
+from ._calibration import left_out_log_likelihood
 from ._geometry import find_geometry
+from ._modality import Modality
 from ._model_file import ModelFileError, check_model_path
 from ._presets import PRESETS
-from ._recogniser import ObjectRecogniser, summary
-from ._sequence import Trust, log_posteriors, unknown_scores, with_floor
+from ._recogniser import ObjectRecogniser
+from ._sequence import Trust, log_posteriors, told, unknown_scores, with_floor
+from ._summary import summary
 from ._training import training_groups
 
 __all__ = [
     "PRESETS",
     "Belief",
+    "Modality",
     "ModelFileError",
     "ObjectRecogniser",
     "Trust",
     "adapt",
     "check_model_path",
     "find_geometry",
+    "left_out_log_likelihood",
     "log_posteriors",
     "summary",
+    "told",
     "training_groups",
     "unknown_scores",
     "with_floor",

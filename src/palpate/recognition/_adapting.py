@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from ..images import DomeCrop
 from ..touches import Touches
 from ._belief import as_touches
+from ._contact import ContactCheck
 from ._presets import find_preset
 from ._recogniser import ObjectRecogniser
+from ._source import encoded
 from ._training import training_labels
 
 
@@ -57,9 +59,11 @@ def adapt(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecogniser:
     _refuse_unknown(labels, recogniser)
     result = deepcopy(recogniser)
     _find_disc(result.encoder_, new)
-    felt = result.encoder_.transform(new)
+    result.contact_ = ContactCheck().fit(new, result.encoder_)
+    felt, nothing = encoded(result.encoder_, result.contact_, new)
     group = np.full(len(new), result.stretches_.max() + 1)
     result.features_ = np.vstack([result.features_, felt])
+    result.nothing_ = np.concatenate([result.nothing_, nothing])
     result.labels_ = np.concatenate([result.labels_, labels])
     result.objects_ = np.concatenate([result.objects_, objects])
     result.stretches_ = np.concatenate([result.stretches_, group])

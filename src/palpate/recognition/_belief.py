@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import log_softmax
 
-from .._checks import check_number
+from .._checks import check_number, check_option
 from ..touches import Touches
-from ._sequence import log_posteriors, unknown_scores, with_floor
+from ._explanation import explanation
+from ._sequence import Floats, log_posteriors, told, unknown_scores, with_floor
 
 if TYPE_CHECKING:
     from ._recogniser import ObjectRecogniser
+
+Costs = Mapping[str, Mapping[str, float]]
 
 
 class Belief:
@@ -31,15 +36,21 @@ class Belief:
         How little the touches agree on one known object: the probability outside
         `best`, between 0 and 1; higher is less known.
     touches_used : int
-        Number of touches that entered so far.
+        Number of touches that entered so far, those without contact among them.
+    marks : list of str
+        What was wrong with each touch, "" for most; see `ObjectRecogniser.marks`.
     """
 
-    def __init__(self, recogniser: ObjectRecogniser) -> None:
+    def __init__(
+        self, recogniser: ObjectRecogniser, log_prior: Floats | None = None
+    ) -> None:
         self._recogniser = recogniser
-        self._log_prior = recogniser.log_prior()
-        n_objects = len(recogniser.classes_)
-        self._floored = np.empty((0, n_objects))
+        self._log_prior = recogniser.log_prior() if log_prior is None else log_prior
+        self._floored = np.empty((0, len(recogniser.classes_)))
+        self._features = np.empty((0, recogniser.features_.shape[1]))
+        self._senses: dict[str, Floats] = {}
         self._log_posterior = self._log_prior
+        self.marks: list[str] = []
 
     def update(self, touch: Touches | NDArray) -> Belief:
         """Take in one touch (or several, in order) and return this belief.
@@ -56,17 +67,61 @@ class Belief:
             NaN or infinity where the recogniser cannot take it; the belief is
             then unchanged.
         """
-        log_likelihood = self._recogniser.log_likelihood(as_touches(touch))
-        return self.update_from_log_likelihood(log_likelihood)
+        felt = self._recogniser.feel(as_touches(touch))
+        return self.update_from_log_likelihood(
+            felt.log_likelihood, features=felt.features, marks=felt.marks
+        )
 
-    def update_from_log_likelihood(self, log_likelihood: NDArray) -> Belief:
-        """Take in touches by their log-likelihoods, shape (n_touches, n_objects)."""
+    def update_from_log_likelihood(
+        self,
+        log_likelihood: NDArray,
+        *,
+        features: NDArray | None = None,
+        marks: list[str] | None = None,
+    ) -> Belief:
+        """Take in touches by their log-likelihoods, shape (n_touches, n_objects).
+
+        With `features` (n_touches, n_features) they can be explained later.
+        """
         floored = with_floor(np.atleast_2d(log_likelihood), self._recogniser.floor_)
+        n_touches = len(floored)
+        if features is None:
+            features = np.full((n_touches, self._features.shape[1]), np.nan)
         self._floored = np.vstack([self._floored, floored])
-        self._log_posterior = log_posteriors(
-            self._floored, self._log_prior, self._recogniser.trust_
-        )[-1]
+        self._features = np.vstack([self._features, np.atleast_2d(features)])
+        self.marks += marks or [""] * n_touches
+        self._weigh()
         return self
+
+    def update_sense(self, name: str, X: ArrayLike) -> Belief:
+        """Take in what another sense tells of the same object.
+
+        Parameters
+        ----------
+        name : str
+            A modality that the recogniser has learnt, see `learn_modality`.
+        X : array-like of shape (n_features,) or (n_examples, n_features)
+            One example or several.
+        """
+        senses = self._recogniser.modalities_
+        check_option("name", name, senses)
+        classes = self._recogniser.classes_
+        rows = senses[name].log_likelihood(np.atleast_2d(np.asarray(X)), classes)
+        before = self._senses.get(name, np.empty((0, len(classes))))
+        self._senses[name] = np.vstack([before, rows])
+        self._weigh()
+        return self
+
+    def _weigh(self) -> None:
+        """Add up the prior, the other senses and the touches."""
+        total = self._log_prior
+        for name, rows in self._senses.items():
+            trust = self._recogniser.modalities_[name].trust_
+            total = total + rows.sum(axis=0) * trust.weight(len(rows))
+        if len(self._floored):
+            trust = self._recogniser.trust_
+            total = log_posteriors(self._floored, total, trust)[-1]
+        self._log_posterior = log_softmax(total)
 
     @property
     def touches_used(self) -> int:
@@ -90,7 +145,7 @@ class Belief:
         """Probability outside `best`; higher is less known."""
         return float(unknown_scores(self._log_posterior))
 
-    def decide(self, error: float = 0.01) -> str | None:
+    def decide(self, error: float = 0.01, costs: Costs | None = None) -> str | None:
         """Return the object, "unknown", or None while more touches are needed.
 
         Parameters
@@ -102,6 +157,10 @@ class Belief:
             episodes of the same length (learnt from left-out training touches).
             Asked after every touch, the refusals of known objects add up to more
             than this share.
+        costs : mapping of str to mapping of str to float, optional
+            `costs[truth][named]`, at least 0: what it costs to take one object for
+            another; 1 where not given. The object of least expected cost is named,
+            once that cost is at most `error`.
 
         Returns
         -------
@@ -109,12 +168,35 @@ class Belief:
             A known object, "unknown", or None.
         """
         error = check_number("error", error, low=1e-6, high=0.5)
-        if self.touches_used == 0:
+        if self.touches_used == 0 and not self._senses:
             return None
-        if self.unknown <= error:
-            return self.best
-        limit = self._recogniser.unknown_threshold(self.touches_used, refused=error)
-        return "unknown" if self.unknown > limit else None
+        if costs is None:
+            if self.unknown <= error:
+                return self.best
+        else:
+            expected = np.exp(self._log_posterior) @ self._cost_table(costs)
+            if expected.min() <= error:
+                return str(self._recogniser.classes_[expected.argmin()])
+        if self._n_told == 0:
+            return None
+        limit = self._recogniser.unknown_threshold(self._n_told, refused=error)
+        return "unknown" if self.unknown > max(limit, error) else None
+
+    @property
+    def _n_told(self) -> int:
+        """Number of touches that said anything."""
+        return int(told(self._floored)[-1]) if len(self._floored) else 0
+
+    def _cost_table(self, costs: Costs) -> Floats:
+        names = [str(name) for name in self._recogniser.classes_]
+        table = 1.0 - np.eye(len(names))
+        for truth, row in costs.items():
+            check_option("costs", truth, names)
+            for named, cost in row.items():
+                check_option("costs", named, names)
+                value = check_number("costs", cost, low=0)
+                table[names.index(truth), names.index(named)] = value
+        return table
 
     def reason(self, error: float = 0.01) -> str:
         """Return one sentence that says why `decide(error)` answers as it does."""
@@ -125,11 +207,37 @@ class Belief:
             return f"Undecided: {sure}, less than {1 - error:g}."
         if decision != "unknown":
             return f"Decided for {decision}: {sure}, at least {1 - error:g}."
-        limit = self._recogniser.unknown_threshold(self.touches_used, refused=error)
+        limit = self._recogniser.unknown_threshold(self._n_told, refused=error)
         return (
             f"Unknown: after {touches} the probability outside the best object "
             f"({self.best}) is {self.unknown:.3f}; for all but {error:g} of known "
             f"episodes it is at most {limit:.3f}."
+        )
+
+    def explain(self, n_touches: int = 3, n_nearest: int = 3) -> list[dict[str, Any]]:
+        """Return the touches that moved the belief most, and what they resemble.
+
+        Parameters
+        ----------
+        n_touches, n_nearest : int, default=3
+            How many touches, and how many training touches beside each.
+
+        Returns
+        -------
+        list of dict
+            By falling weight: `touch` (from 1), `best` and `rival` (the two most
+            probable objects now), `nats` (how far the touch moved the balance towards
+            `best`; negative: towards `rival`), `mark`, and `nearest`: dicts of
+            `object`, `row` (among the training touches) and `distance` (1 is that of
+            a middling pair of training touches).
+        """
+        return explanation(
+            self._recogniser,
+            self._floored,
+            self._features,
+            self._log_posterior,
+            self.marks,
+            (n_touches, n_nearest),
         )
 
     def __repr__(self) -> str:

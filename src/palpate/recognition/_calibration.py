@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from scipy.special import log_softmax
 from sklearn.base import clone
 
-from ._sequence import Floats, Trust, log_posteriors, unknown_scores
+from ._sequence import Floats, Trust, log_posteriors, told, unknown_scores
 from ._training import N_STRETCHES
 
 EPISODES_PER_OBJECT = 40
@@ -89,19 +89,40 @@ def draw_episodes(
     return np.array(episodes, dtype=np.intp).reshape(-1, n_touches)
 
 
+def draw_all(objects: NDArray, group: NDArray, seed: int) -> dict[int, NDArray]:
+    """Draw episodes of all lengths for which some object has the touches."""
+    rng = np.random.default_rng(seed)
+    drawn = {k: draw_episodes(objects, group, k, rng) for k in LENGTHS}
+    return {k: rows for k, rows in drawn.items() if len(rows)}
+
+
+def calibrate(
+    floored: Floats,
+    codes: NDArray,
+    episodes: dict[int, NDArray],
+    log_prior: Floats,
+    *,
+    fits_trust: bool,
+) -> tuple[Trust, Floats, Floats]:
+    """Return the trust, the lengths of the episodes and their unknown limits."""
+    trust = fit_trust(floored, codes, episodes, log_prior) if fits_trust else Trust()
+    limits = unknown_limits(floored, episodes, log_prior, trust)
+    return trust, np.array(list(episodes), dtype=float), limits
+
+
 def fit_trust(
     floored: Floats, codes: NDArray, episodes: dict[int, NDArray], log_prior: Floats
 ) -> Trust:
     """Return the trust with the least log loss over episodes of all lengths."""
-
     sums = [floored[rows].sum(axis=1) for rows in episodes.values()]
+    counts = [told(floored[rows])[:, -1:] for rows in episodes.values()]
     truths = [codes[rows[:, 0]] for rows in episodes.values()]
 
     def loss(raw: NDArray) -> float:
         trust = _trust(raw)
         losses = []
-        for n_touches, total, truth in zip(episodes, sums, truths, strict=True):
-            last = log_softmax(total * trust.weight(n_touches) + log_prior, axis=1)
+        for count, total, truth in zip(counts, sums, truths, strict=True):
+            last = log_softmax(total * trust.weight(count) + log_prior, axis=1)
             losses.append(-last[np.arange(len(truth)), truth].mean())
         return float(np.mean(losses))
 

@@ -45,6 +45,10 @@ class TouchEncoder(BaseEstimator):
 
     def fit_transform(self, touches: Touches) -> Floats:
         """Learn every step and return the features, (n_touches, n_features)."""
+        return self.fit_encode(self.fit_clean(touches))
+
+    def fit_clean(self, touches: Touches) -> NDArray:
+        """Learn the clean-up and return the cleaned images."""
         self.image_shape_ = touches.images.shape[1:]
         self.clean_up_ = None if self.clean_up is None else clone(self.clean_up)
         images = _living(touches.images)
@@ -54,8 +58,12 @@ class TouchEncoder(BaseEstimator):
             self.clean_up_.fit(images, no_contact=idle)
         elif self.clean_up_ is not None:
             self.clean_up_.fit(images)
+        return self.clean(touches)
+
+    def fit_encode(self, cleaned: NDArray) -> Floats:
+        """Learn the encodings of cleaned images and return their features."""
         self.steps_ = [clone(step) for step in self.steps]
-        values = self.clean(touches)
+        values = cleaned
         for step in self.steps_:
             values = _in_blocks(step.fit(values), values)
         return np.asarray(values, dtype=np.float64)

@@ -4,7 +4,9 @@ from sklearn.decomposition import PCA
 from sklearn.preprocessing import StandardScaler
 
 from .. import classifiers, encodings, images
+from ._contact import ContactCheck
 from ._encoder import TouchEncoder
+from ._modality import Modality
 from ._sequence import Trust
 
 # Made anew from a stored model; making one computes, which reading a file must not.
@@ -23,6 +25,8 @@ def _public_classes() -> dict[str, type]:
 
 KNOWN_CLASSES: dict[str, type] = {
     **_public_classes(),
+    "ContactCheck": ContactCheck,
+    "Modality": Modality,
     "PCA": PCA,
     "StandardScaler": StandardScaler,
     "TouchEncoder": TouchEncoder,

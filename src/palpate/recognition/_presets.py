@@ -15,6 +15,7 @@ from ..encodings import (
     FourierDescriptors,
     KernelPCA,
     PolarGradients,
+    PrincipalShare,
     RootScaler,
     ShapeGeometry,
     TaxelVector,
@@ -46,6 +47,8 @@ class Preset:
         Least probability that one touch leaves to all objects together.
     fits_trust : bool
         Whether the trust in a sequence of touches is learnt, or 1.
+    skips_no_contact : bool
+        Whether touches that look like the no-contact frame say nothing.
     """
 
     summary: str
@@ -53,6 +56,7 @@ class Preset:
     classifier: Callable[[], Any]
     floor: float
     fits_trust: bool
+    skips_no_contact: bool
 
 
 def find_preset(name: str) -> Preset:
@@ -103,7 +107,7 @@ def _default_encoders(touches: Touches) -> dict[str, TouchEncoder]:
 def _principal(steps: list[Any]) -> list[Any]:
     """Shorten features of which there are many; distances hardly change."""
     many = any(isinstance(step, PolarGradients) for step in steps)
-    return [PCA(n_components=0.9, svd_solver="covariance_eigh")] if many else []
+    return [PrincipalShare(0.9)] if many else []
 
 
 PRESETS: dict[str, Preset] = {
@@ -114,6 +118,7 @@ PRESETS: dict[str, Preset] = {
         classifier=KernelRidgeClassifier,
         floor=0.01,
         fits_trust=True,
+        skips_no_contact=True,
     ),
     "corradi2015": Preset(
         summary="Corradi et al. 2015 as written: Zernike-PCA, kernel density per "
@@ -122,6 +127,7 @@ PRESETS: dict[str, Preset] = {
         classifier=KernelDensityBayes,
         floor=0.0,
         fits_trust=False,
+        skips_no_contact=False,
     ),
     "liu2014": Preset(
         summary="Liu et al. 2014: one press on an array, cleaned up; area, edges and "
@@ -130,5 +136,6 @@ PRESETS: dict[str, Preset] = {
         classifier=MKLSVC,
         floor=0.01,
         fits_trust=True,
+        skips_no_contact=True,
     ),
 }

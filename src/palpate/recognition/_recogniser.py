@@ -1,36 +1,37 @@
 """Touches -> object: the recogniser that learns touch by touch."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
 
 from .._checks import check_number, check_option
-from ..images import Poses, PressPose
 from ..touches import Touches
 from ._belief import Belief, as_touches
+from ._beside_touch import BesideTouch
 from ._calibration import (
-    LENGTHS,
     REFUSED,
-    draw_episodes,
-    fit_trust,
+    calibrate,
+    draw_all,
     left_out_log_likelihood,
     touch_log_likelihood,
-    unknown_limits,
 )
+from ._contact import NO_CONTACT, ContactCheck, consists_of_nothing
 from ._known import KNOWN_CLASSES
 from ._model_file import ModelFileError, read_model, write_model
 from ._presets import Preset, find_preset
-from ._sequence import Floats, Trust, with_floor
-from ._source import TouchSource, encoded, fit_encoder
+from ._sequence import Felt, Floats, Trust, given_prior, with_floor
+from ._source import TouchSource, encoded, features_and_marks, learn_encoding
 from ._training import stretches, training_groups, training_labels
+from ._trial_touch import try_one_touch
 
-MAX_PIXELS = 50_000_000
+KEPT = ("features_", "labels_", "objects_", "stretches_", "nothing_")
 
 
-class ObjectRecogniser(BaseEstimator):
+class ObjectRecogniser(BesideTouch, BaseEstimator):
     """Learns objects from labelled touches and recognises them touch by touch.
 
     Parameters
@@ -58,8 +59,12 @@ class ObjectRecogniser(BaseEstimator):
         Clean-up and encodings.
     classifier_ : estimator
         Features -> log-likelihoods.
-    features_, labels_, objects_, stretches_ : ndarray of n_touches rows
+    features_, labels_, objects_, stretches_, nothing_ : ndarray of n_touches rows
         What is kept of the training touches.
+    contact_ : ContactCheck
+        Tells touches without contact.
+    hears_nothing_ : bool
+        Whether touches without contact are heard: where a label consists of them.
     trust_ : Trust
         How touches of one episode add up.
     floor_ : float
@@ -68,6 +73,8 @@ class ObjectRecogniser(BaseEstimator):
         What the preset chose for these touches, and why.
     pose_ : PressPose or None
         Where parts lie on a pressure array, after `fit_pose`.
+    modalities_ : dict of str to Modality
+        Other senses, after `learn_modality`.
 
     Examples
     --------
@@ -83,10 +90,11 @@ class ObjectRecogniser(BaseEstimator):
     """
 
     classes_: NDArray
+    contact_: ContactCheck
+    hears_nothing_: bool
     trust_: Trust
     floor_: float
     chosen_: dict[str, Any]
-    pose_: PressPose | None
 
     def __init__(
         self,
@@ -127,69 +135,16 @@ class ObjectRecogniser(BaseEstimator):
             )
         labels, objects = training_labels(touches, self.label)
         group = training_groups(touches, labels, objects, self.label)
-        encoder, self.chosen_, self.features_ = fit_encoder(
-            preset, touches, labels, group, self.random_state
-        )
-        self.encoder_ = encoder
+        learnt = learn_encoding(preset, touches, labels, group, self.random_state)
+        self.encoder_, self.contact_ = learnt.encoder, learnt.contact
+        self.features_, self.nothing_ = learnt.features, learnt.nothing
+        self.chosen_ = learnt.chosen
         self.labels_, self.objects_, self.stretches_ = labels, objects, group
         self.classifier_ = preset.classifier()
         self._learn(fresh=True)
         self._calibrate(preset)
-        self.pose_ = None
+        self.pose_, self.modalities_ = None, {}
         return self
-
-    def fit_pose(self, touches: Touches, pitch_mm: float | None = None) -> Self:
-        """Learn also where and how parts lie on a pressure array.
-
-        Parameters
-        ----------
-        touches : Touches
-            The training touches; a column `angle_deg` fixes what is reported as 0.
-        pitch_mm : float, optional
-            Distance of neighbouring taxels in mm; by default the touches' own
-            `set_pitch_mm`.
-
-        Raises
-        ------
-        ValueError
-            If no pitch is known.
-        """
-        self._check_fitted()
-        pitch = touches.whole.get("set_pitch_mm") if pitch_mm is None else pitch_mm
-        if pitch is None:
-            raise ValueError(
-                "pitch_mm must be given to learn poses, got None, and the touches have "
-                "no 'set_pitch_mm'; pass the distance of neighbouring taxels."
-            )
-        self.pose_ = PressPose(pitch_mm=float(pitch)).fit(
-            touches.images,
-            training_labels(touches, self.label)[0],
-            touches.columns.get("angle_deg"),
-        )
-        return self
-
-    def pose(self, touches: Touches, labels: ArrayLike) -> Poses:
-        """Return place and angle of presses of known parts; see `PressPose.estimate`.
-
-        Parameters
-        ----------
-        touches : Touches
-            Presses on the array that the poses were learnt on.
-        labels : array-like of shape (n_touches,)
-            What each is taken for.
-
-        Raises
-        ------
-        ValueError
-            If poses were not learnt, or a label was not among them.
-        """
-        self._check_fitted()
-        if self.pose_ is None:
-            raise ValueError(
-                "This recogniser has learnt no poses; call fit_pose, or learn with "
-                "--pitch-mm."
-            )
-        return self.pose_.estimate(touches.images, labels)
 
     def add_object(self, name: str, touches: Touches | TouchSource) -> Self:
         """Learn one more object; the encoding and its choices stay as they are.
@@ -218,11 +173,12 @@ class ObjectRecogniser(BaseEstimator):
             touches = as_touches(touches)
         if len(touches) < 2:
             raise ValueError(f"{name!r} must have at least 2 touches, got 1.")
-        features = encoded(self.encoder_, touches)
+        features, nothing = encoded(self.encoder_, self.contact_, touches)
         labels = np.full(len(touches), name)
         objects = labels if touches.object is None else touches.object
         group = stretches(labels, touches.order) + self.stretches_.max() + 1
         self.features_ = np.vstack([self.features_, features])
+        self.nothing_ = np.concatenate([self.nothing_, nothing])
         self.labels_ = np.concatenate([self.labels_, labels])
         self.objects_ = np.concatenate([self.objects_, objects])
         self.stretches_ = np.concatenate([self.stretches_, group])
@@ -250,7 +206,7 @@ class ObjectRecogniser(BaseEstimator):
                 "Add another object first."
             )
         keep = self.labels_ != name
-        for attribute in ("features_", "labels_", "objects_", "stretches_"):
+        for attribute in KEPT:
             setattr(self, attribute, getattr(self, attribute)[keep])
         if hasattr(self.classifier_, "forget_class"):
             self.classifier_.forget_class(name)
@@ -264,14 +220,34 @@ class ObjectRecogniser(BaseEstimator):
         """Return log p(touch | object) up to a constant per touch (nats).
 
         Shape (n_touches, n_objects), columns as in `classes_`; neither floor nor
-        trust is in it yet.
+        trust is in it yet. The row of a touch without contact is all zeros, see
+        `hears_nothing_`.
         """
+        return self.feel(touches).log_likelihood
+
+    def features_and_log_likelihood(self, touches: Touches) -> tuple[Floats, Floats]:
+        """Return the touches' features and their `log_likelihood`."""
+        felt = self.feel(touches)
+        return felt.features, felt.log_likelihood
+
+    def marks(self, touches: Touches) -> list[str]:
+        """Return what is wrong with each touch, "" for most; see `ContactCheck.marks`.
+
+        A touch marked "no contact" is not heard; the others are.
+        """
+        return self.feel(touches).marks
+
+    def feel(self, touches: Touches) -> Felt:
+        """Return all that touches tell: features, log-likelihoods and marks."""
         self._check_fitted()
-        features = self.encoder_.transform(as_touches(touches))
-        return self.feature_log_likelihood(features)
+        given = as_touches(touches)
+        features, marks = features_and_marks(self.encoder_, self.contact_, given)
+        nothing = np.array(marks) == NO_CONTACT
+        heard = self._heard(self.feature_log_likelihood(features), nothing)
+        return Felt(features, heard, marks)
 
     def feature_log_likelihood(self, features: Floats) -> Floats:
-        """Return `log_likelihood` of touches that are encoded already."""
+        """Return log-likelihoods of features, of touches taken to be in contact."""
         return touch_log_likelihood(self.classifier_, features)
 
     def log_prior(self) -> Floats:
@@ -283,10 +259,19 @@ class ObjectRecogniser(BaseEstimator):
         log_shares: Floats = np.log(counts / counts.sum())
         return log_shares
 
-    def start(self) -> Belief:
-        """Return the belief before the first touch of an episode."""
+    def start(self, prior: Mapping[str, float] | None = None) -> Belief:
+        """Return the belief before the first touch of an episode.
+
+        Parameters
+        ----------
+        prior : mapping of str to float, optional
+            How probable each object is, all of them, positive; brought to sum 1. By
+            default as the parameter `prior` says.
+        """
         self._check_fitted()
-        return Belief(self)
+        return Belief(
+            self, None if prior is None else given_prior(prior, self.classes_)
+        )
 
     def unknown_threshold(self, n_touches: int, refused: float = 0.05) -> float:
         """Return the unknown score that a share `refused` of known episodes exceeds.
@@ -318,7 +303,7 @@ class ObjectRecogniser(BaseEstimator):
         if not isinstance(model, cls):
             raise ModelFileError(f"{path} holds no object recogniser.")
         try:
-            model._try_one_touch()
+            try_one_touch(model)
         except Exception as error:
             raise ModelFileError(f"{path} is damaged: {error}. Learn again.") from error
         return model
@@ -348,49 +333,24 @@ class ObjectRecogniser(BaseEstimator):
     def _calibrate(self, preset: Preset) -> None:
         """Set `floor_`, `trust_` and the unknown limits from left-out touches."""
         self.floor_ = preset.floor if self.floor is None else float(self.floor)
+        self.hears_nothing_ = not preset.skips_no_contact or consists_of_nothing(
+            self.labels_, self.nothing_
+        )
         log_likelihood = left_out_log_likelihood(
             self.classifier_, self.features_, self.labels_, self.stretches_
         )
-        floored = with_floor(log_likelihood, self.floor_)
-        rng = np.random.default_rng(self.random_state)
-        drawn = {
-            k: draw_episodes(self.objects_, self.stretches_, k, rng) for k in LENGTHS
-        }
-        episodes = {k: rows for k, rows in drawn.items() if len(rows)}
-        codes = np.searchsorted(self.classes_, self.labels_)
-        self.trust_ = Trust()
-        if preset.fits_trust:
-            self.trust_ = fit_trust(floored, codes, episodes, self.log_prior())
-        self.unknown_lengths_ = np.array(list(episodes), dtype=float)
-        self.unknown_limits_ = unknown_limits(
-            floored, episodes, self.log_prior(), self.trust_
+        floored = with_floor(self._heard(log_likelihood, self.nothing_), self.floor_)
+        found = calibrate(
+            floored,
+            np.searchsorted(self.classes_, self.labels_),
+            draw_all(self.objects_, self.stretches_, self.random_state),
+            self.log_prior(),
+            fits_trust=preset.fits_trust,
         )
+        self.trust_, self.unknown_lengths_, self.unknown_limits_ = found
 
-    def _try_one_touch(self) -> None:
-        """Recognise a blank touch, so that a model that cannot work is found now."""
-        n_rows, n_cols = self.encoder_.image_shape_
-        rows = {len(a) for a in (self.features_, self.labels_, self.objects_)}
-        if not (0 < n_rows * n_cols <= MAX_PIXELS and rows == {len(self.stretches_)}):
-            raise ValueError("its sizes do not agree")
-        check_number("floor_", self.floor_, low=0, high=0.5)
-        blank = Touches(np.zeros((1, *self.encoder_.image_shape_)))
-        row = self.log_likelihood(blank)
-        if row.shape != (1, len(self.classes_)) or not np.isfinite(row).all():
-            raise ValueError("its parts do not fit together")
-        belief = self.start().update_from_log_likelihood(row)
-        if abs(sum(belief.posterior.values()) - 1) > 1e-6:
-            raise ValueError("its belief does not sum to one")
-        belief.decide()
-
-
-def summary(recogniser: ObjectRecogniser) -> dict[str, Any]:
-    """Return what was learnt, as plain values for people and for JSON."""
-    return {
-        "preset": recogniser.preset,
-        "label": recogniser.label,
-        "n_labels": len(recogniser.classes_),
-        "n_train_touches": len(recogniser.labels_),
-        "n_features": recogniser.features_.shape[1],
-        "labels": [str(name) for name in recogniser.classes_],
-        "chosen": recogniser.chosen_,
-    }
+    def _heard(self, log_likelihood: Floats, nothing: NDArray) -> Floats:
+        """Let touches without contact say nothing, unless a label consists of them."""
+        if self.hears_nothing_:
+            return log_likelihood
+        return np.where(nothing[:, np.newaxis], 0.0, log_likelihood)

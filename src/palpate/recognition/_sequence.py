@@ -4,13 +4,25 @@ Plain functions on arrays, shared by `Belief` (one touch at a time) and by the
 evaluation (thousands of episodes at once), so that both mean the same belief.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_softmax, logsumexp
 
+from .._checks import check_positive
+
 Floats = NDArray[np.float64]
+
+
+class Felt(NamedTuple):
+    """What touches tell, one row a touch."""
+
+    features: Floats
+    log_likelihood: Floats
+    marks: list[str]
 
 
 @dataclass(frozen=True)
@@ -36,9 +48,22 @@ class Trust:
 
     def weight(self, n_touches: Floats | int) -> Floats:
         """Return the factor on the sum of `n_touches` log-likelihoods."""
-        return np.asarray(
-            self.strength / (1 + (np.asarray(n_touches) - 1) * self.correlation)
+        others = np.maximum(np.asarray(n_touches) - 1, 0)
+        return np.asarray(self.strength / (1 + others * self.correlation))
+
+
+def given_prior(prior: Mapping[str, float], classes: NDArray) -> Floats:
+    """Return log probabilities in the order of `classes`, brought to sum 1."""
+    names = [str(name) for name in classes]
+    if sorted(prior) != sorted(names):
+        missing = sorted(set(names) ^ set(prior))[0]
+        raise ValueError(
+            f"prior must name every object and no other, got a difference in "
+            f"{missing!r}. The objects are {', '.join(names)}."
         )
+    shares = np.array([check_positive("prior", prior[name]) for name in names])
+    log_prior: Floats = np.log(shares / shares.sum())
+    return log_prior
 
 
 def with_floor(log_likelihood: Floats, floor: float) -> Floats:
@@ -76,11 +101,25 @@ def log_posteriors(floored: Floats, log_prior: Floats, trust: Trust) -> Floats:
     ndarray of shape (..., n_touches, n_objects)
         Natural logarithms; each row sums to one after `exp`.
     """
-    n_touches = floored.shape[-2]
-    weight = trust.weight(np.arange(1, n_touches + 1))[:, np.newaxis]
-    total = np.cumsum(floored, axis=-2) * weight + log_prior
+    heard = np.where(_says(floored)[..., np.newaxis], floored, 0.0)
+    weight = trust.weight(told(floored))[..., np.newaxis]
+    total = np.cumsum(heard, axis=-2) * weight + log_prior
     result: Floats = log_softmax(total, axis=-1)
     return result
+
+
+def told(floored: Floats) -> Floats:
+    """Return how many touches said anything so far, shape (..., n_touches).
+
+    A touch without contact has one likelihood for all objects; it leaves the belief
+    exactly where it was.
+    """
+    count: Floats = np.cumsum(_says(floored), axis=-1)
+    return count
+
+
+def _says(floored: Floats) -> NDArray[np.bool_]:
+    return np.asarray(floored.max(axis=-1) > floored.min(axis=-1))
 
 
 def unknown_scores(log_posterior: Floats) -> Floats:

@@ -1,6 +1,7 @@
 """Touches that are read as they are needed: learning from more than memory holds."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -8,7 +9,8 @@ from numpy.typing import NDArray
 
 from ..touches import Touches
 from ._choice import choose_encoder
-from ._encoder import TouchEncoder
+from ._contact import NO_CONTACT, ContactCheck
+from ._encoder import BLOCK, TouchEncoder
 from ._known import KNOWN_CLASSES
 from ._model_file import state_digest
 from ._presets import Preset
@@ -61,30 +63,73 @@ def shown_rows(labels: NDArray, n_shown: int = SHOWN) -> NDArray[np.intp]:
     return np.sort(np.concatenate(chosen))
 
 
-def fit_encoder(
+@dataclass
+class Learnt:
+    """An encoding learnt from touches, and what it makes of them.
+
+    `chosen` are the reasons for it, `features` (n_touches, n_features) and `nothing`
+    (n_touches,) tell of all the touches, also where only some were shown to it.
+    """
+
+    encoder: TouchEncoder
+    contact: ContactCheck
+    chosen: dict[str, Any]
+    features: Floats
+    nothing: NDArray[np.bool_]
+
+
+def learn_encoding(
     preset: Preset,
     touches: Touches | TouchSource,
     labels: NDArray,
     group: NDArray,
     seed: int,
-) -> tuple[TouchEncoder, dict[str, Any], Floats]:
-    """Choose and learn an encoding; return it, the reasons, and all features.
+) -> Learnt:
+    """Choose and learn an encoding, and what contact looks like.
 
     Of a source, some touches of each label are shown to the encoder and the rest
     only pass through it; see `choose_encoder`.
     """
     if isinstance(touches, Touches):
         encoder, chosen = choose_encoder(preset, touches, labels, group, seed)
-        return encoder, chosen, encoder.fit_transform(touches)
+        cleaned = encoder.fit_clean(touches)
+        contact = ContactCheck().fit(touches, encoder)
+        nothing = contact.no_contact(touches, cleaned)
+        return Learnt(encoder, contact, chosen, encoder.fit_encode(cleaned), nothing)
     rows = shown_rows(labels)
     shown = touches.touches(rows)
     encoder, chosen = choose_encoder(preset, shown, labels[rows], group[rows], seed)
-    return encoder, chosen, encoded(encoder.fit(shown), touches)
+    contact = ContactCheck().fit(shown, encoder.fit(shown))
+    return Learnt(encoder, contact, chosen, *encoded(encoder, contact, touches))
 
 
-def encoded(encoder: TouchEncoder, touches: Touches | TouchSource) -> Floats:
-    """Return the features of touches or of all touches of a source."""
+def encoded(
+    encoder: TouchEncoder, contact: ContactCheck, touches: Touches | TouchSource
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the features of all touches, and which of them show no contact."""
+
+    def encode(some: Touches) -> Floats:
+        features, marks = features_and_marks(encoder, contact, some)
+        return np.column_stack([features, np.array(marks) == NO_CONTACT])
+
     if isinstance(touches, Touches):
-        return encoder.transform(touches)
-    key = state_digest(encoder, KNOWN_CLASSES)
-    return touches.features(key, encoder.transform)
+        both = encode(touches)
+    else:
+        known = KNOWN_CLASSES
+        key = state_digest(encoder, known) + state_digest(contact, known)
+        both = touches.features(key, encode)
+    return np.ascontiguousarray(both[:, :-1]), both[:, -1] > 0
+
+
+def features_and_marks(
+    encoder: TouchEncoder, contact: ContactCheck, touches: Touches
+) -> tuple[Floats, list[str]]:
+    """Clean once for both; so many at a time that memory stays bounded."""
+    features: list[Floats] = []
+    marks: list[str] = []
+    for start in range(0, len(touches), BLOCK):
+        some = touches[start : start + BLOCK]
+        cleaned = encoder.clean(some)
+        features.append(encoder.encode(cleaned))
+        marks += contact.marks(some, cleaned)
+    return np.concatenate(features), marks

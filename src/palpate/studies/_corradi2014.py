@@ -96,8 +96,8 @@ def run(
     rows, paired = _shapes_rows(sets, settled, workers, progress)
     duplicates = {one.data: near_duplicates(one.images["image"]) for one in sets}
     if not isinstance(dome, str):
-        seen = recording(dome)
-        some = np.linspace(0, len(seen.codes) - 1, _MOST_ALIKE).astype(int)
+        seen = recording(dome[:: settled.recorded_step])
+        some = np.unique(np.linspace(0, len(seen.codes) - 1, _MOST_ALIKE).astype(int))
         duplicates[DATA] = near_duplicates(seen.images["image"][some])
         rows += _unseen_rows(seen, settled, workers, progress)
     return {

@@ -56,9 +56,13 @@ class Encoded:
         return {n: (old[:, :n], new[:, :n]) for n in counts}
 
 
-def encode(name: str, known: Floats, asked: Floats, counts: tuple[int, ...]) -> Encoded:
-    """Encode images by the encoding called `name`, for all its component counts."""
-    same = asked is known
+def encode(
+    name: str, known: Images, asked: Images | None, counts: tuple[int, ...]
+) -> Encoded:
+    """Encode images by the encoding called `name`, for all its component counts.
+
+    `asked` are the same touches as they look when they test, None if no different.
+    """
     if name in PRINCIPAL:
         options = {"side": PCA_SIDE} if name == "oriented-pca" else {}
         encoder = encoder_named(PRINCIPAL[name], **options).fit(known)

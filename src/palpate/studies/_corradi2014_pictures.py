@@ -52,7 +52,7 @@ def shapes_figure(seed: int) -> "Figure":
     """Draw one touch of each shape and its derivative, by dome and by pins (Fig. 2)."""
     from matplotlib.figure import Figure
 
-    sets = list(simulated_shapes(Corradi2014Plan(n_touches=20, seed=seed)))
+    sets = list(simulated_shapes(Corradi2014Plan(n_touches=10, seed=seed)))
     figure = Figure(figsize=(8.4, 5.0), layout="constrained")
     axes = figure.subplots(4, len(SHAPES))
     for number, (shapes, variant) in enumerate((s, v) for s in sets for v in VARIANTS):

@@ -25,7 +25,6 @@ PRINCIPAL = (2, 4, 7, 11, 16, 22, 30, 40)
 SQUARES = (4, 9, 25, 49, 100, 169)
 COUNTS: dict[str, tuple[int, ...]] = {
     "hu": HU,
-    "log-hu": HU,
     "zernike": MOMENTS,
     "zernike-noll-abs": MOMENTS,
     "oriented-pca": PRINCIPAL,
@@ -46,11 +45,11 @@ class Corradi2014Plan:
         Names of encodings, see `palpate.encodings.ENCODINGS`.
     runs : int, default=20
         Runs of randomised fivefold cross-validation.
-    slow_runs : int, default=4
+    slow_runs : int, default=3
         Runs for the network and the support vector machines.
     choice_runs : int, default=20
         Runs that choose the number of components for 1-NN.
-    slow_choice_runs : int, default=2
+    slow_choice_runs : int, default=1
         The same for the other classifiers.
     choice_step : int, default=1
         Every so many of the numbers of components are tried.
@@ -59,7 +58,7 @@ class Corradi2014Plan:
         learnt; fewer by half for the paper's classifiers, and once more by half
         where something is chosen.
     recorded_step : int, default=1
-        Of the recorded shapes every so many touches are used.
+        Of the recorded touches every so many are used.
     fold_limit : int, default=5
         Most folds of unseen objects.
     candidates : tuple of str
@@ -71,7 +70,6 @@ class Corradi2014Plan:
     n_touches: int = 50
     encodings: tuple[str, ...] = (
         "hu",
-        "log-hu",
         "zernike",
         "zernike-noll-abs",
         "oriented-pca",
@@ -79,9 +77,9 @@ class Corradi2014Plan:
         "scaled-pixels",
     )
     runs: int = 20
-    slow_runs: int = 4
+    slow_runs: int = 3
     choice_runs: int = 20
-    slow_choice_runs: int = 2
+    slow_choice_runs: int = 1
     choice_step: int = 1
     thinning: int = 2
     recorded_step: int = 1
@@ -100,7 +98,7 @@ class Corradi2014Plan:
     def __post_init__(self) -> None:
         for name in ("runs", "slow_runs", "choice_runs", "slow_choice_runs"):
             check_count(name, getattr(self, name))
-        check_count("n_touches", self.n_touches, at_least=20)
+        check_count("n_touches", self.n_touches, at_least=10)
         check_count("thinning", self.thinning)
         check_count("recorded_step", self.recorded_step)
         check_count("fold_limit", self.fold_limit)
@@ -118,7 +116,7 @@ class Corradi2014Plan:
             "choice_runs": 1,
             "slow_choice_runs": 1,
             "choice_step": 3,
-            "thinning": 6,
+            "thinning": 2,
             "recorded_step": 4,
             "fold_limit": 1,
             "candidates": ("zernike-pca", "zernike", "zernike to order 20"),

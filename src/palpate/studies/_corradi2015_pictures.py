@@ -132,7 +132,9 @@ def _curves(
     place.plot(
         list(known), list(known.values()), "D", color="#c0392b", ms=6, label="published"
     )
-    place.set(xlabel="touches", ylim=(0, 101))
+    most = max((row["touches"] for row in held), default=1)
+    ticks = [1, *range(5, most + 1, 5)]
+    place.set(xlabel="touches", ylim=(0, 101), xticks=ticks)
 
 
 def _matrix(place: Any, shares: np.ndarray, names: Sequence[str]) -> None:

@@ -7,6 +7,7 @@ imported when the first picture is decoded.
 
 from ._archive import read_archive, write_archive
 from ._columns import GEOMETRIES
+from ._decode import decode_picture
 from ._errors import TouchesError
 from ._folder import read_folder
 from ._touches import Episode, Touches
@@ -16,6 +17,7 @@ __all__ = [
     "Episode",
     "Touches",
     "TouchesError",
+    "decode_picture",
     "read_archive",
     "read_folder",
     "write_archive",

@@ -5,6 +5,7 @@ import stat
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
 
@@ -19,6 +20,33 @@ from ._pictures import Header, PictureError, grey_levels, read_header
 _MORE_BYTES = 32 * 2**20
 _BYTES_PER_PIXEL = 8
 _AT_ONCE = 8
+
+
+def decode_picture(data: bytes, *, max_pixels: int = 50_000_000) -> NDArray[Any]:
+    """Return the grey levels of a JPEG or PNG in memory, (n_rows, n_cols).
+
+    Parameters
+    ----------
+    data : bytes
+        The whole file.
+    max_pixels : int
+        Larger pictures are refused before they are decoded.
+
+    Raises
+    ------
+    TouchesError
+        It is no such picture, too large, cut short or altered.
+    """
+    try:
+        header = read_header(BytesIO(data))
+        if header.n_rows * header.n_cols > max_pixels:
+            raise TouchesError(
+                f"A picture must have at most {max_pixels} pixels, got {header}. "
+                "Make it smaller, or raise max_pixels if you trust it."
+            )
+        return grey_levels(data, header)
+    except PictureError as error:
+        raise TouchesError(f"A picture must be a JPEG or PNG, got {error}.") from error
 
 
 def common_header(paths: Sequence[Path], *, max_pixels: int) -> Header:

@@ -72,8 +72,8 @@ class LiveEpisode:
         touch = LiveTouch(len(self.touches) + 1, image, time.time())
         features = None
         if self.recogniser is not None and self.belief is not None:
-            features = self.recogniser.encoder_.transform(Touches(image[np.newaxis]))
-            row = self.recogniser.feature_log_likelihood(features)
+            one = Touches(image[np.newaxis])
+            features, row = self.recogniser.features_and_log_likelihood(one)
             self.belief.update_from_log_likelihood(row)
             touch.posterior = self.belief.posterior
             touch.unknown = self.belief.unknown

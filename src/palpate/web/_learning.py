@@ -1,7 +1,7 @@
 """Learning in a process of its own, so that frames go on while it works.
 
-Run as `python -m palpate.web._learning`: reads a job as JSON from standard input,
-writes the model file all or nothing, and answers with one JSON object.
+The other process reads a job as JSON from standard input, writes the model file all
+or nothing, and answers with one JSON object.
 """
 
 import json
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 LEAST_OBJECTS, LEAST_TOUCHES = 2, 2
+_STAND_IN = "\ta name nobody can give"
 
 
 class LearningError(ValueError):
@@ -53,7 +54,7 @@ def learn_apart(
         "drop": list(drop),
     }
     done = subprocess.run(
-        [sys.executable, "-m", "palpate.web._learning"],
+        [sys.executable, "-c", "from palpate.web._learning import main; main()"],
         input=json.dumps(job),
         capture_output=True,
         text=True,
@@ -104,19 +105,33 @@ def taught_touches(library: Any, names: Sequence[str]) -> tuple[Any, list[str]]:
 
 
 def _added_to(base: Any, kept: Sequence[str], touches: Any) -> Any:
-    """Return the base model with what was taught, in place of what it had of it."""
-    for name in set(base.classes_.tolist()) - set(kept):
+    """Return the base model with what was taught, in place of what it had of it.
+
+    A model cannot fall below two objects, so new ones come before old ones go.
+    """
+    taught = {
+        name: touches[touches.object == name]
+        for name in dict.fromkeys(touches.object.tolist())
+    }
+    again = [name for name in taught if name in base.classes_]
+    for name in set(taught) - set(again):
+        base.add_object(name, taught[name])
+    for name in set(base.classes_.tolist()) - {*kept, *taught}:
         base.forget_object(name)
-    for name in dict.fromkeys(touches.object.tolist()):
-        if name in base.classes_:
-            if len(base.classes_) < LEAST_OBJECTS + 1:
-                raise LearningError(
-                    f"{name!r} is in the model and in the library, and the model has "
-                    "only one other object. Rename it, or start without --model."
-                )
-            base.forget_object(name)
-        base.add_object(name, touches[touches.object == name])
+    for name in again:
+        _replace(base, name, taught[name])
     return base
+
+
+def _replace(base: Any, name: str, touches: Any) -> None:
+    """Learn an object anew; a stand-in keeps a model of two above its least size."""
+    stands_in = len(base.classes_) == LEAST_OBJECTS
+    if stands_in:
+        base.add_object(_STAND_IN, touches)
+    base.forget_object(name)
+    base.add_object(name, touches)
+    if stands_in:
+        base.forget_object(_STAND_IN)
 
 
 def _remember(
@@ -134,7 +149,8 @@ def _remember(
         model.sensor_ = memory.to_dict()
 
 
-def _main() -> None:
+def main() -> None:
+    """Do the job on standard input, less urgently than what goes on beside it."""
     if hasattr(os, "nice"):
         os.nice(5)
     try:
@@ -142,7 +158,3 @@ def _main() -> None:
     except (ValueError, OSError, MemoryError) as error:
         answer = {"refused": str(error)}
     print(json.dumps(answer))
-
-
-if __name__ == "__main__":
-    _main()

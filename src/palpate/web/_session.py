@@ -297,7 +297,7 @@ class LiveSession:
         with self._lock:
             self.recogniser, self._neighbours = recogniser, neighbours
             if self.watch is not None:
-                self.watch.memory = memory
+                self.watch.remember(memory)
             self._new_episode()
 
     def _new_episode(self) -> None:

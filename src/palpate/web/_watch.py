@@ -29,7 +29,7 @@ from ._health import Health
 from ._pictures import FramePainter
 
 _ZERO_FRAMES = 10
-_SHOWN_HZ = 31.0
+_SHOWN_HZ = 45.0
 _TOLD_S = 1.0
 _RECENT = 40
 
@@ -64,10 +64,11 @@ class SensorWatch:
     ) -> None:
         self.sensor = sensor
         self.detector = TouchDetector(sensor.no_contact(), summary=summary)
-        self.memory: SensorMemory | None = None
         self._take, self._listeners, self._health = take, listeners, health
         self._painter = FramePainter(sensor.image_shape)
+        self._memory: SensorMemory | None = None
         self._recent: list[NDArray[Any]] = []
+        self._warnings: list[str] = []
         self._zeroing: list[NDArray[Any]] | None = None
         self._lock = threading.Lock()
         self._stop = threading.Event()
@@ -113,7 +114,8 @@ class SensorWatch:
             raise SensorError(f"{self.sensor.name} gave too few frames for a zero.")
         with self._lock:
             self.detector.take_zero(frames, force=force)
-            self._recent.clear()
+            self._recent = []
+        self._compare()
 
     def state(self) -> dict[str, Any]:
         """Return what the sensor is like now, as plain values."""
@@ -126,7 +128,7 @@ class SensorWatch:
             "zero": self.detector.zero is not None,
             "touching": self.detector.touching,
             "offer": self.detector.rezero_offer(time.monotonic()),
-            "warnings": self.warnings(),
+            "warnings": list(self._warnings),
             "desk": None
             if desk is None
             else {"objects": list(desk.objects), "placed": desk.placed},
@@ -136,16 +138,22 @@ class SensorWatch:
         """Return frame rate (Hz), frames dropped, and latencies (ms)."""
         return {**self._health.told(), "n_dropped": self.sensor.n_dropped}
 
-    def warnings(self) -> list[str]:
-        """Return what has left tolerance since the model learnt, as sentences."""
-        zero, memory = self.detector.zero, self.memory
-        if zero is None or memory is None:
-            return []
-        found = [zero_warning(memory, zero.astype(np.float64))]
-        recent = list(self._recent)
-        if recent and not found[0]:
-            found.append(gain_warning(memory, SensorMemory.of(np.stack(recent), zero)))
-        return [warning for warning in found if warning]
+    def remember(self, memory: SensorMemory | None) -> None:
+        """Compare the sensor with what it was when a model learnt, from now on."""
+        self._memory = memory
+        self._compare()
+
+    def _compare(self) -> None:
+        """Say what has left tolerance since the model learnt."""
+        zero, memory = self.detector.zero, self._memory
+        found = [""]
+        if zero is not None and memory is not None:
+            found = [zero_warning(memory, zero.astype(np.float64))]
+            recent = list(self._recent)
+            if recent and memory.response.size and not found[0]:
+                now = SensorMemory.of(np.stack(recent), zero)
+                found.append(gain_warning(memory, now))
+        self._warnings = [warning for warning in found if warning]
 
     def _follow(self) -> None:
         shown_s = told_s = 0.0
@@ -194,3 +202,4 @@ class SensorWatch:
             touch, ended_s = found
             self._recent = [*self._recent[1 - _RECENT :], touch.image]
             self._take(touch.image, ended_s)
+            self._compare()

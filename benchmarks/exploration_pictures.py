@@ -1,4 +1,4 @@
-"""Pictures of what benchmarks/explore.py and choose_touches.py measured."""
+"""Pictures of what benchmarks/choose_touches.py measured."""
 
 import json
 from pathlib import Path
@@ -20,11 +20,9 @@ TITLES = {
 }
 
 
-def draw(folder: Path, measured: dict[str, Any], paper: dict[str, float]) -> None:
-    """Write every picture whose rows are there."""
+def draw(folder: Path) -> None:
+    """Write the picture of whatever was measured."""
     folder.mkdir(parents=True, exist_ok=True)
-    if "curve" in measured:
-        _curves(folder / "exploration-curve.png", measured["curve"]["rows"], paper)
     rows = [
         row
         for path in (CHOSEN, POOL)
@@ -33,25 +31,6 @@ def draw(folder: Path, measured: dict[str, Any], paper: dict[str, float]) -> Non
     ]
     if rows:
         _chosen(folder / "exploration-chosen.png", rows)
-
-
-def _curves(path: Path, rows: Rows, paper: dict[str, float]) -> None:
-    figure, axes = plt.subplots(1, 2, figsize=(8, 3.2), sharey=True, dpi=120)
-    for axis, name in zip(axes, ("simulated", "BathTip"), strict=True):
-        for row in (row for row in rows if row["touches"] == name):
-            _band(axis, row, row["preset"], None)
-        axis.plot(
-            [int(k) for k in paper],
-            list(paper.values()),
-            "k*",
-            markersize=9,
-            label="Corradi 2015, its own objects",
-        )
-        axis.set(title=f"{name} touches", xlabel="touches", ylim=(0, 1.02))
-        axis.grid(alpha=0.3)
-    axes[0].set_ylabel("accuracy")
-    axes[0].legend(loc="lower right", fontsize=8)
-    _write(figure, path)
 
 
 def _chosen(path: Path, rows: Rows) -> None:

@@ -1,0 +1,97 @@
+"""Tables of docs/exploration.md, made from what was measured.
+
+Each stands between `<!-- begin NAME -->` and `<!-- end NAME -->` and is written anew;
+one that was not measured says so.
+"""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+Rows = list[dict[str, Any]]
+HERE = Path(__file__).parent
+CHOSEN = {"chosen": "choose_touches.json", "pool": "choose_touches_pool.json"}
+
+
+def fill(document: Path, measured: dict[str, Any]) -> None:
+    """Write every table into the document."""
+    tables = {
+        "device": _device(measured.get("device", {}).get("rows", [])),
+        "real": _real(measured.get("real", {}).get("rows", [])),
+    }
+    for name, file in CHOSEN.items():
+        path = HERE / file
+        kept = json.loads(path.read_text()) if path.exists() else {"rows": []}
+        tables[name] = _chosen(kept["rows"], kept.get("preset", ""))
+    text = document.read_text()
+    for name, table in tables.items():
+        block = f"<!-- begin {name} -->\n{table}\n<!-- end {name} -->"
+        pattern = f"<!-- begin {name} -->.*?<!-- end {name} -->"
+        text = re.sub(pattern, lambda _, block=block: block, text, flags=re.DOTALL)
+    document.write_text(text)
+
+
+def _table(heads: list[str], rows: list[list[str]]) -> str:
+    if not rows:
+        return "Not measured yet."
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _several(values: list[float], spreads: list[float]) -> str:
+    pairs = zip(values, spreads, strict=True)
+    return " / ".join(f"{100 * v:.0f} ({100 * s:.0f})" for v, s in pairs)
+
+
+def _device(rows: Rows) -> str:
+    cells = [
+        [
+            row["device"],
+            _several(row["before"], row["before_sd"]),
+            _several(row["after"], row["after_sd"]),
+        ]
+        for row in rows
+    ]
+    return _table(["felt with", "before", "after"], cells)
+
+
+def _real(rows: Rows) -> str:
+    cells = [
+        [
+            row["learnt on"],
+            str(row["n_seeds"]),
+            _several(row["accuracy"], row["accuracy_sd"]),
+        ]
+        for row in rows
+    ]
+    return _table(["learnt on", "seeds", "right after 1 / 5 / 15 touches"], cells)
+
+
+def _chosen(rows: Rows, preset: str) -> str:
+    heads = ["condition", "strategy", "belief", "seeds", "after 1 / 3 / 5 / 10"]
+    heads += ["95 % first reached (5-95 %)", "right for good after (sd)"]
+    cells = []
+    for row in rows:
+        at = [k - 1 for k in (1, 3, 5, 10)]
+        mean = [row["accuracy"][k] for k in at]
+        spread = [row["accuracy_sd"][k] for k in at]
+        low, high = (_count(n) for n in row["touches_for_95_range"])
+        until, sd = row["touches_until_right"], row["touches_until_right_sd"]
+        cells.append(
+            [
+                row["condition"],
+                row["strategy"],
+                row["belief"],
+                str(row["n_seeds"]),
+                _several(mean, spread),
+                f"{_count(row['touches_for_95'])} ({low}-{high})",
+                f"{until:.1f} ({sd:.1f})",
+            ]
+        )
+    note = f"Preset `{preset}`.\n\n" if rows else ""
+    return note + _table(heads, cells)
+
+
+def _count(number: int | None) -> str:
+    return "never" if number is None else str(number)

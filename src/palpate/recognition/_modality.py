@@ -1,0 +1,123 @@
+"""Another sense beside touch: photographs, where it was touched, anything with labels.
+
+A sense has its own training examples and its own classifier; what it says enters the
+same belief, weighted as its left-out examples say it may be trusted.
+"""
+
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator, clone
+from sklearn.preprocessing import StandardScaler
+from sklearn.utils import check_array
+
+from .._checks import check_number
+from ..classifiers import KernelRidgeClassifier
+from ._calibration import draw_all, fit_trust, left_out_log_likelihood
+from ._calibration import touch_log_likelihood as any_log_likelihood
+from ._sequence import Floats, with_floor
+
+
+class Modality(BaseEstimator):
+    """A classifier of something else than touch, with calibrated trust.
+
+    Parameters
+    ----------
+    classifier : classifier, optional
+        Any scikit-learn classifier with `predict_proba`, for vectors that were brought
+        to mean 0 and variance 1; by default a `KernelRidgeClassifier`. Only the
+        default can be kept in a model file.
+    floor : float, default=0.01
+        Least probability that one example leaves to all objects together.
+    random_state : int, default=0
+        Seed of the episodes that calibrate it.
+
+    Attributes
+    ----------
+    classes_ : ndarray of str
+        Labels it knows; it says nothing about others.
+    scaler_, classifier_ : fitted estimators
+    trust_ : Trust
+        How its examples add up.
+    """
+
+    def __init__(
+        self, classifier: Any = None, floor: float = 0.01, random_state: int = 0
+    ) -> None:
+        self.classifier = classifier
+        self.floor = floor
+        self.random_state = random_state
+
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> Self:
+        """Learn from examples (n_examples, n_features) and their labels.
+
+        Parameters
+        ----------
+        X, y : array-like
+            Examples and labels, at least two labels of two examples each.
+        groups : array-like of shape (n_examples,), optional
+            Examples that resemble each other (one session) are left out together.
+        """
+        check_number("floor", self.floor, low=0, high=0.5)
+        examples = check_array(X, dtype=np.float64)
+        labels = np.asarray(y).astype(str)
+        if labels.shape != (len(examples),):
+            raise ValueError(
+                f"y must have one label for each of {len(examples)} examples, "
+                f"got shape {labels.shape}."
+            )
+        _refuse_few(labels)
+        self.scaler_ = StandardScaler().fit(examples)
+        scaled = self.scaler_.transform(examples)
+        group = np.arange(len(labels)) if groups is None else np.asarray(groups)
+        self.classifier_ = self._fresh()
+        if isinstance(self.classifier_, KernelRidgeClassifier):
+            self.classifier_.fit(scaled, labels, groups=group)
+        else:
+            self.classifier_.fit(scaled, labels)
+        self.classes_ = np.unique(labels)
+        left_out = left_out_log_likelihood(self.classifier_, scaled, labels, group)
+        self.trust_ = fit_trust(
+            with_floor(left_out, self.floor),
+            np.searchsorted(self.classes_, labels),
+            draw_all(labels, group, self.random_state),
+            np.full(len(self.classes_), -np.log(len(self.classes_))),
+        )
+        return self
+
+    def log_likelihood(self, X: ArrayLike, classes: NDArray) -> Floats:
+        """Return log p(example | object) up to a constant, a column for each class.
+
+        With its floor. An object that it does not know gets the mean over those that
+        it knows, so that it is neither favoured nor ruled out.
+        """
+        examples = check_array(X, dtype=np.float64)
+        known = any_log_likelihood(self.classifier_, self.scaler_.transform(examples))
+        floored = with_floor(known, self.floor)
+        mean = np.log(np.exp(floored).mean(axis=1, keepdims=True))
+        result = np.repeat(mean, len(classes), axis=1)
+        place = {str(name): k for k, name in enumerate(self.classes_)}
+        for column, name in enumerate(classes):
+            if str(name) in place:
+                result[:, column] = floored[:, place[str(name)]]
+        return result
+
+    def _fresh(self) -> Any:
+        if self.classifier is None:
+            return KernelRidgeClassifier()
+        if not hasattr(self.classifier, "predict_proba"):
+            raise TypeError(
+                "classifier must have predict_proba, got "
+                f"{type(self.classifier).__name__}. Wrap it in CalibratedClassifierCV."
+            )
+        return clone(self.classifier)
+
+
+def _refuse_few(labels: NDArray) -> None:
+    names, counts = np.unique(labels, return_counts=True)
+    if len(names) < 2 or counts.min() < 2:
+        raise ValueError(
+            "y must hold at least two labels of two examples each, got "
+            f"{dict(zip(names.tolist(), counts.tolist(), strict=True))}."
+        )

@@ -1,0 +1,147 @@
+"""`palpate record`, `live` and `serve`: the same loop, in the terminal."""
+
+import json
+import signal
+import subprocess
+import sys
+
+import httpx
+import numpy as np
+import pytest
+
+from palpate import Touches
+from palpate.recognition import ObjectRecogniser
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """Discs and bars, ten each, as an archive."""
+    rng = np.random.default_rng(3)
+    row, col = np.mgrid[:12, :12]
+    images = []
+    for long in (False, True):
+        for _ in range(10):
+            y, x = rng.uniform(4, 7, size=2)
+            disc = np.hypot(row - y, col - x) < 3.2
+            bar = (abs(row - y) < 1.2) & (abs(col - x) < 4.5)
+            images.append((bar if long else disc) * 150 + rng.normal(size=(12, 12)) * 3)
+    pressed = np.rint(images).clip(0, 255).astype(np.uint8)
+    path = tmp_path_factory.mktemp("recording") / "touches.npz"
+    labels = ["disc"] * 10 + ["bar"] * 10
+    Touches(pressed, object=labels, geometry="array").save(path)
+    return path
+
+
+@pytest.fixture
+def replay(recording):
+    return ["--sensor", f"replay:{recording}", "--rate", "200", "--hold", "3"]
+
+
+def test_record_keeps_touches_in_a_library_and_an_archive(palpate, replay, tmp_path):
+    library, archive = tmp_path / "library", tmp_path / "bar.npz"
+    told = palpate(
+        *["record", "bar", *replay, "--gap", "3", "--place", "bar", "-n", "4"],
+        *["--library", str(library), "-o", str(archive), "--json"],
+    )
+    assert json.loads(told.stdout) == {
+        "object": "bar",
+        "touches": 4,
+        "library": str(library),
+        "output": str(archive),
+    }
+    touches = Touches.load(archive)
+    assert touches.object.tolist() == ["bar"] * 4
+    assert touches.no_contact.shape == (12, 12)
+    assert "touch 4 of 4" in told.stderr
+
+
+def test_record_gives_up_where_no_touch_comes(palpate, replay, tmp_path):
+    told = palpate(
+        *["record", "bar", "--sensor", "sim:bar10", "--rate", "50", "--gap", "10000"],
+        *["--library", str(tmp_path / "l"), "--timeout", "0.3"],
+    )
+    assert told.returncode == 1
+    assert "No touch in 0.3 s" in told.stderr
+
+
+def test_live_follows_an_episode_to_its_decision(palpate, replay, recording, tmp_path):
+    model = tmp_path / "model.palpate"
+    ObjectRecogniser().fit(Touches.load(recording)).save(model)
+    said = palpate(
+        "live", str(model), *replay, "--gap", "3", "--place", "bar", "-n", "6"
+    )
+    assert said.returncode == 0
+    assert "touch   1" in said.stdout
+    told = palpate(
+        *["live", str(model), *replay, "--gap", "3", "--place", "disc", "-n", "5"],
+        *["--episodes", "2", "--json"],
+    )
+    episodes = json.loads(told.stdout)["episodes"]
+    assert [episode["number"] for episode in episodes] == [1, 2]
+    for episode in episodes:
+        assert episode["best"] == "disc"
+        assert 1 <= len(episode["touches"]) <= 5
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--sensor", "replay:/nowhere.npz"], "nowhere.npz"),
+        (["--sensor", "sim:unicorn"], "'mug'"),
+        (["--sensor", "serial:/dev/nowhere"], "--shape 16x16"),
+        (["--sensor", "serial:/dev/nowhere", "--shape", "4x4"], "cannot be opened"),
+        (["--sensor", "camera:/dev/nowhere"], "no camera at"),
+        (["--sensor", "sim:mug", "--baud", "9600"], "says nothing to a sim sensor"),
+        (["--sensor", "sim:mug", "--shape", "big"], "rows x columns"),
+        (["--sensor", "telepathy"], "camera:NAME"),
+    ],
+)
+def test_what_is_wrong_is_one_sentence(palpate, monkeypatch, tmp_path, words, message):
+    monkeypatch.setenv("COLUMNS", "200")
+    done = palpate("record", "x", *words, "--library", tmp_path / "library")
+    assert done.returncode in (1, 2)
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_serve_prints_an_address_that_opens_and_ends_when_told():
+    process = subprocess.Popen(
+        [sys.executable, "-m", "palpate", "serve", "--port", "0", "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    told = json.loads(process.stdout.readline())
+    assert told["address"].startswith("http://127.0.0.1:")
+    assert httpx.get(told["address"]).status_code == 401
+    answer = httpx.get(
+        told["address"], params={"token": told["token"]}, follow_redirects=True
+    )
+    assert "<title>palpate" in answer.text
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=20)
+    assert out == ""
+    assert told["token"] not in err
+
+
+def test_serve_warns_when_it_listens_to_the_network(palpate, monkeypatch):
+    monkeypatch.setattr(
+        "palpate.web.serving.run_app", lambda app, opened: opened.close()
+    )
+    said = palpate("serve", "--port", "0", "--host", "0.0.0.0")
+    assert said.stdout.startswith("Open http://127.0.0.1:")
+    assert "everybody on that network who knows the token" in said.stderr
+    quiet = palpate("serve", "--port", "0")
+    assert quiet.stderr == ""
+
+
+def test_the_core_of_the_loop_needs_none_of_the_extras():
+    code = (
+        "import sys, palpate.web, palpate.sensors; "
+        "print([m for m in ('fastapi', 'uvicorn', 'serial', 'cv2_enumerate_cameras') "
+        "if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,60 @@
+"""Zernike magnitudes of turned touches at 300 taxels, drawn and recorded."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import affine_transform
+
+from palpate.encodings import encoder_named
+from palpate.images import DomeCrop, crop_discs, standardise_discs
+
+SIZE = 300
+
+
+def change(straight, around):
+    """Relative change of each vector of magnitudes."""
+    return np.linalg.norm(around - straight, axis=1) / np.linalg.norm(straight, axis=1)
+
+
+def test_turned_drawings_keep_their_magnitudes(rng):
+    axis = (np.arange(SIZE) - (SIZE - 1) / 2) / (SIZE / 2)
+    x, y = np.meshgrid(axis, axis)
+    images = []
+    for angle in (0, *rng.uniform(0, 2 * np.pi, 8)):
+        u, v = (
+            x * np.cos(angle) + y * np.sin(angle),
+            y * np.cos(angle) - x * np.sin(angle),
+        )
+        wide = np.exp(-((u - 0.3) ** 2) / 0.08 - (v + 0.2) ** 2 / 0.03)
+        images.append(
+            wide + 0.6 * np.exp(-((u + 0.4) ** 2) / 0.02 - (v - 0.3) ** 2 / 0.1)
+        )
+    magnitudes = encoder_named("zernike").fit_transform(np.stack(images))
+    # The goal is 5e-4; smooth drawings that fade before the rim do far better.
+    assert (change(magnitudes[:1], magnitudes[1:]) < 1e-5).all()
+
+
+@pytest.mark.realdata
+def test_turned_pictures_keep_their_magnitudes_after_cropping(data_folder, rng):
+    cv2 = pytest.importorskip("cv2")
+    found = sorted((data_folder / "bathtip" / "originals").glob("*/*/*.jpg"))
+    chosen = [str(found[i]) for i in rng.choice(len(found), 6, replace=False)]
+    images = np.stack([cv2.imread(path, cv2.IMREAD_GRAYSCALE) for path in chosen])
+    rims = DomeCrop(SIZE).fit(images).rims(images)
+    turned = []
+    for image, rim, angle in zip(images, rims, rng.uniform(0, 6.28, 6), strict=True):
+        turn = np.array(
+            [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        )
+        centre = np.array([rim.row, rim.col])
+        offset = centre - turn @ centre
+        turned.append(affine_transform(image.astype(float), turn, offset))
+    # A radius of 195 pixels stays in the frame whatever the angle.
+    straight, around = (
+        standardise_discs(crop_discs(some, rims, 195, SIZE))
+        for some in (images, np.stack(turned))
+    )
+    # Cropping keeps or drops whole cells: one cell less, and the rim cuts kept ones.
+    encoder = encoder_named("zernike", radius=SIZE / 2 - 1).fit(straight)
+    moved = change(encoder.transform(straight), encoder.transform(around))
+    # The goal is 2e-3: what resampling pictures costs at worst.
+    assert (moved < 1e-3).all()

@@ -1,0 +1,79 @@
+"""Putting objects down before the arm, and exploring to learn them."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate.exploration import RobotError, explore_to_learn, put_down, read_episode
+from palpate.simulation import DomeCamera, find_object
+
+CAMERA = DomeCamera(image_shape=(24, 24), n_nodes=20)
+BOX, PEN = find_object("box"), find_object("pen")
+
+
+def test_touches_of_every_object_and_session():
+    made = explore_to_learn([PEN, BOX], 3, CAMERA, n_sessions=2)
+    assert made.images.shape == (6, 24, 24)
+    assert made.object.tolist() == ["pen"] * 3 + ["box"] * 3
+    assert made.session.tolist() == [0, 0, 1] * 2
+    assert np.array_equal(made.no_contact, CAMERA.no_contact())
+    assert_allclose(np.linalg.norm(made.columns["direction"], axis=1), 1)
+
+
+def test_the_same_seed_gives_the_same_touches():
+    one, two, other = (
+        explore_to_learn([BOX], 2, CAMERA, n_sessions=1, random_state=seed).images
+        for seed in (3, 3, 4)
+    )
+    assert np.array_equal(one, two)
+    assert not np.array_equal(one, other)
+
+
+def test_places_are_in_the_objects_frame_however_it_is_turned():
+    made = explore_to_learn(
+        [BOX], 12, CAMERA, n_sessions=3, turned=True, placement_sd_mm=0.0
+    )
+    # The tip ends on the surface of the box, 160 x 110 x 60 mm and aligned with its
+    # own frame, or pressed into it by a dent of at most 12 mm; the object gives way
+    # by up to 5 % of its size.
+    half = np.array([80.0, 55.0, 30.0])
+    centre = np.array([0.0, 0.0, 30.0])
+    outside = np.abs(made.columns["position_mm"] - centre) - half
+    assert_allclose(outside.max(axis=1), -4, atol=8 + 8)
+
+
+def test_what_was_begun_goes_on(tmp_path):
+    def run(n_touches):
+        return explore_to_learn([PEN], n_touches, CAMERA, n_sessions=1, folder=tmp_path)
+
+    few, more = run(2), run(4)
+    assert np.array_equal(more.images[:2], few.images)
+    kept = read_episode(tmp_path / "pen" / "0")
+    assert sum(record.touched for record in kept) == 4
+
+
+def test_nothing_to_touch_is_told():
+    with pytest.raises(RobotError, match="Only 0 of 2 touches"):
+        explore_to_learn([find_object("nothing")], 2, CAMERA, n_sessions=1)
+
+
+def test_an_object_is_put_down_near_the_middle_turned_and_on_a_face():
+    stand = put_down(BOX, CAMERA, face=1, yaw_rad=0.5, placement_sd_mm=0.0)
+    assert stand.thing is BOX
+    x, y, z = stand.hemisphere.centre_mm
+    # Turned by half a radian, its middle is above the origin all the same; face 1 of
+    # a box is one of its sides, so it stands as high as another of its lengths.
+    assert_allclose((x, y), 0, atol=1e-6)
+    assert min(abs(2 * z - side) for side in (160, 110)) < 1e-3
+    record = stand.touch(stand.hemisphere.pose(0.3, 0.8))
+    assert record.outcome == "touched"
+    assert_allclose(
+        np.linalg.norm(np.subtract(stand.robot.read_pose().position_mm, (x, y, z))),
+        300,
+        atol=1e-6,
+    )
+
+
+def test_a_face_that_is_none_is_refused():
+    with pytest.raises(ValueError, match=r"face must be below 1.*'pen'"):
+        put_down(PEN, CAMERA, face=1)

@@ -1,0 +1,136 @@
+"""Other senses, priors, costs and explanations of a belief."""
+
+import numpy as np
+import pytest
+from sklearn.linear_model import LogisticRegression, RidgeClassifier
+
+from palpate import Touches
+from palpate.recognition import ModelFileError, ObjectRecogniser
+
+NAMES = ("ball", "mug", "pen")
+
+
+def clouds(seed, n_each, spread=0.6):
+    """Three clouds of vectors in a plane; the first two overlap."""
+    rng = np.random.default_rng(seed)
+    centres = np.array([[0.0, 0.0], [0.8, 0.0], [4.0, 4.0]])
+    X = np.repeat(centres, n_each, axis=0) + spread * rng.normal(size=(3 * n_each, 2))
+    return X, np.repeat(NAMES, n_each)
+
+
+@pytest.fixture(scope="module")
+def recogniser():
+    rng = np.random.default_rng(0)
+    images = rng.random((60, 3, 6))
+    images[:20, 0] += 1.5
+    images[20:40, 1] += 1.5
+    images[40:, 2] += 1.5
+    touches = Touches(images, object=np.repeat(NAMES, 20), geometry="none")
+    learnt = ObjectRecogniser().fit(touches)
+    return learnt.learn_modality("sight", *clouds(1, 30)), touches
+
+
+def test_sight_alone_moves_the_belief(recogniser):
+    model, _ = recogniser
+    belief = model.start().update_sense("sight", [4.0, 4.0])
+    assert belief.best == "pen"
+    assert belief.touches_used == 0
+    assert belief.decide(error=0.1) == "pen"
+
+
+def test_sight_and_touch_add_up_in_any_order(recogniser):
+    model, touches = recogniser
+    one = model.start().update_sense("sight", [0.4, 0.0]).update(touches[:2])
+    other = model.start().update(touches[:2]).update_sense("sight", [0.4, 0.0])
+    assert one.posterior == pytest.approx(other.posterior)
+    alone = model.start().update(touches[:2])
+    assert one.posterior["pen"] < alone.posterior["pen"]
+
+
+def test_agreeing_senses_are_surer_than_each(recogniser):
+    model, touches = recogniser
+    touch = model.start().update(touches[40:41])
+    both = model.start().update(touches[40:41]).update_sense("sight", [4.0, 4.0])
+    assert both.posterior["pen"] > touch.posterior["pen"]
+
+
+def test_a_sense_says_nothing_about_what_it_never_saw(recogniser):
+    model, touches = recogniser
+    X, y = clouds(2, 20)
+    some = y != "pen"
+    model.learn_modality("place", X[some], y[some])
+    before = model.start().update(touches[:1]).posterior["pen"]
+    # A place between the two that it knows tells neither from the third.
+    after = model.start().update(touches[:1]).update_sense("place", [0.4, 0.0])
+    assert after.posterior["pen"] == pytest.approx(before, abs=0.15)
+
+
+def test_any_classifier_with_probabilities_can_be_a_sense(recogniser):
+    model, _ = recogniser
+    model.learn_modality("guess", *clouds(3, 30), classifier=LogisticRegression())
+    assert model.start().update_sense("guess", [[4.0, 4.0]] * 2).best == "pen"
+
+
+def test_refusals(recogniser):
+    model, _ = recogniser
+    with pytest.raises(ValueError, match="sight"):
+        model.start().update_sense("smell", [1.0, 2.0])
+    with pytest.raises(TypeError, match="predict_proba"):
+        model.learn_modality("x", *clouds(0, 5), classifier=RidgeClassifier())
+    with pytest.raises(ValueError, match="two examples each"):
+        model.learn_modality("x", [[0.0], [1.0], [2.0]], ["a", "b", "b"])
+    with pytest.raises(ValueError, match="one label for each of 15"):
+        model.learn_modality("x", clouds(0, 5)[0], ["a", "b"])
+
+
+def test_model_file_keeps_sight_and_refuses_foreign_classifiers(tmp_path, recogniser):
+    touches = recogniser[1]
+    model = ObjectRecogniser().fit(touches).learn_modality("sight", *clouds(1, 30))
+    again = ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+    ask = [1.0, 1.0]
+    assert again.start().update_sense("sight", ask).posterior == pytest.approx(
+        model.start().update_sense("sight", ask).posterior, abs=1e-12
+    )
+    model.learn_modality("guess", *clouds(3, 9), classifier=LogisticRegression())
+    with pytest.raises(ModelFileError, match="LogisticRegression"):
+        model.save(tmp_path / "n.palpate")
+
+
+def test_a_given_prior_is_where_the_belief_starts(recogniser):
+    model, _ = recogniser
+    prior = {"ball": 2.0, "mug": 1.0, "pen": 1.0}
+    belief = model.start(prior)
+    assert belief.posterior == pytest.approx({"ball": 0.5, "mug": 0.25, "pen": 0.25})
+    with pytest.raises(ValueError, match="pen"):
+        model.start({"ball": 1.0, "mug": 1.0})
+    with pytest.raises(ValueError, match="positive"):
+        model.start({"ball": 1.0, "mug": 0.0, "pen": 1.0})
+
+
+def test_costs_choose_the_cheaper_mistake(recogniser):
+    model, _ = recogniser
+    belief = model.start({"ball": 0.9, "mug": 0.05, "pen": 0.05})
+    belief.update_sense("sight", [0.4, 0.0])
+    assert belief.best == "ball"
+    assert belief.decide(error=0.3) == "ball"
+    # To take a mug for a ball would be very expensive, the other way round is free.
+    costs = {"mug": {"ball": 50.0}, "ball": {"mug": 0.0}, "pen": {"mug": 0.0}}
+    assert belief.decide(error=0.3, costs=costs) == "mug"
+    with pytest.raises(ValueError, match="costs"):
+        belief.decide(costs={"mug": {"ball": -1.0}})
+    with pytest.raises(ValueError, match="costs"):
+        belief.decide(costs={"cup": {"ball": 1.0}})
+
+
+def test_explanation_names_the_touch_that_decided(recogniser):
+    model, touches = recogniser
+    vague = touches.images.mean(axis=0)
+    belief = model.start().update(vague).update(touches[45]).update(vague)
+    first = belief.explain(n_touches=1, n_nearest=2)[0]
+    assert first["touch"] == 2
+    assert first["best"] == "pen"
+    assert first["nats"] > 0
+    # The very touch was learnt, so it is its own nearest neighbour.
+    assert first["nearest"][0] == {"object": "pen", "row": 45, "distance": 0.0}
+    assert next(e["touch"] for e in belief.explain(3)) == 2
+    assert model.start().explain() == []

@@ -1,0 +1,265 @@
+"""The Corradi 2014 study on few touches: which rows there are, and its statistics."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.decomposition import PCA
+
+from palpate.encodings import OrientedPCA, ZernikePCA
+from palpate.evaluation import davies_bouldin
+from palpate.studies import (
+    Corradi2014Plan,
+    run_study,
+    study_tables,
+    write_study_report,
+)
+from palpate.studies._corradi2014_judge import corrected_t_test, holm, judge
+from palpate.studies._corradi2014_methods import answers, encode
+from palpate.studies._corradi2014_pictures import fig_3_figure, table_2_figure
+from palpate.studies._corradi2014_plan import CLASSIFIERS, COUNTS, TABLE_2
+from palpate.studies._corradi2014_touches import Shapes, near_duplicates, variants
+from palpate.studies._corradi2014_unseen import (
+    CANDIDATES,
+    Recording,
+    candidate_features,
+    compare_fold,
+    compared_rows,
+    judge_unseen,
+)
+
+TINY = Corradi2014Plan.quick(
+    n_touches=10, encodings=("hu", "zernike-pca"), choice_step=8
+)
+
+
+@pytest.fixture(scope="module")
+def result():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("PALPATE_DATA", raising=False)
+        return run_study("corradi2014", plan=TINY, workers=1)
+
+
+@pytest.fixture
+def discs(rng):
+    """Sixty noisy discs of three kinds: stripes of one, two and three waves."""
+    x = np.linspace(-1, 1, 32)
+    waves = np.repeat([1, 2, 3], 20)
+    stripes = np.sin(2 * np.pi * waves[:, None, None] * x) * np.ones((32, 1))
+    noisy = stripes + rng.normal(scale=0.5, size=(60, 32, 32))
+    return (noisy * (np.hypot(x[:, None], x) <= 1)).astype(np.float32), waves - 1
+
+
+def test_every_row_has_a_figure_and_a_name_of_its_own(result):
+    assert result["study"] == "corradi2014"
+    names = [(row["name"], row["data"], row["table"]) for row in result["rows"]]
+    assert len(set(names)) == len(names)
+    for row in result["rows"]:
+        assert {"name", "paper", "ours", "sd", "data", "unit"} <= set(row)
+        assert row["ours"] >= 0
+        assert row["unit"] == "index" or row["ours"] <= 100
+        assert row["data"] in ("simulated", "simulated-pins")
+
+
+def test_every_encoding_meets_every_classifier_on_both_images(result):
+    held = [row for row in result["rows"] if row["table"] == "Fig. 3"]
+    met = {
+        (r["data"], r["encoding"], r["classifier"], r["variant"], r["folds"])
+        for r in held
+    }
+    assert len(met) == len(held) == 2 * 2 * len(CLASSIFIERS) * 2 * 2
+    assert [row["paper"] for row in held if row["paper"]] == [96.4]
+
+
+def test_table_2_stands_beside_the_paper(result):
+    for row in result["rows"]:
+        if row["table"] == "Table 2":
+            sensor = ["simulated", "simulated-pins"].index(row["data"])
+            known = TABLE_2[row["encoding"]][row["variant"]][sensor]
+            assert row["paper"] == (known if row["q"] == 2 else None)
+
+
+def test_image_and_derivative_are_tested_in_pairs(result):
+    assert len(result["paired"]) == 2 * 2 * len(CLASSIFIERS)
+    for row in result["paired"]:
+        assert 0 <= row["p"] <= row["p_together"] <= 1
+    assert set(result["duplicates"]) == {"simulated", "simulated-pins"}
+
+
+def test_missing_touches_are_told(result):
+    assert len(result["skipped"]) == 2
+    assert all("PALPATE_DATA" in sentence for sentence in result["skipped"])
+
+
+def test_tables_and_report_show_it_all(result, tmp_path):
+    again = json.loads(json.dumps(result))
+    tables = study_tables(again)
+    assert [title.split(":")[0] for title, _, _ in tables[:3]] == [
+        "Table 2",
+        "Fig. 3",
+        "Fig. 3",
+    ]
+    for _, columns, rows in tables:
+        assert rows
+        assert {len(row) for row in rows} == {len(columns)}
+    page = write_study_report(tmp_path / "r.html", again).read_text("utf-8")
+    assert page.count("<svg") == 3
+    assert "96.4" in page
+    loaded = re.findall(r"""(?:src|href)=["']?([^"' >]+)""", page)
+    assert all(one.startswith(("#", "data:")) for one in loaded)
+
+
+def test_pictures_have_a_panel_per_set(result):
+    assert len(table_2_figure(result["rows"]).axes) == 2
+    assert len(fig_3_figure(result["rows"]).axes) == 4
+
+
+def shapes_of(discs, codes, asked=None):
+    place = np.tile(np.arange(20), 3)
+    images = variants(discs)
+    return Shapes("drawn", images, asked, codes, place % 5, place // 10)
+
+
+def test_labels_of_the_second_half_do_not_choose(discs, rng):
+    images, codes = discs
+    plan = Corradi2014Plan.quick(choice_step=2)
+    straight = judge(shapes_of(images, codes), "image", "hu", plan)
+    spoilt = codes.copy()
+    second = np.tile(np.arange(20), 3) >= 10
+    spoilt[second] = rng.permutation(spoilt[second])
+    other = judge(shapes_of(images, spoilt), "image", "hu", plan)
+
+    def chosen(judged):
+        return [row["n_components"] for row in judged.rows]
+
+    assert chosen(other) == chosen(straight)
+    assert [r["ours"] for r in other.rows] != [r["ours"] for r in straight.rows]
+
+
+def test_turned_test_images_lower_pixels_and_not_moments(discs):
+    images, codes = discs
+    asked = variants(np.ascontiguousarray(images.transpose(0, 2, 1)))
+    plan = Corradi2014Plan.quick(choice_step=2)
+    found = {
+        name: judge(shapes_of(images, codes, asked), "image", name, plan)
+        for name in ("zernike", "zernike-pca")
+    }
+    for judged in found.values():
+        assert judged.folds["1-NN"].mean() > 95
+        assert not [row for row in judged.rows if row["table"] == "Table 2"]
+
+
+@pytest.mark.parametrize(
+    ("name", "encoder"), [("zernike-pca", ZernikePCA), ("oriented-pca", OrientedPCA)]
+)
+def test_components_of_a_fold_are_those_of_the_estimator(name, encoder, discs):
+    images, _ = discs
+    train, test = np.arange(0, 60, 2), np.arange(1, 60, 2)
+    encoded = encode(name, images, None, (2, 5))
+    ours = encoded.features(train, test, (2, 5))
+    theirs = encoder(5).fit(images[train])
+    for count in (2, 5):
+        for part, rows in zip(ours[count], (train, test), strict=True):
+            # Signs of directions are arbitrary; digits lost by squaring features.
+            expected = np.abs(theirs.transform(images[rows])[:, :count])
+            assert_allclose(np.abs(part), expected, atol=1e-5 * expected.max())
+
+
+def test_fewer_touches_than_components_have_fewer_directions(rng):
+    images = rng.normal(size=(6, 24, 24)).astype(np.float32)
+    rows = np.arange(6)
+    (both,) = (
+        encode("zernike-pca", images, None, (40,)).features(rows, rows, (40,)).values()
+    )
+    features = encode("zernike", images, None, (71,)).known[71]
+    assert both[0].shape == (6, 5)
+    variances = PCA(5).fit(features).explained_variance_
+    assert_allclose(both[0].var(axis=0, ddof=1), variances, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", CLASSIFIERS)
+def test_every_classifier_learns_two_far_clusters(kind, rng):
+    train = np.r_[rng.normal(size=(20, 2)), 30 + rng.normal(size=(20, 2))]
+    codes = np.repeat([0, 1], 20)
+    said = answers(kind, train, codes, np.array([[0.0, 0.0], [30.0, 30.0]]), 0)
+    assert_array_equal(said, [0, 1])
+
+
+def test_corrected_t_test_is_wider_than_the_plain_one():
+    differences = np.array([[1.0, 2.0, 3.0, 2.0, 2.0]])
+    mean, error, p = corrected_t_test(differences)
+    # Variance 0.5; (1 / 5 + 1 / 4) * 0.5 = 0.225 instead of 0.1.
+    assert (mean, error) == (2.0, pytest.approx(np.sqrt(0.225)))
+    assert 0.005 < p < 0.05
+    assert corrected_t_test(np.zeros((2, 5))) == (0.0, 0.0, 1.0)
+    assert corrected_t_test(np.ones((2, 5))) == (1.0, 0.0, 0.0)
+
+
+def test_holm_steps_down():
+    # 0.01 * 4, 0.02 * 3, 0.03 * 2 raised to the one before, 0.5.
+    assert_allclose(holm([0.02, 0.5, 0.01, 0.03]), [0.06, 0.5, 0.04, 0.06])
+    assert holm([0.9, 0.8]) == [1.0, 1.0]
+
+
+def test_repeated_touches_are_counted(rng):
+    discs = rng.normal(size=(10, 8, 8)).astype(np.float32)
+    assert near_duplicates(discs) == 0
+    discs[3] = 2 * discs[7]
+    assert near_duplicates(discs) == 20
+
+
+@pytest.fixture
+def seen(rng):
+    """Two categories of three objects, ten touches each: one wave, or two."""
+    x = np.linspace(-1, 1, 32)
+    codes, objects = np.repeat([0, 1], 30), np.repeat(np.arange(6), 10)
+    stripes = np.sin(2 * np.pi * (codes + 1)[:, None, None] * x) * np.ones((32, 1))
+    discs = (stripes + rng.normal(scale=0.5, size=(60, 32, 32))).astype(np.float32)
+    return Recording(variants(discs), codes, objects, objects % 3)
+
+
+def test_unseen_objects_of_clear_categories_are_named(seen):
+    plan = Corradi2014Plan.quick(fold_limit=3, thinning=1)
+    rows = judge_unseen(seen, "image", "zernike-pca", plan)
+    assert [row["classifier"] for row in rows] == list(CLASSIFIERS)
+    assert rows[0]["ours"] > 90
+    assert len(rows[0]["n_components"]) == 3
+
+
+def test_the_best_encoding_is_chosen_without_the_tested_objects(seen):
+    plan = Corradi2014Plan.quick(fold_limit=3, thinning=1)
+    names = ("zernike-pca", "zernike")
+    features = {name: candidate_features(seen, name) for name in names}
+    first = compare_fold(seen.only(), features, 0, plan)
+    broken = {n: [p.copy() for p in parts] for n, parts in features.items()}
+    for parts in broken.values():
+        parts[0][seen.fold == 0] = 0
+    second = compare_fold(seen.only(), broken, 0, plan)
+    assert second["inner"] == first["inner"]
+    assert second["right"] != first["right"]
+    rows = compared_rows([first, second])
+    lead = {r["after"]: r["ours"] for r in rows if "less" in r["name"]}
+    assert set(lead) == {1, 10}
+
+
+def test_candidates_and_counts_are_known():
+    plan = Corradi2014Plan()
+    assert set(plan.candidates) - {"zernike-pca"} == set(CANDIDATES)
+    assert set(plan.encodings) <= set(COUNTS)
+    assert plan.counts("hu") == (1, 2, 3, 4, 5, 6, 7)
+    assert Corradi2014Plan.quick().counts("hu") == (1, 4, 7)
+    with pytest.raises(ValueError, match="n_touches must be at least 10, got 5"):
+        Corradi2014Plan(n_touches=5)
+
+
+def test_the_index_is_that_of_the_second_half(discs):
+    images, codes = discs
+    plan = Corradi2014Plan.quick(choice_step=8)
+    judged = judge(shapes_of(images, codes), "image", "hu", plan)
+    second = np.tile(np.arange(20), 3) >= 10
+    features = encode("hu", images, None, (7,)).known[7]
+    (row,) = [r for r in judged.rows if r.get("q") == 2]
+    assert row["n_components"] == 7
+    assert row["ours"] == pytest.approx(davies_bouldin(features[second], codes[second]))

@@ -1,0 +1,106 @@
+"""Many pages at once, one of which stops reading: the others do not notice."""
+
+import json
+import socket
+import threading
+import time
+
+import pytest
+from websockets.sync.client import connect
+
+N_CLIENTS = 20
+
+
+def heads(address, token, seconds):
+    """Read a websocket for some seconds; return the headers of its frames."""
+    found = []
+    url = address.replace("http", "ws") + f"/ws?token={token}"
+    with connect(url, max_size=None) as page:
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            try:
+                message = page.recv(timeout=left)
+            except TimeoutError:
+                break
+            if isinstance(message, bytes):
+                length = int.from_bytes(message[:4], "big")
+                found.append(json.loads(message[4 : 4 + length]))
+    return found
+
+
+def stopped_reader(address, token):
+    """Open a websocket by hand and never read from it."""
+    host, port = address.removeprefix("http://").split(":")
+    raw = socket.create_connection((host, int(port)))
+    raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+    raw.sendall(
+        f"GET /ws?token={token} HTTP/1.1\r\nHost: {host}:{port}\r\n"
+        "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode()
+    )
+    return raw
+
+
+def test_twenty_pages_and_one_that_stops_reading(make_session, serving):
+    session = make_session()
+    session.watch.sensor.rate_hz = 60.0
+    with serving(session) as (address, token):
+        slow = stopped_reader(address, token)
+        found = []
+        readers = [
+            threading.Thread(target=lambda: found.append(heads(address, token, 3.0)))
+            for _ in range(N_CLIENTS)
+        ]
+        for reader in readers:
+            reader.start()
+        for reader in readers:
+            reader.join(20)
+        slow.close()
+    assert len(found) == N_CLIENTS
+    for frames in found:
+        numbers = [frame["number"] for frame in frames]
+        assert numbers == sorted(set(numbers))  # none twice, none out of order
+        # 30 a second are offered for up to 3 s; a busy machine opens sockets slowly.
+        assert len(frames) >= 15
+    assert session.watch.sensor.n_dropped == 0
+
+
+def test_a_client_that_never_reads_is_let_go(make_session, serving, monkeypatch):
+    monkeypatch.setattr("palpate.web._hub._PATIENCE_S", 0.3)
+    session = make_session()
+    with serving(session) as (address, token):
+        slow = stopped_reader(address, token)
+        deadline = time.monotonic() + 5
+        while not len(session.listeners) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert len(session.listeners) == 1
+        for _ in range(400):  # states of some kilobytes fill every buffer there is
+            session.message = "x" * 40_000
+            session._tell_state()
+            time.sleep(0.002)
+        deadline = time.monotonic() + 10
+        while len(session.listeners) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert len(session.listeners) == 0
+        slow.close()
+
+
+def test_a_page_that_leaves_is_forgotten(make_session, serving):
+    session = make_session()
+    with serving(session) as (address, token):
+        assert heads(address, token, 0.5)
+        deadline = time.monotonic() + 5
+        while len(session.listeners) and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert len(session.listeners) == 0
+
+
+@pytest.mark.parametrize("message", ["ping", "{}", "x" * 1000])
+def test_what_a_page_says_does_no_harm(make_session, serving, message):
+    with serving(make_session(sensor=False)) as (address, token):
+        url = address.replace("http", "ws") + f"/ws?token={token}"
+        with connect(url) as page:
+            assert json.loads(page.recv())["kind"] == "state"
+            page.send(message)
+            page.send("ping")
+            assert json.loads(page.recv(timeout=5))["kind"] == "pong"

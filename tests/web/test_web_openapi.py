@@ -1,0 +1,64 @@
+"""What OpenAPI promises, tried with whatever its schemas allow and do not allow."""
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis.errors import Unsatisfiable
+
+schemathesis = pytest.importorskip("schemathesis", reason="schemathesis is missing")
+
+from schemathesis.checks import not_a_server_error  # noqa: E402
+from schemathesis.specs.openapi.checks import (  # noqa: E402
+    content_type_conformance,
+    response_schema_conformance,
+    status_code_conformance,
+)
+
+HEADERS = {"Authorization": "Bearer token"}
+# They take seconds; other tests try them.
+SLOW_BY_NATURE = ("/api/zero", "/api/learn")
+CHECKS = [
+    not_a_server_error,
+    status_code_conformance,
+    content_type_conformance,
+    response_schema_conformance,
+]
+
+
+@pytest.fixture(scope="module")
+def api_schema(make_session, connected):
+    with connected(make_session(), rate_hz=10_000) as client:
+        yield schemathesis.openapi.from_url(
+            f"{client.base_url}/openapi.json", headers=HEADERS
+        )
+
+
+@pytest.mark.parametrize("mode", ["positive", "negative"])
+def test_every_answer_is_one_that_was_promised(api_schema, mode):
+    tried = set()
+    for found in api_schema.get_all_operations():
+        operation = found.ok()
+        if operation.path in SLOW_BY_NATURE:
+            continue
+        tried.add(operation.path)
+        _try(operation, schemathesis.GenerationMode(mode))
+    assert len(tried) > 15
+
+
+def _try(operation, mode):
+    """Call one operation with what its schema allows, or does not allow."""
+
+    @settings(
+        max_examples=6,
+        deadline=None,
+        derandomize=True,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(case=operation.as_strategy(generation_mode=mode))
+    def call(case):
+        case.call_and_validate(headers=HEADERS, checks=CHECKS)
+
+    try:
+        call()
+    except Unsatisfiable:  # some operations take nothing that could be wrong
+        assert mode is schemathesis.GenerationMode.NEGATIVE

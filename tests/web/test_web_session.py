@@ -1,0 +1,197 @@
+"""The live loop by itself, without any web in it."""
+
+import queue
+import time
+
+import numpy as np
+import pytest
+
+from palpate import Touches
+from palpate.library import TouchLibrary
+from palpate.recognition import ModelFileError, ObjectRecogniser
+from palpate.sensors import (
+    ContactError,
+    ReplaySensor,
+    SensorError,
+    SensorMemory,
+    StreamingSensor,
+)
+from palpate.web import LearningError, LiveSession
+from palpate.web._learning import learn_job
+
+
+def waited(condition, seconds=20.0):
+    """Wait until something is so; tell whether it became so."""
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.01)
+    return condition()
+
+
+@pytest.fixture(scope="module")
+def model(drawn, tmp_path_factory):
+    """A model that knows the disc and the bar, and remembers its sensor."""
+    known = drawn[drawn.object != "both"]
+    recogniser = ObjectRecogniser().fit(known)
+    recogniser.sensor_ = SensorMemory.of(known.images, known.no_contact).to_dict()
+    return recogniser.save(tmp_path_factory.mktemp("model") / "m.palpate")
+
+
+def test_touches_of_the_sensor_move_the_belief(make_session, model):
+    session = make_session(library=None, model=model)
+    events = queue.Queue()
+    session.listeners.add(events.put)
+    with session:
+        session.place("disc")
+        assert waited(lambda: len(session.episode.touches) >= 5)
+        session.place(None)
+    kinds = {events.get_nowait().kind for _ in range(events.qsize())}
+    assert {"frame", "contact", "touch", "state"} <= kinds
+    assert session.episode.told()["best"] == "disc"
+    numbers = [touch.number for touch in session.episode.touches]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert session.health_state()["n_dropped"] == 0
+
+
+def test_a_lesson_takes_so_many_touches_and_no_more(make_session):
+    session = make_session()
+    with session:
+        session.teach("disc", 4)
+        session.place("disc")
+        assert waited(lambda: session.teacher.lesson is None)
+        session.place(None)
+        stored = session.teacher.library.list()
+        assert [row.object for row in stored] == ["disc"] * 4
+        assert session.undo() == "disc"
+        assert session.teacher.library.count() == 3
+
+
+def test_the_zero_is_refused_while_touching(make_session, drawn):
+    sensor = ReplaySensor(drawn, rate_hz=100, hold=1000, gap=2)
+    session = LiveSession(sensor)
+    with session:
+        assert waited(lambda: session.watch.detector.touching)
+        with pytest.raises(ContactError, match="Something touches"):
+            session.take_zero()
+        session.place(None)
+        assert waited(lambda: not session.watch.detector.touching)
+        session.take_zero()
+        assert not session.zero.any()
+    with pytest.raises(SensorError, match="no sensor"):
+        LiveSession().take_zero()
+
+
+def test_a_sensor_that_has_changed_since_learning_is_told_of(model, drawn):
+    same = LiveSession(ReplaySensor(drawn), model=model)
+    assert same.state()["sensor"]["warnings"] == []
+    moved = drawn.with_columns(no_contact=drawn.no_contact + np.uint8(60))
+    other = LiveSession(ReplaySensor(moved), model=model)
+    (warning,) = other.state()["sensor"]["warnings"]
+    assert "At rest the sensor differs" in warning
+
+
+def test_a_sensor_that_is_lost_is_told_of_and_comes_back():
+    class Plugged(StreamingSensor):
+        plugged = True
+        retry_s = 0.02
+
+        def __init__(self):
+            super().__init__("plug", "count", (4, 4), np.uint8)
+
+        def _open(self):
+            if not self.plugged:
+                raise SensorError("it is unplugged")
+
+        def _grab(self):
+            time.sleep(0.005)
+            if not self.plugged:
+                raise SensorError("it is unplugged")
+            return [np.zeros((4, 4), np.uint8)]
+
+        def _close(self):
+            pass
+
+    sensor = Plugged()
+    with LiveSession(sensor) as session:
+        session.take_zero()
+        sensor.plugged = False
+        assert waited(lambda: session.state()["sensor"]["lost"] == "it is unplugged")
+        sensor.plugged = True
+        assert waited(lambda: session.state()["sensor"]["lost"] == "")
+
+
+def test_learning_keeps_what_the_model_knew_and_adds_what_was_taught(
+    model, drawn, tmp_path
+):
+    """The job of the learning process, in this one."""
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(drawn[drawn.object == "both"])
+    output = tmp_path / "out.palpate"
+    job = {"library": str(tmp_path / "library"), "output": str(output)}
+    answer = learn_job({**job, "base": str(model), "drop": []})
+    assert answer["objects"] == ["bar", "both", "disc"]
+    assert sorted(answer["kept"]) == ["bar", "disc"]
+    again = learn_job({**job, "base": str(output), "drop": ["disc"]})
+    assert again["objects"] == ["bar", "both"]
+    with TouchLibrary.open(tmp_path / "more", create=True) as library:
+        library.add(drawn[drawn.object == "bar"][20:])
+    job["library"] = str(tmp_path / "more")
+    fresh = learn_job({**job, "base": str(model), "drop": []})
+    assert fresh["objects"] == ["bar", "disc"]
+    # Ten touches of the bar in place of the thirty that the model had.
+    assert fresh["n_touches"] == 40
+
+
+def test_a_model_of_the_library_knows_its_touches_and_its_sensor(drawn, tmp_path):
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        ids = library.add(drawn)
+    output = tmp_path / "out.palpate"
+    job = {"library": str(tmp_path / "library"), "output": str(output)}
+    assert learn_job({**job, "base": None, "drop": []})["n_touches"] == 90
+    recogniser = ObjectRecogniser.load(output)
+    assert recogniser.touch_ids_.tolist() == ids
+    memory = SensorMemory.from_dict(recogniser.sensor_)
+    assert memory.n_touches == 90
+    assert (memory.no_contact == drawn.no_contact).all()
+
+
+def test_too_little_is_no_model(drawn, tmp_path):
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(drawn[drawn.object == "disc"])
+        library.add(drawn[drawn.object == "bar"][:1])
+    job = {"library": str(tmp_path / "library"), "output": str(tmp_path / "o.palpate")}
+    assert learn_job({**job, "base": None, "drop": []})["objects"] == []
+    assert not (tmp_path / "o.palpate").exists()
+
+
+def test_one_learns_at_a_time(make_session):
+    session = make_session(sensor=False)
+    with session:
+        session._learn_lock.acquire()
+        with pytest.raises(LearningError, match="learning already"):
+            session.learn()
+        session._learn_lock.release()
+
+
+def test_frames_go_on_while_it_learns(make_session, drawn):
+    session = make_session()
+    session.watch.sensor.rate_hz = 25.0
+    with session:
+        session.teacher.library.add(drawn[::3])
+        session.learn(wait=True)
+        assert session.recogniser is not None
+        # The sensor keeps 64 frames: a stall of over 2.5 s would have dropped some.
+        assert session.health_state()["n_dropped"] == 0
+
+
+def test_what_cannot_be_opened_is_refused(tmp_path, drawn):
+    with pytest.raises(ModelFileError, match="no model file"):
+        LiveSession(model=tmp_path / "none.palpate")
+    with pytest.raises(ValueError, match="error must be finite and between"):
+        LiveSession(error=0.9)
+    with pytest.raises(ValueError, match="summary must be one of"):
+        LiveSession(ReplaySensor(Touches(drawn.images)), summary="loudest")
+    session = LiveSession(library=tmp_path / "library")
+    with pytest.raises(ValueError, match="count must be at most 1000"):
+        session.teach("cup", 5000)
+    session.stop()
