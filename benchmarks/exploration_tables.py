@@ -6,10 +6,12 @@ one that was not measured says so.
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 Rows = list[dict[str, Any]]
+_NONE = "Not measured yet."
 HERE = Path(__file__).parent
 CHOSEN = {"chosen": "choose_touches.json", "pool": "choose_touches_pool.json"}
 
@@ -17,8 +19,8 @@ CHOSEN = {"chosen": "choose_touches.json", "pool": "choose_touches_pool.json"}
 def fill(document: Path, measured: dict[str, Any]) -> None:
     """Write every table into the document."""
     tables = {
-        "device": _device(measured.get("device", {}).get("rows", [])),
-        "real": _real(measured.get("real", {}).get("rows", [])),
+        name: _with_preset(measured[name], make) if name in measured else _NONE
+        for name, make in (("device", _device), ("real", _real))
     }
     for name, file in CHOSEN.items():
         path = HERE / file
@@ -32,9 +34,13 @@ def fill(document: Path, measured: dict[str, Any]) -> None:
     document.write_text(text)
 
 
+def _with_preset(part: dict[str, Any], make: Callable[[Rows], str]) -> str:
+    return f"Preset `{part['preset']}`.\n\n{make(part['rows'])}"
+
+
 def _table(heads: list[str], rows: list[list[str]]) -> str:
     if not rows:
-        return "Not measured yet."
+        return _NONE
     lines = [heads, ["---"] * len(heads), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 

@@ -69,12 +69,12 @@ KINDS = {
 }
 
 
-def device(data: Path | None, n_seeds: int) -> list[Row]:
+def device(data: Path | None, preset: str, n_seeds: int) -> list[Row]:
     """Accuracy on another device, before and after adapting with 20 touches."""
     found: dict[str, list[Any]] = {name: [] for name in DEVICES}
     for seed in range(n_seeds):
         taught = simulate_touches(camera=HERE, n_sessions=3, random_state=seed)
-        recogniser = ObjectRecogniser(random_state=seed).fit(taught)
+        recogniser = ObjectRecogniser(preset, random_state=seed).fit(taught)
         for name, camera in DEVICES.items():
             felt = simulate_touches(
                 n_touches=N_DEVICE_TOUCHES,
@@ -100,7 +100,7 @@ def device(data: Path | None, n_seeds: int) -> list[Row]:
     ]
 
 
-def real(data: Path | None, n_seeds: int) -> list[Row]:
+def real(data: Path | None, preset: str, n_seeds: int) -> list[Row]:
     """Learn kinds of object on simulated touches, recognise them on real ones."""
     if data is None:
         raise SystemExit("The part 'real' needs PALPATE_DATA.")
@@ -113,14 +113,18 @@ def real(data: Path | None, n_seeds: int) -> list[Row]:
     found = []
     for seed in range(n_seeds):
         taught = simulate_touches(shown, n_sessions=3, random_state=seed)
-        recogniser = ObjectRecogniser(label="category", random_state=seed).fit(taught)
+        recogniser = ObjectRecogniser(preset, label="category", random_state=seed).fit(
+            taught
+        )
         few, rest = _few_real(recorded, seed)
         tested = recorded[rest]
         adapted = adapt(recogniser, recorded[few])
-        alone = ObjectRecogniser(label="category", random_state=seed)
+        alone = ObjectRecogniser(preset, label="category", random_state=seed)
         alone.fit(recorded[few].without("object"))
         within, held_out = _within(taught, seed)
-        itself = ObjectRecogniser(label="category", random_state=seed).fit(within)
+        itself = ObjectRecogniser(preset, label="category", random_state=seed).fit(
+            within
+        )
         found.append(
             [
                 _accuracy(one, touches)
@@ -195,7 +199,7 @@ def _bathtip(data: Path) -> Touches:
     return Touches.load(data / "bathtip" / "bathtip50.npz")
 
 
-PARTS: dict[str, tuple[Callable[[Path | None, int], list[Row]], int]] = {
+PARTS: dict[str, tuple[Callable[[Path | None, str, int], list[Row]], int]] = {
     "device": (device, 5),
     "real": (real, 5),
 }
@@ -205,6 +209,7 @@ def main() -> None:
     """Run the parts that are asked for and write them beside this script."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("parts", nargs="*", choices=[*PARTS, []], default=[])
+    parser.add_argument("--preset", default="default")
     parser.add_argument("--runs", type=int, help="seeds")
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--write", type=Path, metavar="DOCS")
@@ -219,8 +224,9 @@ def main() -> None:
     for name in asked.parts or PARTS:
         measure, usual = PARTS[name]
         began = time.process_time()
-        rows = measure(data, asked.runs or usual)
-        kept[name] = {"cpu_s": round(time.process_time() - began), "rows": rows}
+        rows = measure(data, asked.preset, asked.runs or usual)
+        cpu_s = round(time.process_time() - began)
+        kept[name] = {"preset": asked.preset, "cpu_s": cpu_s, "rows": rows}
         asked.out.write_text(json.dumps(kept, indent=1) + "\n")
         for row in rows:
             print(name, json.dumps(row), flush=True)

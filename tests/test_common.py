@@ -41,6 +41,7 @@ ENCODERS = [
     ShapeGeometry(),
     TaxelVector(),
     EncodingUnion([ShapeGeometry(), ZernikeMoments(order=4)]),
+    EncodingUnion([ShapeGeometry(), ZernikeMoments(order=4)], balanced=True),
     ZernikeMoments(),
     ZernikeMoments(output="noll", method="sample"),
     FirstFeatures(ZernikeMoments(order=4), 5),

@@ -71,7 +71,8 @@ def test_touches_are_listed_and_shown(palpate, folder, tmp_path):
     assert json.loads(done.stdout)["object"] == "mug"
     assert np.load(tmp_path / "i.npy").shape == (3, 24)
     assert palpate("library", "show", folder, "zz").returncode == 1
-    assert "mug" in palpate("library", "show", folder, key).stdout
+    assert "mug" in palpate("library", "show", folder, key[:12]).stdout
+    assert key[:12] in palpate("library", "list", folder, "--limit", 60).stdout
 
 
 def test_objects_are_renamed_merged_retracted_and_restored(palpate, folder):

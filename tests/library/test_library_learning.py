@@ -89,6 +89,8 @@ def test_an_encoding_is_learnt_from_some_touches_of_each_label(library, monkeypa
 
     rows = source.shown_rows(np.repeat(["a", "b"], [1000, 5]), n_shown=40)
     assert len(rows) == 25
+    few = source.shown_rows(np.repeat(["a", "b"], [30, 5]), n_shown=40)
+    assert_array_equal(few, np.arange(35))
     assert (np.diff(rows) > 0).all()
     assert (rows >= 1000).sum() == 5
     monkeypatch.setattr(source.shown_rows, "__defaults__", (30,))

@@ -264,13 +264,13 @@ def test_another_picture_than_announced_is_refused(grey):
 def test_a_picture_in_memory_is_as_in_a_file():
     import cv2
 
-    from palpate.touches import TouchesError, decode_picture
+    from palpate.touches import TouchesError, decode_bytes
 
     image = np.arange(60, dtype=np.uint8).reshape(6, 10)
     data = cv2.imencode(".png", image)[1].tobytes()
-    np.testing.assert_array_equal(decode_picture(data), image)
+    np.testing.assert_array_equal(decode_bytes(data), image)
     with pytest.raises(TouchesError, match="at most 50 pixels"):
-        decode_picture(data, max_pixels=50)
+        decode_bytes(data, max_pixels=50)
     for broken in (data[:-9], b"", b"GIF89a"):
         with pytest.raises(TouchesError, match="JPEG or PNG"):
-            decode_picture(broken)
+            decode_bytes(broken)

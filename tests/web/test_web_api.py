@@ -12,6 +12,7 @@ from PIL import Image
 
 from palpate import Touches
 from palpate.library import TouchLibrary
+from palpate.web._learning import learn_job
 
 
 @pytest.fixture(scope="module")
@@ -19,6 +20,17 @@ def shared(make_session, connected):
     """A client for what is refused: nothing it does leaves a trace."""
     with connected(make_session(sensor=False), max_body=400_000) as client:
         yield client
+
+
+@pytest.fixture
+def learning_here(monkeypatch):
+    """Learn in this process: starting another one takes seconds; others try that."""
+
+    def learn(library, output, base, drop=()):
+        job = {"library": library, "output": output, "base": base, "drop": list(drop)}
+        return learn_job(job)
+
+    monkeypatch.setattr("palpate.web._session.learn_apart", learn)
 
 
 @pytest.fixture
@@ -63,8 +75,9 @@ def touch(client, image):
     return client.post("/api/touch", json={"image": image.tolist()})
 
 
-def test_taught_touches_are_recognised_undone_renamed_and_forgotten(client, drawn):
-    """One long walk, since learning takes a second each time."""
+def test_taught_touches_are_recognised_undone_renamed_and_forgotten(
+    client, drawn, learning_here
+):
     for name in ("disc", "bar"):
         teach(client, drawn, name, 12)
     assert client.post("/api/teach/undo").json()["message"].endswith("bar is undone.")

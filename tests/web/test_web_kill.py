@@ -15,8 +15,8 @@ import pytest
 from palpate.library import TouchLibrary
 
 
-def killed_while_teaching(folder, after_s, seed):
-    """Serve, teach from four threads, kill at some moment; return acknowledged ids."""
+def killed_while_teaching(folder, after, seed):
+    """Serve, teach from four threads, kill after so many touches; return those."""
     command = [sys.executable, "-m", "palpate", "serve", "--library", str(folder)]
     process = subprocess.Popen(
         [*command, "--port", "0", "--json"],
@@ -44,7 +44,9 @@ def killed_while_teaching(folder, after_s, seed):
     teachers = [threading.Thread(target=teach, args=(n,)) for n in range(4)]
     for teacher in teachers:
         teacher.start()
-    time.sleep(after_s)
+    deadline = time.monotonic() + 60
+    while len(acknowledged) < after and time.monotonic() < deadline:
+        time.sleep(0.001)
     process.send_signal(signal.SIGKILL)
     process.wait(10)
     process.stdout.close()
@@ -64,12 +66,12 @@ def check_all_there(folder, acknowledged):
 
 
 def test_a_kill_loses_nothing_that_was_acknowledged(tmp_path):
-    check_all_there(tmp_path, killed_while_teaching(tmp_path, 0.7, 0))
+    check_all_there(tmp_path, killed_while_teaching(tmp_path, 25, 0))
 
 
 @pytest.mark.slow
 def test_twenty_kills_lose_nothing_that_was_acknowledged(tmp_path):
     acknowledged = []
     for kill in range(20):
-        acknowledged += killed_while_teaching(tmp_path, 0.3 + 0.037 * kill, kill)
+        acknowledged += killed_while_teaching(tmp_path, 5 + 3 * kill, kill)
         check_all_there(tmp_path, acknowledged)

@@ -17,6 +17,7 @@ playwright = pytest.importorskip(
     "playwright.sync_api", reason="playwright is not installed"
 )
 expect = playwright.expect
+expect.set_options(timeout=20_000)
 CHROMIUM = Path("/usr/bin/chromium")
 PATIENT = 40_000
 
@@ -179,7 +180,9 @@ def _cut(page, relay):
 def _forget(page, name):
     page.get_by_role("button", name=f"Forget {name}").click()
     page.locator("#forget").get_by_role("button", name="Forget").click()
-    expect(page.get_by_role("heading", name=name, exact=True)).to_have_count(0)
+    expect(page.get_by_role("heading", name=name, exact=True)).to_have_count(
+        0, timeout=PATIENT
+    )
     expect(page.locator("#learn-error")).to_contain_text(
         "at least two objects", timeout=PATIENT
     )
@@ -200,15 +203,15 @@ def test_the_whole_way_with_real_touches(page, serving, data_folder, tmp_path):
     """
     root = data_folder / "bathtip" / "originals"
     rest = root / "baselineForCalibration.jpg"
-    names = ("03_ball", "06_box", "01_stapler")
+    names = ("04_softtoy", "07_mug", "01_stapler")
     parts = [Touches.load(root / name, no_contact=rest) for name in names]
-    labels = np.repeat(["ball", "box", "stapler"], [len(part) for part in parts])
+    labels = np.repeat(["soft toy", "mug", "stapler"], [len(part) for part in parts])
     images = np.concatenate([part.images for part in parts])
     real = Touches(images, object=labels, no_contact=parts[0].no_contact)
     sensor = ReplaySensor(real, rate_hz=30, hold=3, gap=3)
     sensor.place(None)
     session = LiveSession(sensor, library=tmp_path / "library", error=0.05)
-    walk(page, serving, session, ("ball", "box", "stapler"), 20)
+    walk(page, serving, session, ("soft toy", "mug", "stapler"), 20)
 
 
 def test_it_can_be_used_by_keyboard_and_read_aloud(page, make_session, serving):
@@ -221,9 +224,8 @@ def test_it_can_be_used_by_keyboard_and_read_aloud(page, make_session, serving):
         for _ in range(14):
             page.keyboard.press("Tab")
             reached.add(page.evaluate("document.activeElement.id"))
-        assert {"placed", "zero", "fresh", "name", "wanted", "undo"} <= reached | {
-            "undo"
-        }
+        # Undo is disabled while nothing is taught, so it is no stop.
+        assert {"placed", "zero", "fresh", "name", "wanted"} <= reached
         unnamed = page.evaluate(
             """() => [...document.querySelectorAll('button, input, select, a, img')]
             .filter((e) => e.checkVisibility() && !(e.labels && e.labels.length) &&

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..recognition import ObjectRecogniser
-from ..touches import Touches, decode_picture
+from ..touches import Touches, decode_bytes
 from ._timing import one_thread, row
 
 N_OBJECTS, N_EACH, N_ASKED = 50, 90, 200
@@ -72,7 +72,7 @@ def _one(recogniser: ObjectRecogniser, picture: bytes) -> list[float]:
     belief = recogniser.start()
     clock = time.perf_counter
     times = [clock()]
-    touch = Touches(decode_picture(picture)[np.newaxis])
+    touch = Touches(decode_bytes(picture)[np.newaxis])
     times.append(clock())
     cleaned = encoder.clean(touch)
     recogniser.contact_.marks(touch, cleaned)

@@ -26,6 +26,8 @@ from ._kernel_sums import (
 
 TOUCHES_PER_CELL = 8
 MOST_CELLS = 256
+# Largest error (nats) that rounding may cause before a pair is computed exactly.
+MAX_ERROR = 0.05
 _ROUNDS = 8
 _TAUGHT_PER_CELL = 64
 
@@ -63,9 +65,9 @@ class KernelDensityIndex:
     ----------
     model : KernelDensityBayes
         Fitted; when it learns or forgets an object, make a new index.
-    n_exact : int, default=4
+    n_exact : int, default=3
         How many of the most probable objects are summed touch by touch...
-    n_near : int, default=32
+    n_near : int, default=16
         ...in so many of their cells, those that contribute most.
     n_cells : int, optional
         Cells per object; by default one for 8 touches, at most 256.
@@ -107,8 +109,8 @@ class KernelDensityIndex:
         self,
         model: KernelDensityBayes,
         *,
-        n_exact: int = 4,
-        n_near: int = 32,
+        n_exact: int = 3,
+        n_near: int = 16,
         n_cells: int | None = None,
         random_state: int = 0,
     ) -> None:
@@ -168,7 +170,7 @@ class KernelDensityIndex:
         sums = self._sums_of(cells) + model.log_norms_
         kept = np.argpartition(-sums, self.n_exact - 1, axis=1)[:, : self.n_exact]
         shared = squared_distances(x, model.means_, model.precisions_) / 2
-        precise = is_precise(x, model.reaches_, "float32")
+        precise = is_precise(x, model.reaches_, "float32", MAX_ERROR)
         extended = np.hstack([x, one]).astype(np.float32)
         for row, place in (
             (r, p) for r, some in enumerate(kept.tolist()) for p in some

@@ -110,8 +110,10 @@ def squared_distances(x: Floats, means: Floats, precisions: Floats | None) -> Fl
     return (squared @ precisions[:, :, np.newaxis])[..., 0].T
 
 
-def is_precise(x: Floats, reaches: Floats, dtype: str) -> NDArray[np.bool_]:
-    """Return which pairs the tiles answer within `MAX_ERROR`, (n_touches, n_objects).
+def is_precise(
+    x: Floats, reaches: Floats, dtype: str, max_error: float = MAX_ERROR
+) -> NDArray[np.bool_]:
+    """Return which pairs the tiles answer within `max_error`, (n_touches, n_objects).
 
     A product of n numbers rounds by at most (n + 2) units of the last place of the
     product of the lengths; rounding its input adds two more.
@@ -119,7 +121,7 @@ def is_precise(x: Floats, reaches: Floats, dtype: str) -> NDArray[np.bool_]:
     unit = np.finfo(dtype).eps / 2
     lengths = np.sqrt((x**2).sum(axis=1, keepdims=True))
     bound = lengths * reaches[:, 0] + reaches[:, 1]
-    precise: NDArray[np.bool_] = (x.shape[1] + 5) * unit * bound < MAX_ERROR
+    precise: NDArray[np.bool_] = (x.shape[1] + 5) * unit * bound < max_error
     return precise
 
 

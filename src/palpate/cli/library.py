@@ -1,7 +1,7 @@
 """`palpate library`: touches on disk, durable and searchable."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,6 +15,9 @@ from ._options import (
     read_touches,
 )
 from ._output import print_json, table
+
+if TYPE_CHECKING:
+    from ..library import TouchLibrary, TouchRow
 
 library = typer.Typer(
     no_args_is_help=True,
@@ -117,13 +120,17 @@ def list_touches(
         return
     names = list(plain[0]) if objects and plain else _SHOWN
     cells = [[_shown(row[name]) for name in names] for row in plain]
+    if not objects:
+        cells = [[key[:_ID_SHOWN], *rest] for key, *rest in cells]
     table(str(folder), list(names), cells)
 
 
 @library.command()
 def show(
     folder: LibraryPath,
-    touch: Annotated[str, typer.Argument(help="Id of a touch, as listed.")],
+    touch: Annotated[
+        str, typer.Argument(help="Id of a touch, or how it begins, as listed.")
+    ],
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", help="Write the image to this .npy file."),
@@ -138,8 +145,8 @@ def show(
     if output is not None and output.suffix != ".npy":
         raise ValueError(f"--output must end in .npy, got {output.name!r}.")
     with TouchLibrary.open(folder) as opened:
-        image = opened.image(touch)
-        row = opened.list(f"id = '{touch}'", limit=1, retracted=True)[0]
+        row = _one_touch(opened, touch)
+        image = opened.image(row.id)
     known = row._asdict()
     known |= {"least": image.min().item(), "largest": image.max().item()}
     if output is not None:
@@ -281,7 +288,22 @@ def restore(
     print(f"{n_restored} touches are back.")
 
 
+_ID_SHOWN = 12
 _SHOWN = ("id", "object", "session", "episode", "order", "force_n", "retracted")
+
+
+def _one_touch(opened: "TouchLibrary", start: str) -> "TouchRow":
+    """Return the one touch whose id begins so."""
+    if not start.isalnum():
+        raise ValueError(f"The id of a touch must be hexadecimal, got {start!r}.")
+    found = opened.list(f"id contains '{start}'", limit=None, retracted=True)
+    rows = [row for row in found if row.id.startswith(start)]
+    if len(rows) != 1:
+        raise ValueError(
+            f"The id must be that of one touch, got {start!r}, which begins "
+            f"{len(rows)} of them. See `palpate library list`."
+        )
+    return rows[0]
 
 
 def _shown(value: Any) -> str:

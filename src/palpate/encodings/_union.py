@@ -9,7 +9,8 @@ from sklearn.base import BaseEstimator, TransformerMixin, clone
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_images
+from .._checks import check_images, check_option
+from ._root import RootScaler
 
 
 class EncodingUnion(TransformerMixin, BaseEstimator):
@@ -19,11 +20,16 @@ class EncodingUnion(TransformerMixin, BaseEstimator):
     ----------
     encoders : sequence of estimators
         Encoders of images; their features follow each other in this order.
+    balanced : bool, default=False
+        Bring each encoder's features to signed roots of total variance 1
+        (`RootScaler`), so that many features of one do not outweigh few of another.
 
     Attributes
     ----------
     encoders_ : list of fitted estimators
         One per encoder.
+    scalers_ : list of RootScaler
+        One per encoder where they are balanced, else none.
     image_shape_ : tuple of int
         (n_rows, n_cols) of the images seen by `fit`.
 
@@ -37,8 +43,9 @@ class EncodingUnion(TransformerMixin, BaseEstimator):
     (1, 7)
     """
 
-    def __init__(self, encoders: Sequence[Any]) -> None:
+    def __init__(self, encoders: Sequence[Any], balanced: bool = False) -> None:
         self.encoders = encoders
+        self.balanced = balanced
 
     def fit(self, X: ArrayLike, y: object = None) -> Self:
         """Fit every encoder to the images; `y` is passed on."""
@@ -46,14 +53,23 @@ class EncodingUnion(TransformerMixin, BaseEstimator):
         if not len(self.encoders):
             raise ValueError("encoders must hold at least one encoder, got none.")
         self.image_shape_ = (images.shape[1], images.shape[2])
+        check_option("balanced", self.balanced, (False, True))
         self.encoders_ = [clone(encoder).fit(images, y) for encoder in self.encoders]
+        self.scalers_ = []
+        if self.balanced:
+            parts = [encoder.transform(images) for encoder in self.encoders_]
+            self.scalers_ = [RootScaler().fit(part) for part in parts]
         return self
 
     def transform(self, X: ArrayLike) -> NDArray[np.float64]:
         """Return the joined vectors, shape (n_touches, n_features)."""
         check_is_fitted(self)
         images = check_images(X, shape=self.image_shape_)
-        return np.hstack([encoder.transform(images) for encoder in self.encoders_])
+        parts = [encoder.transform(images) for encoder in self.encoders_]
+        if self.scalers_:
+            scaled = zip(self.scalers_, parts, strict=True)
+            parts = [scaler.transform(part) for scaler, part in scaled]
+        return np.hstack(parts)
 
     def __sklearn_tags__(self) -> Tags:
         tags = super().__sklearn_tags__()

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..touches import Touches
-from ._database import FILE_NAME, Database
+from ._database import Database
 from ._errors import LibraryError
 from ._files import packed, publish, read_file
-from ._reading import AT_ONCE, common_shape, read_images
+from ._reading import AT_ONCE, Place, Shape, common_shape, images_at, places_of
 
 FEATURES = "features"
 TASKS_PER_FILE = 16
@@ -43,7 +43,8 @@ def stored_features(
     known_ids, known = _cached(place)
     missing = np.flatnonzero(~np.isin(ids, known_ids))
     if len(missing):
-        _encode_new(folder, place, numbers[missing], ids[missing], encode)
+        new = numbers[missing]
+        _encode_new(database, folder, place, new, ids[missing], encode)
         known_ids, known = _cached(place)
     found = np.searchsorted(known_ids, ids)
     features: Floats = known[found]
@@ -79,6 +80,7 @@ def _cached(place: Path) -> tuple[NDArray, Floats]:
 
 
 def _encode_new(
+    database: Database,
     folder: Path,
     place: Path,
     numbers: NDArray[np.int64],
@@ -87,9 +89,16 @@ def _encode_new(
 ) -> None:
     from joblib import Parallel, delayed
 
+    shape = common_shape(database, numbers)
     starts = range(0, len(numbers), AT_ONCE)
     parts = Parallel(return_as="generator")(
-        delayed(_encoded)(folder, numbers[s : s + AT_ONCE], encode) for s in starts
+        delayed(_encoded)(
+            folder,
+            places_of(database, numbers[s : s + AT_ONCE].tolist()),
+            shape,
+            encode,
+        )
+        for s in starts
     )
     waiting: list[Floats] = []
     first = 0
@@ -100,14 +109,9 @@ def _encode_new(
             waiting = []
 
 
-def _encoded(folder: Path, numbers: NDArray[np.int64], encode: Encode) -> Floats:
-    """Encode some touches; runs wherever joblib sends it."""
-    database = Database(folder / FILE_NAME, create=False)
-    try:
-        shape = common_shape(database, numbers)
-        images = read_images(database, folder, numbers, shape)
-    finally:
-        database.close()
+def _encoded(folder: Path, places: list[Place], shape: Shape, encode: Encode) -> Floats:
+    """Encode some touches; runs wherever joblib sends it, without the database."""
+    images = images_at(folder, places, shape)
     return np.asarray(encode(Touches(images)), dtype=np.float64)
 
 

@@ -105,7 +105,7 @@ def read_values(
     try:
         with path.open("rb") as file:
             room = os.fstat(file.fileno()).st_size - offset
-            file.seek(offset)
+            file.seek(max(0, offset))
             content = file.read(min(n_bytes, max(0, room)))
     except OSError as error:
         reason = error.strerror or error

@@ -121,18 +121,25 @@ def read_images(
     system may put its pages aside.
     """
     dtype = np.dtype(shape.dtype)
-    size = (len(numbers), shape.n_rows, shape.n_cols)
-    images = _room(size, dtype, folder)
+    images = _room((len(numbers), shape.n_rows, shape.n_cols), dtype, folder)
     done = 0
     for piece in chunks(numbers):
-        for run in _runs(_places(database, piece)):
-            first = run[0]
-            path = file_path(folder / IMAGES, first.file.hex())
-            n_bytes = shape.n_rows * shape.n_cols * dtype.itemsize
-            block = _block(path, first, (len(run), *size[1:]), dtype, n_bytes, run)
-            images[done : done + len(run)] = block
-            done += len(run)
+        some = images_at(folder, places_of(database, piece), shape)
+        images[done : done + len(some)] = some
+        done += len(some)
     return images
+
+
+def images_at(folder: Path, places: list[Place], shape: Shape) -> NDArray[Any]:
+    """Return images from their files alone, without the database."""
+    dtype = np.dtype(shape.dtype)
+    size = (shape.n_rows, shape.n_cols)
+    n_bytes = shape.n_rows * shape.n_cols * dtype.itemsize
+    blocks = []
+    for run in _runs(places):
+        path = file_path(folder / IMAGES, run[0].file.hex())
+        blocks.append(_block(path, run[0], (len(run), *size), dtype, n_bytes, run))
+    return np.concatenate(blocks)
 
 
 def read_touches(
@@ -248,7 +255,8 @@ def _block(
 _FIX = "`palpate library check --repair` sets such touches aside and keeps the rest."
 
 
-def _places(database: Database, numbers: list[int]) -> list[Place]:
+def places_of(database: Database, numbers: list[int]) -> list[Place]:
+    """Return where the images of at most `AT_ONCE` touches stand."""
     marks = ", ".join("?" * len(numbers))
     rows = database.rows(
         "SELECT t.id, f.name, f.offset, t.place, t.image FROM touches t "

@@ -52,7 +52,9 @@ class TouchSource(Protocol):
 
 
 def shown_rows(labels: NDArray, n_shown: int = SHOWN) -> NDArray[np.intp]:
-    """Return rows spread evenly over each label, at most about `n_shown` in all."""
+    """Return all rows, of many about `n_shown`, spread evenly over each label."""
+    if len(labels) <= n_shown:
+        return np.arange(len(labels))
     codes, counts = np.unique(labels, return_inverse=True, return_counts=True)[1:]
     share = max(2, n_shown // len(counts))
     by_label = np.split(np.argsort(codes, kind="stable"), np.cumsum(counts)[:-1])

@@ -37,7 +37,7 @@ class PlayedSensor(StreamingSensor):
         frames of the way in (and as many of the way out).
     """
 
-    queue_length = 64
+    queue_length = 256
 
     def __init__(
         self,

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Row = dict[str, Any]
+_TICKS = (1, 2, 5, 10, 30, 100, 1000)
 COLOURS = ("#1b6ca8", "#d1730c", "#3f8f4f", "#8a5aa8")
 SHAPES = ("corner", "cylinder", "edge", "flat", "flat-to-edge", "nothing", "point")
 
@@ -94,6 +95,10 @@ def table_2_figure(rows: Sequence[Row]) -> "Figure":
                     *zip(*known, strict=True), "o", mec=colour, mfc="none", label=label
                 )
         place.set_xscale("log")
+        place.set_xticks(_TICKS, [f"{tick:g}" for tick in _TICKS])
+        place.set_xticks([], minor=True)
+        reach = [r["ours"] for r in held] + [r["paper"] for r in held if r["paper"]]
+        place.set_xlim(0.8 * min(reach), 1.3 * max(reach))
         place.set_yticks(range(len(encodings)), encodings)
         place.set_title(data, fontsize=9)
         place.set_xlabel("Davies-Bouldin index")

@@ -7,7 +7,7 @@ imported when the first picture is decoded.
 
 from ._archive import read_archive, write_archive
 from ._columns import GEOMETRIES
-from ._decode import decode_picture
+from ._decode import decode_bytes
 from ._errors import TouchesError
 from ._folder import read_folder
 from ._touches import Episode, Touches
@@ -17,7 +17,7 @@ __all__ = [
     "Episode",
     "Touches",
     "TouchesError",
-    "decode_picture",
+    "decode_bytes",
     "read_archive",
     "read_folder",
     "write_archive",

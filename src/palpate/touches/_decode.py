@@ -22,7 +22,7 @@ _BYTES_PER_PIXEL = 8
 _AT_ONCE = 8
 
 
-def decode_picture(data: bytes, *, max_pixels: int = 50_000_000) -> NDArray[Any]:
+def decode_bytes(data: bytes, *, max_pixels: int = 50_000_000) -> NDArray[Any]:
     """Return the grey levels of a JPEG or PNG in memory, (n_rows, n_cols).
 
     Parameters

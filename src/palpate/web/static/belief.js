@@ -6,6 +6,7 @@ import { find, make, percent, say, show, text } from "./dom.js";
 const SVG = "http://www.w3.org/2000/svg";
 const SHOWN = 6;
 const HUES = 7;
+const FEW = 4;
 const OTHERS = "var(--c7)";
 
 let episode = null;
@@ -105,6 +106,9 @@ function drawDoubt(last) {
   show(find("doubt"), known);
   show(find("doubt-hint"), known);
   if (!known) return;
+  const few = Object.keys(last.posterior).length < FEW;
+  text(find("doubt-hint"), "Doubt beyond the mark means: I do not know this one." +
+    (few ? " With so few objects learnt, a new one is easily taken for one of them." : ""));
   const row = find("doubt");
   const meter = find("doubt-meter");
   row.classList.toggle("over", last.unknown > last.limit);
