@@ -10,7 +10,12 @@ from scipy.special import eval_jacobi
 from palpate.encodings import ZernikeMoments
 from palpate.encodings._zernike_disc import Disc
 from palpate.encodings._zernike_polynomials import zernike_degrees
-from palpate.encodings._zernike_tables import Grid, dense_moments, separable_moments
+from palpate.encodings._zernike_tables import (
+    Grid,
+    dense_moments,
+    quartered_moments,
+    separable_moments,
+)
 
 METHODS = pytest.mark.parametrize("method", ["exact", "sample"])
 
@@ -350,3 +355,18 @@ def test_a_turned_real_touch_keeps_its_encoding(data_folder, rng):
         straight, found = encoder.fit_transform(np.stack([image, turned]))
         # Resampling alone changes up to 1.8e-3.
         assert np.linalg.norm(found - straight) < 2e-3 * np.linalg.norm(straight)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+@pytest.mark.parametrize("shape", [(16, 16), (17, 17), (16, 21), (15, 12)])
+def test_folding_the_image_changes_nothing(shape, exact):
+    n_rows, n_cols = shape
+    disc = Disc(*shape, (n_rows - 1) / 2, (n_cols - 1) / 2, min(shape) / 2)
+    grid = Grid(disc, 23, exact)
+    images = np.random.default_rng(0).normal(size=(3, *shape))
+    folded = quartered_moments(images, grid)
+    # Sums of some 200 products in another order.
+    assert_allclose(folded, dense_moments(images, grid), atol=1e-13)
+    images[1, 0, 0] = np.nan
+    lost = np.isnan(quartered_moments(images, grid)).all(axis=1)
+    assert lost.tolist() == [False, True, False]

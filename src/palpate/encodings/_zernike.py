@@ -40,9 +40,9 @@ class ZernikeMoments(TransformerMixin, BaseEstimator):
     ----------
     order : int, default=15
         Highest order n, at most 100. To 20 the encoding needs only small tables.
-        Above, it needs the polynomials at every taxel, is some thirty times slower,
-        and builds them anew in each call where they exceed 256 MB (order 25 at
-        300 x 300 taxels): encode many touches in one call then.
+        Above, it needs the polynomials at a quarter of the taxels (disc in the middle
+        of the frame) or at all, and is some ten or thirty times slower; where they
+        exceed 256 MB they are built anew in each call: encode many touches in one.
     method : {"exact", "sample"}, default="exact"
         "exact" integrates the polynomials over each taxel's part of the disc;
         "sample" takes them at the taxel centres that lie inside, as most packages do.

@@ -4,7 +4,8 @@ To order 20 every Zernike polynomial is an exact sum of Legendre products, so tw
 short matrix products for each image and one small one for all replace a basis as
 large as the images (2 MB of tables instead of 77 MB at 300 x 300 and order 15).
 Taxels that the rim cuts have no product form: they get rows of their own.
-Above order 20 the sums would lose digits, and the basis itself is used, in blocks.
+Above order 20 the sums would lose digits, and the basis itself is used: a quarter of
+it where the disc sits in the middle of the frame, else in blocks.
 """
 
 from functools import lru_cache
@@ -15,6 +16,7 @@ from numpy.polynomial.legendre import leggauss, legvander
 from numpy.typing import DTypeLike, NDArray
 
 from ._zernike_disc import Disc, cut_chords, cut_nodes, whole_nodes
+from ._zernike_folded import Quarter, can_fold, fold_basis, folded_moments
 from ._zernike_polynomials import legendre_weights, zernike_degrees, zernike_values
 
 HIGHEST_SEPARABLE_ORDER = 20
@@ -49,9 +51,11 @@ def zernike_moments(images: NDArray, grid: Grid) -> NDArray[np.complex128]:
         constant image of 1 has the moment pi at (0, 0). NaN or infinity anywhere in
         an image makes its moments NaN.
     """
-    method = (
-        separable_moments if grid.order <= HIGHEST_SEPARABLE_ORDER else dense_moments
-    )
+    method = dense_moments
+    if grid.order <= HIGHEST_SEPARABLE_ORDER:
+        method = separable_moments
+    elif can_fold(grid.disc, grid.order):
+        method = quartered_moments
     with np.errstate(invalid="ignore", over="ignore"):
         parts = method(images, grid)
     n_degrees = parts.shape[1] // 2
@@ -90,6 +94,11 @@ def dense_moments(images: NDArray, grid: Grid) -> NDArray[np.float64]:
     finite = [bool(np.isfinite(image).all()) for image in images]
     parts[np.logical_not(finite)] = np.nan
     return parts
+
+
+def quartered_moments(images: NDArray, grid: Grid) -> NDArray[np.float64]:
+    """Cosine then sine parts of all moments, through a quarter of the basis."""
+    return folded_moments(images, *_quarters(grid))
 
 
 class _Table(NamedTuple):
@@ -207,7 +216,18 @@ def _dense_basis(grid: Grid, start: int, stop: int) -> NDArray[np.float64]:
     -------
     basis : ndarray of shape (n_taxels, 2 * n_degrees)
     """
-    taxels = _dense_taxels(grid)[start:stop]
+    return _basis_of(grid, _dense_taxels(grid)[start:stop])
+
+
+@lru_cache(maxsize=4)
+def _quarters(grid: Grid) -> tuple[list[Quarter], NDArray[np.intp]]:
+    def basis_of(taxels: NDArray[np.intp]) -> NDArray[np.float64]:
+        return _basis_of(grid, taxels)
+
+    return fold_basis(grid.disc, grid.order, _dense_taxels(grid), basis_of)
+
+
+def _basis_of(grid: Grid, taxels: NDArray[np.intp]) -> NDArray[np.float64]:
     disc, order = grid.disc, grid.order
     if not grid.exact:
         row, col = np.divmod(taxels, disc.n_cols)
