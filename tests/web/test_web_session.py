@@ -16,7 +16,7 @@ from palpate.sensors import (
     SensorMemory,
     StreamingSensor,
 )
-from palpate.web import LearningError, LiveEpisode, LiveSession
+from palpate.web import LearningError, LiveSession
 from palpate.web._learning import learn_job
 
 
@@ -51,20 +51,6 @@ def test_touches_of_the_sensor_move_the_belief(make_session, model):
     numbers = [touch.number for touch in session.episode.touches]
     assert numbers == list(range(1, len(numbers) + 1))
     assert session.health_state()["n_dropped"] == 0
-
-
-def test_the_first_decision_stands_and_later_doubts_are_told(drawn, model):
-    recogniser = ObjectRecogniser.load(model)
-    episode = LiveEpisode(1, recogniser, 0.05)
-    discs, bars = (drawn.images[drawn.object == name] for name in ("disc", "bar"))
-    for image in discs[:10]:
-        episode.add(image)
-    assert episode.decision == "disc"
-    assert "since then" not in episode.reason
-    for image in bars:
-        episode.add(image)
-    assert episode.decision == "disc"
-    assert "Touches since then say" in episode.reason
 
 
 def test_a_lesson_takes_so_many_touches_and_no_more(make_session):

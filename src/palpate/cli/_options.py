@@ -60,6 +60,14 @@ Where = Annotated[
         "is null; joined by and, or, not.",
     ),
 ]
+Calibration = Annotated[
+    Path | None,
+    typer.Option(
+        "--calibration",
+        help="A `TaxelCalibration` (JSON) of a pressure array: readings become kPa "
+        "before anything else. Give the same to `learn` and `recognise`.",
+    ),
+]
 MaxMegapixels = Annotated[
     float,
     typer.Option("--max-megapixels", help="Larger pictures are refused unread."),
@@ -92,6 +100,20 @@ def read_touches(
         no_contact=no_contact,
         max_pixels=int(max_megapixels * 1e6),
     )
+
+
+def calibrated(touches: "Touches", calibration: Path | None) -> "Touches":
+    """Return touches in kPa by the calibration of their array, if one is given."""
+    if calibration is None:
+        return touches
+    from ..images import TaxelCalibration
+    from ..touches import Touches
+
+    known = TaxelCalibration.load(calibration)
+    whole = dict(touches.whole)
+    if touches.no_contact is not None:
+        whole["no_contact"] = known.transform(touches.no_contact[None])[0]
+    return Touches(known.transform(touches.images), **touches.columns, **whole)
 
 
 @contextmanager

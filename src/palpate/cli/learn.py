@@ -7,6 +7,7 @@ import typer
 
 from ._options import (
     AsJson,
+    Calibration,
     Floor,
     Label,
     MaxMegapixels,
@@ -16,6 +17,7 @@ from ._options import (
     Seed,
     TouchesPath,
     Where,
+    calibrated,
     training_touches,
 )
 from ._output import print_json
@@ -56,6 +58,7 @@ def learn(
     cluster: Cluster = None,
     name_pattern: NamePattern = None,
     no_contact: NoContact = None,
+    calibration: Calibration = None,
     max_megapixels: MaxMegapixels = 50,
     seed: Seed = 0,
     as_json: AsJson = False,
@@ -68,7 +71,10 @@ def learn(
     read = (touches, name_pattern, no_contact, max_megapixels, where)
     with Stages() as stage, working(workers, cluster):
         stage(f"reading {touches}")
-        with training_touches(*read) as training:
+        with training_touches(*read) as found:
+            training = found
+            if calibration is not None:
+                training = calibrated(_held(found), calibration)
             stage(f"learning from {len(training)} touches")
             if extend is not None:
                 recogniser = _extended(extend, training)

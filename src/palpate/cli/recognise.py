@@ -6,12 +6,14 @@ import typer
 
 from ._options import (
     AsJson,
+    Calibration,
     MaxMegapixels,
     ModelPath,
     NamePattern,
     NoContact,
     TouchesPath,
     Where,
+    calibrated,
     read_touches,
 )
 from ._output import belief_line, print_json
@@ -34,6 +36,7 @@ def recognise(
     where: Where = None,
     name_pattern: NamePattern = None,
     no_contact: NoContact = None,
+    calibration: Calibration = None,
     max_megapixels: MaxMegapixels = 50,
     as_json: AsJson = False,
 ) -> None:
@@ -46,6 +49,7 @@ def recognise(
         recogniser = ObjectRecogniser.load(model)
         stage(f"reading {touches}")
         tested = read_touches(touches, name_pattern, no_contact, max_megapixels, where)
+        tested = calibrated(tested, calibration)
         stage(f"recognising {len(tested)} touches")
         episodes = recognise_episodes(recogniser, tested, error)
     if as_json:

@@ -6,11 +6,12 @@ from ._decisions import Decisions, decide_episodes
 from ._episodes import Episodes, Outcome, outcome, run_episodes, single_touches
 from ._evaluate import evaluate
 from ._metrics import calibration_bins, calibration_error, roc_area
-from ._report import check_report_path, write_report
+from ._report import PAGE_STYLE, check_report_path, write_report
 from ._splits import SPLITS, Fold, draw_touches, split_by_count, split_touches
 from ._trial import Plan, Trial
 
 __all__ = [
+    "PAGE_STYLE",
     "SPLITS",
     "Decisions",
     "Episodes",

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _plots
+from . import plots
 from ._episodes import outcome
 from ._metrics import calibration_bins
 from ._trial import Trial
@@ -16,7 +16,7 @@ from ._trial import Trial
 EXAMPLES = 6
 PAIRS = 5
 PICTURES_PER_PAIR = 4
-STYLE = """
+PAGE_STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#1f2933;background:#fff;
 max-width:62rem;margin:2rem auto;padding:0 1rem}
 h1{font-size:1.6rem}h2{font-size:1.15rem;margin-top:2.2rem}
@@ -33,7 +33,7 @@ td:first-child,th:first-child{text-align:left}
 
 def check_report_path(path: str | Path) -> Path:
     """Return `path` if a report can be written there, or explain."""
-    _plots.require_matplotlib()
+    plots.require_matplotlib()
     target = Path(path)
     if target.suffix != ".html":
         raise ValueError(f"A report must end in .html, got {target.name!r}.")
@@ -68,7 +68,7 @@ def write_report(
     page = (
         "<!doctype html><html lang=en><meta charset=utf-8>"
         "<meta name=viewport content='width=device-width,initial-scale=1'>"
-        f"<title>{escape(title)}</title><style>{STYLE}</style><body>"
+        f"<title>{escape(title)}</title><style>{PAGE_STYLE}</style><body>"
         + "".join(sections)
         + "</body></html>"
     )
@@ -94,7 +94,7 @@ def _head(figures: dict[str, Any]) -> str:
 
 def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     curve, spread = _curve(trials)
-    plot = _plots.accuracy_curve(figures, curve, spread)
+    plot = plots.accuracy_curve(figures, curve, spread)
     bins = {}
     for k in map(int, figures["accuracy"]):
         scored = [outcome(*t.after(k)) for t in trials if t.after(k)[0]]
@@ -104,7 +104,7 @@ def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
         )
     return (
         "<h2>Accuracy against touches, and whether the belief can be trusted</h2>"
-        f"<div class=row>{plot}{_plots.calibration_plot(bins)}</div>"
+        f"<div class=row>{plot}{plots.calibration_plot(bins)}</div>"
         "<p class=note>Left: mean and one standard deviation over objects (over folds "
         "where there are several). Dashed: what nuisance values achieve by themselves."
         " Right: a belief of 0.9 should be right nine times in ten.</p>"
@@ -147,7 +147,7 @@ def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     nothing = "<p>No label was ever taken for another.</p>"
     return (
         f"<h2>What is taken for what, after {k} touches</h2>"
-        + _plots.confusion_plot(confusion, names)
+        + plots.confusion_plot(confusion, names)
         + "<h2>Most confused pairs</h2>"
         + (shown or nothing)
     )
@@ -195,7 +195,7 @@ def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:
     cleaned = trial.recogniser.encoder_.clean(trial.fold.train[some])
     alt = escape(f"touch of {name}")
     return "".join(
-        f"<img src='{_plots.picture(image)}' alt='{alt}'>" for image in cleaned
+        f"<img src='{plots.picture(image)}' alt='{alt}'>" for image in cleaned
     )
 
 

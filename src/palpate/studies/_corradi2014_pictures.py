@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..evaluation import _plots
+from ..evaluation import plots
 from ._corradi2014_plan import CLASSIFIERS, VARIANTS, Corradi2014Plan
 from ._corradi2014_touches import simulated_shapes
 
@@ -31,7 +31,7 @@ def draw_pictures(folder: str | Path, result: dict[str, Any]) -> list[Path]:
     result : dict
         From `palpate.studies.run_study("corradi2014")`.
     """
-    _plots.require_matplotlib()
+    plots.require_matplotlib()
     written = []
     for name, figure in pictures(result).items():
         path = Path(folder) / f"corradi2014-{name}.png"

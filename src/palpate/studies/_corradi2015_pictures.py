@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..evaluation import _plots
+from ..evaluation import plots
 from ._corradi2015_plan import LATER_CATEGORY, LATER_OBJECTS, PAPER
 from ._corradi2015_tables import DATA_NAMES
 from ._corradi2015_tasks import CLUSTERS, DEFAULT, FLOORED, MAIN
@@ -17,12 +17,12 @@ from ._corradi2015_tasks import CLUSTERS, DEFAULT, FLOORED, MAIN
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_PURPLE, _GREY, _BROWN, _OLIVE = (_plots.CONTROLS[i] for i in (2, 3, 0, 1))
+_PURPLE, _GREY, _BROWN, _OLIVE = (plots.CONTROLS[i] for i in (2, 3, 0, 1))
 # Recogniser -> colour and line; mixtures share one colour.
 _STYLES: dict[str, tuple[str, str, float]] = {
-    DEFAULT: (_plots.OURS, "-", 2.2),
-    MAIN: (_plots.INK, "-", 2.2),
-    FLOORED: (_plots.INK, "--", 1.2),
+    DEFAULT: (plots.OURS, "-", 2.2),
+    MAIN: (plots.INK, "-", 2.2),
+    FLOORED: (plots.INK, "--", 1.2),
     CLUSTERS: (_PURPLE, "-", 1.2),
     "mixtures of 1": (_OLIVE, "-", 1.2),
     "mixtures of 2": (_OLIVE, "--", 1.2),
@@ -37,7 +37,7 @@ _SPREAD = (MAIN, DEFAULT)
 
 def draw_pictures(folder: str | Path, result: dict[str, Any]) -> list[Path]:
     """Write the pictures as `corradi2015-<name>.png` into an existing folder."""
-    _plots.require_matplotlib()
+    plots.require_matplotlib()
     written = []
     for name, figure in pictures(result).items():
         path = Path(folder) / f"corradi2015-{name}.png"
@@ -143,7 +143,7 @@ def _matrix(place: Any, shares: np.ndarray, names: Sequence[str]) -> None:
     place.set_yticks(range(len(names)), names, fontsize=7)
     for row, column in np.argwhere(shares >= 0.5):
         share = shares[row, column]
-        colour = "white" if share > 60 else _plots.INK
+        colour = "white" if share > 60 else plots.INK
         place.text(
             column,
             row,
@@ -163,7 +163,7 @@ def _beliefs(place: Any, curve: np.ndarray, names: Sequence[str]) -> None:
     for number in range(curve.shape[1]):
         if number not in strongest:
             place.plot(touches, curve[:, number], color="#c8ced3", lw=0.7)
-    colours = (_plots.OURS, _BROWN, _PURPLE)
+    colours = (plots.OURS, _BROWN, _PURPLE)
     for number, colour in zip(strongest, colours, strict=False):
         label = names[number].replace("_", " ")
         place.plot(touches, curve[:, number], color=colour, lw=1.6, label=label)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..evaluation import _plots
+from ..evaluation import plots
 from ..images import stage_pictures
 from ..simulation import find_parts
 from ..touches import Touches
@@ -24,10 +24,10 @@ PRESSES_SHOWN = 5
 STAGES_SHOWN = 3
 LEVELS = "magma"
 _CURVES = (
-    ("FD+GE", "z-scored", "FD+GE, z-scored", _plots.OURS, "o-"),
-    ("FD+GE", "raw", "FD+GE, raw", _plots.OURS, "o--"),
-    ("sorted pixels", "z-scored", "sorted pixels", _plots.CONTROLS[0], "s:"),
-    ("raw pixels", "z-scored", "raw pixels", _plots.CONTROLS[3], "s:"),
+    ("FD+GE", "z-scored", "FD+GE, z-scored", plots.OURS, "o-"),
+    ("FD+GE", "raw", "FD+GE, raw", plots.OURS, "o--"),
+    ("sorted pixels", "z-scored", "sorted pixels", plots.CONTROLS[0], "s:"),
+    ("raw pixels", "z-scored", "raw pixels", plots.CONTROLS[3], "s:"),
 )
 
 
@@ -40,7 +40,7 @@ def draw_pictures(folder: str | Path, result: dict[str, Any]) -> list[Path]:
     result : dict
         From `palpate.studies.run_study("liu2014")`.
     """
-    _plots.require_matplotlib()
+    plots.require_matplotlib()
     written = []
     for name, figure in pictures(result).items():
         path = Path(folder) / f"liu2014-{name}.png"
@@ -140,8 +140,8 @@ def _accuracy(place: Any, held: Sequence[dict[str, Any]], key: str) -> None:
 def _images(place: Any, held: Sequence[dict[str, Any]], key: str) -> None:
     some = [row for row in held if row["encoding"] == "FD+GE"]
     lines = (
-        ("in_pieces", "presses in several pieces", _plots.CONTROLS[0], "o-"),
-        ("overlap", "overlap with the true face", _plots.OURS, "o-"),
+        ("in_pieces", "presses in several pieces", plots.CONTROLS[0], "o-"),
+        ("overlap", "overlap with the true face", plots.OURS, "o-"),
     )
     for entry, label, colour, style in lines:
         points = dict.fromkeys((row[key], row[entry]) for row in some)

@@ -5,8 +5,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..evaluation import _plots, check_report_path
-from ..evaluation._report import STYLE
+from ..evaluation import PAGE_STYLE, check_report_path, plots
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,11 +27,11 @@ def write_page(
     sections += [_table(one) for one in tables]
     for name, figure in figures.items():
         caption = escape(captions[name])
-        sections.append(f"<p>{_plots._svg(figure)}</p><p class=note>{caption}</p>")
+        sections.append(f"<p>{plots._svg(figure)}</p><p class=note>{caption}</p>")
     page = (
         "<!doctype html><html lang=en><meta charset=utf-8>"
         "<meta name=viewport content='width=device-width,initial-scale=1'>"
-        f"<title>{escape(title)}</title><style>{STYLE}</style><body>"
+        f"<title>{escape(title)}</title><style>{PAGE_STYLE}</style><body>"
         + "".join(sections)
         + "</body></html>"
     )

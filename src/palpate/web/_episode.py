@@ -50,12 +50,6 @@ class LiveEpisode:
         What recognises; None collects touches without a belief.
     error : float
         Accepted share of wrong decisions.
-
-    Attributes
-    ----------
-    decision : str or None
-        The first decision, which is what `error` is promised for: an object,
-        "unknown", or None as yet.
     """
 
     def __init__(
@@ -65,9 +59,7 @@ class LiveEpisode:
         self.recogniser = recogniser
         self.belief: Belief | None = None if recogniser is None else recogniser.start()
         self.touches: list[LiveTouch] = []
-        self.decision: str | None = None
         self.open = True
-        self._decided_because = ""
 
     def add(self, image: NDArray[Any]) -> tuple[LiveTouch, NDArray[np.float64] | None]:
         """Take in a touch; return it and its features, None without a model.
@@ -87,10 +79,12 @@ class LiveEpisode:
             touch.unknown = self.belief.unknown
             touch.limit = self.recogniser.unknown_threshold(touch.number, self.error)
         self.touches.append(touch)
-        if self.decision is None and self.belief is not None:
-            self.decision = self.belief.decide(self.error)
-            self._decided_because = self.belief.reason(self.error)
         return touch, features
+
+    @property
+    def decision(self) -> str | None:
+        """The object, "unknown", or None, as the belief is now."""
+        return None if self.belief is None else self.belief.decide(self.error)
 
     @property
     def reason(self) -> str:
@@ -99,12 +93,7 @@ class LiveEpisode:
             return "Nothing is learnt yet: teach two objects, then learn."
         if not self.touches:
             return "No touch yet."
-        if self.decision is None:
-            return self.belief.reason(self.error)
-        now = self.belief.decide(self.error)
-        if now in (None, self.decision):
-            return self._decided_because
-        return f"{self._decided_because} Touches since then say {now}."
+        return self.belief.reason(self.error)
 
     def told(self) -> dict[str, Any]:
         """Return it as plain values, without images."""

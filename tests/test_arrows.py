@@ -1,0 +1,65 @@
+"""Rooms import downwards only, as docs/architecture.md says."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src" / "palpate"
+EVERYTHING = {"everything above", "everything but `cli`", "everything"}
+
+
+def table():
+    """Read the rooms and what each may import from the architecture page, in order."""
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    rows = re.findall(r"^\| `(\w+)/` \|.*\| ([^|]+) \|$", page, re.MULTILINE)
+    allowed: dict[str, set[str]] = {}
+    for room, cell in rows:
+        cell = cell.strip()
+        if cell == "everything but `cli`":
+            allowed[room] = {name for name, _ in rows} - {"cli"}
+        elif cell.startswith("all above but"):
+            allowed[room] = set(allowed) - {cell.split("but ")[1]}
+        elif cell in EVERYTHING:
+            allowed[room] = {name for name, _ in rows} if room == "cli" else {*allowed}
+        else:
+            allowed[room] = set() if cell == "-" else set(re.split(r",\s*", cell))
+    return allowed
+
+
+ALLOWED = table()
+
+
+def imports_of(path):
+    """Yield (room, name) of everything a file takes from another room of palpate."""
+    here = path.relative_to(SOURCE).parts[0]
+    depth = len(path.relative_to(SOURCE).parts)
+    for node in ast.walk(ast.parse(path.read_text())):
+        if not isinstance(node, ast.ImportFrom) or node.level != depth:
+            continue
+        parts = (node.module or "").split(".")
+        rooms = [parts[0]] if parts[0] else [alias.name for alias in node.names]
+        for room in rooms:
+            if room in ALLOWED and room != here:
+                names = [alias.name for alias in node.names] if parts[0] else []
+                yield room, [*parts[1:], *(n for n in names if n.startswith("_"))]
+
+
+def test_every_room_is_on_the_page():
+    rooms = {p.name for p in SOURCE.iterdir() if (p / "__init__.py").exists()}
+    assert rooms == set(ALLOWED)
+
+
+@pytest.mark.parametrize("room", sorted(ALLOWED))
+def test_no_arrow_upwards_and_no_private_name(room):
+    wrong = [
+        f"{path.relative_to(SOURCE)}: {other}{'.' if inner else ''}{'.'.join(inner)}"
+        for path in sorted((SOURCE / room).rglob("*.py"))
+        for other, inner in imports_of(path)
+        if other not in ALLOWED[room]
+        # A yardstick may look inside what it measures.
+        or (room != "bench" and any(part.startswith("_") for part in inner))
+    ]
+    assert wrong == []
