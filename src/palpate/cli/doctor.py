@@ -27,6 +27,13 @@ CORE = (
 EXTRAS = {
     "plot": ("matplotlib",),
     "sim": ("trimesh", "embreex", "shapely", "gymnasium"),
+    "camera": ("cv2-enumerate-cameras",),
+    "serial": ("pyserial",),
+    "web": ("fastapi", "uvicorn", "websockets", "python-multipart"),
+    "distributed": ("dask", "distributed"),
+    "index": ("faiss-cpu",),
+    "ros": ("rosbags",),
+    "parquet": ("pyarrow",),
     "bench": ("mahotas", "centrosome"),
 }
 
