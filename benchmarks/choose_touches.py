@@ -280,6 +280,15 @@ def _seed(*numbers: int) -> int:
     return int(np.random.SeedSequence(numbers).generate_state(1)[0])
 
 
+def _others(asked: argparse.Namespace, rows: list[Hits]) -> list[Hits]:
+    """Rows of the same preset that stand in the file and were not measured anew."""
+    old = json.loads(asked.out.read_text()) if asked.out.exists() else {}
+    if old.get("preset") != asked.preset:
+        return []
+    measured = {row["condition"] for row in rows}
+    return [row for row in old["rows"] if row["condition"] not in measured]
+
+
 def main() -> None:
     """Run, print a table, and write JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -317,10 +326,7 @@ def main() -> None:
             f"(sd {row['touches_until_right_sd']})"
         )
     if asked.out:
-        measured = {row["condition"] for row in rows}
-        old = json.loads(asked.out.read_text())["rows"] if asked.out.exists() else []
-        rows += [row for row in old if row["condition"] not in measured]
-        kept = {"preset": asked.preset, "rows": rows}
+        kept = {"preset": asked.preset, "rows": rows + _others(asked, rows)}
         asked.out.write_text(json.dumps(kept, indent=1) + "\n")
 
 

@@ -11,45 +11,65 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 Rows = list[dict[str, Any]]
-CHOSEN = Path(__file__).with_name("choose_touches.json")
-POOL = Path(__file__).with_name("choose_touches_pool.json")
-COLOURS = {"random": "#888888", "raster": "#c98a1b", "chosen": "#1b6fc9"}
-TITLES = {
-    "between": "recorded, test touches between",
-    "last": "recorded, test touches last",
+HERE = Path(__file__).parent
+# Where each row of panels is from, and their titles.
+PANELS = {
+    "choose_touches": {
+        "training pose": "simulated, training pose",
+        "new yaw": "simulated, new yaw",
+        "other face": "simulated, other face",
+    },
+    "choose_touches_pool": {"between": "recorded, between", "last": "recorded, last"},
+    "choose_touches_pool_corradi2015": {
+        "between": "recorded, between",
+        "last": "recorded, last",
+    },
 }
+N_ACROSS = 4
+COLOURS = {"random": "#888888", "raster": "#c98a1b", "chosen": "#1b6fc9"}
 
 
 def draw(folder: Path) -> None:
     """Write the picture of whatever was measured."""
     folder.mkdir(parents=True, exist_ok=True)
-    rows = [
-        row
-        for path in (CHOSEN, POOL)
-        if path.exists()
-        for row in json.loads(path.read_text())["rows"]
-    ]
-    if rows:
-        _chosen(folder / "exploration-chosen.png", rows)
+    panels = [panel for name in PANELS for panel in _panels(name)]
+    if panels:
+        _chosen(folder / "exploration-chosen.png", panels)
 
 
-def _chosen(path: Path, rows: Rows) -> None:
-    conditions = list(dict.fromkeys(row["condition"] for row in rows))
-    order = ["training pose", "new yaw", "other face", "between", "last"]
-    conditions.sort(key=order.index)
+def _panels(name: str) -> list[tuple[str, Rows]]:
+    """Title and rows of each condition in one file of measurements."""
+    path = HERE / f"{name}.json"
+    if not path.exists():
+        return []
+    kept = json.loads(path.read_text())
+    found = []
+    for condition, title in PANELS[name].items():
+        rows = [row for row in kept["rows"] if row["condition"] == condition]
+        if rows:
+            found.append((f"{title}\n{kept['preset']}", rows))
+    return found
+
+
+def _chosen(path: Path, panels: list[tuple[str, Rows]]) -> None:
+    n_rows = -(-len(panels) // N_ACROSS)
     figure, axes = plt.subplots(
-        1, len(conditions), figsize=(2.7 * len(conditions), 3), sharey=True, dpi=120
+        n_rows, N_ACROSS, figsize=(10.8, 3 * n_rows), sharey=True, dpi=120
     )
-    for axis, condition in zip(np.atleast_1d(axes), conditions, strict=True):
+    axes = np.ravel(axes)
+    for axis, (title, rows) in zip(axes, panels, strict=False):
         for row in rows:
-            if row["condition"] == condition and row["belief"] == "by place":
+            if row["belief"] == "by place":
                 _band(axis, row, row["strategy"], COLOURS[row["strategy"]])
         axis.axhline(0.95, color="k", linewidth=0.6, linestyle=":")
-        axis.set_title(TITLES.get(condition, f"simulated, {condition}"), fontsize=8)
+        axis.set_title(title, fontsize=9)
         axis.set(xlabel="touches", ylim=(0, 1.02))
         axis.grid(alpha=0.3)
-    np.atleast_1d(axes)[0].set_ylabel("accuracy")
-    np.atleast_1d(axes)[0].legend(loc="lower right", fontsize=8)
+    for axis in axes[len(panels) :]:
+        axis.axis("off")
+    for axis in axes[::N_ACROSS]:
+        axis.set_ylabel("accuracy")
+    axes[0].legend(loc="lower right", fontsize=8)
     _write(figure, path)
 
 

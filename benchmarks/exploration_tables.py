@@ -13,7 +13,10 @@ from typing import Any
 Rows = list[dict[str, Any]]
 _NONE = "Not measured yet."
 HERE = Path(__file__).parent
-CHOSEN = {"chosen": "choose_touches.json", "pool": "choose_touches_pool.json"}
+CHOSEN = {
+    "chosen": ["choose_touches.json"],
+    "pool": ["choose_touches_pool.json", "choose_touches_pool_corradi2015.json"],
+}
 
 
 def fill(document: Path, measured: dict[str, Any]) -> None:
@@ -22,10 +25,12 @@ def fill(document: Path, measured: dict[str, Any]) -> None:
         name: _with_preset(measured[name], make) if name in measured else _NONE
         for name, make in (("device", _device), ("real", _real))
     }
-    for name, file in CHOSEN.items():
-        path = HERE / file
-        kept = json.loads(path.read_text()) if path.exists() else {"rows": []}
-        tables[name] = _chosen(kept["rows"], kept.get("preset", ""))
+    for name, files in CHOSEN.items():
+        parts = [
+            json.loads((HERE / f).read_text()) for f in files if (HERE / f).exists()
+        ]
+        made = [_with_preset(part, _chosen) for part in parts]
+        tables[name] = "\n\n".join(made) or _NONE
     text = document.read_text()
     for name, table in tables.items():
         block = f"<!-- begin {name} -->\n{table}\n<!-- end {name} -->"
@@ -74,7 +79,7 @@ def _real(rows: Rows) -> str:
     return _table(["learnt on", "seeds", "right after 1 / 5 / 15 touches"], cells)
 
 
-def _chosen(rows: Rows, preset: str) -> str:
+def _chosen(rows: Rows) -> str:
     heads = ["condition", "strategy", "belief", "seeds", "after 1 / 3 / 5 / 10"]
     heads += ["95 % first reached (5-95 %)", "right for good after (sd)"]
     cells = []
@@ -95,8 +100,7 @@ def _chosen(rows: Rows, preset: str) -> str:
                 f"{until:.1f} ({sd:.1f})",
             ]
         )
-    note = f"Preset `{preset}`.\n\n" if rows else ""
-    return note + _table(heads, cells)
+    return _table(heads, cells)
 
 
 def _count(number: int | None) -> str:

@@ -1,7 +1,7 @@
 """Figures on recorded touches for docs/recognition.md.
 
-Run as `python benchmarks/recorded.py FOLDER OUT.json [SECTION ...]`, with the folder of
-recorded touches (`bathtip/bathtip50.npz`, `bathtip/visual_words50.npz`). Ten objects are
+Run as `python benchmarks/recorded.py FOLDER OUT.json [SECTION ...]`, with the folder
+of recorded touches (`bathtip/bathtip50.npz`, `visual_words50.npz`). Ten objects are
 one of each category: its first, second or third by name. Ten minutes of one core.
 """
 

@@ -87,10 +87,10 @@ def decide_episodes(
     parts = []
     longest = max(int(counts.max()) for counts in episodes.n_told)
     limits = np.array(
-        [recogniser.unknown_threshold(k, refused=error) for k in range(1, longest + 1)]
+        [recogniser.refusal_threshold(k, error) for k in range(1, longest + 1)]
     )
     # Before any touch said something there is no limit to exceed.
-    limits = np.concatenate([[np.inf], np.maximum(limits, error)])
+    limits = np.concatenate([[np.inf], limits])
     per_object = zip(
         episodes.objects, episodes.truth, episodes.beliefs, episodes.n_told, strict=True
     )

@@ -152,11 +152,9 @@ class Belief:
         ----------
         error : float, default=0.01
             Accepted share of wrong decisions: an object is named when its
-            probability is at least 1 - error; "unknown" is said when the
-            touches agree less than those of all but this share of known
-            episodes of the same length (learnt from left-out training touches).
-            Asked after every touch, the refusals of known objects add up to more
-            than this share.
+            probability is at least 1 - error; "unknown" is said when the touches
+            agree less than those of known episodes do: asked after every touch, it
+            is said of this share of them (learnt from left-out training touches).
         costs : mapping of str to mapping of str to float, optional
             `costs[truth][named]`, at least 0: what it costs to take one object for
             another; 1 where not given. The object of least expected cost is named,
@@ -179,8 +177,8 @@ class Belief:
                 return str(self._recogniser.classes_[expected.argmin()])
         if self._n_told == 0:
             return None
-        limit = self._recogniser.unknown_threshold(self._n_told, refused=error)
-        return "unknown" if self.unknown > max(limit, error) else None
+        limit = self._recogniser.refusal_threshold(self._n_told, error)
+        return "unknown" if self.unknown > limit else None
 
     @property
     def _n_told(self) -> int:
@@ -207,11 +205,11 @@ class Belief:
             return f"Undecided: {sure}, less than {1 - error:g}."
         if decision != "unknown":
             return f"Decided for {decision}: {sure}, at least {1 - error:g}."
-        limit = self._recogniser.unknown_threshold(self._n_told, refused=error)
+        limit = self._recogniser.refusal_threshold(self._n_told, error)
         return (
             f"Unknown: after {touches} the probability outside the best object "
-            f"({self.best}) is {self.unknown:.3f}; for all but {error:g} of known "
-            f"episodes it is at most {limit:.3f}."
+            f"({self.best}) is {self.unknown:.3f}; that of known episodes exceeds "
+            f"{limit:.3f} so rarely that {error:g} of them are ever refused."
         )
 
     def explain(self, n_touches: int = 3, n_nearest: int = 3) -> list[dict[str, Any]]:

@@ -273,6 +273,16 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
             self, None if prior is None else given_prior(prior, self.classes_)
         )
 
+    def refusal_threshold(self, n_touches: int, error: float = 0.05) -> float:
+        """Return the unknown score above which `Belief.decide(error)` says "unknown".
+
+        Stricter than `unknown_threshold`: of known episodes that are asked about after
+        every touch, in all a share `error` is refused.
+        """
+        self._check_fitted()
+        level = float(np.interp(error, REFUSED, self.unknown_levels_))
+        return max(self.unknown_threshold(n_touches, refused=level), error)
+
     def unknown_threshold(self, n_touches: int, refused: float = 0.05) -> float:
         """Return the unknown score that a share `refused` of known episodes exceeds.
 
@@ -347,7 +357,8 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
             self.log_prior(),
             fits_trust=preset.fits_trust,
         )
-        self.trust_, self.unknown_lengths_, self.unknown_limits_ = found
+        self.trust_, self.unknown_lengths_, self.unknown_limits_ = found[:3]
+        self.unknown_levels_ = found[3]
 
     def _heard(self, log_likelihood: Floats, nothing: NDArray) -> Floats:
         """Let touches without contact say nothing, unless a label consists of them."""

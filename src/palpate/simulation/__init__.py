@@ -11,7 +11,14 @@ from ._dome import DomeCamera, DomePress
 from ._exploring import simulate_touches
 from ._membrane import Contact, Membrane, solve_contact
 from ._mesh import MeshError, load_mesh
-from ._objects import BASIC_SHAPES, HOUSEHOLD, UNSEEN, SimObject, find_object
+from ._objects import (
+    BASIC_SHAPES,
+    HOUSEHOLD,
+    STRANGE,
+    UNSEEN,
+    SimObject,
+    find_object,
+)
 from ._parts import PARTS, Part, find_parts
 from ._pins import TacTipPins
 from ._placed import PlacedObject, SensorPose, gap_map, sleeve_gap
@@ -22,6 +29,7 @@ __all__ = [
     "BASIC_SHAPES",
     "HOUSEHOLD",
     "PARTS",
+    "STRANGE",
     "UNSEEN",
     "Contact",
     "DomeCamera",

@@ -90,6 +90,19 @@ def pen() -> Mesh:
     return _lying(joined(revolved(profile, 48), clip, bridge), 146, 4.5)
 
 
+def massage_ball() -> Mesh:
+    """Massage ball, 79 across: 60 knobs, 4.4 wide and 6 high, evenly spread."""
+    k = np.arange(60) + 0.5
+    polar, turn = np.arccos(1 - k / 30), np.pi * (1 + np.sqrt(5)) * k
+    x, y = np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar)
+    middle = np.array([0.0, 0.0, 40.0])
+    knobs = [
+        rounded_hull([middle + 34 * out, middle + 38 * out], 2.2, 10)
+        for out in np.stack([x, y, np.cos(polar)], axis=1)
+    ]
+    return joined(hull(ball_points(middle, 34, 32)), *knobs)
+
+
 def ball() -> Mesh:
     """Ball, 72 across, with a moulding seam 1.2 wide and 0.4 deep round it."""
     angle = np.linspace(-90, 90, 121)

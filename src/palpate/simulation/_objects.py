@@ -2,9 +2,9 @@
 
 `HOUSEHOLD` are the ten objects of Corradi 2015 (doi:10.1109/ICRA.2015.7139744),
 `UNSEEN` its five variants never touched in training, `BASIC_SHAPES` the seven
-shapes of Corradi 2014 (TAROS, Birmingham). Sizes are in millimetres,
-z points up. Household objects stand on z = 0; basic shapes have their feature at
-the origin, facing up, so that they are pressed from above there.
+shapes of Corradi 2014 (TAROS, Birmingham). `STRANGE` is unlike all of these. Sizes
+are in millimetres, z points up. Household objects stand on z = 0; basic shapes have
+their feature at the origin, facing up, so that they are pressed from above there.
 """
 
 from collections.abc import Callable
@@ -80,7 +80,7 @@ def find_object(name: str) -> SimObject:
     ValueError
         There is none; the message lists the names.
     """
-    known = {thing.name: thing for thing in HOUSEHOLD + UNSEEN + BASIC_SHAPES}
+    known = {thing.name: thing for thing in HOUSEHOLD + UNSEEN + STRANGE + BASIC_SHAPES}
     if name not in known:
         listed = ", ".join(known)
         raise ValueError(
@@ -214,6 +214,8 @@ HOUSEHOLD = (
     SimObject("textbook", "book", household.textbook, _turns(_UPSIDE)),
     SimObject("water bottle", "bottle", household.water_bottle),
 )
+
+STRANGE = (SimObject("massage ball", "massage ball", household.massage_ball),)
 
 UNSEEN = (
     SimObject("plastic card", "card", household.plastic_card, _turns(_UPSIDE)),
