@@ -21,9 +21,10 @@ async function answered(ask) {
     say("The server does not answer.");
     return null;
   }
-  const told = await answer.json().catch(() => ({}));
+  // Null too where the answer was cut off, as when the page is left meanwhile.
+  const told = await answer.json().catch(() => null);
   if (answer.ok) return told;
-  say(worded(told.detail) || `Refused (${answer.status}).`);
+  say(worded(told?.detail) || `Refused (${answer.status}).`);
   return null;
 }
 
