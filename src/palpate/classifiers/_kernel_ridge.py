@@ -59,9 +59,9 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         equal priors.
     left_out_scores_ : ndarray of shape (n_touches, n_classes)
         Regression scores of each training touch with its group left out.
-    touches_, coefficients_ : ndarray
-        Training touches (n_touches, n_features) and their dual coefficients
-        (n_touches, n_classes).
+    touches_, squared_norms_, coefficients_ : ndarray
+        Training touches (n_touches, n_features), their squared lengths (n_touches,)
+        and dual coefficients (n_touches, n_classes).
 
     Notes
     -----
@@ -149,6 +149,7 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         target = _one_hot(codes, len(self.classes_))
         inverse, self.coefficients_ = _solve(kernel, target, self.ridge_)
         self.touches_ = touches
+        self.squared_norms_ = (touches**2).sum(axis=1)
         self.left_out_scores_ = _left_out(inverse, self.coefficients_, target, group)
         self.log_counts_ = _log_counts(codes, target.shape[1])
         shape, self.log_loss_ = _best_shape(self.left_out_scores_, codes)
@@ -158,7 +159,9 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         """Return the regression scores, shape (n_touches, n_classes); 1 is sure."""
         check_is_fitted(self)
         touches = validate_data(self, X, dtype=np.float64, reset=False)
-        squared = euclidean_distances(touches, self.touches_, squared=True)
+        # One pass over the training touches: their own norms are known.
+        norms = (touches**2).sum(axis=1)[:, np.newaxis] + self.squared_norms_
+        squared = np.maximum(norms - 2 * touches @ self.touches_.T, 0)
         kernel = np.exp(-self.width_ / self.unit_ * squared)
         result: Floats = kernel @ self.coefficients_ + 1 / len(self.classes_)
         return result
