@@ -61,6 +61,16 @@ def check_images(
     With `shape`, also insist on the image size the encoder was fitted on; NaN
     marks a dead taxel and is refused unless `allow_nan`.
     """
+    images = check_image_shape(X, shape=shape)
+    checked = images.astype(np.float64, copy=False)
+    _refuse_not_finite(checked, allow_nan=allow_nan)
+    return checked
+
+
+def check_image_shape(
+    X: ArrayLike, *, shape: tuple[int, int] | None = None
+) -> NDArray[Any]:
+    """Return `X` as real images of its own type, of `shape` if given, or explain."""
     images = np.asarray(X)
     if images.dtype.kind not in "biuf":
         raise TypeError(f"Images must be numbers, got an array of {images.dtype}.")
@@ -78,9 +88,7 @@ def check_images(
             f"Images have {got} taxels, but the encoder was fitted on "
             f"{shape[0]} x {shape[1]}; resize them or fit again."
         )
-    checked = images.astype(np.float64, copy=False)
-    _refuse_not_finite(checked, allow_nan=allow_nan)
-    return checked
+    return images
 
 
 def _refuse_not_finite(images: NDArray[np.float64], *, allow_nan: bool) -> None:

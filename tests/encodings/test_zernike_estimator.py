@@ -51,6 +51,15 @@ def test_columns_are_named_and_counted(touches):
     assert_array_equal(dropped.transform(touches), half.transform(touches)[:, 1:])
 
 
+@pytest.mark.parametrize("shape", [(24, 24), (24, 31)])
+def test_single_precision_is_close(shape, rng):
+    images = rng.normal(size=(70, *shape))
+    double = ZernikeMoments(23).fit_transform(images)
+    single = ZernikeMoments(23, precision="single").fit_transform(images)
+    assert_allclose(single, double, rtol=0, atol=2e-6 * double.max())
+    assert not np.array_equal(single, double)
+
+
 def test_negative_m_repeat_magnitudes_and_conjugate_moments(touches):
     encoder = ZernikeMoments(6, repeat_negative=True)
     sizes = encoder.fit_transform(touches)

@@ -44,6 +44,10 @@ class RootScaler(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         """Return the scaled roots, shape (n_touches, n_features)."""
         check_is_fitted(self)
         features = validate_data(self, X, dtype=np.float64, reset=False)
+        return self.scale(features)
+
+    def scale(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Do what `transform` does, without its checks."""
         scaled: NDArray[np.float64] = (_root(features) - self.mean_) / self.scale_
         return scaled
 

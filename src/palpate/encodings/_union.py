@@ -9,7 +9,7 @@ from sklearn.base import BaseEstimator, TransformerMixin, clone
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_images, check_option
+from .._checks import check_image_shape, check_option
 from ._root import RootScaler
 
 
@@ -49,7 +49,7 @@ class EncodingUnion(TransformerMixin, BaseEstimator):
 
     def fit(self, X: ArrayLike, y: object = None) -> Self:
         """Fit every encoder to the images; `y` is passed on."""
-        images = check_images(X)
+        images = check_image_shape(X)
         if not len(self.encoders):
             raise ValueError("encoders must hold at least one encoder, got none.")
         self.image_shape_ = (images.shape[1], images.shape[2])
@@ -64,11 +64,11 @@ class EncodingUnion(TransformerMixin, BaseEstimator):
     def transform(self, X: ArrayLike) -> NDArray[np.float64]:
         """Return the joined vectors, shape (n_touches, n_features)."""
         check_is_fitted(self)
-        images = check_images(X, shape=self.image_shape_)
+        images = check_image_shape(X, shape=self.image_shape_)
         parts = [encoder.transform(images) for encoder in self.encoders_]
         if self.scalers_:
             scaled = zip(self.scalers_, parts, strict=True)
-            parts = [scaler.transform(part) for scaler, part in scaled]
+            parts = [scaler.scale(part) for scaler, part in scaled]
         return np.hstack(parts)
 
     def __sklearn_tags__(self) -> Tags:

@@ -20,6 +20,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from .._checks import (
     check_count,
+    check_image_shape,
     check_images,
     check_number,
     check_option,
@@ -68,6 +69,9 @@ class ZernikeMoments(TransformerMixin, BaseEstimator):
     repeat_negative : bool, default=False
         Also give m < 0. For magnitudes this counts every m != 0 twice, as in the
         first author's code of Corradi et al. 2015. Not with Noll's list.
+    precision : {"double", "single"}, default="double"
+        Of the sums above order 20, where reading the basis takes the time: "single"
+        takes half of it, with errors of about 1e-6 of the largest moment.
 
     Attributes
     ----------
@@ -124,6 +128,7 @@ class ZernikeMoments(TransformerMixin, BaseEstimator):
         radius: float | None = None,
         drop_constant: bool = False,
         repeat_negative: bool = False,
+        precision: str = "double",
     ) -> None:
         self.order = order
         self.method = method
@@ -134,6 +139,7 @@ class ZernikeMoments(TransformerMixin, BaseEstimator):
         self.radius = radius
         self.drop_constant = drop_constant
         self.repeat_negative = repeat_negative
+        self.precision = precision
 
     def fit(self, X: ArrayLike, y: object = None) -> Self:
         """Place the disc in images of the size of `X`; `y` is ignored.
@@ -144,7 +150,7 @@ class ZernikeMoments(TransformerMixin, BaseEstimator):
             If an image has NaN or infinity, a parameter is not one of those listed,
             or the disc holds no taxel of the frame.
         """
-        images = _real_images(X)
+        images = check_image_shape(X)
         self._check_options()
         if not all(np.isfinite(image).all() for image in images):
             check_images(images)
@@ -159,11 +165,10 @@ class ZernikeMoments(TransformerMixin, BaseEstimator):
         NaN or infinity anywhere in an image is refused, inside the disc or not.
         """
         check_is_fitted(self, "image_shape_")
-        images = _real_images(X, shape=self.image_shape_)
+        images = check_image_shape(X, shape=self.image_shape_)
         disc = Disc(*self.image_shape_, *self.centre_, self.radius_)
-        moments = zernike_moments(
-            images, Grid(disc, int(self.order), self.method == "exact")
-        )
+        exact, single = self.method == "exact", self.precision == "single"
+        moments = zernike_moments(images, Grid(disc, int(self.order), exact, single))
         if not np.isfinite(moments).all():
             check_images(images)
             raise ValueError(
@@ -193,6 +198,7 @@ class ZernikeMoments(TransformerMixin, BaseEstimator):
         check_option("output", self.output, ("abs", "complex", "noll", "noll_abs"))
         check_option("weight", self.weight, ("n+1", "noll", "none"))
         check_option("disc", self.disc, ("inscribed", "circumscribed"))
+        check_option("precision", self.precision, ("double", "single"))
         if self.repeat_negative and self.output in ("noll", "noll_abs"):
             raise ValueError(
                 f"repeat_negative must be False with output={self.output!r}, got "
@@ -264,19 +270,6 @@ def _layout(
     for array in (degrees, columns, weights):
         array.flags.writeable = False
     return _Layout(degrees, columns, weights)
-
-
-def _real_images(X: ArrayLike, shape: tuple[int, int] | None = None) -> NDArray:
-    """Images in the type they have; `check_images` words the refusals.
-
-    It would convert them all to float64 at once, eight times the memory of uint8.
-    """
-    images = np.asarray(X)
-    right_kind = images.dtype.kind in "biuf" and images.ndim == 3
-    right_shape = right_kind and (shape is None or images.shape[1:] == shape)
-    if not right_shape or 0 in images.shape:
-        check_images(images, shape=shape)
-    return images
 
 
 def _check_centre(centre: object, n_rows: int, n_cols: int) -> tuple[float, float]:

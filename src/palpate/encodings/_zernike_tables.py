@@ -33,6 +33,7 @@ class Grid(NamedTuple):
     disc: Disc
     order: int
     exact: bool
+    single: bool = False
 
 
 def zernike_moments(images: NDArray, grid: Grid) -> NDArray[np.complex128]:
@@ -224,7 +225,8 @@ def _quarters(grid: Grid) -> tuple[list[Quarter], NDArray[np.intp]]:
     def basis_of(taxels: NDArray[np.intp]) -> NDArray[np.float64]:
         return _basis_of(grid, taxels)
 
-    return fold_basis(grid.disc, grid.order, _dense_taxels(grid), basis_of)
+    dtype = np.float32 if grid.single else np.float64
+    return fold_basis(grid.disc, grid.order, _dense_taxels(grid), basis_of, dtype)
 
 
 def _basis_of(grid: Grid, taxels: NDArray[np.intp]) -> NDArray[np.float64]:

@@ -168,8 +168,9 @@ class Belief:
         error = check_number("error", error, low=1e-6, high=0.5)
         if self.touches_used == 0 and not self._senses:
             return None
+        unknown = self.unknown
         if costs is None:
-            if self.unknown <= error:
+            if unknown <= error:
                 return self.best
         else:
             expected = np.exp(self._log_posterior) @ self._cost_table(costs)
@@ -178,7 +179,7 @@ class Belief:
         if self._n_told == 0:
             return None
         limit = self._recogniser.refusal_threshold(self._n_told, error)
-        return "unknown" if self.unknown > limit else None
+        return "unknown" if unknown > limit else None
 
     @property
     def _n_told(self) -> int:

@@ -102,7 +102,8 @@ def _disc_steps(touches: Touches) -> list[Any]:
     """Zernike moments, and gradients along rings where there are taxels enough."""
     if min(touches.images.shape[1:]) < FINE_TAXELS:
         return [ZernikeMoments(order=15, drop_constant=True), RootScaler()]
-    both = [ZernikeMoments(order=30, drop_constant=True), PolarGradients()]
+    moments = ZernikeMoments(order=30, drop_constant=True, precision="single")
+    both = [moments, PolarGradients()]
     # Of 1683 features the first principal components tell nearly the same distances.
     return [EncodingUnion(both, balanced=True), PrincipalShare(0.9)]
 
