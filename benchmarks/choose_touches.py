@@ -111,7 +111,7 @@ def episode(
             belief.update(as_touches([record]))
         named["by touch"].append(belief.touch.best)
         named["by place"].append(belief.best)
-        if belief.unknown <= ERROR:
+        if belief.doubt <= ERROR:
             break
     left = n_touches - len(history)
     return {told: names + names[-1:] * left for told, names in named.items()}

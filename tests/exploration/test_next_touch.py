@@ -145,7 +145,7 @@ def test_a_landmark_tells_the_turn_but_not_the_object(touch_map):
     belief = touch_map.start().update(_one("plain", np.pi / 2 + turn, turn))
     for log_turns in belief.log_joint:
         assert abs(int(log_turns.argmax()) - 5) <= 1
-    assert belief.unknown > 0.3
+    assert belief.doubt > 0.3
 
 
 def test_without_weight_on_places_it_is_the_plain_belief(recogniser, touches):
@@ -179,7 +179,7 @@ def test_the_belief_decides(touch_map):
     belief.update(_one("marked", 0.0))
     assert belief.best == "marked"
     assert sum(belief.posterior.values()) == pytest.approx(1)
-    assert belief.unknown == pytest.approx(1 - belief.posterior["marked"])
+    assert belief.doubt == pytest.approx(1 - belief.posterior["marked"])
     for seed in range(20):
         belief.update(_one("marked", [0.0, np.pi / 2][seed % 2], seed=seed))
     assert belief.decide(0.2) == "marked"

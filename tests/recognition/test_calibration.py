@@ -1,4 +1,4 @@
-"""What left-out training touches tell: trust and limits in known cases."""
+"""What left-out training touches tell: likelihoods, episodes and trust."""
 
 import numpy as np
 import pytest
@@ -7,14 +7,10 @@ from sklearn.neighbors import KNeighborsClassifier
 
 from palpate.classifiers import KernelRidgeClassifier
 from palpate.recognition._calibration import (
-    REFUSED,
     draw_episodes,
     fit_trust,
     left_out_log_likelihood,
-    refusal_levels,
-    unknown_limits,
 )
-from palpate.recognition._sequence import Trust
 from palpate.recognition._training import stretches
 
 
@@ -91,43 +87,3 @@ def test_trust_of_independent_and_of_repeated_touches(rng):
     assert independent.strength == pytest.approx(1, abs=0.25)
     assert independent.correlation < 0.1
     assert repeated.correlation > 0.5
-
-
-def test_limits_are_exceeded_by_the_stated_share(rng):
-    floored = rng.normal(size=(4000, 3))
-    episodes = {1: np.arange(4000)[:, np.newaxis]}
-    prior = np.full(3, -np.log(3))
-    (limits,) = unknown_limits(floored, episodes, prior, Trust())
-    share = np.exp(floored)
-    score = 1 - share.max(axis=1) / share.sum(axis=1)
-    assert (score > limits[REFUSED.index(0.05)]).mean() == pytest.approx(
-        0.05, abs=0.002
-    )
-
-
-def test_asking_after_every_touch_refuses_no_more_than_allowed():
-    rng = np.random.default_rng(0)
-    lengths = np.arange(1.0, 11.0)
-    # Scores that wander independently: ten chances to exceed a limit.
-    known = rng.uniform(0.3, 1, (4000, 10))
-    limits = np.quantile(known, 1 - np.array(REFUSED), axis=0).T
-    levels = refusal_levels(known, lengths, limits)
-    assert (np.diff(levels) >= 0).all()
-    new = rng.uniform(0.3, 1, (4000, 10))
-    for share in (0.05, 0.1, 0.2):
-        level = np.interp(share, REFUSED, levels)
-        limit = np.array([np.interp(level, REFUSED, row) for row in limits])
-        ever = (new > limit).any(axis=1).mean()
-        # The grid of levels has steps of a quarter; 4000 episodes add half a per cent.
-        assert 0.7 * share < ever < share + 0.012
-        # Without it, ten chances of `share` each would refuse far more.
-        plain = np.array([np.interp(share, REFUSED, row) for row in limits])
-        assert (new > plain).any(axis=1).mean() > 2.5 * share
-
-
-def test_an_episode_that_is_named_early_cannot_be_refused_later():
-    scores = np.tile([0.005, 0.9], (50, 1))
-    limits = np.full((2, len(REFUSED)), 0.5)
-    levels = refusal_levels(scores, np.array([1.0, 2.0]), limits)
-    assert levels[REFUSED.index(0.01)] == 0.5
-    assert levels[REFUSED.index(0.0)] == 0.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from palpate.recognition import Trust, log_posteriors, unknown_scores, with_floor
+from palpate.recognition import Trust, doubts, log_posteriors, with_floor
 
 
 def test_posterior_is_the_normalised_product():
@@ -47,7 +47,7 @@ def test_the_best_object_does_not_depend_on_the_trust(rng):
     assert (best == tempered).all()
 
 
-def test_unknown_score_is_exact_near_certainty():
+def test_doubt_is_exact_near_certainty():
     # 1 - p rounds to 0 in double precision here; the sum of the others does not.
     log_posterior = np.array([np.log1p(-2e-20), np.log(1e-20), np.log(1e-20)])
-    assert unknown_scores(log_posterior) == pytest.approx(2e-20)
+    assert doubts(log_posterior) == pytest.approx(2e-20)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta
 
-from ..recognition import ObjectRecogniser, unknown_scores
+from ..recognition import ObjectRecogniser, doubts
 from ._episodes import Episodes
 
 CONFIDENCE = 0.95
@@ -91,14 +91,21 @@ def decide_episodes(
     )
     # Before any touch said something there is no limit to exceed.
     limits = np.concatenate([[np.inf], limits])
+    scale = recogniser.unknown_scale_
+    naming = np.array([scale.naming_threshold(k) for k in range(longest + 1)])
     per_object = zip(
-        episodes.objects, episodes.truth, episodes.beliefs, episodes.n_told, strict=True
+        episodes.objects,
+        episodes.truth,
+        episodes.beliefs,
+        episodes.n_told,
+        episodes.unknown,
+        strict=True,
     )
-    for name, truth, log_posterior, counts in per_object:
+    for name, truth, log_posterior, counts, unknown in per_object:
         n_orders, n_touches, _ = log_posterior.shape
-        unknown = unknown_scores(log_posterior)
         refuse = unknown > limits[counts]
-        stop = refuse | (unknown <= error)
+        fits = unknown <= naming[counts]
+        stop = refuse | (fits & (doubts(log_posterior) <= error))
         decided = np.asarray(stop.any(axis=1))
         last = np.where(decided, stop.argmax(axis=1), n_touches - 1)
         rows = np.arange(n_orders)

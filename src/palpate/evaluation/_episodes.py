@@ -10,7 +10,6 @@ from ..recognition import (
     ObjectRecogniser,
     log_posteriors,
     told,
-    unknown_scores,
     with_floor,
 )
 
@@ -31,12 +30,15 @@ class Episodes:
         Log posterior after each touch of each order, per object.
     n_told : list of ndarray of int, shape (n_orders, n_touches)
         How many of the touches so far said anything: not those without contact.
+    unknown : list of ndarray of shape (n_orders, n_touches)
+        Unknown score after each touch.
     """
 
     objects: list[str]
     truth: list[int]
     beliefs: list[Floats]
     n_told: list[NDArray]
+    unknown: list[Floats]
 
     def after(self, k: int) -> tuple[list[int], list[Floats]]:
         """Return true columns and log posteriors after `k` touches.
@@ -47,6 +49,11 @@ class Episodes:
         return [self.truth[i] for i in enough], [
             self.beliefs[i][:, k - 1] for i in enough
         ]
+
+    def unknown_after(self, k: int) -> Floats:
+        """Return the unknown scores after `k` touches, of all objects together."""
+        scores = [u[:, k - 1] for u in self.unknown if u.shape[1] >= k]
+        return np.concatenate(scores) if scores else np.empty(0)
 
 
 def run_episodes(
@@ -64,7 +71,8 @@ def run_episodes(
     rng = np.random.default_rng(seed)
     floored = with_floor(log_likelihood, recogniser.floor_)
     names = np.unique(objects)
-    truth, beliefs, counts = [], [], []
+    truth, beliefs, counts, unknown = [], [], [], []
+    scale = recogniser.unknown_scale_
     classes = recogniser.classes_.tolist()
     for name in names:
         rows = np.flatnonzero(objects == name)
@@ -73,9 +81,10 @@ def run_episodes(
             log_posteriors(floored[orders], recogniser.log_prior(), recogniser.trust_)
         )
         counts.append(told(floored[orders]))
+        unknown.append(scale.scores(beliefs[-1], floored[orders]))
         label = None if labels is None else str(labels[rows[0]])
         truth.append(classes.index(label) if label in classes else -1)
-    return Episodes([str(name) for name in names], truth, beliefs, counts)
+    return Episodes([str(name) for name in names], truth, beliefs, counts, unknown)
 
 
 def single_touches(
@@ -87,9 +96,15 @@ def single_touches(
     """Return one episode of one touch for every touch."""
     floored = with_floor(log_likelihood, recogniser.floor_)[:, np.newaxis]
     after_one = log_posteriors(floored, recogniser.log_prior(), recogniser.trust_)
-    beliefs = [after_one[objects == name] for name in episodes.objects]
-    counts = [told(floored[objects == name]) for name in episodes.objects]
-    return Episodes(episodes.objects, episodes.truth, beliefs, counts)
+    scores = recogniser.unknown_scale_.scores(after_one, floored)
+    rows = [objects == name for name in episodes.objects]
+    return Episodes(
+        episodes.objects,
+        episodes.truth,
+        [after_one[mine] for mine in rows],
+        [told(floored[mine]) for mine in rows],
+        [scores[mine] for mine in rows],
+    )
 
 
 @dataclass(frozen=True)
@@ -100,9 +115,9 @@ class Outcome:
     ----------
     accuracy : ndarray of shape (n_objects,)
         Share of episodes whose most probable label was right, per object.
-    confidence, hit, log_loss, unknown : ndarray of shape (n_episodes,)
-        Largest posterior, whether it was right, negative log posterior of the
-        truth (nats), and unknown score, over all episodes of all objects.
+    confidence, hit, log_loss : ndarray of shape (n_episodes,)
+        Largest posterior, whether it was right, and negative log posterior of the
+        truth (nats), over all episodes of all objects.
     confusion : ndarray of shape (n_labels, n_labels)
         Share of each answer (columns) per true label (rows).
     """
@@ -111,7 +126,6 @@ class Outcome:
     confidence: Floats
     hit: NDArray[np.bool_]
     log_loss: Floats
-    unknown: Floats
     confusion: Floats
 
 
@@ -137,6 +151,5 @@ def outcome(truth: Sequence[int], beliefs: Sequence[Floats]) -> Outcome:
         confidence=np.exp(everything.max(axis=1)),
         hit=best == column_of,
         log_loss=np.where(column_of >= 0, -true_log, np.nan),
-        unknown=unknown_scores(everything),
         confusion=confusion / np.maximum(confusion.sum(axis=1, keepdims=True), 1e-12),
     )

@@ -72,14 +72,9 @@ def _unknown(
     for k in plan.touches:
         areas, shares = [], []
         for trial in trials:
-            known, strange = (
-                trial.after(k)[1],
-                trial.after(k, unknown=True),
-            )
-            if not known or not strange[1]:
+            below, above = (trial.unknown_after(k, unknown=u) for u in (False, True))
+            if not len(below) or not len(above):
                 continue
-            above = outcome(*strange).unknown
-            below = outcome([0] * len(known), known).unknown
             areas.append(roc_area(below, above))
             limit = trial.recogniser.unknown_threshold(k, refused=REFUSED)
             shares.append(float((above > limit).mean()))

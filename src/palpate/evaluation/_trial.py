@@ -71,8 +71,15 @@ class Trial:
         After one touch every touch counts once; with `unknown`, of the episodes
         of unknown objects.
         """
+        return self._episodes(k, unknown=unknown).after(k)
+
+    def unknown_after(self, k: int, *, unknown: bool = False) -> Floats:
+        """Return the unknown scores after `k` touches, of all episodes."""
+        return self._episodes(k, unknown=unknown).unknown_after(k)
+
+    def _episodes(self, k: int, *, unknown: bool) -> Episodes:
         singles = self.unknown_singles if unknown else self.singles
         episodes = self.unknown_episodes if unknown else self.episodes
         assert singles is not None
         assert episodes is not None
-        return (singles if k == 1 else episodes).after(k)
+        return singles if k == 1 else episodes

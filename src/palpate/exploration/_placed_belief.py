@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from scipy.special import log_softmax, logsumexp
 
 from .._checks import check_number
-from ..recognition import unknown_scores
+from ..recognition import doubts
 from ..touches import Touches
 from ._places import Floats, places_of
 from ._touch_map import TouchMap
@@ -88,22 +88,29 @@ class PlacedBelief:
         return self._names[int(self.log_posterior.argmax())]
 
     @property
-    def unknown(self) -> float:
+    def doubt(self) -> float:
         """Probability outside `best`."""
-        return float(unknown_scores(self.log_posterior))
+        return float(doubts(self.log_posterior))
+
+    @property
+    def unknown(self) -> float:
+        """Unknown score of the touches without their places."""
+        return self.touch.unknown
 
     def decide(self, error: float = 0.01) -> str | None:
         """Return the object, "unknown", or None while more touches are needed.
 
-        An object is named when its probability is at least 1 - error; "unknown" is
-        said when the touches without their places say it.
+        "unknown" is said when the touches without their places say it; else an
+        object is named when its probability is at least 1 - error, and the touches
+        alone look known.
         """
         error = check_number("error", error, low=1e-6, high=0.5)
         if self.touches_used == 0:
             return None
-        if self.unknown <= error:
-            return self.best
-        return "unknown" if self.touch.decide(error) == "unknown" else None
+        if self.touch.decide(error) == "unknown":
+            return "unknown"
+        named = self.doubt <= error and self.touch.looks_known()
+        return self.best if named else None
 
     def reason(self, error: float = 0.01) -> str:
         """Return one sentence that says why `decide(error)` answers as it does."""
@@ -111,7 +118,9 @@ class PlacedBelief:
         if decision == "unknown":
             return self.touch.reason(error)
         touches = f"{self.touches_used} touch{'es' * (self.touches_used != 1)}"
-        sure = f"{self.best} has probability {1 - self.unknown:.4f} after {touches}"
+        sure = f"{self.best} has probability {1 - self.doubt:.4f} after {touches}"
+        if decision is None and self.doubt <= error:
+            return self.touch.reason(error)
         if decision is None:
             return f"Undecided: {sure} and their places, less than {1 - error:g}."
         return f"Decided for {decision}: {sure} and their places."

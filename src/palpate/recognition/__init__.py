@@ -8,7 +8,7 @@ from ._modality import Modality
 from ._model_file import ModelFileError, check_model_path
 from ._presets import PRESETS
 from ._recogniser import ObjectRecogniser
-from ._sequence import Trust, log_posteriors, told, unknown_scores, with_floor
+from ._sequence import Trust, doubts, log_posteriors, told, with_floor
 from ._summary import summary
 from ._training import training_groups
 
@@ -21,12 +21,12 @@ __all__ = [
     "Trust",
     "adapt",
     "check_model_path",
+    "doubts",
     "find_geometry",
     "left_out_log_likelihood",
     "log_posteriors",
     "summary",
     "told",
     "training_groups",
-    "unknown_scores",
     "with_floor",
 ]

@@ -12,7 +12,7 @@ from scipy.special import log_softmax
 from .._checks import check_number, check_option
 from ..touches import Touches
 from ._explanation import explanation
-from ._sequence import Floats, log_posteriors, told, unknown_scores, with_floor
+from ._sequence import Floats, doubts, log_posteriors, told, with_floor
 
 if TYPE_CHECKING:
     from ._recogniser import ObjectRecogniser
@@ -32,9 +32,13 @@ class Belief:
         Probability of each known object; sums to one.
     best : str
         The most probable object.
+    doubt : float
+        Probability outside `best`.
     unknown : float
-        How little the touches agree on one known object: the probability outside
-        `best`, between 0 and 1; higher is less known.
+        How little the touches look like those of any known object, between 0 and 1;
+        one known episode in twenty scores above about 0.5. From the doubt, and from
+        how much less probable the touches make `best` than its own training touches
+        would.
     touches_used : int
         Number of touches that entered so far, those without contact among them.
     marks : list of str
@@ -141,9 +145,18 @@ class Belief:
         return str(self._recogniser.classes_[self._log_posterior.argmax()])
 
     @property
+    def doubt(self) -> float:
+        """Probability outside `best`."""
+        return float(doubts(self._log_posterior))
+
+    @property
     def unknown(self) -> float:
-        """Probability outside `best`; higher is less known."""
-        return float(unknown_scores(self._log_posterior))
+        """How little the touches look like any known object; see `UnknownScale`."""
+        if not len(self._floored):
+            return 0.0
+        beliefs = np.broadcast_to(self._log_posterior, self._floored.shape)
+        scale = self._recogniser.unknown_scale_
+        return float(scale.scores(beliefs, self._floored)[-1])
 
     def decide(self, error: float = 0.01, costs: Costs | None = None) -> str | None:
         """Return the object, "unknown", or None while more touches are needed.
@@ -151,10 +164,11 @@ class Belief:
         Parameters
         ----------
         error : float, default=0.01
-            Accepted share of wrong decisions: an object is named when its
-            probability is at least 1 - error; "unknown" is said when the touches
-            agree less than those of known episodes do: asked after every touch, it
-            is said of this share of them (learnt from left-out training touches).
+            Accepted share of wrong decisions. "unknown" is said when the touches
+            look less like a known object than those of known episodes do: asked
+            after every touch, it is said of this share of them (learnt from left-out
+            training touches). Else an object is named when its probability is at
+            least 1 - error and the belief `looks_known`.
         costs : mapping of str to mapping of str to float, optional
             `costs[truth][named]`, at least 0: what it costs to take one object for
             another; 1 where not given. The object of least expected cost is named,
@@ -168,18 +182,29 @@ class Belief:
         error = check_number("error", error, low=1e-6, high=0.5)
         if self.touches_used == 0 and not self._senses:
             return None
-        unknown = self.unknown
-        if costs is None:
-            if unknown <= error:
-                return self.best
-        else:
-            expected = np.exp(self._log_posterior) @ self._cost_table(costs)
-            if expected.min() <= error:
-                return str(self._recogniser.classes_[expected.argmin()])
-        if self._n_told == 0:
+        limit = self.unknown_limit(error)
+        if limit is not None and self.unknown > limit:
+            return "unknown"
+        if not self.looks_known():
             return None
-        limit = self._recogniser.refusal_threshold(self._n_told, error)
-        return "unknown" if unknown > limit else None
+        if costs is None:
+            return self.best if self.doubt <= error else None
+        expected = np.exp(self._log_posterior) @ self._cost_table(costs)
+        affordable = expected.min() <= error
+        return str(self._recogniser.classes_[expected.argmin()]) if affordable else None
+
+    def looks_known(self) -> bool:
+        """Whether the touches fit a known object as four in five known episodes do."""
+        scale = self._recogniser.unknown_scale_
+        return self.unknown <= scale.naming_threshold(self._n_told)
+
+    def unknown_limit(self, error: float = 0.01) -> float | None:
+        """Return the unknown score above which `decide(error)` says "unknown".
+
+        None before any touch said something.
+        """
+        n_told = self._n_told
+        return self._recogniser.refusal_threshold(n_told, error) if n_told else None
 
     @property
     def _n_told(self) -> int:
@@ -201,16 +226,21 @@ class Belief:
         """Return one sentence that says why `decide(error)` answers as it does."""
         decision = self.decide(error)
         touches = f"{self.touches_used} touch{'es' * (self.touches_used != 1)}"
-        sure = f"{self.best} has probability {1 - self.unknown:.4f} after {touches}"
+        sure = f"{self.best} has probability {1 - self.doubt:.4f} after {touches}"
+        if decision is None and not self.looks_known():
+            return (
+                f"Undecided: {sure}, but four in five known episodes fit better "
+                f"(unknown score {self.unknown:.3f}). Touch again."
+            )
         if decision is None:
             return f"Undecided: {sure}, less than {1 - error:g}."
         if decision != "unknown":
             return f"Decided for {decision}: {sure}, at least {1 - error:g}."
-        limit = self._recogniser.refusal_threshold(self._n_told, error)
+        limit = self.unknown_limit(error)
         return (
-            f"Unknown: after {touches} the probability outside the best object "
-            f"({self.best}) is {self.unknown:.3f}; that of known episodes exceeds "
-            f"{limit:.3f} so rarely that {error:g} of them are ever refused."
+            f"Unknown: after {touches} the unknown score (nearest: {self.best}) is "
+            f"{self.unknown:.3f}; that of known episodes exceeds {limit:.3f} so "
+            f"rarely that {error:g} of them are ever refused."
         )
 
     def explain(self, n_touches: int = 3, n_nearest: int = 3) -> list[dict[str, Any]]:

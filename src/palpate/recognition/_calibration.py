@@ -14,14 +14,12 @@ from scipy.optimize import minimize
 from scipy.special import log_softmax
 from sklearn.base import clone
 
-from ._sequence import Floats, Trust, log_posteriors, told, unknown_scores
+from ._sequence import Floats, Trust, told
 from ._training import N_STRETCHES
+from ._unknown import UnknownScale, fit_unknown_scale
 
 EPISODES_PER_OBJECT = 40
-# Touches after which someone who asks after every one has stopped asking.
-MOST_ASKED = 20
 LENGTHS = (1, 2, 3, 5, 8, 12, 20, 30)
-REFUSED = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 
 
 def left_out_log_likelihood(
@@ -105,52 +103,10 @@ def calibrate(
     log_prior: Floats,
     *,
     fits_trust: bool,
-) -> tuple[Trust, Floats, Floats, Floats]:
-    """Return the trust, the episodes' lengths, their unknown limits, and the levels."""
+) -> tuple[Trust, UnknownScale]:
+    """Return how touches add up, and what known episodes look like."""
     trust = fit_trust(floored, codes, episodes, log_prior) if fits_trust else Trust()
-    limits = unknown_limits(floored, episodes, log_prior, trust)
-    lengths = np.array(list(episodes), dtype=float)
-    longest = max(k for k in episodes if k <= MOST_ASKED)
-    asked = log_posteriors(floored[episodes[longest]], log_prior, trust)
-    levels = refusal_levels(unknown_scores(asked), lengths, limits)
-    return trust, lengths, limits, levels
-
-
-def refusal_levels(scores: Floats, lengths: Floats, limits: Floats) -> Floats:
-    """Return how strict to be after each touch, to refuse so many episodes in all.
-
-    Who asks after every touch refuses a known object if ever its score exceeds a
-    limit before it is named, which happens more often than after one touch.
-
-    Parameters
-    ----------
-    scores : ndarray of shape (n_episodes, n_touches)
-        Unknown scores of known episodes after each touch.
-    lengths, limits : ndarray
-        From `unknown_limits`.
-
-    Returns
-    -------
-    ndarray of shape (len(REFUSED),)
-        For each share of episodes in `REFUSED` the greatest share to refuse at each
-        length; 0 where even the highest score ever seen is not strict enough.
-    """
-    touches = np.arange(1, scores.shape[1] + 1)
-    chosen = []
-    for share in REFUSED:
-        level = 0.0
-        for candidate in np.geomspace(1e-3, 0.5, 28):
-            row = [np.interp(candidate, REFUSED, at_length) for at_length in limits]
-            limit = np.maximum(np.interp(touches, lengths, row), share)
-            refused, named = scores > limit, scores <= share
-            ended = refused | named
-            first = ended.argmax(axis=1)
-            ever = refused[np.arange(len(scores)), first]
-            if ever.mean() > share:
-                break
-            level = float(candidate)
-        chosen.append(level)
-    return np.array(chosen)
+    return trust, fit_unknown_scale(floored, codes, episodes, log_prior, trust)
 
 
 def fit_trust(
@@ -173,29 +129,11 @@ def fit_trust(
     return _trust(found.x)
 
 
-def unknown_limits(
-    floored: Floats, episodes: dict[int, NDArray], log_prior: Floats, trust: Trust
-) -> Floats:
-    """Return the unknown scores that a share of known episodes exceeds.
-
-    Shape (n_lengths, len(REFUSED)), one row per length in `episodes`.
-    """
-    limits = []
-    for rows in episodes.values():
-        scores = unknown_scores(_final(floored, rows, log_prior, trust))
-        limits.append(np.quantile(scores, 1 - np.array(REFUSED)))
-    return np.array(limits)
-
-
 def _worst_for_none(log_likelihood: Floats) -> Floats:
     """Give labels without a density the least likelihood that the touch has."""
     known = np.isfinite(log_likelihood)
     worst = np.where(known, log_likelihood, np.inf).min(axis=1, keepdims=True)
     return np.where(known, log_likelihood, worst)
-
-
-def _final(floored: Floats, rows: NDArray, log_prior: Floats, trust: Trust) -> Floats:
-    return log_posteriors(floored[rows], log_prior, trust)[:, -1]
 
 
 def _trust(raw: NDArray) -> Trust:

@@ -8,6 +8,7 @@ from ._contact import ContactCheck
 from ._encoder import TouchEncoder
 from ._modality import Modality
 from ._sequence import Trust
+from ._unknown import UnknownScale
 
 # Made anew from a stored model; making one computes, which reading a file must not.
 _NEVER_STORED = ("IndexQuality", "KernelDensityIndex")
@@ -31,4 +32,5 @@ KNOWN_CLASSES: dict[str, type] = {
     "StandardScaler": StandardScaler,
     "TouchEncoder": TouchEncoder,
     "Trust": Trust,
+    "UnknownScale": UnknownScale,
 }

@@ -21,7 +21,7 @@ from safetensors.numpy import save_file
 
 from .. import __version__
 
-FORMAT = 2
+FORMAT = 3
 MAX_BYTES = 4 * 2**30
 
 Tensors = dict[str, NDArray]

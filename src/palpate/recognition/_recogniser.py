@@ -13,7 +13,6 @@ from ..touches import Touches
 from ._belief import Belief, as_touches
 from ._beside_touch import BesideTouch
 from ._calibration import (
-    REFUSED,
     calibrate,
     draw_all,
     left_out_log_likelihood,
@@ -27,6 +26,7 @@ from ._sequence import Felt, Floats, Trust, given_prior, with_floor
 from ._source import TouchSource, encoded, features_and_marks, learn_encoding
 from ._training import stretches, training_groups, training_labels
 from ._trial_touch import try_one_touch
+from ._unknown import UnknownScale
 
 KEPT = ("features_", "labels_", "objects_", "stretches_", "nothing_")
 
@@ -67,6 +67,8 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
         Whether touches without contact are heard: where a label consists of them.
     trust_ : Trust
         How touches of one episode add up.
+    unknown_scale_ : UnknownScale
+        What episodes of known objects look like.
     floor_ : float
         The floor in use.
     chosen_ : dict
@@ -93,6 +95,7 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
     contact_: ContactCheck
     hears_nothing_: bool
     trust_: Trust
+    unknown_scale_: UnknownScale
     floor_: float
     chosen_: dict[str, Any]
 
@@ -280,8 +283,7 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
         every touch, in all a share `error` is refused.
         """
         self._check_fitted()
-        level = float(np.interp(error, REFUSED, self.unknown_levels_))
-        return max(self.unknown_threshold(n_touches, refused=level), error)
+        return self.unknown_scale_.refusal_threshold(n_touches, error)
 
     def unknown_threshold(self, n_touches: int, refused: float = 0.05) -> float:
         """Return the unknown score that a share `refused` of known episodes exceeds.
@@ -290,8 +292,7 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
         simulated it is interpolated, beyond them it stays.
         """
         self._check_fitted()
-        at_lengths = [np.interp(refused, REFUSED, row) for row in self.unknown_limits_]
-        return float(np.interp(n_touches, self.unknown_lengths_, at_lengths))
+        return self.unknown_scale_.threshold(n_touches, refused)
 
     def save(self, path: str | Path) -> Path:
         """Write the recogniser to a `.palpate` file, all or nothing."""
@@ -341,7 +342,7 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
         self.classes_ = np.unique(self.labels_)
 
     def _calibrate(self, preset: Preset) -> None:
-        """Set `floor_`, `trust_` and the unknown limits from left-out touches."""
+        """Set `floor_`, `trust_` and `unknown_scale_` from left-out touches."""
         self.floor_ = preset.floor if self.floor is None else float(self.floor)
         self.hears_nothing_ = not preset.skips_no_contact or consists_of_nothing(
             self.labels_, self.nothing_
@@ -350,15 +351,13 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
             self.classifier_, self.features_, self.labels_, self.stretches_
         )
         floored = with_floor(self._heard(log_likelihood, self.nothing_), self.floor_)
-        found = calibrate(
+        self.trust_, self.unknown_scale_ = calibrate(
             floored,
             np.searchsorted(self.classes_, self.labels_),
             draw_all(self.objects_, self.stretches_, self.random_state),
             self.log_prior(),
             fits_trust=preset.fits_trust,
         )
-        self.trust_, self.unknown_lengths_, self.unknown_limits_ = found[:3]
-        self.unknown_levels_ = found[3]
 
     def _heard(self, log_likelihood: Floats, nothing: NDArray) -> Floats:
         """Let touches without contact say nothing, unless a label consists of them."""

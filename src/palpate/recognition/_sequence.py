@@ -122,11 +122,11 @@ def _says(floored: Floats) -> NDArray[np.bool_]:
     return np.asarray(floored.max(axis=-1) > floored.min(axis=-1))
 
 
-def unknown_scores(log_posterior: Floats) -> Floats:
+def doubts(log_posterior: Floats) -> Floats:
     """Return the probability outside the most probable object, shape (...,).
 
     Summed over the other objects, so that it stays exact near 0.
     """
     others = np.sort(log_posterior, axis=-1)[..., :-1]
-    score: Floats = np.exp(logsumexp(others, axis=-1))
-    return score
+    doubt: Floats = np.exp(logsumexp(others, axis=-1))
+    return doubt

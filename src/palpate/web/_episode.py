@@ -77,7 +77,7 @@ class LiveEpisode:
             self.belief.update_from_log_likelihood(row)
             touch.posterior = self.belief.posterior
             touch.unknown = self.belief.unknown
-            touch.limit = self.recogniser.refusal_threshold(touch.number, self.error)
+            touch.limit = self.belief.unknown_limit(self.error)
         self.touches.append(touch)
         return touch, features
 

@@ -1,0 +1,234 @@
+"""How little an episode looks like any known object.
+
+Two things tell: the posterior is spread over objects (doubt), and the touches give the
+best object less than its own touches do (misfit). An object never learnt may end in a
+sharp posterior, but hardly with touches that fit as those of the object itself.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit, logsumexp
+
+from ._sequence import Floats, Trust, doubts, log_posteriors, told
+
+# Touches after which someone who asks after every one has stopped asking.
+MOST_ASKED = 20
+REFUSED = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
+# Doubt counts between odds of exp(-20) and exp(20): beyond, the floor decides it.
+_MOST_DOUBT = 20.0
+_LEAST_SPREAD = 0.02
+# Known episodes of clean touches are so alike that any other would stand out: the
+# doubt (nats) and misfit (standard errors) count for no less than these deviations.
+_LEAST_DEVIATION = np.array([1.0, 0.5])
+# Scores are 0.5 where one known episode in twenty would lie, were they normal; nothing
+# below is refused. Above the score of one in five, 0.17, nothing is named.
+_ONE_IN_TWENTY = 1.645
+_LEAST_LIMIT = 0.5
+_ONE_IN_FIVE = 0.2
+_LEAST_NAMING_LIMIT = 0.17
+
+
+@dataclass(frozen=True)
+class UnknownScale:
+    """What known episodes look like, learnt from left-out training touches.
+
+    Attributes
+    ----------
+    usual, spread : ndarray of shape (n_objects,)
+        Mean and standard deviation of the probability that one touch of an object,
+        left out of training, gives that object.
+    lengths : ndarray of shape (n_lengths,)
+        Numbers of touches of the episodes that were simulated.
+    mean, deviation : ndarray of shape (n_lengths, 2)
+        Of doubt and of misfit, over known episodes of each length.
+    together : ndarray of shape (n_lengths,)
+        Standard deviation of their sum, each standardised.
+    limits : ndarray of shape (n_lengths, len(REFUSED))
+        Scores that a share of known episodes exceeds.
+    levels : ndarray of shape (len(REFUSED),)
+        For each share of episodes to refuse in all, the share to refuse after each
+        touch; see `refusal_levels`.
+    """
+
+    usual: Floats
+    spread: Floats
+    lengths: Floats
+    mean: Floats
+    deviation: Floats
+    together: Floats
+    limits: Floats
+    levels: Floats
+
+    def scores(self, log_posterior: Floats, floored: Floats) -> Floats:
+        """Return how unknown the object seems after each touch of an episode.
+
+        Parameters
+        ----------
+        log_posterior, floored : ndarray of shape (..., n_touches, n_objects)
+            The belief after each touch, and the touches' log-likelihoods from
+            `with_floor`.
+
+        Returns
+        -------
+        ndarray of shape (..., n_touches)
+            Between 0 and 1, higher is less known; about 0.04 for a middling known
+            episode and 0.5 for one in twenty. 0 before any touch said something.
+        """
+        count = told(floored)
+        parts = _doubt_and_misfit(log_posterior, floored, self.usual, self.spread)
+        total = np.zeros(count.shape)
+        for i, part in enumerate(parts):
+            mean = np.interp(count, self.lengths, self.mean[:, i])
+            total += (part - mean) / np.interp(
+                count, self.lengths, self.deviation[:, i]
+            )
+        total /= np.interp(count, self.lengths, self.together)
+        return np.where(count > 0, expit(2 * (total - _ONE_IN_TWENTY)), 0.0)
+
+    def threshold(self, n_touches: int, refused: float) -> float:
+        """Return the score that a share `refused` of known episodes exceeds."""
+        at_lengths = [np.interp(refused, REFUSED, row) for row in self.limits]
+        return float(np.interp(n_touches, self.lengths, at_lengths))
+
+    def refusal_threshold(self, n_touches: int, error: float) -> float:
+        """Return the score above which "unknown" is said, asked after every touch."""
+        level = float(np.interp(error, REFUSED, self.levels))
+        return max(self.threshold(n_touches, level), _LEAST_LIMIT)
+
+    def naming_threshold(self, n_touches: int) -> float:
+        """Return the score above which no object is named: one known episode in five.
+
+        The posterior over known objects soon becomes sharp for any object; these
+        wait for another touch or two.
+        """
+        return float(np.interp(n_touches, self.lengths, _naming_limits(self.limits)))
+
+
+def fit_unknown_scale(
+    floored: Floats,
+    codes: NDArray,
+    episodes: Mapping[int, NDArray],
+    log_prior: Floats,
+    trust: Trust,
+) -> UnknownScale:
+    """Learn what known episodes look like.
+
+    Parameters
+    ----------
+    floored : ndarray of shape (n_touches, n_objects)
+        Log-likelihoods of training touches, each with its stretch left out.
+    codes : ndarray of int, shape (n_touches,)
+        Column of each touch's own object.
+    episodes : mapping of int to ndarray
+        Rows of touches per length, (n_episodes, length).
+    log_prior : ndarray of shape (n_objects,)
+    trust : Trust
+    """
+    usual, spread = _own_touches(floored, codes)
+    beliefs = {
+        k: log_posteriors(floored[rows], log_prior, trust)
+        for k, rows in episodes.items()
+    }
+    means, deviations, together = [], [], []
+    for k, rows in episodes.items():
+        parts = _doubt_and_misfit(beliefs[k], floored[rows], usual, spread)
+        pair = np.stack([part[:, -1] for part in parts], axis=1)
+        mean, deviation = (
+            pair.mean(axis=0),
+            np.maximum(pair.std(axis=0), _LEAST_DEVIATION),
+        )
+        means.append(mean)
+        deviations.append(deviation)
+        total = ((pair - mean) / deviation).sum(axis=1)
+        together.append(max(float(total.std()), 1.0))
+    lengths = np.array(list(episodes), dtype=float)
+    learnt = (usual, spread, lengths, np.array(means), np.array(deviations))
+    bare = UnknownScale(*learnt, np.array(together), np.empty(0), np.empty(0))
+    scores = {k: bare.scores(beliefs[k], floored[rows]) for k, rows in episodes.items()}
+    shares = 1 - np.array(REFUSED)
+    limits = np.array([np.quantile(s[:, -1], shares) for s in scores.values()])
+    longest = max(k for k in episodes if k <= MOST_ASKED)
+    levels = refusal_levels(scores[longest], doubts(beliefs[longest]), lengths, limits)
+    return UnknownScale(*learnt, np.array(together), limits, levels)
+
+
+def refusal_levels(
+    scores: Floats, doubt: Floats, lengths: Floats, limits: Floats
+) -> Floats:
+    """Return how strict to be after each touch, to refuse so many episodes in all.
+
+    Who asks after every touch refuses a known object if ever its score exceeds a
+    limit before it is named, which happens more often than after one touch.
+
+    Parameters
+    ----------
+    scores, doubt : ndarray of shape (n_episodes, n_touches)
+        Unknown scores of known episodes after each touch, and the probability
+        outside the best object.
+    lengths, limits : ndarray
+        As in `UnknownScale`.
+
+    Returns
+    -------
+    ndarray of shape (len(REFUSED),)
+        For each share of episodes in `REFUSED` the greatest share to refuse at each
+        length; 0 where even the highest score ever seen is not strict enough.
+    """
+    touches = np.arange(1, scores.shape[1] + 1)
+    fits = scores <= np.interp(touches, lengths, _naming_limits(limits))
+    chosen = []
+    for share in REFUSED:
+        level = 0.0
+        for candidate in np.geomspace(1e-3, 0.5, 28):
+            row = [np.interp(candidate, REFUSED, at_length) for at_length in limits]
+            limit = np.maximum(np.interp(touches, lengths, row), _LEAST_LIMIT)
+            refused = scores > limit
+            ended = refused | (fits & (doubt <= share))
+            first = ended.argmax(axis=1)
+            ever = refused[np.arange(len(scores)), first]
+            if ever.mean() > share:
+                break
+            level = float(candidate)
+        chosen.append(level)
+    return np.array(chosen)
+
+
+def _naming_limits(limits: Floats) -> Floats:
+    """Return for each length the score above which no object is named."""
+    one_in_five = limits[:, REFUSED.index(_ONE_IN_FIVE)]
+    return np.maximum(one_in_five, _LEAST_NAMING_LIMIT)
+
+
+def _own_touches(floored: Floats, codes: NDArray) -> tuple[Floats, Floats]:
+    """Mean and spread, per object, of the probability that its own touches give it."""
+    heard = floored.max(axis=1) > floored.min(axis=1)
+    own = np.exp(floored[np.arange(len(codes)), codes])
+    usual, spread = np.empty(floored.shape[1]), np.empty(floored.shape[1])
+    for code in range(floored.shape[1]):
+        mine = own[(codes == code) & heard]
+        mine = mine if len(mine) else own[codes == code]
+        usual[code], spread[code] = mine.mean(), mine.std() + _LEAST_SPREAD
+    return usual, spread
+
+
+def _doubt_and_misfit(
+    log_posterior: Floats, floored: Floats, usual: Floats, spread: Floats
+) -> tuple[Floats, Floats]:
+    """Log odds against the best object; how far its touches fall short of its own.
+
+    Each of shape (..., n_touches); the misfit in standard errors of a mean of
+    independent touches.
+    """
+    ranked = np.sort(log_posterior, axis=-1)
+    odds = logsumexp(ranked[..., :-1], axis=-1) - ranked[..., -1]
+    doubt: Floats = np.clip(odds, -_MOST_DOUBT, _MOST_DOUBT)
+    best = log_posterior.argmax(axis=-1)
+    says = floored.max(axis=-1, keepdims=True) > floored.min(axis=-1, keepdims=True)
+    summed = np.cumsum(np.where(says, np.exp(floored), 0.0), axis=-2)
+    given = np.take_along_axis(summed, best[..., np.newaxis], axis=-1)[..., 0]
+    count = np.maximum(told(floored), 1)
+    misfit: Floats = (usual[best] - given / count) / spread[best] * np.sqrt(count)
+    return doubt, misfit
