@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.recognition import Trust, log_posteriors, with_floor
+from palpate.recognition._landmarks import Landmarks
 from palpate.recognition._unknown import (
     REFUSED,
     fit_unknown_scale,
@@ -28,7 +29,8 @@ def learnt(rng):
     touches = floored(rng, codes)
     rows = np.arange(len(codes)).reshape(-1, LENGTH)
     episodes = {k: rows[:, :k] for k in (1, 3, LENGTH)}
-    return fit_unknown_scale(touches, codes, episodes, PRIOR, Trust())
+    novelty = rng.exponential(0.3, len(codes))
+    return fit_unknown_scale(touches, novelty, codes, episodes, PRIOR, Trust())
 
 
 def scores(scale, touches):
@@ -57,13 +59,21 @@ def test_touches_that_fit_no_object_score_higher(learnt, rng):
 
 def test_a_sharp_belief_of_poor_touches_is_noticed(learnt):
     """Doubt alone would call these known: their posterior is as sharp."""
-    usual = np.log([0.70, 0.10, 0.10, 0.10])
-    poor = np.log([0.40, 0.20, 0.20, 0.20])
-    few = np.tile(usual, (10, 1))
-    many = np.tile(poor, (29, 1))
+    few = np.log(np.tile([0.700, 0.100, 0.100, 0.100], (2, 1)))
+    many = np.log(np.tile([0.424, 0.192, 0.192, 0.192], (LENGTH, 1)))
     beliefs = [log_posteriors(t, PRIOR, Trust())[-1] for t in (few, many)]
     assert beliefs[1][0] >= beliefs[0][0]
-    assert scores(learnt, many)[-1] > 0.5 > scores(learnt, few)[-1]
+    assert scores(learnt, many)[-1] > 5 * scores(learnt, few)[-1]
+
+
+def test_touches_unlike_all_that_was_learnt_are_noticed(learnt):
+    touches = np.log(np.tile([0.7, 0.1, 0.1, 0.1], (LENGTH, 1)))
+    beliefs = log_posteriors(touches, PRIOR, Trust())
+    plain = learnt.scores(beliefs, touches)
+    usual, new = np.full(LENGTH, 0.3), np.full(LENGTH, 3.0)
+    assert_allclose(learnt.scores(beliefs, touches, usual), plain)
+    assert_allclose(learnt.scores(beliefs, touches, np.full(LENGTH, np.nan)), plain)
+    assert (learnt.scores(beliefs, touches, new) > 0.9).all()
 
 
 def test_touches_that_say_nothing_leave_the_score(learnt):
@@ -114,3 +124,30 @@ def test_an_episode_that_is_named_early_cannot_be_refused_later():
     levels = refusal_levels(scores_, sure, lengths, limits)
     assert levels[REFUSED.index(0.01)] == 0.5
     assert levels[REFUSED.index(0.0)] == 0.0
+
+
+def test_novelty_is_the_distance_to_the_nearest_landmark_of_another_stretch(rng):
+    features = rng.normal(size=(60, 3))
+    stretches = np.repeat(np.arange(6), 10)
+    nothing = np.zeros(60, dtype=bool)
+    nothing[0] = True
+    marks = Landmarks.among(features, stretches, nothing)
+    assert len(marks.features) == 59
+    others = features[1:]
+    unit = ((others - others.mean(axis=0)) ** 2).sum(axis=1).mean()
+    new = rng.normal(size=(4, 3))
+    distance = ((new[:, np.newaxis] - others) ** 2).sum(axis=-1)
+    assert_allclose(marks.novelty(new), distance.min(axis=1) / unit)
+    assert_allclose(marks.novelty(features[1:]), 0, atol=1e-12)
+    own = marks.novelty(features, stretches)
+    far = ((features[10] - features[20:]) ** 2).sum(axis=1).min()
+    near = ((features[10] - features[1:10]) ** 2).sum(axis=1).min()
+    assert own[10] == pytest.approx(min(far, near) / unit)
+
+
+def test_many_touches_leave_a_thousand_landmarks(rng):
+    features = rng.normal(size=(2500, 2))
+    stretches = np.zeros(2500, dtype=int)
+    marks = Landmarks.among(features, stretches, np.ones(2500, dtype=bool))
+    assert len(marks.features) == 1000
+    assert_allclose(marks.novelty(features, stretches), 0)

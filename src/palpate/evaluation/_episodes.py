@@ -63,6 +63,7 @@ def run_episodes(
     labels: NDArray | None,
     n_orders: int,
     seed: int,
+    novelty: Floats | None = None,
 ) -> Episodes:
     """Recognise each object's touches in `n_orders` random orders.
 
@@ -81,7 +82,8 @@ def run_episodes(
             log_posteriors(floored[orders], recogniser.log_prior(), recogniser.trust_)
         )
         counts.append(told(floored[orders]))
-        unknown.append(scale.scores(beliefs[-1], floored[orders]))
+        new = None if novelty is None else novelty[orders]
+        unknown.append(scale.scores(beliefs[-1], floored[orders], new))
         label = None if labels is None else str(labels[rows[0]])
         truth.append(classes.index(label) if label in classes else -1)
     return Episodes([str(name) for name in names], truth, beliefs, counts, unknown)
@@ -92,11 +94,13 @@ def single_touches(
     log_likelihood: Floats,
     episodes: Episodes,
     objects: NDArray,
+    novelty: Floats | None = None,
 ) -> Episodes:
     """Return one episode of one touch for every touch."""
     floored = with_floor(log_likelihood, recogniser.floor_)[:, np.newaxis]
     after_one = log_posteriors(floored, recogniser.log_prior(), recogniser.trust_)
-    scores = recogniser.unknown_scale_.scores(after_one, floored)
+    new = None if novelty is None else novelty[:, np.newaxis]
+    scores = recogniser.unknown_scale_.scores(after_one, floored, new)
     rows = [objects == name for name in episodes.objects]
     return Episodes(
         episodes.objects,

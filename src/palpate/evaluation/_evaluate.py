@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..recognition import ObjectRecogniser, training_groups
+from ..recognition import Felt, ObjectRecogniser, training_groups
 from ..touches import Touches
 from ._controls import (
     brightness,
@@ -111,18 +111,17 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     recogniser.fit(train)
     seconds = {"learn": time.perf_counter() - start}
     progress(f"{fold.name}: recognising {len(test)} touches")
-    log_likelihood, timing = _timed_log_likelihood(recogniser, test)
+    felt, timing = _timed(recogniser, test)
+    novelty = recogniser.landmarks_.novelty(felt.features)
     labels = _test_labels(test, plan.label, recogniser)
     objects = _objects(test, labels)
     _check_lengths(objects, plan)
-    episodes = run_episodes(
-        recogniser, log_likelihood, objects, labels, plan.orders, plan.seed
-    )
-    singles = single_touches(recogniser, log_likelihood, episodes, objects)
+    learnt = (recogniser, felt.log_likelihood)
+    episodes = run_episodes(*learnt, objects, labels, plan.orders, plan.seed, novelty)
+    singles = single_touches(*learnt, episodes, objects, novelty)
     trial = Trial(
         Fold(fold.name, train, test),
-        recogniser,
-        log_likelihood,
+        *learnt,
         singles,
         episodes,
         None,
@@ -146,16 +145,16 @@ def _check_lengths(objects: NDArray, plan: Plan) -> None:
         )
 
 
-def _timed_log_likelihood(
+def _timed(
     recogniser: ObjectRecogniser, test: Touches
-) -> tuple[NDArray, dict[str, float]]:
+) -> tuple[Felt, dict[str, float]]:
     some = test[: min(len(test), N_TIMED)]
     start = time.perf_counter()
     features = recogniser.encoder_.transform(some)
     encoded = time.perf_counter()
     recogniser.feature_log_likelihood(features)
     done = time.perf_counter()
-    return recogniser.log_likelihood(test), {
+    return recogniser.feel(test), {
         "encode_per_touch": (encoded - start) / len(some),
         "recognise_per_touch": (done - encoded) / len(some),
     }
@@ -191,14 +190,12 @@ def _meet_unknown(trial: Trial, unknown: Touches, plan: Plan) -> None:
             f"unknown touches must be of objects that were not learnt, got "
             f"{str(known[0])!r}. Leave those out."
         )
-    log_likelihood = recogniser.log_likelihood(unknown)
-    episodes = run_episodes(
-        recogniser, log_likelihood, objects, None, plan.orders, plan.seed + 1
-    )
+    felt = recogniser.feel(unknown)
+    novelty = recogniser.landmarks_.novelty(felt.features)
+    learnt = (recogniser, felt.log_likelihood)
+    episodes = run_episodes(*learnt, objects, None, plan.orders, plan.seed + 1, novelty)
     trial.unknown_episodes = episodes
-    trial.unknown_singles = single_touches(
-        recogniser, log_likelihood, episodes, objects
-    )
+    trial.unknown_singles = single_touches(*learnt, episodes, objects, novelty)
 
 
 def _controls(

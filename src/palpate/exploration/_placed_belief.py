@@ -57,7 +57,7 @@ class PlacedBelief:
         where = places_of(touches, places, self._map.n_turns)
         recogniser = self._map.recogniser
         features, likelihood = recogniser.features_and_log_likelihood(touches)
-        self.touch.update_from_log_likelihood(likelihood)
+        self.touch.update_from_log_likelihood(likelihood, features=features)
         ratio = self._map.placed_ratio(features, where)
         weighed = self._map.weighed(log_softmax(likelihood, axis=1), ratio)
         self.evidence += weighed.sum(axis=0)

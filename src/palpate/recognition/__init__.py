@@ -8,13 +8,14 @@ from ._modality import Modality
 from ._model_file import ModelFileError, check_model_path
 from ._presets import PRESETS
 from ._recogniser import ObjectRecogniser
-from ._sequence import Trust, doubts, log_posteriors, told, with_floor
+from ._sequence import Felt, Trust, doubts, log_posteriors, told, with_floor
 from ._summary import summary
 from ._training import training_groups
 
 __all__ = [
     "PRESETS",
     "Belief",
+    "Felt",
     "Modality",
     "ModelFileError",
     "ObjectRecogniser",

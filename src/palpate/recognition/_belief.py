@@ -36,9 +36,9 @@ class Belief:
         Probability outside `best`.
     unknown : float
         How little the touches look like those of any known object, between 0 and 1;
-        one known episode in twenty scores above about 0.5. From the doubt, and from
-        how much less probable the touches make `best` than its own training touches
-        would.
+        one known episode in twenty scores above about 0.5. From the doubt, from how
+        much less probable the touches make `best` than its own training touches
+        would, and from how far they are from all training touches.
     touches_used : int
         Number of touches that entered so far, those without contact among them.
     marks : list of str
@@ -52,6 +52,7 @@ class Belief:
         self._log_prior = recogniser.log_prior() if log_prior is None else log_prior
         self._floored = np.empty((0, len(recogniser.classes_)))
         self._features = np.empty((0, recogniser.features_.shape[1]))
+        self._novelty = np.empty(0)
         self._senses: dict[str, Floats] = {}
         self._log_posterior = self._log_prior
         self.marks: list[str] = []
@@ -85,12 +86,17 @@ class Belief:
     ) -> Belief:
         """Take in touches by their log-likelihoods, shape (n_touches, n_objects).
 
-        With `features` (n_touches, n_features) they can be explained later.
+        With `features` (n_touches, n_features) they can be explained later, and it
+        can be told how new they are.
         """
         floored = with_floor(np.atleast_2d(log_likelihood), self._recogniser.floor_)
         n_touches = len(floored)
         if features is None:
             features = np.full((n_touches, self._features.shape[1]), np.nan)
+            novelty = np.full(n_touches, np.nan)
+        else:
+            novelty = self._recogniser.landmarks_.novelty(np.atleast_2d(features))
+        self._novelty = np.concatenate([self._novelty, novelty])
         self._floored = np.vstack([self._floored, floored])
         self._features = np.vstack([self._features, np.atleast_2d(features)])
         self.marks += marks or [""] * n_touches
@@ -156,7 +162,7 @@ class Belief:
             return 0.0
         beliefs = np.broadcast_to(self._log_posterior, self._floored.shape)
         scale = self._recogniser.unknown_scale_
-        return float(scale.scores(beliefs, self._floored)[-1])
+        return float(scale.scores(beliefs, self._floored, self._novelty)[-1])
 
     def decide(self, error: float = 0.01, costs: Costs | None = None) -> str | None:
         """Return the object, "unknown", or None while more touches are needed.

@@ -98,6 +98,7 @@ def draw_all(objects: NDArray, group: NDArray, seed: int) -> dict[int, NDArray]:
 
 def calibrate(
     floored: Floats,
+    novelty: Floats,
     codes: NDArray,
     episodes: dict[int, NDArray],
     log_prior: Floats,
@@ -106,7 +107,7 @@ def calibrate(
 ) -> tuple[Trust, UnknownScale]:
     """Return how touches add up, and what known episodes look like."""
     trust = fit_trust(floored, codes, episodes, log_prior) if fits_trust else Trust()
-    return trust, fit_unknown_scale(floored, codes, episodes, log_prior, trust)
+    return trust, fit_unknown_scale(floored, novelty, codes, episodes, log_prior, trust)
 
 
 def fit_trust(

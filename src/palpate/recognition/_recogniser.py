@@ -20,6 +20,7 @@ from ._calibration import (
 )
 from ._contact import NO_CONTACT, ContactCheck, consists_of_nothing
 from ._known import KNOWN_CLASSES
+from ._landmarks import Landmarks
 from ._model_file import ModelFileError, read_model, write_model
 from ._presets import Preset, find_preset
 from ._sequence import Felt, Floats, Trust, given_prior, with_floor
@@ -67,6 +68,8 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
         Whether touches without contact are heard: where a label consists of them.
     trust_ : Trust
         How touches of one episode add up.
+    landmarks_ : Landmarks
+        Training touches that tell how new another touch is.
     unknown_scale_ : UnknownScale
         What episodes of known objects look like.
     floor_ : float
@@ -95,6 +98,7 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
     contact_: ContactCheck
     hears_nothing_: bool
     trust_: Trust
+    landmarks_: Landmarks
     unknown_scale_: UnknownScale
     floor_: float
     chosen_: dict[str, Any]
@@ -351,8 +355,12 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
             self.classifier_, self.features_, self.labels_, self.stretches_
         )
         floored = with_floor(self._heard(log_likelihood, self.nothing_), self.floor_)
+        self.landmarks_ = Landmarks.among(
+            self.features_, self.stretches_, self.nothing_ & ~self.hears_nothing_
+        )
         self.trust_, self.unknown_scale_ = calibrate(
             floored,
+            self.landmarks_.novelty(self.features_, self.stretches_),
             np.searchsorted(self.classes_, self.labels_),
             draw_all(self.objects_, self.stretches_, self.random_state),
             self.log_prior(),

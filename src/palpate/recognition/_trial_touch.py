@@ -34,7 +34,8 @@ def try_one_touch(recogniser: ObjectRecogniser) -> None:
     row = recogniser.feature_log_likelihood(features)
     if row.shape != (1, len(recogniser.classes_)) or not np.isfinite(row).all():
         raise ValueError("its parts do not fit together")
-    belief = recogniser.start().update_from_log_likelihood(row)
+    belief = recogniser.start()
+    belief.update_from_log_likelihood(row, features=features)
     if abs(sum(belief.posterior.values()) - 1) > 1e-6:
         raise ValueError("its belief does not sum to one")
     belief.decide()

@@ -1,8 +1,9 @@
 """How little an episode looks like any known object.
 
-Two things tell: the posterior is spread over objects (doubt), and the touches give the
-best object less than its own touches do (misfit). An object never learnt may end in a
-sharp posterior, but hardly with touches that fit as those of the object itself.
+Three things tell: the posterior is spread over objects (doubt), the touches give the
+best object less than its own touches do (misfit), and they are far from all that was
+learnt (novelty). An object never learnt may end in a sharp posterior, but hardly with
+touches that fit as those of the object itself; what resembles nothing is new.
 """
 
 from collections.abc import Mapping
@@ -21,8 +22,12 @@ REFUSED = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 _MOST_DOUBT = 20.0
 _LEAST_SPREAD = 0.02
 # Known episodes of clean touches are so alike that any other would stand out: the
-# doubt (nats) and misfit (standard errors) count for no less than these deviations.
-_LEAST_DEVIATION = np.array([1.0, 0.5])
+# doubt (nats), misfit (standard errors) and novelty (of the spread of all touches)
+# count for no less than these deviations.
+_LEAST_DEVIATION = np.array([1.0, 0.5, 0.02])
+# Most unknown objects resemble known ones. Where touches are as new as in one episode
+# of six (a deviation) they are no sign yet, and beyond it novelty is told alone.
+_NO_SIGN = 1.0
 # Scores are 0.5 where one known episode in twenty would lie, were they normal; nothing
 # below is refused. Above the score of one in five, 0.17, nothing is named.
 _ONE_IN_TWENTY = 1.645
@@ -42,10 +47,10 @@ class UnknownScale:
         left out of training, gives that object.
     lengths : ndarray of shape (n_lengths,)
         Numbers of touches of the episodes that were simulated.
-    mean, deviation : ndarray of shape (n_lengths, 2)
-        Of doubt and of misfit, over known episodes of each length.
+    mean, deviation : ndarray of shape (n_lengths, 3)
+        Of doubt, misfit and novelty, over known episodes of each length.
     together : ndarray of shape (n_lengths,)
-        Standard deviation of their sum, each standardised.
+        Standard deviation of the sum of doubt and misfit, each standardised.
     limits : ndarray of shape (n_lengths, len(REFUSED))
         Scores that a share of known episodes exceeds.
     levels : ndarray of shape (len(REFUSED),)
@@ -62,7 +67,9 @@ class UnknownScale:
     limits: Floats
     levels: Floats
 
-    def scores(self, log_posterior: Floats, floored: Floats) -> Floats:
+    def scores(
+        self, log_posterior: Floats, floored: Floats, novelty: Floats | None = None
+    ) -> Floats:
         """Return how unknown the object seems after each touch of an episode.
 
         Parameters
@@ -70,6 +77,8 @@ class UnknownScale:
         log_posterior, floored : ndarray of shape (..., n_touches, n_objects)
             The belief after each touch, and the touches' log-likelihoods from
             `with_floor`.
+        novelty : ndarray of shape (..., n_touches), optional
+            How new each touch is, from `Landmarks.novelty`; NaN where not told.
 
         Returns
         -------
@@ -78,15 +87,21 @@ class UnknownScale:
             episode and 0.5 for one in twenty. 0 before any touch said something.
         """
         count = told(floored)
-        parts = _doubt_and_misfit(log_posterior, floored, self.usual, self.spread)
-        total = np.zeros(count.shape)
-        for i, part in enumerate(parts):
-            mean = np.interp(count, self.lengths, self.mean[:, i])
-            total += (part - mean) / np.interp(
-                count, self.lengths, self.deviation[:, i]
-            )
-        total /= np.interp(count, self.lengths, self.together)
-        return np.where(count > 0, expit(2 * (total - _ONE_IN_TWENTY)), 0.0)
+        doubt, misfit = _doubt_and_misfit(
+            log_posterior, floored, self.usual, self.spread
+        )
+        fit = self._standard(doubt, count, 0) + self._standard(misfit, count, 1)
+        strange = fit / np.interp(count, self.lengths, self.together)
+        if novelty is not None:
+            new = self._standard(_mean_novelty(novelty, floored), count, 2) - _NO_SIGN
+            strange = np.fmax(strange, new)
+        return np.where(count > 0, expit(2 * (strange - _ONE_IN_TWENTY)), 0.0)
+
+    def _standard(self, values: Floats, count: Floats, column: int) -> Floats:
+        mean = np.interp(count, self.lengths, self.mean[:, column])
+        deviation = np.interp(count, self.lengths, self.deviation[:, column])
+        standard: Floats = (values - mean) / deviation
+        return standard
 
     def threshold(self, n_touches: int, refused: float) -> float:
         """Return the score that a share `refused` of known episodes exceeds."""
@@ -109,6 +124,7 @@ class UnknownScale:
 
 def fit_unknown_scale(
     floored: Floats,
+    novelty: Floats,
     codes: NDArray,
     episodes: Mapping[int, NDArray],
     log_prior: Floats,
@@ -120,6 +136,8 @@ def fit_unknown_scale(
     ----------
     floored : ndarray of shape (n_touches, n_objects)
         Log-likelihoods of training touches, each with its stretch left out.
+    novelty : ndarray of shape (n_touches,)
+        How new they are, with their stretch left out.
     codes : ndarray of int, shape (n_touches,)
         Column of each touch's own object.
     episodes : mapping of int to ndarray
@@ -135,19 +153,21 @@ def fit_unknown_scale(
     means, deviations, together = [], [], []
     for k, rows in episodes.items():
         parts = _doubt_and_misfit(beliefs[k], floored[rows], usual, spread)
-        pair = np.stack([part[:, -1] for part in parts], axis=1)
-        mean, deviation = (
-            pair.mean(axis=0),
-            np.maximum(pair.std(axis=0), _LEAST_DEVIATION),
-        )
-        means.append(mean)
-        deviations.append(deviation)
-        total = ((pair - mean) / deviation).sum(axis=1)
-        together.append(max(float(total.std()), 1.0))
+        signs = [*parts, _mean_novelty(novelty[rows], floored[rows])]
+        ends = np.stack([sign[:, -1] for sign in signs], axis=1)
+        # Episodes of which no touch said anything have no novelty.
+        ends = np.where(np.isnan(ends), np.nanmean([0, *ends[:, -1]]), ends)
+        means.append(ends.mean(axis=0))
+        deviations.append(np.maximum(ends.std(axis=0), _LEAST_DEVIATION))
+        standard = (ends - means[-1]) / deviations[-1]
+        together.append(max(float(standard[:, :2].sum(axis=1).std()), 1.0))
     lengths = np.array(list(episodes), dtype=float)
     learnt = (usual, spread, lengths, np.array(means), np.array(deviations))
     bare = UnknownScale(*learnt, np.array(together), np.empty(0), np.empty(0))
-    scores = {k: bare.scores(beliefs[k], floored[rows]) for k, rows in episodes.items()}
+    scores = {
+        k: bare.scores(beliefs[k], floored[rows], novelty[rows])
+        for k, rows in episodes.items()
+    }
     shares = 1 - np.array(REFUSED)
     limits = np.array([np.quantile(s[:, -1], shares) for s in scores.values()])
     longest = max(k for k in episodes if k <= MOST_ASKED)
@@ -232,3 +252,12 @@ def _doubt_and_misfit(
     count = np.maximum(told(floored), 1)
     misfit: Floats = (usual[best] - given / count) / spread[best] * np.sqrt(count)
     return doubt, misfit
+
+
+def _mean_novelty(novelty: Floats, floored: Floats) -> Floats:
+    """Mean over the touches so far that said anything and told it; NaN for none."""
+    tells = (floored.max(axis=-1) > floored.min(axis=-1)) & ~np.isnan(novelty)
+    count = np.cumsum(tells, axis=-1)
+    total = np.cumsum(np.where(tells, novelty, 0.0), axis=-1)
+    mean: Floats = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return mean
