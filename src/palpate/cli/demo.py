@@ -83,7 +83,7 @@ def demo(
 
 
 def _explored(seed: int) -> Sets:
-    """Explore to learn in twelve sessions, to be tested in two others, and unknowns.
+    """Explore to learn in twelve sessions, to be tested in five others, and unknowns.
 
     In every session the object is put down and turned anew and the picture has
     drifted.
@@ -106,8 +106,8 @@ def _explored(seed: int) -> Sets:
 
     return (
         explore(HOUSEHOLD, TRAIN_TOUCHES, 12, 0),
-        explore(HOUSEHOLD, TEST_TOUCHES, 2, 1),
-        explore(UNSEEN, UNKNOWN_TOUCHES, 2, 2),
+        explore(HOUSEHOLD, TEST_TOUCHES, 5, 1),
+        explore(UNSEEN, UNKNOWN_TOUCHES, 5, 2),
     )
 
 

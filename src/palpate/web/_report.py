@@ -56,15 +56,15 @@ def _item(touch: LiveTouch) -> str:
     picture = base64.b64encode(thumbnail(touch.image)).decode()
     shown = sorted(touch.posterior.items(), key=lambda item: -item[1])[:_SHOWN]
     rows = "".join(_row(name, share) for name, share in shown)
-    doubt = ""
+    strangeness = ""
     if touch.unknown is not None and touch.limit is not None:
-        doubt = (
-            f"<p class=note>Doubt {touch.unknown:.3f}; unknown above "
+        strangeness = (
+            f"<p class=note>Strangeness {touch.unknown:.3f}; unknown above "
             f"{touch.limit:.3f}.</p>"
         )
     return (
         f"<li><img alt='touch {touch.number}' src='data:image/png;base64,{picture}'>"
-        f"<div><b>Touch {touch.number}</b><table>{rows}</table>{doubt}</div></li>"
+        f"<div><b>Touch {touch.number}</b><table>{rows}</table>{strangeness}</div></li>"
     )
 
 

@@ -1,4 +1,4 @@
-// The belief: bars, doubt, its history over the episode, and the decision.
+// The belief: bars, strangeness, its history over the episode, and the decision.
 
 import { get, post } from "./api.js";
 import { find, make, percent, say, show, text } from "./dom.js";
@@ -48,7 +48,7 @@ function draw() {
   text(find("count"), n === 0 ? "no touch yet" : `${n} touch${n === 1 ? "" : "es"}${episode.open ? "" : ", ended"}`);
   drawDecision(n);
   drawBars(last?.posterior ?? {});
-  drawDoubt(last);
+  drawStrangeness(last);
   drawHistory();
 }
 
@@ -101,16 +101,16 @@ function bar() {
   return make("li", {}, make("span", { class: "name" }), track, make("span", { class: "value" }));
 }
 
-function drawDoubt(last) {
+function drawStrangeness(last) {
   const known = last !== undefined && last.unknown !== null;
-  show(find("doubt"), known);
-  show(find("doubt-hint"), known);
+  show(find("strange"), known);
+  show(find("strange-hint"), known);
   if (!known) return;
   const few = Object.keys(last.posterior).length < FEW;
-  text(find("doubt-hint"), "Doubt beyond the mark means: I do not know this one." +
+  text(find("strange-hint"), "Strangeness beyond the mark means: I do not know this one." +
     (few ? " With so few objects learnt, a new one is easily taken for one of them." : ""));
-  const row = find("doubt");
-  const meter = find("doubt-meter");
+  const row = find("strange");
+  const meter = find("strange-meter");
   row.classList.toggle("over", last.unknown > last.limit);
   meter.firstElementChild.style.width = `${100 * last.unknown}%`;
   meter.lastElementChild.style.left = `${100 * Math.min(0.995, last.limit)}%`;
