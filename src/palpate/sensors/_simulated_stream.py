@@ -10,6 +10,7 @@ from .._checks import check_option
 from ..simulation import (
     HOUSEHOLD,
     PARTS,
+    STRANGE,
     UNSEEN,
     DomeCamera,
     PressureArray,
@@ -67,7 +68,7 @@ class SimulatedStream(PlayedSensor):
         ramp: int = 3,
         random_state: int = 0,
     ) -> None:
-        solids = [thing.name for thing in (*HOUSEHOLD, *UNSEEN)]
+        solids = [thing.name for thing in (*HOUSEHOLD, *UNSEEN, *STRANGE)]
         parts = [part.name for part in PARTS]
         check_option("name", name, [*solids, *parts])
         dome = name in solids
