@@ -102,3 +102,11 @@ def test_an_object_that_was_never_learnt_is_refused(recogniser, elsewhere):
     strange = elsewhere.with_columns(object=names)
     with pytest.raises(ValueError, match="known objects, got 'spoon'"):
         adapt(recogniser, strange)
+
+
+def test_one_touch_of_one_object_is_enough_to_be_taken_in():
+    learnt = ObjectRecogniser().fit(_vectors(0.0, 10, 0))
+    there = _vectors(0.3, 1, 1)[:1]
+    adapted = adapt(learnt, there)
+    assert len(adapted.features_) == 21
+    assert adapted.classes_.tolist() == ["a", "b"]

@@ -65,6 +65,26 @@ def test_a_sense_says_nothing_about_what_it_never_saw(recogniser):
     assert after.posterior["pen"] == pytest.approx(before, abs=0.15)
 
 
+def test_labels_foreign_to_touch_do_not_favour_what_the_sense_never_saw(recogniser):
+    touches = recogniser[1]
+    model = ObjectRecogniser().fit(touches)
+    X, labels = clouds(2, 30)
+    # The sense knows a cup, which touch does not, and no pen.
+    model.learn_modality("sight", X, np.where(labels == "pen", "cup", labels))
+    belief = model.start().update_sense("sight", [4.0, 4.0])
+    assert belief.posterior["pen"] < 0.4
+
+
+def test_examples_that_are_all_told_apart_cannot_undo_the_floor(recogniser):
+    touches = recogniser[1]
+    model = ObjectRecogniser().fit(touches)
+    model.learn_modality("sight", *clouds(2, 30, spread=0.01))
+    assert model.modalities_["sight"].trust_.strength <= 1
+    belief = model.start().update_sense("sight", [0.0, 0.0])
+    # The floor of 1 % is shared by three objects.
+    assert belief.posterior["pen"] > 0.9 * 0.01 / 3
+
+
 def test_any_classifier_with_probabilities_can_be_a_sense(recogniser):
     model, _ = recogniser
     model.learn_modality("guess", *clouds(3, 30), classifier=LogisticRegression())
@@ -75,6 +95,8 @@ def test_refusals(recogniser):
     model, _ = recogniser
     with pytest.raises(ValueError, match="sight"):
         model.start().update_sense("smell", [1.0, 2.0])
+    with pytest.raises(ValueError, match="Call learn_modality first"):
+        ObjectRecogniser().fit(recogniser[1]).start().update_sense("sight", [1.0])
     with pytest.raises(TypeError, match="predict_proba"):
         model.learn_modality("x", *clouds(0, 5), classifier=RidgeClassifier())
     with pytest.raises(ValueError, match="two examples each"):
@@ -105,6 +127,12 @@ def test_a_given_prior_is_where_the_belief_starts(recogniser):
         model.start({"ball": 1.0, "mug": 1.0})
     with pytest.raises(ValueError, match="positive"):
         model.start({"ball": 1.0, "mug": 0.0, "pen": 1.0})
+    with pytest.raises(ValueError, match=r"1e-308 for 'pen'"):
+        model.start({"ball": 1.0, "mug": 1.0, "pen": 1e-308})
+    with pytest.raises(TypeError, match="got list"):
+        model.start([1.0, 1.0, 1.0])
+    huge = model.start(dict.fromkeys(NAMES, 1e308)).posterior
+    assert huge == pytest.approx(dict.fromkeys(NAMES, 1 / 3))
 
 
 def test_costs_choose_the_cheaper_mistake(recogniser):
@@ -120,6 +148,24 @@ def test_costs_choose_the_cheaper_mistake(recogniser):
         belief.decide(costs={"mug": {"ball": -1.0}})
     with pytest.raises(ValueError, match="costs"):
         belief.decide(costs={"cup": {"ball": 1.0}})
+    with pytest.raises(TypeError, match="costs must map truths"):
+        belief.decide(costs=5)
+    with pytest.raises(TypeError, match="costs of 'mug'"):
+        belief.decide(costs={"mug": 5})
+    with pytest.raises(ValueError, match="0 for the right name"):
+        belief.decide(costs={"mug": {"mug": 1.0}})
+
+
+def test_the_reason_speaks_of_costs_where_they_decide(recogniser):
+    model, _ = recogniser
+    belief = model.start({"ball": 0.9, "mug": 0.05, "pen": 0.05})
+    belief.update_sense("sight", [0.4, 0.0])
+    costs = {"mug": {"ball": 50.0}, "ball": {"mug": 0.0}, "pen": {"mug": 0.0}}
+    assert belief.reason(0.3).startswith("Decided for ball")
+    named = belief.reason(0.3, costs)
+    assert named.startswith("Decided for mug: its expected cost is 0.0")
+    dear = {a: {b: 9.0 for b in NAMES if b != a} for a in NAMES}
+    assert belief.reason(0.01, dear).startswith("Undecided: the least expected cost")
 
 
 def test_explanation_names_the_touch_that_decided(recogniser):

@@ -5,7 +5,12 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
-from palpate.recognition import ModelFileError, ObjectRecogniser, training_groups
+from palpate.recognition import (
+    ModelFileError,
+    ObjectRecogniser,
+    Trust,
+    training_groups,
+)
 
 NAMES = ("ball", "mug", "pen")
 
@@ -246,3 +251,67 @@ def test_only_named_sets_of_touches_are_learnt(recogniser):
         ObjectRecogniser().fit(np.zeros((4, 3, 24)))
     with pytest.raises(ValueError, match="text that is not empty"):
         recogniser.add_object("", np.zeros((3, 24)))
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([0.0, 1.0], r"shape \(n_touches, 3\), got \(1, 2\)"),
+        ([0.0, np.nan, 1.0], "for touch 0"),
+        ([[0.0, 0.0, 1.0], [-np.inf] * 3], "for touch 1"),
+        ([0.0, np.inf, 1.0], "for touch 0"),
+    ],
+)
+def test_likelihoods_that_are_none_are_refused(recogniser, rows, message):
+    belief = recogniser.start()
+    with pytest.raises(ValueError, match=message):
+        belief.update_from_log_likelihood(rows)
+    assert belief.touches_used == 0
+
+
+def test_touches_that_rule_out_every_object_in_turn_leave_a_belief(test_touches):
+    strict = ObjectRecogniser(floor=0).fit(test_touches)
+    belief = strict.start()
+    for out in range(3):
+        row = np.zeros(3)
+        row[out] = -np.inf
+        belief.update_from_log_likelihood(row)
+    assert belief.posterior == pytest.approx(dict.fromkeys(NAMES, 1 / 3))
+    assert 0 <= belief.unknown <= 1
+
+
+def test_objects_that_are_all_told_apart_keep_the_floor():
+    """Trust cannot grow beyond what one touch may say."""
+    rng = np.random.default_rng(0)
+    clean = ObjectRecogniser().fit(drawn(rng, noise=0.01))
+    assert clean.trust_.strength <= 1
+    belief = clean.start().update(drawn(rng, n_each=1, noise=0.01)[:1])
+    assert belief.doubt > 0.9 * clean.floor_ * 2 / 3
+
+
+HOSTILE = {
+    "pose": lambda model: setattr(model, "pose_", 7),
+    "preset": lambda model: setattr(model, "preset", "zzz"),
+    "strength": lambda model: setattr(model, "trust_", Trust(-np.inf, 0.1)),
+    "correlation": lambda model: setattr(model, "trust_", Trust(1.0, -3.0)),
+    "features": lambda model: model.features_.fill(np.nan),
+    "modalities": lambda model: setattr(model, "modalities_", [1]),
+    "unknown scale": lambda model: model.unknown_scale_.deviation.fill(np.nan),
+    "unexplained": lambda model: setattr(model, "unexplained_", np.zeros(2)),
+}
+
+
+@pytest.mark.parametrize("change", HOSTILE)
+def test_models_that_cannot_work_are_refused_when_read(tmp_path, test_touches, change):
+    model = ObjectRecogniser().fit(test_touches)
+    HOSTILE[change](model)
+    path = model.save(tmp_path / "m.palpate")
+    with pytest.raises(ModelFileError, match="damaged"):
+        ObjectRecogniser.load(path)
+
+
+def test_a_model_without_an_attribute_is_refused_when_read(tmp_path, test_touches):
+    model = ObjectRecogniser().fit(test_touches)
+    del model.pose_
+    with pytest.raises(ModelFileError, match="damaged"):
+        ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))

@@ -112,13 +112,14 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     seconds = {"learn": time.perf_counter() - start}
     progress(f"{fold.name}: recognising {len(test)} touches")
     felt, timing = _timed(recogniser, test)
-    novelty = recogniser.landmarks_.novelty(felt.features)
     labels = _test_labels(test, plan.label, recogniser)
     objects = _objects(test, labels)
     _check_lengths(objects, plan)
     learnt = (recogniser, felt.log_likelihood)
-    episodes = run_episodes(*learnt, objects, labels, plan.orders, plan.seed, novelty)
-    singles = single_touches(*learnt, episodes, objects, novelty)
+    episodes = run_episodes(
+        *learnt, objects, labels, plan.orders, plan.seed, felt.novelty
+    )
+    singles = single_touches(*learnt, episodes, objects, felt.novelty)
     trial = Trial(
         Fold(fold.name, train, test),
         *learnt,
@@ -191,11 +192,12 @@ def _meet_unknown(trial: Trial, unknown: Touches, plan: Plan) -> None:
             f"{str(known[0])!r}. Leave those out."
         )
     felt = recogniser.feel(unknown)
-    novelty = recogniser.landmarks_.novelty(felt.features)
     learnt = (recogniser, felt.log_likelihood)
-    episodes = run_episodes(*learnt, objects, None, plan.orders, plan.seed + 1, novelty)
+    episodes = run_episodes(
+        *learnt, objects, None, plan.orders, plan.seed + 1, felt.novelty
+    )
     trial.unknown_episodes = episodes
-    trial.unknown_singles = single_touches(*learnt, episodes, objects, novelty)
+    trial.unknown_singles = single_touches(*learnt, episodes, objects, felt.novelty)
 
 
 def _controls(

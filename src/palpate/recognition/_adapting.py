@@ -19,7 +19,7 @@ from ._contact import ContactCheck
 from ._presets import find_preset
 from ._recogniser import ObjectRecogniser
 from ._source import encoded
-from ._training import training_labels
+from ._training import named_labels
 
 
 def adapt(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecogniser:
@@ -55,15 +55,17 @@ def adapt(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecogniser:
     membranes than not doing so (docs/exploration.md).
     """
     new = as_touches(touches)
-    labels, objects = training_labels(new, recogniser.label)
+    labels = named_labels(new, recogniser.label)
+    objects = labels if new.object is None else new.object
     _refuse_unknown(labels, recogniser)
     result = deepcopy(recogniser)
     _find_disc(result.encoder_, new)
     result.contact_ = ContactCheck().fit(new, result.encoder_)
-    felt, nothing = encoded(result.encoder_, result.contact_, new)
+    felt, left, nothing = encoded(result.encoder_, result.contact_, new)
     group = np.full(len(new), result.stretches_.max() + 1)
     result.features_ = np.vstack([result.features_, felt])
     result.nothing_ = np.concatenate([result.nothing_, nothing])
+    result.unexplained_ = np.concatenate([result.unexplained_, left])
     result.labels_ = np.concatenate([result.labels_, labels])
     result.objects_ = np.concatenate([result.objects_, objects])
     result.stretches_ = np.concatenate([result.stretches_, group])

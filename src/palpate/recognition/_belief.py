@@ -38,7 +38,7 @@ class Belief:
         How little the touches look like those of any known object, between 0 and 1;
         one known episode in twenty scores above about 0.5. From the doubt, from how
         much less probable the touches make `best` than its own training touches
-        would, and from how far they are from all training touches.
+        would, and from how much of them the encoding leaves unexplained.
     touches_used : int
         Number of touches that entered so far, those without contact among them.
     marks : list of str
@@ -74,7 +74,10 @@ class Belief:
         """
         felt = self._recogniser.feel(as_touches(touch))
         return self.update_from_log_likelihood(
-            felt.log_likelihood, features=felt.features, marks=felt.marks
+            felt.log_likelihood,
+            features=felt.features,
+            marks=felt.marks,
+            novelty=felt.novelty,
         )
 
     def update_from_log_likelihood(
@@ -83,20 +86,21 @@ class Belief:
         *,
         features: NDArray | None = None,
         marks: list[str] | None = None,
+        novelty: NDArray | None = None,
     ) -> Belief:
         """Take in touches by their log-likelihoods, shape (n_touches, n_objects).
 
-        With `features` (n_touches, n_features) they can be explained later, and it
-        can be told how new they are.
+        With `features` (n_touches, n_features) they can be explained later; `marks` and
+        `novelty` (n_touches,) are as in `ObjectRecogniser.feel`.
         """
-        floored = with_floor(np.atleast_2d(log_likelihood), self._recogniser.floor_)
+        rows = _checked_rows(log_likelihood, len(self._recogniser.classes_))
+        floored = with_floor(rows, self._recogniser.floor_)
         n_touches = len(floored)
         if features is None:
             features = np.full((n_touches, self._features.shape[1]), np.nan)
+        if novelty is None:
             novelty = np.full(n_touches, np.nan)
-        else:
-            novelty = self._recogniser.landmarks_.novelty(np.atleast_2d(features))
-        self._novelty = np.concatenate([self._novelty, novelty])
+        self._novelty = np.concatenate([self._novelty, np.atleast_1d(novelty)])
         self._floored = np.vstack([self._floored, floored])
         self._features = np.vstack([self._features, np.atleast_2d(features)])
         self.marks += marks or [""] * n_touches
@@ -114,6 +118,11 @@ class Belief:
             One example or several.
         """
         senses = self._recogniser.modalities_
+        if not senses:
+            raise ValueError(
+                f"name must be a sense that was learnt, got {name!r} and none is. Call "
+                "learn_modality first."
+            )
         check_option("name", name, senses)
         classes = self._recogniser.classes_
         rows = senses[name].log_likelihood(np.atleast_2d(np.asarray(X)), classes)
@@ -220,17 +229,32 @@ class Belief:
     def _cost_table(self, costs: Costs) -> Floats:
         names = [str(name) for name in self._recogniser.classes_]
         table = 1.0 - np.eye(len(names))
+        if not isinstance(costs, Mapping):
+            raise TypeError(
+                "costs must map truths to what naming others costs, got "
+                f"{type(costs).__name__}. Write {{truth: {{named: cost}}}}."
+            )
         for truth, row in costs.items():
             check_option("costs", truth, names)
+            if not isinstance(row, Mapping):
+                raise TypeError(
+                    f"costs of {truth!r} must map what is named to a cost, got "
+                    f"{type(row).__name__}. Write {{{truth!r}: {{named: cost}}}}."
+                )
             for named, cost in row.items():
                 check_option("costs", named, names)
                 value = check_number("costs", cost, low=0)
+                if named == truth and value > 0:
+                    raise ValueError(
+                        f"costs must be 0 for the right name, got {value} for naming "
+                        f"{truth!r} rightly. Leave it out."
+                    )
                 table[names.index(truth), names.index(named)] = value
         return table
 
-    def reason(self, error: float = 0.01) -> str:
-        """Return one sentence that says why `decide(error)` answers as it does."""
-        decision = self.decide(error)
+    def reason(self, error: float = 0.01, costs: Costs | None = None) -> str:
+        """Return one sentence that says why `decide` answers as it does."""
+        decision = self.decide(error, costs)
         touches = f"{self.touches_used} touch{'es' * (self.touches_used != 1)}"
         sure = f"{self.best} has probability {1 - self.doubt:.4f} after {touches}"
         if decision is None and not self.looks_known():
@@ -238,6 +262,12 @@ class Belief:
                 f"Undecided: {sure}, but four in five known episodes fit better "
                 f"(unknown score {self.unknown:.3f}). Touch again."
             )
+        if costs is not None and decision != "unknown":
+            expected = np.exp(self._log_posterior) @ self._cost_table(costs)
+            least = f"{expected.min():.4f} after {touches}"
+            if decision is None:
+                return f"Undecided: the least expected cost is {least}, over {error:g}."
+            return f"Decided for {decision}: its expected cost is {least}."
         if decision is None:
             return f"Undecided: {sure}, less than {1 - error:g}."
         if decision != "unknown":
@@ -281,6 +311,22 @@ class Belief:
         shares = np.exp(self._log_posterior[order])
         listed = ", ".join(f"{n} {p:.2f}" for n, p in zip(names, shares, strict=True))
         return f"<Belief after {self.touches_used} touches: {listed}>"
+
+
+def _checked_rows(log_likelihood: ArrayLike, n_objects: int) -> Floats:
+    rows = np.atleast_2d(np.asarray(log_likelihood, dtype=np.float64))
+    if rows.ndim != 2 or rows.shape[1] != n_objects:
+        raise ValueError(
+            f"log_likelihood must have shape (n_touches, {n_objects}), got "
+            f"{rows.shape}. Its columns are the recogniser's classes_."
+        )
+    if np.isnan(rows).any() or not np.isfinite(rows.max(axis=1)).all():
+        bad = np.isnan(rows).any(axis=1) | ~np.isfinite(rows.max(axis=1))
+        raise ValueError(
+            "log_likelihood must hold a finite number and no NaN for every touch, got "
+            f"{rows[bad][0]} for touch {np.flatnonzero(bad)[0]}. Leave that touch out."
+        )
+    return rows
 
 
 def as_touches(touch: Touches | NDArray) -> Touches:

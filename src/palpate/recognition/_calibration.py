@@ -126,7 +126,7 @@ def fit_trust(
             losses.append(-last[np.arange(len(truth)), truth].mean())
         return float(np.mean(losses))
 
-    found = minimize(loss, x0=[0.0, -2.0], method="Nelder-Mead")
+    found = minimize(loss, x0=[-0.1, -2.0], method="Nelder-Mead")
     return _trust(found.x)
 
 
@@ -138,8 +138,12 @@ def _worst_for_none(log_likelihood: Floats) -> Floats:
 
 
 def _trust(raw: NDArray) -> Trust:
-    """Map two free numbers to a strength in (0.05, 5) and a correlation in (0, 1)."""
-    strength = float(np.exp(np.clip(raw[0], np.log(0.05), np.log(5))))
+    """Map two free numbers to a strength in [0.05, 1] and a correlation in (0, 1).
+
+    Posteriors of single touches are calibrated already, and no strength above 1 may
+    undo their floor: training touches that are all told apart would ask for any.
+    """
+    strength = float(np.exp(np.clip(raw[0], np.log(0.05), 0)))
     return Trust(strength, float(1 / (1 + np.exp(-np.clip(raw[1], -12, 12)))))
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, clone
 
+from ..encodings import PrincipalShare
 from ..images import DomeCrop, fill_dead_taxels
 from ..touches import Touches
 
@@ -45,7 +46,7 @@ class TouchEncoder(BaseEstimator):
 
     def fit_transform(self, touches: Touches) -> Floats:
         """Learn every step and return the features, (n_touches, n_features)."""
-        return self.fit_encode(self.fit_clean(touches))
+        return self.fit_encode(self.fit_clean(touches))[0]
 
     def fit_clean(self, touches: Touches) -> NDArray:
         """Learn the clean-up and return the cleaned images."""
@@ -60,13 +61,22 @@ class TouchEncoder(BaseEstimator):
             self.clean_up_.fit(images)
         return self.clean(touches)
 
-    def fit_encode(self, cleaned: NDArray) -> Floats:
-        """Learn the encodings of cleaned images and return their features."""
+    def fit_encode(
+        self, cleaned: NDArray, group: NDArray | None = None
+    ) -> tuple[Floats, Floats]:
+        """Learn the encodings of cleaned images; return features and `unexplained`.
+
+        What is unexplained is so with the touches of the same `group` left out of the
+        components (NaN without groups): new touches are never as close to them as
+        those they were learnt from.
+        """
         self.steps_ = [clone(step) for step in self.steps]
-        values = cleaned
+        values, left = cleaned, np.full(len(cleaned), np.nan)
         for step in self.steps_:
+            if isinstance(step, PrincipalShare) and group is not None:
+                left = step.left_out_unexplained(values, group)
             values = _in_blocks(step.fit(values), values)
-        return np.asarray(values, dtype=np.float64)
+        return np.asarray(values, dtype=np.float64), left
 
     def clean(self, touches: Touches) -> NDArray:
         """Return the images after the clean-up alone."""
@@ -75,10 +85,20 @@ class TouchEncoder(BaseEstimator):
 
     def encode(self, cleaned: NDArray) -> Floats:
         """Return the features of images that were cleaned already."""
-        values = cleaned
+        return self.encode_fully(cleaned)[0]
+
+    def encode_fully(self, cleaned: NDArray) -> tuple[Floats, Floats]:
+        """Return features, and how much of each touch principal components leave out.
+
+        The latter (n_touches,) in units of the training touches' variance; NaN where
+        no step is a `PrincipalShare`.
+        """
+        values, left = cleaned, np.full(len(cleaned), np.nan)
         for step in self.steps_:
-            values = _in_blocks(step, values)
-        return np.asarray(values, dtype=np.float64)
+            before, values = values, _in_blocks(step, values)
+            if isinstance(step, PrincipalShare):
+                left = step.unexplained(before, values)
+        return np.asarray(values, dtype=np.float64), left
 
     def transform(self, touches: Touches) -> Floats:
         """Return the features, shape (n_touches, n_features).

@@ -6,7 +6,6 @@ from sklearn.preprocessing import StandardScaler
 from .. import classifiers, encodings, images
 from ._contact import ContactCheck
 from ._encoder import TouchEncoder
-from ._landmarks import Landmarks
 from ._modality import Modality
 from ._sequence import Trust
 from ._unknown import UnknownScale
@@ -28,7 +27,6 @@ def _public_classes() -> dict[str, type]:
 KNOWN_CLASSES: dict[str, type] = {
     **_public_classes(),
     "ContactCheck": ContactCheck,
-    "Landmarks": Landmarks,
     "Modality": Modality,
     "PCA": PCA,
     "StandardScaler": StandardScaler,

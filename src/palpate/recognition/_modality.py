@@ -89,13 +89,16 @@ class Modality(BaseEstimator):
     def log_likelihood(self, X: ArrayLike, classes: NDArray) -> Floats:
         """Return log p(example | object) up to a constant, a column for each class.
 
-        With its floor. An object that it does not know gets the mean over those that
-        it knows, so that it is neither favoured nor ruled out.
+        With its floor. An object that it does not know gets the mean over those of
+        `classes` that it knows, so that it is neither favoured nor ruled out.
         """
         examples = check_array(X, dtype=np.float64)
         known = any_log_likelihood(self.classifier_, self.scaler_.transform(examples))
         floored = with_floor(known, self.floor)
-        mean = np.log(np.exp(floored).mean(axis=1, keepdims=True))
+        asked = np.isin(self.classes_, classes)
+        if not asked.any():
+            return np.zeros((len(examples), len(classes)))
+        mean = np.log(np.exp(floored[:, asked]).mean(axis=1, keepdims=True))
         result = np.repeat(mean, len(classes), axis=1)
         place = {str(name): k for k, name in enumerate(self.classes_)}
         for column, name in enumerate(classes):

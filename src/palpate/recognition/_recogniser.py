@@ -20,16 +20,15 @@ from ._calibration import (
 )
 from ._contact import NO_CONTACT, ContactCheck, consists_of_nothing
 from ._known import KNOWN_CLASSES
-from ._landmarks import Landmarks
 from ._model_file import ModelFileError, read_model, write_model
 from ._presets import Preset, find_preset
 from ._sequence import Felt, Floats, Trust, given_prior, with_floor
-from ._source import TouchSource, encoded, features_and_marks, learn_encoding
+from ._source import TouchSource, encoded, encoded_and_marked, learn_encoding
 from ._training import stretches, training_groups, training_labels
 from ._trial_touch import try_one_touch
 from ._unknown import UnknownScale
 
-KEPT = ("features_", "labels_", "objects_", "stretches_", "nothing_")
+KEPT = ("features_", "labels_", "objects_", "stretches_", "nothing_", "unexplained_")
 
 
 class ObjectRecogniser(BesideTouch, BaseEstimator):
@@ -62,14 +61,15 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
         Features -> log-likelihoods.
     features_, labels_, objects_, stretches_, nothing_ : ndarray of n_touches rows
         What is kept of the training touches.
+    unexplained_ : ndarray of shape (n_touches,)
+        How much of each training touch principal components that never met its
+        stretch leave out; NaN where the encoding has none.
     contact_ : ContactCheck
         Tells touches without contact.
     hears_nothing_ : bool
         Whether touches without contact are heard: where a label consists of them.
     trust_ : Trust
         How touches of one episode add up.
-    landmarks_ : Landmarks
-        Training touches that tell how new another touch is.
     unknown_scale_ : UnknownScale
         What episodes of known objects look like.
     floor_ : float
@@ -98,7 +98,6 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
     contact_: ContactCheck
     hears_nothing_: bool
     trust_: Trust
-    landmarks_: Landmarks
     unknown_scale_: UnknownScale
     floor_: float
     chosen_: dict[str, Any]
@@ -145,6 +144,7 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
         learnt = learn_encoding(preset, touches, labels, group, self.random_state)
         self.encoder_, self.contact_ = learnt.encoder, learnt.contact
         self.features_, self.nothing_ = learnt.features, learnt.nothing
+        self.unexplained_ = learnt.unexplained
         self.chosen_ = learnt.chosen
         self.labels_, self.objects_, self.stretches_ = labels, objects, group
         self.classifier_ = preset.classifier()
@@ -180,12 +180,13 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
             touches = as_touches(touches)
         if len(touches) < 2:
             raise ValueError(f"{name!r} must have at least 2 touches, got 1.")
-        features, nothing = encoded(self.encoder_, self.contact_, touches)
+        features, new, nothing = encoded(self.encoder_, self.contact_, touches)
         labels = np.full(len(touches), name)
         objects = labels if touches.object is None else touches.object
         group = stretches(labels, touches.order) + self.stretches_.max() + 1
         self.features_ = np.vstack([self.features_, features])
         self.nothing_ = np.concatenate([self.nothing_, nothing])
+        self.unexplained_ = np.concatenate([self.unexplained_, new])
         self.labels_ = np.concatenate([self.labels_, labels])
         self.objects_ = np.concatenate([self.objects_, objects])
         self.stretches_ = np.concatenate([self.stretches_, group])
@@ -245,13 +246,13 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
         return self.feel(touches).marks
 
     def feel(self, touches: Touches) -> Felt:
-        """Return all that touches tell: features, log-likelihoods and marks."""
+        """Return all that touches tell; see `Felt`."""
         self._check_fitted()
         given = as_touches(touches)
-        features, marks = features_and_marks(self.encoder_, self.contact_, given)
+        features, new, marks = encoded_and_marked(self.encoder_, self.contact_, given)
         nothing = np.array(marks) == NO_CONTACT
         heard = self._heard(self.feature_log_likelihood(features), nothing)
-        return Felt(features, heard, marks)
+        return Felt(features, heard, marks, new)
 
     def feature_log_likelihood(self, features: Floats) -> Floats:
         """Return log-likelihoods of features, of touches taken to be in contact."""
@@ -355,12 +356,9 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
             self.classifier_, self.features_, self.labels_, self.stretches_
         )
         floored = with_floor(self._heard(log_likelihood, self.nothing_), self.floor_)
-        self.landmarks_ = Landmarks.among(
-            self.features_, self.stretches_, self.nothing_ & ~self.hears_nothing_
-        )
         self.trust_, self.unknown_scale_ = calibrate(
             floored,
-            self.landmarks_.novelty(self.features_, self.stretches_),
+            self.unexplained_,
             np.searchsorted(self.classes_, self.labels_),
             draw_all(self.objects_, self.stretches_, self.random_state),
             self.log_prior(),

@@ -15,14 +15,21 @@ from scipy.special import log_softmax, logsumexp
 from .._checks import check_positive
 
 Floats = NDArray[np.float64]
+_LEAST_LOG_PRIOR = -27.7
+_RULED_OUT = -1e6
 
 
 class Felt(NamedTuple):
-    """What touches tell, one row a touch."""
+    """What touches tell, one row a touch.
+
+    `novelty` is how much of a touch the encoding leaves unexplained, NaN where it
+    cannot tell.
+    """
 
     features: Floats
     log_likelihood: Floats
     marks: list[str]
+    novelty: Floats
 
 
 @dataclass(frozen=True)
@@ -55,14 +62,25 @@ class Trust:
 def given_prior(prior: Mapping[str, float], classes: NDArray) -> Floats:
     """Return log probabilities in the order of `classes`, brought to sum 1."""
     names = [str(name) for name in classes]
-    if sorted(prior) != sorted(names):
-        missing = sorted(set(names) ^ set(prior))[0]
+    if not isinstance(prior, Mapping):
+        raise TypeError(
+            f"prior must map objects to probabilities, got {type(prior).__name__}."
+        )
+    if sorted(map(str, prior)) != sorted(names):
+        missing = sorted(set(names) ^ set(map(str, prior)))[0]
         raise ValueError(
             f"prior must name every object and no other, got a difference in "
             f"{missing!r}. The objects are {', '.join(names)}."
         )
-    shares = np.array([check_positive("prior", prior[name]) for name in names])
-    log_prior: Floats = np.log(shares / shares.sum())
+    given = {str(name): value for name, value in prior.items()}
+    logs = np.log([check_positive("prior", given[name]) for name in names])
+    log_prior: Floats = log_softmax(logs)
+    if log_prior.min() < _LEAST_LOG_PRIOR:
+        least = names[int(log_prior.argmin())]
+        raise ValueError(
+            f"prior must not all but rule an object out, got {given[least]} for "
+            f"{least!r}. Give it at least 1e-12 of the sum, or forget the object."
+        )
     return log_prior
 
 
@@ -76,7 +94,8 @@ def with_floor(log_likelihood: Floats, floor: float) -> Floats:
     """
     log_posterior: Floats = log_softmax(log_likelihood, axis=-1)
     if floor == 0:
-        return log_posterior
+        # Finite, so that touches that rule out all objects in turn leave a belief.
+        return np.maximum(log_posterior, _RULED_OUT)
     n_objects = log_likelihood.shape[-1]
     mixed: Floats = np.logaddexp(
         np.log1p(-floor) + log_posterior, np.log(floor / n_objects)

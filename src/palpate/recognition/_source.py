@@ -69,14 +69,16 @@ def shown_rows(labels: NDArray, n_shown: int = SHOWN) -> NDArray[np.intp]:
 class Learnt:
     """An encoding learnt from touches, and what it makes of them.
 
-    `chosen` are the reasons for it, `features` (n_touches, n_features) and `nothing`
-    (n_touches,) tell of all the touches, also where only some were shown to it.
+    `chosen` are the reasons for it; `features` (n_touches, n_features), `unexplained`
+    and `nothing` (n_touches,) tell of all the touches, also where only some were shown
+    to it.
     """
 
     encoder: TouchEncoder
     contact: ContactCheck
     chosen: dict[str, Any]
     features: Floats
+    unexplained: Floats
     nothing: NDArray[np.bool_]
 
 
@@ -97,41 +99,47 @@ def learn_encoding(
         cleaned = encoder.fit_clean(touches)
         contact = ContactCheck().fit(touches, encoder)
         nothing = contact.no_contact(touches, cleaned)
-        return Learnt(encoder, contact, chosen, encoder.fit_encode(cleaned), nothing)
+        both = encoder.fit_encode(cleaned, group)
+        return Learnt(encoder, contact, chosen, *both, nothing)
     rows = shown_rows(labels)
     shown = touches.touches(rows)
     encoder, chosen = choose_encoder(preset, shown, labels[rows], group[rows], seed)
-    contact = ContactCheck().fit(shown, encoder.fit(shown))
-    return Learnt(encoder, contact, chosen, *encoded(encoder, contact, touches))
+    left_out = encoder.fit_encode(encoder.fit_clean(shown), group[rows])[1]
+    contact = ContactCheck().fit(shown, encoder)
+    features, unexplained, nothing = encoded(encoder, contact, touches)
+    unexplained[rows] = left_out
+    return Learnt(encoder, contact, chosen, features, unexplained, nothing)
 
 
 def encoded(
     encoder: TouchEncoder, contact: ContactCheck, touches: Touches | TouchSource
-) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the features of all touches, and which of them show no contact."""
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Return features of all touches, what is unexplained, and where is no contact."""
 
     def encode(some: Touches) -> Floats:
-        features, marks = features_and_marks(encoder, contact, some)
-        return np.column_stack([features, np.array(marks) == NO_CONTACT])
+        features, unexplained, marks = encoded_and_marked(encoder, contact, some)
+        nothing = np.array(marks) == NO_CONTACT
+        return np.column_stack([features, unexplained, nothing])
 
     if isinstance(touches, Touches):
-        both = encode(touches)
+        table = encode(touches)
     else:
         known = KNOWN_CLASSES
         key = state_digest(encoder, known) + state_digest(contact, known)
-        both = touches.features(key, encode)
-    return np.ascontiguousarray(both[:, :-1]), both[:, -1] > 0
+        table = touches.features(key, encode)
+    return np.ascontiguousarray(table[:, :-2]), table[:, -2].copy(), table[:, -1] > 0
 
 
-def features_and_marks(
+def encoded_and_marked(
     encoder: TouchEncoder, contact: ContactCheck, touches: Touches
-) -> tuple[Floats, list[str]]:
-    """Clean once for both; so many at a time that memory stays bounded."""
-    features: list[Floats] = []
+) -> tuple[Floats, Floats, list[str]]:
+    """Clean once for all; so many at a time that memory stays bounded."""
+    parts: list[tuple[Floats, Floats]] = []
     marks: list[str] = []
     for start in range(0, len(touches), BLOCK):
         some = touches[start : start + BLOCK]
         cleaned = encoder.clean(some)
-        features.append(encoder.encode(cleaned))
+        parts.append(encoder.encode_fully(cleaned))
         marks += contact.marks(some, cleaned)
-    return np.concatenate(features), marks
+    features, unexplained = zip(*parts, strict=True)
+    return np.concatenate(features), np.concatenate(unexplained), marks

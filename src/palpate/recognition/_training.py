@@ -25,13 +25,7 @@ def training_labels(
     ValueError
         If labels are missing, fewer than two, or one has a single touch.
     """
-    labels = touches.object if label == "object" else touches.category
-    if labels is None:
-        raise ValueError(
-            f"touches must have a column {label!r} to learn from. Name "
-            "folders after objects, pass a name pattern, or add the column to the "
-            "archive."
-        )
+    labels = named_labels(touches, label)
     names, counts = np.unique(labels, return_counts=True)
     if len(names) < 2:
         raise ValueError(
@@ -45,6 +39,18 @@ def training_labels(
         )
     objects = labels if touches.object is None else touches.object
     return labels, objects
+
+
+def named_labels(touches: Touches | TouchSource, label: str) -> NDArray:
+    """Return the column `label`, "object" or "category", or say how to have one."""
+    labels = touches.object if label == "object" else touches.category
+    if labels is None:
+        raise ValueError(
+            f"touches must have a column {label!r} to learn from. Name "
+            "folders after objects, pass a name pattern, or add the column to the "
+            "archive."
+        )
+    return labels
 
 
 def training_groups(

@@ -1,9 +1,9 @@
 """How little an episode looks like any known object.
 
 Three things tell: the posterior is spread over objects (doubt), the touches give the
-best object less than its own touches do (misfit), and they are far from all that was
-learnt (novelty). An object never learnt may end in a sharp posterior, but hardly with
-touches that fit as those of the object itself; what resembles nothing is new.
+best object less than its own touches do (misfit), and the encoding, made for what was
+learnt, leaves much of them unexplained (novelty). An object never learnt may end in a
+sharp posterior, but hardly with touches that fit as those of the object itself.
 """
 
 from collections.abc import Mapping
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logsumexp
+from scipy.stats import norm
 
 from ._sequence import Floats, Trust, doubts, log_posteriors, told
 
@@ -22,17 +23,19 @@ REFUSED = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 _MOST_DOUBT = 20.0
 _LEAST_SPREAD = 0.02
 # Known episodes of clean touches are so alike that any other would stand out: the
-# doubt (nats), misfit (standard errors) and novelty (of the spread of all touches)
+# doubt (nats), misfit (standard errors) and novelty (of the variance of all touches)
 # count for no less than these deviations.
 _LEAST_DEVIATION = np.array([1.0, 0.5, 0.02])
 # Most unknown objects resemble known ones. Where touches are as new as in one episode
 # of six (a deviation) they are no sign yet, and beyond it novelty is told alone.
 _NO_SIGN = 1.0
-# Scores are 0.5 where one known episode in twenty would lie, were they normal; nothing
-# below is refused. Above the score of one in five, 0.17, nothing is named.
+# Scores are 0.5 where one known episode in twenty would lie, were they normal. Above
+# the score of one in five, 0.17, nothing is named.
 _ONE_IN_TWENTY = 1.645
-_LEAST_LIMIT = 0.5
 _ONE_IN_FIVE = 0.2
+# Strictest share that a limit is extrapolated to, and the laxest: 0.5 is no score to
+# refuse below.
+_RAREST, _OFTEN = 1e-3, 0.05
 _LEAST_NAMING_LIMIT = 0.17
 
 
@@ -78,7 +81,7 @@ class UnknownScale:
             The belief after each touch, and the touches' log-likelihoods from
             `with_floor`.
         novelty : ndarray of shape (..., n_touches), optional
-            How new each touch is, from `Landmarks.novelty`; NaN where not told.
+            How much of each touch is unexplained; NaN where not told.
 
         Returns
         -------
@@ -111,7 +114,7 @@ class UnknownScale:
     def refusal_threshold(self, n_touches: int, error: float) -> float:
         """Return the score above which "unknown" is said, asked after every touch."""
         level = float(np.interp(error, REFUSED, self.levels))
-        return max(self.threshold(n_touches, level), _LEAST_LIMIT)
+        return max(self.threshold(n_touches, level), _normal_score(level))
 
     def naming_threshold(self, n_touches: int) -> float:
         """Return the score above which no object is named: one known episode in five.
@@ -137,7 +140,7 @@ def fit_unknown_scale(
     floored : ndarray of shape (n_touches, n_objects)
         Log-likelihoods of training touches, each with its stretch left out.
     novelty : ndarray of shape (n_touches,)
-        How new they are, with their stretch left out.
+        How much of them is unexplained, with their stretch left out; may be NaN.
     codes : ndarray of int, shape (n_touches,)
         Column of each touch's own object.
     episodes : mapping of int to ndarray
@@ -204,7 +207,8 @@ def refusal_levels(
         level = 0.0
         for candidate in np.geomspace(1e-3, 0.5, 28):
             row = [np.interp(candidate, REFUSED, at_length) for at_length in limits]
-            limit = np.maximum(np.interp(touches, lengths, row), _LEAST_LIMIT)
+            seen = np.interp(touches, lengths, row)
+            limit = np.maximum(seen, _normal_score(candidate))
             refused = scores > limit
             ended = refused | (fits & (doubt <= share))
             first = ended.argmax(axis=1)
@@ -214,6 +218,15 @@ def refusal_levels(
             level = float(candidate)
         chosen.append(level)
     return np.array(chosen)
+
+
+def _normal_score(share: float) -> float:
+    """Score that a share of known episodes would exceed, were they normal.
+
+    A limit is never lower: few training touches have not shown the rare ones yet.
+    """
+    rare = min(max(share, _RAREST), _OFTEN)
+    return float(expit(2 * (norm.isf(rare) - _ONE_IN_TWENTY)))
 
 
 def _naming_limits(limits: Floats) -> Floats:
