@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.exploration import explore_to_learn, read_episode
+from palpate.exploration import FAULTS, explore_to_learn, read_episode
 from palpate.recognition import ObjectRecogniser
 from palpate.simulation import DomeCamera, find_object
 
@@ -83,6 +83,42 @@ def test_the_belief_is_drawn_and_faults_are_told(palpate, model, tmp_path):
     assert outcomes[:2] == ["touched", "force sensor"]
 
 
+def test_marks_faults_and_what_moved_the_belief_are_told(palpate, model):
+    done = palpate(
+        "explore", "recognise", model, "box", "--error", 1e-6, "--max-touches", 4,
+        "--fault", "0=no frame", "--fault", "2=out of reach", "--json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    outcomes = [attempt["outcome"] for attempt in told["attempts"]]
+    assert outcomes == ["no frame", "touched", "nothing", "touched"]
+    marks = [attempt["mark"] for attempt in told["attempts"]]
+    assert [mark is None for mark in marks] == [True, False, True, False]
+    assert {moved["attempt"] for moved in told["explanation"]} == {1, 3}
+    for moved in told["explanation"]:
+        assert moved["mark"] == marks[moved["attempt"]]
+        assert {near["object"] for near in moved["nearest"]} <= {"ball", "box", "pen"}
+
+
+def test_every_fault_is_in_the_help(palpate):
+    shown = palpate("explore", "recognise", "--help").stdout
+    words = " ".join(shown.replace("│", " ").split())
+    assert all(fault in words for fault in FAULTS)
+
+
+def test_fewer_touches_than_a_folder_holds(palpate, tmp_path):
+    for touches in (4, 2):
+        done = palpate(
+            "explore", "learn", "pen", "ball", "--touches", touches, "--sessions", 1,
+            "--rows", 32, "--workers", 1, "--folder", "kept", "-o", "m.palpate",
+            cwd=tmp_path,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        assert f"Explored 2 objects with {2 * touches} touches." in done.stdout
+        assert len(Touches.load(tmp_path / "m.npz")) == 2 * touches
+    assert len(read_episode(tmp_path / "kept" / "pen" / "0")) >= 4
+
+
 def test_an_episode_goes_on_in_its_folder(palpate, model, tmp_path):
     def run(most, *more):
         return palpate(
@@ -144,6 +180,23 @@ def test_killed_while_learning_nothing_recorded_is_lost(tmp_path):
     [
         (["learn", "pen", "-o", "n.palpate"], "at least 2 objects"),
         (["learn", "pen", "spoon", "-o", "n.palpate"], "got 'spoon'"),
+        (["learn", "pen", "pen", "-o", "n.palpate"], "'pen' as 'pen' and 'pen'"),
+        (["learn", "pen", "ball", "-o", "n.palpate", "--workers", "0"], "cores, got 0"),
+        (["learn", "pen", "ball", "-o", "n.palpate", "--seed", "-1"], "--seed must be"),
+        (
+            ["learn", "pen", "ball", "-o", "n.palpate", "--rows", "100000"],
+            "fewer rows and columns (--rows, --cols)",
+        ),
+        (
+            ["learn", "pen", "ball", "-o", "n.palpate", "--folder", "m.npz"],
+            "got the file 'm.npz'. Use another folder",
+        ),
+        (
+            ["recognise", "m.palpate", "ball", "--folder", "m.npz"],
+            "got the file 'm.npz'. Use another folder",
+        ),
+        (["recognise", "m.palpate", "ball", "--seed", "-1"], "got -1. Give another"),
+        (["recognise", "m.palpate", "gone.stl"], "got no file 'gone.stl'"),
         (["learn", "pen", "nothing", "-o", "n.palpate"], "Only 0 of 1 touches"),
         (["learn", "pen", "ball", "-o", "n.txt"], "must end in .palpate"),
         (["recognise", "m.palpate", "household"], "got the set 'household'"),
@@ -157,11 +210,11 @@ def test_killed_while_learning_nothing_recorded_is_lost(tmp_path):
 )
 def test_refusals(palpate, model, tmp_path, arguments, message):
     few = (
-        ["--workers", "1", "--rows", "24", "--touches", "3"]
+        ["learn", "--workers", "1", "--rows", "24", "--touches", "3"]
         if arguments[0] == "learn"
-        else []
+        else ["recognise"]
     )
-    done = palpate("explore", *arguments, *few, cwd=tmp_path)
+    done = palpate("explore", *few, *arguments[1:], cwd=tmp_path)
     assert done.returncode == 1
     assert message in done.stderr
     assert "Traceback" not in done.stderr

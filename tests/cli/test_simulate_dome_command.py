@@ -53,13 +53,40 @@ def test_same_seed_same_touches(simulate, tmp_path):
     assert np.array_equal(first.images, second.images)
 
 
+def test_inches_are_read_as_the_help_says(simulate, tmp_path):
+    import trimesh
+
+    from palpate.cli.simulate_dome import find_objects
+
+    assert "mm, cm, m or in" in simulate("dome", "--help", cwd=tmp_path).stdout
+    trimesh.creation.box((1, 2, 3)).export(tmp_path / "brick.stl")
+    (brick,) = find_objects([str(tmp_path / "brick.stl")], "in")
+    assert np.allclose(brick.size_mm, [25.4, 50.8, 76.2])
+
+
+def test_a_mesh_of_a_known_name_is_refused(simulate, tmp_path):
+    import trimesh
+
+    trimesh.creation.box((30, 40, 50)).export(tmp_path / "mug.stl")
+    done = simulate("dome", "mug", "mug.stl", "-o", "o.npz", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "got 'mug' as 'mug' and 'mug.stl'. Leave one out" in done.stderr
+    assert not (tmp_path / "o.npz").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["dome", "-o", "t.npz", "spoon"], "got 'spoon'"),
         (["dome", "-o", "t.txt"], "must end in .npz"),
         (["dome", "-o", "gone/t.npz"], "no folder gone"),
-        (["dome", "-o", "t.npz", "gone.stl"], "gone.stl"),
+        (["dome", "-o", "t.npz", "gone.stl"], "got no file 'gone.stl'. Check its name"),
+        (["dome", "-o", "t.npz", "mug", "mug"], "got 'mug' as 'mug' and 'mug'"),
+        (["pins", "-o", "t.npz", "household", "mug"], "'mug' as 'household' and 'mug'"),
+        (["dome", "-o", "t.npz", "--workers", "0"], "all cores, got 0."),
+        (["pins", "-o", "t.npz", "--workers", "-2"], "all cores, got -2."),
+        (["dome", "-o", "t.npz", "--rows", "100000"], "100000 x 120. Take fewer rows"),
+        (["pins", "-o", "t.npz", "--seed", "4294967296"], "4294967295, got 4294967296"),
         (["dome", "-o", "t.npz", "mug", "edge"], "archives of their own"),
         (["dome", "-o", "t.npz", "mug", "--force", "-1"], "force_n must be positive"),
         (["pins", "-o", "t.npz", "mug", "--touches", "0"], "at least 1, got 0"),

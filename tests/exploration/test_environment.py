@@ -115,6 +115,58 @@ def test_an_unknown_object_is_refused(env):
         env.reset(options={"object": "anvil"})
 
 
+@pytest.mark.parametrize(
+    ("part", "value"),
+    [
+        ("prediction", [0, np.nan, 0]),
+        ("prediction", [np.inf, 0, 0]),
+        ("prediction", [0, -np.inf, 0]),
+        ("prediction", [0, 0]),
+        ("prediction", [[0, 0, 0]]),
+        ("action", [0, 1]),
+        ("action", [0, np.nan, 1]),
+    ],
+)
+def test_what_is_no_action_is_refused_and_the_episode_goes_on(env, part, value):
+    env.reset(seed=1)
+    count = "3 finite numbers"
+    action = {**_act([0, 0, 1], [0, 0, 0]), part: np.asarray(value, np.float32)}
+    with pytest.raises(ValueError, match=f"{part} must be {count}, got .*Mask or clip"):
+        env.unwrapped.step(action)
+    assert env.unwrapped.history == []
+    _, reward, *_ = env.unwrapped.step(_act([0, 0, 1], [0, 0, 0]))
+    assert reward == pytest.approx(-np.log(3))
+
+
+def test_the_wildest_finite_prediction_has_a_finite_reward(env):
+    env.reset(seed=1, options={"object": "box"})
+    most = np.finfo(np.float32).max
+    _, reward, *_ = env.step(_act([0, 0, 1], [most, -most, 0]))
+    assert reward == pytest.approx(-2 * float(most))
+
+
+def test_half_an_action_is_refused(env):
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match=r"must hold 'action' and .*got \['action'\]"):
+        env.unwrapped.step({"action": np.zeros(3)})
+
+
+def test_steps_outside_an_episode_are_refused(env):
+    step = env.unwrapped.step, _act([0, 0, 1], [0, 0, 0])
+    with pytest.raises(gymnasium.error.ResetNeeded, match="Call reset first"):
+        step[0](step[1])
+    env.reset(seed=1)
+    for _ in range(4):
+        step[0](step[1])
+    with pytest.raises(gymnasium.error.ResetNeeded, match=r"of 4 touches.*got step 5"):
+        step[0](step[1])
+
+
+def test_two_objects_of_one_name_are_refused():
+    with pytest.raises(ValueError, match="names of their own, got 'mug' twice"):
+        gymnasium.make(NAME, objects=["mug", "mug"])
+
+
 def test_without_gymnasium_the_refusal_names_the_extra():
     program = (
         "import sys; sys.modules['gymnasium'] = None\n"

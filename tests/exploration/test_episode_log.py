@@ -95,6 +95,17 @@ def test_a_folder_of_other_things_is_refused(tmp_path):
     assert (tmp_path / "thesis.txt").read_text() == "mine"
 
 
+@pytest.mark.parametrize("below", [(), ("mug", "0")])
+def test_a_file_is_no_folder(tmp_path, below):
+    (tmp_path / "kept").write_text("mine")
+    with (
+        pytest.raises(EpisodeError, match=r"must be a folder.*got the file '.*kept'"),
+        EpisodeLog(tmp_path.joinpath("kept", *below)),
+    ):
+        pass
+    assert (tmp_path / "kept").read_text() == "mine"
+
+
 def test_no_episode_a_gap_and_damage_are_named(tmp_path):
     with pytest.raises(EpisodeError, match="must be the folder of an episode"):
         read_episode(tmp_path)

@@ -163,18 +163,96 @@ def test_another_strategy_does_not_go_on(arm, sensor, tmp_path):
         explore(arm, sensor, SlowlySure(1), RandomHemisphere(random_state=2), tmp_path)
 
 
-def test_what_breaks_the_recogniser_loses_no_touch(arm, sensor, tmp_path):
-    class Chokes(SlowlySure):
+class Chokes(SlowlySure):
+    """Refuses frames whose corner is above 0.3; sure after two others."""
+
+    def start(self):
+        return Chokes(2)
+
+    def update(self, touches):
+        if touches.images[0, 0, 0] > 0.3:
+            raise ValueError("too bright")
+        super().update(touches)
+
+
+def test_what_the_recogniser_cannot_take_is_no_frame_and_it_goes_on(
+    arm, sensor, tmp_path
+):
+    end = explore(arm, sensor, Chokes(), Raster(NEAR), tmp_path, max_faults=20)
+    bright = [record.image[0, 0] > 0.3 for record in end.history]
+    assert [record.outcome == "no frame" for record in end.history] == bright
+    assert any(bright)
+    assert (end.decision, end.n_touches) == ("ball", 2)
+    fault = end.history[bright.index(True)]
+    assert "cannot take this frame: ValueError: too bright" in fault.message
+    # On the disk as told, with the frame that was refused.
+    for one, two in zip(read_episode(tmp_path), end.history, strict=True):
+        assert one.as_plain() == two.as_plain()
+        assert np.array_equal(one.image, two.image)
+
+
+def test_a_recogniser_that_takes_nothing_ends_as_faults(arm, sensor, tmp_path):
+    class Broken(SlowlySure):
         def start(self):
-            return Chokes()
+            return Broken()
 
         def update(self, touches):
-            raise ValueError("NaN")
+            raise ZeroDivisionError("bug")
 
-    with pytest.raises(ValueError, match="NaN"):
-        explore(arm, sensor, Chokes(), STRATEGY, tmp_path)
-    assert len(read_episode(tmp_path)) == 1
+    for n_attempts in (3, 6):
+        end = explore(arm, sensor, Broken(), STRATEGY, tmp_path)
+        assert (end.ended_by, len(end.history)) == ("faults", n_attempts)
+        assert "ZeroDivisionError: bug" in end.reason
     assert_allclose(np.linalg.norm(arm.pose.position_mm), 100)
+
+
+def test_interrupted_while_the_belief_is_updated_no_touch_is_lost(
+    arm, sensor, tmp_path
+):
+    class Interrupted(SlowlySure):
+        def start(self):
+            return Interrupted()
+
+        def update(self, touches):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        explore(arm, sensor, Interrupted(), STRATEGY, tmp_path)
+    assert [record.outcome for record in read_episode(tmp_path)] == ["touched"]
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, "size"])
+def test_after_bad_frames_an_episode_goes_on(world, tmp_path, bad):
+    def run(sensor, recogniser):
+        strategy = RandomHemisphere(NEAR, 1)
+        return explore(sensor.arm, sensor, recogniser, strategy, tmp_path)
+
+    recogniser, sensor = _knows_the_ball(world), world.BallSensor(world.BallArm())
+    if bad == "size":
+        sensor.image_shape, sensor.read = (5, 4), lambda: np.ones((5, 4))
+    else:
+        sensor.read = lambda: np.full((3, 3), bad)
+    end = run(sensor, recogniser)
+    assert (end.ended_by, end.n_touches) == ("faults", 0)
+    outcomes = [record.outcome for record in read_episode(tmp_path)]
+    assert outcomes == ["no frame"] * 3
+    end = run(world.BallSensor(world.BallArm()), recogniser)
+    assert end.decision == "ball"
+    assert len(end.history) == 3 + end.n_touches == 3 + end.belief.touches_used
+
+
+def test_touches_recorded_for_another_recogniser_do_not_stop_it(world, tmp_path):
+    sensor = world.BallSensor(world.BallArm())
+    sensor.image_shape, sensor.read = (5, 4), lambda: np.ones((5, 4))
+    explore(sensor.arm, sensor, SlowlySure(2), STRATEGY, tmp_path)
+    sensor = world.BallSensor(world.BallArm())
+    end = explore(sensor.arm, sensor, _knows_the_ball(world), STRATEGY, tmp_path)
+    assert end.decision == "ball"
+    assert [record.outcome for record in end.history[:2]] == ["no frame"] * 2
+    assert "5 x 4" in end.history[0].message
+    # What was written stays as it was.
+    kept = read_episode(tmp_path)[:2]
+    assert [record.outcome for record in kept] == ["touched"] * 2
 
 
 def test_each_attempt_is_told(arm, sensor):
@@ -191,15 +269,51 @@ def test_each_attempt_is_told(arm, sensor):
     assert [record for record, _ in told] == end.history
 
 
-def test_a_real_recogniser_decides(world):
-    arm = world.BallArm()
-    sensor = world.BallSensor(arm)
-    taught = gather(arm, sensor, RandomHemisphere(NEAR, 2), n_touches=40)
+def _knows_the_ball(world):
+    sensor = world.BallSensor(world.BallArm())
+    way = RandomHemisphere(NEAR, 2)
+    taught = gather(sensor.arm, sensor, way, n_touches=40)
     ball = as_touches(taught, object="ball", geometry="none").images
     images = np.concatenate([ball, ball + np.eye(3)])
     names = ["ball"] * 40 + ["cube"] * 40
-    recogniser = ObjectRecogniser().fit(Touches(images, object=names, geometry="none"))
-    end = explore(arm, sensor, recogniser, STRATEGY, max_attempts=20)
+    return ObjectRecogniser().fit(Touches(images, object=names, geometry="none"))
+
+
+def test_a_real_recogniser_decides(world):
+    sensor = world.BallSensor(world.BallArm())
+    recogniser = _knows_the_ball(world)
+    end = explore(sensor.arm, sensor, recogniser, STRATEGY, max_attempts=20)
     assert end.decision == "ball"
     assert end.belief.touches_used == end.n_touches
     assert end.belief.best == "ball"
+
+
+def test_a_folder_that_holds_more_touches_gives_those_that_were_asked_for(
+    world, tmp_path
+):
+    def run(n_touches, folder=tmp_path, size=None):
+        sensor = world.BallSensor(world.BallArm(radius_mm=40.0))
+        if size is not None:
+            sensor.image_shape = size
+        return gather(sensor.arm, sensor, STRATEGY, folder, n_touches=n_touches)
+
+    more, fewer, anew = run(7), run(4), run(4, None)
+    assert len(more) == 7
+    for one, two in zip(fewer, anew, strict=True):
+        assert one.position_mm == two.position_mm
+    assert len(read_episode(tmp_path)) == 7
+    with pytest.raises(EpisodeError, match=r"of 5 x 4 taxels.*got \(3, 3\) in att"):
+        run(9, size=(5, 4))
+
+
+def test_attempts_after_the_last_touch_that_is_wanted_are_left_out(world, tmp_path):
+    arm = world.BallArm()
+    sensor, plain = world.BallSensor(arm), arm.read_force
+    gather(arm, sensor, STRATEGY, tmp_path, n_touches=2)
+    arm.read_force = lambda: np.nan
+    with pytest.raises(RobotError):
+        gather(arm, sensor, STRATEGY, tmp_path, n_touches=3)
+    arm.read_force = plain
+    assert len(gather(arm, sensor, STRATEGY, tmp_path, n_touches=2)) == 2
+    kept = gather(arm, sensor, STRATEGY, tmp_path, n_touches=3)
+    assert [record.touched for record in kept] == [True] * 2 + [False] * 3 + [True]

@@ -143,6 +143,8 @@ def test_a_slow_arm_times_out_and_comes_back(arm, sensor):
         pytest.param(SensorError("Nothing for 2 s."), id="missing"),
         pytest.param(np.zeros((4, 3)), id="wrong size"),
         pytest.param(None, id="None"),
+        pytest.param(np.full((3, 3), np.nan), id="NaN alone"),
+        pytest.param(np.diag([0.0, np.inf, 0.0]), id="infinity"),
     ],
 )
 def test_a_missing_or_strange_frame_is_a_fault(arm, sensor, monkeypatch, frame):
@@ -157,6 +159,13 @@ def test_a_missing_or_strange_frame_is_a_fault(arm, sensor, monkeypatch, frame):
     assert record.image is None
     assert record.force_n >= 0.735
     assert_allclose(arm.pose.position_mm, START.position_mm, atol=1e-9)
+
+
+def test_dead_taxels_are_no_fault(arm, sensor, monkeypatch):
+    monkeypatch.setattr(sensor, "read", lambda: np.diag([1.0, np.nan, 1.0]))
+    record = guarded_touch(arm, sensor, START)
+    assert record.outcome == "touched"
+    assert np.isnan(record.image).sum() == 1
 
 
 @pytest.mark.parametrize("error", [RobotError, OSError, ZeroDivisionError])

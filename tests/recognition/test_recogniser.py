@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from joblib import parallel_config
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
@@ -315,3 +316,16 @@ def test_a_model_without_an_attribute_is_refused_when_read(tmp_path, test_touche
     del model.pose_
     with pytest.raises(ModelFileError, match="damaged"):
         ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+
+
+def test_many_touches_are_felt_in_shards_as_all_at_once(monkeypatch, test_touches):
+    learnt = ObjectRecogniser().fit(test_touches)
+    whole = learnt.feel(test_touches)
+    monkeypatch.setattr("palpate.recognition._recogniser.SHARD", 5)
+    # Products of 5 rows and of 18 round differently in the last digit.
+    with parallel_config("threading", n_jobs=2):
+        shards = learnt.feel(test_touches)
+    assert_allclose(shards.features, whole.features, rtol=1e-12, atol=1e-12)
+    assert_allclose(shards.log_likelihood, whole.log_likelihood, rtol=1e-10)
+    assert shards.marks == whole.marks
+    assert_array_equal(np.isnan(shards.novelty), np.isnan(whole.novelty))

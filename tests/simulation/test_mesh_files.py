@@ -46,7 +46,9 @@ def test_text_stl(saved, block, tmp_path):
     assert_allclose(load_mesh(path).size_mm, [40, 30, 20], atol=1e-4)
 
 
-@pytest.mark.parametrize(("unit", "mm"), [("mm", 1), ("cm", 10), ("inch", 25.4)])
+@pytest.mark.parametrize(
+    ("unit", "mm"), [("mm", 1), ("cm", 10), ("in", 25.4), ("inch", 25.4)]
+)
 def test_units(saved, unit, mm):
     size = load_mesh(saved("b.ply"), unit=unit).size_mm
     assert_allclose(size, np.array([40, 30, 20]) * mm, rtol=1e-5)
@@ -150,10 +152,13 @@ def test_other_suffix_and_unit_are_refused(saved, tmp_path):
     (tmp_path / "b.glb").write_bytes(b"")
     with pytest.raises(MeshError, match=r"\.stl, \.obj, \.ply, got 'b\.glb'"):
         load_mesh(tmp_path / "b.glb")
-    with pytest.raises(ValueError, match="unit must be one of 'mm', 'cm', 'm', 'inch'"):
+    with pytest.raises(ValueError, match="unit must be one of 'mm', 'cm', 'm', 'in'"):
         load_mesh(saved("b.ply"), unit="yard")
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(FileNotFoundError, match=r"no file '.*missing\.stl'\. Check"):
         load_mesh(tmp_path / "missing.stl")
+    (tmp_path / "folder.stl").mkdir()
+    with pytest.raises(FileNotFoundError, match=r"got no file '.*folder\.stl'"):
+        load_mesh(tmp_path / "folder.stl")
 
 
 def test_nothing_else_is_opened(saved, block, monkeypatch, tmp_path):

@@ -302,6 +302,10 @@ def test_a_device_can_be_sent_to_another_process():
         ({"rows": 1}, "rows must be at least 2, got 1"),
         ({"pitch_mm": 0}, "pitch_mm must be positive and finite, got 0"),
         ({"pitch_mm": -2.0}, "pitch_mm must be positive"),
+        ({"pitch_mm": 100.0}, r"at most 2000 steps.*got 100 for 10 .*--pitch"),
+        ({"pitch_mm": 1e308, "sensing_mm": 1}, "at most 2000 steps"),
+        ({"grid_mm": 1e-6}, "at most 2000 steps.*or raise grid_mm"),
+        ({"cols": 100000}, r"for 100000 taxels.*--rows, --cols"),
         ({"cover_mm": 0}, "cover_mm must be positive"),
         ({"sensing_mm": 2.5}, r"at most pitch_mm \(2.0\), got 2.5"),
         ({"noise_kpa": -1}, "noise_kpa must be finite and between 0"),
@@ -311,6 +315,12 @@ def test_a_device_can_be_sent_to_another_process():
 def test_impossible_arrays_are_refused(kwargs, message):
     with pytest.raises(ValueError, match=message):
         PressureArray(**kwargs)
+
+
+def test_a_coarse_array_takes_a_coarse_grid():
+    coarse = PressureArray(4, 4, pitch_mm=50.0, grid_mm=0.5)
+    assert coarse.cells_per_pitch == 100
+    assert coarse.press(DISC, 25.0, 25.0, random_state=0).max() > 0
 
 
 @pytest.mark.parametrize(

@@ -95,6 +95,7 @@ def test_processes_give_the_same_touches(tmp_path):
     [
         ({"objects": []}, ValueError, "at least one object"),
         ({"objects": ["spoon"]}, ValueError, "name must be one of stapler"),
+        ({"objects": ["pen", "box", "pen"]}, ValueError, "got 'pen' twice"),
         ({"objects": [3]}, TypeError, "SimObject or names, got int"),
         ({"n_touches": 0}, ValueError, "n_touches must be at least 1"),
         ({"strategy": "below"}, ValueError, "strategy must be one of 'hemisphere'"),

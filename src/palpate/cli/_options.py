@@ -21,10 +21,26 @@ TouchesPath = Annotated[
 ModelPath = Annotated[
     Path, typer.Argument(metavar="MODEL", help="A model file (.palpate).")
 ]
+MOST_SEED = 2**32 - 1
+
+
+def checked_seed(seed: int) -> int:
+    """Return a seed that every generator takes, or say what --seed should be."""
+    if not 0 <= seed <= MOST_SEED:
+        raise ValueError(
+            f"--seed must be between 0 and {MOST_SEED}, got {seed}. "
+            "Give another number."
+        )
+    return seed
+
+
 AsJson = Annotated[
     bool, typer.Option("--json", help="Print one JSON object and nothing else.")
 ]
-Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
+Seed = Annotated[
+    int,
+    typer.Option("--seed", help="Seed of everything random.", callback=checked_seed),
+]
 Preset = Annotated[
     str, typer.Option("--preset", help='"default", "corradi2015" or "liu2014".')
 ]

@@ -8,11 +8,19 @@ import typer
 
 from ._options import AsJson, ModelPath, Preset, Seed
 from ._output import belief_line, print_json
-from .simulate_dome import Objects, Rows, Unit, Workers, find_objects
+from .simulate import Workers
+from .simulate_dome import Objects, Rows, Unit, find_objects
 
 if TYPE_CHECKING:
-    from ..exploration import Exploration, Stand, Strategy, TouchMap, TouchRecord
-    from ..recognition import ObjectRecogniser
+    from ..exploration import (
+        Exploration,
+        PlacedBelief,
+        Stand,
+        Strategy,
+        TouchMap,
+        TouchRecord,
+    )
+    from ..recognition import Belief, ObjectRecogniser
     from ..simulation import SimObject
 
 STRATEGIES = ("informative", "random", "raster")
@@ -128,7 +136,9 @@ def recognise(
         list[str] | None,
         typer.Option(
             "--fault",
-            help="Let the arm fail, as '2=no force': in attempt 2. Repeatable.",
+            help="Let something fail, as '2=no force': in attempt 2, counted from 0. "
+            "Repeatable. stuck force, stuck force in contact, no force, overshoot, "
+            "driver error, slow, retract error, arm stuck, no frame, out of reach.",
         ),
     ] = None,
     unit: Unit = "mm",
@@ -216,6 +226,7 @@ def told(knower: "ObjectRecogniser | TouchMap", end: "Exploration") -> dict[str,
                 "direction": record.direction.tolist(),
                 "force_n": record.force_n,
                 "retracted": record.retracted,
+                "mark": belief.marks[-1] if record.touched else None,
                 "posterior": belief.posterior,
                 "unknown": belief.unknown,
             }
@@ -224,10 +235,21 @@ def told(knower: "ObjectRecogniser | TouchMap", end: "Exploration") -> dict[str,
         "decision": end.decision,
         "ended_by": end.ended_by,
         "reasons": [end.reason],
+        "explanation": _explanation(belief, end.history),
         "touches_used": end.n_touches,
         "n_attempts": len(end.history),
         "attempts": attempts,
     }
+
+
+def _explanation(
+    belief: "Belief | PlacedBelief", history: "Sequence[TouchRecord]"
+) -> list[dict[str, Any]]:
+    """Return what moved the belief, with the number of the attempt of each touch."""
+    touched = [number for number, record in enumerate(history) if record.touched]
+    return [
+        {**moved, "attempt": touched[moved["touch"] - 1]} for moved in belief.explain()
+    ]
 
 
 def _touch_map(

@@ -1,5 +1,6 @@
 """`palpate recognise`: model and touches -> a belief after each touch."""
 
+from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -17,6 +18,7 @@ from ._options import (
     read_touches,
 )
 from ._output import belief_line, print_json
+from ._workers import Cluster, Workers, working
 
 if TYPE_CHECKING:
     from ..recognition import ObjectRecogniser
@@ -38,13 +40,15 @@ def recognise(
     no_contact: NoContact = None,
     calibration: Calibration = None,
     max_megapixels: MaxMegapixels = 50,
+    workers: Workers = None,
+    cluster: Cluster = None,
     as_json: AsJson = False,
 ) -> None:
     """Recognise touch by touch: one episode per object (and session) of TOUCHES."""
     from ..recognition import ObjectRecogniser
     from ._stages import Stages
 
-    with Stages() as stage:
+    with Stages() as stage, working(workers, cluster):
         stage(f"reading {model}")
         recogniser = ObjectRecogniser.load(model)
         stage(f"reading {touches}")
@@ -70,11 +74,7 @@ def recognise_episodes(
         beliefs: list[dict[str, Any]] = []
         decision, used, reasons = None, len(rows), []
         for number, row in enumerate(rows, start=1):
-            belief.update_from_log_likelihood(
-                felt.log_likelihood[row],
-                features=felt.features[row],
-                marks=[felt.marks[row]],
-            )
+            belief.update_felt(felt.one(row))
             beliefs.append(
                 {
                     "touch": number,
@@ -106,8 +106,9 @@ def press_pose(
 ) -> dict[str, Any] | None:
     """Return where a press lies and how it is turned, if it is `label`.
 
-    Angles are in degrees from 0 to 360 / symmetry; None where the label has been
-    added after poses were learnt.
+    Angles are in degrees from 0 to 360 / symmetry. An uncertainty that is not finite,
+    as that of an angle whose symmetry is unknown, becomes null in JSON. None where the
+    label has been added after poses were learnt.
     """
     if recogniser.pose_ is None or label not in recogniser.pose_.labels_:
         return None
@@ -133,6 +134,8 @@ def _pose_line(pose: dict[str, Any]) -> str:
     place = f"at x {pose['x_mm']:.1f}, y {pose['y_mm']:.1f} mm (± {pose['sd_mm']:.1f})"
     if pose["symmetry"] == 0:
         return f"{place}, round"
+    if not isfinite(pose["sd_deg"]):
+        return f"{place}, angle unknown"
     period = 360 / pose["symmetry"]
     return (
         f"{place}, turned {pose['angle_deg']:.0f}° of {period:.0f}° "

@@ -20,6 +20,23 @@ Output = Annotated[
 ]
 
 
+def checked_workers(workers: int) -> int:
+    """Return a number of processes, or say what --workers should be."""
+    if workers < 1 and workers != -1:
+        raise ValueError(
+            f"--workers must be at least 1, or -1 for all cores, got {workers}."
+        )
+    return workers
+
+
+Workers = Annotated[
+    int,
+    typer.Option(
+        "--workers", help="Processes; -1 for all cores.", callback=checked_workers
+    ),
+]
+
+
 @simulate.command()
 def array(
     output: Output,
@@ -73,7 +90,7 @@ def array(
     device: Annotated[
         int, typer.Option("--device", help="Which array: seed of its taxels' gains.")
     ] = 0,
-    workers: Annotated[int, typer.Option("--workers", help="Processes.")] = 1,
+    workers: Workers = 1,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:

@@ -8,7 +8,7 @@ import typer
 
 from ._options import AsJson, Seed
 from ._output import print_json
-from .simulate import Output, check_output, simulate
+from .simulate import Output, Workers, check_output, simulate
 
 if TYPE_CHECKING:
     from ..simulation import DomeCamera, SimObject, TacTipPins
@@ -47,7 +47,6 @@ Aim = Annotated[
 NoDrift = Annotated[
     bool, typer.Option("--no-drift", help="Keep exposure and place in all sessions.")
 ]
-Workers = Annotated[int, typer.Option("--workers", help="Processes; -1 for all.")]
 
 
 @simulate.command()
@@ -162,15 +161,40 @@ def _make(
 
 
 def find_objects(names: list[str] | None, unit: str) -> "list[SimObject]":
-    from ..simulation import BASIC_SHAPES, HOUSEHOLD, UNSEEN, find_object, load_mesh
+    """Return the objects that names, sets and mesh files stand for.
+
+    Raises
+    ------
+    ValueError
+        There is no such object, or two of them have one name: their touches would
+        be those of one.
+    """
+    from ..simulation import (
+        BASIC_SHAPES,
+        HOUSEHOLD,
+        MESH_SUFFIXES,
+        UNSEEN,
+        find_object,
+        load_mesh,
+    )
 
     sets = dict(zip(SETS, (HOUSEHOLD, UNSEEN, BASIC_SHAPES), strict=True))
+    given_as: dict[str, str] = {}
     found: list[SimObject] = []
     for name in names or ["household"]:
         if name in sets:
-            found += sets[name]
-        elif Path(name).suffix.lower() in (".stl", ".obj", ".ply"):
-            found.append(load_mesh(name, unit=unit))
+            things = sets[name]
+        elif Path(name).suffix.lower() in MESH_SUFFIXES:
+            things = (load_mesh(name, unit=unit),)
         else:
-            found.append(find_object(name))
+            things = (find_object(name),)
+        for thing in things:
+            if thing.name in given_as:
+                raise ValueError(
+                    f"OBJECT must name each object once, got {thing.name!r} as "
+                    f"{given_as[thing.name]!r} and {name!r}. Leave one out; a mesh "
+                    "file is called as its object, so rename it."
+                )
+            given_as[thing.name] = name
+        found += things
     return found

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from .._checks import check_count
 from ..sensors import TouchSensor
 from ._guarded import Clock, Guard, guarded_touch
-from ._log import EpisodeLog
+from ._log import EpisodeError, EpisodeLog
 from ._record import TouchRecord, as_touches, tip_mm
 from ._robot import Robot, RobotError
 from ._strategies import Strategy
@@ -83,7 +85,8 @@ def explore(
         Where to touch.
     folder : path, optional
         Where to keep the attempts. A folder in which an episode was begun with the
-        same strategy goes on, whatever ended it.
+        same strategy goes on, whatever ended it; a frame in it that `recogniser`
+        cannot take counts as "no frame".
     guard : Guard, optional
         How far and how hard each touch may go.
     max_attempts : int, default=30
@@ -113,14 +116,14 @@ def explore(
     check_count("max_faults", max_faults)
     guard = guard or Guard()
     with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
-        n_before = len(log.history)
-        belief = _belief(recogniser, log.history)
+        n_before, belief = len(log.history), recogniser.start()
+        log.history = [_taken_in(belief, record) for record in log.history]
         end = _end(belief, n_before, max_attempts, error, "")
         if end is None:
             _come_out(robot, strategy)
         while end is None:
-            record = _attempt(robot, sensor, strategy, belief, log, guard, clock)
-            _take_in(belief, record)
+            touch = _attempt(robot, sensor, strategy, belief, log, guard, clock)
+            record = _kept(belief, touch, log)
             if on_attempt is not None:
                 on_attempt(record, belief)
             gave_up = _gave_up(log.history[n_before:], max_faults)
@@ -142,10 +145,13 @@ def gather(
     """Touch an object many times, to learn it.
 
     As `explore`, without a belief: it ends after `n_touches` touches. Give the
-    records to `as_touches` with the object's name. A folder that was begun goes on.
+    records to `as_touches` with the object's name. A folder that was begun goes on;
+    of one that holds more, the attempts up to that touch are returned.
 
     Raises
     ------
+    EpisodeError
+        `folder` holds another episode, touches of another size, or is damaged.
     RobotError
         Too few of five attempts for each touch that is wanted were touches, or
         `max_faults` faults came in a row. What was recorded stays.
@@ -154,13 +160,14 @@ def gather(
     check_count("max_faults", max_faults)
     guard = guard or Guard()
     with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
+        _refuse_other_size(log, sensor)
         n_before, wanted = len(log.history), n_touches - _n_touched(log.history)
         if wanted > 0:
             _come_out(robot, strategy)
         while _n_touched(log.history) < n_touches:
-            _attempt(robot, sensor, strategy, None, log, guard, clock)
+            log.append(_attempt(robot, sensor, strategy, None, log, guard, clock))
             _refuse_few(log.history[n_before:], wanted, max_faults)
-        return list(log.history)
+        return _first_touches(log.history, n_touches)
 
 
 def _attempt(
@@ -172,18 +179,15 @@ def _attempt(
     guard: Guard,
     clock: Clock,
 ) -> TouchRecord:
-    """Choose, go there, touch, keep; whatever goes wrong is in the record."""
+    """Choose, go there, touch; whatever goes wrong is in the record."""
     pose = strategy.next_pose(belief, log.history)
     try:
         for waypoint in strategy.hemisphere.way(robot.read_pose(), pose):
             robot.move_to(waypoint)
     except Exception as error:
         message = f"On the way to the start: {type(error).__name__}: {error}"
-        record = TouchRecord("robot error", pose, tip_mm(pose), message=message)
-    else:
-        record = guarded_touch(robot, sensor, pose, guard, clock=clock)
-    log.append(record)
-    return record
+        return TouchRecord("robot error", pose, tip_mm(pose), message=message)
+    return guarded_touch(robot, sensor, pose, guard, clock=clock)
 
 
 def _come_out(robot: Robot, strategy: Strategy) -> None:
@@ -193,18 +197,27 @@ def _come_out(robot: Robot, strategy: Strategy) -> None:
         robot.retract(way_mm)
 
 
-def _belief(
-    recogniser: ObjectRecogniser | TouchMap, history: Sequence[TouchRecord]
-) -> AnyBelief:
-    belief = recogniser.start()
-    for record in history:
-        _take_in(belief, record)
-    return belief
+def _kept(belief: AnyBelief, touch: TouchRecord, log: EpisodeLog) -> TouchRecord:
+    """Take in an attempt and record it, even if the program is interrupted."""
+    record = touch
+    try:
+        record = _taken_in(belief, touch)
+    finally:
+        log.append(record)
+    return record
 
 
-def _take_in(belief: AnyBelief, record: TouchRecord) -> None:
-    if record.touched:
+def _taken_in(belief: AnyBelief, record: TouchRecord) -> TouchRecord:
+    """Update the belief; a touch that it cannot take comes back as a fault."""
+    if not record.touched:
+        return record
+    try:
         belief.update(as_touches([record]))
+    except Exception as error:
+        told = f"The recogniser cannot take this frame: {type(error).__name__}: {error}"
+        message = f"{record.message} {told}".strip()
+        return replace(record, outcome="no frame", message=message)
+    return record
 
 
 def _end(
@@ -244,6 +257,25 @@ def _refuse_few(attempts: Sequence[TouchRecord], wanted: int, max_faults: int) -
             f"Only {n_touched} of {wanted} touches came of {len(attempts)} attempts. "
             f"{gave_up or 'Is the object where the hemisphere has its centre?'}"
         )
+
+
+def _refuse_other_size(log: EpisodeLog, sensor: TouchSensor) -> None:
+    """Gather no touches beside those of another sensor."""
+    shape = tuple(sensor.image_shape)
+    for number, record in enumerate(log.history):
+        found = np.asarray(record.image).shape
+        if record.touched and found != shape:
+            raise EpisodeError(
+                f"{log.folder} must hold touches of {shape[0]} x {shape[1]} taxels, as "
+                f"the sensor makes, got {found} in attempt {number}. "
+                "Use that sensor, or another folder."
+            )
+
+
+def _first_touches(history: Sequence[TouchRecord], n_touches: int) -> list[TouchRecord]:
+    """Return the attempts up to the last touch that is wanted."""
+    counts = np.cumsum([record.touched for record in history])
+    return list(history[: int(np.searchsorted(counts, n_touches)) + 1])
 
 
 def _n_touched(history: Sequence[TouchRecord]) -> int:

@@ -287,6 +287,12 @@ class _Approach:
                 f"A frame of shape {frame.shape} and type {frame.dtype} arrived, not "
                 f"{self.sensor.image_shape}.",
             )
+        if np.isinf(frame).any() or np.isnan(frame).all():
+            raise _Fault(
+                "no frame",
+                "A frame must be finite but for dead taxels (NaN), got one with "
+                "infinity or of NaN alone. Look at the sensor.",
+            )
         self.image, self.outcome = frame.copy(), "touched"
 
     def _note(self, text: str) -> None:

@@ -52,8 +52,8 @@ class EpisodeLog:
     Raises
     ------
     EpisodeError
-        On entering: the folder holds an episode with other settings, a damaged
-        attempt, gaps, or another program is adding to it.
+        On entering: the folder is a file, holds an episode with other settings, a
+        damaged attempt, gaps, or another program is adding to it.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class EpisodeLog:
     def __enter__(self) -> Self:
         if self.folder is None:
             return self
-        self.folder.mkdir(parents=True, exist_ok=True)
+        _make_folder(self.folder)
         self._lock = _locked(self.folder)
         try:
             for partial in self.folder.glob(f"{_PARTIAL}*"):
@@ -182,6 +182,18 @@ def _read_settings(path: Path) -> Any:
         return json.loads(path.read_bytes())
     except ValueError as error:
         raise EpisodeError(f"{path} is damaged: {error}. Bring it back.") from error
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        upward = (folder, *folder.parents)
+        file = next(path for path in upward if path.exists() and not path.is_dir())
+        raise EpisodeError(
+            f"folder must be a folder or a new name, got the file {str(file)!r}. Use "
+            "another folder."
+        ) from error
 
 
 def _refuse_strangers(folder: Path) -> None:

@@ -11,10 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 from ..touches import Touches
 
 Floats = NDArray[np.float64]
+# Directions may have been written with a few digits.
+_LENGTH_TOLERANCE = 0.01
 
 
 def places_of(touches: Touches, places: ArrayLike | None, n_turns: int) -> Floats:
     """Return the places of touches, (n_touches, n_dimensions), or explain."""
+    if not isinstance(touches, Touches):
+        raise TypeError(
+            f"touches must be Touches, got {type(touches).__name__}. Write "
+            "Touches(images, direction=...)."
+        )
     if places is None:
         directions = touches.columns.get("direction")
         if directions is None:
@@ -22,7 +29,7 @@ def places_of(touches: Touches, places: ArrayLike | None, n_turns: int) -> Float
                 "touches must have a column 'direction' (unit vectors of approach), "
                 f"got {', '.join(touches.columns) or 'none'}. Add it, or give places."
             )
-        places = -np.asarray(directions)
+        places = -_unit_vectors(directions)
     array = np.asarray(places, dtype=np.float64)
     if array.ndim != 2 or len(array) != len(touches) or not np.isfinite(array).all():
         raise ValueError(
@@ -33,6 +40,21 @@ def places_of(touches: Touches, places: ArrayLike | None, n_turns: int) -> Float
         raise ValueError(
             f"places must be x, y, z to be turned, got {array.shape[1]} numbers each. "
             "Use TouchMap(n_turns=1) for places that do not turn."
+        )
+    return array
+
+
+def _unit_vectors(directions: ArrayLike) -> Floats:
+    """Return directions of approach that are of length 1, or name one that is not."""
+    array = np.asarray(directions, dtype=np.float64)
+    length = np.sqrt((array**2).sum(axis=-1))
+    wrong = np.flatnonzero(np.abs(length - 1) > _LENGTH_TOLERANCE)
+    if len(wrong):
+        row = int(wrong[0])
+        raise ValueError(
+            f"direction must be unit vectors of approach, got {array[row].tolist()} "
+            f"in touch {row}. Divide it by its length; leave out touches whose "
+            "direction is not known."
         )
     return array
 

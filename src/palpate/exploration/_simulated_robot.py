@@ -1,6 +1,6 @@
 """A simulated arm with a noisy force sensor, and the ways in which it can fail."""
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from types import MappingProxyType
 
 import numpy as np
@@ -19,9 +19,12 @@ FAULTS = (
     "slow",
     "retract error",
     "arm stuck",
+    "no frame",
+    "out of reach",
 )
 _OVERSHOOT_MM = 14.0
 _SLOW_S = 1e4
+_AWAY_MM = 1e5
 
 
 class SimulatedRobot:
@@ -52,7 +55,10 @@ class SimulatedRobot:
         - "driver error": a move in contact raises after it was made;
         - "slow": a move in contact takes hours;
         - "retract error": the first retract raises before it moves;
-        - "arm stuck": every retract raises, and the arm stays where it is.
+        - "arm stuck": every retract raises, and the arm stays where it is;
+        - "no frame": the frame does not arrive, where the sensor is asked through
+          `MissingFrames` as that of `put_down` is;
+        - "out of reach": the object is out of reach, so that nothing is met.
 
     Attributes
     ----------
@@ -86,6 +92,7 @@ class SimulatedRobot:
         self._seconds = 0.0
         self.n_retracts = 0
         self.stopped = False
+        self._pose = home
         bench.move_to(home)
 
     def move_to(self, pose: SensorPose) -> None:
@@ -102,8 +109,7 @@ class SimulatedRobot:
 
     def read_pose(self) -> SensorPose:
         """Return where the tip is."""
-        assert self._bench.pose is not None
-        return self._bench.pose
+        return self._pose
 
     def read_force(self) -> float:
         """Return the force with offset and noise (N)."""
@@ -133,6 +139,10 @@ class SimulatedRobot:
         """Halt for good."""
         self.stopped = True
 
+    def loses_frame(self) -> bool:
+        """Whether the frame of this attempt is to be lost."""
+        return self._fails("no frame")
+
     def clock(self) -> float:
         """Return the simulated time (s)."""
         return self._seconds
@@ -143,6 +153,10 @@ class SimulatedRobot:
         here = np.asarray(self.read_pose().position_mm)
         way = np.linalg.norm(np.asarray(pose.position_mm) - here)
         self._seconds += float(way) / self._speed
+        self._pose = pose
+        if self._fails("out of reach"):
+            x, y, z = np.asarray(pose.position_mm)
+            pose = SensorPose((x, y, z + _AWAY_MM), pose.direction, pose.roll_rad)
         self._bench.move_to(pose)
 
     def _fails(self, fault: str) -> bool:
@@ -154,3 +168,21 @@ class SimulatedRobot:
             return False
         self._spent.add(key)
         return True
+
+
+class MissingFrames:
+    """Numbers of the frames that do not arrive, for a `SimulatedSensor`.
+
+    Parameters
+    ----------
+    robot : SimulatedRobot
+        Whose fault "no frame" loses the frames of an attempt.
+    numbers : container of int, default=()
+        Further frames, counted from 0.
+    """
+
+    def __init__(self, robot: SimulatedRobot, numbers: Container[int] = ()) -> None:
+        self._robot, self._numbers = robot, numbers
+
+    def __contains__(self, number: object) -> bool:
+        return number in self._numbers or self._robot.loses_frame()

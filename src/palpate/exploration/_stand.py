@@ -12,7 +12,7 @@ from ..simulation import DomeCamera, PlacedObject, SensorPose, SimObject
 from ._guarded import Guard, guarded_touch
 from ._hemisphere import Hemisphere
 from ._record import TouchRecord
-from ._simulated_robot import SimulatedRobot
+from ._simulated_robot import MissingFrames, SimulatedRobot
 
 # Twice the default step in the air: half the time to simulate. The rigid edge met
 # after such a step answers with 4 N (`housing_n_mm`), so the limit is above that.
@@ -94,5 +94,6 @@ def put_down(
     hemisphere = Hemisphere((float(x), float(y), float(z)))
     home = hemisphere.pose(0.0, np.pi / 2)
     robot = SimulatedRobot(bench, home, random_state=seeds[1], faults=faults)
-    sensor = SimulatedSensor(bench, random_state=seeds[2], missing=missing)
+    lost = MissingFrames(robot, missing)
+    sensor = SimulatedSensor(bench, random_state=seeds[2], missing=lost)
     return Stand(thing, hemisphere, robot, sensor)

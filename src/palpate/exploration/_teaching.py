@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from .._checks import check_count
 from .._progress import Progress
-from ..simulation import HOUSEHOLD, DomeCamera, SimObject
+from ..simulation import HOUSEHOLD, DomeCamera, SimObject, refuse_same_names
 from ..touches import Touches
 from ._episode import gather
 from ._guarded import Guard
@@ -46,7 +46,7 @@ def explore_to_learn(
     Parameters
     ----------
     things : iterable of SimObject, default=HOUSEHOLD
-        What to touch.
+        What to touch; their names differ.
     n_touches : int, default=60
         Touches of each object; approaches that find nothing are not counted.
     camera : DomeCamera, optional
@@ -64,7 +64,8 @@ def explore_to_learn(
         How touches are made.
     folder : path, optional
         Where to keep the attempts, an episode for each time an object is put down:
-        what was begun there goes on.
+        what was begun there goes on. Of one that holds more touches, the first are
+        taken.
     random_state : int, default=0
         Same number, same touches.
     n_jobs : int, optional
@@ -82,8 +83,11 @@ def explore_to_learn(
     ------
     RobotError
         Touches of an object do not come.
+    EpisodeError
+        `folder` is none, or holds other episodes than these.
     """
     objects = list(things)
+    refuse_same_names(objects)
     count = check_count("n_touches", n_touches)
     sessions = min(check_count("n_sessions", n_sessions), count)
     shares = [len(part) for part in np.array_split(range(count), sessions)]

@@ -17,6 +17,7 @@ place explains the touch than any place does, and is 1 where the map knows nothi
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -119,11 +120,17 @@ class TouchMap:
         """Number of known objects."""
         return len(self.rows_of_object)
 
-    def start(self) -> PlacedBelief:
-        """Return the belief before the first touch of an episode."""
+    def start(self, prior: Mapping[str, float] | None = None) -> PlacedBelief:
+        """Return the belief before the first touch of an episode.
+
+        Parameters
+        ----------
+        prior : mapping of str to float, optional
+            How probable each object is, see `ObjectRecogniser.start`.
+        """
         from ._placed_belief import PlacedBelief
 
-        return PlacedBelief(self)
+        return PlacedBelief(self, prior)
 
     def set_kernels(self, width: float, bandwidth_share: float) -> None:
         """Set the width, and the bandwidth by its share of the features' spread."""

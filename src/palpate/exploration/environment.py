@@ -13,7 +13,7 @@ References
    https://github.com/TimSchneider42/active-perception-gym
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from scipy.special import log_softmax
 
 from .._checks import check_count, check_number, check_option
-from ..simulation import HOUSEHOLD, DomeCamera, find_object
+from ..simulation import HOUSEHOLD, DomeCamera, find_object, refuse_same_names
 from ._guarded import Guard
 from ._hemisphere import Hemisphere
 from ._record import TouchRecord
-from ._stand import put_down
+from ._stand import Stand, put_down
 
 try:
     import gymnasium
@@ -38,6 +38,7 @@ except ImportError as error:
 
 ID = "palpate/Touch-v0"
 Observation = dict[str, NDArray[Any]]
+_MOST = float(np.finfo(np.float32).max)
 
 
 class TouchEnv(gymnasium.Env[Any, Any]):
@@ -99,6 +100,7 @@ class TouchEnv(gymnasium.Env[Any, Any]):
     ) -> None:
         names = [thing.name for thing in HOUSEHOLD] if objects is None else objects
         self._things = [find_object(name) for name in names]
+        refuse_same_names(self._things)
         self.camera = DomeCamera(image_shape=(64, 64)) if camera is None else camera
         self.max_touches = check_count("max_touches", max_touches)
         self._placement_mm = check_number("placement_sd_mm", placement_sd_mm, low=0.0)
@@ -123,6 +125,7 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         self.hemisphere = Hemisphere()
         self.history: list[TouchRecord] = []
         self._target = 0
+        self._stand: Stand | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -143,10 +146,24 @@ class TouchEnv(gymnasium.Env[Any, Any]):
     def step(
         self, action: dict[str, NDArray[Any]]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Judge the prediction, then touch where the action says."""
-        logits = np.asarray(action["prediction"], dtype=np.float64)
+        """Judge the prediction, then touch where the action says.
+
+        Raises
+        ------
+        ValueError
+            The action or the prediction is of another shape, or not finite.
+        gymnasium.error.ResetNeeded
+            No episode has begun, or it is over.
+        """
+        if self._stand is None or len(self.history) >= self.max_touches:
+            raise gymnasium.error.ResetNeeded(
+                f"An episode of {self.max_touches} touches must have begun and go on, "
+                f"got step {len(self.history) + 1}. Call reset first."
+            )
+        logits = _numbers(action, "prediction", len(self._things))
+        out = _numbers(action, "action", 3)
         loss = float(-log_softmax(logits)[self._target])
-        record = self._touch(np.asarray(action["action"], dtype=np.float64))
+        record = self._touch(self._stand, out)
         self.history.append(record)
         info = {
             "prediction": {"target": self._target, "loss": loss},
@@ -157,11 +174,11 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         over = len(self.history) >= self.max_touches
         return self._observation(record), -loss, False, over, info
 
-    def _touch(self, out: NDArray[np.float64]) -> TouchRecord:
+    def _touch(self, stand: Stand, out: NDArray[np.float64]) -> TouchRecord:
         out = np.array([out[0], out[1], abs(out[2])])
         if np.linalg.norm(out) < 1e-6:
             out = np.array([0.0, 0.0, 1.0])
-        return self._stand.touch(self.hemisphere.pose_towards(out), self._guard)
+        return stand.touch(self.hemisphere.pose_towards(out), self._guard)
 
     def _put_down(self, yaw_rad: float) -> None:
         self._stand = put_down(
@@ -186,6 +203,24 @@ class TouchEnv(gymnasium.Env[Any, Any]):
             "touched": np.array([touched], np.float32),
             "touches_left": np.array([left], np.float32),
         }
+
+
+def _numbers(action: Any, name: str, count: int) -> NDArray[np.float64]:
+    """Return one part of an action as finite numbers, or explain."""
+    if not isinstance(action, Mapping) or name not in action:
+        found = sorted(action) if isinstance(action, Mapping) else action
+        raise ValueError(
+            f"An action must hold 'action' and 'prediction', got {found!r}. Give both, "
+            "as in action_space."
+        )
+    values = np.asarray(action[name], dtype=np.float64)
+    # float32 is what the spaces hold; beyond it a loss would be infinite.
+    if values.shape != (count,) or not (np.abs(values) <= _MOST).all():
+        raise ValueError(
+            f"{name} must be {count} finite numbers, got {values.tolist()} of shape "
+            f"{values.shape}. Mask or clip what the policy gives."
+        )
+    return values
 
 
 gymnasium.register(ID, entry_point=f"{__name__}:TouchEnv")

@@ -12,7 +12,7 @@ from scipy.special import log_softmax
 from .._checks import check_number, check_option
 from ..touches import Touches
 from ._explanation import explanation
-from ._sequence import Floats, doubts, log_posteriors, told, with_floor
+from ._sequence import Felt, Floats, doubts, log_posteriors, told, with_floor
 
 if TYPE_CHECKING:
     from ._recogniser import ObjectRecogniser
@@ -72,13 +72,12 @@ class Belief:
             NaN or infinity where the recogniser cannot take it; the belief is
             then unchanged.
         """
-        felt = self._recogniser.feel(as_touches(touch))
-        return self.update_from_log_likelihood(
-            felt.log_likelihood,
-            features=felt.features,
-            marks=felt.marks,
-            novelty=felt.novelty,
-        )
+        return self.update_felt(self._recogniser.feel(as_touches(touch)))
+
+    def update_felt(self, felt: Felt) -> Belief:
+        """Take in what `ObjectRecogniser.feel` told of one touch or several."""
+        told_of = felt._asdict()
+        return self.update_from_log_likelihood(told_of.pop("log_likelihood"), **told_of)
 
     def update_from_log_likelihood(
         self,

@@ -19,6 +19,7 @@ from ._calibration import (
     touch_log_likelihood,
 )
 from ._contact import NO_CONTACT, ContactCheck, consists_of_nothing
+from ._encoder import BLOCK
 from ._known import KNOWN_CLASSES
 from ._model_file import ModelFileError, read_model, write_model
 from ._presets import Preset, find_preset
@@ -28,6 +29,8 @@ from ._training import stretches, training_groups, training_labels
 from ._trial_touch import try_one_touch
 from ._unknown import UnknownScale
 
+# Touches of one task; a multiple of the encoder's blocks, so that results are the same.
+SHARD = 4 * BLOCK
 KEPT = ("features_", "labels_", "objects_", "stretches_", "nothing_", "unexplained_")
 
 
@@ -233,11 +236,6 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
         """
         return self.feel(touches).log_likelihood
 
-    def features_and_log_likelihood(self, touches: Touches) -> tuple[Floats, Floats]:
-        """Return the touches' features and their `log_likelihood`."""
-        felt = self.feel(touches)
-        return felt.features, felt.log_likelihood
-
     def marks(self, touches: Touches) -> list[str]:
         """Return what is wrong with each touch, "" for most; see `ContactCheck.marks`.
 
@@ -246,10 +244,21 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
         return self.feel(touches).marks
 
     def feel(self, touches: Touches) -> Felt:
-        """Return all that touches tell; see `Felt`."""
+        """Return all that touches tell; see `Felt`.
+
+        Many touches are felt in shards of 1024, wherever `joblib.parallel_config` says.
+        """
         self._check_fitted()
         given = as_touches(touches)
-        features, new, marks = encoded_and_marked(self.encoder_, self.contact_, given)
+        if len(given) <= SHARD:
+            return self._feel_shard(given)
+        from joblib import Parallel, delayed
+
+        shards = (given[start : start + SHARD] for start in range(0, len(given), SHARD))
+        return Felt.together(Parallel()(delayed(self._feel_shard)(s) for s in shards))
+
+    def _feel_shard(self, touches: Touches) -> Felt:
+        features, new, marks = encoded_and_marked(self.encoder_, self.contact_, touches)
         nothing = np.array(marks) == NO_CONTACT
         heard = self._heard(self.feature_log_likelihood(features), nothing)
         return Felt(features, heard, marks, new)

@@ -4,7 +4,7 @@ Plain functions on arrays, shared by `Belief` (one touch at a time) and by the
 evaluation (thousands of episodes at once), so that both mean the same belief.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -30,6 +30,26 @@ class Felt(NamedTuple):
     log_likelihood: Floats
     marks: list[str]
     novelty: Floats
+
+    @classmethod
+    def together(cls, parts: Sequence["Felt"]) -> "Felt":
+        """Return what several sets of touches tell, one after the other."""
+        return cls(
+            np.concatenate([part.features for part in parts]),
+            np.concatenate([part.log_likelihood for part in parts]),
+            [mark for part in parts for mark in part.marks],
+            np.concatenate([part.novelty for part in parts]),
+        )
+
+    def one(self, touch: int) -> "Felt":
+        """Return what a single touch tells."""
+        row = slice(touch, touch + 1)
+        return Felt(
+            self.features[row],
+            self.log_likelihood[row],
+            self.marks[row],
+            self.novelty[row],
+        )
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from ._array import Press, PressureArray
 from ._dome import DomeCamera, DomePress
 from ._exploring import simulate_touches
 from ._membrane import Contact, Membrane, solve_contact
-from ._mesh import MeshError, load_mesh
+from ._mesh import MESH_SUFFIXES, MeshError, load_mesh
 from ._objects import (
     BASIC_SHAPES,
     HOUSEHOLD,
@@ -18,6 +18,7 @@ from ._objects import (
     UNSEEN,
     SimObject,
     find_object,
+    refuse_same_names,
 )
 from ._parts import PARTS, Part, find_parts
 from ._pins import TacTipPins
@@ -28,6 +29,7 @@ from ._shading import Lighting, shade
 __all__ = [
     "BASIC_SHAPES",
     "HOUSEHOLD",
+    "MESH_SUFFIXES",
     "PARTS",
     "STRANGE",
     "UNSEEN",
@@ -48,6 +50,7 @@ __all__ = [
     "find_parts",
     "gap_map",
     "load_mesh",
+    "refuse_same_names",
     "shade",
     "simulate_presses",
     "simulate_touches",

@@ -29,6 +29,8 @@ from ._parts import Part, find_parts
 
 NEWTON_PER_KGF = 9.80665
 _LOADS_KGF = (0.1, 10.0)
+# Work and memory grow with the cube and the square of it: 2000 take some seconds.
+_MOST_STEPS = 2000
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,8 @@ class PressureArray:
     noise_kpa : float, default=8.0
         Standard deviation of a reading. Guess: half a grey level.
     grid_mm : float, default=0.1
-        Largest step of the grid on which the contact is worked out.
+        Largest step of the grid on which the contact is worked out; at most 2000 of
+        them along the longer side.
     random_state : int, default=0
         The device: it fixes the gains, which stay the same over all presses.
 
@@ -171,6 +174,7 @@ class PressureArray:
                 f"sensing_mm must be at most pitch_mm ({self.pitch_mm}), got "
                 f"{self.sensing_mm}. Windows of neighbouring taxels cannot overlap."
             )
+        self._refuse_fine_grid()
 
     @property
     def size_mm(self) -> tuple[float, float]:
@@ -314,6 +318,17 @@ class PressureArray:
                 f"({press.x_mm:g}, {press.y_mm:g}) mm. Move it nearer to (0, 0)."
             )
         return inside, row, col
+
+    def _refuse_fine_grid(self) -> None:
+        side = max(self.rows, self.cols)
+        steps = side * max(2.0, self.pitch_mm / self.grid_mm)
+        if steps > _MOST_STEPS:
+            raise ValueError(
+                f"pitch_mm must make at most {_MOST_STEPS} steps of grid_mm "
+                f"({self.grid_mm:g}) along the longer side, got {self.pitch_mm:g} for "
+                f"{side} taxels: {steps:.0f} steps. Lower pitch_mm (--pitch) or the "
+                "number of taxels (--rows, --cols), or raise grid_mm."
+            )
 
     def _refuse_sunk(self, depth_mm: float, part: Part, press: Press) -> None:
         if depth_mm >= self.cover_mm:

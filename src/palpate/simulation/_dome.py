@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from .._checks import check_count, check_number, check_positive
 from ._membrane import Contact, Membrane, solve_contact
 from ._objects import SimObject
-from ._optics import SURROUND_GREY, Optics, View
+from ._optics import SURROUND_GREY, Optics, View, check_picture
 from ._placed import PlacedObject, SensorPose, gap_map, sleeve_gap
 from ._shading import Lighting, Plane
 
@@ -156,8 +156,7 @@ class DomeCamera:
     def __post_init__(self) -> None:
         for name in ("image_shape", "camera_offset_mm", "disc_centre"):
             object.__setattr__(self, name, _pair(name, getattr(self, name)))
-        for side in self.image_shape:
-            check_count("image_shape", side, at_least=8)
+        check_picture(self.image_shape)
         for name in _POSITIVE:
             check_positive(name, getattr(self, name))
         for name in _NOT_NEGATIVE:

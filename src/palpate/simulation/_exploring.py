@@ -12,7 +12,7 @@ from .._checks import check_count, check_number, check_option, check_positive
 from .._progress import Progress
 from ..touches import Touches
 from ._dome import DomeCamera, DomePress, Frame
-from ._objects import HOUSEHOLD, SimObject, find_object
+from ._objects import HOUSEHOLD, SimObject, find_object, refuse_same_names
 from ._pins import TacTipPins
 from ._placed import PlacedObject, SensorPose
 
@@ -95,7 +95,8 @@ def simulate_touches(
     Raises
     ------
     ValueError
-        An object that should be touched cannot be met after 50 approaches.
+        Two objects have one name, or one that should be touched cannot be met after
+        50 approaches.
 
     Notes
     -----
@@ -281,6 +282,7 @@ def _found(objects: Iterable[SimObject | str] | SimObject | str) -> list[SimObje
                 "Read a mesh file with load_mesh(path)."
             )
         things.append(find_object(one) if isinstance(one, str) else one)
+    refuse_same_names(things)
     return things
 
 

@@ -21,10 +21,10 @@ from ._shapes import Mesh, trimesh
 MESH_SUFFIXES = (".stl", ".obj", ".ply")
 MAX_MESH_BYTES = 200_000_000
 MAX_MESH_FACES = 5_000_000
-UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
+UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "inch": 25.4}
 LEAST_SIZE_MM, MOST_SIZE_MM = 1.0, 5000.0
 # Units to suggest, likeliest first.
-_LIKELY = {"m": "metres", "mm": "millimetres", "inch": "inches", "cm": "centimetres"}
+_LIKELY = {"m": "metres", "mm": "millimetres", "in": "inches", "cm": "centimetres"}
 
 
 class MeshError(ValueError):
@@ -44,7 +44,7 @@ def load_mesh(
     ----------
     path : path
         An STL, OBJ or PLY file of one closed surface, or of several.
-    unit : {"mm", "cm", "m", "inch"}, default="mm"
+    unit : {"mm", "cm", "m", "in", "inch"}, default="mm"
         What its numbers are in; the files themselves do not say.
     name, category : str, optional
         By default the name of the file without its suffix.
@@ -91,6 +91,11 @@ def _read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         raise MeshError(
             f"path must end in {', '.join(MESH_SUFFIXES)}, got {file.name!r}. "
             "Export the object to one of these."
+        )
+    if not file.is_file():
+        raise FileNotFoundError(
+            f"path must be a mesh file, got no file {str(file)!r}. Check its name and "
+            "folder."
         )
     size = file.stat().st_size
     if size > MAX_MESH_BYTES:

@@ -7,7 +7,7 @@ are in millimetres, z points up. Household objects stand on z = 0; basic shapes 
 their feature at the origin, facing up, so that they are pressed from above there.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -88,6 +88,24 @@ def find_object(name: str) -> SimObject:
             "For a mesh file use load_mesh(path)."
         )
     return known[name]
+
+
+def refuse_same_names(things: Iterable[SimObject]) -> None:
+    """Refuse objects that share a name: their touches would be taken for those of one.
+
+    Raises
+    ------
+    ValueError
+        Two objects have one name.
+    """
+    seen: set[str] = set()
+    for thing in things:
+        if thing.name in seen:
+            raise ValueError(
+                f"objects must have names of their own, got {thing.name!r} twice. "
+                "Leave one out, or give a mesh another name: load_mesh(path, name=...)."
+            )
+        seen.add(thing.name)
 
 
 def stable_rotations(

@@ -73,8 +73,9 @@ class LiveEpisode:
         features = None
         if self.recogniser is not None and self.belief is not None:
             one = Touches(image[np.newaxis])
-            features, row = self.recogniser.features_and_log_likelihood(one)
-            self.belief.update_from_log_likelihood(row, features=features)
+            felt = self.recogniser.feel(one)
+            features = felt.features
+            self.belief.update_felt(felt)
             touch.posterior = self.belief.posterior
             touch.unknown = self.belief.unknown
             touch.limit = self.belief.unknown_limit(self.error)

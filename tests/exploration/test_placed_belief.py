@@ -1,0 +1,107 @@
+"""What a belief with places shares with the plain one: marks, prior, costs, reasons."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate import Touches
+from palpate.exploration import TouchMap, explore_to_learn
+from palpate.recognition import ObjectRecogniser
+from palpate.simulation import DomeCamera, find_object
+
+NAMES = ("ball", "box", "pen")
+
+
+@pytest.fixture(scope="module")
+def taught():
+    camera = DomeCamera(image_shape=(48, 48), n_nodes=24)
+    things = [find_object(name) for name in NAMES]
+    return explore_to_learn(things, 14, camera, n_sessions=2)
+
+
+@pytest.fixture(scope="module")
+def touch_map(taught):
+    return TouchMap(n_turns=4).fit(ObjectRecogniser().fit(taught), taught)
+
+
+@pytest.fixture(scope="module")
+def nothing(taught):
+    """The sensor touching nothing, from above."""
+    image = np.asarray(taught.no_contact)[np.newaxis]
+    return Touches(image, direction=[[0.0, 0.0, -1.0]], geometry="dome")
+
+
+def _of(taught, name, n_touches):
+    return taught[np.flatnonzero(taught.object == name)[:n_touches]]
+
+
+def test_a_touch_of_nothing_is_marked_and_moves_nothing(touch_map, taught, nothing):
+    box = _of(taught, "box", 2)
+    belief, without = touch_map.start().update(box), touch_map.start().update(box)
+    belief.update(nothing)
+    assert belief.marks[-1] == "no contact"
+    plain = touch_map.recogniser.start().update(box)
+    assert belief.marks[:-1] == plain.marks
+    assert_allclose(belief.log_joint, without.log_joint, atol=1e-12)
+    assert belief.touches_used == 3
+    # Nor is the next touch worth less for it.
+    assert_allclose(
+        belief.update(box).log_joint, without.update(box).log_joint, atol=1e-12
+    )
+
+
+def test_touches_count_as_in_the_plain_belief(touch_map, taught):
+    felt = _of(taught, "pen", 5)
+    placed, plain = touch_map.start().update(felt), touch_map.recogniser.start()
+    plain.update(felt)
+    assert placed.unknown == plain.unknown
+    assert placed.unknown_limit(0.1) == plain.unknown_limit(0.1)
+    assert placed.looks_known() == plain.looks_known()
+    assert placed.explain(2, 1) == plain.explain(2, 1)
+
+
+def test_the_prior_is_where_it_starts(touch_map, taught):
+    prior = {"ball": 0.2, "box": 0.5, "pen": 0.3}
+    belief = touch_map.start(prior)
+    assert belief.posterior == pytest.approx(prior)
+    felt = _of(taught, "pen", 3)
+    evenly, weighed = touch_map.start().update(felt), belief.update(felt)
+    odds = {name: np.log(weighed.posterior[name] / prior[name]) for name in NAMES}
+    even = {name: np.log(evenly.posterior[name]) for name in NAMES}
+    # Bayes: the prior's odds and the evidence's add up, whatever the touches say.
+    assert odds["pen"] - odds["box"] == pytest.approx(even["pen"] - even["box"])
+    with pytest.raises(ValueError, match="prior must name every object"):
+        touch_map.start({"ball": 1.0})
+
+
+def test_costs_decide_as_worked_out_by_hand(touch_map, monkeypatch):
+    belief = touch_map.start()
+    belief.log_joint = np.log(np.outer([0.1, 0.6, 0.3], np.full(4, 0.25)))
+    monkeypatch.setattr(type(belief), "touches_used", 1)
+    monkeypatch.setattr(belief.touch, "decide", lambda error: None)
+    monkeypatch.setattr(belief.touch, "looks_known", lambda: True)
+    assert belief.decide(0.45) == "box"
+    assert belief.decide(0.35) is None
+    # Naming the box costs 0.1 x 1 + 0.3 x 5, the pen 0.1 x 1 + 0.6 x 0.2, the ball
+    # 0.6 + 0.3.
+    costs = {"pen": {"box": 5}, "box": {"pen": 0.2}}
+    assert belief.decide(0.23, costs) == "pen"
+    assert belief.decide(0.21, costs) is None
+    with pytest.raises(ValueError, match="costs must be one of 'ball', 'box', 'pen'"):
+        belief.decide(0.1, {"mug": {"box": 1}})
+    with pytest.raises(ValueError, match="costs must be finite and between 0"):
+        belief.decide(0.1, {"pen": {"box": -1}})
+
+
+def test_an_image_alone_is_refused(touch_map, taught):
+    with pytest.raises(TypeError, match=r"got ndarray. Write Touches\(images, direc"):
+        touch_map.start().update(taught.images[0])
+
+
+@pytest.mark.parametrize("direction", [[0.0, 0.0, 0.0], [0.0, 0.0, -2.0]])
+def test_a_direction_that_is_none_is_refused(touch_map, taught, direction):
+    touch = Touches(taught.images[:1], direction=[direction], geometry="dome")
+    belief = touch_map.start()
+    with pytest.raises(ValueError, match=r"direction must be unit vectors.*touch 0"):
+        belief.update(touch)
+    assert belief.touches_used == 0
