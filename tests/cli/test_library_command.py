@@ -171,3 +171,29 @@ def test_a_cluster_that_is_not_there_is_told(palpate, folder, tmp_path, monkeypa
     assert "either --workers or --cluster" in refused.stderr
     refused = palpate("learn", folder, "-o", model, "--workers", "0")
     assert "--workers must be at least 1" in refused.stderr
+
+
+@pytest.mark.parametrize("option", ["--where", "--name-pattern", "--no-contact"])
+def test_a_bag_refuses_options_that_say_nothing_of_it(palpate, tmp_path, option):
+    (tmp_path / "bag").mkdir()
+    refused = palpate(
+        *("library", "add", tmp_path / "new", tmp_path / "bag"),
+        *("--topic", "/pad", option, "object = mug"),
+    )
+    assert refused.returncode == 1
+    assert f"{option} must be left out with --topic, got 'object = mug'" in (
+        refused.stderr
+    )
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_lost_database_is_not_replaced(palpate, folder, archive):
+    palpate("library", "rename", folder, "mug", "cup")
+    for path in folder.glob("library.sqlite*"):
+        path.unlink()
+    refused = palpate("library", "add", folder, archive)
+    assert refused.returncode == 1
+    assert "check --repair" in refused.stderr
+    assert palpate("library", "check", folder).returncode == 1
+    assert "made anew" in palpate("library", "check", folder, "--repair").stdout
+    assert "cup" in palpate("library", "list", folder, "--objects").stdout

@@ -110,6 +110,41 @@ def test_other_endings_are_refused(library, tmp_path):
         library.export(tmp_path / "t.csv")
 
 
+def test_a_failed_export_leaves_nothing_and_can_be_tried_again(library, tmp_path):
+    [path] = (library.folder / "images").rglob("*.npy")
+    content = path.read_bytes()
+    damaged = bytearray(content)
+    damaged[128 + 48 * 6] ^= 1
+    path.write_bytes(damaged)
+    (tmp_path / "empty").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    for name in ("robot", "empty", "t.parquet", "t.npz"):
+        for _ in range(2):
+            with pytest.raises(LibraryError, match="altered"):
+                library.export(tmp_path / name)
+    assert sorted(tmp_path.rglob("*")) == before
+    path.write_bytes(content)
+    assert library.export(tmp_path / "robot") == library.export(tmp_path / "empty") == 7
+    assert (tmp_path / "empty/meta/info.json").is_file()
+    assert not list(tmp_path.rglob(".partial*"))
+
+
+@pytest.mark.parametrize("name", ["t.npz", "t.parquet", "robot"])
+def test_places_that_take_no_export_are_refused(library, tmp_path, name):
+    with pytest.raises(
+        LibraryError, match=f"got '.*nodir/{name}'. Make .*nodir' first"
+    ):
+        library.export(tmp_path / "nodir" / name)
+    there = tmp_path / name
+    there.mkdir() if "." in name else there.write_bytes(b"mine")
+    (there / "mine" if "." in name else tmp_path / "x").write_bytes(b"mine")
+    match = "must be a place with room" if "." in name else "empty folder, got a file"
+    with pytest.raises(LibraryError, match=match):
+        library.export(there)
+    assert not list(tmp_path.rglob(".partial*"))
+    assert (there / "mine" if "." in name else there).read_bytes() == b"mine"
+
+
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
 typesys = pytest.importorskip("rosbags.typesys")
 STORE = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)

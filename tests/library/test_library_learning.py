@@ -40,13 +40,13 @@ def counted(monkeypatch):
     from palpate.recognition._encoder import TouchEncoder
 
     calls = []
-    encode = TouchEncoder.encode
+    encode = TouchEncoder.encode_fully
 
     def counting(self, cleaned):
         calls.append(len(cleaned))
         return encode(self, cleaned)
 
-    monkeypatch.setattr(TouchEncoder, "encode", counting)
+    monkeypatch.setattr(TouchEncoder, "encode_fully", counting)
     return calls
 
 

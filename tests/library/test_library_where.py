@@ -56,6 +56,25 @@ def library(tmp_path_factory):
         ("wear in (5, 4)", [0, 1]),
         ("geometry is null", [0, 1, 2, 3, 4, 5]),
         ("category is not null", []),
+        ("category = nan", []),
+        ("force_n = nan", []),
+        ("object in (nan, cup)", [0]),
+        ("order = 0_3", []),
+        ("order < 9" + "9" * 400, [0, 1, 2, 3, 4, 5]),
+        ("force_n < inf and order > -inf", [0, 1, 2, 3, 4]),
+        ("order = +3.", [3]),
+        ("object = 'o''hara'", [3]),
+        ("order in (" + ",".join(map(str, range(1, 1200))) + ")", [1, 2, 3, 4, 5]),
+        (" or ".join(["order=1"] * 800), [1]),
+        (" and ".join(["order=1"] * 800), [1]),
+        ("not " * 40 + "order = 1", [1]),
+        ("not " * 41 + "order = 1", [0, 2, 3, 4, 5]),
+        (
+            "order=9 or not (order=1 and " * 5
+            + " or ".join(["order=1"] * 600)
+            + ")" * 5,
+            [0, 2, 3, 4, 5],
+        ),
         (" ", [0, 1, 2, 3, 4, 5]),
     ],
 )
@@ -77,13 +96,22 @@ def test_filters_select(library, where, found):
         ("object is cup", "go on with null"),
         ("= cup", "the name of a column"),
         ("(" * 60 + "object = cup", "nest at most 50"),
+        ("order=9 or not (order=1 and " * 12 + "order=1" + ")" * 12, "less deeply"),
         ("object = " + "x" * 10_000, "at most 10000 characters"),
+        ("force_n > nan", "number or a text, got 'nan'.*is null"),
+        ("object = \udcff", "that UTF-8 can hold"),
         ("object = cup; DROP TABLE touches", "and, or, or its end"),
     ],
 )
 def test_what_is_no_filter_is_refused(library, where, message):
     with pytest.raises(LibraryError, match=message):
         library.list(where)
+
+
+@pytest.mark.parametrize("method", ["count", "list", "touches", "select"])
+def test_a_filter_is_text(library, method):
+    with pytest.raises(TypeError, match="where must be a filter or None, got int"):
+        getattr(library, method)(5)
 
 
 @given(text=st.text(max_size=60))
@@ -97,7 +125,8 @@ def test_any_text_is_a_filter_or_refused(text):
     rest = sql
     for column in sorted(COLUMNS.values(), key=len, reverse=True):
         rest = rest.replace(column, "")
-    for word in ("IS NOT", "IS", "NULL", "AND", "OR", "NOT", "coalesce", "instr"):
+    words = ("IS NOT", "IS", "IN", "NULL", "AND", "OR", "NOT", "coalesce", "instr")
+    for word in words:
         rest = rest.replace(word, "")
     assert set(rest) <= set("()?<>=, 0")
     assert sql.count("?") == len(values)

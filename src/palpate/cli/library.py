@@ -78,6 +78,10 @@ def add(
     else:
         from ..library import read_bag
 
+        _refuse_with_topic(
+            {"--where": where, "--name-pattern": name_pattern}
+            | {"--no-contact": no_contact}
+        )
         found = read_bag(touches, topic, object=object_name)
     told = sensor and SensorDescription(sensor, kind, unit, pitch_mm)
     with TouchLibrary.open(folder, create=True) as opened:
@@ -207,7 +211,9 @@ def check(
             print(
                 f"Database {'made anew' if repaired.rebuilt else 'kept'}; touches "
                 f"recovered: {repaired.n_recovered}, set aside: "
-                f"{repaired.n_set_aside}, come back: {repaired.n_restored}."
+                f"{repaired.n_set_aside}, come back: {repaired.n_restored}; changes "
+                f"recovered: {repaired.n_changes}; arrays left out: "
+                f"{repaired.n_left_out}."
             )
         print(report)
     if not report.ok:
@@ -290,6 +296,17 @@ def restore(
 
 _ID_SHOWN = 12
 _SHOWN = ("id", "object", "session", "episode", "order", "force_n", "retracted")
+
+
+def _refuse_with_topic(options: dict[str, object]) -> None:
+    """Refuse what says nothing of a bag."""
+    for name, value in options.items():
+        if value is not None:
+            raise ValueError(
+                f"{name} must be left out with --topic, got {str(value)!r}. All "
+                "messages of a bag's topic are read; choose afterwards with "
+                "`palpate library retract`."
+            )
 
 
 def _one_touch(opened: "TouchLibrary", start: str) -> "TouchRow":

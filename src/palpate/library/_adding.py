@@ -11,13 +11,13 @@ from .._progress import Progress
 from ..touches import Touches
 from ._database import Database
 from ._errors import LibraryError
-from ._files import file_path, header_size, packed, publish
+from ._files import ARRAYS, IMAGES, file_path, header_size, packed, publish
+from ._matching import matched
 from ._records import SensorDescription
 from ._sheet import CELLS, Sheet, canonical, sheet_of
 
 TOUCHES_PER_FILE = 256
 BYTES_PER_FILE = 32 * 2**20
-IMAGES, ARRAYS = "images", "arrays"
 MISSING = "its image is missing or altered"
 # Retractions that a repair made, since it found no image.
 SET_ASIDE = (
@@ -55,7 +55,7 @@ def add_touches(
     try:
         with Progress(len(touches), "Adding touches", progress) as bar:
             for part in _parts(touches):
-                sheet = sheet_of(part, recording, time.time())
+                sheet = matched(database, sheet_of(part, recording, time.time()))
                 store_sheet(database, folder, sheet)
                 ids += [key.hex() for key in sheet.ids]
                 bar.advance(len(part))

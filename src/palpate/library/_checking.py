@@ -1,25 +1,23 @@
 """Is everything there, is it as it was written, and what can be made of the rest."""
 
 import json
-import time
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from .._progress import Progress
-from ._adding import ARRAYS, IMAGES, MISSING, SET_ASIDE, enter_sheet
-from ._changes import CHANGES, apply_change, make_change, read_change
+from ._adding import SET_ASIDE
+from ._changes import change_files, file_fault, known_changes, read_change
 from ._database import FILE_NAME, Database
-from ._errors import LibraryError
-from ._files import PARTIAL, file_path, read_file, read_values
-from ._sheet import Sheet, image_digest, read_sheet
+from ._errors import DatabaseUnavailable, LibraryError, NewerLibrary
+from ._files import ARRAYS, CHANGES, IMAGES, PARTIAL, file_path, read_file, read_values
+from ._sheet import image_digest
 
-DAMAGED = "damaged"
-_STALE_S = 86_400.0
 _SHOWN = 20
+_KEPT = "retraction IS NULL"
+_RETRACTED = f"retraction IS NOT NULL AND retraction NOT IN ({SET_ASIDE})"
 
 
 class Problem(NamedTuple):
@@ -28,14 +26,15 @@ class Problem(NamedTuple):
     Attributes
     ----------
     kind : str
-        "database", "image", "array", "file without touches", "partial file" or
-        "version".
+        "database", "disk", "version", "image", "array", "change", "file without
+        touches" or "partial file".
     path : str
         The file concerned.
     what : str
         What is wrong, in a sentence.
     touches : list of str
-        Ids of the touches that cannot be read because of it.
+        Ids of the touches that it concerns: their image cannot be read or, of an
+        array, they are read without it.
     """
 
     kind: str
@@ -45,36 +44,36 @@ class Problem(NamedTuple):
 
 
 class CheckReport(NamedTuple):
-    """What a check found; `ok` when nothing is wrong with any acknowledged touch."""
+    """What a check found; `ok` when nothing is wrong with any acknowledged touch.
+
+    `n_set_aside` touches, which an earlier repair found no image of, are not among
+    the `n_touches`.
+    """
 
     ok: bool
     n_touches: int
     n_files: int
     problems: list[Problem]
+    n_set_aside: int = 0
 
     def __str__(self) -> str:
-        head = f"{self.n_touches} touches in {self.n_files} files: " + (
-            "all present and as they were written."
-            if self.ok
-            else f"{len(self.problems)} problems."
-        )
-        lines = [f"{p.kind}: {p.path}: {p.what}" for p in self.problems[:_SHOWN]]
+        lines = [
+            f"{self.n_touches} touches in {self.n_files} files: "
+            + (
+                "all present and as they were written."
+                if self.ok
+                else f"{len(self.problems)} problems."
+            )
+        ]
+        if self.n_set_aside:
+            lines.append(
+                f"{self.n_set_aside} touches are set aside: their images were missing "
+                "or altered. They come back when their files do and the library is "
+                "repaired, or when they are added again."
+            )
+        lines += [f"{p.kind}: {p.path}: {p.what}" for p in self.problems[:_SHOWN]]
         more = len(self.problems) - _SHOWN
-        return "\n".join([head, *lines, *([f"... and {more} more"] * (more > 0))])
-
-
-class RepairReport(NamedTuple):
-    """What a repair did.
-
-    `rebuilt` tells whether the database was made anew from the files; `n_recovered`
-    counts touches that it did not know (any more), `n_set_aside` those retracted
-    since their image is gone, `n_restored` those whose image is back.
-    """
-
-    rebuilt: bool
-    n_recovered: int
-    n_set_aside: int
-    n_restored: int
+        return "\n".join([*lines, *([f"... and {more} more"] * (more > 0))])
 
 
 class _Stored(NamedTuple):
@@ -105,62 +104,34 @@ def check_library(folder: str | Path, *, progress: bool | None = None) -> CheckR
     try:
         database = Database(folder / FILE_NAME, create=False)
     except LibraryError as error:
-        kind = "version" if "this palpate reads up to" in str(error) else "database"
-        problem = Problem(kind, FILE_NAME, str(error), [])
-        return CheckReport(False, 0, 0, [problem])
+        return _not_read(error)
     try:
-        problems = _database_problems(database)
-        n_touches, n_files = _counts(database)
-        problems += _image_problems(database, folder, progress)
-        problems += _array_problems(database, folder)
-        spare = [*_spare_files(database, folder), *_partial_files(folder)]
-        return CheckReport(not problems, n_touches, n_files, problems + spare)
+        problems = database_problems(database)
+        lost, remarks = _image_problems(database, folder, progress)
+        problems += lost
+        arrays = array_problems(database, folder)
+        known = left_out(database)
+        problems += [p for p in arrays if Path(p.path).stem not in known]
+        problems += change_problems(database, folder)
+        remarks += [p for p in arrays if Path(p.path).stem in known]
+        remarks += [*_spare_files(database, folder), *_partial_files(folder)]
+        counts = _counts(database)
+        return CheckReport(not problems, *counts[:2], problems + remarks, counts[2])
     except LibraryError as error:
-        problem = Problem("database", FILE_NAME, str(error), [])
-        return CheckReport(False, 0, 0, [problem])
+        return _not_read(error)
     finally:
         database.close()
 
 
-def repair_library(folder: str | Path, *, progress: bool | None = None) -> RepairReport:
-    """Make a damaged library whole as far as its files allow; nothing is deleted.
-
-    A database that is damaged or lost is set aside and made anew from the image
-    files, which carry all labels, and from the recorded changes. Touches whose image
-    is missing or altered are retracted with that reason, and come back when it does
-    or when they are added again. Nobody else may be writing meanwhile.
-
-    Parameters
-    ----------
-    folder : path
-        The library.
-    progress : bool, optional
-        As for `check_library`.
-
-    Raises
-    ------
-    LibraryError
-        A newer palpate made the library, or there is none.
-    """
-    folder = Path(folder)
-    rebuilt = _set_aside_database(folder)
-    database = Database(folder / FILE_NAME, create=rebuilt)
-    try:
-        n_recovered = _enter_all(database, folder, replay=rebuilt)
-        lost, found = _lost_and_found(database, folder, progress)
-        if lost:
-            make_change(
-                database, folder, {"action": "retract", "ids": lost, "reason": MISSING}
-            )
-        if found:
-            make_change(database, folder, {"action": "restore", "ids": found})
-        _sweep(folder)
-        return RepairReport(rebuilt, n_recovered, len(lost), len(found))
-    finally:
-        database.close()
+def _not_read(error: LibraryError) -> CheckReport:
+    kind = "database"
+    if isinstance(error, NewerLibrary | DatabaseUnavailable):
+        kind = "version" if isinstance(error, NewerLibrary) else "disk"
+    return CheckReport(False, 0, 0, [Problem(kind, FILE_NAME, str(error), [])])
 
 
-def _database_problems(database: Database) -> list[Problem]:
+def database_problems(database: Database) -> list[Problem]:
+    """Return what SQLite finds wrong with the database."""
     found = [row[0] for row in database.rows("PRAGMA quick_check(5)")]
     wrong = [] if found == ["ok"] else found
     return [
@@ -168,29 +139,38 @@ def _database_problems(database: Database) -> list[Problem]:
     ]
 
 
-def _counts(database: Database) -> tuple[int, int]:
-    row = database.one("SELECT count(*), count(DISTINCT file) FROM touches")
-    return (0, 0) if row is None else (int(row[0]), int(row[1]))
+def _counts(database: Database) -> tuple[int, int, int]:
+    """Return the touches that should be there, their files, and those set aside."""
+    aside = f"coalesce(retraction IN ({SET_ASIDE}), 0)"
+    row = database.one(
+        f"SELECT count(*) - sum({aside}), count(DISTINCT iif({aside}, NULL, file)), "
+        f"sum({aside}) FROM touches"
+    )
+    n_touches, n_files, n_aside = (int(cell or 0) for cell in row or (0, 0, 0))
+    return n_touches, n_files, n_aside
 
 
 def _image_problems(
     database: Database, folder: Path, progress: bool | None
-) -> list[Problem]:
+) -> tuple[list[Problem], list[Problem]]:
+    """Return what is wrong with images of touches, and of retracted ones."""
     files = database.rows("SELECT id, name FROM files ORDER BY id")
-    problems = []
+    problems: list[Problem | None] = []
+    remarks: list[Problem | None] = []
     with Progress(len(files), "Checking files", progress) as bar:
         for key, name in files:
-            problem = _image_problem(database, folder, key, name.hex())
-            problems += [] if problem is None else [problem]
+            file = (database, folder, key, name.hex())
+            problems.append(image_problem(*file))
+            remarks.append(image_problem(*file, _RETRACTED))
             bar.advance(1)
-    return problems
+    return [p for p in problems if p is not None], [p for p in remarks if p is not None]
 
 
-def _image_problem(
-    database: Database, folder: Path, key: int, name: str
+def image_problem(
+    database: Database, folder: Path, key: int, name: str, state: str = _KEPT
 ) -> Problem | None:
-    kept = "retraction IS NULL"
-    rows = _touches_in(database, key, kept)
+    """Return what is wrong with a file of images that touches stand in."""
+    rows = touches_in(database, key, state)
     if not rows:
         return None
     try:
@@ -199,12 +179,15 @@ def _image_problem(
         path = file_path(folder / IMAGES, name)
         short = path.relative_to(folder).as_posix()
         lost = _unreadable(path, rows)
-        what = f"{str(error).replace(f'{path} ', 'It ')} {len(lost)} touches are lost."
+        if state != _KEPT and not lost:
+            return None
+        end = "are lost." if state == _KEPT else "that are retracted cannot come back."
+        what = f"{str(error).replace(f'{path} ', 'It ')} {len(lost)} touches {end}"
         return Problem("image", short, what, lost)
     return None
 
 
-def _touches_in(database: Database, file: int, state: str) -> list[_Stored]:
+def touches_in(database: Database, file: int, state: str) -> list[_Stored]:
     """Return what a file should hold: touches in this state."""
     rows = database.rows(
         "SELECT lower(hex(t.id)), f.offset, t.place, t.image, r.n_rows, r.n_cols, "
@@ -238,21 +221,66 @@ def _unreadable(path: Path, rows: list[_Stored]) -> list[str]:
     return lost
 
 
-def _array_problems(database: Database, folder: Path) -> list[Problem]:
+def array_problems(database: Database, folder: Path) -> list[Problem]:
+    """Return what is wrong with arrays of whole recordings."""
+    users: dict[str, dict[int, str]] = {}
+    for key, whole in database.rows("SELECT id, whole FROM recordings ORDER BY id"):
+        for entry, name in json.loads(whole).items():
+            users.setdefault(name, {})[key] = entry
     problems = []
-    names = {
-        name
-        for (whole,) in database.rows("SELECT whole FROM recordings")
-        for name in json.loads(whole).values()
-    }
-    for name in sorted(names):
+    for name, keys in sorted(users.items()):
         try:
             read_file(folder / ARRAYS, name)
         except LibraryError as error:
             path = file_path(folder / ARRAYS, name)
             short = path.relative_to(folder).as_posix()
-            problems.append(Problem("array", short, str(error), []))
+            touches = _touches_of(database, list(keys))
+            what = (
+                f"{str(error).replace(f'{path} ', 'It ')} {len(touches)} touches are "
+                f"read without their {next(iter(keys.values()))}; adding them again "
+                "brings it back."
+            )
+            problems.append(Problem("array", short, what, touches))
     return problems
+
+
+def _touches_of(database: Database, recordings: list[int]) -> list[str]:
+    sql = "SELECT lower(hex(id)) FROM touches WHERE recording = ? ORDER BY number"
+    return [row[0] for key in recordings for row in database.rows(sql, [key])]
+
+
+def left_out(database: Database) -> set[str]:
+    """Return the names of arrays that an earlier repair found lost."""
+    rows = database.rows("SELECT content FROM changes WHERE action = 'leave_out'")
+    return {name for (text,) in rows for name in json.loads(text)["arrays"]}
+
+
+def change_problems(database: Database, folder: Path) -> list[Problem]:
+    """Return what the database and the files of changes do not agree on."""
+    known, files = known_changes(database), change_files(folder)
+    told = []
+    for name, brief in known.items():
+        fault = file_fault(folder, name, brief)
+        if fault is not None:
+            what = (
+                f"It must be as it was written, got: {fault}. The database knows this "
+                f"{brief['action']}; --repair writes its file anew."
+            )
+            told.append((name, what))
+    for name in sorted(files.keys() - known.keys()):
+        try:
+            action = read_change(files[name])["action"]
+        except (OSError, ValueError) as error:
+            what = f"It must be a change, got: {error}. --repair sets it aside."
+        else:
+            what = (
+                f"The database lacks this {action}: it has been lost and made anew, or "
+                "a writer was killed. --repair carries it out."
+            )
+        told.append((name, what))
+    return [
+        Problem("change", f"{CHANGES}/{name}.json", what, []) for name, what in told
+    ]
 
 
 def _spare_files(database: Database, folder: Path) -> Iterator[Problem]:
@@ -270,94 +298,3 @@ def _partial_files(folder: Path) -> Iterator[Problem]:
         short = path.relative_to(folder).as_posix()
         what = "A writer was killed, or is writing it now; harmless."
         yield Problem("partial file", short, what, [])
-
-
-def _set_aside_database(folder: Path) -> bool:
-    """Move a damaged database away; return whether it was one."""
-    path = folder / FILE_NAME
-    try:
-        database = Database(path, create=False)
-    except LibraryError as error:
-        if "this palpate reads up to" in str(error):
-            raise
-    else:
-        try:
-            if not _database_problems(database):
-                return False
-        except LibraryError:
-            pass
-        finally:
-            database.close()
-    if not path.exists() and not any((folder / IMAGES).glob("*/*.npy")):
-        raise LibraryError(
-            f"{folder} must be a library of touches, got no sign of one."
-        )
-    away = folder / DAMAGED / f"{int(time.time() * 1e6)}"
-    away.mkdir(parents=True)
-    for name in (FILE_NAME, f"{FILE_NAME}-wal", f"{FILE_NAME}-shm"):
-        if (folder / name).exists():
-            (folder / name).replace(away / name)
-    return True
-
-
-def _enter_all(database: Database, folder: Path, *, replay: bool) -> int:
-    """Enter all files that the database does not know; return the touches gained.
-
-    With `replay`, changes are carried out between them, in the order of time.
-    """
-    known = {row[0].hex() for row in database.rows("SELECT name FROM files")}
-    before = _counts(database)[0]
-    steps: list[tuple[float, str, Path]] = []
-    for path in sorted((folder / IMAGES).glob("*/*.npy")):
-        if path.stem not in known and (sheet := _sheet_in(folder, path)) is not None:
-            steps.append((sheet.added_s, "touches", path))
-    if replay:
-        for path in sorted((folder / CHANGES).glob("*.json")):
-            with suppress(OSError, ValueError, KeyError):
-                steps.append((float(read_change(path)["time_s"]), "change", path))
-    for _, kind, path in sorted(steps):
-        with (
-            suppress(LibraryError, ValueError, KeyError, TypeError),
-            database.writing(),
-        ):
-            if kind == "change":
-                apply_change(database, path.stem, read_change(path))
-            elif (sheet := _sheet_in(folder, path)) is not None:
-                enter_sheet(database, sheet, path.stem)
-    return _counts(database)[0] - before
-
-
-def _sheet_in(folder: Path, path: Path) -> Sheet | None:
-    """Return the touches in a file, or None where it is not what it should be."""
-    try:
-        return read_sheet(read_file(folder / IMAGES, path.stem))
-    except (LibraryError, ValueError, KeyError, TypeError, AttributeError):
-        return None
-
-
-def _lost_and_found(
-    database: Database, folder: Path, progress: bool | None
-) -> tuple[list[str], list[str]]:
-    """Return touches whose image is gone, and those set aside whose image is back."""
-    lost: list[str] = []
-    found: list[str] = []
-    files = database.rows("SELECT id, name FROM files ORDER BY id")
-    aside = f"t.retraction IN ({SET_ASIDE})"
-    with Progress(len(files), "Reading files", progress) as bar:
-        for key, name in files:
-            path = file_path(folder / IMAGES, name.hex())
-            bad = _image_problem(database, folder, key, name.hex())
-            lost += [] if bad is None else bad.touches
-            rows = _touches_in(database, key, aside)
-            if rows and _sheet_in(folder, path) is not None:
-                found += [row.id for row in rows]
-            bar.advance(1)
-    return lost, found
-
-
-def _sweep(folder: Path) -> None:
-    """Remove partial files that no living writer can be writing."""
-    for path in folder.rglob(f"{PARTIAL}*"):
-        with suppress(OSError):
-            if time.time() - path.stat().st_mtime > _STALE_S:
-                path.unlink()

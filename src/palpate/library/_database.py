@@ -12,7 +12,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ._errors import LibraryError
+from ._errors import (
+    DatabaseBusy,
+    DatabaseDamaged,
+    DatabaseUnavailable,
+    LibraryError,
+    NewerLibrary,
+)
+from ._files import holds_files
 
 FILE_NAME = "library.sqlite"
 VERSION = 1
@@ -82,19 +89,15 @@ class Database:
         self._lock = threading.RLock()
         self._process = os.getpid()
         if not create and not path.is_file():
-            raise LibraryError(
-                f"{path.parent} must be a library of touches, got no {path.name} in "
-                "it. Make one with `palpate library add`."
-            )
-        with self.explained():
-            self._connection = sqlite3.connect(
-                path, timeout=PATIENCE_S, isolation_level=None, check_same_thread=False
-            )
+            raise _missing(path)
         try:
-            self._prepare(create)
-        except BaseException:
-            self._connection.close()
+            self._open(create)
+        except DatabaseBusy:
             raise
+        except DatabaseUnavailable as error:
+            if create:
+                raise
+            self._open_alone(error)
 
     def close(self) -> None:
         """Close the connection; closing twice does nothing."""
@@ -150,12 +153,54 @@ class Database:
         try:
             yield
         except sqlite3.Error as error:
-            raise LibraryError(_told(self.path, error)) from error
+            raise _explained(self.path, error) from error
+        except UnicodeEncodeError as error:
+            raise LibraryError(
+                f"Texts must be such as UTF-8 can hold, got {error.object[:80]!r}. "
+                "Leave out what no program can print."
+            ) from error
 
-    def _prepare(self, create: bool) -> None:
+    def _open(
+        self, create: bool, *, mode: str = "rwc", locking: str = "NORMAL"
+    ) -> None:
+        place = f"{self.path.absolute().as_uri()}?mode={mode}"
+        with self.explained():
+            self._connection = sqlite3.connect(
+                place,
+                uri=True,
+                timeout=PATIENCE_S,
+                isolation_level=None,
+                check_same_thread=False,
+            )
+        try:
+            self._prepare(create, locking)
+        except BaseException:
+            self._connection.close()
+            raise
+
+    def _open_alone(self, error: DatabaseUnavailable) -> None:
+        """Open where there is no room, or no leave, for the shared index of the log.
+
+        A connection that locks out all others keeps that index in its own memory. A
+        database that may not be written to at all is read as it stands, but only
+        when nothing is left in its log.
+        """
+        log = self.path.with_name(f"{self.path.name}-wal")
+        try:
+            self._open(False, mode="rw", locking="EXCLUSIVE")
+        except DatabaseUnavailable:
+            if log.is_file() and log.stat().st_size:
+                raise error from None
+            try:
+                self._open(False, mode="ro&immutable=1")
+            except DatabaseUnavailable:
+                raise error from None
+
+    def _prepare(self, create: bool, locking: str) -> None:
         with self.explained():
             run = self._connection.execute
             run(f"PRAGMA busy_timeout = {int(PATIENCE_S * 1000)}")
+            run(f"PRAGMA locking_mode = {locking}")
             run("PRAGMA synchronous = FULL")
             run("PRAGMA foreign_keys = ON")
             run("PRAGMA trusted_schema = OFF")
@@ -164,12 +209,12 @@ class Database:
                 self._make_tables()
             version = self._version()
         if version > VERSION:
-            raise LibraryError(
+            raise NewerLibrary(
                 f"{self.path} has library format {version}, this palpate reads up to "
                 f"{VERSION}. Update palpate; the images beside it are plain .npy files."
             )
         if version < 1 or self._application() != _APPLICATION:
-            raise LibraryError(
+            raise DatabaseDamaged(
                 f"{self.path} must be the database of a library of touches, got "
                 "another one, or an empty file. Give another folder, or rebuild it "
                 "from its images with `palpate library check --repair`."
@@ -191,21 +236,49 @@ class Database:
         return int(self._connection.execute("PRAGMA application_id").fetchone()[0])
 
 
-def _told(path: Path, error: sqlite3.Error) -> str:
-    text = str(error)
-    if "full" in text:
-        fix = "Free space on the disk and go on; what was acknowledged is kept."
-    elif "locked" in text or "busy" in text:
-        fix = "Another program has been writing for a minute; wait, or end it."
-    elif "malformed" in text or "not a database" in text or "disk I/O" in text:
-        fix = (
-            "It is damaged; `palpate library check --repair` rebuilds it from the "
-            "image files."
+def _missing(path: Path) -> LibraryError:
+    start = f"{path.parent} must be a library of touches, got "
+    if not holds_files(path.parent):
+        return LibraryError(
+            f"{start}no {path.name} in it. Make one with `palpate library add`."
         )
-    elif "closed" in text:
-        fix = "The library was closed; open it again."
-    else:
-        fix = (
-            "Check that the folder may be written to, and run `palpate library check`."
+    return DatabaseDamaged(
+        f"{start}its files without {path.name}. Put that back, or make it anew from "
+        "the files with `palpate library check --repair`."
+    )
+
+
+_DAMAGE = ("SQLITE_CORRUPT", "SQLITE_NOTADB")
+_BUSY = ("SQLITE_BUSY", "SQLITE_LOCKED")
+_FIXES = {
+    "SQLITE_FULL": "Free space on the disk and go on; what was acknowledged is kept.",
+    "SQLITE_IOERR": "Free space on the disk, see that the disk is well, and try again; "
+    "what was acknowledged is kept.",
+    "SQLITE_BUSY": "Another program has been writing for a minute; wait, or end it.",
+    "SQLITE_LOCKED": "Another program has been writing for a minute; wait, or end it.",
+    "SQLITE_CANTOPEN": "Free space on the disk, and check that the folder may be "
+    "written to.",
+    "SQLITE_READONLY": "Check that the folder and the file may be written to.",
+    "SQLITE_NOMEM": "Free memory and try again.",
+}
+
+
+def _explained(path: Path, error: sqlite3.Error) -> LibraryError:
+    """Return what SQLite stumbled over as one sentence with the fix."""
+    name = "_".join(getattr(error, "sqlite_errorname", "").split("_")[:2])
+    start = f"{path} must be a sound database, got: {error}. "
+    if name in _DAMAGE:
+        return DatabaseDamaged(
+            f"{start}It is damaged; `palpate library check --repair` rebuilds it from "
+            "the image files."
         )
-    return f"{path} must be a sound database, got: {text}. {fix}"
+    if name in _FIXES:
+        start = f"{path} must be readable and writable, got: {error}. "
+        kind = DatabaseBusy if name in _BUSY else DatabaseUnavailable
+        return kind(start + _FIXES[name])
+    if "closed" in str(error):
+        return LibraryError(f"{start}The library was closed; open it again.")
+    return LibraryError(
+        f"{start}Check that the folder may be written to, and run `palpate library "
+        "check`."
+    )

@@ -15,7 +15,8 @@ from ..touches import Touches
 from ._database import Database
 from ._errors import LibraryError
 from ._files import packed, publish, read_file
-from ._reading import AT_ONCE, Place, Shape, common_shape, images_at, places_of
+from ._query import AT_ONCE
+from ._reading import Place, Shape, common_shape, images_at, places_of
 
 FEATURES = "features"
 TASKS_PER_FILE = 16

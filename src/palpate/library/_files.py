@@ -23,10 +23,17 @@ from numpy.typing import NDArray
 
 from ._errors import LibraryError
 
+IMAGES, ARRAYS, CHANGES = "images", "arrays", "changes"
 PARTIAL = ".partial-"
 _MAX_HEADER = 2**14
 _NAME = re.compile("[0-9a-f]{64}")
 _PLAIN_KINDS = "biufcSUMm"
+
+
+def holds_files(library: Path) -> bool:
+    """Tell whether touches or changes have ever been stored in a library."""
+    kinds = (f"{IMAGES}/[0-9a-f][0-9a-f]/*.npy", f"{CHANGES}/*-*.json")
+    return any(next(library.glob(kind), None) is not None for kind in kinds)
 
 
 def file_path(folder: Path, name: str) -> Path:

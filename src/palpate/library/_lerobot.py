@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..touches import Touches
-from ._errors import LibraryError
 from ._extra import needed
 
 VERSION = "v3.0"
@@ -80,15 +79,13 @@ def write_lerobot(
     Parameters
     ----------
     folder : Path
-        A new or empty folder.
+        A new folder.
     episodes : list
         What `read` makes the touches of one episode of, all with one object.
     read : callable
         See `episodes`.
     """
     needed("pyarrow.parquet", "parquet", "Writing a LeRobotDataset")
-    if folder.exists() and any(folder.iterdir()):
-        raise LibraryError(f"{folder} must be a new or empty folder, got files in it.")
     tasks: dict[str, int] = {}
     spread = _Spread()
     rows: list[dict[str, Any]] = []

@@ -9,23 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..touches import Touches
-from ._adding import ARRAYS, IMAGES, add_touches
-from ._changes import make_change, object_key
-from ._checking import CheckReport, RepairReport, check_library, repair_library
+from ._adding import add_touches
+from ._changes import current_name, is_unicode, make_change, object_key
+from ._checking import CheckReport, check_library
 from ._database import FILE_NAME, Database
 from ._errors import LibraryError
 from ._exporting import export_touches
-from ._files import flush_folder, read_file
-from ._objects import object_rows
-from ._reading import (
-    condition,
-    id_bytes,
-    list_touches,
-    numbers_of,
-    read_one_image,
-    read_touches,
-)
+from ._files import flush_folder, holds_files
+from ._objects import object_rows, stats_of
+from ._query import condition, count_touches, id_bytes, list_touches, numbers_of
+from ._reading import read_array, read_one_image, read_touches
 from ._records import ObjectRow, SensorDescription, Stats, TouchRow
+from ._repairing import RepairReport, repair_library
 from ._selection import Selection
 
 MAX_BYTES = 64 * 2**30
@@ -79,8 +74,8 @@ class TouchLibrary:
 
     @staticmethod
     def is_library(folder: str | Path) -> bool:
-        """Tell whether `folder` holds a library."""
-        return (Path(folder) / FILE_NAME).is_file()
+        """Tell whether `folder` holds a library, even one whose database is lost."""
+        return (Path(folder) / FILE_NAME).is_file() or holds_files(Path(folder))
 
     def __enter__(self) -> Self:
         return self
@@ -185,23 +180,26 @@ class TouchLibrary:
 
     def count(self, where: str | None = None) -> int:
         """Return how many touches meet a filter."""
-        return len(numbers_of(self._database, condition(self._database, where)))
+        return count_touches(self._database, condition(self._database, where))
 
     def image(self, id: str) -> NDArray[Any]:
         """Return the image of one touch, shape (n_rows, n_cols), retracted or not."""
         return read_one_image(self._database, self.folder, id)
 
     def no_contact(self, session: str | int | None = None) -> NDArray[Any] | None:
-        """Return the latest no-contact image of a session (of all), or None."""
+        """Return the latest no-contact image of a session (of all), or None.
+
+        One that is missing or altered is passed over with a warning.
+        """
         chosen = "" if session is None else "AND t.session IS ? "
-        row = self._database.one(
-            "SELECT json_extract(r.whole, '$.no_contact') FROM touches t "
-            "JOIN recordings r ON r.id = t.recording "
-            f"WHERE json_extract(r.whole, '$.no_contact') IS NOT NULL {chosen}"
-            "ORDER BY t.number DESC LIMIT 1",
+        rows = self._database.rows(
+            "SELECT json_extract(r.whole, '$.no_contact') AS name FROM touches t "
+            f"JOIN recordings r ON r.id = t.recording WHERE name IS NOT NULL {chosen}"
+            "GROUP BY name ORDER BY max(t.number) DESC",
             [] if session is None else [session],
         )
-        return None if row is None else read_file(self.folder / ARRAYS, row[0])[0]
+        images = (read_array(self.folder, "no_contact", row[0]) for row in rows)
+        return next((image for image in images if image is not None), None)
 
     def sensors(self) -> Sensors:
         """Return the sensors that took the touches, in the order first met."""
@@ -236,7 +234,8 @@ class TouchLibrary:
         -----
         Columns that only some touches have are NaN or empty for the others. Entries
         of the whole set that differ between recordings (mostly the no-contact
-        image) are left out; see `no_contact`.
+        image) are left out; see `no_contact`. So are, with a warning, those whose
+        file is missing or altered.
         """
         numbers = numbers_of(self._database, condition(self._database, where))
         return read_touches(self._database, self.folder, numbers, max_bytes)
@@ -265,10 +264,13 @@ class TouchLibrary:
 
     def rename_object(self, old: str, new: str) -> None:
         """Give an object another name; the old one is free afterwards."""
-        self._change(action="rename", old=old, new=new)
+        now = current_name(self._database, old)
+        self._change(action="rename", old=now, new=new)
 
     def merge_objects(self, source: str, into: str) -> None:
         """Make two objects one; touches added as `source` go there as well."""
+        source = current_name(self._database, source)
+        into = current_name(self._database, into)
         self._change(action="merge", source=source, into=into)
 
     def retract(
@@ -285,7 +287,7 @@ class TouchLibrary:
         n_retracted : int
             How many touches it concerned.
         """
-        if not isinstance(reason, str) or not reason.strip():
+        if not isinstance(reason, str) or not reason.strip() or not is_unicode(reason):
             raise ValueError(f"reason must be a text, got {reason!r}. Say why.")
         chosen = self._chosen(ids, object, "t.retraction IS NULL")
         return self._change(action="retract", ids=chosen, object=object, reason=reason)
@@ -299,21 +301,7 @@ class TouchLibrary:
 
     def stats(self) -> Stats:
         """Return how much the library holds."""
-        row = self._database.one(
-            "SELECT count(*), count(retraction), (SELECT count(*) FROM files), "
-            "(SELECT count(*) FROM (SELECT DISTINCT session FROM touches)) FROM touches"
-        )
-        n_touches, n_retracted, n_files, n_sessions = row or (0, 0, 0, 0)
-        return Stats(
-            n_touches - n_retracted,
-            n_retracted,
-            len(self.objects()),
-            n_sessions,
-            n_files,
-            sum(p.stat().st_size for p in self.folder.glob(f"{FILE_NAME}*")),
-            _bytes_below(self.folder / IMAGES) + _bytes_below(self.folder / ARRAYS),
-            _bytes_below(self.folder / "features"),
-        )
+        return stats_of(self._database, self.folder)
 
     def check(self, *, progress: bool | None = None) -> CheckReport:
         """Read everything and compare it with its checksums; see `check_library`."""
@@ -352,7 +340,13 @@ class TouchLibrary:
 
 
 def _make(place: Path) -> None:
-    """Make an empty library; several programs may try at once."""
+    """Make an empty library; several programs may try at once.
+
+    Files are looked for before the database: a writer stores its first file when the
+    database is there, so files without one mean that it was lost.
+    """
+    if holds_files(place):
+        return
     try:
         place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -381,7 +375,3 @@ def _labelled(
         more["geometry"] = None if touches.geometry else sensor.geometry
         columns |= {n: np.array(v) for n, v in more.items() if v is not None}
     return touches.with_columns(**columns) if columns else touches
-
-
-def _bytes_below(folder: Path) -> int:
-    return sum(p.stat().st_size for p in folder.rglob("*") if p.is_file())

@@ -1,10 +1,12 @@
-"""The objects of a library, counted."""
+"""What a library holds, counted."""
 
 from collections import defaultdict
+from pathlib import Path
 from typing import Any
 
-from ._database import Database
-from ._records import ObjectRow
+from ._database import FILE_NAME, Database
+from ._files import ARRAYS, IMAGES
+from ._records import ObjectRow, Stats
 
 
 def object_rows(database: Database) -> list[ObjectRow]:
@@ -24,6 +26,29 @@ def object_rows(database: Database) -> list[ObjectRow]:
         ObjectRow(name, _category(database, key), counts[name, key], len(found))
         for (name, key), found in sorted(episodes.items())
     ]
+
+
+def stats_of(database: Database, folder: Path) -> Stats:
+    """Return how much there is, in touches and in bytes."""
+    row = database.one(
+        "SELECT count(*), count(retraction), (SELECT count(*) FROM files), "
+        "(SELECT count(*) FROM (SELECT DISTINCT session FROM touches)) FROM touches"
+    )
+    n_touches, n_retracted, n_files, n_sessions = row or (0, 0, 0, 0)
+    return Stats(
+        n_touches - n_retracted,
+        n_retracted,
+        len(object_rows(database)),
+        n_sessions,
+        n_files,
+        sum(p.stat().st_size for p in folder.glob(f"{FILE_NAME}*")),
+        _bytes_below(folder / IMAGES) + _bytes_below(folder / ARRAYS),
+        _bytes_below(folder / "features"),
+    )
+
+
+def _bytes_below(folder: Path) -> int:
+    return sum(p.stat().st_size for p in folder.rglob("*") if p.is_file())
 
 
 def _category(database: Database, key: int) -> str | None:

@@ -3,6 +3,7 @@
 import json
 import os
 import tempfile
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,20 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..touches import Touches
-from ._adding import ARRAYS, IMAGES
 from ._database import Database
 from ._errors import LibraryError
-from ._files import file_path, read_file, read_values
-from ._records import TouchRow
+from ._files import ARRAYS, IMAGES, file_path, read_file, read_values
+from ._query import FROM, chunks, distinct, id_bytes
 from ._sheet import CELLS, Column, column_array, image_digest, read_sheet
-from ._where import Condition, parse_where
 
-FROM = (
-    "FROM touches t JOIN recordings r ON r.id = t.recording "
-    "LEFT JOIN objects given ON given.id = t.object "
-    "LEFT JOIN objects o ON o.id = coalesce(given.merged_into, given.id) "
-)
-AT_ONCE = 512
 IN_MEMORY = 256 * 2**20
 
 _CELLS_SQL = ", ".join(
@@ -50,50 +43,10 @@ class Shape(NamedTuple):
     dtype: str
 
 
-def condition(
-    database: Database, where: str | None, *, retracted: bool = False
-) -> Condition:
-    """Return a filter as SQL; retracted touches are left out unless asked for."""
-    kept = "1" if retracted else "t.retraction IS NULL"
-    if where is None or not where.strip():
-        return Condition(kept, [])
-    parsed = parse_where(where, _extra_names(database))
-    return Condition(f"{kept} AND {parsed.sql}", parsed.values)
-
-
-def numbers_of(database: Database, where: Condition) -> NDArray[np.int64]:
-    """Return the numbers of the touches that meet a filter, in the order added."""
-    rows = database.rows(
-        f"SELECT t.number {FROM} WHERE {where.sql} ORDER BY t.number", where.values
-    )
-    return np.fromiter((row[0] for row in rows), dtype=np.int64, count=len(rows))
-
-
-def list_touches(
-    database: Database, where: Condition, limit: int | None, offset: int
-) -> list[TouchRow]:
-    """Return what is known of touches, newest last, without reading an image."""
-    rows = database.rows(
-        "SELECT lower(hex(t.id)), o.name, t.category, t.session, t.episode, "
-        'coalesce(t.sensor, r.sensor), t."order", t.time_s, t.force_n, r.n_rows, '
-        "r.n_cols, r.dtype, t.added_s, t.retraction IS NOT NULL, c.content "
-        f"{FROM} LEFT JOIN changes c ON c.id = t.retraction "
-        f"WHERE {where.sql} ORDER BY t.number LIMIT ? OFFSET ?",
-        [*where.values, -1 if limit is None else limit, offset],
-    )
-    return [TouchRow._make((*r[:13], bool(r[13]), _reason(r[14]))) for r in rows]
-
-
-def chunks(numbers: NDArray[np.int64]) -> Iterator[list[int]]:
-    """Cut numbers of touches into pieces that one query takes."""
-    for start in range(0, len(numbers), AT_ONCE):
-        yield numbers[start : start + AT_ONCE].tolist()
-
-
 def common_shape(database: Database, numbers: NDArray[np.int64]) -> Shape:
     """Return the one size and type of all images, or say what is mixed."""
     found: dict[Shape, str] = {}
-    for n_rows, n_cols, dtype, sensor in _distinct(
+    for n_rows, n_cols, dtype, sensor in distinct(
         database, "r.n_rows, r.n_cols, r.dtype, r.sensor", numbers
     ):
         found.setdefault(Shape(n_rows, n_cols, dtype), str(sensor))
@@ -181,9 +134,10 @@ def read_whole(
 ) -> dict[str, NDArray[Any]]:
     """Return what is the same for all touches: geometry, no-contact image and more.
 
-    Entries that differ between recordings are left out.
+    Entries that differ between recordings are left out, and, with a warning, those
+    whose file is missing or altered.
     """
-    rows = _distinct(database, "r.geometry, r.whole", numbers)
+    rows = distinct(database, "r.geometry, r.whole", numbers)
     geometries = {row[0] for row in rows}
     if len(geometries - {None}) > 1:
         raise LibraryError(
@@ -193,10 +147,25 @@ def read_whole(
         )
     entries = [json.loads(row[1]) for row in rows]
     same = {n: h for n, h in entries[0].items() if all(e.get(n) == h for e in entries)}
-    whole = {n: read_file(folder / ARRAYS, h)[0] for n, h in same.items()}
+    read = {n: read_array(folder, n, h) for n, h in same.items()}
+    whole = {n: array for n, array in read.items() if array is not None}
     if len(geometries) == 1 and None not in geometries:
         whole["geometry"] = np.array(geometries.pop())
     return whole
+
+
+def read_array(folder: Path, entry: str, name: str) -> NDArray[Any] | None:
+    """Return an array of whole recordings, or warn and return None where it is lost."""
+    path = file_path(folder / ARRAYS, name)
+    try:
+        return read_file(folder / ARRAYS, name)[0]
+    except (LibraryError, IndexError) as error:
+        warnings.warn(
+            f"{error} Touches are read without their {entry}, {path.stem[:12]}; "
+            "add them again to bring it back. `palpate library check` lists them.",
+            stacklevel=2,
+        )
+        return None
 
 
 def read_one_image(database: Database, folder: Path, key: str) -> NDArray[Any]:
@@ -218,16 +187,6 @@ def read_one_image(database: Database, folder: Path, key: str) -> NDArray[Any]:
     block = _block(path, place, (1, n_rows, n_cols), plain, n_bytes, [place])
     image: NDArray[Any] = block[0]
     return image
-
-
-def id_bytes(key: str) -> bytes:
-    """Return an id as it stands in the database."""
-    try:
-        return bytes.fromhex(key)
-    except (ValueError, TypeError) as error:
-        raise LibraryError(
-            f"id must be 32 hexadecimal digits as `add` returns them, got {key!r}."
-        ) from error
 
 
 def _block(
@@ -286,20 +245,8 @@ def _room(shape: tuple[int, ...], dtype: np.dtype[Any], folder: Path) -> NDArray
         return np.memmap(file, dtype=dtype, mode="w+", shape=shape)
 
 
-def _distinct(
-    database: Database, what: str, numbers: NDArray[np.int64]
-) -> list[tuple[Any, ...]]:
-    """Return the different values of `what` over touches, in the order met."""
-    found: dict[tuple[Any, ...], None] = {}
-    for piece in chunks(numbers):
-        marks = ", ".join("?" * len(piece))
-        sql = f"SELECT DISTINCT {what} {FROM} WHERE t.number IN ({marks})"
-        found.update(dict.fromkeys(database.rows(sql, piece)))
-    return list(found)
-
-
 def _layouts(database: Database, numbers: NDArray[np.int64]) -> dict[int, list[Column]]:
-    used = {row[0] for row in _distinct(database, "t.layout", numbers)}
+    used = {row[0] for row in distinct(database, "t.layout", numbers)}
     return {
         key: [Column(n, d, tuple(s), bool(w)) for n, d, s, w in json.loads(text)]
         for key, text in database.rows("SELECT id, columns FROM layouts ORDER BY id")
@@ -375,12 +322,3 @@ def _labelled(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         if lacking:
             del columns[name]
     return columns
-
-
-def _extra_names(database: Database) -> set[str]:
-    rows = database.rows("SELECT columns FROM layouts")
-    return {c[0] for row in rows for c in json.loads(row[0]) if not c[3]}
-
-
-def _reason(content: str | None) -> str | None:
-    return None if content is None else json.loads(content).get("reason")

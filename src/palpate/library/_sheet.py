@@ -131,7 +131,11 @@ def sheet_of(touches: Touches, recording: dict[str, Any], added_s: float) -> She
             values[name] = _cells(name, array)
     images = np.ascontiguousarray(touches.images)
     digests = [image_digest(image) for image in images]
-    ids = [_identity(d, values, wide, row) for row, d in enumerate(digests)]
+    told = [(n, values[n]) for n in IDENTITY if n in values]
+    ids = [
+        identity(d, {n: cells[row] for n, cells in told}, wide, row)
+        for row, d in enumerate(digests)
+    ]
     return Sheet(layout, values, wide, images, recording, added_s, ids, digests)
 
 
@@ -240,10 +244,19 @@ def _has_none(cells: Any) -> bool:
     return any(_has_none(cell) for cell in cells)
 
 
-def _identity(
-    digest: bytes, values: dict[str, list[Any]], wide: Arrays, row: int
-) -> bytes:
-    known = {n: values[n][row] for n in IDENTITY if n in values}
+def identity(digest: bytes, cells: dict[str, Any], wide: Arrays, row: int) -> bytes:
+    """Return the id of a touch: of its image and of what tells it from others.
+
+    Parameters
+    ----------
+    digest : bytes
+        Of the image.
+    cells : dict
+        The touch's plain values.
+    wide : dict of ndarray
+        Columns that are not plain, of which `row` is the touch's.
+    """
+    known = {n: cells[n] for n in IDENTITY if n in cells}
     whole = {n: _whole_numbers(cell) for n, cell in known.items() if cell is not None}
     parts = [digest, canonical(whole).encode()]
     parts += [n.encode() + wide[n][row].tobytes() for n in IDENTITY if n in wide]

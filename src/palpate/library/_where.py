@@ -2,12 +2,14 @@
 
 A filter is comparisons of one column with one literal, joined by `and`, `or`, `not`
 and brackets. Comparisons: `= != < <= > >=`, `in (a, b)`, `is null`, `is not null`
-and `contains`. A literal is a number, a quoted text or a bare word. What a filter
-says reaches the database as parameters alone; column names are looked up in a table.
+and `contains`. A literal is a number, a quoted text or a bare word; a quote within
+quotes of its own kind is written twice. What a filter says reaches the database as
+parameters alone; column names are looked up in a table.
 """
 
 import re
 from collections.abc import Collection
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 from ._errors import LibraryError
@@ -38,10 +40,12 @@ COLUMNS = {
 }
 _TOKENS = re.compile(
     r"""\s*(?:(?P<op><=|>=|!=|==|<>|[=<>(),])
-    |'(?P<single>[^']*)'|"(?P<double>[^"]*)"
+    |'(?P<single>(?:[^']|'')*)'|"(?P<double>(?:[^"]|"")*)"
     |(?P<word>[^\s=<>!(),'"]+))""",
     re.VERBOSE,
 )
+_INTEGER = re.compile("[+-]?[0-9]+")
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|[+-]?inf", re.I)
 _OPERATORS = {
     "=": "IS",
     "==": "IS",
@@ -54,6 +58,7 @@ _OPERATORS = {
 }
 _LONGEST = 10_000
 _DEEPEST = 50
+_DEEPEST_SQL = 30  # SQLite's parser holds 100 symbols, up to three for each bracket
 
 
 class Condition(NamedTuple):
@@ -88,9 +93,19 @@ def parse_where(text: str, extra: Collection[str] = ()) -> Condition:
         raise LibraryError(
             f"--where must have at most {_LONGEST} characters, got {len(text)}."
         )
+    if not text.isascii() and any("\ud800" <= letter <= "\udfff" for letter in text):
+        raise LibraryError(
+            f"--where must be text that UTF-8 can hold, got {text[:80]!r}. Give it in "
+            "the encoding of the terminal."
+        )
     parser = _Parser(text, extra)
     condition = parser.either(0)
     parser.end()
+    if _depth(condition.sql) > _DEEPEST_SQL:
+        raise LibraryError(
+            f"--where must nest less deeply, got {text[:80]!r}. Join comparisons by "
+            "`in (...)`, or leave out brackets."
+        )
     return condition
 
 
@@ -120,16 +135,22 @@ class _Parser:
         if len(parts) == 1:
             only: Condition = parts[0]
             return only
-        sql = f" {word.upper()} ".join(p.sql for p in parts)
-        return Condition(f"({sql})", [v for p in parts for v in p.values])
+        sql = _balanced(word.upper(), [p.sql for p in parts])
+        return Condition(sql, [v for p in parts for v in p.values])
 
     def _one(self, depth: int) -> Condition:
         if depth > _DEEPEST:
             raise LibraryError(f"--where must nest at most {_DEEPEST} brackets deep.")
-        if self._is_word("not"):
+        negated = False
+        while self._is_word("not"):
             self._next += 1
-            inner = self._one(depth + 1)
-            return Condition(f"(NOT coalesce({inner.sql}, 0))", inner.values)
+            negated = not negated
+        inner = self._positive(depth)
+        if not negated:
+            return inner
+        return Condition(f"(NOT coalesce({inner.sql}, 0))", inner.values)
+
+    def _positive(self, depth: int) -> Condition:
         if self._take("("):
             inner = self.either(depth + 1)
             self._expect(")")
@@ -143,12 +164,11 @@ class _Parser:
         if self._is_word("in"):
             self._next += 1
             self._expect("(")
-            parts = [self._equal(column, bound, "IS")]
+            tokens = [self._literal()]
             while self._take(","):
-                parts.append(self._equal(column, bound, "IS"))
+                tokens.append(self._literal())
             self._expect(")")
-            sql = " OR ".join(p.sql for p in parts)
-            return Condition(f"({sql})", [v for p in parts for v in p.values])
+            return _within(column, bound, tokens)
         if self._is_word("contains"):
             self._next += 1
             text = self._literal().text
@@ -160,15 +180,20 @@ class _Parser:
         operator = _OPERATORS[token.text]
         if operator.startswith("IS"):
             return self._equal(column, bound, operator)
-        return Condition(f"({column} {operator} ?)", [*bound, _value(self._literal())])
+        token = self._literal()
+        if token.text.lower() == "nan" and not token.quoted:
+            raise LibraryError(
+                f"--where must compare with a number or a text, got {token.text!r} "
+                'after a column. Write "is null" for values that are not known.'
+            )
+        return Condition(f"({column} {operator} ?)", [*bound, _value(token)])
 
     def _equal(self, column: str, bound: list[Any], operator: str) -> Condition:
         """Compare with the text and with the number that a literal may mean."""
-        token = self._literal()
-        values = list(dict.fromkeys([token.text, _value(token)]))
-        joint = " OR " if operator == "IS" else " AND "
-        sql = joint.join(f"{column} {operator} ?" for _ in values)
-        return Condition(f"({sql})", [v for value in values for v in (*bound, value)])
+        within = _within(column, bound, [self._literal()])
+        if operator == "IS":
+            return within
+        return Condition(f"(NOT coalesce({within.sql}, 0))", within.values)
 
     def _null(self, column: str, bound: list[Any]) -> Condition:
         self._next += 1
@@ -239,19 +264,48 @@ def _tokens(text: str) -> list[_Token]:
             )
         kind = str(found.lastgroup)
         quoted = kind in ("single", "double")
-        tokens.append(_Token(found[kind], quoted, kind == "op"))
+        said = found[kind]
+        if quoted:
+            mark = "'" if kind == "single" else '"'
+            said = said.replace(2 * mark, mark)
+        tokens.append(_Token(said, quoted, kind == "op"))
         place = found.end()
     return tokens
 
 
+def _within(column: str, bound: list[Any], tokens: list[_Token]) -> Condition:
+    """Compare with the texts and with the numbers that literals may mean."""
+    values = [v for t in tokens for v in (t.text, _value(t))]
+    different = list(dict.fromkeys((type(v), v) for v in values))
+    marks = ", ".join("?" * len(different))
+    return Condition(f"({column} IN ({marks}))", [*bound, *(v for _, v in different)])
+
+
+def _balanced(word: str, parts: list[str]) -> str:
+    """Join conditions as a tree as flat as can be: SQLite refuses deep ones."""
+    if len(parts) == 1:
+        return parts[0]
+    half = len(parts) // 2
+    left, right = _balanced(word, parts[:half]), _balanced(word, parts[half:])
+    return f"({left} {word} {right})"
+
+
+def _depth(sql: str) -> int:
+    """Return how many brackets are open at once."""
+    steps = ((letter == "(") - (letter == ")") for letter in sql)
+    return max(accumulate(steps))
+
+
 def _value(token: _Token) -> Any:
     """Return the number that an unquoted literal spells, or its text."""
-    if token.quoted:
+    if token.quoted or not _NUMBER.fullmatch(token.text):
         return token.text
-    for kind in (int, float):
-        try:
-            number = kind(token.text)
-        except ValueError:
-            continue
-        return number if abs(number) < 2**63 else float(number)
-    return token.text
+    number = float(token.text)
+    if _INTEGER.fullmatch(token.text) and abs(number) < 2**63:
+        return int(token.text)
+    return number
+
+
+def quoted(text: str) -> str:
+    """Return a text as a literal of a filter, whatever stands in it."""
+    return "'" + text.replace("'", "''") + "'"

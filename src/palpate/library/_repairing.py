@@ -1,0 +1,263 @@
+"""Make a damaged library whole as far as its files allow; nothing is deleted."""
+
+import secrets
+import time
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from .._progress import Progress
+from ._adding import MISSING, SET_ASIDE, enter_sheet
+from ._changes import (
+    apply_change,
+    change_files,
+    enter_change,
+    file_fault,
+    known_changes,
+    make_change,
+    read_change,
+    write_again,
+)
+from ._checking import (
+    array_problems,
+    database_problems,
+    image_problem,
+    left_out,
+    touches_in,
+)
+from ._database import FILE_NAME, Database
+from ._errors import DatabaseDamaged, DatabaseUnavailable, LibraryError, NewerLibrary
+from ._files import IMAGES, PARTIAL, file_path, flush_folder, holds_files, read_file
+from ._sheet import Sheet, read_sheet
+
+DAMAGED = "damaged"
+_STALE_S = 86_400.0
+_LOGS = ("-wal", "-shm", "-journal")
+_NO_SHEET = (LibraryError, ValueError, KeyError, TypeError, AttributeError)
+
+
+class RepairReport(NamedTuple):
+    """What a repair did.
+
+    `rebuilt` tells whether the database was made anew from the files; `n_recovered`
+    counts touches that it did not know (any more), `n_set_aside` those retracted
+    since their image is gone, `n_restored` those whose image is back; `n_changes`
+    counts changes carried out or written anew, `n_left_out` arrays of whole
+    recordings (no-contact images) that are gone.
+    """
+
+    rebuilt: bool
+    n_recovered: int
+    n_set_aside: int
+    n_restored: int
+    n_changes: int = 0
+    n_left_out: int = 0
+
+
+def repair_library(folder: str | Path, *, progress: bool | None = None) -> RepairReport:
+    """Make a damaged library whole as far as its files allow; nothing is deleted.
+
+    A database that is damaged or lost is made anew from the image files, which carry
+    all labels, and from the recorded changes; the old one is set aside when the new
+    one is complete. Changes that a sound database lacks are carried out. Touches
+    whose image is missing or altered are retracted with that reason, and come back
+    when it does or when they are added again. Nobody else may be writing meanwhile.
+
+    Parameters
+    ----------
+    folder : path
+        The library.
+    progress : bool, optional
+        As for `check_library`.
+
+    Raises
+    ------
+    LibraryError
+        A newer palpate made the library, there is none, or the disk is full or not
+        to be read: then the library is left as it was.
+    """
+    folder = Path(folder)
+    gained = _make_anew(folder) if _is_damaged(folder) else None
+    rebuilt = gained is not None
+    with closing(Database(folder / FILE_NAME, create=False)) as database:
+        n_recovered, n_changes = gained or _enter_all(database, folder)
+        n_changes += _mend_changes(database, folder)
+        lost, found = _lost_and_found(database, folder, progress)
+        if lost:
+            make_change(
+                database, folder, {"action": "retract", "ids": lost, "reason": MISSING}
+            )
+        if found:
+            make_change(database, folder, {"action": "restore", "ids": found})
+        n_left_out = _leave_out_arrays(database, folder)
+        _sweep(folder)
+        return RepairReport(
+            rebuilt, n_recovered, len(lost), len(found), n_changes, n_left_out
+        )
+
+
+def _is_damaged(folder: Path) -> bool:
+    """Tell whether the database is damaged; a failing disk is no damage."""
+    try:
+        with closing(Database(folder / FILE_NAME, create=False)) as database:
+            return bool(database_problems(database))
+    except (NewerLibrary, DatabaseUnavailable):
+        raise
+    except DatabaseDamaged:
+        return True
+    except LibraryError:
+        if not holds_files(folder):
+            raise
+        return True
+
+
+def _make_anew(folder: Path) -> tuple[int, int]:
+    """Make the database from the files, and only then set the old one aside."""
+    path = folder / FILE_NAME
+    partial = folder / f"{PARTIAL}{secrets.token_hex(8)}.sqlite"
+    try:
+        with closing(Database(partial, create=True)) as database:
+            gained = _enter_all(database, folder)
+            database.rows("PRAGMA wal_checkpoint(TRUNCATE)")
+        _set_aside(folder, *_with_logs(path))
+        partial.replace(path)
+        flush_folder(folder)
+    except (OSError, DatabaseUnavailable) as error:
+        raise LibraryError(
+            f"{folder} must have room for a new database, got: {error} The old one is "
+            "left as it was; free space and repair again."
+        ) from error
+    finally:
+        for left in _with_logs(partial):
+            with suppress(OSError):
+                left.unlink()
+    return gained
+
+
+def _with_logs(path: Path) -> list[Path]:
+    """Return the files of a database, its logs first: none may meet another one."""
+    return [*(path.with_name(f"{path.name}{log}") for log in _LOGS), path]
+
+
+def _set_aside(folder: Path, *paths: Path) -> None:
+    """Move files to a new folder in `damaged/`."""
+    there = [path for path in paths if path.exists()]
+    if not there:
+        return
+    away = folder / DAMAGED / f"{int(time.time() * 1e6)}"
+    away.mkdir(parents=True)
+    for path in there:
+        path.replace(away / path.name)
+
+
+def _enter_all(database: Database, folder: Path) -> tuple[int, int]:
+    """Enter all files that the database does not know, in the order of time.
+
+    Returns how many touches it gained, and how many changes.
+    """
+    known = {row[0].hex() for row in database.rows("SELECT name FROM files")}
+    known_too = known_changes(database)
+    before = _n_touches(database)
+    steps: list[tuple[float, str, Path]] = []
+    for path in sorted((folder / IMAGES).glob("*/*.npy")):
+        if path.stem not in known and (sheet := _sheet_in(folder, path)) is not None:
+            steps.append((sheet.added_s, "touches", path))
+    for name, path in change_files(folder).items():
+        if name not in known_too:
+            with suppress(OSError, ValueError):
+                steps.append((read_change(path)["time_s"], "change", path))
+    n_changes = 0
+    for _, kind, path in sorted(steps):
+        if kind == "change":
+            n_changes += _enter_change(database, path)
+        elif (sheet := _sheet_in(folder, path)) is not None:
+            _enter_sheet(database, sheet, path.stem)
+    return _n_touches(database) - before, n_changes
+
+
+def _enter_sheet(database: Database, sheet: Sheet, name: str) -> None:
+    try:
+        with database.writing():
+            enter_sheet(database, sheet, name)
+    except (DatabaseUnavailable, DatabaseDamaged):
+        raise
+    except _NO_SHEET:
+        return  # the file has a right name and a wrong content
+
+
+def _enter_change(database: Database, path: Path) -> bool:
+    """Carry out a change; one that says nothing any more is noted all the same."""
+    content = read_change(path)
+    try:
+        with database.writing():
+            apply_change(database, path.stem, content)
+    except (DatabaseUnavailable, DatabaseDamaged):
+        raise
+    except _NO_SHEET:
+        with database.writing():
+            enter_change(database, path.stem, content)
+        return False
+    return True
+
+
+def _n_touches(database: Database) -> int:
+    row = database.one("SELECT count(*) FROM touches")
+    return 0 if row is None else int(row[0])
+
+
+def _mend_changes(database: Database, folder: Path) -> int:
+    """Write damaged files of changes anew; set aside those that say nothing."""
+    known, files = known_changes(database), change_files(folder)
+    bad = [name for name, brief in known.items() if file_fault(folder, name, brief)]
+    _set_aside(folder, *(files[n] for n in bad if n in files))
+    for name in bad:
+        write_again(database, folder, name)
+    _set_aside(folder, *(path for name, path in files.items() if name not in known))
+    return len(bad)
+
+
+def _sheet_in(folder: Path, path: Path) -> Sheet | None:
+    """Return the touches in a file, or None where it is not what it should be."""
+    try:
+        return read_sheet(read_file(folder / IMAGES, path.stem))
+    except _NO_SHEET:
+        return None
+
+
+def _lost_and_found(
+    database: Database, folder: Path, progress: bool | None
+) -> tuple[list[str], list[str]]:
+    """Return touches whose image is gone, and those set aside whose image is back."""
+    lost: list[str] = []
+    found: list[str] = []
+    files = database.rows("SELECT id, name FROM files ORDER BY id")
+    aside = f"t.retraction IN ({SET_ASIDE})"
+    with Progress(len(files), "Reading files", progress) as bar:
+        for key, name in files:
+            path = file_path(folder / IMAGES, name.hex())
+            bad = image_problem(database, folder, key, name.hex())
+            lost += [] if bad is None else bad.touches
+            rows = touches_in(database, key, aside)
+            if rows and _sheet_in(folder, path) is not None:
+                found += [row.id for row in rows]
+            bar.advance(1)
+    return lost, found
+
+
+def _leave_out_arrays(database: Database, folder: Path) -> int:
+    """Set altered arrays aside and note them, so that the rest is read without them."""
+    bad = array_problems(database, folder)
+    _set_aside(folder, *(folder / problem.path for problem in bad))
+    known = left_out(database)
+    names = [n for problem in bad if (n := Path(problem.path).stem) not in known]
+    if names:
+        make_change(database, folder, {"action": "leave_out", "arrays": names})
+    return len(names)
+
+
+def _sweep(folder: Path) -> None:
+    """Remove partial files that no living writer can be writing."""
+    for path in folder.rglob(f"{PARTIAL}*"):
+        with suppress(OSError):
+            if time.time() - path.stat().st_mtime > _STALE_S:
+                path.unlink()
