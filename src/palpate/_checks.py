@@ -4,11 +4,16 @@ Only numpy is imported here, so that `import palpate` stays cheap.
 """
 
 from collections.abc import Iterable
-from numbers import Integral, Real
+from numbers import Integral, Number, Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+# Squares of larger numbers, and sums of them, leave double precision; sums of a few
+# larger levels leave single precision.
+LARGEST_TO_SQUARE = 1e150
+LARGEST_LEVEL = 1e37
 
 
 def check_count(name: str, value: object, *, at_least: int = 1) -> int:
@@ -71,7 +76,7 @@ def check_image_shape(
     X: ArrayLike, *, shape: tuple[int, int] | None = None
 ) -> NDArray[Any]:
     """Return `X` as real images of its own type, of `shape` if given, or explain."""
-    images = np.asarray(X)
+    images = _as_array(X)
     if images.dtype.kind not in "biuf":
         raise TypeError(f"Images must be numbers, got an array of {images.dtype}.")
     if images.ndim != 3:
@@ -89,6 +94,80 @@ def check_image_shape(
             f"{shape[0]} x {shape[1]}; resize them or fit again."
         )
     return images
+
+
+def check_levels(images: NDArray[Any]) -> NDArray[Any]:
+    """Return `images` if single precision holds sums of their levels, or explain."""
+    if images.dtype.kind != "f":
+        return images
+    size = np.abs(images).max(axis=(1, 2))
+    if size.max() > LARGEST_LEVEL:
+        touch = int(np.argmax(size > LARGEST_LEVEL))
+        raise ValueError(
+            f"Images must have levels of at most {LARGEST_LEVEL:g} in size, got "
+            f"{size[touch]:.3g} in touch {touch}. Divide all images by one number."
+        )
+    return images
+
+
+def check_squarable(name: str, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return `values` if sums of their squares are finite, or explain."""
+    largest = float(np.abs(values).max(initial=0))
+    if largest > LARGEST_TO_SQUARE:
+        raise ValueError(
+            f"{name} must be at most {LARGEST_TO_SQUARE:g} in size, since distances "
+            f"are squared, got {largest:.3g}. Scale the features first."
+        )
+    return values
+
+
+def check_width(name: str, value: object) -> float:
+    """Return a kernel's width whose square is an ordinary number, or explain."""
+    width = check_positive(name, value)
+    if not 1 / LARGEST_TO_SQUARE <= width <= LARGEST_TO_SQUARE:
+        raise ValueError(
+            f"{name} must be between {1 / LARGEST_TO_SQUARE:g} and "
+            f"{LARGEST_TO_SQUARE:g}, since it is squared, got {value}. Choose one near "
+            "the distances between touches."
+        )
+    return width
+
+
+def check_label_kinds(y: ArrayLike) -> None:
+    """Refuse labels of several kinds, which have no order."""
+    if isinstance(y, list | tuple):
+        given = list(y)
+    else:
+        labels = np.asarray(y)
+        given = labels.ravel().tolist() if labels.dtype.kind == "O" else []
+    first: dict[str, object] = {}
+    for label in given:
+        first.setdefault(_label_kind(label), label)
+    if len(first) > 1:
+        shown = ", ".join(map(repr, first.values()))
+        raise TypeError(
+            f"y must hold labels of one kind, got {' and '.join(first)}: {shown}. Make "
+            "all of them text, and leave out touches without a label."
+        )
+
+
+def _label_kind(label: object) -> str:
+    if isinstance(label, str):
+        return "text"
+    if isinstance(label, Number | np.bool_):
+        return "numbers"
+    return type(label).__name__
+
+
+def _as_array(X: ArrayLike) -> NDArray[Any]:
+    """Return images as an array, or say that lists of unequal lengths are none."""
+    try:
+        return np.asarray(X)
+    except ValueError as error:
+        raise ValueError(
+            "Images must be one array of shape (n_touches, n_rows, n_cols), got lists "
+            "of unequal lengths. Bring all touches to the same rows and columns."
+        ) from error
 
 
 def _refuse_not_finite(images: NDArray[np.float64], *, allow_nan: bool) -> None:

@@ -96,3 +96,44 @@ def test_one_label_is_refused(problem):
 def test_equal_touches_give_equal_posteriors():
     machine = KernelRidgeClassifier().fit(np.ones((6, 2)), ["a", "b"] * 3)
     assert_allclose(machine.predict_proba(np.ones((1, 2))), 0.5)
+
+
+@pytest.mark.parametrize("shift", [1e7, 1e9])
+def test_touches_far_from_the_origin_are_told_apart_as_well(problem, shift):
+    X, labels, _ = problem
+    near, far = (KernelRidgeClassifier().fit(X + s, labels) for s in (0, shift))
+    assert (far.width_, far.ridge_) == (near.width_, near.ridge_)
+    # Features far out are known to 2e-16 of the shift; weights make it 100 times more.
+    assert_allclose(far.scores(X + shift), near.scores(X), atol=1e-13 * shift)
+    assert_allclose(far.left_out_scores_, near.left_out_scores_, atol=1e-13 * shift)
+    again = far.refit(X[:40] + shift, labels[:40]).scores(X + shift)
+    assert_allclose(
+        again, near.refit(X[:40], labels[:40]).scores(X), atol=1e-13 * shift
+    )
+
+
+def test_what_is_learnt_about_the_touches_is_theirs(problem):
+    X, labels, _ = problem
+    machine = KernelRidgeClassifier().fit(X, labels)
+    assert_array_equal(machine.touches_, X)
+    assert_allclose(machine.squared_norms_, (X**2).sum(axis=1))
+    assert_allclose(machine.mean_, X.mean(axis=0))
+    distance = ((X[:, None] - X) ** 2).sum(axis=2)
+    kernel = np.exp(-machine.width_ / machine.unit_ * distance)
+    slow = kernel @ machine.coefficients_ + 1 / 3
+    # Distances by inner products, and coefficients up to some hundreds.
+    assert_allclose(machine.scores(X), slow, atol=1e-10)
+
+
+def test_features_whose_squares_leave_the_range_are_refused(problem):
+    X, labels, _ = problem
+    machine = KernelRidgeClassifier().fit(X, labels)
+    for refused in (
+        lambda: KernelRidgeClassifier().fit(1e200 * X, labels),
+        lambda: machine.scores(1e200 * X),
+        lambda: machine.refit(1e200 * X, labels),
+    ):
+        with pytest.raises(ValueError, match=r"X must be at most 1e\+150 .*e\+200"):
+            refused()
+    large = KernelRidgeClassifier().fit(1e148 * X, labels)
+    assert_allclose(large.scores(1e148 * X), machine.scores(X), atol=1e-8)

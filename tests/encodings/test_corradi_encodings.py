@@ -168,6 +168,20 @@ def test_number_of_components(encoder, rng):
         encoder().fit(np.ones((3, 16, 16)))
 
 
+@pytest.mark.parametrize("encoder", [OrientedPCA, ZernikePCA])
+@pytest.mark.parametrize("scale", [1e-300, 1e-170, 1e170, 1e300])
+def test_components_do_not_hang_on_the_size_of_levels(encoder, scale, rng):
+    images = rng.normal(size=(12, 16, 16))
+    plain, scaled = encoder().fit(images), encoder().fit(scale * images)
+    assert scaled.n_components_ == plain.n_components_ > 1
+    # Rounding of scaled levels, times the condition of the small eigenvalues.
+    shares = scaled.explained_variance_ratio_
+    assert_allclose(shares, plain.explained_variance_ratio_, rtol=1e-9)
+    expected = scale * np.abs(plain.transform(images))
+    found = np.abs(scaled.transform(scale * images))
+    assert_allclose(found, expected, rtol=0, atol=1e-8 * expected.max())
+
+
 def test_test_touches_do_not_move_the_components(rng):
     images = rng.normal(size=(20, 16, 16))
     fitted = ZernikePCA(3).fit(images[:15])
@@ -205,6 +219,60 @@ def test_names_joined_by_plus_are_a_union(rng):
     assert_array_equal(both.fit_transform(images), np.hstack(parts))
 
 
+def test_one_number_holds_for_each_part_of_a_union_as_far_as_it_can(rng):
+    images = blobs(rng, n=12, size=24)
+
+    def sizes(name, n_components):
+        union = encoder_named(name, n_components).fit(images)
+        return [part.transform(images).shape[1] for part in union.encoders_]
+
+    assert sizes("hu+zernike-pca", 8) == [7, 8]
+    assert sizes("hu+scaled-pixels", 10) == [7, 9]
+    assert sizes("zernike-pca+scaled-pixels", 400) == [12, 169]
+    shares = ZernikePCA(0.6).fit(images).n_components_
+    assert sizes("hu+zernike-pca", 0.6) == [7, shares]
+
+
+def test_a_union_takes_one_number_for_each_part(rng):
+    images = blobs(rng, n=12, size=24)
+    union = encoder_named("hu+zernike-pca+scaled-pixels", (3, 5, None))
+    assert [p.n_components for p in union.encoders[:2]] == [3, 5]
+    assert union.fit_transform(images).shape == (12, 3 + 5 + 169)
+    with pytest.raises(ValueError, match=r"one number for each of hu.zernike, got 1"):
+        encoder_named("hu+zernike", (3,))
+
+
+def test_more_features_than_there_are_give_all(rng):
+    images = blobs(rng, n=8, size=24)
+    assert encoder_named("hu", 50).fit_transform(images).shape == (8, 7)
+    # At most 13 x 13 cells.
+    assert encoder_named("scaled-pixels", 400).fit_transform(images).shape == (8, 169)
+
+
+@pytest.mark.parametrize("balanced", [False, True])
+def test_a_union_refuses_complex_features(balanced, rng):
+    encoders = [HuMoments(), ZernikeMoments(output="complex")]
+    with pytest.raises(
+        ValueError, match=r"complex ones of ZernikeMoments.*real output"
+    ):
+        EncodingUnion(encoders, balanced=balanced).fit(blobs(rng, size=24))
+
+
+@pytest.mark.parametrize(
+    ("encoder", "message"),
+    [
+        (EncodingUnion(["hu"]), "encoders must be .* got 'hu'. Pass one"),
+        (EncodingUnion("hu"), "encoders must be a list of encoders, got 'hu'"),
+        (EncodingUnion(None), "encoders must be a list of encoders, got None"),
+        (EncodingUnion([HuMoments]), "got <class .*HuMoments"),
+        (FirstFeatures(None), "encoder must be .* got None. Pass one"),
+    ],
+)
+def test_what_is_no_encoder_is_refused(encoder, message):
+    with pytest.raises(TypeError, match=message):
+        encoder.fit(np.zeros((2, 8, 8)))
+
+
 def test_options_reach_the_encoder():
     encoder = encoder_named("zernike", 5, order=4, output="noll")
     assert isinstance(encoder, FirstFeatures)
@@ -220,6 +288,8 @@ def test_options_reach_the_encoder():
         (("hu+",), "got 'hu\\+'"),
         (("scaled-pixels", 5), "square number .*got 5. Use 4 or 9"),
         (("zernike", 0), "n_components must be at least 1, got 0"),
+        (("hu+zernike", 0), "n_components must be at least 1, got 0"),
+        (("hu+zernike-pca", 1.5), "n_components must be .*between 0"),
     ],
 )
 def test_wrong_names_and_counts_say_what_is_right(arguments, message):

@@ -138,3 +138,33 @@ def test_touches_that_are_all_alike_are_refused():
         KernelPCA().fit(np.ones((5, 3)))
     with pytest.raises(ValueError, match="tells apart"):
         KernelPCA(sigma=1.0).fit(np.ones((5, 3)))
+
+
+@pytest.mark.parametrize("sigma", [1e-150, 1e-100, 1e-3])
+def test_kernels_narrower_than_any_distance_see_touches_equally_apart(sigma, features):
+    # The centred kernel is I - 1/n: every eigenvalue is 1, and there are n - 1.
+    fitted = KernelPCA(sigma=sigma).fit(features)
+    assert_allclose(fitted.eigenvalues_, np.ones(59))
+    assert_allclose(KernelPCA(2, sigma=sigma).fit(features).eigenvalues_, [1, 1])
+
+
+@pytest.mark.parametrize("sigma", [1e200, 1e-200])
+def test_widths_whose_squares_leave_the_range_are_refused(sigma, features):
+    with pytest.raises(
+        ValueError, match=r"sigma must be between 1e-150 .*got 1e[+-]200"
+    ):
+        KernelPCA(sigma=sigma).fit(features)
+    wide = KernelPCA(2, sigma=1e150).fit_transform(features)
+    assert (wide.std(axis=0) > 0).all()
+
+
+def test_features_whose_squares_leave_the_range_are_refused(features):
+    with pytest.raises(ValueError, match=r"X must be at most 1e\+150 .*got .*e\+200"):
+        KernelPCA().fit(1e200 * features)
+    with pytest.raises(ValueError, match=r"X must be at most 1e\+150"):
+        KernelPCA().fit(features).transform(1e200 * features)
+
+
+def test_touches_alike_at_that_width_are_refused(features):
+    with pytest.raises(ValueError, match=r"alike at sigma = 1e\+150"):
+        KernelPCA(2, sigma=1e150).fit(1e-100 * features)

@@ -58,3 +58,16 @@ def test_turned_pictures_keep_their_magnitudes_after_cropping(data_folder, rng):
     moved = change(encoder.transform(straight), encoder.transform(around))
     # The goal is 2e-3: what resampling pictures costs at worst.
     assert (moved < 1e-3).all()
+
+
+def test_gradients_of_levels_that_single_precision_cannot_hold_are_refused(rng):
+    images = rng.random((6, 24, 24))
+    gradients = encoder_named("polar-gradients")
+    for scale in (1e38, 1e200):
+        with pytest.raises(
+            ValueError, match=r"at most 1e\+37 in size, got .* in touch"
+        ):
+            gradients.fit(scale * images)
+    with pytest.raises(ValueError, match="Divide all images by one number"):
+        gradients.fit(images).transform(1e38 * images)
+    assert np.isfinite(gradients.fit(9e36 * images).transform(9e36 * images)).all()

@@ -59,3 +59,27 @@ def test_wrong_arguments_are_refused():
         davies_bouldin([[0.0], [1.0]], ["a", "a"])
     with pytest.raises(ValueError, match="q must be finite and between 1"):
         davies_bouldin([[0.0], [1.0]], ["a", "b"], q=0)
+
+
+@pytest.mark.parametrize("q", [1, 2, 300])
+@pytest.mark.parametrize("scale", [1e-200, 100.0, 1e200])
+def test_immense_and_tiny_features_and_powers_are_borne(q, scale, rng):
+    touches, labels = rng.normal(size=(30, 3)), np.arange(30) % 3
+    index = davies_bouldin(touches, labels, q=q)
+    assert np.isfinite(index)
+    assert davies_bouldin(scale * touches, labels, q=q) == pytest.approx(index, 1e-9)
+
+
+def test_large_powers_are_the_largest_distance():
+    # Distances 1 and 3 about 0, all 1 about 10; the 300th mean is nearly the largest.
+    points = [[-3.0], [-1.0], [1.0], [3.0], [9.0], [11.0]]
+    labels = ["a"] * 4 + ["b"] * 2
+    expected = (3 * 0.5 ** (1 / 300) + 1) / 10
+    assert davies_bouldin(points, labels, q=300) == pytest.approx(expected, rel=1e-12)
+
+
+def test_clusters_far_from_the_origin_keep_their_distances(rng):
+    # Whole numbers are exact also beside 1e15.
+    touches, labels = rng.integers(0, 50, (30, 3)).astype(float), np.arange(30) % 3
+    index = davies_bouldin(touches, labels)
+    assert davies_bouldin(touches + 1e15, labels) == pytest.approx(index, rel=1e-12)

@@ -300,3 +300,15 @@ def test_stage_pictures_show_the_whole_chain(touches):
     assert np.isnan(pictures["raw"][0, 0])
     chain = ArrayCleanUp(n_partitions=4).fit_transform(touch[np.newaxis])
     assert_array_equal(pictures["binary 4 x 4"], chain[0])
+
+
+def test_a_white_that_overflows_is_refused(rng):
+    images = 1e200 * rng.random((2, 4, 4))
+    with pytest.raises(ValueError, match=r"white must leave .* finite, got 1e-200"):
+        correct_gamma(images, 2, white=1e-200)
+    assert np.isfinite(correct_gamma(images, 2)).all()
+
+
+def test_lists_of_unequal_lengths_are_refused():
+    with pytest.raises(ValueError, match=r"one array of shape .*unequal lengths\. Bri"):
+        resize([[[1, 2], [3]]])

@@ -243,3 +243,10 @@ def test_unfitted_and_misfit_are_refused(gains):
     calibration = TaxelCalibration().fit(frames, loads)
     with pytest.raises(ValueError, match="fitted on 6 x 5"):
         calibration.transform(frames[:, :5])
+
+
+def test_a_file_that_is_not_there_is_named_with_what_to_do(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"got .*none\.json: .*Check the path"):
+        TaxelCalibration.load(tmp_path / "none.json")
+    with pytest.raises(IsADirectoryError, match="path must name a calibration"):
+        TaxelCalibration.load(tmp_path)

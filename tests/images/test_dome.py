@@ -335,3 +335,18 @@ def test_safe_disc_of_some_touches_is_safe_for_others(data_folder):
     # The frame cuts the rim on the left, above and below: the disc is smaller.
     assert 180 < crop.disc_radius_ < 240 < crop.rim_radius_
     assert crop.size_ == 128
+
+
+def test_levels_that_single_precision_cannot_hold_are_refused(rng):
+    images = rng.random((3, 50, 50))
+    crop = DomeCrop(20).fit(images)
+    large = images.copy()
+    large[1] *= 1e200
+    with pytest.raises(ValueError, match=r"at most 1e\+37 in size, got 1e\+200 in tou"):
+        DomeCrop(20).fit(large)
+    with pytest.raises(ValueError, match=r"in touch 1\. Divide all images"):
+        crop.transform(large)
+    # Just within, the standardised discs are those of ordinary levels.
+    np.testing.assert_allclose(
+        crop.transform(1e36 * images), crop.transform(images), atol=1e-5
+    )

@@ -16,7 +16,7 @@ from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from .._checks import check_number, check_option, check_positive
+from .._checks import check_label_kinds, check_number, check_option, check_positive
 from ._inputs import Floats, as_groups, as_label, as_touches
 from ._kernel_sums import (
     blocks_of,
@@ -150,6 +150,7 @@ class KernelDensityBayes(ClassifierMixin, BaseEstimator):
             For NaN, infinity, variances that overflow, or unequal lengths.
         """
         self._check_parameters()
+        check_label_kinds(y)
         touches, labels = validate_data(self, X, y, dtype=np.float64)
         check_classification_targets(labels)
         self.classes_, codes = np.unique(labels, return_inverse=True)

@@ -15,7 +15,7 @@ from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from .._checks import check_option, check_positive
+from .._checks import check_label_kinds, check_option, check_positive
 from ._inputs import Floats, as_touches
 from ._kernel_sums import blocks_of
 from ._whitening import learn_whitening, whiten
@@ -110,6 +110,7 @@ class KernelDensityNaiveBayes(ClassifierMixin, BaseEstimator):
             For NaN, infinity, variances that overflow, or unequal lengths.
         """
         self._check_parameters()
+        check_label_kinds(y)
         touches, labels = validate_data(self, X, y, dtype=np.float64)
         check_classification_targets(labels)
         self.classes_, codes = np.unique(labels, return_inverse=True)

@@ -21,9 +21,8 @@ from sklearn.metrics.pairwise import euclidean_distances
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from .._checks import check_count, check_positive
-
-Floats = NDArray[np.float64]
+from .._checks import check_count, check_label_kinds, check_positive, check_squarable
+from ._inputs import Floats, as_touches
 
 
 class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
@@ -62,6 +61,10 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
     touches_, squared_norms_, coefficients_ : ndarray
         Training touches (n_touches, n_features), their squared lengths (n_touches,)
         and dual coefficients (n_touches, n_classes).
+    mean_, centred_norms_ : ndarray
+        Mean of the training touches (n_features,), and their squared distances from
+        it (n_touches,), from which distances are computed: they keep their digits
+        also far from the origin.
 
     Notes
     -----
@@ -111,9 +114,12 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         Raises
         ------
         ValueError
-            For fewer than two labels, NaN, or arrays of unequal length.
+            For fewer than two labels, NaN, features above 1e150 in size, or arrays
+            of unequal length.
+        TypeError
+            For labels that are partly text, partly something else.
         """
-        touches, labels = validate_data(self, X, y, dtype=np.float64)
+        touches, labels = self._validated(X, y, reset=True)
         check_classification_targets(labels)
         self.classes_, codes = np.unique(labels, return_inverse=True)
         if len(self.classes_) < 2:
@@ -125,13 +131,21 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         self._learn(touches, codes, group)
         return self
 
+    def _validated(
+        self, X: ArrayLike, y: ArrayLike, *, reset: bool
+    ) -> tuple[Floats, NDArray]:
+        check_label_kinds(y)
+        touches, labels = validate_data(self, X, y, dtype=np.float64, reset=reset)
+        return check_squarable("X", touches), labels
+
     def _choose(self, touches: Floats, codes: NDArray, group: NDArray) -> None:
         """Set `unit_`, `width_` and `ridge_` by the log loss of left-out groups."""
         widths = [check_positive("widths", w) for w in self.widths]
         ridges = [check_positive("ridges", r) for r in self.ridges]
         at_most = check_count("max_choice_touches", self.max_choice_touches, at_least=2)
         some = _thin(codes, at_most)
-        squared = euclidean_distances(touches[some], squared=True)
+        chosen = touches[some]
+        squared = euclidean_distances(chosen - chosen.mean(axis=0), squared=True)
         self.unit_ = float(np.median(squared)) or 1.0
         target = _one_hot(codes[some], len(self.classes_))
         best = np.inf
@@ -144,12 +158,15 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
                     best, self.width_, self.ridge_ = loss, width, ridge
 
     def _learn(self, touches: Floats, codes: NDArray, group: NDArray) -> None:
-        squared = euclidean_distances(touches, squared=True)
+        self.mean_ = touches.mean(axis=0)
+        centred = touches - self.mean_
+        squared = euclidean_distances(centred, squared=True)
         kernel = np.exp(-self.width_ / self.unit_ * squared)
         target = _one_hot(codes, len(self.classes_))
         inverse, self.coefficients_ = _solve(kernel, target, self.ridge_)
         self.touches_ = touches
         self.squared_norms_ = (touches**2).sum(axis=1)
+        self.centred_norms_ = (centred**2).sum(axis=1)
         self.left_out_scores_ = _left_out(inverse, self.coefficients_, target, group)
         self.log_counts_ = _log_counts(codes, target.shape[1])
         shape, self.log_loss_ = _best_shape(self.left_out_scores_, codes)
@@ -158,11 +175,15 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
     def scores(self, X: ArrayLike) -> Floats:
         """Return the regression scores, shape (n_touches, n_classes); 1 is sure."""
         check_is_fitted(self)
-        touches = validate_data(self, X, dtype=np.float64, reset=False)
-        # One pass over the training touches: their own norms are known.
-        norms = (touches**2).sum(axis=1)[:, np.newaxis] + self.squared_norms_
-        squared = np.maximum(norms - 2 * touches @ self.touches_.T, 0)
-        kernel = np.exp(-self.width_ / self.unit_ * squared)
+        centred = check_squarable("X", as_touches(self, X)) - self.mean_
+        # |x - t|^2 with x and t less the mean, in one pass over the training touches.
+        own = (centred**2).sum(axis=1) + 2 * centred @ self.mean_
+        squared = (-2 * centred) @ self.touches_.T
+        squared += own[:, np.newaxis]
+        squared += self.centred_norms_
+        squared = np.maximum(squared, 0, out=squared)
+        squared *= -self.width_ / self.unit_
+        kernel = np.exp(squared, out=squared)
         result: Floats = kernel @ self.coefficients_ + 1 / len(self.classes_)
         return result
 
@@ -201,7 +222,7 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
     ) -> Self:
         """Learn other touches with the width and ridge already chosen."""
         check_is_fitted(self)
-        touches, labels = validate_data(self, X, y, dtype=np.float64, reset=False)
+        touches, labels = self._validated(X, y, reset=False)
         self.classes_, codes = np.unique(labels, return_inverse=True)
         self._learn(touches, codes, _group_codes(groups, len(touches)))
         return self

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .._checks import check_count, check_number, check_positive
+from .._checks import check_count, check_number, check_width
 from ._mkl_problem import Floats
 
 # Fourth powers in a row by which narrower Gaussians come from a wider one.
@@ -19,12 +19,15 @@ _MOST_STEPS = 3
 
 @dataclass(frozen=True)
 class GaussianKernel:
-    """exp(-|x - y|^2 / (2 sigma^2)); `sigma` has the unit of the features."""
+    """exp(-|x - y|^2 / (2 sigma^2)); `sigma` has the unit of the features.
+
+    It lies between 1e-150 and 1e150, so that its square is an ordinary number.
+    """
 
     sigma: float = 1.0
 
     def __post_init__(self) -> None:
-        check_positive("sigma", self.sigma)
+        check_width("sigma", self.sigma)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from sklearn.utils.validation import (
     validate_data,
 )
 
+from .._checks import check_label_kinds, check_squarable
 from ._kernels import Kernel, kernel_stack
 from ._mkl_banks import FeatureBank, check_given, check_same_kernels
 from ._mkl_nystroem import LandmarkFeatures, NystroemBank
@@ -285,6 +286,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         return tags
 
     def _validated(self, X: ArrayLike, y: ArrayLike) -> tuple[Floats, NDArray]:
+        check_label_kinds(y)
         if is_given(self.kernels):
             touches = check_given(X)
             labels = column_or_1d(y, warn=True)
@@ -292,6 +294,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
             self.n_features_in_ = len(touches)
         else:
             touches, labels = validate_data(self, X, y, dtype=np.float64)
+            check_squarable("X", touches)
         check_classification_targets(labels)
         return touches, labels
 
@@ -300,7 +303,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
             stack = check_given(X, self.n_features_in_)
             return check_same_kernels(stack, self.weights_.shape[1])
         touches: Floats = validate_data(self, X, dtype=np.float64, reset=False)
-        return touches
+        return check_squarable("X", touches)
 
     def _store(self, bank: Bank, machines: PairMachines) -> None:
         self.pairs_, self.weights_ = machines.pairs, machines.weights

@@ -14,7 +14,12 @@ from sklearn.svm import SVC
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from .._checks import check_option, check_positive
+from .._checks import (
+    check_label_kinds,
+    check_option,
+    check_positive,
+    check_squarable,
+)
 from ._inputs import Floats, as_touches
 
 KERNELS = ("linear", "poly", "rbf", "sigmoid")
@@ -91,7 +96,9 @@ class OnePerLabelSVC(ClassifierMixin, BaseEstimator):
             For fewer than two labels, NaN, infinity, or unequal lengths.
         """
         self._check_parameters()
+        check_label_kinds(y)
         touches, labels = validate_data(self, X, y, dtype=np.float64)
+        check_squarable("X", touches)
         check_classification_targets(labels)
         self.classes_, codes = np.unique(labels, return_inverse=True)
         n_labels = len(self.classes_)

@@ -48,7 +48,7 @@ class FirstFeatures(TransformerMixin, BaseEstimator):
         images = check_images(X)
         if self.n_components is not None:
             check_count("n_components", self.n_components)
-        self.encoder_ = clone(self.encoder).fit(images, y)
+        self.encoder_ = clone(check_encoder("encoder", self.encoder)).fit(images, y)
         self.image_shape_ = (images.shape[1], images.shape[2])
         return self
 
@@ -63,3 +63,14 @@ class FirstFeatures(TransformerMixin, BaseEstimator):
         tags.input_tags.two_d_array = False
         tags.input_tags.three_d_array = True
         return tags
+
+
+def check_encoder(name: str, encoder: Any) -> Any:
+    """Return `encoder` if it is one, not a class or a name of one, or explain."""
+    methods = ("fit", "transform", "get_params")
+    if isinstance(encoder, type) or not all(hasattr(encoder, m) for m in methods):
+        raise TypeError(
+            f"{name} must be made of encoders of images, got {encoder!r}. Pass one "
+            "such as HuMoments(), or make it by encoder_named('hu')."
+        )
+    return encoder

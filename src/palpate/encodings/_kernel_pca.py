@@ -19,10 +19,18 @@ from sklearn.base import (
 )
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from .._checks import check_count, check_number, check_option, check_positive
+from .._checks import (
+    check_count,
+    check_number,
+    check_option,
+    check_squarable,
+    check_width,
+)
 
 # Eigenvalues below this share of the largest are rounding noise.
 _RANK_TOLERANCE = 1e-12
+# Squared distances below this share of the squared lengths are rounding noise.
+_ROUNDING = 1e-14
 
 
 class KernelPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
@@ -37,7 +45,7 @@ class KernelPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator
         not exist.
     sigma : float, optional
         Width of the kernel, in the unit of the features; by default the median
-        distance between two training touches.
+        distance between two training touches. Between 1e-150 and 1e150.
     scaling : {"unit", "paper"}, default="unit"
         "unit" projects on directions of length 1 in the feature space. "paper"
         takes the normalisation of Liu et al. literally, which makes the scores of M
@@ -107,6 +115,7 @@ class KernelPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator
         """Return the scores of `X`, shape (n_touches, n_components_)."""
         check_is_fitted(self)
         touches = validate_data(self, X, dtype=np.float64, reset=False)
+        check_squarable("X", touches)
         kernel = _kernel(touches - self.mean_, self.touches_, self.sigma_)
         return kernel @ self.coefficients_ - self.offset_
 
@@ -117,6 +126,7 @@ class KernelPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator
     def _fit(self, X: ArrayLike) -> NDArray[np.float64]:
         """Fit, and return the kernel of the training touches."""
         touches = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
+        check_squarable("X", touches)
         check_option("scaling", self.scaling, ("unit", "paper"))
         wanted = _check_components(self.n_components)
         self.mean_ = touches.mean(axis=0)
@@ -128,7 +138,7 @@ class KernelPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator
 
     def _choose_sigma(self) -> float:
         if self.sigma is not None:
-            return check_positive("sigma", self.sigma)
+            return check_width("sigma", self.sigma)
         distance = pdist(self.touches_)
         apart = distance[distance > 0]
         if not len(apart):
@@ -142,13 +152,13 @@ class KernelPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator
         column_mean = kernel.mean(axis=0)
         centred = kernel - column_mean
         centred -= centred.mean(axis=1, keepdims=True)
-        values, vectors = _leading(centred, wanted)
         total = float(np.trace(centred))
-        if not len(values) or not total > 0:
+        if not total > 0:
             raise ValueError(
                 "X must hold touches that the kernel tells apart, got touches that "
                 f"are all alike at sigma = {self.sigma_}. Choose another sigma."
             )
+        values, vectors = _leading(centred, wanted)
         n_kept = _count_kept(values, total, wanted)
         self.eigenvalues_ = values[:n_kept]
         self.explained_variance_ratio_ = self.eigenvalues_ / total
@@ -181,9 +191,14 @@ def _kernel(
     left: NDArray[np.float64], right: NDArray[np.float64], sigma: float
 ) -> NDArray[np.float64]:
     """Gaussian kernel less 1, which centring removes: wide kernels keep digits."""
-    squared = (left**2).sum(axis=1)[:, None] + (right**2).sum(axis=1)
-    squared -= 2 * left @ right.T
-    return np.expm1(np.maximum(squared, 0) / (-2 * sigma**2))
+    norms = (left**2).sum(axis=1)[:, None] + (right**2).sum(axis=1)
+    squared = norms - 2 * left @ right.T
+    # Narrow kernels would magnify the rounding of a touch's distance to itself.
+    squared[squared <= _ROUNDING * norms] = 0
+    # Touches many widths apart are infinitely so: their kernel is 0.
+    with np.errstate(over="ignore"):
+        exponent = squared / (-2 * sigma**2)
+    return np.expm1(exponent)
 
 
 def _leading(
@@ -195,6 +210,10 @@ def _leading(
     if isinstance(wanted, int) and wanted < n:
         subset = (n - wanted, n - 1)
     values, vectors = eigh(centred, subset_by_index=subset)
+    if isinstance(wanted, int) and not len(values):
+        # Of many equal eigenvalues LAPACK gives all or none.
+        values, vectors = eigh(centred)
+        values, vectors = values[-wanted:], vectors[:, -wanted:]
     values, vectors = values[::-1], vectors[:, ::-1]
     real = values > _RANK_TOLERANCE * max(values[0], np.finfo(float).tiny)
     values, vectors = values[real], vectors[:, real]

@@ -15,7 +15,7 @@ from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_count, check_images, check_number
+from .._checks import check_count, check_images, check_levels, check_number
 
 Floats = NDArray[np.float64]
 
@@ -82,7 +82,7 @@ class PolarGradients(TransformerMixin, BaseEstimator):
     def fit(self, X: ArrayLike, y: object = None) -> Self:
         """Learn how strong each channel is in the touches `X`; `y` is ignored."""
         self._check()
-        images = check_images(X)
+        images = check_levels(check_images(X))
         self.image_shape_ = images.shape[1:]
         raw = self._harmonics(images)
         spread = raw.copy()
@@ -94,7 +94,7 @@ class PolarGradients(TransformerMixin, BaseEstimator):
     def transform(self, X: ArrayLike) -> Floats:
         """Return the sizes, (n_touches, 6 * n_rings * (n_harmonics + 1))."""
         check_is_fitted(self)
-        images = check_images(X, shape=self.image_shape_)
+        images = check_levels(check_images(X, shape=self.image_shape_))
         sizes = np.abs(self._harmonics(images))
         sizes /= self.scale_[:, np.newaxis, np.newaxis]
         result: Floats = sizes.reshape(len(images), -1)

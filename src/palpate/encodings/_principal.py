@@ -55,7 +55,9 @@ class PrincipalEncoder(TransformerMixin, BaseEstimator):
 def principal_components(
     features: NDArray[np.float64], n_components: Components
 ) -> PCA:
-    """Return a fitted PCA with that many components, or as many as there are.
+    """Return a PCA of that many components, or as many as there are.
+
+    Its `components_`, `mean_` and shares of the variance are those of `features`.
 
     Parameters
     ----------
@@ -73,7 +75,11 @@ def principal_components(
     kept = min(wanted, most) if isinstance(wanted, int) else wanted
     # More touches than features: their covariance is smaller than they are.
     solver = "full" if features.shape[0] <= features.shape[1] else "covariance_eigh"
-    return PCA(kept, svd_solver=solver).fit(features)
+    # Exactly, to sizes around 1: squares of very small or large ones leave the range.
+    _, exponent = np.frexp(np.abs(features).max())
+    found = PCA(kept, svd_solver=solver).fit(np.ldexp(features, -exponent))
+    found.mean_ = np.ldexp(found.mean_, exponent)
+    return found
 
 
 def check_components(value: object) -> Components:

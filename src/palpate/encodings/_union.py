@@ -1,6 +1,6 @@
 """Several encodings of the same image, side by side."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Self
 
 import numpy as np
@@ -10,6 +10,7 @@ from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_image_shape, check_option
+from ._first_features import check_encoder
 from ._root import RootScaler
 
 
@@ -19,7 +20,8 @@ class EncodingUnion(TransformerMixin, BaseEstimator):
     Parameters
     ----------
     encoders : sequence of estimators
-        Encoders of images; their features follow each other in this order.
+        Encoders of images; their features, real numbers, follow each other in this
+        order.
     balanced : bool, default=False
         Bring each encoder's features to signed roots of total variance 1
         (`RootScaler`), so that many features of one do not outweigh few of another.
@@ -50,11 +52,12 @@ class EncodingUnion(TransformerMixin, BaseEstimator):
     def fit(self, X: ArrayLike, y: object = None) -> Self:
         """Fit every encoder to the images; `y` is passed on."""
         images = check_image_shape(X)
-        if not len(self.encoders):
-            raise ValueError("encoders must hold at least one encoder, got none.")
+        encoders = _check_encoders(self.encoders)
         self.image_shape_ = (images.shape[1], images.shape[2])
         check_option("balanced", self.balanced, (False, True))
-        self.encoders_ = [clone(encoder).fit(images, y) for encoder in self.encoders]
+        self.encoders_ = [clone(encoder).fit(images, y) for encoder in encoders]
+        for encoder in self.encoders_:
+            _refuse_complex(encoder, images[:1])
         self.scalers_ = []
         if self.balanced:
             parts = [encoder.transform(images) for encoder in self.encoders_]
@@ -76,3 +79,25 @@ class EncodingUnion(TransformerMixin, BaseEstimator):
         tags.input_tags.two_d_array = False
         tags.input_tags.three_d_array = True
         return tags
+
+
+def _check_encoders(encoders: object) -> list[Any]:
+    if isinstance(encoders, str) or not isinstance(encoders, Iterable):
+        raise TypeError(
+            f"encoders must be a list of encoders, got {encoders!r}. For encodings by "
+            "name use encoder_named('hu+zernike')."
+        )
+    listed = list(encoders)
+    if not listed:
+        raise ValueError("encoders must hold at least one encoder, got none.")
+    for encoder in listed:
+        check_encoder("encoders", encoder)
+    return listed
+
+
+def _refuse_complex(encoder: Any, images: NDArray) -> None:
+    if np.iscomplexobj(encoder.transform(images)):
+        raise ValueError(
+            f"encoders must give real features, got complex ones of {encoder!r}. "
+            "Choose a real output, such as 'abs' or 'noll'."
+        )

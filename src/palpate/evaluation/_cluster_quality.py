@@ -1,13 +1,15 @@
 """How distinct the labels' clusters of touches are: the Davies-Bouldin index."""
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from sklearn.utils import check_X_y
 
 from .._checks import check_number
 
-# Squared distances below this share of the squared sizes are rounding.
-_ROUNDING = 1e-28
+Floats = NDArray[np.float64]
+
+# Distances of centroids below this share of the touches' extent are rounding.
+_ROUNDING = 1e-14
 
 
 def davies_bouldin(X: ArrayLike, labels: ArrayLike, q: float = 2.0) -> float:
@@ -52,17 +54,41 @@ def davies_bouldin(X: ArrayLike, labels: ArrayLike, q: float = 2.0) -> float:
             f"labels must hold at least two different ones, got {len(kinds)}. "
             "Clusters are compared with each other."
         )
+    touches = _about_one(touches)
     members = [touches[codes == kind] for kind in range(len(kinds))]
     centres = np.array([part.mean(axis=0) for part in members])
     away = [
         np.linalg.norm(p - c, axis=1) for p, c in zip(members, centres, strict=True)
     ]
-    radius = np.array([np.mean(d**power) ** (1 / power) for d in away])
-    squared = ((centres[:, None] - centres) ** 2).sum(axis=2)
-    shared = squared <= _ROUNDING * (centres**2).sum(axis=1).max()
-    distance = np.where(shared, 0.0, np.sqrt(squared))
+    radius = np.array([_power_mean(d, power) for d in away])
+    distance = np.sqrt(((centres[:, None] - centres) ** 2).sum(axis=2))
+    extent = np.linalg.norm(touches, axis=1).max()
+    distance[distance <= _ROUNDING * extent] = 0
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.add.outer(radius, radius) / distance
     ratio[distance == 0] = np.inf
     np.fill_diagonal(ratio, -np.inf)
     return float(ratio.max(axis=1).mean())
+
+
+def _about_one(touches: Floats) -> Floats:
+    """Shift and scale touches, exactly where they are close, to sizes of at most 1.
+
+    The index does not notice, and no square of a coordinate leaves the range.
+    """
+    halved = _scaled(touches) / 2
+    return _scaled(halved - halved[0])
+
+
+def _scaled(values: Floats) -> Floats:
+    """Multiply by the power of two that brings the largest to between 0.5 and 1."""
+    _, exponent = np.frexp(np.abs(values).max())
+    scaled: Floats = np.ldexp(values, -exponent)
+    return scaled
+
+
+def _power_mean(distances: Floats, power: float) -> float:
+    """Return the mean of powers of distances, to one over the power."""
+    largest = distances.max() or 1.0
+    mean = np.mean((distances / largest) ** power)
+    return float(largest * mean ** (1 / power))

@@ -172,7 +172,15 @@ def correct_gamma(
     else:
         top = np.full((1, 1, 1), check_positive("white", white))
     top = np.where(top > 0, top, 1.0)
-    return top * (checked / top) ** exponent
+    with np.errstate(over="ignore"):
+        corrected: NDArray[np.float64] = top * (checked / top) ** exponent
+    if not np.isfinite(corrected).all():
+        raise ValueError(
+            "white must leave the corrected levels finite, got "
+            f"{white} with levels up to {checked.max():.3g} and gamma {gamma}. Take a "
+            "white near the largest level, or leave it out."
+        )
+    return corrected
 
 
 def filter_noise(images: ArrayLike, n_sd: float = 2.0) -> NDArray[np.float64]:

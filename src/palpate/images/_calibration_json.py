@@ -44,6 +44,11 @@ def read_calibration(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
 def _read(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise type(error)(
+            f"path must name a calibration that save() wrote, got {path}: "
+            f"{error.strerror}. Check the path, or calibrate the array."
+        ) from error
     except ValueError as error:
         raise _bad(path, "it is not JSON") from error
     if not isinstance(content, dict) or content.get("format") != _FORMAT:

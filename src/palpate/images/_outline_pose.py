@@ -9,6 +9,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import binary_erosion, generate_binary_structure
 
 from .._checks import check_count, check_images, check_positive
 from ._array import correct_gamma, resize
@@ -24,6 +25,7 @@ _PARTITIONS, _GAMMAS = (2, 1, 3), (0.65, 0.3, 1.0)
 # of the whole image's, or their noise would count as pressed.
 _LEAST_THRESHOLD = 0.8
 _PIXELS_PER_TAXEL = 3
+_COVERAGE_VARIANCE = 1 / 12  # of a number between 0 and 1 drawn at random
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,13 +36,16 @@ class Poses:
     ----------
     x_mm, y_mm : ndarray of shape (n_touches,)
         Centroid of the part's outline from the middle of the array, along columns
-        and along rows (downwards), in mm; NaN where nothing is pressed.
+        and along rows (downwards), in mm; 0 where nothing is pressed.
     angle_deg : ndarray of shape (n_touches,)
-        From 0 to 360 / symmetry, from columns towards rows; NaN for symmetry 0.
+        From 0 to 360 / symmetry, from columns towards rows; 0 for symmetry 0.
     sd_mm : ndarray of shape (n_touches,)
-        Root-mean-square distance expected from the true place, in mm.
+        Root-mean-square distance expected from the true place, in mm; infinite where
+        nothing is pressed.
     sd_deg : ndarray of shape (n_touches,)
-        Standard deviation of the angle in degrees, infinite for symmetry 0.
+        Standard deviation of the angle in degrees. Infinite where the angle says
+        nothing: for symmetry 0, an unknown symmetry, an empty press, and where it
+        would be that of an angle drawn at random.
     symmetry : ndarray of int of shape (n_touches,)
         In how many turns the part looks the same; 0 when every turn does.
     """
@@ -79,9 +84,10 @@ def press_pose(images: ArrayLike, pitch_mm: float, symmetry: int = 1) -> Poses:
 
     Notes
     -----
-    The standard deviations are the spread over nine outlines (1, 2 and 3 partitions,
-    three gammas), so they show what the outline leaves open, not a miscalibration
-    of the array. A part longer than the array is placed where its visible piece is.
+    The variances are those over nine outlines (1, 2 and 3 partitions, three gammas),
+    and what pixels at the edge may each be wrong by, as if independent. So they show
+    what the outline leaves open, not a miscalibration of the array. A part longer
+    than the array is placed where its visible piece is.
 
     Examples
     --------
@@ -96,20 +102,23 @@ def press_pose(images: ArrayLike, pitch_mm: float, symmetry: int = 1) -> Poses:
     filled = fill_dead_taxels(check_images(images, allow_nan=True))
     pitch = check_positive("pitch_mm", pitch_mm)
     order = check_count("symmetry", symmetry, at_least=0)
-    places, waves = [], []
-    for n_partitions, gamma in product(_PARTITIONS, _GAMMAS):
-        shapes = outlines(filled, n_partitions, gamma)
-        places.append(outline_centres(shapes))
-        waves.append(outline_wave(shapes, places[-1], max(order, 1)))
-    place = np.stack(places) * pitch
-    angle, sd_deg = _angle(np.stack(waves), order)
-    sd_mm = np.sqrt(place.var(axis=0).sum(axis=1))
-    empty = np.isnan(place[0, :, 0])
+    shapes = [outlines(filled, n, g) for n, g in product(_PARTITIONS, _GAMMAS)]
+    places = np.stack([outline_centres(shape) for shape in shapes])
+    waves = np.stack(
+        [
+            outline_wave(shape, place, max(order, 1))
+            for shape, place in zip(shapes, places, strict=True)
+        ]
+    )
+    of_place, of_wave = _pixel_variances(shapes[0], places[0])
+    sd = np.sqrt(places.var(axis=0).sum(axis=1) + of_place)
+    angle, sd_deg = _angle(waves, of_wave, order)
+    empty = np.isnan(places[0, :, 0])
     return Poses(
-        x_mm=place[0, :, 0],
-        y_mm=place[0, :, 1],
-        angle_deg=np.where(empty, np.nan, angle),
-        sd_mm=np.where(np.isnan(sd_mm), np.inf, sd_mm),
+        x_mm=np.where(empty, 0.0, places[0, :, 0] * pitch),
+        y_mm=np.where(empty, 0.0, places[0, :, 1] * pitch),
+        angle_deg=np.where(empty, 0.0, angle),
+        sd_mm=np.where(np.isnan(sd), np.inf, sd * pitch),
         sd_deg=np.where(empty, np.inf, sd_deg),
         symmetry=np.full(len(filled), order),
     )
@@ -142,17 +151,59 @@ def outline_wave(shapes: NDArray, centres: Floats, order: int) -> Waves:
     return np.asarray((shapes * radius**2 * unit**order).sum(axis=(1, 2)))
 
 
-def _angle(waves: Waves, order: int) -> tuple[Floats, Floats]:
-    """Angle of the first clean-up and spread over all, in degrees."""
+def doubt_of_angle(variance: Floats, symmetry: int) -> Floats:
+    """Return standard deviations in degrees, infinite where they tell nothing.
+
+    Parameters
+    ----------
+    variance : ndarray of shape (n_touches,)
+        In square radians.
+    symmetry : int
+        An angle drawn at random from the turns that look different has a standard
+        deviation of 360 / symmetry / sqrt(12) degrees.
+    """
+    if symmetry == 0:
+        return np.full(len(variance), np.inf)
+    sd: Floats = np.rad2deg(np.sqrt(variance))
+    return np.where(sd < 360 / symmetry / np.sqrt(12), sd, np.inf)
+
+
+def within_period(angle: Floats, period: float) -> Floats:
+    """Return angles from 0 to below the period, also where rounding reaches it."""
+    rest = angle % period
+    return np.where(rest < period, rest, 0.0)
+
+
+def _pixel_variances(
+    shapes: NDArray[np.bool_], centres: Floats
+) -> tuple[Floats, Floats]:
+    """Variances of place (square taxels) and wave left open by pixels at the edge.
+
+    How much of each the part covers may be anything between nothing and all.
+    """
+    cross = generate_binary_structure(2, 1)[np.newaxis]
+    edge = (shapes & ~binary_erosion(shapes, cross)) * _COVERAGE_VARIANCE
+    y, x = _grid(shapes.shape[1:])
+    across, down = (x - centres[:, [0]]) ** 2, (y - centres[:, [1]]) ** 2
+    squared = across[:, np.newaxis, :] + down[:, :, np.newaxis]
+    count = np.maximum(shapes.sum(axis=(1, 2)), 1)
+    of_place = (edge * squared).sum(axis=(1, 2)) / count**2
+    return of_place, (edge * squared**2).sum(axis=(1, 2))
+
+
+def _angle(waves: Waves, of_wave: Floats, order: int) -> tuple[Floats, Floats]:
+    """Angle of the first clean-up and its standard deviation, in degrees."""
     n_touches = waves.shape[1]
     if order == 0:
-        return np.full(n_touches, np.nan), np.full(n_touches, np.inf)
+        return np.zeros(n_touches), np.full(n_touches, np.inf)
     period = 360 / order
-    angle = np.rad2deg(np.angle(waves[0])) / order % period
+    angle = within_period(np.rad2deg(np.angle(waves[0])) / order, period)
     size = np.abs(waves)
     unit = np.divide(waves, size, out=np.zeros_like(waves), where=size > 0)
     agreement = np.abs(unit.mean(axis=0)).clip(1e-300, 1)
-    return angle, np.rad2deg(np.sqrt(-2 * np.log(agreement))) / order
+    # Half of the wave's variance lies across it, where it turns the wave.
+    across = of_wave / 2 / np.maximum(size[0], 1e-150) ** 2
+    return angle, doubt_of_angle((across - 2 * np.log(agreement)) / order**2, order)
 
 
 def _grid(shape: tuple[int, ...]) -> tuple[Floats, Floats]:

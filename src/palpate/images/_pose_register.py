@@ -22,6 +22,7 @@ _SEARCH_DEG = 10.0
 _FEWEST_STEPS, _MOST_STEPS, _SMALL_GAIN = 2, 8, 1e-4
 _DIFFERENCE = np.array([0.02, 0.05, 0.05])  # for derivatives: radians, taxels
 _LONGEST_STEP = 0.3
+_LEAST_NOISE = 1e-4
 
 
 def register(
@@ -82,7 +83,8 @@ def pose_variances(
     """Return the variances of angle, x and y, (n_touches, 3), infinite for a disc.
 
     Errors may differ from taxel to taxel and hang together within blocks of 2 x 2,
-    as those of a part's edge do (a cluster-robust covariance).
+    as those of a part's edge do (a cluster-robust covariance). However well a press
+    fits, a ten-thousandth of its energy counts as noise of all taxels.
     """
     free = _free(symmetry)
     slopes = _slopes(images, template, poses, free)
@@ -93,6 +95,8 @@ def pose_variances(
     clustered = _sum_blocks(scores, images.shape[1:])
     spread = inverse @ clustered @ clustered.transpose(0, 2, 1) @ inverse
     variances = np.full((len(poses), 3), np.inf)
+    least = _LEAST_NOISE * (images**2).sum(axis=(1, 2)) / images[0].size
+    spread += inverse * least[:, np.newaxis, np.newaxis]
     variances[:, free] = np.einsum("nii->ni", spread)
     return variances
 

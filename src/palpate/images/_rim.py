@@ -18,7 +18,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import check_image_shape, check_images, check_positive
+from .._checks import check_image_shape, check_images, check_levels, check_positive
 from . import _rim_fit
 from ._rim_fit import Fit
 
@@ -194,10 +194,10 @@ def typical_rim(
 
 def as_images(X: ArrayLike, *, shape: tuple[int, int] | None = None) -> NDArray:
     """Return `X` as finite images; 8-bit ones stay so, to save memory and time."""
-    images = np.asarray(X)
+    images = check_image_shape(X, shape=shape)
     if images.dtype == np.uint8:
-        return check_image_shape(images, shape=shape)
-    return check_images(images, shape=shape)
+        return images
+    return check_levels(check_images(images, shape=shape))
 
 
 def _checked(near: Circle | None) -> Circle | None:

@@ -42,7 +42,7 @@ def recorded_touches(
     if data is not None:
         raise ValueError(
             f"--data must name a folder that holds {archive}, got {named}. "
-            f"Fetch the {what} from {source}, or leave --data out."
+            f"Fetch the recordings from {source}, or leave --data out."
         )
     return (
         f"The rows of {what} are left out: the folder of PALPATE_DATA has no {archive}."

@@ -1,0 +1,111 @@
+"""What a report says of single episodes, against the beliefs they are made of."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate import Touches
+from palpate.evaluation import Plan, decide_episodes, evaluate, plots, write_report
+from palpate.evaluation._report_why import EPISODES, SIDE, explained_episodes
+
+NAMES = ("bowl", "key", "mug", "pen")
+PLAN = Plan(touches=(1, 3), orders=6, error=0.2, seed=3)
+
+
+def electrodes(code, n, rng):
+    """Values of 3 x 24 electrodes, in so much noise that some objects are confused."""
+    pattern = np.random.default_rng(code).normal(size=(3, 24))
+    return pattern + 4.0 * rng.normal(size=(n, 3, 24))
+
+
+def rings(code, n, rng):
+    """Rings of 10 x 10 taxels, whose radii are alike."""
+    x = np.arange(10) - 4.5
+    radius = 2 + 0.4 * code + 0.3 * rng.normal(size=(n, 1, 1))
+    ring = np.exp(-((np.hypot(x[:, None], x) - radius) ** 2))
+    return ring + 0.1 * rng.normal(size=(n, 10, 10))
+
+
+def drawn(seed, kind):
+    rng = np.random.default_rng(seed)
+    images = np.concatenate([kind(code, 16, rng) for code in range(len(NAMES))])
+    geometry = "none" if kind is electrodes else "array"
+    return Touches(images, object=np.repeat(NAMES, 16), geometry=geometry)
+
+
+@pytest.fixture(scope="module", params=[electrodes, rings])
+def result(request):
+    # The paper's preset chooses nothing, which saves seconds.
+    preset = "default" if request.param is electrodes else "liu2014"
+    plan = replace(PLAN, preset=preset)
+    return evaluate(drawn(0, request.param), drawn(1, request.param), plan=plan)
+
+
+def section(page):
+    return page[page.index("<h2>Why") : page.index("<h2>What the sensor feels")]
+
+
+def test_wrong_decisions_come_first_and_right_ones_follow(result):
+    figures, trials = result
+    shown = explained_episodes(figures, trials)
+    assert 1 < len(shown) <= EPISODES
+    rights = [one.right for one in shown]
+    assert rights == sorted(rights)
+    end = decide_episodes(trials[0].recogniser, trials[0].episodes, PLAN.error)
+    assert (end.decided & ~end.right).any()
+    assert end.right.any()
+    assert set(rights) == {False, True}
+    for one in shown:
+        assert (one.said == one.truth) == one.right
+
+
+def test_an_explained_episode_has_the_touches_of_the_figures(result):
+    figures, trials = result
+    episodes = trials[0].episodes
+    for one in explained_episodes(figures, trials):
+        test = trials[0].fold.test[one.rows]
+        assert set(test.object) == {one.name}
+        belief = trials[0].recogniser.start().update(test)
+        after = np.exp(episodes.beliefs[episodes.objects.index(one.name)])
+        same = after[:, len(one.rows) - 1]
+        # One of the six orders led to this belief, up to rounding of sums.
+        gap = np.abs(same - list(belief.posterior.values())).max(axis=1).min()
+        assert_allclose(gap, 0, atol=1e-9)
+        assert one.said in (belief.best, "unknown")
+
+
+def test_the_page_shows_touches_beside_their_nearest(result, tmp_path):
+    figures, trials = result
+    page = section(write_report(tmp_path / "r.html", figures, trials).read_text())
+    recogniser, fold = trials[0].recogniser, trials[0].fold
+    shown = explained_episodes(figures, trials)
+    steps = [
+        (one, step)
+        for one in shown
+        for step in recogniser.start().update(fold.test[one.rows]).explain()
+    ]
+    told = re.findall(r"touch (\d+):<br>([\d.]+) nats for (\w+)<br>over (\w+)", page)
+    assert len(told) == len(steps)
+    for (touch, nats, more, less), (_, step) in zip(told, steps, strict=True):
+        assert int(touch) == step["touch"]
+        assert float(nats) == pytest.approx(abs(step["nats"]), abs=0.051)  # 1 decimal
+        assert {more, less} == {step["best"], step["rival"]}
+        assert (more == step["best"]) == (step["nats"] > 0)
+    for one in shown:
+        belief = recogniser.start().update(fold.test[one.rows])
+        assert belief.reason(PLAN.error) in page
+    pictures = page.count("<img")
+    if recogniser.chosen_["geometry"] == "none":
+        assert pictures == 0
+        return
+    assert pictures == sum(1 + len(step["nearest"]) for _, step in steps)
+    one, step = steps[0]
+    felt = fold.test[one.rows[[step["touch"] - 1]]]
+    near = fold.train[np.array([step["nearest"][0]["row"]])]
+    assert near.object[0] == step["nearest"][0]["object"]
+    for touch in (felt, near):
+        (cleaned,) = recogniser.encoder_.clean(touch)
+        assert plots.picture(cleaned, side=SIDE) in page

@@ -1,0 +1,14 @@
+"""What a study says when its recorded touches are not there."""
+
+from pathlib import Path
+
+import pytest
+
+from palpate.studies._recorded import recorded_touches
+
+
+def test_a_folder_without_the_archive_is_named_with_where_to_fetch_it(tmp_path):
+    archive = Path("tactip4") / "tactip4.npz"
+    said = r"got .*\. Fetch the recordings from example\.org/here, or leave --data out"
+    with pytest.raises(ValueError, match=said):
+        recorded_touches(tmp_path, archive, "a real dome", "example.org/here")
