@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from palpate import Touches
 from palpate.evaluation import Plan, evaluate, split_touches
 from palpate.images import correct_gamma
-from palpate.recognition import ObjectRecogniser
+from palpate.studies import released
 
 LENGTHS = (1, 3, 5, 10, 15, 20)
 SHIFT_PX, GAMMA = 2.5, 1.3
@@ -25,13 +25,13 @@ N_ORDERS = 20
 def main(folder: Path, out: Path, sections: list[str]) -> None:
     """Measure the sections asked for, or all; the others stay in the file."""
     touches = Touches.load(folder / "bathtip" / "bathtip50.npz")
-    words = np.load(folder / "bathtip" / "visual_words50.npz")
+    photographs = released.read_photographs(folder / "bathtip" / "visual_words50.npz")
     measures = {
         "ten": lambda: ten_objects(touches),
         "few": lambda: few_touches(touches),
         "altered": lambda: altered(touches),
         "moved": lambda: moved(touches),
-        "sight": lambda: sight(touches, words),
+        "sight": lambda: sight(touches, photographs),
     }
     result = json.loads(out.read_text()) if out.exists() else {}
     for name in sections or measures:
@@ -109,101 +109,27 @@ def altered(touches: Touches) -> dict[str, object]:
 
 def moved(touches: Touches) -> dict[str, object]:
     """Learn 50 objects before the camera jumped and recognise after, both ways."""
-    jumps = {
-        "bowl_whitebig": 24,
-        "bowl_darkblue": 14,
-        "bowl_blackstripes": 12,
-        "bottlefull_gingerale": 9,
-        "mug_blacksquared": 8,
-        "softtoy_pinkrabbit": 7,
-    }
-    rim = touches.columns["rim_circle_row_col_radius_px"]
-    early = np.ones(len(touches), dtype=bool)
-    present = [name for name in jumps if name in touches.object]
-    for name in present:
-        rows = np.flatnonzero(touches.object == name)
-        rows = rows[np.argsort(touches.order[rows])]
-        early[rows[jump_of(rim[rows, :2]) :]] = False
-    mine = np.isin(touches.object, present)
-    result = {}
-    for way, side in (("before -> after", early), ("after -> before", ~early)):
-        train = touches[~mine | side]
-        test = touches[mine & ~side]
-        figures, _ = evaluate(train, test, plan=Plan(touches=LENGTHS, orders=N_ORDERS))
+    found = released.moved(touches, lengths=LENGTHS, orders=N_ORDERS)
+    result: dict[str, object] = {}
+    for way, figures in found.items():
         result[way] = {"accuracy": figures["accuracy"], "n": figures["n_objects"]}
         print(way, result[way], flush=True)
     return result
 
 
-def jump_of(centres: NDArray) -> int:
-    """Return where a series of centres breaks best into two levels, in their middle."""
-    n = len(centres)
-    at = range(n // 8, n - n // 8)
-    steps = [
-        np.linalg.norm(np.median(centres[:k], axis=0) - np.median(centres[k:], axis=0))
-        for k in at
-    ]
-    return at[int(np.argmax(steps))]
-
-
-def sight(touches: Touches, words: "np.lib.npyio.NpzFile") -> dict[str, object]:
+def sight(touches: Touches, photographs: released.Photographs) -> dict[str, object]:
     """Touch, one photograph, and both; 50 objects, then unseen objects' categories."""
-    counts = words["counts"].astype(float)
-    share = np.sqrt(counts / np.maximum(counts.sum(axis=1, keepdims=True), 1))
-    result = {}
-    (last,) = split_touches(touches, "last")
-    result["object"] = fused(
-        [(last.train, last.test)], share, words["object"], "object"
-    )
-    folds = [(f.train, f.test) for f in split_touches(touches, "unseen-objects")]
-    result["category"] = fused(folds, share, words["object"], "category", touches)
+    result: dict[str, object] = {}
+    for label in released.SPLIT_FOR:
+        right = released.sight(
+            touches, photographs, label, lengths=LENGTHS, orders=N_ORDERS
+        )
+        result[label] = {
+            sense: {str(k): float(shares.mean()) for k, shares in curve.items()}
+            for sense, curve in right.items()
+        }
+        print(label, result[label], flush=True)
     return result
-
-
-def fused(
-    folds: list[tuple[Touches, Touches]],
-    share: NDArray,
-    seen: NDArray,
-    label: str,
-    touches: Touches | None = None,
-) -> dict[str, dict[str, float]]:
-    """Accuracy of touch, a photograph and both, after the lengths."""
-    rng = np.random.default_rng(0)
-    kinds = {n: c for t in folds[0] for n, c in zip(t.object, t.category, strict=True)}
-    hits: dict[str, dict[int, list[float]]] = {
-        "touch": {},
-        "both": {},
-        "sight": {0: []},
-    }
-    for train, test in folds:
-        recogniser = ObjectRecogniser(label=label).fit(train)
-        number = np.arange(len(seen)) % 2
-        told = seen if label == "object" else np.array([kinds[n] for n in seen])
-        # Objects: half of each one's photographs; categories: of known objects.
-        known = number == 0 if label == "object" else np.isin(seen, train.object)
-        recogniser.learn_modality("sight", share[known], told[known])
-        rows = recogniser.log_likelihood(test)
-        for name in np.unique(test.object):
-            truth = name if label == "object" else kinds[name]
-            mine = np.flatnonzero(test.object == name)
-            pool = np.flatnonzero((seen == name) & ~(known & (label == "object")))
-            for _ in range(N_ORDERS):
-                order, photo = rng.permutation(mine), share[rng.choice(pool)]
-                alone = recogniser.start().update_sense("sight", photo)
-                hits["sight"][0].append(alone.best == truth)
-                for k in LENGTHS:
-                    if len(mine) < k:
-                        continue
-                    some = rows[order[:k]]
-                    felt = recogniser.start().update_from_log_likelihood(some)
-                    hits["touch"].setdefault(k, []).append(felt.best == truth)
-                    both = felt.update_sense("sight", photo).best
-                    hits["both"].setdefault(k, []).append(both == truth)
-    found = {
-        s: {str(k): float(np.mean(v)) for k, v in h.items()} for s, h in hits.items()
-    }
-    print(label, found, flush=True)
-    return found
 
 
 if __name__ == "__main__":

@@ -2,11 +2,16 @@
 
 import importlib
 import json
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from palpate.simulation import find_object
+
+RECORDED = ("ball_a", "box_b", "can_c", "mug_d")
 
 
 @pytest.fixture
@@ -50,3 +55,49 @@ def test_its_json_is_one_object_with_everything(palpate, small, tmp_path):
     assert {"accuracy", "controls", "unknown_auroc", "episodes", "report"} <= set(told)
     assert [e["object"] for e in told["episodes"]] == ["mug", "plastic card"]
     assert Path(told["report"]).is_file()
+
+
+@pytest.fixture
+def recorded(monkeypatch, tmp_path, rng):
+    """Pictures of four objects, named as the recorded ones are, with little in them."""
+    demo = importlib.import_module("palpate.cli.demo")
+    monkeypatch.setattr(demo, "TRAIN_TOUCHES", 12)
+    folder = tmp_path / "data" / "bathtip" / "originals"
+    folder.mkdir(parents=True)
+    for code, name in enumerate(RECORDED):
+        pattern = np.random.default_rng(code).integers(60, 200, (6, 24))
+        for n in range(24):
+            touch = pattern + rng.normal(scale=5, size=(6, 24))
+            place = folder / f"touch_{n}_img_{n}_name_{name}_at_0_0_{n}.jpg"
+            Image.fromarray(touch.astype(np.uint8)).save(place, quality=95)
+    nothing = Image.fromarray(np.full((6, 24), 128, np.uint8))
+    nothing.save(folder / "baselineForCalibration.jpg")
+    monkeypatch.setenv("PALPATE_DATA", str(tmp_path / "data"))
+
+
+def test_with_recorded_pictures_two_objects_are_unknown(palpate, recorded, tmp_path):
+    done = palpate("demo", "--real", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Learnt 2 objects from 24 touches" in done.stdout
+    strange = re.search(r"Now (\w+) and (\w+), recorded .* left out", done.stdout)
+    assert strange is not None
+    assert set(strange.groups()) < set(RECORDED)
+    before, after = done.stdout.split("Now ")
+    for name in RECORDED:
+        assert f"Touches of {name}:" in (after if name in strange.groups() else before)
+    heads, *rows = done.stdout.splitlines()[-7:-2]
+    assert heads.endswith("known from unknown  unknown found %")
+    # Patterns that share nothing, in little noise.
+    assert float(rows[-1].split()[-2]) > 0.9
+    assert (tmp_path / "demo" / "recorded-objects.palpate").is_file()
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+def test_real_pictures_leave_two_objects_unknown(palpate, data_folder, tmp_path):
+    done = palpate("demo", "--real", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["n_labels"] == 8
+    assert len(told["episodes"]) == 10
+    assert told["unknown_auroc"]["10"] > 0.8

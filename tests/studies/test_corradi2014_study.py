@@ -2,12 +2,14 @@
 
 import json
 import re
+import time
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.decomposition import PCA
 
+from palpate import Touches
 from palpate.encodings import OrientedPCA, ZernikePCA
 from palpate.evaluation import davies_bouldin
 from palpate.studies import (
@@ -20,7 +22,12 @@ from palpate.studies._corradi2014_judge import corrected_t_test, holm, judge
 from palpate.studies._corradi2014_methods import answers, encode
 from palpate.studies._corradi2014_pictures import fig_3_figure, table_2_figure
 from palpate.studies._corradi2014_plan import CLASSIFIERS, COUNTS, TABLE_2
-from palpate.studies._corradi2014_touches import Shapes, near_duplicates, variants
+from palpate.studies._corradi2014_touches import (
+    Shapes,
+    near_duplicates,
+    recorded_shapes,
+    variants,
+)
 from palpate.studies._corradi2014_unseen import (
     CANDIDATES,
     Recording,
@@ -252,6 +259,26 @@ def test_candidates_and_counts_are_known():
     assert Corradi2014Plan.quick().counts("hu") == (1, 4, 7)
     with pytest.raises(ValueError, match="n_touches must be at least 10, got 5"):
         Corradi2014Plan(n_touches=5)
+
+
+def test_a_first_look_names_recorded_shapes_with_turned_tests_alone(rng):
+    images = rng.integers(0, 255, (20, 32, 32), dtype=np.uint8)
+    touches = Touches(images, object=np.repeat(["flat", "edge"], 10))
+    every = [s.data for s in recorded_shapes(touches, 0)]
+    assert every == ["tactip4", "tactip4, test turned"]
+    first_look = Corradi2014Plan.quick()
+    (turned,) = recorded_shapes(touches, 0, upright=first_look.recorded_upright)
+    assert turned.data == "tactip4, test turned"
+    assert not np.allclose(turned.asked["image"], turned.images["image"])
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+def test_quick_is_quick_with_recorded_touches(data_folder):
+    start = time.process_time()
+    run_study("corradi2014", data=data_folder, quick=True, workers=1, progress=False)
+    # 33 s of CPU on the machine that this was written on; "under a minute" is asked.
+    assert time.process_time() - start < 50
 
 
 def test_the_index_is_that_of_the_second_half(discs):

@@ -25,13 +25,14 @@ NAME_PATTERN = (
 TRAIN_TOUCHES = 60
 TEST_TOUCHES = 30
 UNKNOWN_TOUCHES = 20
+UNKNOWN_RECORDED = 2
 SIDE = 120
 KNOWN_SHOWN = ("mug", "stapler", "water bottle")
 UNKNOWN_SHOWN = ("plastic card", "massage ball")
 ERROR = 0.1
 MOST_ATTEMPTS = 16
 
-Sets = tuple["Touches", "Touches", "Touches | None"]
+Sets = tuple["Touches", "Touches", "Touches"]
 
 
 def demo(
@@ -47,7 +48,8 @@ def demo(
     """Learn ten household objects from 60 touches each and recognise them.
 
     A simulated arm explores simulated objects with a dome camera, or, with --real,
-    recorded pictures are read. The last line printed is the path of the report.
+    recorded pictures of ten objects are read, of which two are not learnt but met
+    as unknown ones. The last line printed is the path of the report.
     """
     pictures = _pictures() if real else None
     from ..evaluation import Plan, check_report_path, evaluate, write_report
@@ -68,10 +70,11 @@ def demo(
             f"({TRAIN_TOUCHES} each).\n"
         )
     if pictures:
-        episodes = _recognise_recorded(recogniser, test, quiet=as_json)
+        episodes = _recognise_recorded(recogniser, test, unknown, quiet=as_json)
     else:
         episodes = _recognise_by_exploring(recogniser, train, seed, quiet=as_json)
-    model = recogniser.save(folder / "ten-objects.palpate")
+    name = "recorded-objects" if pictures else "ten-objects"
+    model = recogniser.save(folder / f"{name}.palpate")
     write_report(report, figures, trials)
     if as_json:
         written = {"model": str(model.resolve()), "report": str(report.resolve())}
@@ -164,17 +167,28 @@ def _announced(name: str) -> str:
 
 
 def _recognise_recorded(
-    recogniser: "ObjectRecogniser", test: "Touches", *, quiet: bool
+    recogniser: "ObjectRecogniser", test: "Touches", unknown: "Touches", *, quiet: bool
 ) -> list[dict[str, Any]]:
-    episodes = recognise_episodes(recogniser, test, error=ERROR)
+    known = recognise_episodes(recogniser, test, error=ERROR)
+    strange = recognise_episodes(recogniser, unknown, error=ERROR)
     if not quiet:
         print(f"Recognising the other {len(test)} touches, one by one:\n")
-        for episode in episodes:
+        for episode in known:
             print_episode(episode)
-    return episodes
+        names = " and ".join(str(episode["object"]) for episode in strange)
+        print(
+            f"Now {names}, recorded like the others but left out of learning, so that "
+            "there is something unknown:\n"
+        )
+        for episode in strange:
+            print_episode(episode)
+    return known + strange
 
 
 def _read(pictures: Path, seed: int, stage: Stages) -> Sets:
+    """Read the recorded pictures; some objects, drawn by lot, are the unknown ones."""
+    import numpy as np
+
     from ..evaluation import split_by_count
     from ..touches import Touches
 
@@ -184,28 +198,31 @@ def _read(pictures: Path, seed: int, stage: Stages) -> Sets:
         name_pattern=NAME_PATTERN,
         no_contact=pictures / "baselineForCalibration.jpg",
     )
-    return *split_by_count(touches, TRAIN_TOUCHES, seed), None
+    names = np.unique(np.asarray(touches.object))
+    drawn = np.random.default_rng(seed).permutation(names)[:UNKNOWN_RECORDED]
+    strange = np.isin(np.asarray(touches.object), drawn)
+    return *split_by_count(touches[~strange], TRAIN_TOUCHES, seed), touches[strange]
 
 
 def _print_figures(figures: dict[str, Any], trial: "Trial") -> None:
     """Print the accuracy with, beside it, what nuisance values alone achieve."""
     controls = {k: v for k, v in figures["controls"].items() if v is not None}
     heads = ["touches", "right %", "sd", *(f"{name} %" for name in controls)]
-    if "unknown_auroc" in figures:
-        heads.append("known from unknown")
+    heads += ["known from unknown", "unknown found %"]
     n_objects = len(trial.recogniser.classes_)
     print(
         f"{len(trial.fold.test)} other touches of {n_objects} objects (chance "
         f"{100 / n_objects:.0f} %). Beside what is right, controls: what the place of "
         "the disc, brightness\nor grey levels alone get right, and touches without "
-        "contact; then the ROC area of known against unknown."
+        "contact; then the ROC area of known against unknown,\nand how many unknown "
+        "ones are found where one known in twenty is refused."
     )
     print("  ".join(heads))
     for k, share in figures["accuracy"].items():
         cells = [k, percent(share), percent(figures["accuracy_sd"][k])]
         cells += [percent(values.get(k)) for values in controls.values()]
-        if "unknown_auroc" in figures:
-            cells.append(f"{figures['unknown_auroc'][k]:.2f}")
+        cells.append(f"{figures['unknown_auroc'][k]:.2f}")
+        cells.append(percent(figures["unknown_refused"][k]))
         pairs = zip(cells, heads, strict=True)
         print("  ".join(cell.rjust(len(head)) for cell, head in pairs))
 

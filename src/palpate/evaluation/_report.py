@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from . import plots
 from ._episodes import outcome
 from ._metrics import calibration_bins
+from ._report_why import explanations
 from ._trial import Trial
 
 EXAMPLES = 6
@@ -27,6 +28,10 @@ td:first-child,th:first-child{text-align:left}
 .line{display:flex;align-items:center;border-bottom:1px solid #eef1f4}
 .name{width:13rem;overflow-wrap:anywhere}
 .touches img{height:84px;border-radius:4px;margin:2px}
+.why{display:flex;gap:.6rem;margin:.4rem 0}
+.why div{width:9rem;font-size:.8rem;line-height:1.25;overflow-wrap:anywhere}
+.why div:first-child{width:19rem;display:flex;gap:.6rem;border-right:1px solid #dde3e8}
+.why img{display:block;height:72px;border-radius:4px;margin-bottom:2px}
 .note{color:#5a6572}svg{max-width:100%;height:auto}
 """
 
@@ -45,7 +50,7 @@ def check_report_path(path: str | Path) -> Path:
 def write_report(
     path: str | Path, figures: dict[str, Any], trials: Sequence[Trial]
 ) -> Path:
-    """Write accuracy, confusion, calibration and example touches as one page.
+    """Write accuracy, confusion, calibration, reasons and touches as one page.
 
     Parameters
     ----------
@@ -62,6 +67,7 @@ def write_report(
         _head(figures),
         _accuracy(figures, trials),
         _confusion(figures, trials),
+        explanations(figures, trials),
         _examples(trials),
     ]
     title = f"palpate: {figures['n_labels']} {figures['label']} labels"

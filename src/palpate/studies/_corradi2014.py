@@ -92,13 +92,15 @@ def run(
     )
     sets = list(simulated_shapes(settled))
     if not isinstance(pins, str):
-        sets += recorded_shapes(pins[:: settled.recorded_step], settled.seed)
+        some = pins[:: settled.recorded_step]
+        upright = settled.recorded_upright
+        sets += recorded_shapes(some, settled.seed, upright=upright)
     rows, paired = _shapes_rows(sets, settled, workers, progress)
     duplicates = {one.data: near_duplicates(one.images["image"]) for one in sets}
     if not isinstance(dome, str):
         seen = recording(dome[:: settled.recorded_step])
-        some = np.unique(np.linspace(0, len(seen.codes) - 1, _MOST_ALIKE).astype(int))
-        duplicates[DATA] = near_duplicates(seen.images["image"][some])
+        rows_at = np.linspace(0, len(seen.codes) - 1, _MOST_ALIKE).astype(int)
+        duplicates[DATA] = near_duplicates(seen.images["image"][np.unique(rows_at)])
         rows += _unseen_rows(seen, settled, workers, progress)
     return {
         "study": "corradi2014",

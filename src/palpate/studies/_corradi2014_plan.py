@@ -59,6 +59,9 @@ class Corradi2014Plan:
         where something is chosen.
     recorded_step : int, default=1
         Of the recorded touches every so many are used.
+    recorded_upright : bool, default=True
+        Whether the recorded shapes are named upright too, and not only with their
+        test touches turned.
     fold_limit : int, default=5
         Most folds of unseen objects.
     candidates : tuple of str
@@ -83,6 +86,7 @@ class Corradi2014Plan:
     choice_step: int = 1
     thinning: int = 2
     recorded_step: int = 1
+    recorded_upright: bool = True
     fold_limit: int = 5
     candidates: tuple[str, ...] = (
         "zernike-pca",
@@ -117,7 +121,8 @@ class Corradi2014Plan:
             "slow_choice_runs": 1,
             "choice_step": 3,
             "thinning": 2,
-            "recorded_step": 4,
+            "recorded_step": 8,
+            "recorded_upright": False,
             "fold_limit": 1,
             "candidates": ("zernike-pca", "zernike", "zernike to order 20"),
         }

@@ -95,8 +95,10 @@ def simulated_shapes(plan: Corradi2014Plan) -> Iterator[Shapes]:
         yield Shapes(data, images, None, codes, groups, half)
 
 
-def recorded_shapes(touches: Touches, seed: int) -> Iterator[Shapes]:
-    """Give the recorded shapes upright, then with their test images turned.
+def recorded_shapes(
+    touches: Touches, seed: int, *, upright: bool = True
+) -> Iterator[Shapes]:
+    """Give the recorded shapes upright, if asked, then with their test images turned.
 
     They come shape by shape in the order of recording: each shape's first half
     chooses, and a fifth of a half is a stretch of the recording.
@@ -108,14 +110,15 @@ def recorded_shapes(touches: Touches, seed: int) -> Iterator[Shapes]:
         place[rows] = np.arange(len(rows)) / len(rows)
     stretch = (place * 2 * N_GROUPS).astype(np.intp)
     half, groups = stretch // N_GROUPS, stretch % N_GROUPS
-    upright = variants(_frame_discs(touches.images))
-    yield Shapes("tactip4", upright, None, codes, groups, half)
+    standing = variants(_frame_discs(touches.images))
+    if upright:
+        yield Shapes("tactip4", standing, None, codes, groups, half)
     angle = np.random.default_rng([seed, 4]).uniform(0, 360, len(touches))
     turned = repose(touches.images, angle, edges="nearest", interpolation="cubic")
     # Cubic interpolation overshoots beside the pins; a camera's levels do not.
     shown = np.clip(turned, touches.images.min(), touches.images.max())
     asked = variants(_frame_discs(shown))
-    yield Shapes("tactip4, test turned", upright, asked, codes, groups, half)
+    yield Shapes("tactip4, test turned", standing, asked, codes, groups, half)
 
 
 def variants(discs: Images) -> dict[str, Images]:

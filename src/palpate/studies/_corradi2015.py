@@ -7,15 +7,16 @@ experiments on the released recordings; timings.
 """
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from .._checks import check_count
 from .._progress import Progress
+from ._corradi2015_beside import beside_tasks
 from ._corradi2015_plan import Corradi2015Plan
 from ._corradi2015_report import write_report
 from ._corradi2015_rows import confusions, experiment_rows, unseen_rows
@@ -23,7 +24,6 @@ from ._corradi2015_tables import tables
 from ._corradi2015_tasks import (
     DEFAULT,
     MAIN,
-    Answered,
     Compared,
     known_tasks,
     later_tasks,
@@ -38,6 +38,8 @@ from ._corradi2015_touches import (
 )
 
 __all__ = ["run", "tables", "write_report"]
+
+Done = TypeVar("Done")
 
 
 def run(
@@ -54,8 +56,9 @@ def run(
     Parameters
     ----------
     data : path, optional
-        Folder of recorded touches, which holds `bathtip/bathtip50.npz`; by default
-        the one that PALPATE_DATA names.
+        Folder of recorded touches, which holds `bathtip/bathtip50.npz` and, for
+        sight beside touch, `bathtip/visual_words50.npz`; by default the one that
+        PALPATE_DATA names.
     quick : bool, default=False
         Few partitions, and ten objects alone.
     workers : int, default=-1
@@ -85,16 +88,23 @@ def run(
     sets = [simulated_objects(settled, workers)]
     if not isinstance(recorded, str):
         sets.append(recorded_objects(recorded))
-    answered = _answer(_tasks(settled, sets), workers, progress)
+    answered = _run(
+        _tasks(settled, sets), "learning and recognising", workers, progress
+    )
     unseen = {one.data: _unseen(settled, one) for one in sets}
     rows = experiment_rows(answered, settled)
     rows += [row for one in sets for row in unseen_rows(unseen[one.data], one)]
+    skipped = [recorded] if isinstance(recorded, str) else []
+    if settled.later and not isinstance(recorded, str):
+        tasks, skipped = beside_tasks(settled, recorded, data)
+        found = _run(tasks, "sight beside touch", workers, progress)
+        rows += [row for some in found for row in some]
     return {
         "study": "corradi2015",
         "rows": rows + timing_rows(sets[-1].every or sets[0].known, sets[-1].data),
         "confusion": {one.data: confusions(answered, one, settled) for one in sets},
-        "unseen": {name: _as_lists(found) for name, found in unseen.items()},
-        "skipped": [recorded] if isinstance(recorded, str) else [],
+        "unseen": {name: _as_lists(curves) for name, curves in unseen.items()},
+        "skipped": skipped,
         "plan": asdict(settled),
         "seconds": time.perf_counter() - started,
     }
@@ -108,16 +118,16 @@ def _tasks(plan: Corradi2015Plan, sets: list[Objects]) -> list[Compared]:
     return tasks
 
 
-def _answer(
-    tasks: list[Compared], workers: int, progress: bool | None
-) -> Iterable[Answered]:
+def _run(
+    tasks: Sequence[Callable[[], Done]], what: str, workers: int, progress: bool | None
+) -> list[Done]:
     from joblib import Parallel, delayed
 
     done = Parallel(n_jobs=workers, return_as="generator")(
         delayed(task)() for task in tasks
     )
     found = []
-    with Progress(len(tasks), "learning and recognising", progress) as bar:
+    with Progress(len(tasks), what, progress) as bar:
         for one in done:
             found.append(one)
             bar.advance(1)

@@ -21,6 +21,15 @@ PAPER_MS: dict[tuple[str, int], float] = {
 LATER_OBJECTS: dict[int, float] = {1: 18.8, 5: 38.8, 10: 51.2, 15: 62.5, 20: 68.2}
 LATER_CATEGORY: dict[int, float] = {20: 62.1}
 LATER_TRAIN = 54
+# The same by touch, by one photograph (after 0 touches) and by both.
+LATER_SIGHT: dict[tuple[str, str], dict[int, float]] = {
+    ("object", "touch"): LATER_OBJECTS,
+    ("object", "sight"): {0: 39.7},
+    ("object", "both"): {1: 45.2, 5: 59.5, 10: 69.8, 15: 79.3, 20: 84.0},
+    ("category", "touch"): LATER_CATEGORY,
+    ("category", "sight"): {0: 68.9},
+    ("category", "both"): {20: 78.6},
+}
 
 
 @dataclass(frozen=True)
@@ -50,7 +59,8 @@ class Corradi2015Plan:
     components : tuple of int
         Components of each object's mixture.
     later : bool, default=True
-        Whether all objects, and categories, are recognised too.
+        Whether all objects, and categories, are recognised too, with a photograph
+        beside the touches, and across a move of the camera.
     seed : int, default=0
     """
 

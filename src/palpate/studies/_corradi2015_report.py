@@ -46,6 +46,7 @@ def _head(result: dict[str, Any]) -> str:
         f"{plan['n_test']} where it has fewer), seed {plan['seed']}; mean ± standard "
         "deviation over partitions, in per cent. The preset default and the controls "
         f"(disc centre, brightness) answer {plan['default_partitions']} partitions; "
-        "idle: test touches alone that look like the no-contact frame. "
+        "idle: test touches alone that look like the no-contact frame. With a "
+        "photograph, and where the camera moved, the deviation is that of objects. "
         f"{CITED} {recorded}"
     )

@@ -3,9 +3,11 @@
 from collections.abc import Sequence
 from typing import Any
 
+from ._corradi2015_beside import MOVED, SIGHT
 from ._corradi2015_plan import (
     LATER_CATEGORY,
     LATER_OBJECTS,
+    LATER_SIGHT,
     PAPER,
     PAPER_CLUSTERS,
 )
@@ -18,6 +20,10 @@ _TITLES = {
     "ten objects": "Ten objects",
     "all objects": "All recorded objects",
     "category": "Category of objects never touched",
+    SIGHT["object"]: "Objects, with a photograph",
+    SIGHT["category"]: "Category of objects never touched, with a photograph",
+    MOVED["before -> after"]: "Learnt before the camera moved and recognised after",
+    MOVED["after -> before"]: "Learnt after the camera moved and recognised before",
 }
 _PAPER_LINES: dict[str, list[tuple[str, dict[int, float]]]] = {
     "ten objects": [
@@ -26,6 +32,14 @@ _PAPER_LINES: dict[str, list[tuple[str, dict[int, float]]]] = {
     ],
     "all objects": [("first author", LATER_OBJECTS)],
     "category": [("first author", LATER_CATEGORY)],
+    **{
+        table: [
+            (f"first author, {sense}", figures)
+            for (of_label, sense), figures in LATER_SIGHT.items()
+            if of_label == label
+        ]
+        for label, table in SIGHT.items()
+    },
 }
 
 
@@ -45,10 +59,10 @@ def tables(result: dict[str, Any]) -> list[Table]:
 def _curves(experiment: str, data: str, rows: Sequence[Row]) -> Table:
     """One line per recogniser, the paper's first; a column per number of touches."""
     held = [r for r in rows if r["table"] == experiment and r["data"] == data]
-    counts = list(dict.fromkeys(row["touches"] for row in held))
+    counts = sorted({row["touches"] for row in held})
     lines = [
         [label, *(f"{figures[k]:g}" if k in figures else "-" for k in counts)]
-        for label, figures in _PAPER_LINES[experiment]
+        for label, figures in _PAPER_LINES.get(experiment, [])
     ]
     names = dict.fromkeys(row["recogniser"] for row in held)
     for name in sorted(names, key=lambda name: _FIRST.get(name, len(_FIRST))):

@@ -1,0 +1,150 @@
+"""Why the recogniser answered as it did: the part of a report that explains episodes.
+
+Beside each touch that moved the belief stand the training touches that it resembles.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from html import escape
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..touches import Touches
+from . import plots
+from ._decisions import Decisions, decide_episodes
+from ._trial import Trial
+
+EPISODES = 6
+WRONG = 4
+MOVED, NEAREST = 3, 3
+SIDE = 72
+
+
+class Explained(NamedTuple):
+    """One episode up to its end: the touches, and what was made of them."""
+
+    trial: Trial
+    name: str
+    truth: str
+    rows: NDArray[np.intp]
+    said: str
+    right: bool
+
+
+def explanations(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
+    """Return the touches that moved some decisions most, as HTML.
+
+    Wrong decisions come first, of as many objects as there are, then right ones.
+    """
+    error = figures["decision"]["error"]
+    shown = "".join(_episode(one, error) for one in explained_episodes(figures, trials))
+    if not shown:
+        return ""
+    return (
+        "<h2>Why: the touches that moved the belief most</h2>"
+        "<p class=note>Of some episodes, wrong decisions first. Left: a touch, and how "
+        "far it moved the balance between the two most probable labels (nats; 2.3 are "
+        "a factor of ten). Right of it: the training touches most like it, and how far "
+        f"they are (1: as two middling training touches).</p>{shown}"
+    )
+
+
+def explained_episodes(
+    figures: dict[str, Any], trials: Sequence[Trial]
+) -> list[Explained]:
+    """Return at most six decided episodes: up to four wrong, the others right."""
+    ends = [
+        decide_episodes(t.recogniser, t.episodes, figures["decision"]["error"])
+        for t in trials
+    ]
+    wrong = _one_each(ends, lambda end: end.decided & ~end.right)
+    right = _one_each(ends, lambda end: end.right)
+    few = wrong[: max(WRONG, EPISODES - len(right))][:EPISODES]
+    places = np.unique(
+        np.linspace(0, len(right) - 1, min(EPISODES - len(few), len(right))).astype(int)
+    )
+    chosen = few + [right[place] for place in places]
+    return [
+        _explained(trials[fold], ends[fold], number, figures) for fold, number in chosen
+    ]
+
+
+def _one_each(
+    ends: Sequence[Decisions], which: Callable[[Decisions], NDArray[np.bool_]]
+) -> list[tuple[int, int]]:
+    """Return the first such episode of each object: fold, and number in it."""
+    found: dict[str, tuple[int, int]] = {}
+    for fold, end in enumerate(ends):
+        for number in np.flatnonzero(which(end)).tolist():
+            found.setdefault(str(end.objects[number]), (fold, number))
+    return list(found.values())
+
+
+def _explained(
+    trial: Trial, end: Decisions, number: int, figures: dict[str, Any]
+) -> Explained:
+    name = str(end.objects[number])
+    column = trial.episodes.truth[trial.episodes.objects.index(name)]
+    answers = trial.episodes.beliefs[trial.episodes.objects.index(name)]
+    used = int(end.touches[number])
+    last = answers[number % figures["orders"], used - 1]
+    classes = trial.recogniser.classes_
+    said = "unknown" if end.refused[number] else str(classes[last.argmax()])
+    return Explained(
+        trial,
+        name,
+        str(classes[column]),
+        _orders(trial, figures["orders"], figures["seed"])[number][:used],
+        said,
+        bool(end.right[number]),
+    )
+
+
+def _orders(trial: Trial, n_orders: int, seed: int) -> list[NDArray[np.intp]]:
+    """Draw the orders that the episodes of the trial have, object by object."""
+    test = trial.fold.test
+    objects = test.object if test.object is not None else test.category
+    rng = np.random.default_rng(seed)
+    return [
+        rng.permutation(np.flatnonzero(objects == name))
+        for name in trial.episodes.objects
+        for _ in range(n_orders)
+    ]
+
+
+def _episode(one: Explained, error: float) -> str:
+    belief = one.trial.recogniser.start().update(one.trial.fold.test[one.rows])
+    of_label = "" if one.name == one.truth else f" ({escape(one.truth)})"
+    moved = "".join(
+        f"<div class=why>{''.join(_touch(one, step))}</div>"
+        for step in belief.explain(MOVED, NEAREST)
+    )
+    return (
+        f"<p><b>{escape(one.name)}</b>{of_label} taken for <b>{escape(one.said)}</b>: "
+        f"{'right' if one.right else 'wrong'}.<br>"
+        f"<span class=note>{escape(belief.reason(error))}</span></p>{moved}"
+    )
+
+
+def _touch(one: Explained, step: dict[str, Any]) -> Iterator[str]:
+    """Yield a touch that moved the belief, then its nearest training touches."""
+    fold = one.trial.fold
+    pair = step["best"], step["rival"]
+    more, less = pair if step["nats"] > 0 else pair[::-1]
+    said = [f"touch {step['touch']}:", f"{abs(step['nats']):.1f} nats for {more}"]
+    said += [f"over {less}", *filter(None, [step["mark"]])]
+    yield _cell(one.trial, fold.test[one.rows[[step["touch"] - 1]]], said)
+    for near in step["nearest"]:
+        train = fold.train[np.array([near["row"]])]
+        yield _cell(one.trial, train, [near["object"], f"{near['distance']:.2f} away"])
+
+
+def _cell(trial: Trial, touch: Touches, lines: Iterable[str]) -> str:
+    """Return a touch as a small picture, where it has places, above its lines."""
+    picture = ""
+    if trial.recogniser.chosen_["geometry"] != "none":
+        (cleaned,) = trial.recogniser.encoder_.clean(touch)
+        picture = f"<img src='{plots.picture(cleaned, side=SIDE)}' alt='touch'>"
+    text = "<br>".join(escape(line) for line in lines)
+    return f"<div>{picture}<span>{text}</span></div>"
