@@ -10,7 +10,11 @@ import numpy as np
 import pytest
 
 from palpate import Touches
+from palpate.library import TouchLibrary
 from palpate.recognition import ObjectRecogniser
+from palpate.sensors import ReplaySensor, SensorMemory
+from palpate.web import LiveSession
+from palpate.web._teaching import Teacher
 
 
 @pytest.fixture(scope="module")
@@ -122,6 +126,108 @@ def test_serve_prints_an_address_that_opens_and_ends_when_told():
     out, err = process.communicate(timeout=20)
     assert out == ""
     assert told["token"] not in err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--sensor", "camera:/dev/nowhere"], "no camera at"),
+        (["--sensor", "serial:/dev/nowhere", "--shape", "4x4"], "cannot be opened"),
+        (["--sensor", "sim:mug", "--port", "99999"], "0 to 65535, got 99999"),
+        (["--sensor", "sim:mug", "--port", "-1"], "0 to 65535, got -1"),
+        (["--sensor", "sim:bar10", "--shape", "4x4"], "10 x 10, got 4 x 4"),
+        (["--sensor", "serial:/dev/x", "--rate", "9"], "--rate says nothing"),
+    ],
+)
+def test_serve_says_what_is_wrong_before_it_gives_an_address(
+    palpate, monkeypatch, tmp_path, words, message
+):
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(
+        "palpate.web.serving.run_app", lambda app, opened: opened.close()
+    )
+    done = palpate("serve", *words, "--library", tmp_path / "l", "--port=0", *words)
+    assert done.returncode in (1, 2)
+    assert message in done.stderr
+    assert "Open http" not in done.stdout
+    assert not (tmp_path / "l").exists()
+
+
+def test_live_says_why_a_model_does_not_suit_the_sensor(palpate, recording, tmp_path):
+    model = tmp_path / "model.palpate"
+    ObjectRecogniser().fit(Touches.load(recording)).save(model)
+    told = palpate("live", model, "--sensor", "sim:mug", "--timeout", "4")
+    assert told.returncode == 1
+    assert "120 x 120 taxels" in told.stderr
+    assert "got one of 12 x 12" in told.stderr
+
+
+def test_live_says_why_a_touch_was_not_taken(
+    palpate, replay, recording, tmp_path, monkeypatch
+):
+    def refuse(self, image, ended_s):
+        raise ValueError("The touch is none.")
+
+    model = tmp_path / "model.palpate"
+    ObjectRecogniser().fit(Touches.load(recording)).save(model)
+    monkeypatch.setattr("palpate.web.LiveSession._recognise", refuse)
+    told = palpate("live", model, *replay, "--gap", "3", "--timeout", "20")
+    assert told.returncode == 1
+    assert told.stderr.endswith("palpate: The touch is none.\n")
+
+
+def test_record_says_that_the_disk_is_full(palpate, replay, tmp_path, monkeypatch):
+    stored, plain = [], Teacher.store
+
+    def store(self, name, image, zero):
+        if len(stored) == 2:
+            raise OSError("No space left on device")
+        stored.append(plain(self, name, image, zero))
+        return stored[-1]
+
+    monkeypatch.setattr(Teacher, "store", store)
+    words = ["record", "bar", *replay, "--gap", "3", "--timeout", "20"]
+    told = palpate(*words, "--library", tmp_path / "l", "-n", "5")
+    assert told.returncode == 1
+    assert "palpate: No space left on device" in told.stderr
+    assert "2 touches of bar are in" in told.stdout
+
+
+def test_a_name_with_blanks_is_recorded_and_written(palpate, replay, tmp_path):
+    words = ["record", " tea  cup", *replay, "--gap", "3", "--place", "bar", "-n", "2"]
+    told = palpate(*words, "--library", tmp_path / "l", "-o", tmp_path / "cup.npz")
+    assert told.returncode == 0
+    assert Touches.load(tmp_path / "cup.npz").object.tolist() == ["tea cup"] * 2
+
+
+def test_what_learn_makes_of_a_library_knows_its_touches_and_sensor(
+    palpate, recording, tmp_path
+):
+    folder, model = tmp_path / "library", tmp_path / "m.palpate"
+    zero = np.zeros((12, 12), np.uint8)
+    recorded = Touches.load(recording).with_columns(no_contact=zero)
+    with TouchLibrary.open(folder, create=True) as library:
+        ids = library.add(recorded)
+        library.add(recorded[:5].with_columns(object=["lone"] * 5))
+    known = "object != lone"
+    assert palpate("learn", folder, "--where", known, "-o", model).returncode == 0
+    learnt = ObjectRecogniser.load(model)
+    assert learnt.touch_ids_.tolist() == ids
+    memory = SensorMemory.from_dict(learnt.sensor_)
+    assert (memory.no_contact == zero).all()
+    assert memory.n_touches == 20
+    moved = ReplaySensor(recorded.with_columns(no_contact=zero + np.uint8(60)))
+    session = LiveSession(moved, model=model)
+    (warning,) = session.state()["sensor"]["warnings"]
+    assert "At rest the sensor differs" in warning
+    more = tmp_path / "more.palpate"
+    words = ["learn", folder, "--where", "object = lone", "-o", more]
+    assert palpate(*words, "--extend", model).returncode == 0
+    extended = ObjectRecogniser.load(more)
+    assert extended.touch_ids_[:20].tolist() == ids
+    lone = extended.touch_ids_[extended.labels_ == "lone"].tolist()
+    assert len(set(lone) - set(ids) - {""}) == 5
+    assert (extended.sensor_["no_contact"] == zero).all()
 
 
 def test_serve_warns_when_it_listens_to_the_network(palpate, monkeypatch):

@@ -12,9 +12,7 @@ from palpate.sensors import BinaryFraming, LineFraming, write_binary, write_line
 
 SHAPE = (3, 4)
 garbage = st.binary(max_size=40)
-numbers = st.lists(
-    st.integers(0, 65535).map(float), min_size=12, max_size=12
-)  # whole numbers survive "%g" up to six digits
+numbers = st.lists(st.integers(0, 2**24).map(float), min_size=12, max_size=12)
 
 
 def chunks(data, sizes):
@@ -29,6 +27,23 @@ def chunks(data, sizes):
 def test_the_documented_line_is_read():
     # 0x30 ^ ',' ^ ... worked out by hand for "0,12": 30^2C^31^32 = 1F.
     assert_array_equal(LineFraming((1, 2)).feed(b"$0,12*1F\n"), [[[0, 12]]])
+
+
+def test_every_digit_that_float32_holds_is_written():
+    largest = np.array([[16777215.0, 16777216.0, -65535.0]])
+    assert write_line(largest).startswith(b"$16777215,16777216,-65535*")
+    image = np.float32([[0.1, 1 / 3, 1e-20], [np.nan, 123.456, -7.0]])
+    (got,) = LineFraming((2, 3)).feed(write_line(image))
+    assert_array_equal(got, image)
+
+
+def test_lines_tell_the_smallest_step_they_can_show():
+    framing = LineFraming((1, 2), checksum=False)
+    steps = []
+    for line in (b"1,20\n", b"1.5,2\n", b"1.25,2.5\n", b"3,4\n", b"1e-3,2\n"):
+        framing.feed(line)
+        steps.append(framing.step)
+    assert_array_equal(steps, [1, 0.1, 0.01, 0.01, 0])
 
 
 def test_the_checksum_of_bytes_is_ccitt_false():
@@ -59,7 +74,7 @@ def test_lines_survive_garbage_before_them(frames, noise, sizes):
     sizes=st.lists(st.integers(1, 50), min_size=1, max_size=4),
 )
 def test_bytes_survive_garbage_between_them(frames, noise, sizes):
-    images = [np.reshape(values, SHAPE).astype(np.uint16) for values in frames]
+    images = [(np.reshape(v, SHAPE) % 65536).astype(np.uint16) for v in frames]
     framing = BinaryFraming(SHAPE)
     written = b"".join(noise + write_binary(i, n) for n, i in enumerate(images))
     # A frame's length of zeros ends whatever the garbage may have begun.

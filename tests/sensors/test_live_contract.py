@@ -100,6 +100,42 @@ def test_a_lost_device_is_found_again():
     assert sensor.opened >= 4  # at first, and after each failure
 
 
+def test_a_driver_that_fails_to_open_in_its_own_way_is_tried_again():
+    class Clumsy(Counting):
+        """Fails as drivers of others do: not by SensorError, not even to close."""
+
+        def _open(self):
+            super()._open()
+            if self.opened in (2, 3):
+                raise OSError("no such device")
+
+        def _close(self):
+            if self.opened == 2:
+                raise RuntimeError("closed already")
+
+    sensor = Clumsy(fails={3})
+    sensor.retry_s = 0.01
+    with sensor:
+        numbers = [sensor.read_next().image[0, 0] for _ in range(20)]
+        assert sensor.lost == ""
+    assert numbers[-1] > 3
+    assert sensor.opened == 4
+
+
+def test_a_frame_that_is_none_is_an_error_of_the_device():
+    class Odd(Counting):
+        def _grab(self):
+            (image,) = super()._grab()
+            return ["nonsense"] if self.at == 3 else [image]
+
+    sensor = Odd()
+    sensor.retry_s = 0.01
+    with sensor:
+        assert sensor.read_next().image.shape == (2, 3)
+        time.sleep(0.05)
+        assert sensor.read_next().number > 3
+
+
 def test_a_silent_device_says_why():
     sensor = Counting(fails=range(10_000))
     sensor.retry_s = 0.01
@@ -162,6 +198,15 @@ def test_sensors_by_name(tmp_path):
     array = open_sensor("serial:/dev/nowhere", image_shape=(16, 8), baud=9600)
     assert (array.image_shape, array.baud) == ((16, 8), 9600)
     assert open_sensor("camera:0").image_shape == (480, 640)
+
+
+def test_a_shape_that_the_sensor_does_not_have_is_refused(tmp_path):
+    path = tmp_path / "touches.npz"
+    recording().save(path)
+    assert open_sensor(f"replay:{path}", image_shape=(4, 5)).image_shape == (4, 5)
+    for spec, fixed in ((f"replay:{path}", "4 x 5"), ("sim:bar10", "10 x 10")):
+        with pytest.raises(ValueError, match=f"{fixed}, got 8 x 8.*--shape"):
+            open_sensor(spec, image_shape=(8, 8))
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,31 @@ def test_a_change_that_wavers_about_the_limit_is_one_touch():
     assert len(touches_of(flat, [0, 12, 12, 6, 12, 12, 6, 12, 12, 0])) == 3
 
 
+def flickers(at=3, count=20, by=1.0):
+    """Frames of 16 x 16 counts as a line array gives them; one taxel flickers."""
+    for number in range(count):
+        image = np.zeros((16, 16), np.float32)
+        image[at, at] = by * (number % 4 > 1)
+        yield Frame(image, number / 10, number)
+
+
+def test_one_count_is_no_touch_where_the_step_is_known():
+    still = [np.zeros((16, 16), np.float32)] * 10
+    detector = TouchDetector()
+    detector.step = 1.0
+    detector.take_zero(still)
+    assert detector.begin == 2.0
+    assert [t for t in map(detector.update, flickers()) if t] == []
+    fine = TouchDetector()
+    fine.step = 0.01
+    fine.take_zero(still)
+    # One taxel of 256 by one count is a change of 1/16: over 2 steps of 0.01.
+    assert len([t for t in map(fine.update, flickers()) if t]) >= 4
+    # Nor does one count more in the second half count as coming down.
+    coming = [frame.image for frame in flickers(count=4)]
+    detector.take_zero(coming)
+
+
 def test_pulling_counts_like_pressing():
     (touch,) = touches_of(TouchDetector(ZERO), [0, -20, -50, -20, 0])
     assert touch.change == 50

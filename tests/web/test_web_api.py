@@ -26,8 +26,9 @@ def shared(make_session, connected):
 def learning_here(monkeypatch):
     """Learn in this process: starting another one takes seconds; others try that."""
 
-    def learn(library, output, base, drop=()):
+    def learn(library, output, base, drop=(), image_shape=None):
         job = {"library": library, "output": output, "base": base, "drop": list(drop)}
+        job["image_shape"] = image_shape
         return learn_job(job)
 
     monkeypatch.setattr("palpate.web._session.learn_apart", learn)

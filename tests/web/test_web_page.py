@@ -271,3 +271,36 @@ def test_it_fits_a_phone(page, make_session, serving, width):
 def test_without_the_token_there_is_no_page(page, make_session, serving):
     with serving(make_session(sensor=False)) as (address, _):
         assert page.goto(f"{address}/").status == 401
+
+
+LONG = "a_very_long_recording_of_things_that_were_touched_again_and_again_and_again"
+
+
+def test_long_names_and_many_pictures_fit_a_narrow_phone(
+    page, serving, drawn, tmp_path
+):
+    """Names of 80 characters without a blank, in the page and in the report."""
+    names = np.where(drawn.object == "disc", f"{LONG}_disc", drawn.object)
+    long = drawn.with_columns(object=names)
+    long[np.flatnonzero(names != "both")].save(tmp_path / f"{LONG}.npz")
+    sensor = ReplaySensor(tmp_path / f"{LONG}.npz", rate_hz=250, hold=3, gap=3)
+    sensor.place(None)
+    session = LiveSession(sensor, library=tmp_path / "library")
+    session.teacher.library.add(long[np.flatnonzero(names != "both")])
+    with serving(session) as (address, token):
+        session.learn(wait=True)
+        for image in drawn.images[:12]:
+            session.post_touch(image)
+        page.set_viewport_size({"width": 320, "height": 700})
+        page.goto(f"{address}/?token={token}")
+        expect(page.locator("#nearest li")).to_have_count(6)
+        expect(page.locator("#strip li")).to_have_count(12)
+        expect(page.locator(".thumbs img")).to_have_count(16)
+        expect(page.locator("#rate")).to_contain_text("Hz", timeout=PATIENT)
+        assert page.evaluate("document.documentElement.scrollWidth") <= 320
+        report = page.evaluate("fetch('/api/episode/report').then((r) => r.text())")
+    saved = page.context.new_page()  # as if downloaded: none of the server's rules
+    saved.set_viewport_size({"width": 320, "height": 700})
+    saved.set_content(report)
+    assert LONG in saved.inner_text("ol")
+    assert saved.evaluate("document.documentElement.scrollWidth") <= 320

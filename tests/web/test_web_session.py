@@ -120,6 +120,61 @@ def test_a_sensor_that_is_lost_is_told_of_and_comes_back():
         assert waited(lambda: session.state()["sensor"]["lost"] == "")
 
 
+def test_a_taxel_that_flickers_by_one_count_is_not_stored(tmp_path):
+    class Flickering(StreamingSensor):
+        step = 1.0
+
+        def __init__(self):
+            super().__init__("array", "count", (16, 16), np.float32)
+            self.levels = [0.0] * 4
+
+        def _open(self):
+            pass
+
+        def _grab(self):
+            time.sleep(0.002)
+            image = np.zeros((16, 16), np.float32)
+            image[3, 3] = self.levels[self.n_frames % 4]
+            return [image]
+
+        def _close(self):
+            pass
+
+    sensor = Flickering()
+    with LiveSession(sensor, library=tmp_path / "library") as session:
+        session.take_zero()
+        sensor.levels = [0.0, 0.0, 1.0, 1.0]
+        session.teach("cup", 2)
+        begun = sensor.n_frames
+        assert waited(lambda: sensor.n_frames > begun + 40)
+        assert session.teacher.library.count() == 0
+        sensor.levels = [0.0, 0.0, 200.0, 200.0]  # a change of 200 / 16 is one
+        assert waited(lambda: session.teacher.lesson is None)
+
+
+def test_a_model_of_another_sensor_is_refused_where_nothing_can_be_learnt(model, drawn):
+    other = ReplaySensor(Touches(drawn.images[:, :8, :8]))
+    with pytest.raises(ValueError, match=r"8 x 8 taxels.* got one of 12 x 12. Learn"):
+        LiveSession(other, model=model).start()
+    assert not other.connected
+
+
+def test_a_missing_sensor_leaves_no_library_behind(tmp_path):
+    class Missing(StreamingSensor):
+        def __init__(self):
+            super().__init__("plug", "count", (4, 4), np.uint8)
+
+        def _open(self):
+            raise SensorError("it is not there")
+
+        _grab = _close = lambda self: None
+
+    session = LiveSession(Missing(), library=tmp_path / "library")
+    with pytest.raises(SensorError, match="not there"):
+        session.start()
+    assert not (tmp_path / "library").exists()
+
+
 def test_learning_keeps_what_the_model_knew_and_adds_what_was_taught(
     model, drawn, tmp_path
 ):

@@ -23,6 +23,10 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from .._checks import check_count, check_label_kinds, check_positive, check_squarable
 from ._inputs import Floats, as_touches
+from ._kernel_ridge_landmarks import learn_from_landmarks
+
+# Temperature and bend of the posterior are fitted to at most so many touches.
+_SHAPED_BY = 10_000
 
 
 class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
@@ -37,8 +41,13 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         Candidate ridges, added to the diagonal of the kernel matrix.
     max_choice_touches : int, default=1500
         With more training touches than this, width and ridge are chosen on an
-        evenly spaced part of them; the final machine learns from all. Memory grows
-        with the square of their number (8 bytes n^2, four times over).
+        evenly spaced part of them; the final machine learns from all.
+    max_touches : int, default=10000
+        Up to this many training touches every one has a kernel function of its own;
+        memory grows with the square of their number (8 bytes n^2, four times over).
+        Of more, some are landmarks for all (Nystroem features).
+    n_landmarks : int, default=2000
+        How many, evenly spaced over each label.
 
     Attributes
     ----------
@@ -58,13 +67,11 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         equal priors.
     left_out_scores_ : ndarray of shape (n_touches, n_classes)
         Regression scores of each training touch with its group left out.
+    mean_ : ndarray of shape (n_features,)
+        Mean of the training touches.
     touches_, squared_norms_, coefficients_ : ndarray
-        Training touches (n_touches, n_features), their squared lengths (n_touches,)
-        and dual coefficients (n_touches, n_classes).
-    mean_, centred_norms_ : ndarray
-        Mean of the training touches (n_features,), and their squared distances from
-        it (n_touches,), from which distances are computed: they keep their digits
-        also far from the origin.
+        Training touches or landmarks less the mean (n_kept, n_features), their squared
+        lengths (n_kept,) and coefficients (n_kept, n_classes).
 
     Notes
     -----
@@ -93,10 +100,14 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         widths: Iterable[float] = (0.5, 1.0, 2.0, 4.0),
         ridges: Iterable[float] = (0.003, 0.01, 0.03, 0.1, 0.3),
         max_choice_touches: int = 1500,
+        max_touches: int = 10_000,
+        n_landmarks: int = 2000,
     ) -> None:
         self.widths = widths
         self.ridges = ridges
         self.max_choice_touches = max_choice_touches
+        self.max_touches = max_touches
+        self.n_landmarks = n_landmarks
 
     def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> Self:
         """Choose width, ridge and temperature on left-out groups; learn from all.
@@ -160,30 +171,48 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
     def _learn(self, touches: Floats, codes: NDArray, group: NDArray) -> None:
         self.mean_ = touches.mean(axis=0)
         centred = touches - self.mean_
-        squared = euclidean_distances(centred, squared=True)
-        kernel = np.exp(-self.width_ / self.unit_ * squared)
         target = _one_hot(codes, len(self.classes_))
-        inverse, self.coefficients_ = _solve(kernel, target, self.ridge_)
-        self.touches_ = touches
-        self.squared_norms_ = (touches**2).sum(axis=1)
-        self.centred_norms_ = (centred**2).sum(axis=1)
-        self.left_out_scores_ = _left_out(inverse, self.coefficients_, target, group)
+        n_touches = check_count("max_touches", self.max_touches, at_least=2)
+        if len(centred) <= n_touches:
+            kernel = self._kernel(euclidean_distances(centred, squared=True))
+            inverse, self.coefficients_ = _solve(kernel, target, self.ridge_)
+            left_out = _left_out(inverse, self.coefficients_, target, group)
+            self.touches_ = centred
+        else:
+            n_landmarks = check_count("n_landmarks", self.n_landmarks, at_least=2)
+            marks = centred[_thin(codes, min(n_landmarks, len(codes)))]
+            self.coefficients_, left_out = learn_from_landmarks(
+                lambda rows: self._kernel(
+                    euclidean_distances(centred[rows], marks, squared=True)
+                ),
+                self._kernel(euclidean_distances(marks, squared=True)),
+                target,
+                group,
+                self.ridge_,
+            )
+            left_out += 1 / len(self.classes_)
+            self.touches_ = marks
+        self.squared_norms_ = (self.touches_**2).sum(axis=1)
+        self.left_out_scores_ = left_out
         self.log_counts_ = _log_counts(codes, target.shape[1])
-        shape, self.log_loss_ = _best_shape(self.left_out_scores_, codes)
+        some = _thin(codes, _SHAPED_BY)
+        shape, self.log_loss_ = _best_shape(left_out[some], codes[some])
         self.temperature_, self.bend_ = shape
+
+    def _kernel(self, squared: Floats) -> Floats:
+        """Turn squared distances into the kernel, in place."""
+        squared *= -self.width_ / self.unit_
+        return np.asarray(np.exp(squared, out=squared))
 
     def scores(self, X: ArrayLike) -> Floats:
         """Return the regression scores, shape (n_touches, n_classes); 1 is sure."""
         check_is_fitted(self)
         centred = check_squarable("X", as_touches(self, X)) - self.mean_
-        # |x - t|^2 with x and t less the mean, in one pass over the training touches.
-        own = (centred**2).sum(axis=1) + 2 * centred @ self.mean_
+        # One pass over the training touches: their own norms are known.
         squared = (-2 * centred) @ self.touches_.T
-        squared += own[:, np.newaxis]
-        squared += self.centred_norms_
-        squared = np.maximum(squared, 0, out=squared)
-        squared *= -self.width_ / self.unit_
-        kernel = np.exp(squared, out=squared)
+        squared += (centred**2).sum(axis=1)[:, np.newaxis]
+        squared += self.squared_norms_
+        kernel = self._kernel(np.maximum(squared, 0, out=squared))
         result: Floats = kernel @ self.coefficients_ + 1 / len(self.classes_)
         return result
 

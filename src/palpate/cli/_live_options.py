@@ -99,6 +99,8 @@ def chosen_sensor(
     }
     meant = given.get(kind, {})
     _refuse_strangers(kind, given, meant)
+    if kind == "serial" and rate is not None:
+        raise typer.BadParameter("--rate says nothing to a serial sensor.")
     sensor = open_sensor(spec, image_shape=_rows_cols(shape), rate_hz=rate, **meant)
     if place is not None:
         desk = desk_of(sensor)

@@ -64,6 +64,7 @@ def learn(
     as_json: AsJson = False,
 ) -> None:
     """Learn objects from labelled touches and write a model file."""
+    from ..library import TouchLibrary
     from ..recognition import ObjectRecogniser, check_model_path, summary
     from ._stages import Stages
 
@@ -85,6 +86,8 @@ def learn(
             if pitch_mm is not None or "set_pitch_mm" in training.whole:
                 stage("learning where parts lie")
                 recogniser.fit_pose(_held(training), pitch_mm)
+        if TouchLibrary.is_library(touches):
+            _remember(recogniser, touches, where, extend, raw=calibration is None)
         written = recogniser.save(output)
     learnt = summary(recogniser)
     if as_json:
@@ -120,6 +123,22 @@ def _extended(model: Path, training: "Touches | Selection") -> "ObjectRecogniser
         rows = np.flatnonzero(labels == name)
         recogniser.add_object(name, training[rows])
     return recogniser
+
+
+def _remember(
+    model: "ObjectRecogniser",
+    library: Path,
+    where: str | None,
+    extended: Path | None,
+    *,
+    raw: bool,
+) -> None:
+    """Keep where the touches are and what their sensor was like, for `serve`."""
+    from ..recognition import ObjectRecogniser
+    from ..web import remember_library, touch_ids
+
+    before = None if extended is None else touch_ids(ObjectRecogniser.load(extended))
+    remember_library(model, library, where, before=before, raw=raw)
 
 
 def _held(training: "Touches | Selection") -> "Touches":

@@ -2,6 +2,7 @@
 
 import queue
 import sys
+import time
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -74,7 +75,9 @@ def live(
     session = LiveSession(chosen, model=model, error=error, summary=summary)
     found: queue.Queue[dict[str, Any]] = queue.Queue()
     session.listeners.add(
-        lambda event: found.put(event.values) if event.kind == "touch" else None
+        lambda event: (
+            found.put(event.values) if event.kind in ("touch", "state") else None
+        )
     )
     with session:
         if session.zero is None:
@@ -90,7 +93,7 @@ def live(
             print("Ended.", file=sys.stderr)
     if as_json:
         print_json({"episodes": done})
-    if not done:
+    if not done or session.trouble:
         raise typer.Exit(1)
 
 
@@ -106,10 +109,8 @@ def _episode(
     if not quiet:
         print("Touch an object.")
     while True:
-        try:
-            told = found.get(timeout=timeout_s)["episode"]
-        except queue.Empty:
-            print(f"No touch in {timeout_s:g} s: ended.", file=sys.stderr)
+        told = _next_touch(session, found, timeout_s)
+        if told is None:
             return None
         touch = told["touches"][-1]
         if not quiet:
@@ -118,3 +119,22 @@ def _episode(
             if not quiet:
                 print(f"  {told['reason']}\n", flush=True)
             return session.end_episode()
+
+
+def _next_touch(
+    session: "LiveSession", found: "queue.Queue[dict[str, Any]]", timeout_s: float
+) -> dict[str, Any] | None:
+    """Wait for a touch and return the episode; None, and why, where none is taken."""
+    end_s = time.monotonic() + timeout_s
+    while True:
+        try:
+            told = found.get(timeout=max(0.0, end_s - time.monotonic()))
+        except queue.Empty:
+            print(f"No touch in {timeout_s:g} s: ended.", file=sys.stderr)
+            return None
+        if "lesson" not in told:
+            episode: dict[str, Any] = told["episode"]
+            return episode
+        if session.trouble:
+            print(f"palpate: {session.trouble}", file=sys.stderr)
+            return None

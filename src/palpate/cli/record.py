@@ -79,6 +79,7 @@ def record(
         name_pattern=name_pattern,
         place=place,
     )
+    name = " ".join(name.split())  # as it is kept
     with LiveSession(chosen, library=library, summary=summary) as session:
         _need_zero(session)
         n_taken = _lesson(session, name, touches, timeout)
@@ -118,6 +119,9 @@ def _lesson(session: "LiveSession", name: str, wanted: int, timeout_s: float) ->
             changed.clear()
             if not changed.wait(timeout_s):
                 print(f"No touch in {timeout_s:g} s: ended.", file=sys.stderr)
+                break
+            if session.trouble:
+                print(f"palpate: {session.trouble}", file=sys.stderr)
                 break
             if len(lesson.ids) != shown:
                 shown = len(lesson.ids)

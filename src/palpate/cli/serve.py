@@ -1,6 +1,7 @@
 """`palpate serve`: a sensor on the desk, taught and asked in the browser."""
 
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
@@ -91,13 +92,21 @@ def serve(
             name_pattern=name_pattern,
             place=place,
         )
-    session = LiveSession(
-        chosen, model=model, library=library, error=error, summary=summary
-    )
     token = new_token()
-    app = create_app(session, token)
-    socket = open_socket(host, port)
-    address = f"http://{_in_url(host)}:{socket.getsockname()[1]}/"
+    with (
+        closing(open_socket(host, port)) as socket,
+        LiveSession(
+            chosen, model=model, library=library, error=error, summary=summary
+        ) as session,
+    ):
+        app = create_app(session, token)
+        _say_where(host, socket.getsockname()[1], token, as_json=as_json)
+        run_app(app, socket)
+
+
+def _say_where(host: str, port: int, token: str, *, as_json: bool) -> None:
+    """Print the address, and what it means to listen to the network."""
+    address = f"http://{_in_url(host)}:{port}/"
     if host not in (HERE, "localhost", "::1"):
         print(
             f"palpate: listening on {host}: everybody on that network who knows the "
@@ -110,7 +119,6 @@ def serve(
     else:
         print(f"Open {address}?token={token}", flush=True)
         print("End with Ctrl-C. What is taught is kept at once.", flush=True)
-    run_app(app, socket)
 
 
 def _in_url(host: str) -> str:

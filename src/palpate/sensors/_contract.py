@@ -90,11 +90,18 @@ class LiveSensor(TouchSensor):
         What its numbers count, such as "grey level" or "kPa".
     geometry : str or None
         How its taxels lie, see `Touches`.
+    step : float
+        The smallest difference that its numbers can show; 0 where not known.
     """
 
     name: str
     unit: str
     dtype: np.dtype[Any]
+
+    @property
+    def step(self) -> float:
+        """The smallest difference that its numbers can show; 0 where not known."""
+        return 0.0
 
     @property
     @abstractmethod

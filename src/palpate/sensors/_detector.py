@@ -18,8 +18,8 @@ from .._checks import check_count, check_option, check_positive
 from ._contract import Frame
 
 SUMMARIES = ("peak", "mean")
-# Limits in units of the noise, and for integers never below so many units.
-_BEGIN_NOISES, _LEAST_UNITS = 6.0, 2.0
+# Limits in units of the noise, and never below so many of the numbers' steps.
+_BEGIN_NOISES, _LEAST_STEPS = 6.0, 2.0
 _END_SHARE = 0.5
 _HOLD_SHARE = 0.8
 _LONGEST_HOLD = 64
@@ -67,8 +67,8 @@ class TouchDetector:
         frames that change by at least 0.8 of the greatest (of the last 64).
     begin, end : float, optional
         Limits of the change (sensor's unit). By default a touch begins at 6 times
-        the noise of the frames that the zero was taken from (at 2 units at least for
-        integers), and ends at half of that.
+        the noise of the frames that the zero was taken from (at 2 steps at least),
+        and ends at half of that.
     min_frames : int, default=2
         Contact that lasts fewer frames is no touch.
 
@@ -80,6 +80,9 @@ class TouchDetector:
         Whether something touches the sensor now.
     change : float
         Change of the last frame.
+    step : float
+        The smallest difference that the sensor's numbers can show, where it is known
+        (see `LiveSensor`); 1 for integers, else 0. May be set at any time.
     """
 
     def __init__(
@@ -95,7 +98,7 @@ class TouchDetector:
         self._begin = None if begin is None else check_positive("begin", begin)
         self._end = None if end is None else check_positive("end", end)
         self._min_frames = check_count("min_frames", min_frames)
-        self.noise = self.change = 0.0
+        self.noise = self.change = self.step = 0.0
         self.touching = False
         self.zero: NDArray[Any] | None = None
         self._recent: deque[tuple[float, NDArray[Any]]] = deque(maxlen=_LONGEST_HOLD)
@@ -106,9 +109,7 @@ class TouchDetector:
         """The change at which a touch begins (sensor's unit)."""
         if self._begin is not None:
             return self._begin
-        whole = self.zero is not None and self.zero.dtype.kind in "iu"
-        least = _LEAST_UNITS if whole else np.finfo(np.float32).tiny
-        return max(_BEGIN_NOISES * self.noise, float(least))
+        return max(_BEGIN_NOISES * self.noise, self._least(self.zero))
 
     @property
     def end(self) -> float:
@@ -138,7 +139,7 @@ class TouchDetector:
                 "nothing touches it, insist (force)."
             )
         stack = np.stack(frames).astype(np.float64)
-        if not force and _moving(stack, whole=np.asarray(frames[0]).dtype.kind in "iu"):
+        if not force and _moving(stack, self._least(frames[0])):
             raise ContactError(
                 "The frames were still changing, so something may touch the sensor. "
                 "Leave it alone for a second and take the zero again."
@@ -201,6 +202,12 @@ class TouchDetector:
         self._idle_since_s, self._idle_change = float("inf"), 0.0
         self._calm_since_s, self._calm_change = 0.0, 0.0
 
+    def _least(self, image: NDArray[Any] | None) -> float:
+        """Return the least change that counts in images of a type."""
+        whole = image is not None and image.dtype.kind in "iu"
+        step = max(self.step, 1.0) if whole else self.step
+        return max(_LEAST_STEPS * step, float(np.finfo(np.float32).tiny))
+
     def _change(self, image: NDArray[Any]) -> float:
         return _rms(_small(image) - self._small_zero)
 
@@ -233,7 +240,7 @@ class TouchDetector:
         return DetectedTouch(image, self._began_s, now_s, self._peak, self._n_frames)
 
 
-def _moving(stack: NDArray[np.float64], *, whole: bool) -> bool:
+def _moving(stack: NDArray[np.float64], least: float) -> bool:
     """Tell whether frames go somewhere, by more than their noise.
 
     Noise is what second differences show (for noise alone their variance is six
@@ -243,7 +250,7 @@ def _moving(stack: NDArray[np.float64], *, whole: bool) -> bool:
     noise = float(np.median([_rms(bend) for bend in bends])) / np.sqrt(6)
     first, second = np.array_split(stack, 2)
     moved = _rms(second.mean(axis=0) - first.mean(axis=0))
-    return moved > max(_STEADY_NOISES * noise, _LEAST_UNITS if whole else 0.0)
+    return moved > max(_STEADY_NOISES * noise, least)
 
 
 def _mean(images: Sequence[NDArray[Any]]) -> NDArray[Any]:

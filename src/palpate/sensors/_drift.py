@@ -5,7 +5,7 @@ it, and, for arrays, how strongly each taxel answers. All of it can be kept in a
 model file.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -46,8 +46,8 @@ class SensorMemory:
     n_touches: int
 
     @classmethod
-    def of(cls, images: NDArray[Any], no_contact: NDArray[Any]) -> Self:
-        """Remember the sensor that made these touches, (n_touches, n_rows, n_cols)."""
+    def of(cls, images: Iterable[NDArray[Any]], no_contact: NDArray[Any]) -> Self:
+        """Remember the sensor that made these touches, each (n_rows, n_cols)."""
         zero = np.asarray(no_contact, dtype=np.float64)
         changes, shares = [], []
         for image in images:
@@ -58,7 +58,7 @@ class SensorMemory:
                 shares.clear()
         response = np.mean(shares, axis=0) if shares else np.empty((0, 0))
         spread = np.var(shares, axis=0) / len(shares) if shares else np.empty((0, 0))
-        return cls(zero, float(np.median(changes)), response, spread, len(images))
+        return cls(zero, float(np.median(changes)), response, spread, len(changes))
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> Self:

@@ -25,6 +25,7 @@ the way, the next whole frame is read.
 
 import binascii
 import struct
+from math import isfinite
 from typing import Any, Protocol
 
 import numpy as np
@@ -37,6 +38,7 @@ _HEAD = struct.Struct("<BBBH")
 _TYPES = {1: "<u1", 2: "<u2", 3: "<i2", 4: "<f4"}
 _LONGEST_NUMBER = 32
 _MANY_MISSED = 1000
+_LARGEST_WHOLE = 2**53
 
 
 class Framing(Protocol):
@@ -67,12 +69,19 @@ class LineFraming:
         (n_rows, n_cols).
     checksum : bool, default=True
         Whether to refuse lines that carry no checksum; wrong ones are always refused.
+
+    Attributes
+    ----------
+    step : float
+        The smallest difference that the numbers seen so far could show: 1, or 0.01
+        once one had two decimals; 0 for numbers written with an exponent.
     """
 
     def __init__(self, image_shape: tuple[int, int], checksum: bool = True) -> None:
         self.image_shape = image_shape
         self.checksum = checksum
         self.n_damaged = self.n_missed = 0
+        self.step = 1.0
         self._begun = b""
         self._longest = _LONGEST_NUMBER * image_shape[0] * image_shape[1] + 8
 
@@ -111,6 +120,8 @@ class LineFraming:
         frame = np.array(values).reshape(n_rows, n_cols)
         if np.isinf(frame).any() or np.nanmax(np.abs(frame), initial=0) > 3e38:
             return None
+        if b"." in line or b"e" in line.lower():
+            self.step = min(self.step, _step(line))
         return frame.astype(np.float32)
 
 
@@ -193,8 +204,14 @@ class BinaryFraming:
 
 def write_line(image: NDArray[Any]) -> bytes:
     """Return a frame as one line with its checksum."""
-    values = ",".join(f"{value:g}" for value in np.asarray(image).ravel()).encode()
+    values = ",".join(map(_digits, np.asarray(image).ravel().tolist())).encode()
     return b"$" + values + f"*{_exclusive_or(values):02X}\n".encode()
+
+
+def _digits(value: float) -> str:
+    """Return a number with all the digits that a taxel read as float32 can hold."""
+    whole = isfinite(value) and value == int(value) and abs(value) < _LARGEST_WHOLE
+    return str(int(value)) if whole else f"{value:.9g}"
 
 
 def write_binary(image: NDArray[Any], number: int = 0) -> bytes:
@@ -205,6 +222,15 @@ def write_binary(image: NDArray[Any], number: int = 0) -> bytes:
     body = _HEAD.pack(code, *image.shape, number % 65536)
     body += image.astype(_TYPES[code]).tobytes()
     return SYNC + body + binascii.crc_hqx(body, 0xFFFF).to_bytes(2, "little")
+
+
+def _step(line: bytes) -> float:
+    """Return the place value of the last decimal in a line of numbers."""
+    numbers = line.replace(b",", b" ").split()
+    if any(b"e" in number.lower() for number in numbers):
+        return 0.0
+    n_decimals = max(len(number.partition(b".")[2]) for number in numbers)
+    return 10.0**-n_decimals
 
 
 def _is_check(written: bytes, values: bytes) -> bool:

@@ -49,6 +49,25 @@ def open_sensor(
     given = {name: value for name, value in options.items() if value is not None}
     if rate_hz is not None:
         given["rate_hz"] = rate_hz
+    sensor = _made(kind, place, image_shape, given)
+    if image_shape is not None and sensor.image_shape != tuple(image_shape):
+        fixed, asked = (
+            f"{n_rows} x {n_cols}"
+            for n_rows, n_cols in (sensor.image_shape, image_shape)
+        )
+        raise ValueError(
+            f"image_shape must be that of the {sensor.name}, {fixed}, got {asked}. "
+            "Leave it (--shape) out."
+        )
+    return sensor
+
+
+def _made(
+    kind: str,
+    place: str,
+    image_shape: tuple[int, int] | None,
+    given: dict[str, Any],
+) -> StreamingSensor:
     if kind == "replay":
         return ReplaySensor(Path(place), **given)
     if kind == "serial":

@@ -41,6 +41,12 @@ class SerialArraySensor(StreamingSensor):
     unit : str, default="count"
         What the numbers count.
 
+    Attributes
+    ----------
+    step : float
+        1 for whole numbers; of lines, what their decimals can show: see
+        `LineFraming`.
+
     Notes
     -----
     No frame is dropped on this side while fewer than 1000 wait to be read.
@@ -73,6 +79,13 @@ class SerialArraySensor(StreamingSensor):
         if self.framing == "line":
             return LineFraming(self.image_shape, self.checksum)
         return BinaryFraming(self.image_shape, self.dtype)
+
+    @property
+    def step(self) -> float:
+        """The smallest difference that its numbers can show; 0 where not known."""
+        if isinstance(self._framing, LineFraming):
+            return self._framing.step
+        return 1.0 if self.dtype.kind in "iu" else 0.0
 
     def _open(self) -> None:
         serial = _pyserial()

@@ -9,6 +9,7 @@ import time
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -160,25 +161,29 @@ class StreamingSensor(LiveSensor):
     def _run(self) -> None:
         while not self._stop.is_set():
             try:
-                images = self._grab()
+                for image in self._grab():
+                    self._put(image)
             except Exception as error:  # a driver's bug must not end the stream unseen
                 self._recover(error)
-                continue
-            for image in images:
-                self._put(image)
 
     def _recover(self, error: Exception) -> None:
         """Try to open the device again until it is back."""
-        self._lost = str(error) if isinstance(error, SensorError) else repr(error)
-        self._close()
+        self._lost = _in_words(error)
+        self._free()
         while not self._stop.wait(self.retry_s):
             try:
                 self._open()
-            except SensorError as still:
-                self._lost = str(still)
+            except Exception as still:  # as in `_run`: whatever it is, try again
+                self._lost = _in_words(still)
+                self._free()
             else:
                 self._lost = ""
                 return
+
+    def _free(self) -> None:
+        """Close a device that failed; that it cannot even be closed is no news."""
+        with suppress(Exception):
+            self._close()
 
     def _put(self, image: NDArray[Any]) -> None:
         taken_s = time.monotonic()
@@ -213,3 +218,7 @@ class StreamingSensor(LiveSensor):
             f"{self.name} gave no frame in {timeout_s:g} s. "
             "Check its cable and that it is switched on."
         )
+
+
+def _in_words(error: Exception) -> str:
+    return str(error) if isinstance(error, SensorError) else repr(error)

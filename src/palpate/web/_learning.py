@@ -21,7 +21,11 @@ class LearningError(ValueError):
 
 
 def learn_apart(
-    library: Path, output: Path, base: Path | None, drop: Sequence[str] = ()
+    library: Path,
+    output: Path,
+    base: Path | None,
+    drop: Sequence[str] = (),
+    image_shape: tuple[int, int] | None = None,
 ) -> dict[str, Any]:
     """Learn what a library holds in another process, and wait for it.
 
@@ -32,9 +36,11 @@ def learn_apart(
     output : Path
         The model file to write.
     base : Path or None
-        Model whose objects that are not in the library are kept.
+        Model whose objects that are not of the library are kept.
     drop : sequence of str
         Objects of the base model that are not kept.
+    image_shape : (int, int), optional
+        Learn from touches of this size alone; by default of the newest one's.
 
     Returns
     -------
@@ -52,6 +58,7 @@ def learn_apart(
         "output": str(output),
         "base": None if base is None else str(base),
         "drop": list(drop),
+        "image_shape": image_shape,
     }
     done = subprocess.run(
         [sys.executable, "-c", "from palpate.web._learning import main; main()"],
@@ -74,34 +81,101 @@ def learn_job(job: dict[str, Any]) -> dict[str, Any]:
     """Do one job as `learn_apart` describes it, in this process."""
     from ..library import TouchLibrary
     from ..recognition import ObjectRecogniser
+    from ._origin import remember_sensor, set_touch_ids, touch_ids
 
-    library = TouchLibrary.open(job["library"])
-    enough = [o.name for o in library.objects() if o.n_touches >= LEAST_TOUCHES]
-    base, kept = None, []
-    if job["base"] is not None and Path(job["base"]).is_file():
-        base = ObjectRecogniser.load(job["base"])
-        taught = set(getattr(base, "taught_", []))
-        kept = [n for n in base.classes_.tolist() if n not in {*taught, *job["drop"]}]
-    if len(kept) + len(set(enough) - set(kept)) < LEAST_OBJECTS:
-        return {"objects": [], "n_touches": 0, "kept": kept}
-    touches, ids = taught_touches(library, enough)
-    if base is not None and kept:
-        model = _added_to(base, kept, touches)
-        ids = []
-    else:
-        model = ObjectRecogniser().fit(touches)
-    _remember(model, touches, library.no_contact(), enough, ids)
-    model.save(job["output"])
+    with TouchLibrary.open(job["library"]) as library:
+        touches, ids = _taught(library, job.get("image_shape"))
+        base, kept = None, []
+        if job["base"] is not None and Path(job["base"]).is_file():
+            base = ObjectRecogniser.load(job["base"])
+            kept = _kept(base, library, job["drop"])
+        if len({*kept, *ids}) < LEAST_OBJECTS:
+            _refuse_to_empty(base, job.get("image_shape"))
+            return {"objects": [], "n_touches": 0, "kept": kept}
+        before = {} if base is None else touch_ids(base)
+        model = _learnt(base, kept, touches)
+        set_touch_ids(model, {**before, **ids})
+        if touches is not None:
+            remember_sensor(model, library, touches)
+        model.taught_ = sorted(ids)
+        model.save(job["output"])
     names = model.classes_.tolist()
     return {"objects": names, "n_touches": len(model.labels_), "kept": kept}
 
 
-def taught_touches(library: Any, names: Sequence[str]) -> tuple[Any, list[str]]:
-    """Return the touches of some objects of a library, and their ids in that order."""
-    rows = [row for row in library.list(limit=None) if row.object is not None]
-    touches = library.touches("object is not null")
-    wanted = [n for n, row in enumerate(rows) if row.object in set(names)]
-    return touches[wanted], [rows[n].id for n in wanted]
+def _taught(library: Any, image_shape: Any) -> tuple[Any, dict[str, list[str]]]:
+    """Return the touches to learn, None for none, and the ids of each object's."""
+    import numpy as np
+
+    from ._chosen import of_size
+    from ._origin import chosen_touches
+
+    if image_shape is None:
+        (*_, newest) = library.list(limit=1, offset=max(0, len(library) - 1)) or [None]
+        if newest is None:
+            return None, {}
+        image_shape = newest.n_rows, newest.n_cols
+    where = f"object is not null and {of_size(image_shape)}"
+    if not library.list(where, limit=1):
+        return None, {}
+    chosen, ids = chosen_touches(library, where)
+    labels = np.asarray(chosen.object)
+    names, at, counts = np.unique(labels, return_inverse=True, return_counts=True)
+    rows = np.flatnonzero(counts[at] >= LEAST_TOUCHES)
+    if not len(rows):
+        return None, {}
+    some, keys = chosen[rows], np.array(ids)[rows]
+    of = {str(n): keys[some.object == n].tolist() for n in names}
+    return some, {name: held for name, held in of.items() if held}
+
+
+def _kept(base: Any, library: Any, drop: Sequence[str]) -> list[str]:
+    """Return the objects of a model that do not come from this library.
+
+    Those that do are what the library says now: renamed, forgotten or learnt anew.
+    """
+    from ._origin import touch_ids
+
+    stored = {row.id for row in library.list(limit=None, retracted=True)}
+    here = {name for name, ids in touch_ids(base).items() if stored.intersection(ids)}
+    taught = {*getattr(base, "taught_", []), *here, *drop}
+    return [name for name in base.classes_.tolist() if name not in taught]
+
+
+def _learnt(base: Any, kept: Sequence[str], touches: Any) -> Any:
+    """Return a model of touches and of what is kept of the base model."""
+    from ..recognition import ObjectRecogniser
+
+    if base is None or not kept:
+        return ObjectRecogniser().fit(touches)
+    if touches is not None:
+        _refuse_other_size(base, kept, touches.touches([0]).images.shape[1:])
+    return _added_to(base, kept, touches)
+
+
+def _refuse_to_empty(base: Any, image_shape: Any) -> None:
+    """A model of another sensor is not given up for having no touches of this one."""
+    if base is None or image_shape is None:
+        return
+    old, new = (f"{s[0]} x {s[1]}" for s in (base.encoder_.image_shape_, image_shape))
+    if old != new:
+        raise LearningError(
+            "Too little to learn: at least two objects with two touches each of "
+            f"{new} taxels. The model of another sensor ({old}) stays."
+        )
+
+
+def _refuse_other_size(
+    base: Any, kept: Sequence[str], image_shape: tuple[int, int]
+) -> None:
+    old, new = (f"{s[0]} x {s[1]}" for s in (base.encoder_.image_shape_, image_shape))
+    if old != new:
+        raise LearningError(
+            f"The model must be of the sensor's {new} taxels to be learnt further, but "
+            f"it knows {', '.join(map(repr, kept))} from images of {old}, and their "
+            "touches are not in the library. Forget those, or start with another "
+            "--model."
+        )
 
 
 def _added_to(base: Any, kept: Sequence[str], touches: Any) -> Any:
@@ -109,10 +183,12 @@ def _added_to(base: Any, kept: Sequence[str], touches: Any) -> Any:
 
     A model cannot fall below two objects, so new ones come before old ones go.
     """
-    taught = {
-        name: touches[touches.object == name]
-        for name in dict.fromkeys(touches.object.tolist())
-    }
+    import numpy as np
+
+    taught = {}
+    if touches is not None:
+        names = dict.fromkeys(touches.object.tolist())
+        taught = {n: touches[np.flatnonzero(touches.object == n)] for n in names}
     again = [name for name in taught if name in base.classes_]
     for name in set(taught) - set(again):
         base.add_object(name, taught[name])
@@ -132,21 +208,6 @@ def _replace(base: Any, name: str, touches: Any) -> None:
     base.add_object(name, touches)
     if stands_in:
         base.forget_object(_STAND_IN)
-
-
-def _remember(
-    model: Any, touches: Any, zero: Any, taught: list[str], ids: list[str]
-) -> None:
-    """Keep beside the model what its sensor was like and where its touches are."""
-    import numpy as np
-
-    from ..sensors import SensorMemory
-
-    model.taught_ = taught
-    model.touch_ids_ = np.array(ids, dtype=str) if ids else np.empty(0, "U1")
-    if zero is not None and zero.shape == touches.images.shape[1:]:
-        memory = SensorMemory.of(touches.images, zero)
-        model.sensor_ = memory.to_dict()
 
 
 def main() -> None:

@@ -1,5 +1,6 @@
 """Which stored touches a new one is most like, by the features that recognise it."""
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -16,17 +17,24 @@ class Neighbours:
     Parameters
     ----------
     recogniser : ObjectRecogniser
-        Fitted; where a live session taught it, it knows the ids of its touches.
+        Fitted; learnt from a library, it knows the ids of its touches.
+    stored_ids : collection of str
+        Ids of the touches in the library at hand.
     """
 
-    def __init__(self, recogniser: ObjectRecogniser) -> None:
+    def __init__(
+        self, recogniser: ObjectRecogniser, stored_ids: Collection[str]
+    ) -> None:
         features = recogniser.features_
         spread = features.std(axis=0)
         self._scale = np.where(spread > 0, spread, 1.0)
         self._features = features / self._scale
         self._labels = recogniser.labels_
-        ids = getattr(recogniser, "touch_ids_", np.empty(0, "U1"))
-        self._ids = ids if len(ids) == len(features) else None
+        ids = getattr(recogniser, "touch_ids_", np.empty(0, "U1")).tolist()
+        if len(ids) != len(features):
+            ids = [""] * len(features)
+        stored = set(stored_ids)
+        self._ids = [key if key in stored else None for key in ids]
 
     def of(self, features: NDArray[np.float64]) -> list[dict[str, Any]]:
         """Return the nearest touches of features (1, n_features), nearest first.
@@ -38,7 +46,7 @@ class Neighbours:
         some = np.argsort(distance, kind="stable")[:_SHOWN]
         return [
             {
-                "id": None if self._ids is None else str(self._ids[row]),
+                "id": self._ids[row],
                 "object": str(self._labels[row]),
                 "distance": float(distance[row]),
             }

@@ -2,23 +2,21 @@
 
 Arrays are shown in false colour (viridis, which keeps its order in grey and for
 colour-blind eyes), pictures of cameras in grey. What comes from outside goes
-through the same reader as folders of touches: sizes are known before anything is
-decoded, and a picture that is cut or altered is refused.
+through the same decoder as folders of touches, in memory: sizes are known before
+anything is decoded, and a picture that is cut or altered is refused.
 """
 
-import tempfile
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..touches import Touches, TouchesError
+from ..touches import TouchesError, decode_bytes
 
 ARRAY_SIDE = 48
 _QUALITY = 80
 _THUMBNAIL = 96
-_ENDINGS = {"image/png": ".png", "image/jpeg": ".jpg"}
+_KINDS = ("image/png", "image/jpeg")
 
 
 class FramePainter:
@@ -89,19 +87,11 @@ def read_picture(
     TouchesError
         It is no whole picture, or too large; the message says which.
     """
-    ending = _ENDINGS.get(content_type.partition(";")[0].strip().lower())
-    if ending is None:
+    if content_type.partition(";")[0].strip().lower() not in _KINDS:
         raise TouchesError(
             f"A picture must be image/png or image/jpeg, got {content_type!r}."
         )
-    with tempfile.TemporaryDirectory(prefix="palpate-") as folder:
-        (Path(folder) / f"picture{ending}").write_bytes(data)
-        try:
-            touches = Touches.load(folder, max_pixels=max_pixels, progress=False)
-        except TouchesError as error:
-            told = str(error).replace(f"{folder}/", "").replace(folder, "upload")
-            raise TouchesError(told) from error
-    levels: NDArray[np.uint8 | np.uint16] = touches.images[0]
+    levels: NDArray[np.uint8 | np.uint16] = decode_bytes(data, max_pixels=max_pixels)
     return levels
 
 

@@ -1,8 +1,26 @@
-"""Refusals of malformed requests, in words that are always valid JSON."""
+"""Refusals: malformed requests, in words that are always valid JSON; full disks."""
+
+import errno
+import sqlite3
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
+
+
+def lacks_room(error: BaseException) -> bool:
+    """Tell whether something failed because the disk would not be written to."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in _FULL:
+            return True
+        if isinstance(cause, sqlite3.Error):
+            code = getattr(cause, "sqlite_errorcode", 0) & 0xFF
+            return code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR)
+        cause = cause.__cause__
+    return False
 
 
 def explain_refusals(app: FastAPI) -> None:

@@ -12,12 +12,13 @@ _STYLE = """
 :root{color-scheme:light dark;--line:#d5dbe1;--soft:#5a6572;--bar:#2f6f8f}
 @media(prefers-color-scheme:dark){:root{--line:#39424c;--soft:#a3afbb;--bar:#6fb7d6}}
 body{font:16px/1.5 system-ui,sans-serif;max-width:56rem;margin:2rem auto;padding:0 1rem}
-h1{font-size:1.5rem}.note{color:var(--soft)}
+h1{font-size:1.5rem}h1,p,th{overflow-wrap:anywhere}.note{color:var(--soft)}
 ol{list-style:none;padding:0}
-li{display:grid;grid-template-columns:104px 1fr;gap:1rem;align-items:center;
+li{display:grid;grid-template-columns:104px minmax(0,1fr);gap:1rem;align-items:center;
 border-top:1px solid var(--line);padding:.8rem 0}
 img{width:96px;border-radius:6px}
-table{border-collapse:collapse;width:100%}th,td{text-align:left;padding:.1rem .5rem 0 0;
+table{border-collapse:collapse;width:100%;table-layout:fixed}
+th,td{text-align:left;padding:.1rem .5rem 0 0;
 font-weight:400}td:last-child{text-align:right;width:4rem}
 .track{background:var(--line);border-radius:4px;height:.6rem}
 .bar{background:var(--bar);border-radius:4px;height:.6rem}

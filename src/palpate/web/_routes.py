@@ -18,6 +18,7 @@ from ..touches import Touches, TouchesError
 from . import _models as m
 from ._learning import LearningError
 from ._pictures import read_picture, thumbnail
+from ._refusals import lacks_room
 from ._report import episode_report
 from ._session import LiveSession
 
@@ -31,6 +32,7 @@ _REFUSALS: dict[int | str, dict[str, Any]] = {
     413: {"model": m.Answer, "description": "Too large."},
     422: {"description": "Not what was asked for."},
     429: {"model": m.Answer, "description": "Too many requests."},
+    507: {"model": m.Answer, "description": "The disk has no room."},
 }
 _PICTURE = {
     "requestBody": {
@@ -226,8 +228,11 @@ async def _done(work: Callable[[], Any]) -> Any:
         return await asyncio.to_thread(work)
     except (ContactError, SensorError, LearningError) as error:
         raise HTTPException(409, str(error)) from error
-    except (TouchesError, LibraryError, ValueError, TypeError) as error:
-        raise HTTPException(422, str(error)) from error
+    except (ValueError, TypeError) as error:  # TouchesError and LibraryError too
+        raise HTTPException(507 if lacks_room(error) else 422, str(error)) from error
+    except OSError as error:
+        told = f"The disk cannot be written to: {error.strerror or error}. Free space."
+        raise HTTPException(507, told) from error
 
 
 def _teacher(session: LiveSession) -> Any:

@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from numpy.typing import NDArray
 
-from .._checks import check_count, check_number
+from .._checks import check_number
 from ..recognition import ObjectRecogniser
 from ..sensors import LiveSensor, SensorError, SensorMemory, desk_of
 from ._episode import LiveEpisode
@@ -16,12 +16,11 @@ from ._events import Event, Listeners
 from ._health import Health
 from ._learning import LearningError, learn_apart
 from ._neighbours import Neighbours
-from ._suited import suited
+from ._suited import misfit, model_state, suited_to
 from ._teaching import Lesson, Teacher, checked_name
 from ._watch import SensorWatch
 
 LONGEST_EPISODE = 1000
-MOST_PER_LESSON = 1000
 
 
 class LiveSession:
@@ -47,11 +46,15 @@ class LiveSession:
         Told of "frame", "contact", "touch" and "state", from other threads.
     episode : LiveEpisode
         The episode under way.
+    trouble : str
+        Why the last touch of the sensor could not be taken; empty where it could.
 
     Raises
     ------
     SensorError
         On `start`: the sensor is missing or busy.
+    ValueError
+        On `start`: the model is of images of another size, and nothing can be taught.
     ModelFileError, LibraryError
         The model or the library cannot be read.
     """
@@ -73,31 +76,53 @@ class LiveSession:
                 sensor, self._taken, self.listeners, self.health, summary
             )
         self.teacher = None if library is None else Teacher(library, sensor)
+        self._stopped = False
         self.recogniser: ObjectRecogniser | None = None
         self._neighbours: Neighbours | None = None
         self.episode = LiveEpisode(1, None, self.error)
-        self.learning, self.learn_error, self.message = False, "", ""
+        self.learning, self.learn_error = False, ""
+        self.message = self.trouble = ""
         self._nearest: list[dict[str, Any]] = []
         self._drop_next: list[str] | None = None
         self._lock, self._learn_lock = threading.RLock(), threading.Lock()
-        self.model_path = _model_path(model, library)
+        self.model_path = None if model is None else Path(model)
+        if model is None and library is not None:
+            self.model_path = Path(library) / "model.palpate"
         if self.model_path is not None and (
             library is None or self.model_path.exists()
         ):
             self._use(ObjectRecogniser.load(self.model_path))
 
     def start(self) -> Self:
-        """Connect the sensor and follow it."""
+        """Connect the sensor and follow it; nothing happens where that is done.
+
+        The library is made after the sensor is found, so that a missing sensor
+        leaves none behind.
+        """
+        told = misfit(
+            self.recogniser, None if self.watch is None else self.watch.sensor
+        )
+        if told and self.teacher is None:
+            raise ValueError(told)
         if self.watch is not None:
             self.watch.start()
+        try:
+            if self.teacher is not None:
+                self.teacher.open()
+        except ValueError:
+            self.stop()
+            raise
         return self
 
     def stop(self) -> None:
         """Free the sensor and the library."""
+        if self._stopped:
+            return
+        self._stopped = True
         if self.watch is not None:
             self.watch.stop()
         if self.teacher is not None and self._learn_lock.acquire(timeout=5.0):
-            self.teacher.library.close()
+            self.teacher.close()
 
     def __enter__(self) -> Self:
         return self.start()
@@ -145,13 +170,10 @@ class LiveSession:
         return told
 
     def teach(self, name: str, wanted: int) -> None:
-        """Store the next touches as touches of an object."""
-        check_count("count", wanted)
-        if wanted > MOST_PER_LESSON:
-            raise ValueError(f"count must be at most {MOST_PER_LESSON}, got {wanted}.")
+        """Store the next touches of the sensor as touches of an object."""
         with self._lock:
             self._teacher().begin(name, wanted)
-            self.message = ""
+            self.message = self.trouble = ""
             self._new_episode()
         self._tell_state()
 
@@ -162,7 +184,7 @@ class LiveSession:
         self._tell_state()
 
     def undo(self) -> str:
-        """Leave out the touch stored last; return its object."""
+        """Leave out the touch stored last in this session; return its object."""
         with self._lock:
             name = self._teacher().undo()
             self.message = f"The last touch of {name} is undone."
@@ -170,11 +192,11 @@ class LiveSession:
         return name
 
     def rename(self, old: str, new: str) -> None:
-        """Give an object of the library another name, and learn it."""
+        """Give an object of the library another name, and learn it by that name."""
         with self._lock:
-            self._teacher().library.rename_object(old, checked_name(new))
-            self.message = f"{old} is called {checked_name(new)} now."
-        self._learn_again([])
+            tidy = self._teacher().rename(old, new, learnt=self._knows(old))
+            self.message = f"{old} is called {tidy} now."
+        self._learn_again([old])
 
     def forget(self, name: str) -> None:
         """Leave all touches of an object out, and learn without it.
@@ -185,13 +207,7 @@ class LiveSession:
             Neither library nor model know it.
         """
         with self._lock:
-            library = self._teacher().library
-            stored = {row.name for row in library.objects()}
-            model = self.recogniser
-            if name not in stored and (model is None or name not in model.classes_):
-                raise ValueError(f"There is no object {name!r}.")
-            if name in stored:
-                library.retract(object=name, reason="forgotten on the page")
+            self._teacher().forget(name, learnt=self._knows(name))
             self.message = f"{name} is forgotten."
         self._learn_again([name])
 
@@ -243,7 +259,7 @@ class LiveSession:
             lesson = None if teacher is None else teacher.lesson
             return {
                 "sensor": None if self.watch is None else self.watch.state(),
-                "model": self._model_state(),
+                "model": model_state(self.recogniser, self.model_path),
                 "library": None if teacher is None else teacher.told(),
                 "lesson": None if lesson is None else lesson.told(),
                 "episode": self.episode.told(),
@@ -271,33 +287,21 @@ class LiveSession:
     def _suited(self, image: NDArray[Any]) -> NDArray[Any]:
         sensor = None if self.watch is None else self.watch.sensor
         stored = None if self.teacher is None else self.teacher.newest_type()
-        if sensor is not None:
-            return suited(image, sensor.image_shape, sensor.dtype)
-        if stored is not None:
-            return suited(image, *stored)
-        if self.recogniser is not None:
-            return suited(image, self.recogniser.encoder_.image_shape_, None)
-        return image
+        return suited_to(image, sensor, stored, self.recogniser)
 
-    def _model_state(self) -> dict[str, Any] | None:
-        if self.recogniser is None:
-            return None
-        return {
-            "objects": self.recogniser.classes_.tolist(),
-            "n_touches": len(self.recogniser.labels_),
-            "encoding": str(self.recogniser.chosen_.get("encoding", "")),
-            "file": str(self.model_path),
-        }
+    def _knows(self, name: str) -> bool:
+        return self.recogniser is not None and name in self.recogniser.classes_
 
     def _use(self, recogniser: ObjectRecogniser | None) -> None:
         """Recognise with another model from the next touch on."""
         stored = getattr(recogniser, "sensor_", None)
         memory = None if stored is None else SensorMemory.from_dict(stored)
-        neighbours = None if recogniser is None else Neighbours(recogniser)
+        ids = set() if self.teacher is None else self.teacher.known_ids()
+        neighbours = None if recogniser is None else Neighbours(recogniser, ids)
         with self._lock:
             self.recogniser, self._neighbours = recogniser, neighbours
             if self.watch is not None:
-                self.watch.remember(memory)
+                self.watch.remember(memory, misfit(recogniser, self.watch.sensor))
             self._new_episode()
 
     def _new_episode(self) -> None:
@@ -311,13 +315,15 @@ class LiveSession:
             lesson = self._stored(image)
             if lesson is None:
                 self._recognise(image, ended_s)
+                self.trouble = ""
                 return
             count = f"{len(lesson.ids)} of {lesson.wanted}"
             self.message = f"Touch {count} of {lesson.name} is stored."
             if len(lesson.ids) >= lesson.wanted:
                 self.message += " Learn to recognise it."
-        except (ValueError, OSError) as error:
-            self.message = str(error)
+            self.trouble = ""
+        except (ValueError, OSError, MemoryError) as error:
+            self.message = self.trouble = str(error)
         self._tell_state()
 
     def _stored(self, image: NDArray[Any]) -> Lesson | None:
@@ -367,7 +373,8 @@ class LiveSession:
         assert self.teacher is not None
         assert self.model_path is not None
         base = self.model_path if self.model_path.is_file() else None
-        answer = learn_apart(self.teacher.folder, self.model_path, base, drop)
+        shape = self.teacher.image_shape()
+        answer = learn_apart(self.teacher.folder, self.model_path, base, drop, shape)
         names = answer["objects"]
         if names:
             self._use(ObjectRecogniser.load(self.model_path))
@@ -383,9 +390,3 @@ class LiveSession:
     def _tell_state(self) -> None:
         if len(self.listeners):
             self.listeners.tell(Event("state", self.state()))
-
-
-def _model_path(model: str | Path | None, library: str | Path | None) -> Path | None:
-    if model is not None:
-        return Path(model)
-    return None if library is None else Path(library) / "model.palpate"

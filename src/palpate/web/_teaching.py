@@ -1,6 +1,8 @@
 """Teaching: touches of a named object, each on the disk before it is acknowledged."""
 
+import threading
 import time
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -8,11 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import check_count
 from ..library import LibraryError, SensorDescription, TouchLibrary
-from ..sensors import LiveSensor
+from ..sensors import LiveSensor, SensorError
 from ..touches import Touches
+from ._chosen import of_object, of_size
+from ._learning import LEAST_TOUCHES
 
 LONGEST_NAME = 80
+MOST_PER_LESSON = 1000
 
 
 @dataclass(eq=False)
@@ -44,22 +50,39 @@ class Teacher:
     Parameters
     ----------
     folder : path
-        The library; made where there is none.
+        The library; made where there is none, by `open` or when it is first needed.
     sensor : LiveSensor or None
         What the touches come from.
     """
 
     def __init__(self, folder: str | Path, sensor: LiveSensor | None) -> None:
-        self.library = TouchLibrary.open(folder, create=True)
+        self.folder = Path(folder)
+        self._opened: TouchLibrary | None = None
+        self._opening = threading.Lock()
         self._sensor = sensor
         self._session = time.strftime("%Y-%m-%d %H:%M:%S")
         self._lessons = 0
+        self._stored: list[str] = []
         self.lesson: Lesson | None = None
+        if TouchLibrary.is_library(self.folder):
+            self.open()
 
     @property
-    def folder(self) -> Path:
-        """Where the library is."""
-        return self.library.folder
+    def library(self) -> TouchLibrary:
+        """The library; opened, or made, the first time it is asked for."""
+        return self.open()
+
+    def open(self) -> TouchLibrary:
+        """Open the library, or make it, unless it is open; return it."""
+        with self._opening:
+            if self._opened is None:
+                self._opened = TouchLibrary.open(self.folder, create=True)
+            return self._opened
+
+    def close(self) -> None:
+        """Close the library if it is open."""
+        if self._opened is not None:
+            self._opened.close()
 
     def begin(self, name: str, wanted: int) -> Lesson:
         """Start to teach an object; a lesson under way ends.
@@ -67,8 +90,18 @@ class Teacher:
         Raises
         ------
         ValueError
-            The name cannot be one.
+            The name cannot be one, or it is too many touches.
+        SensorError
+            There is no sensor to wait for.
         """
+        check_count("count", wanted)
+        if wanted > MOST_PER_LESSON:
+            raise ValueError(f"count must be at most {MOST_PER_LESSON}, got {wanted}.")
+        if self._sensor is None:
+            raise SensorError(
+                "There is no sensor here whose touches could be stored. Post them "
+                "(teach/touch), or start again with --sensor."
+            )
         self._lessons += 1
         self.lesson = Lesson(checked_name(name), wanted)
         return self.lesson
@@ -93,6 +126,7 @@ class Teacher:
             sensor=_described(self._sensor),
             progress=False,
         )
+        self._stored.append(key)
         return key
 
     def take(self, image: NDArray[Any], zero: NDArray[Any] | None) -> Lesson:
@@ -105,20 +139,62 @@ class Teacher:
         return lesson
 
     def undo(self) -> str:
-        """Leave the newest touch of the library out; return its object.
+        """Leave the touch stored last by this teacher out; return its object.
+
+        Touches that have been left out since are passed over; what others stored is
+        never touched.
 
         Raises
         ------
         LibraryError
             There is none.
         """
-        rows = self._newest(1)
-        if not rows:
-            raise LibraryError("There is no touch to undo; nothing has been taught.")
-        self.library.retract([rows[0].id], reason="undone on the page")
-        if self.lesson is not None and rows[0].id in self.lesson.ids:
-            self.lesson.ids.remove(rows[0].id)
-        return str(rows[0].object)
+        while self._stored:
+            key = self._stored[-1]
+            rows = self.library.list(f"id = '{key}'")
+            self.library.retract([key], reason="undone on the page")
+            self._stored.pop()
+            if self.lesson is not None and key in self.lesson.ids:
+                self.lesson.ids.remove(key)
+            if rows:
+                return str(rows[0].object)
+        raise LibraryError(
+            "There is no touch to undo: none taught since the start is left. "
+            "`palpate library retract` leaves older ones out."
+        )
+
+    def rename(self, old: str, new: str, *, learnt: bool) -> str:
+        """Give an object another name; return that as it is kept.
+
+        Raises
+        ------
+        ValueError
+            The model has learnt it, from elsewhere, and the library has too few
+            touches of it to learn it by its new name.
+        """
+        tidy = checked_name(new)
+        n_usable = self._usable().get(old, 0) if learnt else LEAST_TOUCHES
+        if n_usable < LEAST_TOUCHES and self._holds(old):
+            raise ValueError(
+                f"{old!r} must have at least {LEAST_TOUCHES} touches in the library to "
+                f"be learnt by another name, got {n_usable}. Teach it some more first."
+            )
+        self.library.rename_object(old, tidy)
+        return tidy
+
+    def forget(self, name: str, *, learnt: bool) -> None:
+        """Leave all touches of an object out.
+
+        Raises
+        ------
+        ValueError
+            It is not in the library, nor has the model learnt it.
+        """
+        stored = self._holds(name)
+        if not stored and not learnt:
+            raise ValueError(f"There is no object {name!r}.")
+        if stored:
+            self.library.retract(object=name, reason="forgotten on the page")
 
     def told(self) -> dict[str, Any]:
         """Return what the library holds, as plain values."""
@@ -128,37 +204,78 @@ class Teacher:
                 {"name": row.name, "n_touches": row.n_touches}
                 for row in self.library.objects()
             ],
+            "undoable": len(self._stored),
         }
 
     def ids(self, name: str, limit: int) -> list[str]:
         """Return the ids of the newest touches of an object, newest first."""
-        rows = [r for r in self.library.list(limit=None) if r.object == name]
+        counts = {row.name: row.n_touches for row in self.library.objects()}
+        if name not in counts:
+            return []
+        where, exact = of_object(name)
+        if not exact:
+            rows = [r for r in self.library.list(where, limit=None) if r.object == name]
+        else:
+            rows = self.library.list(where, limit, max(0, counts[name] - limit))
         return [row.id for row in rows[::-1][:limit]]
 
     def touches(self, name: str) -> Touches:
-        """Return all touches of an object.
+        """Return the touches of an object.
+
+        Where they differ in size, those of the sensor's size, or else of the size of
+        the newest.
 
         Raises
         ------
         LibraryError
             It has none.
         """
-        rows = self.library.list("object is not null", limit=None)
-        wanted = [n for n, row in enumerate(rows) if row.object == name]
-        if not wanted:
+        where, exact = of_object(name)
+        rows = [r for r in self.library.list(where, limit=None) if r.object == name]
+        if not rows:
             raise LibraryError(f"There is no object {name!r} in the library.")
-        return self.library.touches("object is not null")[wanted]
+        sizes = {(row.n_rows, row.n_cols) for row in rows}
+        size = rows[-1].n_rows, rows[-1].n_cols
+        if self._sensor is not None and self._sensor.image_shape in sizes:
+            size = self._sensor.image_shape
+        where = f"{where} and {of_size(size)}"
+        if exact:
+            return self.library.touches(where)
+        chosen = self.library.select(where)
+        assert chosen.object is not None
+        return chosen.touches(np.flatnonzero(chosen.object == name))
+
+    def known_ids(self) -> set[str]:
+        """Return the ids of all touches, also those left out; none before it opens."""
+        if self._opened is None:
+            return set()
+        rows = self._opened.list(limit=None, retracted=True)
+        return {row.id for row in rows}
+
+    def _holds(self, name: str) -> bool:
+        return name in {row.name for row in self.library.objects()}
+
+    def _usable(self) -> dict[str, int]:
+        """Return how many touches each object has that learning could use."""
+        size = self.image_shape()
+        if size is None:
+            return {}
+        rows = self.library.list(f"object is not null and {of_size(size)}", limit=None)
+        return dict(Counter(str(row.object) for row in rows))
+
+    def image_shape(self) -> tuple[int, int] | None:
+        """Return the size of the images to learn: the sensor's, or the newest's."""
+        if self._sensor is not None:
+            return self._sensor.image_shape
+        newest = self.newest_type()
+        return None if newest is None else newest[0]
 
     def newest_type(self) -> tuple[tuple[int, int], np.dtype[Any]] | None:
         """Return size and type of the newest touch's image, or None."""
-        rows = self._newest(1)
+        rows = self.library.list(limit=1, offset=max(0, len(self.library) - 1))
         if not rows:
             return None
         return (rows[0].n_rows, rows[0].n_cols), np.dtype(rows[0].dtype)
-
-    def _newest(self, count: int) -> list[Any]:
-        n_touches = self.library.count()
-        return self.library.list(limit=count, offset=max(0, n_touches - count))
 
 
 def checked_name(name: str) -> str:

@@ -67,6 +67,7 @@ class SensorWatch:
         self._take, self._listeners, self._health = take, listeners, health
         self._painter = FramePainter(sensor.image_shape)
         self._memory: SensorMemory | None = None
+        self._misfit = ""
         self._recent: list[NDArray[Any]] = []
         self._warnings: list[str] = []
         self._zeroing: list[NDArray[Any]] | None = None
@@ -76,7 +77,9 @@ class SensorWatch:
         self._threads: list[threading.Thread] = []
 
     def start(self) -> None:
-        """Connect the sensor and follow it."""
+        """Connect the sensor and follow it; nothing happens where that is done."""
+        if self._threads:
+            return
         self.sensor.connect()
         for work in (self._follow, self._hand_on):
             thread = threading.Thread(target=work, daemon=True)
@@ -113,6 +116,7 @@ class SensorWatch:
         if len(frames) < _ZERO_FRAMES:
             raise SensorError(f"{self.sensor.name} gave too few frames for a zero.")
         with self._lock:
+            self.detector.step = self.sensor.step
             self.detector.take_zero(frames, force=force)
             self._recent = []
         self._compare()
@@ -138,16 +142,19 @@ class SensorWatch:
         """Return frame rate (Hz), frames dropped, and latencies (ms)."""
         return {**self._health.told(), "n_dropped": self.sensor.n_dropped}
 
-    def remember(self, memory: SensorMemory | None) -> None:
-        """Compare the sensor with what it was when a model learnt, from now on."""
-        self._memory = memory
+    def remember(self, memory: SensorMemory | None, misfit: str = "") -> None:
+        """Compare the sensor with what it was when a model learnt, from now on.
+
+        `misfit` says why the model is none of this sensor at all.
+        """
+        self._memory, self._misfit = memory, misfit
         self._compare()
 
     def _compare(self) -> None:
         """Say what has left tolerance since the model learnt."""
         zero, memory = self.detector.zero, self._memory
-        found = [""]
-        if zero is not None and memory is not None:
+        found = [self._misfit]
+        if not self._misfit and zero is not None and memory is not None:
             found = [zero_warning(memory, zero.astype(np.float64))]
             recent = list(self._recent)
             if recent and memory.response.size and not found[0]:
@@ -181,6 +188,7 @@ class SensorWatch:
             zeroing.append(frame.image)
             return
         with self._lock:
+            self.detector.step = self.sensor.step
             touch = self.detector.update(frame)
         if touch is not None:
             self._found.put((touch, frame.time_s))

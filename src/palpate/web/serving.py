@@ -3,15 +3,23 @@
 import socket
 from typing import Any
 
+LAST_PORT = 65535
+
 
 def open_socket(host: str, port: int) -> socket.socket:
     """Return a socket that listens, or say what is in the way.
 
     Raises
     ------
+    ValueError
+        There is no such port.
     OSError
         The address is taken or not ours.
     """
+    if not 0 <= port <= LAST_PORT:
+        raise ValueError(
+            f"--port must be 0 to {LAST_PORT}, got {port}. 0 takes a free one."
+        )
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     opened = socket.socket(family, socket.SOCK_STREAM)
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -22,7 +22,7 @@ export function showTeach({ library, lesson, learning, learn_error: error, model
   show(find("lesson"), sensor !== null);
   if (lesson) showLesson(lesson);
   const enough = library.objects.filter((one) => one.n_touches > 1).length > 1;
-  find("undo").disabled = library.objects.length === 0;
+  find("undo").disabled = library.undoable === 0;
   find("learn").disabled = learning || (!enough && !model);
   find("learn").classList.toggle("primary", stale(library, model) && !learning);
   show(find("learn-error"), error !== "");

@@ -1,0 +1,61 @@
+"""A disk without room: said with 507, never a fault of the server."""
+
+import errno
+import io
+import sqlite3
+
+import pytest
+from PIL import Image
+
+from palpate.library import LibraryError
+from palpate.web._refusals import lacks_room
+
+
+@pytest.fixture
+def client(make_session, connected):
+    with connected(make_session(sensor=False)) as client:
+        yield client
+
+
+def full(*given, **named):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_pictures_need_no_room_on_the_disk(client, drawn, monkeypatch):
+    monkeypatch.setattr("tempfile.TemporaryDirectory", full)
+    written = io.BytesIO()
+    Image.fromarray(drawn.images[0]).save(written, "PNG")
+    kind = {"Content-Type": "image/png"}
+    answer = client.post("/api/touch/picture", content=written.getvalue(), headers=kind)
+    assert answer.status_code == 200
+    archive = client.get("/api/episode/archive")
+    assert archive.status_code == 507
+    assert "No space left on device" in archive.json()["detail"]
+
+
+def test_a_touch_that_cannot_be_stored_is_not_acknowledged(client, drawn, monkeypatch):
+    def add(**named):
+        try:
+            full()
+        except OSError as error:
+            raise LibraryError("The library has no room. Free space.") from error
+
+    monkeypatch.setattr(client.session.teacher.library, "add", add)
+    body = {"object": "cup", "image": drawn.images[0].tolist()}
+    answer = client.post("/api/teach/touch", json=body)
+    assert answer.status_code == 507
+    assert answer.json()["detail"] == "The library has no room. Free space."
+    assert client.get("/api/state").json()["library"]["undoable"] == 0
+
+
+def test_a_database_without_room_lacks_room():
+    small = sqlite3.connect(":memory:")
+    small.execute("CREATE TABLE t (x)")
+    small.execute("PRAGMA max_page_count = 2")
+    with pytest.raises(sqlite3.OperationalError) as caught:
+        small.execute("INSERT INTO t VALUES (zeroblob(100000))")
+    small.close()
+    told = LibraryError("It is full.")
+    told.__cause__ = caught.value
+    assert lacks_room(told)
+    assert not lacks_room(LibraryError("There is none."))

@@ -1,0 +1,221 @@
+"""Objects of a library on the page: undone, renamed, exported, of several sizes."""
+
+import io
+import time
+
+import numpy as np
+import pytest
+
+from palpate import Touches
+from palpate.library import LibraryError, TouchLibrary
+from palpate.recognition import ObjectRecogniser
+from palpate.sensors import ReplaySensor, SensorMemory
+from palpate.web import LearningError, LiveSession
+from palpate.web._learning import learn_job
+from palpate.web._neighbours import Neighbours
+
+SMALL = np.arange(64, dtype=np.uint8).reshape(8, 8)
+
+
+def small_touches(name, count, start=0):
+    """Touches of 8 x 8 taxels, as another sensor than the drawn one gives them."""
+    images = np.stack([np.roll(SMALL, start + n) for n in range(count)])
+    return Touches(images, object=[name] * count, time_s=np.arange(count) + start)
+
+
+@pytest.fixture(autouse=True)
+def learning_here(monkeypatch):
+    """Learn in this process: starting another one takes seconds; others try that."""
+
+    def learn(library, output, base, drop=(), image_shape=None):
+        job = {"library": library, "output": output, "base": base, "drop": list(drop)}
+        return learn_job({**job, "image_shape": image_shape})
+
+    monkeypatch.setattr("palpate.web._session.learn_apart", learn)
+
+
+@pytest.fixture
+def folder(tmp_path, drawn):
+    """A library of eight discs and eight bars."""
+    rows = [*range(8), *range(30, 38)]
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(drawn[rows], session="old")
+    return tmp_path / "library"
+
+
+def settled(session):
+    """Wait until it has learnt; return what the model knows."""
+    deadline = time.monotonic() + 60
+    while session.learning and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert session.learn_error == ""
+    return session.recogniser.classes_.tolist()
+
+
+def test_undo_leaves_out_what_was_taught_here_and_nothing_else(folder, drawn):
+    with LiveSession(library=folder) as session:
+        for row, name in enumerate(("cup", "cup", "pen")):
+            session.post_lesson(name, drawn.images[40 + row])
+        with TouchLibrary.open(folder) as other:  # meanwhile, another program adds
+            other.add(drawn[60:70])
+        session.forget("pen")
+        assert [session.undo(), session.undo()] == ["cup", "cup"]
+        with pytest.raises(LibraryError, match="no touch to undo"):
+            session.undo()
+        assert session.state()["library"]["undoable"] == 0
+        assert session.teacher.library.count() == 26
+
+
+def model_of_elsewhere(drawn, path):
+    """A model as other programs write it: of names alone, no ids of touches."""
+    return ObjectRecogniser().fit(drawn[drawn.object != "both"][::2]).save(path)
+
+
+def test_a_renamed_object_leaves_no_ghost_in_a_model_from_elsewhere(folder, drawn):
+    model_of_elsewhere(drawn, folder / "model.palpate")
+    with LiveSession(library=folder) as session:
+        session.rename("disc", "coin")
+        assert settled(session) == ["bar", "coin"]
+
+
+def test_a_rename_that_would_lose_what_the_model_knows_is_refused(tmp_path, drawn):
+    model = model_of_elsewhere(drawn, tmp_path / "m.palpate")
+    with LiveSession(library=tmp_path / "library", model=model) as session:
+        session.post_lesson("disc", drawn.images[0])
+        with pytest.raises(
+            ValueError, match=r"'disc' must have at least 2 touches .*1"
+        ):
+            session.rename("disc", "coin")
+        assert session.teacher.told()["objects"] == [{"name": "disc", "n_touches": 1}]
+        session.post_lesson("disc", drawn.images[1])
+        session.rename("disc", "coin")
+        assert settled(session) == ["bar", "coin"]
+
+
+def test_what_was_renamed_elsewhere_is_known_by_its_touches(folder):
+    model = folder / "model.palpate"
+    job = {"library": str(folder), "output": str(model), "base": None, "drop": []}
+    learn_job(job)
+    with TouchLibrary.open(folder) as library:
+        library.rename_object("disc", "coin")
+    assert learn_job({**job, "base": str(model)})["objects"] == ["bar", "coin"]
+
+
+def test_each_sensor_learns_from_touches_of_its_size(folder, drawn):
+    with TouchLibrary.open(folder) as library:
+        library.add(small_touches("ball", 4))
+        library.add(small_touches("disc", 3, start=9))
+    with LiveSession(ReplaySensor(drawn), library=folder) as session:
+        session.learn(wait=True)
+        assert settled(session) == ["bar", "disc"]
+        assert len(session.recogniser.labels_) == 16
+        session.rename("bar", "rod")
+        assert settled(session) == ["disc", "rod"]
+    other = ReplaySensor(small_touches("ball", 2), rate_hz=500)
+    with LiveSession(other, library=folder) as session:
+        (warning,) = session.state()["sensor"]["warnings"]
+        assert "8 x 8 taxels" in warning
+        assert "12 x 12" in warning
+        session.learn(wait=True)
+        assert settled(session) == ["ball", "disc"]
+        assert session.recogniser.encoder_.image_shape_ == (8, 8)
+
+
+def test_a_model_is_not_given_up_for_a_sensor_without_touches(folder, drawn):
+    with LiveSession(ReplaySensor(drawn), library=folder) as session:
+        session.learn(wait=True)
+    other = ReplaySensor(small_touches("ball", 2), rate_hz=500)
+    with LiveSession(other, library=folder) as session:
+        session.learn(wait=True)
+        assert "of 8 x 8 taxels. The model of another sensor" in session.learn_error
+        assert (folder / "model.palpate").is_file()
+
+
+def test_objects_of_another_size_that_are_nowhere_else_are_kept(tmp_path, drawn):
+    model = model_of_elsewhere(drawn, tmp_path / "m.palpate")
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        library.add(small_touches("ball", 4))
+        library.add(small_touches("cube", 4, start=9))
+    job = {"library": str(tmp_path / "library"), "output": str(model)}
+    with pytest.raises(LearningError, match=r"8 x 8 .*'bar', 'disc' from .*12 x 12"):
+        learn_job({**job, "base": str(model), "drop": []})
+    dropped = learn_job({**job, "base": str(model), "drop": ["disc", "bar"]})
+    assert dropped["objects"] == ["ball", "cube"]
+
+
+@pytest.mark.parametrize("name", ["ball", "it's", 'a "b"', """5'6" tall"""])
+def test_one_object_is_exported_whatever_else_there_is(
+    folder, drawn, connected, make_session, name
+):
+    with TouchLibrary.open(folder) as library:
+        library.add(small_touches(name, 3))
+        library.add(small_touches(f"{name}!", 2, start=20))
+    with connected(make_session(library=folder)) as client:
+        answer = client.get("/api/objects/archive", params={"object": name})
+        assert answer.status_code == 200
+        with np.load(io.BytesIO(answer.content)) as stored:
+            assert (stored["images"] == small_touches(name, 3).images).all()
+        ids = client.get("/api/objects/touches", params={"object": name, "limit": 2})
+        rows = client.session.teacher.library.list(limit=None)
+        told = [row.id for row in rows if row.object == name]
+        assert [one["id"] for one in ids.json()] == [told[2], told[1]]
+        disc = drawn.images[0]
+        client.session.post_lesson(name, disc)  # now it has touches of two sizes
+        answer = client.get("/api/objects/archive", params={"object": name})
+        with np.load(io.BytesIO(answer.content)) as stored:
+            assert (stored["images"] == disc).all()
+
+
+def test_thumbnails_are_asked_for_without_listing_everything(folder, monkeypatch):
+    session = LiveSession(library=folder)
+    listed, plain = [], TouchLibrary.list
+
+    def spy(self, *given, **named):
+        rows = plain(self, *given, **named)
+        listed.append(len(rows))
+        return rows
+
+    monkeypatch.setattr(TouchLibrary, "list", spy)
+    ids = session.teacher.ids("disc", 5)
+    assert len(ids) == 5
+    assert session.teacher.ids("hat", 5) == []
+    assert max(listed) <= 5
+    session.stop()
+
+
+def test_learning_reads_images_piece_by_piece(folder, tmp_path, monkeypatch):
+    def refuse(self, where=None, **named):
+        raise AssertionError("all touches were read at once")
+
+    monkeypatch.setattr(TouchLibrary, "touches", refuse)
+    output = tmp_path / "m.palpate"
+    job = {"library": str(folder), "output": str(output), "base": None, "drop": []}
+    assert learn_job(job)["n_touches"] == 16
+
+
+def test_kept_objects_leave_the_others_their_touches(tmp_path, drawn):
+    base = model_of_elsewhere(drawn, tmp_path / "m.palpate")
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        ids = library.add(drawn[drawn.object == "both"][:6])
+        zero = library.no_contact()
+    output = tmp_path / "o.palpate"
+    job = {"library": str(tmp_path / "library"), "output": str(output)}
+    learn_job({**job, "base": str(base), "drop": []})
+    model = ObjectRecogniser.load(output)
+    assert model.touch_ids_[model.labels_ == "both"].tolist() == ids
+    assert set(model.touch_ids_[model.labels_ != "both"]) == {""}
+    memory = SensorMemory.from_dict(model.sensor_)
+    assert memory.n_touches == 6
+    assert (memory.no_contact == zero).all()
+    near = Neighbours(model, ids).of(model.features_[-1:])
+    assert near[0] == {"id": ids[-1], "object": "both", "distance": 0.0}
+    elsewhere = Neighbours(model, ids[:-1]).of(model.features_[-1:])
+    assert elsewhere[0]["id"] is None
+
+
+def test_nothing_waits_for_a_sensor_that_is_not_there(make_session, connected):
+    with connected(make_session(sensor=False)) as client:
+        answer = client.post("/api/teach", json={"object": "cup"})
+        assert answer.status_code == 409
+        assert "no sensor here" in answer.json()["detail"]
+        assert client.get("/api/state").json()["lesson"] is None
