@@ -1,5 +1,7 @@
 """Kernel ridge classification: left-out scores against refitting, and refusals."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -115,9 +117,10 @@ def test_touches_far_from_the_origin_are_told_apart_as_well(problem, shift):
 def test_what_is_learnt_about_the_touches_is_theirs(problem):
     X, labels, _ = problem
     machine = KernelRidgeClassifier().fit(X, labels)
-    assert_array_equal(machine.touches_, X)
-    assert_allclose(machine.squared_norms_, (X**2).sum(axis=1))
+    centred = X - X.mean(axis=0)
     assert_allclose(machine.mean_, X.mean(axis=0))
+    assert_allclose(machine.touches_, centred, atol=1e-12)
+    assert_allclose(machine.squared_norms_, (centred**2).sum(axis=1))
     distance = ((X[:, None] - X) ** 2).sum(axis=2)
     kernel = np.exp(-machine.width_ / machine.unit_ * distance)
     slow = kernel @ machine.coefficients_ + 1 / 3
@@ -137,3 +140,54 @@ def test_features_whose_squares_leave_the_range_are_refused(problem):
             refused()
     large = KernelRidgeClassifier().fit(1e148 * X, labels)
     assert_allclose(large.scores(1e148 * X), machine.scores(X), atol=1e-8)
+
+
+def test_all_touches_as_landmarks_are_the_machine_itself(problem):
+    X, labels, groups = problem
+    exact = KernelRidgeClassifier().fit(X, labels, groups=groups)
+    through = KernelRidgeClassifier(max_touches=10, n_landmarks=60)
+    through.fit(X, labels, groups=groups)
+    # The landmarks' kernel gets 1e-8 on its diagonal to be invertible.
+    assert_allclose(through.scores(X), exact.scores(X), atol=1e-5)
+    assert_allclose(through.left_out_scores_, exact.left_out_scores_, atol=1e-5)
+    assert_allclose(through.predict_proba(X), exact.predict_proba(X), atol=1e-3)
+
+
+@pytest.mark.parametrize("n_landmarks", [5, 30])
+def test_left_out_scores_through_landmarks_are_those_of_refitting(problem, n_landmarks):
+    """With 5 landmarks groups of 12 touches are the larger of the two matrices."""
+    X, labels, groups = problem
+    settings = {"widths": [1.0], "ridges": [0.1], "n_landmarks": n_landmarks}
+    machine = KernelRidgeClassifier(max_touches=10, **settings)
+    machine.fit(X, labels, groups=groups)
+    marks = machine.touches_ + machine.mean_
+    assert len(marks) <= n_landmarks
+
+    def kernel(a, b):
+        return np.exp(-((a[:, None] - b) ** 2).sum(axis=2) / machine.unit_)
+
+    own = kernel(marks, marks) + 1e-8 * np.eye(len(marks))
+    features = np.linalg.solve(np.linalg.cholesky(own), kernel(marks, X)).T
+    targets = (labels[:, None] == machine.classes_) - 1 / 3
+    for group in range(5):
+        out = groups == group
+        some = features[~out]
+        inner = some.T @ some + 0.1 * np.eye(len(marks))
+        slow = features[out] @ np.linalg.solve(inner, some.T @ targets[~out]) + 1 / 3
+        assert_allclose(machine.left_out_scores_[out], slow, atol=1e-8)
+
+
+def test_memory_of_many_touches_does_not_grow_with_their_square(rng):
+    labels = np.tile(["ball", "mug"], 4000)
+    X = rng.normal(size=(8000, 3)) + (labels == "mug")[:, None]
+    machine = KernelRidgeClassifier(
+        widths=[1.0], ridges=[0.1], max_choice_touches=100, n_landmarks=50
+    )
+    machine.set_params(max_touches=1000)
+    tracemalloc.start()
+    machine.fit(X, labels, groups=np.arange(8000) // 400)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # The kernel of all touches alone would take 512 MB.
+    assert peak < 40e6
+    assert machine.score(X, labels) > 0.75

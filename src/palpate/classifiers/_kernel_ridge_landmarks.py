@@ -2,7 +2,7 @@
 
 The kernel is replaced by that of its projection onto some of the touches (Nystroem
 features, C. K. I. Williams and M. Seeger, "Using the Nystroem method to speed up kernel
-machines", NIPS 13, 2001). Memory grows with n_touches times a block, not with its square.
+machines", NIPS 13, 2001). Memory grows with the touches, not with their square.
 """
 
 from collections.abc import Callable, Iterator
