@@ -26,12 +26,12 @@ _LEAST_SPREAD = 0.02
 # doubt (nats), misfit (standard errors) and novelty (of the variance of all touches)
 # count for no less than these deviations.
 _LEAST_DEVIATION = np.array([1.0, 0.5, 0.02])
-# Most unknown objects resemble known ones. Where touches are as new as in one episode
-# of six (a deviation) they are no sign yet, and beyond it novelty is told alone.
-_NO_SIGN = 1.0
 # Scores are 0.5 where one known episode in twenty would lie, were they normal. Above
 # the score of one in five, 0.17, nothing is named.
 _ONE_IN_TWENTY = 1.645
+# Most unknown objects resemble known ones. Touches as new as those of one known episode
+# in twenty are no sign yet; what is beyond is a sign of its own.
+_NO_SIGN = _ONE_IN_TWENTY
 _ONE_IN_FIVE = 0.2
 # Strictest share that a limit is extrapolated to, and the laxest: 0.5 is no score to
 # refuse below.
