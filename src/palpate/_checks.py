@@ -58,6 +58,22 @@ def check_option(name: str, value: object, options: Iterable[object]) -> Any:
     return value
 
 
+def are_plain_vectors(X: object, n_features: int) -> bool:
+    """Whether `X` is a finite float64 array (n_touches, n_features) and nothing else.
+
+    Told in a tenth of the time that scikit-learn's checks take, which counts for single
+    touches.
+    """
+    return (
+        type(X) is np.ndarray
+        and X.dtype == np.float64
+        and X.ndim == 2
+        and X.shape[0] > 0
+        and X.shape[1] == n_features
+        and bool(np.isfinite(X).all())
+    )
+
+
 def check_images(
     X: ArrayLike, *, shape: tuple[int, int] | None = None, allow_nan: bool = False
 ) -> NDArray[np.float64]:

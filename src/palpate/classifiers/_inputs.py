@@ -5,26 +5,20 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import validate_data
 
+from .._checks import are_plain_vectors
+
 Floats = NDArray[np.float64]
 
 
 def as_touches(estimator: BaseEstimator, X: ArrayLike) -> Floats:
     """Return `X` as touches like those of `fit`, (n_touches, n_features).
 
-    Raises what scikit-learn's `validate_data` raises; a plain float64 array that is
-    right is let through at a tenth of the cost, which counts for single touches.
+    Raises what scikit-learn's `validate_data` raises.
     """
-    n_features = getattr(estimator, "n_features_in_", None)
-    if (
-        type(X) is np.ndarray
-        and X.dtype == np.float64
-        and X.ndim == 2
-        and len(X) > 0
-        and X.shape[1] == n_features
-        and not hasattr(estimator, "feature_names_in_")
-        and np.isfinite(X).all()
-    ):
-        return X
+    n_features = getattr(estimator, "n_features_in_", -1)
+    named = hasattr(estimator, "feature_names_in_")
+    if not named and are_plain_vectors(X, n_features):
+        return np.asarray(X)
     touches: Floats = validate_data(estimator, X, dtype=np.float64, reset=False)
     return touches
 

@@ -12,7 +12,7 @@ from sklearn.base import (
 from sklearn.decomposition import PCA
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from .._checks import check_number
+from .._checks import are_plain_vectors, check_number
 
 _FOLDS = 5
 _LEARNT_FROM = 600
@@ -70,7 +70,10 @@ class PrincipalShare(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEsti
     def transform(self, X: ArrayLike) -> NDArray[np.float64]:
         """Return the scores, shape (n_touches, n_kept)."""
         check_is_fitted(self)
-        features = validate_data(self, X, dtype=np.float64, reset=False)
+        if are_plain_vectors(X, len(self.mean_)):
+            features = np.asarray(X)
+        else:
+            features = validate_data(self, X, dtype=np.float64, reset=False)
         scores: NDArray[np.float64] = (features - self.mean_) @ self.components_.T
         return scores
 

@@ -55,6 +55,7 @@ class Belief:
         self._novelty = np.empty(0)
         self._senses: dict[str, Floats] = {}
         self._log_posterior = self._log_prior
+        self._unknown: float | None = None
         self.marks: list[str] = []
 
     def update(self, touch: Touches | NDArray) -> Belief:
@@ -140,6 +141,7 @@ class Belief:
             trust = self._recogniser.trust_
             total = log_posteriors(self._floored, total, trust)[-1]
         self._log_posterior = log_softmax(total)
+        self._unknown = None
 
     @property
     def touches_used(self) -> int:
@@ -168,9 +170,11 @@ class Belief:
         """How little the touches look like any known object; see `UnknownScale`."""
         if not len(self._floored):
             return 0.0
-        beliefs = np.broadcast_to(self._log_posterior, self._floored.shape)
-        scale = self._recogniser.unknown_scale_
-        return float(scale.scores(beliefs, self._floored, self._novelty)[-1])
+        if self._unknown is None:
+            beliefs = np.broadcast_to(self._log_posterior, self._floored.shape)
+            scores = self._recogniser.unknown_scale_.scores
+            self._unknown = float(scores(beliefs, self._floored, self._novelty)[-1])
+        return self._unknown
 
     def decide(self, error: float = 0.01, costs: Costs | None = None) -> str | None:
         """Return the object, "unknown", or None while more touches are needed.

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, logsumexp
-from scipy.stats import norm
+from scipy.special import expit, logsumexp, ndtri
 
 from ._sequence import Floats, Trust, doubts, log_posteriors, told
 
@@ -226,7 +225,7 @@ def _normal_score(share: float) -> float:
     A limit is never lower: few training touches have not shown the rare ones yet.
     """
     rare = min(max(share, _RAREST), _OFTEN)
-    return float(expit(2 * (norm.isf(rare) - _ONE_IN_TWENTY)))
+    return float(expit(2 * (-ndtri(rare) - _ONE_IN_TWENTY)))
 
 
 def _naming_limits(limits: Floats) -> Floats:
