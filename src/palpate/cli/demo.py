@@ -215,7 +215,9 @@ def _print_figures(figures: dict[str, Any], trial: "Trial") -> None:
         f"{100 / n_objects:.0f} %). Beside what is right, controls: what the place of "
         "the disc, brightness\nor grey levels alone get right, and touches without "
         "contact; then the ROC area of known against unknown,\nand how many unknown "
-        "ones are found where one known in twenty is refused."
+        "ones are found where one known in twenty is refused (0.5 is chance: unknown "
+        "objects\nthat resemble known ones are taken for them; what resembles nothing "
+        "is found at once)."
     )
     print("  ".join(heads))
     for k, share in figures["accuracy"].items():
