@@ -3,7 +3,7 @@
 Needs the real BathTip touches in the folder that PALPATE_DATA names (see
 docs/how-real.md). They are not ours to publish: do not commit the picture.
 
-    PALPATE_DATA=... python benchmarks/how_real.py --picture /tmp/side-by-side.png
+    PALPATE_DATA=... python benchmarks/how_real.py --picture side-by-side.png
 """
 
 import argparse
