@@ -6,10 +6,12 @@ the first time; it is compared in constant time. A request that a page of anothe
 site makes is refused by its `Origin`.
 """
 
+import asyncio
 import hmac
 import json
 import time
 from collections.abc import Awaitable, Callable, MutableMapping
+from contextlib import suppress
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -22,6 +24,8 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 COOKIE = "palpate_token"
 _MOST_CLIENTS = 1000
+# Of a body that is too large so much more is read, and so long, before the refusal.
+_DROP_TIMES, _DROP_S = 10, 0.5
 
 
 class Guard:
@@ -84,6 +88,7 @@ class Guard:
         told = f"The body must be at most {self._max_body} bytes."
         length = _header(scope, b"content-length")
         if length is not None and length.isdigit() and int(length) > self._max_body:
+            await _drop_rest(receive, self._max_body)
             await _refuse(scope, send, 413, told)
             return
         body = bytearray()
@@ -95,6 +100,8 @@ class Guard:
             body += message.get("body", b"")
             more = message.get("more_body", False)
             if len(body) > self._max_body:
+                if more:
+                    await _drop_rest(receive, self._max_body)
                 await _refuse(scope, send, 413, told)
                 return
         read = False
@@ -161,15 +168,30 @@ def _header(scope: Scope, name: bytes) -> str | None:
     return None
 
 
+async def _drop_rest(receive: Receive, most_bytes: int) -> None:
+    """Read on for a while without keeping it: who is still sending hears no answer."""
+    dropped, more = 0, True
+    with suppress(TimeoutError):
+        async with asyncio.timeout(_DROP_S):
+            while more and dropped <= _DROP_TIMES * most_bytes:
+                message = await receive()
+                dropped += len(message.get("body", b""))
+                more = message.get("more_body", False)
+
+
 async def _refuse(scope: Scope, send: Send, status: int, told: str) -> None:
     if scope["type"] == "websocket":
         await send({"type": "websocket.close", "code": 1008, "reason": told})
         return
-    headers = [(b"content-type", b"application/json"), (b"connection", b"close")]
+    body = json.dumps({"detail": told}).encode()
+    headers = [
+        (b"content-type", b"application/json"),
+        (b"content-length", str(len(body)).encode()),
+        (b"connection", b"close"),
+    ]
     if status == 401:
         headers.append((b"www-authenticate", b"Bearer"))
     if status == 429:
         headers.append((b"retry-after", b"1"))
     await send({"type": "http.response.start", "status": status, "headers": headers})
-    body = json.dumps({"detail": told}).encode()
     await send({"type": "http.response.body", "body": body})
