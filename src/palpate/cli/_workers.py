@@ -25,6 +25,15 @@ Cluster = Annotated[
 ]
 
 
+def checked_workers(workers: int) -> int:
+    """Return a number of processes, or say what --workers should be."""
+    if workers < 1 and workers != -1:
+        raise ValueError(
+            f"--workers must be at least 1, or -1 for all cores, got {workers}."
+        )
+    return workers
+
+
 @contextmanager
 def working(workers: int | None, cluster: str | None) -> Iterator[int | None]:
     """Let joblib run its tasks where the options say.
@@ -50,10 +59,8 @@ def working(workers: int | None, cluster: str | None) -> Iterator[int | None]:
         with _connected(cluster), parallel_config("dask"):
             yield -1
         return
-    if workers is not None and workers != -1 and workers < 1:
-        raise ValueError(
-            f"--workers must be at least 1, or -1 for all cores, got {workers}."
-        )
+    if workers is not None:
+        checked_workers(workers)
     with parallel_config("loky", n_jobs=workers):
         yield workers
 

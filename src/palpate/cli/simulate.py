@@ -7,6 +7,7 @@ import typer
 
 from ._options import AsJson, Seed
 from ._output import print_json
+from ._workers import checked_workers
 
 # Share of the pitch that senses, where --sensing is not given (the paper's 1.3 / 2).
 SENSING_SHARE = 0.65
@@ -18,15 +19,6 @@ simulate = typer.Typer(
 Output = Annotated[
     Path, typer.Option("-o", "--output", help="The touch archive to write (.npz).")
 ]
-
-
-def checked_workers(workers: int) -> int:
-    """Return a number of processes, or say what --workers should be."""
-    if workers < 1 and workers != -1:
-        raise ValueError(
-            f"--workers must be at least 1, or -1 for all cores, got {workers}."
-        )
-    return workers
 
 
 Workers = Annotated[

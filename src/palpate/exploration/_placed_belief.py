@@ -81,8 +81,7 @@ class PlacedBelief:
         ratio = self._map.placed_ratio(felt.features, where)
         ratio[~heard] = 0.0
         weighed = self._map.weighed(log_softmax(felt.log_likelihood, axis=1), ratio)
-        what = felt._asdict()
-        self.touch.update_from_log_likelihood(what.pop("log_likelihood"), **what)
+        self.touch.update_felt(felt)
         self._n_heard += int(heard.sum())
         self.evidence += weighed.sum(axis=0)
         total = self.evidence * self._map.discount(self._n_heard)

@@ -51,6 +51,7 @@ def api(session: LiveSession) -> APIRouter:
     router = APIRouter(prefix="/api", responses=_REFUSALS)
     _add_state(router, session)
     _add_episode(router, session)
+    _add_downloads(router, session)
     _add_teaching(router, session)
     _add_library(router, session)
     return router
@@ -114,6 +115,8 @@ def _add_episode(router: APIRouter, session: LiveSession) -> None:
         levels = await _picture(request)
         return await _done(lambda: session.post_touch(levels))
 
+
+def _add_downloads(router: APIRouter, session: LiveSession) -> None:
     @router.get("/episode/archive", tags=["episode"], response_class=Response)
     async def archive() -> Response:
         """Download the touches of the episode as a touch archive (.npz)."""
