@@ -13,13 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate import Touches
-from palpate.evaluation import Plan, evaluate, split_touches
+from palpate.evaluation import Plan, evaluate, roc_area, split_touches
 from palpate.images import correct_gamma
+from palpate.recognition import doubts
 from palpate.studies import released
 
 LENGTHS = (1, 3, 5, 10, 15, 20)
 SHIFT_PX, GAMMA = 2.5, 1.3
 N_ORDERS = 20
+DRAWN_SEED = 20261121
 
 
 def main(folder: Path, out: Path, sections: list[str]) -> None:
@@ -28,6 +30,7 @@ def main(folder: Path, out: Path, sections: list[str]) -> None:
     photographs = released.read_photographs(folder / "bathtip" / "visual_words50.npz")
     measures = {
         "ten": lambda: ten_objects(touches),
+        "drawn": lambda: drawn_objects(touches),
         "few": lambda: few_touches(touches),
         "altered": lambda: altered(touches),
         "moved": lambda: moved(touches),
@@ -62,6 +65,43 @@ def ten_objects(touches: Touches) -> dict[str, object]:
             keys = ("accuracy", "unknown_auroc", "unknown_refused", "ece", "decision")
             rows[f"{split} {number}"] = {k: figures[k] for k in keys}
             print(split, number, rows[f"{split} {number}"], flush=True)
+    return rows
+
+
+def drawn_objects(touches: Touches) -> dict[str, object]:
+    """Six draws of ten known and ten unknown objects, one pair of each category.
+
+    The unknown score was settled before these were drawn; `doubt` is the area of the
+    probability outside the best object alone.
+    """
+    rng = np.random.default_rng(DRAWN_SEED)
+    rows = {}
+    for draw in range(6):
+        pairs = []
+        for category in np.unique(touches.category):
+            names = np.unique(touches.object[touches.category == category])
+            pairs.append(rng.choice(names, 2, replace=False))
+        known, unknown = (
+            np.isin(touches.object, [p[i] for p in pairs]) for i in (0, 1)
+        )
+        for split in ("last", "between"):
+            plan = Plan(touches=(1, 5, 10, 15), orders=N_ORDERS)
+            figures, (trial,) = evaluate(
+                touches[known], split=split, unknown=touches[unknown], plan=plan
+            )
+            keys = ("unknown_auroc", "unknown_refused", "decision")
+            row = {k: figures[k] for k in keys}
+            row["doubt"] = {
+                str(k): roc_area(
+                    *(
+                        doubts(np.concatenate(trial.after(k, unknown=u)[1]))
+                        for u in (False, True)
+                    )
+                )
+                for k in plan.touches
+            }
+            rows[f"{split} {draw}"] = row
+            print("drawn", split, draw, row, flush=True)
     return rows
 
 
