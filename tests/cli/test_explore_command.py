@@ -92,11 +92,11 @@ def test_marks_faults_and_what_moved_the_belief_are_told(palpate, model):
     told = json.loads(done.stdout)
     outcomes = [attempt["outcome"] for attempt in told["attempts"]]
     assert outcomes == ["no frame", "touched", "nothing", "touched"]
-    marks = [attempt["mark"] for attempt in told["attempts"]]
+    marks = [attempt["flag"] for attempt in told["attempts"]]
     assert [mark is None for mark in marks] == [True, False, True, False]
     assert {moved["attempt"] for moved in told["explanation"]} == {1, 3}
     for moved in told["explanation"]:
-        assert moved["mark"] == marks[moved["attempt"]]
+        assert moved["flag"] == marks[moved["attempt"]]
         assert {near["object"] for near in moved["nearest"]} <= {"ball", "box", "pen"}
 
 

@@ -24,7 +24,7 @@ from palpate.exploration import (
 )
 from palpate.exploration._informative import Stations, most_promising
 from palpate.exploration._places import freshness
-from palpate.recognition import ObjectRecogniser, Trust
+from palpate.recognition import ObjectRecogniser, SequenceCalibration
 
 N_TURNS = 12
 STEP = 2 * np.pi / N_TURNS
@@ -152,22 +152,25 @@ def test_without_weight_on_places_it_is_the_plain_belief(recogniser, touches):
     single = TouchMap(n_turns=1).fit(recogniser, touches)
     single.touch_weight_, single.placed_weight_ = 1.0, 0.0
     single.correlation_ = 0.25
-    felt = Touches.concatenate([_one("marked", a, seed=7) for a in (0.1, 0.2, 2.0)])
-    trust, recogniser.trust_ = recogniser.trust_, Trust(1.0, 0.25)
+    evidence = Touches.concatenate([_one("marked", a, seed=7) for a in (0.1, 0.2, 2.0)])
+    trust, recogniser.sequence_calibration_ = (
+        recogniser.sequence_calibration_,
+        SequenceCalibration(1.0, 0.25),
+    )
     try:
-        belief = single.start().update(felt)
-        for name, share in recogniser.start().update(felt).posterior.items():
+        belief = single.start().update(evidence)
+        for name, share in recogniser.start().update(evidence).posterior.items():
             assert belief.posterior[name] == pytest.approx(share, abs=1e-12)
     finally:
-        recogniser.trust_ = trust
+        recogniser.sequence_calibration_ = trust
 
 
 def test_touches_one_by_one_or_at_once(touch_map):
-    felt = [_one("marked", a, seed=7) for a in (0.1, 1.2, 2.0)]
+    evidence = [_one("marked", a, seed=7) for a in (0.1, 1.2, 2.0)]
     one_by_one = touch_map.start()
-    for touch in felt:
+    for touch in evidence:
         one_by_one.update(touch)
-    at_once = touch_map.start().update(Touches.concatenate(felt))
+    at_once = touch_map.start().update(Touches.concatenate(evidence))
     assert_allclose(at_once.log_joint, one_by_one.log_joint, atol=1e-9)
     assert at_once.touches_used == one_by_one.touches_used == 3
 
@@ -209,13 +212,13 @@ def test_gain_is_the_mutual_information_worked_out_slowly(touch_map, strategy):
         ]
         total = 0.0
         for touch, code in enumerate(touch_map.codes_):
-            felt = np.exp(belief.log_joint[code]) @ closeness[stations, touch]
+            chance = np.exp(belief.log_joint[code]) @ closeness[stations, touch]
             evidence = touch_map.weighed(
                 touch_map.left_out_[touch], ratio[stations, :, touch].T
             )
             after = belief.log_joint + touch_map.discount(3) * evidence
             after = logsumexp(after, axis=1) - logsumexp(after)
-            total += felt * (after[code] - log_belief[code])
+            total += chance * (after[code] - log_belief[code])
         # The strategy computes in single precision.
         assert gain[candidate] == pytest.approx(total, rel=1e-4, abs=1e-6)
 

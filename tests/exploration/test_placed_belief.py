@@ -39,9 +39,9 @@ def test_a_touch_of_nothing_is_marked_and_moves_nothing(touch_map, taught, nothi
     box = _of(taught, "box", 2)
     belief, without = touch_map.start().update(box), touch_map.start().update(box)
     belief.update(nothing)
-    assert belief.marks[-1] == "no contact"
+    assert belief.flags[-1] == "no contact"
     plain = touch_map.recogniser.start().update(box)
-    assert belief.marks[:-1] == plain.marks
+    assert belief.flags[:-1] == plain.flags
     assert_allclose(belief.log_joint, without.log_joint, atol=1e-12)
     assert belief.touches_used == 3
     # Nor is the next touch worth less for it.
@@ -51,9 +51,9 @@ def test_a_touch_of_nothing_is_marked_and_moves_nothing(touch_map, taught, nothi
 
 
 def test_touches_count_as_in_the_plain_belief(touch_map, taught):
-    felt = _of(taught, "pen", 5)
-    placed, plain = touch_map.start().update(felt), touch_map.recogniser.start()
-    plain.update(felt)
+    evidence = _of(taught, "pen", 5)
+    placed, plain = touch_map.start().update(evidence), touch_map.recogniser.start()
+    plain.update(evidence)
     assert placed.unknown == plain.unknown
     assert placed.unknown_limit(0.1) == plain.unknown_limit(0.1)
     assert placed.looks_known() == plain.looks_known()
@@ -64,8 +64,8 @@ def test_the_prior_is_where_it_starts(touch_map, taught):
     prior = {"ball": 0.2, "box": 0.5, "pen": 0.3}
     belief = touch_map.start(prior)
     assert belief.posterior == pytest.approx(prior)
-    felt = _of(taught, "pen", 3)
-    evenly, weighed = touch_map.start().update(felt), belief.update(felt)
+    evidence = _of(taught, "pen", 3)
+    evenly, weighed = touch_map.start().update(evidence), belief.update(evidence)
     odds = {name: np.log(weighed.posterior[name] / prior[name]) for name in NAMES}
     even = {name: np.log(evenly.posterior[name]) for name in NAMES}
     # Bayes: the prior's odds and the evidence's add up, whatever the touches say.

@@ -69,9 +69,9 @@ def test_new_touches_join_the_old_and_are_one_group_of_their_own():
     adapted = adapt(recogniser, new)
     assert len(adapted.features_) == 48
     assert adapted.labels_[40:].tolist() == ["a"] * 4 + ["b"] * 4
-    group = set(adapted.stretches_[40:])
+    group = set(adapted.blocks_[40:])
     assert len(group) == 1
-    assert not group & set(adapted.stretches_[:40])
+    assert not group & set(adapted.blocks_[:40])
 
 
 def test_what_a_device_does_to_touches_is_learnt():

@@ -79,7 +79,7 @@ def test_examples_that_are_all_told_apart_cannot_undo_the_floor(recogniser):
     touches = recogniser[1]
     model = ObjectRecogniser().fit(touches)
     model.learn_modality("sight", *clouds(2, 30, spread=0.01))
-    assert model.modalities_["sight"].trust_.strength <= 1
+    assert model.modalities_["sight"].sequence_calibration_.strength <= 1
     belief = model.start().update_sense("sight", [0.0, 0.0])
     # The floor of 1 % is shared by three objects.
     assert belief.posterior["pen"] > 0.9 * 0.01 / 3

@@ -8,29 +8,29 @@ from sklearn.neighbors import KNeighborsClassifier
 from palpate.classifiers import KernelRidgeClassifier
 from palpate.recognition._calibration import (
     draw_episodes,
-    fit_trust,
+    fit_sequence_calibration,
     left_out_log_likelihood,
 )
-from palpate.recognition._training import stretches
+from palpate.recognition._training import blocks_in_order
 
 
 def test_stretches_follow_the_recording():
     objects = np.repeat(["a", "b"], 10)
     order = np.tile(np.arange(10)[::-1], 2)
-    group = stretches(objects, order)
+    group = blocks_in_order(objects, order)
     assert group[:10].tolist() == [4, 4, 3, 3, 2, 2, 1, 1, 0, 0]
     assert not set(group[:10]) & set(group[10:])
 
 
 def test_an_object_with_few_touches_has_few_stretches():
-    assert stretches(np.array(["a", "a", "b"])).tolist() == [0, 1, 2]
+    assert blocks_in_order(np.array(["a", "a", "b"])).tolist() == [0, 1, 2]
 
 
 @pytest.fixture
 def separate(rng):
     labels = np.repeat(["a", "b", "c"], 20)
     features = rng.normal(size=(60, 5)) + 3 * np.repeat(np.eye(3, 5), 20, axis=0)
-    return features, labels, stretches(labels)
+    return features, labels, blocks_in_order(labels)
 
 
 @pytest.mark.parametrize("n_neighbors", [1, 3])
@@ -56,7 +56,7 @@ def test_closed_form_is_used_where_there_is_one(separate):
 
 def test_episodes_come_from_one_object_and_few_stretches(rng):
     objects = np.repeat(["a", "b"], [30, 6])
-    group = stretches(objects)
+    group = blocks_in_order(objects)
     rows = draw_episodes(objects, group, 6, rng)
     for episode in rows:
         assert len(set(objects[episode])) == 1
@@ -80,7 +80,7 @@ def test_trust_of_independent_and_of_repeated_touches(rng):
             k: np.arange(len(codes)).reshape(-1, 10)[:, :k] for k in (1, 2, 5, 10)
         }
         prior = np.full(n_objects, -np.log(n_objects))
-        return fit_trust(likelihood, codes, episodes, prior)
+        return fit_sequence_calibration(likelihood, codes, episodes, prior)
 
     # N(c, 1) evidence with a gap of 1 is a proper likelihood: weight 1.
     independent, repeated = trust(noise), trust(blocks)

@@ -9,8 +9,8 @@ from palpate import Touches
 from palpate.recognition import (
     ModelFileError,
     ObjectRecogniser,
-    Trust,
-    training_groups,
+    SequenceCalibration,
+    left_out_groups,
 )
 
 NAMES = ("ball", "mug", "pen")
@@ -99,7 +99,7 @@ def test_same_seed_same_bits(test_touches):
     assert_array_equal(
         first.log_likelihood(test_touches), second.log_likelihood(test_touches)
     )
-    assert first.trust_ == second.trust_
+    assert first.sequence_calibration_ == second.sequence_calibration_
     assert_array_equal(first.unknown_scale_.limits, second.unknown_scale_.limits)
 
 
@@ -142,7 +142,7 @@ def test_a_saved_recogniser_is_the_same_to_the_bit(preset, tmp_path, rng, test_t
     assert_array_equal(
         again.log_likelihood(test_touches), learnt.log_likelihood(test_touches)
     )
-    assert again.trust_ == learnt.trust_
+    assert again.sequence_calibration_ == learnt.sequence_calibration_
     assert again.chosen_ == learnt.chosen_
     assert again.get_params() == learnt.get_params()
     assert again.start().update(test_touches[:3]).decide() == (
@@ -202,14 +202,14 @@ def test_a_truncated_model_is_refused(recogniser, tmp_path, keep):
 def test_whole_sessions_are_left_out_together(rng):
     touches = drawn(rng)
     session = np.tile(np.repeat([1, 2, 3], 8), 3)
-    group = training_groups(
+    group = left_out_groups(
         touches.with_columns(session=session), touches.object, touches.object, "object"
     )
     assert len(set(group)) == 9
     for g in set(group):
         assert len(set(session[group == g])) == 1
     one = touches.with_columns(session=np.ones(72, int))
-    by_stretch = training_groups(one, one.object, one.object, "object")
+    by_stretch = left_out_groups(one, one.object, one.object, "object")
     assert len(set(by_stretch)) == 15
 
 
@@ -282,10 +282,10 @@ def test_touches_that_rule_out_every_object_in_turn_leave_a_belief(test_touches)
 
 
 def test_objects_that_are_all_told_apart_keep_the_floor():
-    """Trust cannot grow beyond what one touch may say."""
+    """The weight of a touch cannot grow beyond what one touch may say."""
     rng = np.random.default_rng(0)
     clean = ObjectRecogniser().fit(drawn(rng, noise=0.01))
-    assert clean.trust_.strength <= 1
+    assert clean.sequence_calibration_.strength <= 1
     belief = clean.start().update(drawn(rng, n_each=1, noise=0.01)[:1])
     assert belief.doubt > 0.9 * clean.floor_ * 2 / 3
 
@@ -293,8 +293,12 @@ def test_objects_that_are_all_told_apart_keep_the_floor():
 HOSTILE = {
     "pose": lambda model: setattr(model, "pose_", 7),
     "preset": lambda model: setattr(model, "preset", "zzz"),
-    "strength": lambda model: setattr(model, "trust_", Trust(-np.inf, 0.1)),
-    "correlation": lambda model: setattr(model, "trust_", Trust(1.0, -3.0)),
+    "strength": lambda model: setattr(
+        model, "sequence_calibration_", SequenceCalibration(-np.inf, 0.1)
+    ),
+    "correlation": lambda model: setattr(
+        model, "sequence_calibration_", SequenceCalibration(1.0, -3.0)
+    ),
     "features": lambda model: model.features_.fill(np.nan),
     "modalities": lambda model: setattr(model, "modalities_", [1]),
     "unknown scale": lambda model: model.unknown_scale_.deviation.fill(np.nan),
@@ -320,12 +324,12 @@ def test_a_model_without_an_attribute_is_refused_when_read(tmp_path, test_touche
 
 def test_many_touches_are_felt_in_shards_as_all_at_once(monkeypatch, test_touches):
     learnt = ObjectRecogniser().fit(test_touches)
-    whole = learnt.feel(test_touches)
+    whole = learnt.evidence(test_touches)
     monkeypatch.setattr("palpate.recognition._recogniser.SHARD", 5)
     # Products of 5 rows and of 18 round differently in the last digit.
     with parallel_config("threading", n_jobs=2):
-        shards = learnt.feel(test_touches)
+        shards = learnt.evidence(test_touches)
     assert_allclose(shards.features, whole.features, rtol=1e-12, atol=1e-12)
     assert_allclose(shards.log_likelihood, whole.log_likelihood, rtol=1e-10)
-    assert shards.marks == whole.marks
+    assert shards.flags == whole.flags
     assert_array_equal(np.isnan(shards.novelty), np.isnan(whole.novelty))

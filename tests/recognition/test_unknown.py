@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from palpate.recognition import (
     ObjectRecogniser,
-    Trust,
+    SequenceCalibration,
     log_posteriors,
     with_floor,
 )
@@ -35,11 +35,13 @@ def learnt(rng):
     rows = np.arange(len(codes)).reshape(-1, LENGTH)
     episodes = {k: rows[:, :k] for k in (1, 3, LENGTH)}
     novelty = rng.exponential(0.3, len(codes))
-    return fit_unknown_scale(touches, novelty, codes, episodes, PRIOR, Trust())
+    return fit_unknown_scale(
+        touches, novelty, codes, episodes, PRIOR, SequenceCalibration()
+    )
 
 
 def scores(scale, touches):
-    return scale.scores(log_posteriors(touches, PRIOR, Trust()), touches)
+    return scale.scores(log_posteriors(touches, PRIOR, SequenceCalibration()), touches)
 
 
 def episodes_of(rng, gain):
@@ -66,14 +68,14 @@ def test_a_sharp_belief_of_poor_touches_is_noticed(learnt):
     """Doubt alone would call these known: their posterior is as sharp."""
     few = np.log(np.tile([0.700, 0.100, 0.100, 0.100], (2, 1)))
     many = np.log(np.tile([0.424, 0.192, 0.192, 0.192], (LENGTH, 1)))
-    beliefs = [log_posteriors(t, PRIOR, Trust())[-1] for t in (few, many)]
+    beliefs = [log_posteriors(t, PRIOR, SequenceCalibration())[-1] for t in (few, many)]
     assert beliefs[1][0] >= beliefs[0][0]
     assert scores(learnt, many)[-1] > 5 * scores(learnt, few)[-1]
 
 
 def test_touches_that_the_encoding_cannot_explain_are_noticed(learnt):
     touches = np.log(np.tile([0.7, 0.1, 0.1, 0.1], (LENGTH, 1)))
-    beliefs = log_posteriors(touches, PRIOR, Trust())
+    beliefs = log_posteriors(touches, PRIOR, SequenceCalibration())
     plain = learnt.scores(beliefs, touches)
     usual, new = np.full(LENGTH, 0.3), np.full(LENGTH, 3.0)
     assert_allclose(learnt.scores(beliefs, touches, usual), plain)

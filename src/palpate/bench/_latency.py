@@ -75,7 +75,7 @@ def _one(recogniser: ObjectRecogniser, picture: bytes) -> list[float]:
     touch = Touches(decode_bytes(picture)[np.newaxis])
     times.append(clock())
     cleaned = encoder.clean(touch)
-    recogniser.contact_.marks(touch, cleaned)
+    recogniser.contact_.flags(touch, cleaned)
     times.append(clock())
     features = encoder.encode(cleaned)
     times.append(clock())

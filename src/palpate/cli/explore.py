@@ -226,7 +226,7 @@ def told(knower: "ObjectRecogniser | TouchMap", end: "Exploration") -> dict[str,
                 "direction": record.direction.tolist(),
                 "force_n": record.force_n,
                 "retracted": record.retracted,
-                "mark": belief.marks[-1] if record.touched else None,
+                "flag": belief.flags[-1] if record.touched else None,
                 "posterior": belief.posterior,
                 "unknown": belief.unknown,
             }

@@ -67,20 +67,20 @@ def recognise_episodes(
     recogniser: "ObjectRecogniser", touches: "Touches", error: float
 ) -> list[dict[str, Any]]:
     """Return the beliefs, the decision and its reasons for every episode."""
-    felt = recogniser.feel(touches)
+    evidence = recogniser.evidence(touches)
     result = []
     for label, _, rows in touches.episodes():
         belief = recogniser.start()
         beliefs: list[dict[str, Any]] = []
         decision, used, reasons = None, len(rows), []
         for number, row in enumerate(rows, start=1):
-            belief.update_felt(felt.one(row))
+            belief.update(evidence.one(row))
             beliefs.append(
                 {
                     "touch": number,
                     "posterior": belief.posterior,
                     "unknown": belief.unknown,
-                    "mark": belief.marks[-1],
+                    "flag": belief.flags[-1],
                 }
             )
             if recogniser.pose_ is not None:

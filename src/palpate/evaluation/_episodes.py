@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ..recognition import (
     ObjectRecogniser,
     log_posteriors,
-    told,
+    n_informative,
     with_floor,
 )
 
@@ -79,9 +79,13 @@ def run_episodes(
         rows = np.flatnonzero(objects == name)
         orders = np.stack([rng.permutation(rows) for _ in range(n_orders)])
         beliefs.append(
-            log_posteriors(floored[orders], recogniser.log_prior(), recogniser.trust_)
+            log_posteriors(
+                floored[orders],
+                recogniser.log_prior(),
+                recogniser.sequence_calibration_,
+            )
         )
-        counts.append(told(floored[orders]))
+        counts.append(n_informative(floored[orders]))
         new = None if novelty is None else novelty[orders]
         unknown.append(scale.scores(beliefs[-1], floored[orders], new))
         label = None if labels is None else str(labels[rows[0]])
@@ -98,7 +102,9 @@ def single_touches(
 ) -> Episodes:
     """Return one episode of one touch for every touch."""
     floored = with_floor(log_likelihood, recogniser.floor_)[:, np.newaxis]
-    after_one = log_posteriors(floored, recogniser.log_prior(), recogniser.trust_)
+    after_one = log_posteriors(
+        floored, recogniser.log_prior(), recogniser.sequence_calibration_
+    )
     new = None if novelty is None else novelty[:, np.newaxis]
     scores = recogniser.unknown_scale_.scores(after_one, floored, new)
     rows = [objects == name for name in episodes.objects]
@@ -106,7 +112,7 @@ def single_touches(
         episodes.objects,
         episodes.truth,
         [after_one[mine] for mine in rows],
-        [told(floored[mine]) for mine in rows],
+        [n_informative(floored[mine]) for mine in rows],
         [scores[mine] for mine in rows],
     )
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..recognition import Felt, ObjectRecogniser, training_groups
+from ..recognition import Evidence, ObjectRecogniser, left_out_groups
 from ..touches import Touches
 from ._controls import (
     brightness,
@@ -111,15 +111,15 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     recogniser.fit(train)
     seconds = {"learn": time.perf_counter() - start}
     progress(f"{fold.name}: recognising {len(test)} touches")
-    felt, timing = _timed(recogniser, test)
+    evidence, timing = _timed(recogniser, test)
     labels = _test_labels(test, plan.label, recogniser)
     objects = _objects(test, labels)
     _check_lengths(objects, plan)
-    learnt = (recogniser, felt.log_likelihood)
+    learnt = (recogniser, evidence.log_likelihood)
     episodes = run_episodes(
-        *learnt, objects, labels, plan.orders, plan.seed, felt.novelty
+        *learnt, objects, labels, plan.orders, plan.seed, evidence.novelty
     )
-    singles = single_touches(*learnt, episodes, objects, felt.novelty)
+    singles = single_touches(*learnt, episodes, objects, evidence.novelty)
     trial = Trial(
         Fold(fold.name, train, test),
         *learnt,
@@ -148,14 +148,14 @@ def _check_lengths(objects: NDArray, plan: Plan) -> None:
 
 def _timed(
     recogniser: ObjectRecogniser, test: Touches
-) -> tuple[Felt, dict[str, float]]:
+) -> tuple[Evidence, dict[str, float]]:
     some = test[: min(len(test), N_TIMED)]
     start = time.perf_counter()
     features = recogniser.encoder_.transform(some)
     encoded = time.perf_counter()
     recogniser.feature_log_likelihood(features)
     done = time.perf_counter()
-    return recogniser.feel(test), {
+    return recogniser.evidence(test), {
         "encode_per_touch": (encoded - start) / len(some),
         "recognise_per_touch": (done - encoded) / len(some),
     }
@@ -191,13 +191,13 @@ def _meet_unknown(trial: Trial, unknown: Touches, plan: Plan) -> None:
             f"unknown touches must be of objects that were not learnt, got "
             f"{str(known[0])!r}. Leave those out."
         )
-    felt = recogniser.feel(unknown)
-    learnt = (recogniser, felt.log_likelihood)
+    evidence = recogniser.evidence(unknown)
+    learnt = (recogniser, evidence.log_likelihood)
     episodes = run_episodes(
-        *learnt, objects, None, plan.orders, plan.seed + 1, felt.novelty
+        *learnt, objects, None, plan.orders, plan.seed + 1, evidence.novelty
     )
     trial.unknown_episodes = episodes
-    trial.unknown_singles = single_touches(*learnt, episodes, objects, felt.novelty)
+    trial.unknown_singles = single_touches(*learnt, episodes, objects, evidence.novelty)
 
 
 def _controls(
@@ -212,7 +212,7 @@ def _controls(
         "sorted pixels": sorted_pixels,
     }
     train_labels = recogniser.labels_
-    groups = training_groups(train, train_labels, recogniser.objects_, plan.label)
+    groups = left_out_groups(train, train_labels, recogniser.objects_, plan.label)
     for name, measure in measures.items():
         of_train = measure(train)
         of_test = None if of_train is None else measure(test)

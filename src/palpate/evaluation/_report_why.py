@@ -133,7 +133,7 @@ def _touch(one: Explained, step: dict[str, Any]) -> Iterator[str]:
     pair = step["best"], step["rival"]
     more, less = pair if step["nats"] > 0 else pair[::-1]
     said = [f"touch {step['touch']}:", f"{abs(step['nats']):.1f} nats for {more}"]
-    said += [f"over {less}", *filter(None, [step["mark"]])]
+    said += [f"over {less}", *filter(None, [step["flag"]])]
     yield _cell(one.trial, fold.test[one.rows[[step["touch"] - 1]]], said)
     for near in step["nearest"]:
         train = fold.train[np.array([near["row"]])]

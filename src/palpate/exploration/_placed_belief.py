@@ -41,8 +41,8 @@ class PlacedBelief:
         object, between 0 and 1; see `Belief`.
     touches_used : int
         Number of touches that entered so far, those without contact among them.
-    marks : list of str
-        What was wrong with each touch, "" for most; see `ObjectRecogniser.marks`. A
+    flags : list of str
+        What was wrong with each touch, "" for most; see `ObjectRecogniser.flags`. A
         touch without contact moves nothing, nor does its place.
     """
 
@@ -76,12 +76,12 @@ class PlacedBelief:
             the belief is then unchanged.
         """
         where = places_of(touches, places, self._map.n_turns)
-        felt = self._map.recogniser.feel(touches)
-        heard = felt.log_likelihood.any(axis=1)
-        ratio = self._map.placed_ratio(felt.features, where)
+        evidence = self._map.recogniser.evidence(touches)
+        heard = evidence.log_likelihood.any(axis=1)
+        ratio = self._map.placed_ratio(evidence.features, where)
         ratio[~heard] = 0.0
-        weighed = self._map.weighed(log_softmax(felt.log_likelihood, axis=1), ratio)
-        self.touch.update_felt(felt)
+        weighed = self._map.weighed(log_softmax(evidence.log_likelihood, axis=1), ratio)
+        self.touch.update(evidence)
         self._n_heard += int(heard.sum())
         self.evidence += weighed.sum(axis=0)
         total = self.evidence * self._map.discount(self._n_heard)
@@ -90,9 +90,9 @@ class PlacedBelief:
         return self
 
     @property
-    def marks(self) -> list[str]:
+    def flags(self) -> list[str]:
         """What was wrong with each touch."""
-        return self.touch.marks
+        return self.touch.flags
 
     @property
     def touches_used(self) -> int:

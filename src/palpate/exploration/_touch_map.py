@@ -100,7 +100,7 @@ class TouchMap:
         self.places_ = places_of(touches, places, self.n_turns)
         self.features_ = np.asarray(recogniser.features_)
         self.codes_ = np.searchsorted(recogniser.classes_, recogniser.labels_)
-        self.group_ = np.asarray(recogniser.stretches_)
+        self.group_ = np.asarray(recogniser.blocks_)
         codes = range(len(recogniser.classes_))
         self.rows_of_object = [np.flatnonzero(self.codes_ == code) for code in codes]
         self._squared = squared_distances(self.features_, self.features_)

@@ -8,26 +8,34 @@ from ._modality import Modality
 from ._model_file import ModelFileError, check_model_path
 from ._presets import PRESETS
 from ._recogniser import ObjectRecogniser
-from ._sequence import Felt, Trust, doubts, log_posteriors, told, with_floor
+from ._sequence import (
+    Evidence,
+    SequenceCalibration,
+    doubts,
+    log_posteriors,
+    n_informative,
+    with_floor,
+)
 from ._summary import summary
-from ._training import training_groups
+from ._training import left_out_groups
 
 __all__ = [
     "PRESETS",
     "Belief",
-    "Felt",
+    "Evidence",
     "Modality",
     "ModelFileError",
     "ObjectRecogniser",
-    "Trust",
+    "SequenceCalibration",
     "adapt",
     "check_model_path",
     "doubts",
     "find_geometry",
+    "left_out_groups",
     "left_out_log_likelihood",
     "log_posteriors",
+    "n_informative",
     "summary",
     "told",
-    "training_groups",
     "with_floor",
 ]

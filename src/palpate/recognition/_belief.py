@@ -12,7 +12,14 @@ from scipy.special import log_softmax
 from .._checks import check_number, check_option
 from ..touches import Touches
 from ._explanation import explanation
-from ._sequence import Felt, Floats, doubts, log_posteriors, told, with_floor
+from ._sequence import (
+    Evidence,
+    Floats,
+    doubts,
+    log_posteriors,
+    n_informative,
+    with_floor,
+)
 
 if TYPE_CHECKING:
     from ._recogniser import ObjectRecogniser
@@ -41,8 +48,8 @@ class Belief:
         would, and from how much of them the encoding leaves unexplained.
     touches_used : int
         Number of touches that entered so far, those without contact among them.
-    marks : list of str
-        What was wrong with each touch, "" for most; see `ObjectRecogniser.marks`.
+    flags : list of str
+        What was wrong with each touch, "" for most; see `ObjectRecogniser.flags`.
     """
 
     def __init__(
@@ -56,15 +63,16 @@ class Belief:
         self._senses: dict[str, Floats] = {}
         self._log_posterior = self._log_prior
         self._unknown: float | None = None
-        self.marks: list[str] = []
+        self.flags: list[str] = []
 
-    def update(self, touch: Touches | NDArray) -> Belief:
+    def update(self, touch: Touches | NDArray | Evidence) -> Belief:
         """Take in one touch (or several, in order) and return this belief.
 
         Parameters
         ----------
-        touch : Touches or ndarray of shape (n_rows, n_cols)
-            A touch of the same sensor as the training touches.
+        touch : Touches, ndarray of shape (n_rows, n_cols), or Evidence
+            A touch of the same sensor as the training touches, or what
+            `ObjectRecogniser.evidence` returned for it.
 
         Raises
         ------
@@ -73,25 +81,23 @@ class Belief:
             NaN or infinity where the recogniser cannot take it; the belief is
             then unchanged.
         """
-        return self.update_felt(self._recogniser.feel(as_touches(touch)))
-
-    def update_felt(self, felt: Felt) -> Belief:
-        """Take in what `ObjectRecogniser.feel` told of one touch or several."""
-        told_of = felt._asdict()
-        return self.update_from_log_likelihood(told_of.pop("log_likelihood"), **told_of)
+        if not isinstance(touch, Evidence):
+            touch = self._recogniser.evidence(as_touches(touch))
+        given = touch._asdict()
+        return self.update_from_log_likelihood(given.pop("log_likelihood"), **given)
 
     def update_from_log_likelihood(
         self,
         log_likelihood: NDArray,
         *,
         features: NDArray | None = None,
-        marks: list[str] | None = None,
+        flags: list[str] | None = None,
         novelty: NDArray | None = None,
     ) -> Belief:
         """Take in touches by their log-likelihoods, shape (n_touches, n_objects).
 
-        With `features` (n_touches, n_features) they can be explained later; `marks` and
-        `novelty` (n_touches,) are as in `ObjectRecogniser.feel`.
+        With `features` (n_touches, n_features) they can be explained later; `flags` and
+        `novelty` (n_touches,) are as in `ObjectRecogniser.evidence`.
         """
         rows = _checked_rows(log_likelihood, len(self._recogniser.classes_))
         floored = with_floor(rows, self._recogniser.floor_)
@@ -103,7 +109,7 @@ class Belief:
         self._novelty = np.concatenate([self._novelty, np.atleast_1d(novelty)])
         self._floored = np.vstack([self._floored, floored])
         self._features = np.vstack([self._features, np.atleast_2d(features)])
-        self.marks += marks or [""] * n_touches
+        self.flags += flags or [""] * n_touches
         self._weigh()
         return self
 
@@ -135,10 +141,10 @@ class Belief:
         """Add up the prior, the other senses and the touches."""
         total = self._log_prior
         for name, rows in self._senses.items():
-            trust = self._recogniser.modalities_[name].trust_
+            trust = self._recogniser.modalities_[name].sequence_calibration_
             total = total + rows.sum(axis=0) * trust.weight(len(rows))
         if len(self._floored):
-            trust = self._recogniser.trust_
+            trust = self._recogniser.sequence_calibration_
             total = log_posteriors(self._floored, total, trust)[-1]
         self._log_posterior = log_softmax(total)
         self._unknown = None
@@ -214,20 +220,20 @@ class Belief:
     def looks_known(self) -> bool:
         """Whether the touches fit a known object as four in five known episodes do."""
         scale = self._recogniser.unknown_scale_
-        return self.unknown <= scale.naming_threshold(self._n_told)
+        return self.unknown <= scale.naming_threshold(self._n_informative)
 
     def unknown_limit(self, error: float = 0.01) -> float | None:
         """Return the unknown score above which `decide(error)` says "unknown".
 
         None before any touch said something.
         """
-        n_told = self._n_told
-        return self._recogniser.refusal_threshold(n_told, error) if n_told else None
+        count = self._n_informative
+        return self._recogniser.refusal_threshold(count, error) if count else None
 
     @property
-    def _n_told(self) -> int:
+    def _n_informative(self) -> int:
         """Number of touches that said anything."""
-        return int(told(self._floored)[-1]) if len(self._floored) else 0
+        return int(n_informative(self._floored)[-1]) if len(self._floored) else 0
 
     def _cost_table(self, costs: Costs) -> Floats:
         names = [str(name) for name in self._recogniser.classes_]
@@ -295,7 +301,7 @@ class Belief:
         list of dict
             By falling weight: `touch` (from 1), `best` and `rival` (the two most
             probable objects now), `nats` (how far the touch moved the balance towards
-            `best`; negative: towards `rival`), `mark`, and `nearest`: dicts of
+            `best`; negative: towards `rival`), `flag`, and `nearest`: dicts of
             `object`, `row` (among the training touches) and `distance` (1 is that of
             a middling pair of training touches).
         """
@@ -304,7 +310,7 @@ class Belief:
             self._floored,
             self._features,
             self._log_posterior,
-            self.marks,
+            self.flags,
             (n_touches, n_nearest),
         )
 

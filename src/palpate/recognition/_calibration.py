@@ -14,8 +14,8 @@ from scipy.optimize import minimize
 from scipy.special import log_softmax
 from sklearn.base import clone
 
-from ._sequence import Floats, Trust, told
-from ._training import N_STRETCHES
+from ._sequence import Floats, SequenceCalibration, n_informative
+from ._training import N_BLOCKS
 from ._unknown import UnknownScale, fit_unknown_scale
 
 EPISODES_PER_OBJECT = 40
@@ -40,7 +40,7 @@ def left_out_log_likelihood(
         return _worst_for_none(classifier.leave_one_out_log_likelihood(groups=group))
     result = np.full((len(features), len(classifier.classes_)), -np.inf)
     # Stretch k of every object goes into fold k, so each fold keeps all objects.
-    fold_of = _rank_within(labels, group) % N_STRETCHES
+    fold_of = _rank_within(labels, group) % N_BLOCKS
     for fold in np.unique(fold_of):
         train, test = np.flatnonzero(fold_of != fold), np.flatnonzero(fold_of == fold)
         if len(np.unique(labels[train])) < 2:
@@ -103,19 +103,23 @@ def calibrate(
     episodes: dict[int, NDArray],
     log_prior: Floats,
     *,
-    fits_trust: bool,
-) -> tuple[Trust, UnknownScale]:
+    calibrates_sequence: bool,
+) -> tuple[SequenceCalibration, UnknownScale]:
     """Return how touches add up, and what known episodes look like."""
-    trust = fit_trust(floored, codes, episodes, log_prior) if fits_trust else Trust()
+    trust = (
+        fit_sequence_calibration(floored, codes, episodes, log_prior)
+        if calibrates_sequence
+        else SequenceCalibration()
+    )
     return trust, fit_unknown_scale(floored, novelty, codes, episodes, log_prior, trust)
 
 
-def fit_trust(
+def fit_sequence_calibration(
     floored: Floats, codes: NDArray, episodes: dict[int, NDArray], log_prior: Floats
-) -> Trust:
+) -> SequenceCalibration:
     """Return the trust with the least log loss over episodes of all lengths."""
     sums = [floored[rows].sum(axis=1) for rows in episodes.values()]
-    counts = [told(floored[rows])[:, -1:] for rows in episodes.values()]
+    counts = [n_informative(floored[rows])[:, -1:] for rows in episodes.values()]
     truths = [codes[rows[:, 0]] for rows in episodes.values()]
 
     def loss(raw: NDArray) -> float:
@@ -137,14 +141,16 @@ def _worst_for_none(log_likelihood: Floats) -> Floats:
     return np.where(known, log_likelihood, worst)
 
 
-def _trust(raw: NDArray) -> Trust:
+def _trust(raw: NDArray) -> SequenceCalibration:
     """Map two free numbers to a strength in [0.05, 1] and a correlation in (0, 1).
 
     Posteriors of single touches are calibrated already, and no strength above 1 may
     undo their floor: training touches that are all told apart would ask for any.
     """
     strength = float(np.exp(np.clip(raw[0], np.log(0.05), 0)))
-    return Trust(strength, float(1 / (1 + np.exp(-np.clip(raw[1], -12, 12)))))
+    return SequenceCalibration(
+        strength, float(1 / (1 + np.exp(-np.clip(raw[1], -12, 12))))
+    )
 
 
 def _rank_within(labels: NDArray, group: NDArray) -> NDArray[np.intp]:

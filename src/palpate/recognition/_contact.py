@@ -79,7 +79,7 @@ class ContactCheck(BaseEstimator):
             return np.asarray(self._change(touches) < FAINT * self.typical_)
         return np.zeros(len(touches), dtype=bool)
 
-    def marks(self, touches: Touches, cleaned: NDArray) -> list[str]:
+    def flags(self, touches: Touches, cleaned: NDArray) -> list[str]:
         """Return what is wrong with each touch: "" or the reason in two words.
 
         "no contact", "saturated" (more taxels at the limit of the sensor than in

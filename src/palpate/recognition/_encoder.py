@@ -12,7 +12,7 @@ from ..images import DomeCrop, fill_dead_taxels
 from ..touches import Touches
 
 Floats = NDArray[np.float64]
-BLOCK = 256
+BATCH = 256
 
 
 class TouchEncoder(BaseEstimator):
@@ -75,7 +75,7 @@ class TouchEncoder(BaseEstimator):
         for step in self.steps_:
             if isinstance(step, PrincipalShare) and group is not None:
                 left = step.left_out_unexplained(values, group)
-            values = _in_blocks(step.fit(values), values)
+            values = _in_batches(step.fit(values), values)
         return np.asarray(values, dtype=np.float64), left
 
     def clean(self, touches: Touches) -> NDArray:
@@ -95,7 +95,7 @@ class TouchEncoder(BaseEstimator):
         """
         values, left = cleaned, np.full(len(cleaned), np.nan)
         for step in self.steps_:
-            before, values = values, _in_blocks(step, values)
+            before, values = values, _in_batches(step, values)
             if isinstance(step, PrincipalShare):
                 left = step.unexplained(before, values)
         return np.asarray(values, dtype=np.float64), left
@@ -107,14 +107,14 @@ class TouchEncoder(BaseEstimator):
         however many there are.
         """
         self._check_size(touches)
-        starts = range(0, len(touches), BLOCK)
+        starts = range(0, len(touches), BATCH)
         return np.concatenate(
-            [self.encode(self._clean(touches.images[s : s + BLOCK])) for s in starts]
+            [self.encode(self._clean(touches.images[s : s + BATCH])) for s in starts]
         )
 
     def _clean(self, raw: NDArray) -> NDArray:
         images = _living(raw)
-        return images if self.clean_up_ is None else _in_blocks(self.clean_up_, images)
+        return images if self.clean_up_ is None else _in_batches(self.clean_up_, images)
 
     def _check_size(self, touches: Touches) -> None:
         got = touches.images.shape[1:]
@@ -131,7 +131,7 @@ def _living(images: NDArray) -> NDArray:
     return fill_dead_taxels(images) if dead else images
 
 
-def _in_blocks(step: Any, values: NDArray) -> NDArray:
+def _in_batches(step: Any, values: NDArray) -> NDArray:
     """Transform so many touches at a time that memory stays bounded."""
-    starts = range(0, len(values), BLOCK)
-    return np.concatenate([step.transform(values[s : s + BLOCK]) for s in starts])
+    starts = range(0, len(values), BATCH)
+    return np.concatenate([step.transform(values[s : s + BATCH]) for s in starts])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._sequence import Floats, told
+from ._sequence import Floats, n_informative
 
 if TYPE_CHECKING:
     from ._recogniser import ObjectRecogniser
@@ -21,7 +21,7 @@ def explanation(
     floored: Floats,
     features: Floats,
     log_posterior: Floats,
-    marks: list[str],
+    flags: list[str],
     how_many: tuple[int, int],
 ) -> list[dict[str, Any]]:
     """Return the touches that moved the belief most; see `Belief.explain`."""
@@ -29,7 +29,7 @@ def explanation(
         return []
     order = np.argsort(-log_posterior, kind="stable")
     best, rival = int(order[0]), int(order[min(1, len(order) - 1)])
-    weight = float(recogniser.trust_.weight(told(floored)[-1]))
+    weight = float(recogniser.sequence_calibration_.weight(n_informative(floored)[-1]))
     nats = weight * (floored[:, best] - floored[:, rival])
     names = recogniser.classes_
     n_touches, n_nearest = how_many
@@ -41,7 +41,7 @@ def explanation(
             "best": str(names[best]),
             "rival": str(names[rival]),
             "nats": float(nats[k]),
-            "mark": marks[k],
+            "flag": flags[k],
             "nearest": _nearest(recogniser, features[k], unit, n_nearest),
         }
         for k in moved

@@ -7,7 +7,7 @@ from .. import classifiers, encodings, images
 from ._contact import ContactCheck
 from ._encoder import TouchEncoder
 from ._modality import Modality
-from ._sequence import Trust
+from ._sequence import SequenceCalibration
 from ._unknown import UnknownScale
 
 # Made anew from a stored model; making one computes, which reading a file must not.
@@ -31,6 +31,6 @@ KNOWN_CLASSES: dict[str, type] = {
     "PCA": PCA,
     "StandardScaler": StandardScaler,
     "TouchEncoder": TouchEncoder,
-    "Trust": Trust,
+    "SequenceCalibration": SequenceCalibration,
     "UnknownScale": UnknownScale,
 }

@@ -14,7 +14,7 @@ from sklearn.utils import check_array
 
 from .._checks import check_number
 from ..classifiers import KernelRidgeClassifier
-from ._calibration import draw_all, fit_trust, left_out_log_likelihood
+from ._calibration import draw_all, fit_sequence_calibration, left_out_log_likelihood
 from ._calibration import touch_log_likelihood as any_log_likelihood
 from ._sequence import Floats, with_floor
 
@@ -38,7 +38,7 @@ class Modality(BaseEstimator):
     classes_ : ndarray of str
         Labels it knows; it says nothing about others.
     scaler_, classifier_ : fitted estimators
-    trust_ : Trust
+    sequence_calibration_ : SequenceCalibration
         How its examples add up.
     """
 
@@ -78,7 +78,7 @@ class Modality(BaseEstimator):
             self.classifier_.fit(scaled, labels)
         self.classes_ = np.unique(labels)
         left_out = left_out_log_likelihood(self.classifier_, scaled, labels, group)
-        self.trust_ = fit_trust(
+        self.sequence_calibration_ = fit_sequence_calibration(
             with_floor(left_out, self.floor),
             np.searchsorted(self.classes_, labels),
             draw_all(labels, group, self.random_state),

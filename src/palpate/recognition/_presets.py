@@ -45,7 +45,7 @@ class Preset:
         Returns an unfitted classifier.
     floor : float
         Least probability that one touch leaves to all objects together.
-    fits_trust : bool
+    calibrates_sequence : bool
         Whether the trust in a sequence of touches is learnt, or 1.
     skips_no_contact : bool
         Whether touches that look like the no-contact frame say nothing.
@@ -55,7 +55,7 @@ class Preset:
     encoders: Callable[[Touches], dict[str, TouchEncoder]]
     classifier: Callable[[], Any]
     floor: float
-    fits_trust: bool
+    calibrates_sequence: bool
     skips_no_contact: bool
 
 
@@ -115,7 +115,7 @@ PRESETS: dict[str, Preset] = {
         encoders=_default_encoders,
         classifier=KernelRidgeClassifier,
         floor=0.01,
-        fits_trust=True,
+        calibrates_sequence=True,
         skips_no_contact=True,
     ),
     "corradi2015": Preset(
@@ -124,7 +124,7 @@ PRESETS: dict[str, Preset] = {
         encoders=_corradi2015_encoders,
         classifier=KernelDensityBayes,
         floor=0.0,
-        fits_trust=False,
+        calibrates_sequence=False,
         skips_no_contact=False,
     ),
     "liu2014": Preset(
@@ -133,7 +133,7 @@ PRESETS: dict[str, Preset] = {
         encoders=_liu2014_encoders,
         classifier=MKLSVC,
         floor=0.01,
-        fits_trust=True,
+        calibrates_sequence=True,
         skips_no_contact=True,
     ),
 }

@@ -19,19 +19,19 @@ from ._calibration import (
     touch_log_likelihood,
 )
 from ._contact import NO_CONTACT, ContactCheck, consists_of_nothing
-from ._encoder import BLOCK
+from ._encoder import BATCH
 from ._known import KNOWN_CLASSES
 from ._model_file import ModelFileError, read_model, write_model
 from ._presets import Preset, find_preset
-from ._sequence import Felt, Floats, Trust, given_prior, with_floor
-from ._source import TouchSource, encoded, encoded_and_marked, learn_encoding
-from ._training import stretches, training_groups, training_labels
+from ._sequence import Evidence, Floats, SequenceCalibration, given_prior, with_floor
+from ._source import TouchSource, encoded, encoded_and_flagged, learn_encoding
+from ._training import blocks_in_order, left_out_groups, training_labels
 from ._trial_touch import try_one_touch
 from ._unknown import UnknownScale
 
 # Touches of one task; a multiple of the encoder's blocks, so that results are the same.
-SHARD = 4 * BLOCK
-KEPT = ("features_", "labels_", "objects_", "stretches_", "nothing_", "unexplained_")
+SHARD = 4 * BATCH
+KEPT = ("features_", "labels_", "objects_", "blocks_", "nothing_", "unexplained_")
 
 
 class ObjectRecogniser(BesideTouch, BaseEstimator):
@@ -62,16 +62,16 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
         Clean-up and encodings.
     classifier_ : estimator
         Features -> log-likelihoods.
-    features_, labels_, objects_, stretches_, nothing_ : ndarray of n_touches rows
+    features_, labels_, objects_, blocks_, nothing_ : ndarray of n_touches rows
         What is kept of the training touches.
     unexplained_ : ndarray of shape (n_touches,)
         How much of each training touch principal components that never met its
         stretch leave out; NaN where the encoding has none.
     contact_ : ContactCheck
         Tells touches without contact.
-    hears_nothing_ : bool
+    uses_no_contact_ : bool
         Whether touches without contact are heard: where a label consists of them.
-    trust_ : Trust
+    sequence_calibration_ : SequenceCalibration
         How touches of one episode add up.
     unknown_scale_ : UnknownScale
         What episodes of known objects look like.
@@ -99,8 +99,8 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
 
     classes_: NDArray
     contact_: ContactCheck
-    hears_nothing_: bool
-    trust_: Trust
+    uses_no_contact_: bool
+    sequence_calibration_: SequenceCalibration
     unknown_scale_: UnknownScale
     floor_: float
     chosen_: dict[str, Any]
@@ -143,13 +143,13 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
                 "Write Touches(images, object=labels)."
             )
         labels, objects = training_labels(touches, self.label)
-        group = training_groups(touches, labels, objects, self.label)
+        group = left_out_groups(touches, labels, objects, self.label)
         learnt = learn_encoding(preset, touches, labels, group, self.random_state)
         self.encoder_, self.contact_ = learnt.encoder, learnt.contact
         self.features_, self.nothing_ = learnt.features, learnt.nothing
         self.unexplained_ = learnt.unexplained
         self.chosen_ = learnt.chosen
-        self.labels_, self.objects_, self.stretches_ = labels, objects, group
+        self.labels_, self.objects_, self.blocks_ = labels, objects, group
         self.classifier_ = preset.classifier()
         self._learn(fresh=True)
         self._calibrate(preset)
@@ -186,13 +186,13 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
         features, new, nothing = encoded(self.encoder_, self.contact_, touches)
         labels = np.full(len(touches), name)
         objects = labels if touches.object is None else touches.object
-        group = stretches(labels, touches.order) + self.stretches_.max() + 1
+        group = blocks_in_order(labels, touches.order) + self.blocks_.max() + 1
         self.features_ = np.vstack([self.features_, features])
         self.nothing_ = np.concatenate([self.nothing_, nothing])
         self.unexplained_ = np.concatenate([self.unexplained_, new])
         self.labels_ = np.concatenate([self.labels_, labels])
         self.objects_ = np.concatenate([self.objects_, objects])
-        self.stretches_ = np.concatenate([self.stretches_, group])
+        self.blocks_ = np.concatenate([self.blocks_, group])
         if hasattr(self.classifier_, "add_class"):
             self.classifier_.add_class(name, features)
         else:
@@ -232,36 +232,40 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
 
         Shape (n_touches, n_objects), columns as in `classes_`; neither floor nor
         trust is in it yet. The row of a touch without contact is all zeros, see
-        `hears_nothing_`.
+        `uses_no_contact_`.
         """
-        return self.feel(touches).log_likelihood
+        return self.evidence(touches).log_likelihood
 
-    def marks(self, touches: Touches) -> list[str]:
-        """Return what is wrong with each touch, "" for most; see `ContactCheck.marks`.
+    def flags(self, touches: Touches) -> list[str]:
+        """Return what is wrong with each touch, "" for most; see `ContactCheck.flags`.
 
         A touch marked "no contact" is not heard; the others are.
         """
-        return self.feel(touches).marks
+        return self.evidence(touches).flags
 
-    def feel(self, touches: Touches) -> Felt:
-        """Return all that touches tell; see `Felt`.
+    def evidence(self, touches: Touches) -> Evidence:
+        """Return all that touches tell; see `Evidence`.
 
         Many touches are felt in shards of 1024, wherever `joblib.parallel_config` says.
         """
         self._check_fitted()
         given = as_touches(touches)
         if len(given) <= SHARD:
-            return self._feel_shard(given)
+            return self._evidence_shard(given)
         from joblib import Parallel, delayed
 
         shards = (given[start : start + SHARD] for start in range(0, len(given), SHARD))
-        return Felt.together(Parallel()(delayed(self._feel_shard)(s) for s in shards))
+        return Evidence.together(
+            Parallel()(delayed(self._evidence_shard)(s) for s in shards)
+        )
 
-    def _feel_shard(self, touches: Touches) -> Felt:
-        features, new, marks = encoded_and_marked(self.encoder_, self.contact_, touches)
-        nothing = np.array(marks) == NO_CONTACT
-        heard = self._heard(self.feature_log_likelihood(features), nothing)
-        return Felt(features, heard, marks, new)
+    def _evidence_shard(self, touches: Touches) -> Evidence:
+        features, new, flags = encoded_and_flagged(
+            self.encoder_, self.contact_, touches
+        )
+        nothing = np.array(flags) == NO_CONTACT
+        heard = self._used(self.feature_log_likelihood(features), nothing)
+        return Evidence(features, heard, flags, new)
 
     def feature_log_likelihood(self, features: Floats) -> Floats:
         """Return log-likelihoods of features, of touches taken to be in contact."""
@@ -350,32 +354,32 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
         if not fresh and hasattr(self.classifier_, "refit"):
             fit = self.classifier_.refit
         if hasattr(self.classifier_, "left_out_log_likelihood"):
-            fit(self.features_, self.labels_, groups=self.stretches_)
+            fit(self.features_, self.labels_, groups=self.blocks_)
         else:
             fit(self.features_, self.labels_)
         self.classes_ = np.unique(self.labels_)
 
     def _calibrate(self, preset: Preset) -> None:
-        """Set `floor_`, `trust_` and `unknown_scale_` from left-out touches."""
+        """Set floor, sequence calibration and unknown scale by left-out touches."""
         self.floor_ = preset.floor if self.floor is None else float(self.floor)
-        self.hears_nothing_ = not preset.skips_no_contact or consists_of_nothing(
+        self.uses_no_contact_ = not preset.skips_no_contact or consists_of_nothing(
             self.labels_, self.nothing_
         )
         log_likelihood = left_out_log_likelihood(
-            self.classifier_, self.features_, self.labels_, self.stretches_
+            self.classifier_, self.features_, self.labels_, self.blocks_
         )
-        floored = with_floor(self._heard(log_likelihood, self.nothing_), self.floor_)
-        self.trust_, self.unknown_scale_ = calibrate(
+        floored = with_floor(self._used(log_likelihood, self.nothing_), self.floor_)
+        self.sequence_calibration_, self.unknown_scale_ = calibrate(
             floored,
             self.unexplained_,
             np.searchsorted(self.classes_, self.labels_),
-            draw_all(self.objects_, self.stretches_, self.random_state),
+            draw_all(self.objects_, self.blocks_, self.random_state),
             self.log_prior(),
-            fits_trust=preset.fits_trust,
+            calibrates_sequence=preset.calibrates_sequence,
         )
 
-    def _heard(self, log_likelihood: Floats, nothing: NDArray) -> Floats:
+    def _used(self, log_likelihood: Floats, nothing: NDArray) -> Floats:
         """Let touches without contact say nothing, unless a label consists of them."""
-        if self.hears_nothing_:
+        if self.uses_no_contact_:
             return log_likelihood
         return np.where(nothing[:, np.newaxis], 0.0, log_likelihood)

@@ -19,7 +19,7 @@ _LEAST_LOG_PRIOR = -27.7
 _RULED_OUT = -1e6
 
 
-class Felt(NamedTuple):
+class Evidence(NamedTuple):
     """What touches tell, one row a touch.
 
     `novelty` is how much of a touch the encoding leaves unexplained, NaN where it
@@ -28,32 +28,32 @@ class Felt(NamedTuple):
 
     features: Floats
     log_likelihood: Floats
-    marks: list[str]
+    flags: list[str]
     novelty: Floats
 
     @classmethod
-    def together(cls, parts: Sequence["Felt"]) -> "Felt":
+    def together(cls, parts: Sequence["Evidence"]) -> "Evidence":
         """Return what several sets of touches tell, one after the other."""
         return cls(
             np.concatenate([part.features for part in parts]),
             np.concatenate([part.log_likelihood for part in parts]),
-            [mark for part in parts for mark in part.marks],
+            [flag for part in parts for flag in part.flags],
             np.concatenate([part.novelty for part in parts]),
         )
 
-    def one(self, touch: int) -> "Felt":
+    def one(self, touch: int) -> "Evidence":
         """Return what a single touch tells."""
         row = slice(touch, touch + 1)
-        return Felt(
+        return Evidence(
             self.features[row],
             self.log_likelihood[row],
-            self.marks[row],
+            self.flags[row],
             self.novelty[row],
         )
 
 
 @dataclass(frozen=True)
-class Trust:
+class SequenceCalibration:
     """How much the touches of one episode may be trusted together.
 
     The log-likelihoods of k touches are summed and multiplied by
@@ -123,7 +123,9 @@ def with_floor(log_likelihood: Floats, floor: float) -> Floats:
     return mixed
 
 
-def log_posteriors(floored: Floats, log_prior: Floats, trust: Trust) -> Floats:
+def log_posteriors(
+    floored: Floats, log_prior: Floats, trust: SequenceCalibration
+) -> Floats:
     """Return the log posterior after each touch of an episode.
 
     Parameters
@@ -132,7 +134,7 @@ def log_posteriors(floored: Floats, log_prior: Floats, trust: Trust) -> Floats:
         Log-likelihoods of the touches in order, from `with_floor`.
     log_prior : ndarray of shape (n_objects,)
         Log prior (nats).
-    trust : Trust
+    trust : SequenceCalibration
         How touches add up.
 
     Returns
@@ -140,24 +142,24 @@ def log_posteriors(floored: Floats, log_prior: Floats, trust: Trust) -> Floats:
     ndarray of shape (..., n_touches, n_objects)
         Natural logarithms; each row sums to one after `exp`.
     """
-    heard = np.where(_says(floored)[..., np.newaxis], floored, 0.0)
-    weight = trust.weight(told(floored))[..., np.newaxis]
+    heard = np.where(_is_informative(floored)[..., np.newaxis], floored, 0.0)
+    weight = trust.weight(n_informative(floored))[..., np.newaxis]
     total = np.cumsum(heard, axis=-2) * weight + log_prior
     result: Floats = log_softmax(total, axis=-1)
     return result
 
 
-def told(floored: Floats) -> Floats:
+def n_informative(floored: Floats) -> Floats:
     """Return how many touches said anything so far, shape (..., n_touches).
 
     A touch without contact has one likelihood for all objects; it leaves the belief
     exactly where it was.
     """
-    count: Floats = np.cumsum(_says(floored), axis=-1)
+    count: Floats = np.cumsum(_is_informative(floored), axis=-1)
     return count
 
 
-def _says(floored: Floats) -> NDArray[np.bool_]:
+def _is_informative(floored: Floats) -> NDArray[np.bool_]:
     return np.asarray(floored.max(axis=-1) > floored.min(axis=-1))
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..touches import Touches
 from ._choice import choose_encoder
 from ._contact import NO_CONTACT, ContactCheck
-from ._encoder import BLOCK, TouchEncoder
+from ._encoder import BATCH, TouchEncoder
 from ._known import KNOWN_CLASSES
 from ._model_file import state_digest
 from ._presets import Preset
@@ -117,8 +117,8 @@ def encoded(
     """Return features of all touches, what is unexplained, and where is no contact."""
 
     def encode(some: Touches) -> Floats:
-        features, unexplained, marks = encoded_and_marked(encoder, contact, some)
-        nothing = np.array(marks) == NO_CONTACT
+        features, unexplained, flags = encoded_and_flagged(encoder, contact, some)
+        nothing = np.array(flags) == NO_CONTACT
         return np.column_stack([features, unexplained, nothing])
 
     if isinstance(touches, Touches):
@@ -130,16 +130,16 @@ def encoded(
     return np.ascontiguousarray(table[:, :-2]), table[:, -2].copy(), table[:, -1] > 0
 
 
-def encoded_and_marked(
+def encoded_and_flagged(
     encoder: TouchEncoder, contact: ContactCheck, touches: Touches
 ) -> tuple[Floats, Floats, list[str]]:
     """Clean once for all; so many at a time that memory stays bounded."""
     parts: list[tuple[Floats, Floats]] = []
-    marks: list[str] = []
-    for start in range(0, len(touches), BLOCK):
-        some = touches[start : start + BLOCK]
+    flags: list[str] = []
+    for start in range(0, len(touches), BATCH):
+        some = touches[start : start + BATCH]
         cleaned = encoder.clean(some)
         parts.append(encoder.encode_fully(cleaned))
-        marks += contact.marks(some, cleaned)
+        flags += contact.flags(some, cleaned)
     features, unexplained = zip(*parts, strict=True)
-    return np.concatenate(features), np.concatenate(unexplained), marks
+    return np.concatenate(features), np.concatenate(unexplained), flags

@@ -12,7 +12,7 @@ from ..touches import Touches
 if TYPE_CHECKING:
     from ._source import TouchSource
 
-N_STRETCHES = 5
+N_BLOCKS = 5
 
 
 def training_labels(
@@ -53,7 +53,7 @@ def named_labels(touches: Touches | TouchSource, label: str) -> NDArray:
     return labels
 
 
-def training_groups(
+def left_out_groups(
     touches: Touches | TouchSource, labels: NDArray, objects: NDArray, label: str
 ) -> NDArray[np.intp]:
     """Return which training touches are left out together.
@@ -63,7 +63,7 @@ def training_groups(
     question is about objects never touched.
     """
     if label == "category" and touches.object is not None:
-        groups = stretches(objects, touches.order)
+        groups = blocks_in_order(objects, touches.order)
         for category in np.unique(labels):
             rows = np.flatnonzero(labels == category)
             if len(np.unique(objects[rows])) > 1:
@@ -76,14 +76,14 @@ def training_groups(
         if np.unique(pairs[:, 0], return_counts=True)[1].min() > 1:
             by_session: NDArray[np.intp] = group.ravel()
             return by_session
-    return stretches(objects, touches.order)
+    return blocks_in_order(objects, touches.order)
 
 
-def stretches(objects: NDArray, order: NDArray | None = None) -> NDArray[np.intp]:
+def blocks_in_order(objects: NDArray, order: NDArray | None = None) -> NDArray[np.intp]:
     """Number the stretches of the recordings, shape (n_touches,).
 
     Each object's touches, in the order in which they were made, are cut into
-    `N_STRETCHES` runs of nearly equal length: neighbours in time, which resemble
+    `N_BLOCKS` runs of nearly equal length: neighbours in time, which resemble
     each other, fall into the same stretch.
     """
     group = np.empty(len(objects), dtype=np.intp)
@@ -92,7 +92,7 @@ def stretches(objects: NDArray, order: NDArray | None = None) -> NDArray[np.intp
         rows = np.flatnonzero(objects == name)
         if order is not None:
             rows = rows[np.argsort(order[rows], kind="stable")]
-        for part in np.array_split(rows, min(N_STRETCHES, len(rows))):
+        for part in np.array_split(rows, min(N_BLOCKS, len(rows))):
             group[part] = next_group
             next_group += 1
     return group

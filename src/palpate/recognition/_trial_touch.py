@@ -11,7 +11,7 @@ from ..images import PressPose
 from ..touches import Touches
 from ._modality import Modality
 from ._presets import find_preset
-from ._sequence import Trust
+from ._sequence import SequenceCalibration
 from ._unknown import UnknownScale
 
 if TYPE_CHECKING:
@@ -23,19 +23,19 @@ MAX_PIXELS = 50_000_000
 def try_one_touch(recogniser: ObjectRecogniser) -> None:
     """Recognise blank touches, so that a model that cannot work is found now."""
     _check_kept(recogniser)
-    _check_trust(recogniser.trust_)
+    _check_trust(recogniser.sequence_calibration_)
     _check_scale(recogniser.unknown_scale_, len(recogniser.classes_))
     _check_others(recogniser)
     blank = Touches(np.zeros((1, *recogniser.encoder_.image_shape_)))
-    felt = recogniser.feel(blank)
+    evidence = recogniser.evidence(blank)
     # A blank touch may count as no contact, whose row is zeros whatever the classifier.
-    row = recogniser.feature_log_likelihood(felt.features)
+    row = recogniser.feature_log_likelihood(evidence.features)
     if row.shape != (1, len(recogniser.classes_)) or not np.isfinite(row).all():
         raise ValueError("its parts do not fit together")
     belief = recogniser.start()
     for _ in range(2):
         belief.update_from_log_likelihood(
-            row, features=felt.features, novelty=felt.novelty
+            row, features=evidence.features, novelty=evidence.novelty
         )
     if abs(sum(belief.posterior.values()) - 1) > 1e-6:
         raise ValueError("its belief does not sum to one")
@@ -55,14 +55,14 @@ def _check_kept(recogniser: ObjectRecogniser) -> None:
         recogniser.unexplained_,
     )
     rows = {len(array) for array in kept}
-    if not (0 < n_rows * n_cols <= MAX_PIXELS and rows == {len(recogniser.stretches_)}):
+    if not (0 < n_rows * n_cols <= MAX_PIXELS and rows == {len(recogniser.blocks_)}):
         raise ValueError("its sizes do not agree")
     if not np.isfinite(recogniser.features_).all():
         raise ValueError("its features hold NaN or infinity")
 
 
 def _check_trust(trust: object) -> None:
-    if not isinstance(trust, Trust):
+    if not isinstance(trust, SequenceCalibration):
         raise TypeError(f"trust is a {type(trust).__name__}")
     check_number("strength", trust.strength, low=0, high=100)
     check_number("correlation", trust.correlation, low=0, high=1)
@@ -97,4 +97,4 @@ def _check_others(recogniser: ObjectRecogniser) -> None:
     for name, sense in recogniser.modalities_.items():
         if not isinstance(sense, Modality):
             raise TypeError(f"{name} is a {type(sense).__name__}")
-        _check_trust(sense.trust_)
+        _check_trust(sense.sequence_calibration_)

@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logsumexp, ndtri
 
-from ._sequence import Floats, Trust, doubts, log_posteriors, told
+from ._sequence import (
+    Floats,
+    SequenceCalibration,
+    doubts,
+    log_posteriors,
+    n_informative,
+)
 
 # Touches after which someone who asks after every one has stopped asking.
 MOST_ASKED = 20
@@ -88,7 +94,7 @@ class UnknownScale:
             Between 0 and 1, higher is less known; about 0.04 for a middling known
             episode and 0.5 for one in twenty. 0 before any touch said something.
         """
-        count = told(floored)
+        count = n_informative(floored)
         doubt, misfit = _doubt_and_misfit(
             log_posterior, floored, self.usual, self.spread
         )
@@ -130,7 +136,7 @@ def fit_unknown_scale(
     codes: NDArray,
     episodes: Mapping[int, NDArray],
     log_prior: Floats,
-    trust: Trust,
+    trust: SequenceCalibration,
 ) -> UnknownScale:
     """Learn what known episodes look like.
 
@@ -145,7 +151,7 @@ def fit_unknown_scale(
     episodes : mapping of int to ndarray
         Rows of touches per length, (n_episodes, length).
     log_prior : ndarray of shape (n_objects,)
-    trust : Trust
+    trust : SequenceCalibration
     """
     usual, spread = _own_touches(floored, codes)
     beliefs = {
@@ -261,7 +267,7 @@ def _doubt_and_misfit(
     says = floored.max(axis=-1, keepdims=True) > floored.min(axis=-1, keepdims=True)
     summed = np.cumsum(np.where(says, np.exp(floored), 0.0), axis=-2)
     given = np.take_along_axis(summed, best[..., np.newaxis], axis=-1)[..., 0]
-    count = np.maximum(told(floored), 1)
+    count = np.maximum(n_informative(floored), 1)
     misfit: Floats = (usual[best] - given / count) / spread[best] * np.sqrt(count)
     return doubt, misfit
 

@@ -73,9 +73,9 @@ class LiveEpisode:
         features = None
         if self.recogniser is not None and self.belief is not None:
             one = Touches(image[np.newaxis])
-            felt = self.recogniser.feel(one)
-            features = felt.features
-            self.belief.update_felt(felt)
+            evidence = self.recogniser.evidence(one)
+            features = evidence.features
+            self.belief.update(evidence)
             touch.posterior = self.belief.posterior
             touch.unknown = self.belief.unknown
             touch.limit = self.belief.unknown_limit(self.error)
