@@ -1,0 +1,68 @@
+"""What every room shares: files that are whole, extras by name, tasks in parallel."""
+
+import os
+import stat
+
+import pytest
+
+from palpate._durable import PARTIAL, replacing, write_bytes, write_text
+from palpate._extras import install, needed
+from palpate._parallel import in_parallel
+
+
+def test_a_file_is_replaced_whole(tmp_path):
+    target = tmp_path / "kept"
+    write_bytes(target, b"old")
+    with replacing(target) as file:
+        file.write(b"new")
+        file.flush()
+        assert target.read_bytes() == b"old"
+    assert target.read_bytes() == b"new"
+    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
+    target = tmp_path / "kept"
+    write_text(target, "old")
+    with pytest.raises(RuntimeError), replacing(target) as file:
+        file.write(b"half")
+        raise RuntimeError
+    assert target.read_text() == "old"
+    assert not list(tmp_path.glob(f"{PARTIAL}*"))
+
+
+def test_file_and_folder_are_flushed_in_this_order(tmp_path, monkeypatch):
+    """A kill cannot show it: file first, then its name."""
+    flushed = []
+
+    def fsync(handle):
+        folder = stat.S_ISDIR(os.fstat(handle).st_mode)
+        flushed.append("folder" if folder else "file")
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    write_bytes(tmp_path / "kept", b"x")
+    assert flushed == ["file", "folder"]
+
+
+def test_a_link_is_followed(tmp_path):
+    target, link = tmp_path / "target", tmp_path / "link"
+    write_bytes(target, b"old")
+    link.symlink_to(target)
+    write_bytes(link, b"new")
+    assert link.is_symlink()
+    assert target.read_bytes() == b"new"
+
+
+def test_the_refusal_names_package_extra_and_command():
+    sentence = r'A report needs no_such, which is not installed: pip install "palpate\['
+    with pytest.raises(ImportError, match=sentence):
+        needed("no_such.inner", "plot", "A report")
+    assert install("plot") == 'pip install "palpate[plot]"'
+    assert needed("math", "plot", "Nothing").pi > 3
+
+
+def test_results_keep_the_order_of_their_tasks():
+    assert in_parallel(divmod, [(7, 2), (9, 4)], "dividing", n_jobs=2) == [
+        (3, 1),
+        (2, 1),
+    ]
