@@ -36,7 +36,7 @@ def bench_encodings(
     seconds : float, default=0.3
         CPU time to spend on each figure.
     names : list of str, optional
-        Encodings; by default all of `palpate.encodings.ENCODINGS`.
+        Encodings; by default all that `encoder_named` knows.
 
     Returns
     -------

@@ -12,8 +12,7 @@ from importlib.util import find_spec
 import numpy as np
 from numpy.typing import NDArray
 
-from ..encodings import ZernikeMoments
-from ..encodings._zernike_polynomials import zernike_degrees, zernike_values
+from ..encodings import ZernikeMoments, zernike_degrees, zernike_values
 from ._timing import cpu_ms, one_thread, row
 
 _TYPES = ("float64", "float32", "uint8")

@@ -7,23 +7,26 @@ chain. Arrays of any shape are accepted, 10 x 10 taxels to 33 x 33 pixels being 
 paper's.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, TransformerMixin
+from numpy.typing import ArrayLike
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_images, check_option, check_positive
+from .._image_estimator import ImageEstimator
+from .._types import Array, Floats
 from ._dead_taxels import fill_dead_taxels
 from ._otsu import binarise
 
 _OUTPUTS = ("resized", "gamma", "filtered", "binary")
 
 
-class ArrayCleanUp(TransformerMixin, BaseEstimator):
+class ArrayCleanUp(ImageEstimator):
     """Turn images of a pressure array into binary images of the pressed shape.
 
     Nothing is learnt from the pressures; fitting fixes the image size.
@@ -99,12 +102,12 @@ class ArrayCleanUp(TransformerMixin, BaseEstimator):
         self.image_shape_ = (images.shape[1], images.shape[2])
         return self
 
-    def transform(self, X: ArrayLike) -> NDArray:
+    def transform(self, X: ArrayLike) -> Array:
         """Return cleaned images of shape (n_touches, *shape), bool when binary."""
         check_is_fitted(self)
         return self._clean(check_images(X, shape=self.image_shape_, allow_nan=True))
 
-    def _clean(self, images: NDArray[np.float64]) -> NDArray:
+    def _clean(self, images: Floats) -> Array:
         last = _OUTPUTS.index(self.output)
         cleaned = resize(fill_dead_taxels(images, dead=self.dead), self.shape)
         if last >= 1:
@@ -123,7 +126,7 @@ class ArrayCleanUp(TransformerMixin, BaseEstimator):
         return tags
 
 
-def resize(images: ArrayLike, shape: tuple[int, int] = (33, 33)) -> NDArray[np.float64]:
+def resize(images: ArrayLike, shape: tuple[int, int] = (33, 33)) -> Floats:
     """Resize images by linear interpolation between taxel centres.
 
     Pixels are squares that tile the same field as the taxels; beyond the outermost
@@ -149,7 +152,7 @@ def resize(images: ArrayLike, shape: tuple[int, int] = (33, 33)) -> NDArray[np.f
 
 def correct_gamma(
     images: ArrayLike, gamma: float = 0.5, *, white: float | None = None
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return white x (image / white) ** gamma; negative levels become 0.
 
     Parameters
@@ -173,7 +176,7 @@ def correct_gamma(
         top = np.full((1, 1, 1), check_positive("white", white))
     top = np.where(top > 0, top, 1.0)
     with np.errstate(over="ignore"):
-        corrected: NDArray[np.float64] = top * (checked / top) ** exponent
+        corrected: Floats = top * (checked / top) ** exponent
     if not np.isfinite(corrected).all():
         raise ValueError(
             "white must leave the corrected levels finite, got "
@@ -183,7 +186,7 @@ def correct_gamma(
     return corrected
 
 
-def filter_noise(images: ArrayLike, n_sd: float = 2.0) -> NDArray[np.float64]:
+def filter_noise(images: ArrayLike, n_sd: float = 2.0) -> Floats:
     """Return the images with levels below mean - n_sd x standard deviation set to 0.
 
     The threshold is often negative on tactile images, most of which is empty: the
@@ -207,7 +210,7 @@ def filter_noise(images: ArrayLike, n_sd: float = 2.0) -> NDArray[np.float64]:
 
 def stage_pictures(
     image: ArrayLike, clean_up: ArrayCleanUp | None = None
-) -> dict[str, NDArray]:
+) -> dict[str, Array]:
     """Return every stage of the clean-up of one image, as the paper's Fig. 10.
 
     Parameters
@@ -226,7 +229,7 @@ def stage_pictures(
     """
     chain = ArrayCleanUp() if clean_up is None else clean_up
     raw = check_images(np.asarray(image)[np.newaxis], allow_nan=True)
-    stages: dict[str, NDArray] = {
+    stages: dict[str, Array] = {
         "raw": raw,
         "filled": fill_dead_taxels(raw, dead=chain.dead),
     }
@@ -247,7 +250,7 @@ def _check_shape(shape: object) -> tuple[int, int]:
     return check_count("shape[0]", sides[0]), check_count("shape[1]", sides[1])
 
 
-def _resize_matrix(n_in: int, n_out: int) -> NDArray[np.float64]:
+def _resize_matrix(n_in: int, n_out: int) -> Floats:
     """Weights (n_out, n_in) of the old pixels in each new one, along one side."""
     scale = n_in / n_out
     centre = (np.arange(n_out) + 0.5) * scale - 0.5

@@ -6,23 +6,26 @@ are learnt for every taxel from frames under known uniform loads, as of a pressu
 chamber; a taxel that does not follow its load is dead, and reads NaN.
 """
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_images, check_number, check_option
+from .._image_estimator import ImageEstimator
+from .._types import Floats
 from ._calibration_fit import fit_taxels
 from ._calibration_json import LEARNT, read_calibration, write_calibration
 
 KPA_PER_UNIT = {"kPa": 1.0, "psi": 6.894757293168361, "Pa": 1e-3, "bar": 100.0}
 
 
-class TaxelCalibration(TransformerMixin, BaseEstimator):
+class TaxelCalibration(ImageEstimator):
     """Per-taxel gain, offset, dead zone and saturation, from uniform loads.
 
     Parameters
@@ -120,7 +123,7 @@ class TaxelCalibration(TransformerMixin, BaseEstimator):
         self.highest_load_kpa_ = float(loads.max())
         return self
 
-    def transform(self, X: ArrayLike) -> NDArray[np.float64]:
+    def transform(self, X: ArrayLike) -> Floats:
         """Return pressure in kPa, (n_touches, n_rows, n_cols); NaN for dead taxels.
 
         Readings in the dead zone give 0, saturated ones the pressure at which the
@@ -167,13 +170,13 @@ class TaxelCalibration(TransformerMixin, BaseEstimator):
             setattr(calibration, f"{name}_", value)
         return calibration
 
-    def _on_the_line(self, X: ArrayLike) -> NDArray[np.float64]:
+    def _on_the_line(self, X: ArrayLike) -> Floats:
         check_is_fitted(self)
         frames = check_images(X, shape=self.image_shape_, allow_nan=True)
         line = (self._conductance(frames) - self.offset_) / self.gain_
         return np.where(self.dead_, np.nan, line)
 
-    def _conductance(self, frames: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _conductance(self, frames: Floats) -> Floats:
         check_option("quantity", self.quantity, ("conductance", "resistance"))
         if self.quantity == "conductance":
             return frames
@@ -184,7 +187,7 @@ class TaxelCalibration(TransformerMixin, BaseEstimator):
             )
         return 1 / frames
 
-    def _check_loads(self, y: ArrayLike, n_frames: int) -> NDArray[np.float64]:
+    def _check_loads(self, y: ArrayLike, n_frames: int) -> Floats:
         check_option("load_unit", self.load_unit, KPA_PER_UNIT)
         loads = np.asarray(y, dtype=np.float64)
         if loads.shape != (n_frames,):

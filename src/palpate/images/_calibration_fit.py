@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from .._types import Floats
 
 # More loads than this (a slow ramp) are summarised in groups of neighbours.
 _MOST_LOADS = 25

@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from .._types import Floats
 
 _FORMAT, _VERSION = "palpate taxel calibration", 1
 _NUMBERS = ("gain", "offset", "noise", "dead_zone_kpa", "saturation_kpa")
@@ -82,12 +83,12 @@ def _bad(path: str | Path, reason: str) -> ValueError:
     )
 
 
-def _to_lists(values: NDArray[np.float64]) -> list[Any]:
+def _to_lists(values: Floats) -> list[Any]:
     objects = values.astype(object)
     objects[~np.isfinite(values)] = None
     lists: list[Any] = objects.tolist()
     return lists
 
 
-def _to_array(lists: list[Any]) -> NDArray[np.float64]:
+def _to_array(lists: list[Any]) -> Floats:
     return np.array(lists, dtype=np.float64)

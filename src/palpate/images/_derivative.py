@@ -1,20 +1,21 @@
 """How steeply an image changes: the magnitude of its discrete derivative."""
 
+from __future__ import annotations
+
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, TransformerMixin
-from sklearn.utils import Tags
-from sklearn.utils.validation import check_is_fitted
+from numpy.typing import ArrayLike
 
 from .._checks import check_images, check_option
+from .._image_estimator import ImageEstimator
+from .._types import Floats
 from ._central_moments import inscribed_mask
 
 REGIONS = ("frame", "disc")
 
 
-class DerivativeMagnitude(TransformerMixin, BaseEstimator):
+class DerivativeMagnitude(ImageEstimator):
     """Replace images by the magnitude of their discrete derivative.
 
     Where a dome's membrane is bent sharply its shading changes fast, whatever the
@@ -59,23 +60,16 @@ class DerivativeMagnitude(TransformerMixin, BaseEstimator):
         self.image_shape_ = (images.shape[1], images.shape[2])
         return self
 
-    def transform(self, X: ArrayLike) -> NDArray[np.float64]:
+    def transform(self, X: ArrayLike) -> Floats:
         """Return the magnitudes, shape (n_touches, n_rows - 2, n_cols - 2)."""
-        check_is_fitted(self)
-        images = check_images(X, shape=self.image_shape_)
+        images = self._images(X)
         magnitude = derivative_magnitude(images)
         if self.region == "disc":
             magnitude *= inscribed_mask(*magnitude.shape[1:])
         return magnitude
 
-    def __sklearn_tags__(self) -> Tags:
-        tags = super().__sklearn_tags__()
-        tags.input_tags.two_d_array = False
-        tags.input_tags.three_d_array = True
-        return tags
 
-
-def derivative_magnitude(images: ArrayLike) -> NDArray[np.float64]:
+def derivative_magnitude(images: ArrayLike) -> Floats:
     """Return the magnitude of central differences at interior pixels.
 
     Parameters
@@ -98,11 +92,11 @@ def derivative_magnitude(images: ArrayLike) -> NDArray[np.float64]:
     _check_side(checked)
     down = checked[:, 2:, 1:-1] - checked[:, :-2, 1:-1]
     across = checked[:, 1:-1, 2:] - checked[:, 1:-1, :-2]
-    magnitude: NDArray[np.float64] = np.hypot(down, across)
+    magnitude: Floats = np.hypot(down, across)
     return magnitude
 
 
-def _check_side(images: NDArray[np.float64]) -> None:
+def _check_side(images: Floats) -> None:
     if min(images.shape[1:]) < 3:
         raise ValueError(
             "Images must have at least 3 x 3 pixels to be differentiated, got "

@@ -10,16 +10,18 @@ References
    doi:10.1145/800031.808600
 """
 
+from __future__ import annotations
+
 from typing import Self
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, TransformerMixin
-from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_number, check_option, check_positive
+from .._image_estimator import ImageEstimator
+from .._types import Array, Floats
 from ._rim import Circle, Rims, as_images, find_rims, typical_rim
 
 N_SAFE = 512
@@ -27,7 +29,7 @@ SAFE_SHARE = 0.02
 FLAT = 1e-6
 
 
-class DomeCrop(TransformerMixin, BaseEstimator):
+class DomeCrop(ImageEstimator):
     """Centre each image on its own rim, cut the largest safe disc, standardise it.
 
     Parameters
@@ -146,7 +148,7 @@ class DomeCrop(TransformerMixin, BaseEstimator):
         """Return the circle about which each touch is cut, and which were seen."""
         return self._rims(X)[1]
 
-    def _rims(self, X: ArrayLike) -> tuple[NDArray, Rims]:
+    def _rims(self, X: ArrayLike) -> tuple[Array, Rims]:
         check_is_fitted(self)
         images = as_images(X, shape=tuple(self.frame_shape_))
         near = Circle(self.rim_row_, self.rim_col_, self.rim_radius_, self.has_rim_)
@@ -154,7 +156,7 @@ class DomeCrop(TransformerMixin, BaseEstimator):
             return images, find_rims(images, near=near)
         return images, Rims.of([Circle.inscribed(self.frame_shape_)] * len(images))
 
-    def _safe_radius(self, images: NDArray) -> float:
+    def _safe_radius(self, images: Array) -> float:
         n = len(images)
         which = np.unique(np.linspace(0, n - 1, min(n, N_SAFE)).round().astype(int))
         near = Circle(self.rim_row_, self.rim_col_, self.rim_radius_)
@@ -165,12 +167,6 @@ class DomeCrop(TransformerMixin, BaseEstimator):
         reach = np.minimum(np.min(sides, axis=0) + 0.5, rims.radius)
         safe = float(np.quantile(reach, SAFE_SHARE))
         return max(safe, 0.5 * self.rim_radius_) * (1 - self.margin)
-
-    def __sklearn_tags__(self) -> Tags:
-        tags = super().__sklearn_tags__()
-        tags.input_tags.two_d_array = False
-        tags.input_tags.three_d_array = True
-        return tags
 
 
 def disc_mask(size: int) -> NDArray[np.bool_]:
@@ -253,8 +249,8 @@ def standardise_discs(discs: ArrayLike) -> NDArray[np.float32]:
 
 
 def _mean_over_cells(
-    image: NDArray, centre: tuple[float, float], radius: float, size: int
-) -> NDArray[np.float64]:
+    image: Array, centre: tuple[float, float], radius: float, size: int
+) -> Floats:
     """Average `image` over a grid of `size` x `size` square cells about `centre`."""
     border = radius * (2 * np.arange(size + 1) / size - 1) + 0.5
     top, row = _from_whole_pixel(border + centre[0])
@@ -268,16 +264,16 @@ def _mean_over_cells(
     upper = upper[:, j] + (upper[:, j + 1] - upper[:, j]) * (col - j)
     lower = lower[:, j] + (lower[:, j + 1] - lower[:, j]) * (col - j)
     corner = upper + (lower - upper) * (row - i)[:, np.newaxis]
-    sums: NDArray[np.float64] = np.diff(np.diff(corner, axis=0), axis=1)
+    sums: Floats = np.diff(np.diff(corner, axis=0), axis=1)
     return sums / (2 * radius / size) ** 2 + level
 
 
-def _from_whole_pixel(border: NDArray) -> tuple[int, NDArray]:
+def _from_whole_pixel(border: Array) -> tuple[int, Array]:
     first = int(np.floor(border[0]))
     return first, border - first
 
 
-def _part(image: NDArray, top: int, height: int, left: int, width: int) -> NDArray:
+def _part(image: Array, top: int, height: int, left: int, width: int) -> Array:
     """Cut a rectangle; outside the frame its edge is repeated."""
     rows, cols = image.shape
     if min(top, left) >= 0 and top + height <= rows and left + width <= cols:
@@ -287,6 +283,6 @@ def _part(image: NDArray, top: int, height: int, left: int, width: int) -> NDArr
     return image[row[:, np.newaxis], col]
 
 
-def _integral(part: NDArray) -> NDArray:
+def _integral(part: Array) -> Array:
     fits = part.dtype == np.uint8 and part.size < 2**31 // 255
     return np.asarray(cv2.integral(part, sdepth=cv2.CV_32S if fits else cv2.CV_64F))

@@ -3,20 +3,20 @@
 An angle is in degrees from the columns towards the rows: clockwise as displayed.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, TransformerMixin
-from sklearn.utils import Tags
-from sklearn.utils.validation import check_is_fitted
+from numpy.typing import ArrayLike
 
 from .._checks import check_images, check_number
+from .._image_estimator import ImageEstimator
+from .._types import Floats
 from ._central_moments import above_least, central_moments, inscribed_mask
 from ._repose import repose
 
-Floats = NDArray[np.float64]
 MIN_ANISOTROPY = 0.02
 # Rounding of the second moments, as a share of their sum.
 _ROUNDING = 1e-9
@@ -39,7 +39,7 @@ class Orientations:
     anisotropy: Floats
 
 
-class OrientationRegulariser(TransformerMixin, BaseEstimator):
+class OrientationRegulariser(ImageEstimator):
     """Turn each image so that its long axis lies along the columns.
 
     Encodings that depend on the angle of the sensor (pixels, their principal
@@ -82,19 +82,12 @@ class OrientationRegulariser(TransformerMixin, BaseEstimator):
 
     def transform(self, X: ArrayLike) -> Floats:
         """Return the turned images, shape (n_touches, n_rows, n_cols)."""
-        check_is_fitted(self)
-        images = check_images(X, shape=self.image_shape_)
+        images = self._images(X)
         found = orientations(images)
         angle = np.where(found.anisotropy >= self.min_anisotropy, found.angle_deg, 0.0)
         turned = repose(images, -angle, edges="nearest")
         turned *= inscribed_mask(*self.image_shape_)
         return turned
-
-    def __sklearn_tags__(self) -> Tags:
-        tags = super().__sklearn_tags__()
-        tags.input_tags.two_d_array = False
-        tags.input_tags.three_d_array = True
-        return tags
 
 
 def orientations(images: ArrayLike) -> Orientations:

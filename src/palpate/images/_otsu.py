@@ -5,16 +5,19 @@ pressed side. Liu et al. cut the image into n x n partitions and threshold each.
 Foreground is strictly above the threshold.
 """
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_count, check_images, check_number
+from .._types import Floats
 
 # Interpolation leaves rounding of this relative size in what should be constant.
 _ROUNDING = 1e-12
 
 
-def otsu_threshold(images: ArrayLike) -> NDArray[np.float64]:
+def otsu_threshold(images: ArrayLike) -> Floats:
     """Return the threshold of each image that splits its grey levels best.
 
     The split maximises the variance between the two classes, over every gap
@@ -88,9 +91,9 @@ def binarise(
 
 
 def _binarise_block(
-    block: NDArray[np.float64],
-    whole: NDArray[np.float64],
-    least_span: NDArray[np.float64],
+    block: Floats,
+    whole: Floats,
+    least_span: Floats,
 ) -> NDArray[np.bool_]:
     flat = block.reshape(len(block), -1)
     threshold = _threshold_rows(flat)
@@ -103,7 +106,7 @@ def _binarise_block(
     return foreground.reshape(block.shape)
 
 
-def _threshold_rows(levels: NDArray[np.float64]) -> NDArray[np.float64]:
+def _threshold_rows(levels: Floats) -> Floats:
     """Otsu's threshold of each row of `levels`, NaN for constant rows."""
     ordered = np.sort(levels, axis=1)
     n_rows, n_levels = ordered.shape

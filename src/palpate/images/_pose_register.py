@@ -11,9 +11,8 @@ The plane is solved for in closed form, so only the pose is searched.
 import numpy as np
 from numpy.typing import NDArray
 
+from .._types import Floats
 from ._repose import interpolate
-
-Floats = NDArray[np.float64]
 
 OVERSAMPLING = 2
 # Penalty on the plane's rise over `_PLANE_TAXELS`, so that tilt is not unlimited.

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from .._types import Floats
 from ._pose_register import OVERSAMPLING, fit_planes, refine, register, render
 from ._repose import interpolate, repose
-
-Floats = NDArray[np.float64]
 
 SYMMETRIES = (0, 8, 6, 5, 4, 3, 2, 1)
 _N_ROUNDS = 4

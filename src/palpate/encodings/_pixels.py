@@ -1,21 +1,19 @@
-"""Scaled pixels: the turned image averaged down to a few cells."""
+"""Levels as features: every taxel, or the turned image averaged to a few cells."""
 
-from typing import Self
+from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, TransformerMixin
-from sklearn.utils import Tags
-from sklearn.utils.validation import check_is_fitted
+from numpy.typing import ArrayLike
 
-from .._checks import check_count, check_images, check_number
+from .._checks import check_count, check_number
+from .._image_estimator import ImageEstimator
+from .._types import Array, Floats
 from ..images import OrientationRegulariser
 
-Floats = NDArray[np.float64]
 PAPER_SIDE = 13
 
 
-class ScaledPixels(TransformerMixin, BaseEstimator):
+class ScaledPixels(ImageEstimator):
     """Encode an image by the means of a few by a few cells.
 
     Parameters
@@ -63,34 +61,48 @@ class ScaledPixels(TransformerMixin, BaseEstimator):
         self.side = side
         self.min_anisotropy = min_anisotropy
 
-    def fit(self, X: ArrayLike, y: object = None) -> Self:
-        """Lay the cells over images of the size of `X`; `y` is ignored."""
-        images = check_images(X)
+    def _learn(self, images: Array) -> None:
         side = check_count("side", self.side)
         self.regulariser_ = None
         if self.min_anisotropy is not None:
             check_number("min_anisotropy", self.min_anisotropy, low=0, high=1)
             self.regulariser_ = OrientationRegulariser(self.min_anisotropy).fit(images)
-        self.image_shape_ = (images.shape[1], images.shape[2])
         self.down_, self.across_ = (
-            _averages(n, min(side, n)) for n in self.image_shape_
+            _averages(n, min(side, n)) for n in images.shape[1:]
         )
-        return self
 
     def transform(self, X: ArrayLike) -> Floats:
         """Return the means, row by row, shape (n_touches, n_cells**2)."""
-        check_is_fitted(self)
-        images = check_images(X, shape=self.image_shape_)
+        images = self._images(X)
         if self.regulariser_ is not None:
             images = self.regulariser_.transform(images)
         means = self.down_ @ images @ self.across_.T
         return means.reshape(len(images), -1)
 
-    def __sklearn_tags__(self) -> Tags:
-        tags = super().__sklearn_tags__()
-        tags.input_tags.two_d_array = False
-        tags.input_tags.three_d_array = True
-        return tags
+
+class TaxelVector(ImageEstimator):
+    """Every taxel is a feature, row by row.
+
+    For a hand's electrodes or any sensor whose taxels have no places: nothing is
+    turned, centred or averaged.
+
+    Attributes
+    ----------
+    image_shape_ : tuple of int
+        (n_rows, n_cols) of the images seen by `fit`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate.encodings import TaxelVector
+    >>> TaxelVector().fit_transform(np.ones((2, 3, 24))).shape
+    (2, 72)
+    """
+
+    def transform(self, X: ArrayLike) -> Floats:
+        """Return the taxels, shape (n_touches, n_rows * n_cols)."""
+        images = self._images(X)
+        return images.reshape(len(images), -1).copy()
 
 
 def _averages(n: int, n_cells: int) -> Floats:
