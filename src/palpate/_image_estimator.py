@@ -28,13 +28,18 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
     image_shape_: tuple[int, int]
 
     def fit(self, X: ArrayLike, y: object = None) -> Self:
-        """Check the parameters and learn from the images `X`; `y` is ignored.
+        """Check the parameters, learn from images and note their size.
 
         Parameters
         ----------
         X : array-like of shape (n_touches, n_rows, n_cols)
         y : object, optional
             Ignored.
+
+        Returns
+        -------
+        self
+            With `image_shape_`, (n_rows, n_cols) of the images.
 
         Raises
         ------

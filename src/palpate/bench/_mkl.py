@@ -25,9 +25,14 @@ from numpy.typing import NDArray
 from sklearn.metrics.pairwise import polynomial_kernel, rbf_kernel
 from sklearn.svm import SVC
 
-from ..classifiers import MKLSVC, PolynomialKernel
-from ..classifiers._kernels import kernel_diagonals, paper_kernels
-from ..classifiers._simplemkl import Answer, reduced_gradient_walk
+from ..classifiers.mkl import (
+    MKLSVC,
+    Answer,
+    PolynomialKernel,
+    kernel_diagonals,
+    paper_kernels,
+    reduced_gradient_walk,
+)
 from ..encodings import KernelPCA
 from ._timing import cpu_ms, one_thread, row
 

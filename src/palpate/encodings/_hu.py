@@ -36,11 +36,6 @@ class HuMoments(ImageEstimator):
         Replace h by sign(h) log10(1 + |h| / 1e-12): the seven differ by many orders
         of magnitude.
 
-    Attributes
-    ----------
-    image_shape_ : tuple of int
-        (n_rows, n_cols) of the images seen by `fit`.
-
     Notes
     -----
     From normalised central moments eta[p, q] = mu[p, q] / mu[0, 0]^(1 + (p + q) / 2).

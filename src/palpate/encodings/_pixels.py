@@ -20,7 +20,7 @@ class ScaledPixels(ImageEstimator):
     ----------
     side : int, default=13
         Cells along each side, or as many as there are pixels. Corradi et al. 2014
-        use up to 13.
+        (doi:10.1007/978-3-319-10401-0) use up to 13.
     min_anisotropy : float or None, default=0.02
         The image is first turned so that its long axis lies along the columns,
         unless it is less elongated than this; see
@@ -39,12 +39,6 @@ class ScaledPixels(ImageEstimator):
     -----
     Each cell is the mean over exactly the area that it covers, also where it cuts
     pixels. When images are turned, what lies outside the inscribed disc is zero.
-
-    References
-    ----------
-    .. [1] T. Corradi, P. Hall, P. Iravani, "Tactile features: recognising touch
-       sensations with a novel and inexpensive tactile sensor", TAROS 2014,
-       LNCS 8717. doi:10.1007/978-3-319-10401-0
 
     Examples
     --------
@@ -85,11 +79,6 @@ class TaxelVector(ImageEstimator):
 
     For a hand's electrodes or any sensor whose taxels have no places: nothing is
     turned, centred or averaged.
-
-    Attributes
-    ----------
-    image_shape_ : tuple of int
-        (n_rows, n_cols) of the images seen by `fit`.
 
     Examples
     --------

@@ -37,11 +37,6 @@ class ShapeGeometry(ImageEstimator):
         Which edge points count: those of holes too, as in the paper, or the outer
         edge alone.
 
-    Attributes
-    ----------
-    image_shape_ : tuple of int
-        (n_rows, n_cols) of the images seen by `fit`.
-
     Notes
     -----
     An edge point is a foreground pixel with background, or the end of the image,
@@ -96,11 +91,6 @@ class FourierDescriptors(ImageEstimator):
         Number of points, equally spaced along the outline, that take the place of
         the boundary pixels. By default the pixels themselves are used, as in the
         paper.
-
-    Attributes
-    ----------
-    image_shape_ : tuple of int
-        (n_rows, n_cols) of the images seen by `fit`.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""Cut the disc that a dome camera sees, centred on each image's own rim.
+"""Cut the disc that a dome camera sees, standardise it, and see how steep it is.
 
 A cell of the canvas is the mean of the area it covers in the image, at any fraction
 of a pixel: read from an integral image [1]_, whose bilinear interpolation is exact
@@ -19,9 +19,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_count, check_number, check_option, check_positive
+from .._checks import (
+    check_count,
+    check_number,
+    check_option,
+    check_positive,
+)
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
+from ._central_moments import inscribed_mask
 from ._rim import Circle, Rims, as_images, find_rims, typical_rim
 
 N_SAFE = 512
@@ -169,21 +175,58 @@ class DomeCrop(ImageEstimator):
         return max(safe, 0.5 * self.rim_radius_) * (1 - self.margin)
 
 
-def disc_mask(size: int) -> NDArray[np.bool_]:
-    """Return which pixel centres lie in the disc inscribed in `size` x `size`.
+class DerivativeMagnitude(ImageEstimator):
+    """Replace images by the magnitude of their discrete derivative.
+
+    Where a dome's membrane is bent sharply its shading changes fast, whatever the
+    light's brightness; Corradi et al. 2014 (doi:10.1007/978-3-319-10401-0) encode
+    this beside the image itself.
+
+    Parameters
+    ----------
+    region : {"disc", "frame"}, default="disc"
+        "disc" for images cut to a disc: what lies outside the inscribed disc of the
+        smaller result is zero, and no difference reaches across the rim. "frame"
+        keeps all of the interior.
+
+    Notes
+    -----
+    The root of (I[i-1, j] - I[i+1, j])^2 + (I[i, j-1] - I[i, j+1])^2. Eq. 1 of
+    Corradi et al. prints a plus in the second bracket, where a derivative has a minus.
 
     Examples
     --------
-    >>> disc_mask(4).astype(int)
-    array([[0, 1, 1, 0],
-           [1, 1, 1, 1],
-           [1, 1, 1, 1],
-           [0, 1, 1, 0]])
+    >>> import numpy as np
+    >>> from palpate.images import DerivativeMagnitude
+    >>> slope = np.tile(np.arange(4.0), (1, 4, 1))
+    >>> DerivativeMagnitude().fit_transform(slope)
+    array([[[2., 2.],
+            [2., 2.]]])
     """
-    from_centre = np.arange(check_count("size", size)) - (size - 1) / 2
-    squared = from_centre[:, np.newaxis] ** 2 + from_centre**2
-    inside: NDArray[np.bool_] = squared <= (size / 2) ** 2
-    return inside
+
+    def __init__(self, region: str = "disc") -> None:
+        self.region = region
+
+    def _learn(self, images: Array) -> None:
+        check_option("region", self.region, ("frame", "disc"))
+        if min(images.shape[1:]) < 3:
+            raise ValueError(
+                "Images must have at least 3 x 3 pixels to be differentiated, got "
+                f"{images.shape[1]} x {images.shape[2]}. Encode the images themselves."
+            )
+
+    def transform(self, X: ArrayLike) -> Floats:
+        """Return the magnitudes, shape (n_touches, n_rows - 2, n_cols - 2).
+
+        They are of central differences: grey levels per two pixels.
+        """
+        images = self._images(X)
+        down = images[:, 2:, 1:-1] - images[:, :-2, 1:-1]
+        across = images[:, 1:-1, 2:] - images[:, 1:-1, :-2]
+        magnitude: Floats = np.hypot(down, across)
+        if self.region == "disc":
+            magnitude *= inscribed_mask(*magnitude.shape[1:])
+        return magnitude
 
 
 def crop_discs(
@@ -214,11 +257,12 @@ def crop_discs(
             f"rims must be as many as images, got {len(rims)} for {len(checked)}. "
             "Use the rims found in these very images."
         )
-    radius, mask = check_positive("radius", radius), disc_mask(size)
+    radius, side = check_positive("radius", radius), check_count("size", size)
     discs = np.empty((len(checked), size, size), np.float32)
     for disc, image, row, col in zip(discs, checked, rims.row, rims.col, strict=True):
         disc[:] = _mean_over_cells(image, (row, col), radius, size)
-    return discs * mask
+    discs *= inscribed_mask(side, side)
+    return discs
 
 
 def standardise_discs(discs: ArrayLike) -> NDArray[np.float32]:
@@ -235,7 +279,7 @@ def standardise_discs(discs: ArrayLike) -> NDArray[np.float32]:
     rows, cols = images.shape[1:]
     if rows != cols:
         raise ValueError(f"discs must be square, got {rows} x {cols}. Crop them first.")
-    mask = disc_mask(rows)
+    mask = inscribed_mask(rows, rows)
     standard = np.zeros(images.shape, np.float32)
     for result, image in zip(standard, images, strict=True):
         levels = image[mask].astype(np.float64)

@@ -6,14 +6,13 @@ An angle is in degrees from the columns towards the rows: clockwise as displayed
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import check_images, check_number
 from .._image_estimator import ImageEstimator
-from .._types import Floats
+from .._types import Array, Floats
 from ._central_moments import above_least, central_moments, inscribed_mask
 from ._repose import repose
 
@@ -50,11 +49,6 @@ class OrientationRegulariser(ImageEstimator):
     min_anisotropy : float, default=0.02
         Images less elongated than this have no direction but noise: they stay.
 
-    Attributes
-    ----------
-    image_shape_ : tuple of int
-        (n_rows, n_cols) of the images seen by `fit`.
-
     Notes
     -----
     Images are turned about the middle of the frame, linearly interpolated; only the
@@ -73,12 +67,8 @@ class OrientationRegulariser(ImageEstimator):
     def __init__(self, min_anisotropy: float = MIN_ANISOTROPY) -> None:
         self.min_anisotropy = min_anisotropy
 
-    def fit(self, X: ArrayLike, y: object = None) -> Self:
-        """Learn the image size; `y` is ignored."""
-        images = check_images(X)
+    def _learn(self, images: Array) -> None:
         check_number("min_anisotropy", self.min_anisotropy, low=0, high=1)
-        self.image_shape_ = (images.shape[1], images.shape[2])
-        return self
 
     def transform(self, X: ArrayLike) -> Floats:
         """Return the turned images, shape (n_touches, n_rows, n_cols)."""

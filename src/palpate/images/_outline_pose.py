@@ -15,9 +15,8 @@ from scipy.ndimage import binary_erosion, generate_binary_structure
 
 from .._checks import check_count, check_images, check_positive
 from .._types import Array, Floats
-from ._array import correct_gamma, resize
+from ._array import binarise, correct_gamma, otsu_threshold, resize
 from ._dead_taxels import fill_dead_taxels
-from ._otsu import binarise, otsu_threshold
 
 Waves = NDArray[np.complex128]
 

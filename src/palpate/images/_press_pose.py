@@ -25,8 +25,13 @@ from ._outline_pose import (
     outlines,
     within_period,
 )
-from ._pose_register import pose_variances, register
-from ._pose_template import find_symmetry, learn_template, template_angle
+from ._pose_template import (
+    find_symmetry,
+    learn_template,
+    pose_variances,
+    register,
+    template_angle,
+)
 
 # The outline that registration starts from: one threshold, which a background over
 # the whole array does not disturb.

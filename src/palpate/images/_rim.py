@@ -237,7 +237,8 @@ def _as_grey(image: Array) -> Array:
     if image.dtype == np.uint8:
         return np.ascontiguousarray(image)
     low, high = image.min(), image.max()
-    return ((image / 2 - low / 2) / (high / 2 - low / 2)).astype(np.float32)
+    grey: NDArray[np.float32] = (image / 2 - low / 2) / (high / 2 - low / 2)
+    return grey.astype(np.float32)
 
 
 def _candidates(grey: Array, near: Circle | None) -> Iterator[Fit]:

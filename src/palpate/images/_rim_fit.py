@@ -61,7 +61,7 @@ class Fit(NamedTuple):
     @property
     def evidence(self) -> float:
         """What to choose among circles by: the rim encloses all that touches it."""
-        return self.support * self.arc**0.5 * self.circle[2]
+        return float(self.support * self.arc**0.5 * self.circle[2])
 
 
 def reduce(image: Array) -> tuple[NDArray[np.uint8], int]:
@@ -216,7 +216,8 @@ class _Rays:
         down, right = circle[0] - self.row, circle[1] - self.col
         along = self.sin * down + self.cos * right
         inner = circle[2] ** 2 - (down * down + right * right) + along * along
-        return along + np.sqrt(np.maximum(inner, 0)) - self.radius
+        offset: Array = along + np.sqrt(np.maximum(inner, 0)) - self.radius
+        return offset
 
     def edges(self, circle: Array, width: float) -> Array:
         """Each ray's steepest edge near `circle`: row, col, slope, usual slope, ray.
@@ -295,4 +296,5 @@ def _slope_kernel(spread: float) -> NDArray[np.float32]:
     reach = int(np.ceil(2.5 * spread))
     t = np.arange(-reach, reach + 1, dtype=np.float32)
     kernel = t * np.exp(-(t**2) / (2 * spread**2))
-    return (kernel / np.abs(kernel).sum())[None]
+    row: NDArray[np.float32] = (kernel / np.abs(kernel).sum())[None]
+    return row

@@ -7,9 +7,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ._mkl_interior import solve_interior
-from ._mkl_posterior import all_pairs, fit_sigmoids
-from ._mkl_problem import Floats, Solution
+from ..._types import Array, Floats
+from ._interior import solve_interior
+from ._posterior import all_pairs, fit_sigmoids
+from ._problem import Solution
 from ._simplemkl import solve_simplemkl
 
 # Pairs smaller than this share of the largest of their batch wait for the next one.
@@ -33,11 +34,11 @@ class Bank(Protocol):
     def batch_size(self, n_touches: int) -> int:
         """How many problems of that size to hold at a time."""
 
-    def system(self, index: NDArray, labels: Floats) -> Any:
+    def system(self, index: Array, labels: Floats) -> Any:
         """Return the kernels among the touches of each row of `index`."""
 
     def machines(
-        self, system: Any, index: NDArray, solution: Solution
+        self, system: Any, index: Array, solution: Solution
     ) -> tuple[Floats, Floats]:
         """Return coefficients (n_rows, n_columns) and bias (n_rows,)."""
 
@@ -100,7 +101,7 @@ class PairMachines:
         self.left_out = np.full((n_touches, n_classes), np.nan)
 
 
-def learn_pairs(bank: Bank, codes: NDArray, settings: Settings) -> PairMachines:
+def learn_pairs(bank: Bank, codes: Array, settings: Settings) -> PairMachines:
     """Learn a machine for each pair of classes.
 
     Parameters
@@ -133,7 +134,7 @@ def learn_pairs(bank: Bank, codes: NDArray, settings: Settings) -> PairMachines:
 
 
 def _note_left_out(
-    machines: PairMachines, rows: NDArray, index: NDArray, scores: Floats, known: Floats
+    machines: PairMachines, rows: Array, index: Array, scores: Floats, known: Floats
 ) -> None:
     """Write decisions to the row of the touch and the column of the other class."""
     row, place = np.nonzero(known)
@@ -143,8 +144,8 @@ def _note_left_out(
 
 
 def _batches(
-    bank: Bank, codes: NDArray, pairs: NDArray
-) -> Iterator[tuple[NDArray, NDArray, Floats]]:
+    bank: Bank, codes: Array, pairs: Array
+) -> Iterator[tuple[Array, Array, Floats]]:
     """Yield rows of `pairs`, touches of each row, and their labels (0 pads)."""
     members = [np.flatnonzero(codes == c) for c in range(pairs.max() + 1)]
     counts = np.array([len(m) for m in members])
@@ -166,7 +167,7 @@ def _batches(
         yield rows, index, labels
 
 
-def _folds(codes: NDArray) -> NDArray[np.int64]:
+def _folds(codes: Array) -> NDArray[np.int64]:
     """Part of each touch: each class in order, cut into five stretches.
 
     Neighbours in a recording are alike, so whole stretches are left out. The only
@@ -182,7 +183,7 @@ def _folds(codes: NDArray) -> NDArray[np.int64]:
 
 
 def _left_out_scores(
-    system: Any, solution: Solution, folds: NDArray, n_folds: int, settings: Settings
+    system: Any, solution: Solution, folds: Array, n_folds: int, settings: Settings
 ) -> tuple[Floats, Floats]:
     """Return decisions of machines that did not learn the touch, and their labels.
 

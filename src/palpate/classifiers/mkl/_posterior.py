@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.special import expit, log_softmax, softmax
 
-from ._mkl_problem import Floats, row_blocks
+from ..._types import Array, Floats
+from ._problem import row_blocks
 
 _NEWTON_STEPS = 50
 # No pair is surer than this.
@@ -24,7 +25,7 @@ def all_pairs(n_classes: int) -> NDArray[np.int64]:
     return np.stack(np.triu_indices(n_classes, 1), axis=1)
 
 
-def vote(decisions: Floats, pairs: NDArray, n_classes: int) -> Floats:
+def vote(decisions: Floats, pairs: Array, n_classes: int) -> Floats:
     """Return votes per class plus, below half a vote, how clear the decisions were.
 
     Parameters
@@ -44,7 +45,8 @@ def vote(decisions: Floats, pairs: NDArray, n_classes: int) -> Floats:
     signed[np.arange(len(pairs)), pairs[:, 1]] = 1
     votes = (np.sign(decisions) @ signed + n_classes - 1) / 2
     clear = decisions @ signed
-    return votes + clear / (3 * (np.abs(clear) + 1))
+    clarified: Floats = votes + clear / (3 * (np.abs(clear) + 1))
+    return clarified
 
 
 def fit_sigmoids(scores: Floats, labels: Floats) -> Floats:
@@ -107,7 +109,8 @@ def _shortened(
 
     def loss(at: Floats) -> Floats:
         z = (inputs @ at[:, :, None])[:, :, 0]
-        return (counted * (np.logaddexp(0, z) - target * z)).sum(axis=1)
+        shortened: Floats = (counted * (np.logaddexp(0, z) - target * z)).sum(axis=1)
+        return shortened
 
     before = loss(sigmoid)
     length = np.ones((len(sigmoid), 1))
@@ -119,7 +122,7 @@ def _shortened(
     return sigmoid + length * step
 
 
-def couple(decisions: Floats, sigmoids: Floats, pairs: NDArray) -> Floats:
+def couple(decisions: Floats, sigmoids: Floats, pairs: Array) -> Floats:
     """Return one distribution over classes per touch, (n_touches, n_classes).
 
     The probabilities p minimise sum over pairs of (r_ji p_i - r_ij p_j)^2, with
@@ -142,7 +145,7 @@ def couple(decisions: Floats, sigmoids: Floats, pairs: NDArray) -> Floats:
     return chances
 
 
-def _couple(second: Floats, pairs: NDArray, n_classes: int) -> Floats:
+def _couple(second: Floats, pairs: Array, n_classes: int) -> Floats:
     """Couple a block of touches; `second` is the chance of each second class."""
     n_touches, (i, j) = len(second), pairs.T
     system = np.zeros((n_touches, n_classes + 1, n_classes + 1))
@@ -156,11 +159,12 @@ def _couple(second: Floats, pairs: NDArray, n_classes: int) -> Floats:
     right[n_classes] = 1
     solved = np.linalg.solve(system, right)[:, :n_classes, 0]
     solved = np.maximum(solved, 0)
-    return solved / solved.sum(axis=1, keepdims=True)
+    shares: Floats = solved / solved.sum(axis=1, keepdims=True)
+    return shares
 
 
 def put_left_out(
-    decisions: Floats, left_out: Floats, codes: NDArray, pairs: NDArray
+    decisions: Floats, left_out: Floats, codes: Array, pairs: Array
 ) -> None:
     """Replace decisions by those of machines that did not learn the touch.
 
@@ -180,7 +184,7 @@ def put_left_out(
             decisions[mine, number] = left_out[mine, other]
 
 
-def fit_temperature(chances: Floats, codes: NDArray) -> float:
+def fit_temperature(chances: Floats, codes: Array) -> float:
     """Return the power of coupled probabilities with the least log loss.
 
     Pairs of few touches are cautious, and coupling many of them more so; one power
@@ -214,7 +218,7 @@ def sharpen(chances: Floats, power: float) -> Floats:
     return sharpened
 
 
-def side_with_votes(probabilities: Floats, winners: NDArray) -> Floats:
+def side_with_votes(probabilities: Floats, winners: Array) -> Floats:
     """Move probabilities as little as possible so that the winner has the largest.
 
     Where coupling and votes disagree, the winner and the classes above it share
@@ -239,4 +243,5 @@ def side_with_votes(probabilities: Floats, winners: NDArray) -> Floats:
     chance = np.where(joined, level[:, None], chance)
     # A hair more, so that the winner is the largest for whoever looks.
     chance[rows[changed], winners[changed]] = level[changed] * (1 + 1e-9)
-    return chance / chance.sum(axis=1, keepdims=True)
+    sided: Floats = chance / chance.sum(axis=1, keepdims=True)
+    return sided

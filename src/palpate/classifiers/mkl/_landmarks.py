@@ -1,32 +1,206 @@
-"""Newton's step of the interior point for kernels that are products of features.
+"""Kernels through landmarks, for very many touches.
 
-The hyperplane is its normal vector in the space of the features, so the system to
-solve has one row per feature and not one per touch; touches are only gone through,
-in blocks.
+Each kernel is replaced by its Nystroem approximation from the same few landmarks:
+features whose inner products are the kernel as the landmarks see it. The problem
+stays the same, and time and memory grow linearly with the touches. With every touch a
+landmark, the machine is the exact one.
+
+The hyperplane is its normal vector in the space of the features, so Newton's step has
+one row per feature and not one per touch; touches are only gone through, in blocks.
 """
+
+from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.random import RandomState
+from scipy.linalg import eigh
 
-from ._mkl_problem import (
-    Floats,
+from ..._types import Array, Floats
+from ._dense import DenseKernels, cholesky_solver
+from ._kernels import (
+    Kernel,
+    kernel_diagonals,
+    kernel_scales,
+    kernel_stack,
+    refuse_overflow,
+)
+from ._problem import (
     Point,
     Solution,
     Task,
     View,
     balanced,
     norms,
+    row_blocks,
     without_small,
 )
-from ._mkl_systems import cholesky_solver
 
+# Directions of a kernel below this share of its largest are rounding.
+_RANK_TOLERANCE = 1e-10
+# Features of up to this size are kept; larger ones are computed again block by block.
+_KEPT_BYTES = 2**30
 # Touches per feature from which on margins cannot all be met.
 _CROWD = 3
 
 Blocks = Callable[[], Iterator[tuple[slice, Floats]]]
+
+
+class LandmarkFeatures:
+    """Nystroem features of several kernels, from one matrix of distances.
+
+    Parameters
+    ----------
+    kernels : sequence of kernels
+    landmarks : ndarray of shape (n_landmarks, n_features)
+        Less `mean`.
+    mean : ndarray of shape (n_features,)
+    maps : list of ndarray of shape (n_landmarks, rank)
+        From kernel values at the landmarks to features, one per kernel.
+    """
+
+    def __init__(
+        self,
+        kernels: Sequence[Kernel],
+        landmarks: Floats,
+        mean: Floats,
+        maps: list[Floats],
+    ) -> None:
+        self.kernels, self.landmarks = kernels, landmarks
+        self.mean, self.maps = mean, maps
+        self.ranks = [one.shape[1] for one in maps]
+
+    def __call__(self, centred: Floats) -> Floats:
+        """Return features, shape (n_touches, sum of ranks), kernel by kernel."""
+        stack = kernel_stack(self.kernels, centred, self.landmarks, self.mean)
+        both = zip(stack, self.maps, strict=True)
+        return np.concatenate([kernel @ one for kernel, one in both], axis=1)
+
+    def blocks(self, centred: Floats) -> Iterator[tuple[slice, Floats]]:
+        """Yield slices of touches and their features, a few at a time."""
+        per_kernel = len(self.landmarks) * (len(self.kernels) + 2)
+        for rows in row_blocks(len(centred), per_kernel + 2 * sum(self.ranks)):
+            yield rows, self(centred[rows])
+
+
+class NystroemBank:
+    """A bank of approximate kernels over training touches.
+
+    Parameters
+    ----------
+    kernels : sequence of kernels
+    touches : ndarray of shape (n_touches, n_features)
+    normalize : {"trace", "variance", None}
+    n_landmarks : int
+        Landmarks, drawn from the touches without replacement.
+    random : RandomState
+    """
+
+    n_folds = 1
+
+    def __init__(
+        self,
+        kernels: Sequence[Kernel],
+        touches: Floats,
+        normalize: str | None,
+        n_landmarks: int,
+        random: RandomState,
+    ) -> None:
+        self.kernels, self.n_touches = kernels, len(touches)
+        self.mean = touches.mean(axis=0)
+        self.centred = touches - self.mean
+        diagonals = kernel_diagonals(kernels, self.centred, self.mean)
+        refuse_overflow(kernels, diagonals)
+        drawn = random.permutation(self.n_touches)[:n_landmarks]
+        landmarks = self.centred[np.sort(drawn)]
+        stack = kernel_stack(kernels, landmarks, landmarks, self.mean)
+        maps = [_whitening(kernel) for kernel in stack]
+        self.features = LandmarkFeatures(kernels, landmarks, self.mean, maps)
+        mean = self._mean_kernel() if normalize == "variance" else None
+        self.scales = kernel_scales(diagonals, mean, normalize)
+        for one, scale in zip(maps, self.scales, strict=True):
+            one *= np.sqrt(scale)
+
+    @property
+    def n_columns(self) -> int:
+        """Coefficients of a machine: one per feature."""
+        return sum(self.features.ranks)
+
+    def batch_size(self, n_touches: int) -> int:
+        """One problem at a time."""
+        return 1
+
+    def system(self, index: Array, labels: Floats) -> LowRankKernels | DenseKernels:
+        """Return one problem, by features or, where it is small, by matrices."""
+        centred, ranks = self.centred[index[0]], self.features.ranks
+        n_bytes = 8 * len(centred) * self.n_columns
+        if n_bytes > _KEPT_BYTES:
+            return self._again_and_again(centred, labels)
+        features = np.empty((len(centred), self.n_columns))
+        for rows, part in self.features.blocks(centred):
+            features[rows] = part
+        mean = features.mean(axis=0)
+        features -= mean
+        if len(centred) <= self.n_columns and len(ranks) * n_bytes <= _KEPT_BYTES:
+            parts = np.split(features, np.cumsum(ranks)[:-1], axis=1)
+            stack = np.stack([part @ part.T for part in parts])
+            return DenseKernels(stack[None], labels)
+
+        def blocks() -> Iterator[tuple[slice, Floats]]:
+            for rows in row_blocks(len(features), 2 * len(mean)):
+                yield rows, features[rows]
+
+        return LowRankKernels(blocks, mean, ranks, labels)
+
+    def _again_and_again(self, centred: Floats, labels: Floats) -> LowRankKernels:
+        """A problem whose features are computed whenever they are asked for."""
+        total = np.zeros(self.n_columns)
+        for _, part in self.features.blocks(centred):
+            total += part.sum(axis=0)
+        mean = total / len(centred)
+
+        def blocks() -> Iterator[tuple[slice, Floats]]:
+            for rows, part in self.features.blocks(centred):
+                yield rows, part - mean
+
+        return LowRankKernels(blocks, mean, self.features.ranks, labels)
+
+    def machines(
+        self,
+        system: LowRankKernels | DenseKernels,
+        index: Array,
+        solution: Solution,
+    ) -> tuple[Floats, Floats]:
+        """Return the normal vector (1, n_columns) and the bias (1,)."""
+        if isinstance(system, LowRankKernels):
+            return solution.normal, system.true_bias(solution)
+        signed = (system.labels * solution.alpha)[0]
+        features = self.features(self.centred[index[0]])
+        weights = np.repeat(solution.weights[0], self.features.ranks)
+        normal = (weights * (signed @ features))[None]
+        return normal, solution.bias - normal @ features.mean(axis=0)
+
+    def _mean_kernel(self) -> Floats:
+        """Mean of each approximate kernel matrix: the squared mean feature."""
+        total = np.zeros(self.n_columns)
+        for _, part in self.features.blocks(self.centred):
+            total += part.sum(axis=0)
+        ends = np.cumsum(self.features.ranks)
+        starts = ends - self.features.ranks
+        squared: Floats = np.add.reduceat((total / self.n_touches) ** 2, starts)
+        return squared
+
+
+def _whitening(kernel: Floats) -> Floats:
+    """Return W with W W' the inverse of the kernel on its own directions."""
+    values, vectors = eigh(kernel)
+    real = values > _RANK_TOLERANCE * max(values[-1], np.finfo(float).tiny)
+    if not real.any():
+        return np.zeros((len(kernel), 1))
+    whitening: Floats = vectors[:, real] / np.sqrt(values[real])
+    return whitening
 
 
 class LowRankKernels:
@@ -75,7 +249,7 @@ class LowRankKernels:
         energies = 0.5 * self.lengths(pull)[None] ** 2
         return View(energies, missing, square, pull[None])
 
-    def newton(self, task: Task, point: Point, view: View) -> "PrimalNewton":
+    def newton(self, task: Task, point: Point, view: View) -> PrimalNewton:
         return PrimalNewton(self, task, point, view)
 
     def settled(self, task: Task, point: Point, share: float) -> Point:
@@ -105,7 +279,7 @@ class LowRankKernels:
         """Return the same kernels with some labels set to 0."""
         return type(self)(self._blocks, self._mean, self.ranks.tolist(), labels)
 
-    def take(self, keep: NDArray) -> Self:
+    def take(self, keep: Array) -> Self:
         if len(keep) != 1 or not np.asarray(keep).all():
             raise IndexError("A low-rank system holds one problem.")
         return self

@@ -1,26 +1,207 @@
-"""Where the kernel matrices of a pair of classes come from: features, or given.
+"""Kernels, and banks of them that share distances and inner products.
 
-Kernels are scaled once, by the training touches of all classes, so that one price of
-errors suits them all; touches to recognise get the same factors.
+A bank of Gaussians of many widths needs one matrix of squared distances, polynomials
+of many degrees one matrix of inner products, and both come from one product of the
+touches. Powers grow by repeated multiplication.
+
+The matrices of a pair of classes come from features, or are given. Kernels are scaled
+once, by the training touches of all classes, so that one price of errors suits them
+all; touches to recognise get the same factors.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf
 from sklearn.utils import check_array
 
-from ._kernels import Kernel, kernel_diagonals, kernel_stack
-from ._mkl_problem import BLOCK_BYTES, Floats, Solution, row_blocks
-from ._mkl_systems import DenseKernels
+from ..._checks import check_count, check_number, check_width
+from ..._types import Array, Floats
+from ._dense import DenseKernels
+from ._problem import BLOCK_BYTES, Solution, row_blocks
 
+# Fourth powers in a row by which narrower Gaussians come from a wider one.
+_MOST_STEPS = 3
 # A kernel whose spread is below this share of its size is constant.
 _CONSTANT = 1e-12
 # Share of the trace by which eigenvalues may miss zero, and of the largest entry by
 # which a matrix may miss symmetry, for rounding: of doubles, and of less.
 _ROUNDING, _COARSE_ROUNDING = 1e-8, 1e-5
+
+
+@dataclass(frozen=True)
+class GaussianKernel:
+    """exp(-|x - y|^2 / (2 sigma^2)); `sigma` has the unit of the features.
+
+    It lies between 1e-150 and 1e150, so that its square is an ordinary number.
+    """
+
+    sigma: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_width("sigma", self.sigma)
+
+
+@dataclass(frozen=True)
+class PolynomialKernel:
+    """(offset + x'y)^degree, with an offset of at least 0."""
+
+    degree: int = 2
+    offset: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_count("degree", self.degree)
+        check_number("offset", self.offset, low=0)
+
+
+@dataclass(frozen=True)
+class LinearKernel:
+    """x'y."""
+
+
+Kernel = GaussianKernel | PolynomialKernel | LinearKernel
+
+
+def paper_kernels() -> list[Kernel]:
+    """Return the 22 kernels of Liu et al. 2014.
+
+    Gaussians of sigma = 2^-5, 2^-4, ..., 2^10 and polynomials (1 + x'y)^p of
+    degree p = 1, ..., 6.
+    """
+    gaussians: list[Kernel] = [GaussianKernel(2.0**k) for k in range(-5, 11)]
+    return gaussians + [PolynomialKernel(p) for p in range(1, 7)]
+
+
+def check_kernels(kernels: object) -> list[Kernel]:
+    """Return the list that `kernels` names or is, or explain."""
+    if isinstance(kernels, str) and kernels == "paper":
+        return paper_kernels()
+    if isinstance(kernels, str) or not isinstance(kernels, Iterable):
+        raise ValueError(
+            f"kernels must be 'paper', 'precomputed' or a list, got {kernels!r}. "
+            "Pass for example [GaussianKernel(1.0), PolynomialKernel(2)]."
+        )
+    listed = list(kernels)
+    for kernel in listed:
+        if not isinstance(kernel, Kernel):
+            raise TypeError(
+                "kernels must hold GaussianKernel, PolynomialKernel or LinearKernel, "
+                f"got {kernel!r}. Compute other kernels first and pass 'precomputed'."
+            )
+    if not listed:
+        raise ValueError("kernels must hold at least one kernel, got an empty list.")
+    return listed
+
+
+def kernel_stack(
+    kernels: Sequence[Kernel], left: Floats, right: Floats, mean: Floats
+) -> Floats:
+    """Return all kernels between two sets of touches, or batches of such sets.
+
+    Parameters
+    ----------
+    kernels : sequence of kernels
+    left : ndarray of shape (..., n_left, n_features)
+        Touches less `mean`, which saves the digits of distances between touches
+        far from the origin.
+    right : ndarray of shape (..., n_right, n_features)
+        Others, less `mean` too; distances within `left` come out exactly 0 on the
+        diagonal if it is the same array.
+    mean : ndarray of shape (n_features,)
+
+    Returns
+    -------
+    ndarray of shape (..., n_kernels, n_left, n_right)
+    """
+    product = left @ right.swapaxes(-1, -2)
+    stack = np.empty((*product.shape[:-2], len(kernels), *product.shape[-2:]))
+    squared = _squared_distances(left, right, product)
+    if left is right:
+        n = product.shape[-1]
+        squared[..., np.arange(n), np.arange(n)] = 0
+    product += (left @ mean)[..., :, None]
+    product += (right @ mean)[..., None, :]
+    product += mean @ mean
+    with np.errstate(over="ignore", under="ignore"):
+        _fill(stack, kernels, squared, product)
+    return stack
+
+
+def kernel_diagonals(
+    kernels: Sequence[Kernel], touches: Floats, mean: Floats
+) -> Floats:
+    """Return k(x, x) of each touch, shape (n_kernels, n_touches).
+
+    `touches` come less `mean`, as in `kernel_stack`.
+    """
+    square = ((touches + mean) ** 2).sum(axis=1)
+    diagonals = np.empty((len(kernels), 1, len(touches)))
+    with np.errstate(over="ignore"):
+        _fill(diagonals, kernels, np.zeros((1, len(touches))), square[None])
+    return diagonals[:, 0]
+
+
+def _squared_distances(left: Floats, right: Floats, product: Floats) -> Floats:
+    squared = -2 * product
+    squared += np.square(left).sum(axis=-1)[..., :, None]
+    squared += np.square(right).sum(axis=-1)[..., None, :]
+    return np.maximum(squared, 0, out=squared)
+
+
+def _fill(
+    stack: Floats, kernels: Sequence[Kernel], squared: Floats, product: Floats
+) -> None:
+    """Write each kernel to its place in `stack`, shape (..., n_kernels, n, m)."""
+    places = [stack[..., k, :, :] for k in range(len(kernels))]
+    _fill_gaussians(places, kernels, squared)
+    powers: dict[tuple[float, int], Floats] = {}
+    for place, kernel in zip(places, kernels, strict=True):
+        if isinstance(kernel, PolynomialKernel):
+            place[...] = _power(kernel.offset, kernel.degree, product, powers)
+        elif isinstance(kernel, LinearKernel):
+            place[...] = product
+
+
+def _fill_gaussians(
+    places: list[Floats], kernels: Sequence[Kernel], squared: Floats
+) -> None:
+    """Widest first: half the width is the fourth power, cheaper than exponentials.
+
+    A few in a row at most, since each time the rounding grows fourfold.
+    """
+    known: dict[float, tuple[Floats, int]] = {}
+    gaussians = [
+        (kernel.sigma, place)
+        for kernel, place in zip(kernels, places, strict=True)
+        if isinstance(kernel, GaussianKernel)
+    ]
+    for sigma, place in sorted(gaussians, key=lambda pair: -pair[0]):
+        wider, steps = known.get(2 * sigma, (None, _MOST_STEPS))
+        if wider is not None and steps < _MOST_STEPS:
+            np.multiply(wider, wider, out=place)
+            np.multiply(place, place, out=place)
+            known[sigma] = place, steps + 1
+        else:
+            np.multiply(squared, -0.5 / sigma**2, out=place)
+            np.exp(place, out=place)
+            known[sigma] = place, 0
+
+
+def _power(
+    offset: float, degree: int, product: Floats, known: dict[tuple[float, int], Floats]
+) -> Floats:
+    """(offset + product)^degree from the highest power already known."""
+    below = max((p for o, p in known if o == offset and p <= degree), default=0)
+    if below == 0:
+        known[offset, 1] = offset + product
+        below = 1
+    power, base = known[offset, below], known[offset, 1]
+    for _ in range(degree - below):
+        power = power * base
+    known[offset, degree] = power
+    return power
 
 
 class DenseBank(ABC):
@@ -32,7 +213,7 @@ class DenseBank(ABC):
     scales: Floats
 
     @abstractmethod
-    def blocks(self, index: NDArray) -> Floats:
+    def blocks(self, index: Array) -> Floats:
         """Return the scaled kernels among the touches of each row of `index`.
 
         Shape (n_rows, n_kernels, n_index, n_index).
@@ -48,7 +229,7 @@ class DenseBank(ABC):
         per_problem = 8 * len(self.scales) * n_touches**2
         return max(1, BLOCK_BYTES // per_problem)
 
-    def system(self, index: NDArray, labels: Floats) -> DenseKernels:
+    def system(self, index: Array, labels: Floats) -> DenseKernels:
         """Return the problems of the touches of each row of `index`."""
         blocks = self.blocks(index)
         if self.normalize == "trace":
@@ -57,7 +238,7 @@ class DenseBank(ABC):
         return DenseKernels.centred(blocks, labels)
 
     def machines(
-        self, system: DenseKernels, index: NDArray, solution: Solution
+        self, system: DenseKernels, index: Array, solution: Solution
     ) -> tuple[Floats, Floats]:
         """Return y a of each machine at the place of its touches, and its bias."""
         placed = np.zeros((len(index), self.n_touches))
@@ -95,7 +276,7 @@ class FeatureBank(DenseBank):
         mean = self._mean_kernel() if normalize == "variance" else None
         self.scales = kernel_scales(diagonals, mean, normalize)
 
-    def blocks(self, index: NDArray) -> Floats:
+    def blocks(self, index: Array) -> Floats:
         chosen = self.centred[index]
         stack = kernel_stack(self.kernels, chosen, chosen, self.mean)
         stack *= self.scales[:, None, None]
@@ -136,7 +317,7 @@ class GivenBank(DenseBank):
         mean = self._values.mean(axis=(0, 1)) if normalize == "variance" else None
         self.scales = kernel_scales(diagonals, mean, normalize)
 
-    def blocks(self, index: NDArray) -> Floats:
+    def blocks(self, index: Array) -> Floats:
         n_rows, n = index.shape
         blocks = np.empty((n_rows, len(self.scales), n, n))
         for block, row in zip(blocks, index, strict=True):

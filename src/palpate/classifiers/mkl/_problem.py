@@ -16,7 +16,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from ..._types import Array, Floats
 
 # Bytes of kernel values held at a time beside what the caller holds.
 BLOCK_BYTES = 32 * 2**20
@@ -74,11 +74,11 @@ class Point:
     def pulls(self) -> Floats:
         return self.free[:, 2:]
 
-    def take(self, keep: NDArray) -> "Point":
+    def take(self, keep: Array) -> "Point":
         parts = self.left[keep], self.right[keep], self.free[keep]
         return Point(*parts, self.n_touches)
 
-    def overwrite(self, rows: NDArray, new: "Point") -> None:
+    def overwrite(self, rows: Array, new: "Point") -> None:
         """Put `new` in the place of some problems."""
         self.left[rows], self.right[rows] = new.left, new.right
         self.free[rows] = new.free
@@ -114,7 +114,7 @@ class View:
     square: Floats
     pull: Floats
 
-    def take(self, keep: NDArray) -> "View":
+    def take(self, keep: Array) -> "View":
         return View(*(part[keep] for part in vars(self).values()))
 
 
@@ -153,7 +153,7 @@ class KernelSystem(Protocol):
     def settled(self, task: "Task", point: Point, share: float) -> Point:
         """Return a feasible copy, without weights below `share` of the largest."""
 
-    def take(self, keep: NDArray) -> Self:
+    def take(self, keep: Array) -> Self:
         """Return the system of some of the problems."""
 
 
@@ -169,7 +169,7 @@ class Task:
         self.labels = self.system.labels
         self.real = np.abs(self.labels)  # 1 for touches, 0 for padding
 
-    def take(self, keep: NDArray) -> "Task":
+    def take(self, keep: Array) -> "Task":
         return Task(self.system.take(keep), self.C, self.norm)
 
     def view(self, point: Point) -> View:
@@ -228,25 +228,28 @@ def balanced(labels: Floats, alpha: Floats) -> Floats:
     plus = np.where(labels > 0, real, 0).sum(axis=1, keepdims=True)
     minus = np.where(labels < 0, real, 0).sum(axis=1, keepdims=True)
     least = np.minimum(plus, minus)
-    return real * np.where(labels > 0, least / plus, least / minus)
+    pulling: Floats = real * np.where(labels > 0, least / plus, least / minus)
+    return pulling
 
 
 def without_small(shares: Floats, least: float) -> Floats:
     """Leave out shares below `least` of the largest; the others sum to 1."""
     largest = shares.max(axis=1, keepdims=True)
     kept = np.where(shares < least * largest, 0, shares)
-    return kept / kept.sum(axis=1, keepdims=True)
+    rest: Floats = kept / kept.sum(axis=1, keepdims=True)
+    return rest
 
 
 def norms(values: Floats, power: float) -> Floats:
     """The p-norm of each row of non-negative values; `power` may be infinite."""
     if power == 1:
-        return values.sum(axis=1)
-    largest = values.max(axis=1)
-    if np.isinf(power):
-        return largest
-    unit = values / np.where(largest > 0, largest, 1)[:, None]
-    return largest * (unit**power).sum(axis=1) ** (1 / power)
+        lengths: Floats = values.sum(axis=1)
+        return lengths
+    lengths = values.max(axis=1)
+    if np.isfinite(power):
+        unit = values / np.where(lengths > 0, lengths, 1)[:, None]
+        lengths = lengths * (unit**power).sum(axis=1) ** (1 / power)
+    return lengths
 
 
 def dual_norm(norm: float) -> float:

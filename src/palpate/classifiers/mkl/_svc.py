@@ -1,14 +1,16 @@
 """A support vector machine that learns its kernel from a bank of kernels."""
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.exceptions import ConvergenceWarning
-from sklearn.utils import Tags
+from sklearn.utils import Tags, check_random_state
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import (
@@ -18,13 +20,27 @@ from sklearn.utils.validation import (
     validate_data,
 )
 
-from .._checks import check_label_kinds, check_squarable
-from ._kernels import Kernel, kernel_stack
-from ._mkl_banks import FeatureBank, check_given, check_same_kernels
-from ._mkl_nystroem import LandmarkFeatures, NystroemBank
-from ._mkl_options import check_settings, is_given, make_bank
-from ._mkl_pairs import Bank, PairMachines, Settings, learn_pairs
-from ._mkl_posterior import (
+from ..._checks import (
+    check_count,
+    check_label_kinds,
+    check_number,
+    check_option,
+    check_positive,
+    check_squarable,
+)
+from ..._types import Array, Floats
+from ._kernels import (
+    FeatureBank,
+    GivenBank,
+    Kernel,
+    check_given,
+    check_kernels,
+    check_same_kernels,
+    kernel_stack,
+)
+from ._landmarks import LandmarkFeatures, NystroemBank
+from ._pairs import Bank, PairMachines, Settings, learn_pairs
+from ._posterior import (
     couple,
     fit_temperature,
     put_left_out,
@@ -32,13 +48,16 @@ from ._mkl_posterior import (
     side_with_votes,
     vote,
 )
-from ._mkl_problem import Floats, row_blocks
+from ._problem import row_blocks
 
 # Decisions this small tell nothing but the solver's rounding; the margin is 1.
 _ROUNDING = 1e-9
+# Pairs of more touches than this are learnt through landmarks by default.
+_MOST_TOUCHES = 3000
+_TOLERANCES = {"interior": 1e-6, "simplemkl": 1e-2}
 
 
-def _has_probability(estimator: "MKLSVC") -> bool:
+def _has_probability(estimator: MKLSVC) -> bool:
     if not estimator.probability:
         raise AttributeError(
             "predict_proba needs MKLSVC(probability=True); fit again with it."
@@ -208,15 +227,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         ConvergenceWarning
             If a pair stayed above the duality gap asked for; it says the gap.
         """
-        settings = check_settings(
-            C=self.C,
-            norm=self.norm,
-            solver=self.solver,
-            approximation=self.approximation,
-            tol=self.tol,
-            max_iter=self.max_iter,
-            probability=self.probability,
-        )
+        settings = self._settings()
         touches, labels = self._validated(X, y)
         self.classes_, codes = np.unique(labels, return_inverse=True)
         if len(self.classes_) < 2:
@@ -224,16 +235,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
                 "y must hold at least two classes, got one class: "
                 f"{self.classes_[0]}. Add touches of another."
             )
-        bank = make_bank(
-            touches,
-            codes,
-            kernels=self.kernels,
-            normalize=self.normalize,
-            solver=self.solver,
-            approximation=self.approximation,
-            n_landmarks=self.n_landmarks,
-            random_state=self.random_state,
-        )
+        bank = self._make_bank(touches, codes)
         machines = learn_pairs(bank, codes, settings)
         self._store(bank, machines)
         self.temperature_ = 1.0
@@ -254,12 +256,15 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         check_is_fitted(self)
         return self._decisions(self._validated_touches(X))
 
-    def predict(self, X: ArrayLike) -> NDArray:
+    def predict(self, X: ArrayLike) -> Array:
         """Return the label with most votes of each touch."""
         decisions = self.decision_function(X)
         if len(self.classes_) == 2:
-            return self.classes_[(decisions > 0).astype(int)]
-        return self.classes_[decisions.argmax(axis=1)]
+            winners = (decisions > 0).astype(int)
+        else:
+            winners = decisions.argmax(axis=1)
+        labels: Array = self.classes_[winners]
+        return labels
 
     @available_if(_has_probability)
     def predict_proba(self, X: ArrayLike) -> Floats:
@@ -277,17 +282,65 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
     def predict_log_proba(self, X: ArrayLike) -> Floats:
         """Return the logarithm of `predict_proba`, in nats."""
         with np.errstate(divide="ignore"):
-            return np.log(self.predict_proba(X))
+            logs: Floats = np.log(self.predict_proba(X))
+        return logs
 
     def __sklearn_tags__(self) -> Tags:
         tags = super().__sklearn_tags__()
-        tags.input_tags.pairwise = is_given(self.kernels)
-        tags.input_tags.three_d_array = is_given(self.kernels)
+        tags.input_tags.pairwise = self._is_given()
+        tags.input_tags.three_d_array = self._is_given()
         return tags
 
-    def _validated(self, X: ArrayLike, y: ArrayLike) -> tuple[Floats, NDArray]:
+    def _is_given(self) -> bool:
+        """Whether the kernels come computed."""
+        return isinstance(self.kernels, str) and self.kernels == "precomputed"
+
+    def _settings(self) -> Settings:
+        """Return how to learn a pair, or explain what does not fit."""
+        check_option("solver", self.solver, _TOLERANCES)
+        check_option("approximation", self.approximation, ("auto", "none", "nystroem"))
+        check_option("probability", self.probability, (True, False))
+        norm = check_number("norm", self.norm, low=1)
+        through_landmarks = self.approximation == "nystroem"
+        if self.solver == "simplemkl" and (norm != 1 or through_landmarks):
+            raise ValueError(
+                "solver must be 'interior' for norm above 1 or approximation "
+                "'nystroem', got 'simplemkl'. Leave solver at its default."
+            )
+        tol = _TOLERANCES[self.solver] if self.tol is None else self.tol
+        return Settings(
+            C=check_positive("C", self.C),
+            norm=norm,
+            solver=self.solver,
+            tol=check_positive("tol", tol),
+            max_iter=check_count("max_iter", self.max_iter),
+            calibrate=bool(self.probability),
+        )
+
+    def _make_bank(self, touches: Floats, codes: Array) -> Bank:
+        """Return the kernels among training touches: whole, given, or by landmarks."""
+        check_option("normalize", self.normalize, ("trace", "variance", None))
+        n_landmarks = check_count("n_landmarks", self.n_landmarks)
+        through_landmarks = self.approximation == "nystroem"
+        if self._is_given():
+            if through_landmarks:
+                raise ValueError(
+                    "approximation must be 'none' or 'auto' with precomputed kernels, "
+                    "got 'nystroem'. Pass features and a list of kernels instead."
+                )
+            return GivenBank(touches, self.normalize)
+        kernels = check_kernels(self.kernels)
+        if self.approximation == "auto" and self.solver == "interior":
+            largest = int(np.sort(np.bincount(codes))[-2:].sum())
+            through_landmarks = largest > _MOST_TOUCHES
+        if through_landmarks:
+            random = check_random_state(self.random_state)
+            return NystroemBank(kernels, touches, self.normalize, n_landmarks, random)
+        return FeatureBank(kernels, touches, self.normalize)
+
+    def _validated(self, X: ArrayLike, y: ArrayLike) -> tuple[Floats, Array]:
         check_label_kinds(y)
-        if is_given(self.kernels):
+        if self._is_given():
             touches = check_given(X)
             labels = column_or_1d(y, warn=True)
             check_consistent_length(touches, labels)
@@ -299,7 +352,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         return touches, labels
 
     def _validated_touches(self, X: ArrayLike) -> Floats:
-        if is_given(self.kernels):
+        if self._is_given():
             stack = check_given(X, self.n_features_in_)
             return check_same_kernels(stack, self.weights_.shape[1])
         touches: Floats = validate_data(self, X, dtype=np.float64, reset=False)
@@ -325,7 +378,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
             self.kernels_, self.mean_ = list(bank.kernels), bank.mean
 
     def _fit_temperature(
-        self, touches: Floats, codes: NDArray, machines: PairMachines
+        self, touches: Floats, codes: Array, machines: PairMachines
     ) -> None:
         """Judge training touches by machines that did not learn them."""
         judged = np.isfinite(machines.left_out).sum(axis=1) == len(self.classes_) - 1
@@ -370,7 +423,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
             return features(touches - self.mean_) @ self.dual_coef_.T
         factors = self.weights_ * self.kernel_scales_
         used = np.flatnonzero(factors.any(axis=0))
-        if is_given(self.kernels):
+        if self._is_given():
             stack = touches[:, self.support_][:, :, used].transpose(2, 0, 1)
         else:
             kernels = [self.kernels_[k] for k in used]
