@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from sklearn.metrics.pairwise import polynomial_kernel, rbf_kernel
 
 from palpate.classifiers import (
     MKLSVC,
@@ -14,24 +13,9 @@ from palpate.classifiers import (
 from palpate.classifiers.mkl import paper_kernels
 
 
-def reference(kernel, left, right):
-    if isinstance(kernel, GaussianKernel):
-        return rbf_kernel(left, right, gamma=1 / (2 * kernel.sigma**2))
-    if isinstance(kernel, PolynomialKernel):
-        return polynomial_kernel(
-            left, right, degree=kernel.degree, gamma=1, coef0=kernel.offset
-        )
-    return left @ right.T
-
-
-@pytest.fixture
-def touches(rng):
-    return rng.normal(size=(15, 4)) + np.array([3, 0, -1, 0])
-
-
-def fitted(touches, **options):
-    labels = np.arange(len(touches)) % 2
-    return MKLSVC(probability=False, **options).fit(touches, labels)
+def fitted(vectors, **options):
+    labels = np.arange(len(vectors)) % 2
+    return MKLSVC(probability=False, **options).fit(vectors, labels)
 
 
 def given(*matrices):
@@ -60,9 +44,9 @@ def test_bad_parameters_of_a_kernel_are_refused(make, error, message):
 
 
 @pytest.mark.parametrize("kind", ["features", "matrices"])
-def test_trace_and_variance_become_one(touches, kind):
+def test_trace_and_variance_become_one(vectors, kind, reference):
     kernels = paper_kernels()
-    matrices = [reference(kernel, touches, touches) for kernel in kernels]
+    matrices = [reference(kernel, vectors, vectors) for kernel in kernels]
     amounts = {
         "trace": [m.trace() for m in matrices],
         "variance": [m.trace() / len(m) - m.mean() for m in matrices],
@@ -70,7 +54,7 @@ def test_trace_and_variance_become_one(touches, kind):
     for normalize, amount in amounts.items():
         options = {"normalize": normalize, "C": 1.0, "kernels": kernels}
         if kind == "features":
-            machine = fitted(touches, **options)
+            machine = fitted(vectors, **options)
         else:
             machine = fitted(given(*matrices), **options | {"kernels": "precomputed"})
         # The widest Gaussian differs from 1 by 1e-6: ten digits of its variance.
@@ -88,10 +72,10 @@ def test_a_kernel_that_tells_nothing_apart_gets_no_weight():
         assert_array_equal(machine.kernel_scales_, scales)
 
 
-def test_kernels_between_test_and_training_touches_are_scaled_by_training(touches):
-    machine = fitted(touches, kernels=[LinearKernel()])
-    machine.predict(2 * touches)
-    assert_allclose(machine.kernel_scales_, 1 / (touches**2).sum(), rtol=1e-12)
+def test_kernels_between_test_and_training_touches_are_scaled_by_training(vectors):
+    machine = fitted(vectors, kernels=[LinearKernel()])
+    machine.predict(2 * vectors)
+    assert_allclose(machine.kernel_scales_, 1 / (vectors**2).sum(), rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -103,9 +87,9 @@ def test_kernels_between_test_and_training_touches_are_scaled_by_training(touche
         (["gaussian"], TypeError, "got 'gaussian'.*'precomputed'"),
     ],
 )
-def test_kernels_that_are_none_are_refused(kernels, error, message, touches):
+def test_kernels_that_are_none_are_refused(kernels, error, message, vectors):
     with pytest.raises(error, match=message):
-        fitted(touches, kernels=kernels)
+        fitted(vectors, kernels=kernels)
 
 
 def test_overflow_is_refused_with_the_kernel_that_did():

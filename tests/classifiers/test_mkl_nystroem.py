@@ -18,20 +18,7 @@ from palpate.classifiers import (
 SOME = [GaussianKernel(0.5), GaussianKernel(2.0), PolynomialKernel(2), LinearKernel()]
 
 
-def draw(n, n_classes=2, seed=0):
-    rng = np.random.default_rng(seed)
-    codes = rng.integers(n_classes, size=n)
-    codes[:n_classes] = range(n_classes)
-    return rng.normal(size=(n, 6)) + np.eye(n_classes, 6)[codes], codes
-
-
-def landmarks(n, **options):
-    return MKLSVC(
-        kernels=SOME, approximation="nystroem", n_landmarks=n, random_state=0, **options
-    )
-
-
-def test_a_linear_kernel_needs_no_more_directions_than_features():
+def test_a_linear_kernel_needs_no_more_directions_than_features(draw, landmarks):
     X, y = draw(50)
     ranks = [one.shape[1] for one in landmarks(30).fit(X, y).feature_maps_]
     # A polynomial of degree 2 in 6 features has 28 monomials.
@@ -40,7 +27,9 @@ def test_a_linear_kernel_needs_no_more_directions_than_features():
 
 @pytest.mark.parametrize("norm", [1, 2])
 @pytest.mark.parametrize("normalize", ["trace", "variance", None])
-def test_with_every_touch_a_landmark_the_machine_is_exact(norm, normalize):
+def test_with_every_touch_a_landmark_the_machine_is_exact(
+    norm, normalize, draw, landmarks
+):
     X, codes = draw(80)
     options = {"norm": norm, "normalize": normalize, "probability": False}
     options["C"] = 100 if normalize == "trace" else 1
@@ -53,7 +42,7 @@ def test_with_every_touch_a_landmark_the_machine_is_exact(norm, normalize):
     assert_allclose(through.decision_function(X), exact.decision_function(X), atol=2e-2)
 
 
-def test_j_rises_to_the_exact_one_from_above():
+def test_j_rises_to_the_exact_one_from_above(draw, landmarks):
     # Landmarks see less of a kernel, so each summed kernel is smaller and J larger.
     X, codes = draw(150)
     options = {"C": 100, "probability": False}
@@ -63,7 +52,7 @@ def test_j_rises_to_the_exact_one_from_above():
     assert_allclose(found[2], exact.objective_[0], rtol=2e-6)
 
 
-def test_more_classes_votes_and_probabilities():
+def test_more_classes_votes_and_probabilities(draw, landmarks):
     X, codes = draw(300, n_classes=4)
     exact = MKLSVC(kernels=SOME, approximation="none").fit(X, codes)
     through = landmarks(60).fit(X, codes)
@@ -75,7 +64,7 @@ def test_more_classes_votes_and_probabilities():
     assert_array_equal(chances.argmax(axis=1), through.predict(others))
 
 
-def test_the_seed_decides_the_landmarks():
+def test_the_seed_decides_the_landmarks(draw, landmarks):
     X, codes = draw(200)
     one, same = landmarks(20).fit(X, codes), landmarks(20).fit(X, codes)
     assert_array_equal(one.predict_proba(X), same.predict_proba(X))
@@ -83,12 +72,12 @@ def test_the_seed_decides_the_landmarks():
     assert np.abs(one.touches_ - other.touches_).max() > 0
 
 
-def test_more_landmarks_than_touches_are_all_touches():
+def test_more_landmarks_than_touches_are_all_touches(draw, landmarks):
     X, codes = draw(30)
     assert len(landmarks(200).fit(X, codes).touches_) == 30
 
 
-def test_constant_touches_have_a_defined_answer():
+def test_constant_touches_have_a_defined_answer(landmarks):
     codes = np.repeat([0, 1], [4, 6])
     machine = landmarks(5).fit(np.full((10, 3), 2.0), codes)
     assert machine.predict(np.full((1, 3), 2.0)).tolist() == [1]

@@ -12,7 +12,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from sklearn.metrics.pairwise import polynomial_kernel, rbf_kernel
 from sklearn.svm import SVC
 
 from palpate.classifiers import (
@@ -343,21 +342,6 @@ def test_more_than_a_few_hundred_touches_go_one_by_one_through_cholesky():
     assert right.mean() >= -theirs - 0.05
 
 
-def reference(kernel, left, right):
-    if isinstance(kernel, GaussianKernel):
-        return rbf_kernel(left, right, gamma=1 / (2 * kernel.sigma**2))
-    if isinstance(kernel, PolynomialKernel):
-        return polynomial_kernel(
-            left, right, degree=kernel.degree, gamma=1, coef0=kernel.offset
-        )
-    return left @ right.T
-
-
-@pytest.fixture
-def touches(rng):
-    return rng.normal(size=(15, 4)) + np.array([3, 0, -1, 0])
-
-
 def stack_of(kernels, left, right=None):
     mean = left.mean(axis=0)
     centred = left - mean
@@ -365,25 +349,25 @@ def stack_of(kernels, left, right=None):
     return kernel_stack(kernels, centred, other, mean)
 
 
-def test_every_kernel_agrees_with_scikit_learn(touches, rng):
+def test_every_kernel_agrees_with_scikit_learn(vectors, rng, reference):
     others = rng.normal(size=(7, 4))
     kernels = [*paper_kernels(), LinearKernel(), PolynomialKernel(3, 0.5)]
-    stack = stack_of(kernels, touches, others)
+    stack = stack_of(kernels, vectors, others)
     assert stack.shape == (24, 15, 7)
     for kernel, ours in zip(kernels, stack, strict=True):
-        theirs = reference(kernel, touches, others)
+        theirs = reference(kernel, vectors, others)
         # Two fourth powers in a row multiply the rounding of exp by 16, and narrow
         # Gaussians multiply that of distances by up to 2^10 d^2 / 2.
         assert_allclose(ours, theirs, rtol=1e-9, atol=1e-200)
 
 
-def test_a_batch_of_sets_is_each_set(touches):
+def test_a_batch_of_sets_is_each_set(vectors):
     kernels = paper_kernels()
-    mean = touches.mean(axis=0)
+    mean = vectors.mean(axis=0)
     index = np.array([[0, 3, 4], [7, 8, 2]])
-    batch = (touches - mean)[index]
+    batch = (vectors - mean)[index]
     stacks = kernel_stack(kernels, batch, batch, mean)
-    whole = stack_of(kernels, touches)
+    whole = stack_of(kernels, vectors)
     for row, stack in zip(index, stacks, strict=True):
         # Products of small and of whole matrices round differently.
         assert_allclose(stack, whole[:, row[:, None], row], rtol=1e-9, atol=1e-200)
@@ -397,25 +381,12 @@ def test_distances_far_from_the_origin_keep_their_digits():
     assert_allclose(there, here, rtol=1e-5)
 
 
-def test_diagonals_are_those_of_the_matrices(touches):
+def test_diagonals_are_those_of_the_matrices(vectors):
     kernels = [*paper_kernels(), LinearKernel()]
-    mean = touches.mean(axis=0)
-    diagonals = kernel_diagonals(kernels, touches - mean, mean)
-    whole = np.einsum("kii->ki", stack_of(kernels, touches))
+    mean = vectors.mean(axis=0)
+    diagonals = kernel_diagonals(kernels, vectors - mean, mean)
+    whole = np.einsum("kii->ki", stack_of(kernels, vectors))
     assert_allclose(diagonals, whole, rtol=1e-12)
-
-
-def draw(n, n_classes=2, seed=0):
-    rng = np.random.default_rng(seed)
-    codes = rng.integers(n_classes, size=n)
-    codes[:n_classes] = range(n_classes)
-    return rng.normal(size=(n, 6)) + np.eye(n_classes, 6)[codes], codes
-
-
-def landmarks(n, **options):
-    return MKLSVC(
-        kernels=SOME, approximation="nystroem", n_landmarks=n, random_state=0, **options
-    )
 
 
 def bank_of(X, n_landmarks, normalize="trace"):
@@ -423,7 +394,7 @@ def bank_of(X, n_landmarks, normalize="trace"):
     return NystroemBank(SOME, X, normalize, n_landmarks, random)
 
 
-def test_features_of_all_touches_are_the_kernels():
+def test_features_of_all_touches_are_the_kernels(draw):
     X, _ = draw(40)
     bank = bank_of(X, 40, normalize="variance")
     exact = FeatureBank(SOME, X, "variance")
@@ -436,7 +407,7 @@ def test_features_of_all_touches_are_the_kernels():
         assert_allclose(part @ part.T, kernel, atol=1e-8 * np.abs(kernel).max())
 
 
-def same_problem_twice(rng):
+def same_problem_twice(rng, draw):
     """Kernels of features, and the same kernels as matrices."""
     X, codes = draw(90)
     bank = bank_of(X, 12)
@@ -452,8 +423,8 @@ def same_problem_twice(rng):
 
 
 @pytest.mark.parametrize("norm", [1.0, 2.5])
-def test_newtons_step_is_that_of_the_whole_matrices(rng, norm):
-    low, dense = same_problem_twice(rng)
+def test_newtons_step_is_that_of_the_whole_matrices(rng, norm, draw):
+    low, dense = same_problem_twice(rng, draw)
     alpha, bound = rng.uniform(0.1, 0.9, (1, 90)), 1.0
     left = np.concatenate([alpha, bound - alpha, rng.uniform(0.1, 1, (1, 4))], axis=1)
     right, target = rng.uniform(0.1, 1, (2, 1, 184))
@@ -473,8 +444,8 @@ def test_newtons_step_is_that_of_the_whole_matrices(rng, norm):
 
 @pytest.mark.parametrize("norm", [1, 3])
 @pytest.mark.parametrize("C", [0.1, 10, 1e5])
-def test_both_interior_points_reach_the_same_optimum(rng, C, norm):
-    low, dense = same_problem_twice(rng)
+def test_both_interior_points_reach_the_same_optimum(rng, C, norm, draw):
+    low, dense = same_problem_twice(rng, draw)
     ours = solve_interior(low, C, norm=norm)
     reference = solve_interior(dense, C, norm=norm)
     assert max(ours.gap[0], reference.gap[0]) <= 1e-6
@@ -486,7 +457,7 @@ def test_both_interior_points_reach_the_same_optimum(rng, C, norm):
     assert_allclose(*decisions, atol=2 * wide)
 
 
-def test_features_computed_again_are_those_kept(monkeypatch):
+def test_features_computed_again_are_those_kept(monkeypatch, draw, landmarks):
     X, codes = draw(300)
     kept = landmarks(30).fit(X, codes)
     monkeypatch.setattr(_landmarks, "_KEPT_BYTES", 0)
@@ -494,7 +465,7 @@ def test_features_computed_again_are_those_kept(monkeypatch):
     assert_allclose(again.predict_proba(X), kept.predict_proba(X), rtol=1e-9)
 
 
-def test_auto_takes_landmarks_when_a_pair_is_too_large(monkeypatch):
+def test_auto_takes_landmarks_when_a_pair_is_too_large(monkeypatch, draw):
     monkeypatch.setattr(_svc, "_MOST_TOUCHES", 100)
     X, codes = draw(120)
     machine = MKLSVC(kernels=SOME, n_landmarks=20, random_state=0)
@@ -504,13 +475,13 @@ def test_auto_takes_landmarks_when_a_pair_is_too_large(monkeypatch):
     assert len(machine.fit(X, np.arange(120) % 3).feature_maps_) == 0
 
 
-def test_a_low_rank_system_holds_one_problem(rng):
-    low, _ = same_problem_twice(rng)
+def test_a_low_rank_system_holds_one_problem(rng, draw):
+    low, _ = same_problem_twice(rng, draw)
     with pytest.raises(IndexError, match="one problem"):
         low.take(np.array([False]))
 
 
-def test_few_touches_of_many_landmarks_are_solved_by_their_matrices():
+def test_few_touches_of_many_landmarks_are_solved_by_their_matrices(draw):
     X, _ = draw(120)
     bank = bank_of(X, 100)
     pair = bank.system(np.arange(10)[None], np.ones((1, 10)))

@@ -66,8 +66,7 @@ class HuMoments(ImageEstimator):
         log: bool = False,
     ) -> None:
         self.n_components = n_components
-        self.region = region
-        self.levels = levels
+        self.region, self.levels = region, levels
         self.log = log
 
     def _learn(self, images: Array) -> None:

@@ -78,10 +78,8 @@ class CentroidMoments(ImageEstimator):
         normalise: str | None = "energy",
         centre_power: float = 2.0,
     ) -> None:
-        self.order = order
-        self.width = width
-        self.normalise = normalise
-        self.centre_power = centre_power
+        self.order, self.width = order, width
+        self.normalise, self.centre_power = normalise, centre_power
 
     def _learn(self, images: Array) -> None:
         order = check_count("order", self.order, at_least=0)

@@ -125,12 +125,9 @@ class ZernikePCA(PrincipalEncoder):
         drop_constant: bool = True,
         repeat_negative: bool = False,
     ) -> None:
-        self.n_components = n_components
-        self.order = order
-        self.output = output
-        self.weight = weight
-        self.drop_constant = drop_constant
-        self.repeat_negative = repeat_negative
+        self.n_components, self.order = n_components, order
+        self.output, self.weight = output, weight
+        self.drop_constant, self.repeat_negative = drop_constant, repeat_negative
 
     def _first(self) -> ZernikeMoments:
         check_option("output", self.output, _REAL_OUTPUTS)

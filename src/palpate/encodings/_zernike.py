@@ -132,15 +132,10 @@ class ZernikeMoments(ImageEstimator):
         repeat_negative: bool = False,
         precision: str = "double",
     ) -> None:
-        self.order = order
-        self.method = method
-        self.output = output
-        self.weight = weight
-        self.disc = disc
-        self.centre = centre
-        self.radius = radius
-        self.drop_constant = drop_constant
-        self.repeat_negative = repeat_negative
+        self.order, self.method = order, method
+        self.output, self.weight = output, weight
+        self.disc, self.centre, self.radius = disc, centre, radius
+        self.drop_constant, self.repeat_negative = drop_constant, repeat_negative
         self.precision = precision
 
     def transform(self, X: ArrayLike) -> Array:

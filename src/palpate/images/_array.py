@@ -80,12 +80,9 @@ class ArrayCleanUp(ImageEstimator):
         output: str = "binary",
     ) -> None:
         self.shape = shape
-        self.gamma = gamma
-        self.n_sd = n_sd
-        self.n_partitions = n_partitions
-        self.min_contrast = min_contrast
-        self.dead = dead
-        self.output = output
+        self.gamma, self.n_sd = gamma, n_sd
+        self.n_partitions, self.min_contrast = n_partitions, min_contrast
+        self.dead, self.output = dead, output
 
     def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
         return check_images(X, shape=shape, allow_nan=True)

@@ -91,10 +91,8 @@ class DomeCrop(ImageEstimator):
         output: str = "standardised",
         margin: float = 0.02,
     ) -> None:
-        self.size = size
-        self.missing = missing
-        self.output = output
-        self.margin = margin
+        self.size, self.missing = size, missing
+        self.output, self.margin = output, margin
 
     def fit(
         self, X: ArrayLike, y: object = None, *, no_contact: ArrayLike | None = None

@@ -12,6 +12,7 @@ all; touches to recognise get the same factors.
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf
@@ -204,13 +205,37 @@ def _power(
     return power
 
 
-class DenseBank(ABC):
-    """Kernels among training touches, as whole matrices."""
+class Bank(ABC):
+    """Kernels among training touches, however they are held."""
 
     n_folds = 5
     n_touches: int
-    normalize: str | None
     scales: Floats
+
+    @property
+    @abstractmethod
+    def n_columns(self) -> int:
+        """Number of coefficients of a machine."""
+
+    @abstractmethod
+    def batch_size(self, n_touches: int) -> int:
+        """How many problems of that size to hold at a time."""
+
+    @abstractmethod
+    def system(self, index: Array, labels: Floats) -> Any:
+        """Return the kernels among the touches of each row of `index`."""
+
+    @abstractmethod
+    def machines(
+        self, system: Any, index: Array, solution: Solution
+    ) -> tuple[Floats, Floats]:
+        """Return coefficients (n_rows, n_columns) and bias (n_rows,)."""
+
+
+class DenseBank(Bank):
+    """Kernels among training touches, as whole matrices."""
+
+    normalize: str | None
 
     @abstractmethod
     def blocks(self, index: Array) -> Floats:

@@ -21,6 +21,7 @@ from scipy.linalg import eigh
 from ..._types import Array, Floats
 from ._dense import DenseKernels, cholesky_solver
 from ._kernels import (
+    Bank,
     Kernel,
     kernel_diagonals,
     kernel_scales,
@@ -85,7 +86,7 @@ class LandmarkFeatures:
             yield rows, self(centred[rows])
 
 
-class NystroemBank:
+class NystroemBank(Bank):
     """A bank of approximate kernels over training touches.
 
     Parameters
@@ -327,7 +328,7 @@ class PrimalNewton:
         slope, bend = (part[0] for part in task.slopes(point))
         self._ratio = point.right / point.left
         self._ease = 1 / (self._ratio[0, :n] + self._ratio[0, n : 2 * n])
-        self._lean = pulls * self._stretched(slope / self._weights)
+        self._lean = pulls * self._per_column(slope / self._weights)
         energies = 0.5 * system.lengths(pulls) ** 2
         stiffness = self._ratio[0, 2 * n :] - bend * energies
         self._gain = 1 / (stiffness + 2 * slope**2 * energies / self._weights)
@@ -339,17 +340,17 @@ class PrimalNewton:
         self._apart = view.pull[0] - pulls
         self._solve = cholesky_solver(self._matrix())
 
-    def _stretched(self, per_kernel: Floats) -> Floats:
+    def _per_column(self, per_kernel: Floats) -> Floats:
         return np.repeat(per_kernel, self._system.ranks)
 
     def _matrix(self) -> Floats:
         matrix = self._system.gram(self._ease * np.abs(self._labels))
         diagonal = np.arange(len(self._lean))
-        matrix[diagonal, diagonal] += self._stretched(1 / self._weights)
+        matrix[diagonal, diagonal] += self._per_column(1 / self._weights)
         for gain, part in zip(self._gain, self._system.slices, strict=True):
             lean = self._lean[part]
             matrix[part, part] -= np.outer(gain * lean, lean)
-        tilt = self._stretched(self._gain) * self._lean
+        tilt = self._per_column(self._gain) * self._lean
         matrix[:-1, :-1] += np.outer(tilt / self._gain.sum(), tilt)
         return matrix
 
@@ -361,7 +362,7 @@ class PrimalNewton:
         short = self._missing + wanted[0, :n] - wanted[0, n : 2 * n]
         eased = self._labels * self._ease * short
         right = np.empty(len(self._lean) + 1)
-        right[:-1] = self._apart + self._lean * self._stretched(self._yield(push)[0])
+        right[:-1] = self._apart + self._lean * self._per_column(self._yield(push)[0])
         right[:-1] += system.gather(eased)
         right[-1] = eased.sum() + self._imbalance
         solved = self._solve(right[:, None])[:, 0]
@@ -370,8 +371,8 @@ class PrimalNewton:
         alpha = self._ease * (short - moved)
         push += np.array([self._lean[p] @ normal[p] for p in system.slices])
         shares, level = self._yield(push)
-        pulls = normal / self._stretched(self._weights)
-        pulls -= self._lean * self._stretched(shares)
+        pulls = normal / self._per_column(self._weights)
+        pulls -= self._lean * self._per_column(shares)
         left = np.concatenate([alpha, -alpha, shares])[None]
         free = np.concatenate([[bias, level], pulls])[None]
         return Point(left, wanted - self._ratio * left, free, n)

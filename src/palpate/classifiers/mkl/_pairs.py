@@ -2,13 +2,14 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..._types import Array, Floats
 from ._interior import solve_interior
+from ._kernels import Bank
 from ._posterior import all_pairs, fit_sigmoids
 from ._problem import Solution
 from ._simplemkl import solve_simplemkl
@@ -18,29 +19,6 @@ _ALIKE = 0.8
 # Relative gap of the machines that only serve to calibrate probabilities.
 _CALIBRATION_TOL = 1e-4
 _N_PARTS = 5
-
-
-class Bank(Protocol):
-    """Kernels among training touches, however they are held."""
-
-    n_folds: int
-    n_touches: int
-    scales: Floats
-
-    @property
-    def n_columns(self) -> int:
-        """Number of coefficients of a machine."""
-
-    def batch_size(self, n_touches: int) -> int:
-        """How many problems of that size to hold at a time."""
-
-    def system(self, index: Array, labels: Floats) -> Any:
-        """Return the kernels among the touches of each row of `index`."""
-
-    def machines(
-        self, system: Any, index: Array, solution: Solution
-    ) -> tuple[Floats, Floats]:
-        """Return coefficients (n_rows, n_columns) and bias (n_rows,)."""
 
 
 @dataclass(frozen=True)
@@ -168,9 +146,9 @@ def _batches(
 
 
 def _folds(codes: Array) -> NDArray[np.int64]:
-    """Part of each touch: each class in order, cut into five stretches.
+    """Part of each touch: each class in order, cut into five blocks.
 
-    Neighbours in a recording are alike, so whole stretches are left out. The only
+    Neighbours in a recording are alike, so whole blocks are left out. The only
     touch of a class is in no part: -1.
     """
     folds = np.empty(len(codes), dtype=np.int64)

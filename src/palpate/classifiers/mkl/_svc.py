@@ -30,6 +30,7 @@ from ..._checks import (
 )
 from ..._types import Array, Floats
 from ._kernels import (
+    Bank,
     FeatureBank,
     GivenBank,
     Kernel,
@@ -39,7 +40,7 @@ from ._kernels import (
     kernel_stack,
 )
 from ._landmarks import LandmarkFeatures, NystroemBank
-from ._pairs import Bank, PairMachines, Settings, learn_pairs
+from ._pairs import PairMachines, Settings, learn_pairs
 from ._posterior import (
     couple,
     fit_temperature,
@@ -154,8 +155,8 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
     classes it is the decision of the one pair.
 
     **Probabilities.** The touches of each class, in the order given, are cut into
-    five stretches; each is judged by machines, kernel weights included, that learnt
-    the other four (with landmarks, the first stretch alone). A sigmoid per pair is
+    five blocks; each is judged by machines, kernel weights included, that learnt
+    the other four (with landmarks, the first block alone). A sigmoid per pair is
     fitted to those decisions, the pairs are coupled, and with more than two classes
     one power for all is fitted to the coupled probabilities of the same touches.
     Where the result contradicts the votes, the voted class and those above it share
@@ -200,15 +201,11 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         random_state: int | np.random.RandomState | None = None,
     ) -> None:
         self.C = C
-        self.kernels = kernels
-        self.normalize = normalize
-        self.norm = norm
-        self.solver = solver
-        self.approximation = approximation
-        self.n_landmarks = n_landmarks
+        self.kernels, self.normalize = kernels, normalize
+        self.norm, self.solver = norm, solver
+        self.approximation, self.n_landmarks = approximation, n_landmarks
         self.probability = probability
-        self.tol = tol
-        self.max_iter = max_iter
+        self.tol, self.max_iter = tol, max_iter
         self.random_state = random_state
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
