@@ -5,10 +5,12 @@ from ._kernel_density_index import IndexQuality, KernelDensityIndex
 from ._kernel_density_naive import KernelDensityNaiveBayes
 from ._kernel_ridge import KernelRidgeClassifier
 from ._one_per_label import OnePerLabelSVC
+from ._touch_classifier import FromProbabilities, TouchClassifier
 from .mkl import MKLSVC, GaussianKernel, LinearKernel, PolynomialKernel
 
 __all__ = [
     "MKLSVC",
+    "FromProbabilities",
     "GaussianKernel",
     "IndexQuality",
     "KernelDensityBayes",
@@ -18,4 +20,5 @@ __all__ = [
     "LinearKernel",
     "OnePerLabelSVC",
     "PolynomialKernel",
+    "TouchClassifier",
 ]

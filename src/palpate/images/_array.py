@@ -10,9 +10,11 @@ paper's (doi:10.1155/2014/497275).
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from sklearn.base import clone
 from sklearn.utils import Tags
 
 from .._checks import (
@@ -83,6 +85,17 @@ class ArrayCleanUp(ImageEstimator):
         self.gamma, self.n_sd = gamma, n_sd
         self.n_partitions, self.min_contrast = n_partitions, min_contrast
         self.dead, self.output = dead, output
+
+    def fit(
+        self, X: ArrayLike, y: object = None, *, no_contact: ArrayLike | None = None
+    ) -> Self:
+        """Check the parameters and note the size of the images; the rest is ignored."""
+        return super().fit(X, y)
+
+    def moved(self, X: ArrayLike, no_contact: ArrayLike | None = None) -> Self:
+        """Return this clean-up for another array of the same kind."""
+        other: Self = clone(self).fit(X, no_contact=no_contact)
+        return other
 
     def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
         return check_images(X, shape=shape, allow_nan=True)
