@@ -9,7 +9,8 @@ paper's (doi:10.1155/2014/497275).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from itertools import islice
 from typing import Self
 
 import numpy as np
@@ -101,7 +102,6 @@ class ArrayCleanUp(ImageEstimator):
         return check_images(X, shape=shape, allow_nan=True)
 
     def _learn(self, images: Array) -> None:
-        check_option("output", self.output, _OUTPUTS)
         self._clean(images[:1])
 
     def transform(self, X: ArrayLike) -> Array:
@@ -109,15 +109,23 @@ class ArrayCleanUp(ImageEstimator):
         return self._clean(self._images(X))
 
     def _clean(self, images: Floats) -> Array:
-        last = _OUTPUTS.index(self.output)
-        cleaned: Floats = resize(fill_dead_taxels(images, dead=self.dead), self.shape)
-        if last >= 1:
-            cleaned = correct_gamma(cleaned, self.gamma)
-        if last >= 2:
-            cleaned = filter_noise(cleaned, self.n_sd)
-        if last < 3:
-            return cleaned
-        return binarise(cleaned, self.n_partitions, min_contrast=self.min_contrast)
+        wanted = check_option("output", self.output, _OUTPUTS)
+        return next(made for step, made in self._steps(images) if step == wanted)
+
+    def _steps(self, images: Floats) -> Iterator[tuple[str, Array]]:
+        """Yield each step's name and what it makes of the images."""
+        filled = fill_dead_taxels(images, dead=self.dead)
+        yield "filled", filled
+        resized = resize(filled, self.shape)
+        yield "resized", resized
+        corrected = correct_gamma(resized, self.gamma)
+        yield "gamma", corrected
+        filtered = filter_noise(corrected, self.n_sd)
+        yield "filtered", filtered
+        yield (
+            "binary",
+            binarise(filtered, self.n_partitions, min_contrast=self.min_contrast),
+        )
 
     def __sklearn_tags__(self) -> Tags:
         tags = super().__sklearn_tags__()
@@ -301,13 +309,7 @@ def stage_pictures(
     """
     chain = ArrayCleanUp() if clean_up is None else clean_up
     raw = check_images(np.asarray(image)[np.newaxis], allow_nan=True)
-    stages: dict[str, Array] = {
-        "raw": raw,
-        "filled": fill_dead_taxels(raw, dead=chain.dead),
-    }
-    stages["resized"] = resize(stages["filled"], chain.shape)
-    stages["gamma"] = correct_gamma(stages["resized"], chain.gamma)
-    stages["filtered"] = filter_noise(stages["gamma"], chain.n_sd)
+    stages: dict[str, Array] = {"raw": raw, **dict(islice(chain._steps(raw), 4))}
     for n in sorted({1, 2, 3, chain.n_partitions}):
         stages[f"binary {n} x {n}"] = binarise(
             stages["filtered"], n, min_contrast=chain.min_contrast
