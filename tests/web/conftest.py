@@ -11,9 +11,10 @@ import pytest
 from palpate import Touches
 from palpate.sensors import ReplaySensor
 from palpate.web import LiveSession, create_app, new_token
+from palpate.web._learning import learn_job as learn_in_this_process
 
-pytest.importorskip("fastapi", reason="pip install palpate[web]")
-pytest.importorskip("uvicorn", reason="pip install palpate[web]")
+pytest.importorskip("fastapi", reason='pip install "palpate[web]"')
+pytest.importorskip("uvicorn", reason='pip install "palpate[web]"')
 
 SIDE = 12
 
@@ -59,12 +60,30 @@ def make_session(tmp_path_factory, drawn):
     return make
 
 
+@pytest.fixture(scope="session")
+def learn_job():
+    """Return a function that does a job of the learning process, in this one."""
+
+    def learn(library, output, base=None, drop=(), image_shape=None):
+        job = {"library": str(library), "output": str(output), "drop": list(drop)}
+        job["base"] = None if base is None else str(base)
+        return learn_in_this_process({**job, "image_shape": image_shape})
+
+    return learn
+
+
+@pytest.fixture
+def learning_here(monkeypatch, learn_job):
+    """Learn in this process: starting another one takes seconds; others try that."""
+    monkeypatch.setattr("palpate.web._session.learn_apart", learn_job)
+
+
 @contextmanager
 def serving(session, token=None, **limits):
     """Run the application of a session on a free port; give its address and token."""
     import uvicorn
 
-    from palpate.web.serving import open_socket
+    from palpate.web import open_socket
 
     token = token or new_token()
     opened = open_socket("127.0.0.1", 0)

@@ -1,18 +1,28 @@
-"""The application: one session, its API, its websocket and one page."""
+"""The application: one session, its API, its websocket and one page.
 
-from collections.abc import AsyncIterator
+What a session refuses becomes an answer here: 409 for what cannot be done now, 422
+for what was not asked well, 507 where the disk has no room.
+"""
+
+import errno
+import sqlite3
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 from fastapi import FastAPI, Request, Response, WebSocket
-from fastapi.responses import FileResponse, RedirectResponse
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import FileResponse, JSONResponse, RedirectResponse
 from fastapi.staticfiles import StaticFiles
+from starlette.middleware.base import RequestResponseEndpoint
 
-from ._guard import COOKIE, Guard
-from ._hub import Hub
-from ._refusals import explain_refusals
-from ._routes import api
+from ..sensors import ContactError, SensorError
+from ._learning import LearningError
+from ._request_guard import COOKIE, RequestGuard
+from ._routes import router
 from ._session import LiveSession
+from ._websocket import Hub
 
 STATIC = Path(__file__).parent / "static"
 _RULES = (
@@ -26,6 +36,7 @@ _HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
 }
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 
 def build_app(
@@ -48,13 +59,16 @@ def build_app(
         docs_url=None,
         redoc_url=None,
         lifespan=lifespan,
+        exception_handlers=_REFUSALS,
     )
-    explain_refusals(app)
+    app.state.session = session
     hub = Hub(session)
-    app.include_router(api(session))
+    app.include_router(router)
 
     @app.middleware("http")
-    async def with_headers(request: Request, call_next):  # type: ignore[no-untyped-def]
+    async def with_headers(
+        request: Request, call_next: RequestResponseEndpoint
+    ) -> Response:
         response = await call_next(request)
         for name, value in _HEADERS.items():
             response.headers.setdefault(name, value)
@@ -73,5 +87,55 @@ def build_app(
         await hub.serve(socket)
 
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
-    app.add_middleware(Guard, token=token, max_body=max_body, rate_hz=rate_hz)
+    app.add_middleware(RequestGuard, token=token, max_body=max_body, rate_hz=rate_hz)
     return app
+
+
+async def _not_now(request: Request, error: Exception) -> JSONResponse:
+    return JSONResponse({"detail": str(error)}, 409)
+
+
+async def _refused(request: Request, error: Exception) -> JSONResponse:
+    return JSONResponse({"detail": str(error)}, 507 if _lacks_room(error) else 422)
+
+
+async def _disk_failed(request: Request, error: Exception) -> JSONResponse:
+    reason = getattr(error, "strerror", None) or error
+    detail = f"The disk cannot be written to: {reason}. Free space."
+    return JSONResponse({"detail": detail}, 507)
+
+
+async def _malformed(request: Request, error: Exception) -> JSONResponse:
+    """Say what is wrong with a request, in valid JSON and without repeating it."""
+    assert isinstance(error, RequestValidationError)
+    detail = [
+        {
+            "loc": [str(part) for part in one["loc"]],
+            "msg": str(one["msg"]),
+            "type": str(one["type"]),
+        }
+        for one in error.errors()[:10]
+    ]
+    return JSONResponse({"detail": detail}, 422)
+
+
+def _lacks_room(error: BaseException) -> bool:
+    """Whether something failed because the disk would not be written to."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in _NO_ROOM:
+            return True
+        if isinstance(cause, sqlite3.Error):
+            code = getattr(cause, "sqlite_errorcode", 0) & 0xFF
+            return code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR)
+        cause = cause.__cause__
+    return False
+
+
+# The nearest class of an error counts; LibraryError and TouchesError are ValueErrors.
+_REFUSALS: dict[int | type[Exception], Callable[..., Any]] = {
+    RequestValidationError: _malformed,
+    **dict.fromkeys((ContactError, SensorError, LearningError), _not_now),
+    **dict.fromkeys((ValueError, TypeError), _refused),
+    OSError: _disk_failed,
+}

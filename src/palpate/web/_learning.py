@@ -77,11 +77,16 @@ def learn_apart(
     return answer
 
 
+def of_size(image_shape: tuple[int, int]) -> str:
+    """Return a filter of the touches whose images have (n_rows, n_cols)."""
+    return f"n_rows = {image_shape[0]} and n_cols = {image_shape[1]}"
+
+
 def learn_job(job: dict[str, Any]) -> dict[str, Any]:
     """Do one job as `learn_apart` describes it, in this process."""
     from ..library import TouchLibrary
     from ..recognition import ObjectRecogniser
-    from ._origin import remember_sensor, set_touch_ids, touch_ids
+    from ._learnt_touches import remember_sensor, set_touch_ids, touch_ids
 
     with TouchLibrary.open(job["library"]) as library:
         touches, ids = _taught(library, job.get("image_shape"))
@@ -107,8 +112,7 @@ def _taught(library: Any, image_shape: Any) -> tuple[Any, dict[str, list[str]]]:
     """Return the touches to learn, None for none, and the ids of each object's."""
     import numpy as np
 
-    from ._chosen import of_size
-    from ._origin import chosen_touches
+    from ._learnt_touches import chosen_touches
 
     if image_shape is None:
         (*_, newest) = library.list(limit=1, offset=max(0, len(library) - 1)) or [None]
@@ -134,7 +138,7 @@ def _kept(base: Any, library: Any, drop: Sequence[str]) -> list[str]:
 
     Those that do are what the library says now: renamed, forgotten or learnt anew.
     """
-    from ._origin import touch_ids
+    from ._learnt_touches import touch_ids
 
     stored = {row.id for row in library.list(limit=None, retracted=True)}
     here = {name for name, ids in touch_ids(base).items() if stored.intersection(ids)}

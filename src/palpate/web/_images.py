@@ -1,4 +1,4 @@
-"""Frames as pictures for a page, and pictures from outside as images.
+"""Images going out as pictures for a page, and coming in as pictures or numbers.
 
 Arrays are shown in false colour (viridis, which keeps its order in grey and for
 colour-blind eyes), pictures of cameras in grey. What comes from outside goes
@@ -6,14 +6,17 @@ through the same decoder as folders of touches, in memory: sizes are known befor
 anything is decoded, and a picture that is cut or altered is refused.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .._types import Array
 from ..touches import TouchesError, decode_bytes
 
 ARRAY_SIDE = 48
+MAX_PIXELS = 4_000_000
 _QUALITY = 80
 _THUMBNAIL = 96
 _KINDS = ("image/png", "image/jpeg")
@@ -33,7 +36,7 @@ class FramePainter:
         self.content_type = "image/png" if self.coloured else "image/jpeg"
         self._low, self._high = float("inf"), float("-inf")
 
-    def paint(self, image: NDArray[Any]) -> bytes:
+    def paint(self, image: Array) -> bytes:
         """Return a frame as the bytes of a picture of `content_type`."""
         import cv2
 
@@ -43,7 +46,7 @@ class FramePainter:
         coded = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
         return coded.tobytes()
 
-    def _false_colour(self, image: NDArray[Any]) -> NDArray[np.uint8]:
+    def _false_colour(self, image: Array) -> NDArray[np.uint8]:
         import cv2
 
         levels = self._stretched(image)
@@ -51,7 +54,7 @@ class FramePainter:
         painted[np.isnan(image.astype(np.float64))] = (90, 90, 90)
         return painted.astype(np.uint8, copy=False)
 
-    def _stretched(self, image: NDArray[Any]) -> NDArray[np.uint8]:
+    def _stretched(self, image: Array) -> NDArray[np.uint8]:
         """Return 0 to 255 over the widest range seen so far."""
         if np.isnan(image.astype(np.float64)).all():
             return np.zeros(image.shape, np.uint8)
@@ -62,7 +65,7 @@ class FramePainter:
         return (share * 255).astype(np.uint8)
 
 
-def thumbnail(image: NDArray[Any]) -> bytes:
+def thumbnail(image: Array) -> bytes:
     """Return one touch as a small PNG, stretched to its own range."""
     import cv2
 
@@ -77,10 +80,8 @@ def thumbnail(image: NDArray[Any]) -> bytes:
     return _png(cv2.resize(shown, size, interpolation=how))
 
 
-def read_picture(
-    data: bytes, content_type: str, max_pixels: int
-) -> NDArray[np.uint8 | np.uint16]:
-    """Return the grey levels of a JPEG or PNG that came from outside.
+def read_picture(data: bytes, content_type: str) -> NDArray[np.uint8 | np.uint16]:
+    """Return the grey levels of a JPEG or PNG of at most 4 megapixels.
 
     Raises
     ------
@@ -91,11 +92,56 @@ def read_picture(
         raise TouchesError(
             f"A picture must be image/png or image/jpeg, got {content_type!r}."
         )
-    levels: NDArray[np.uint8 | np.uint16] = decode_bytes(data, max_pixels=max_pixels)
+    levels: NDArray[np.uint8 | np.uint16] = decode_bytes(data, max_pixels=MAX_PIXELS)
     return levels
 
 
-def _png(picture: NDArray[Any]) -> bytes:
+def read_numbers(rows: Sequence[Sequence[float | None]]) -> NDArray[np.float32]:
+    """Return rows of taxels as an image; None is a dead taxel.
+
+    Raises
+    ------
+    ValueError
+        The rows are empty or of several lengths, or a number is too large.
+    """
+    if len({len(row) for row in rows}) != 1 or not rows[0]:
+        raise ValueError("The image must have rows of one length, at least 1.")
+    with np.errstate(over="ignore"):
+        image = np.array(rows, dtype=np.float32)
+    if np.isinf(image).any():
+        raise ValueError("The image must be finite (null for a dead taxel).")
+    return image
+
+
+def check_image(
+    image: Array, shape: Sequence[int], dtype: np.dtype[Any] | None
+) -> Array:
+    """Return an image of the right size as the right type, or explain.
+
+    Raises
+    ------
+    ValueError
+        It has another size, or values that the type cannot hold.
+    """
+    if image.shape != tuple(shape):
+        got = " x ".join(map(str, image.shape))
+        raise ValueError(
+            f"The image must have {shape[0]} x {shape[1]} taxels, got {got}."
+        )
+    if dtype is None or dtype == image.dtype:
+        return image
+    if dtype.kind in "iu":
+        limits = np.iinfo(dtype)
+        whole = bool(np.isfinite(image).all() and (np.rint(image) == image).all())
+        if not whole or image.min() < limits.min or image.max() > limits.max:
+            raise ValueError(
+                f"The image must hold whole numbers from {limits.min} to "
+                f"{limits.max}, as the touches before it do."
+            )
+    return image.astype(dtype)
+
+
+def _png(picture: Array) -> bytes:
     import cv2
 
     return cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()

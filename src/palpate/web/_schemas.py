@@ -15,10 +15,15 @@ class Answer(BaseModel):
     detail: str
 
 
-class Image(BaseModel):
-    """One frame of numbers."""
+class Order(BaseModel):
+    """The body of a request; a field that is not known is refused."""
 
     model_config = ConfigDict(extra="forbid")
+
+
+class Image(Order):
+    """One frame of numbers."""
+
     image: Annotated[
         list[list[float | None]],
         Field(
@@ -36,40 +41,35 @@ class NamedImage(Image):
     object: Name
 
 
-class LessonOrder(BaseModel):
+class LessonOrder(Order):
     """What to teach with the next touches of the sensor."""
 
-    model_config = ConfigDict(extra="forbid")
     object: Name
     touches: Annotated[int, Field(ge=1, le=1000, description="How many.")] = 12
 
 
-class Renaming(BaseModel):
+class Renaming(Order):
     """An object's name and its new one."""
 
-    model_config = ConfigDict(extra="forbid")
     object: Name
     name: Name
 
 
-class OneObject(BaseModel):
+class OneObject(Order):
     """An object."""
 
-    model_config = ConfigDict(extra="forbid")
     object: Name
 
 
-class Placing(BaseModel):
+class Placing(Order):
     """What lies before a replayed or simulated sensor; null for nothing."""
 
-    model_config = ConfigDict(extra="forbid")
     object: Name | None
 
 
-class ZeroOrder(BaseModel):
-    """How to take the frame of no contact."""
+class BaselineOrder(Order):
+    """How to take the baseline, the frame of touching nothing."""
 
-    model_config = ConfigDict(extra="forbid")
     force: Annotated[
         bool, Field(description="Take it although something seems to touch.")
     ] = False

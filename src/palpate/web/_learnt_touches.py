@@ -1,16 +1,17 @@
-"""What a model remembers of where it comes from: touches of a library, a sensor.
+"""What a model remembers of the touches it learnt: their ids, sensor and features.
 
 `touch_ids_` of a model holds the library's id of every touch it learnt, empty for
 those of no library; `sensor_` is a `SensorMemory` as plain values.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .._types import Array, Floats
 from ..library import LibraryError, Selection, TouchLibrary
 from ..recognition import ObjectRecogniser
 from ..sensors import SensorMemory
@@ -19,6 +20,7 @@ from ..sensors import SensorMemory
 _ENOUGH = 200
 _AT_ONCE = 16
 _TRIES = 5
+_SHOWN = 6
 
 
 def chosen_touches(
@@ -105,16 +107,65 @@ def remember_library(
 def remember_sensor(
     model: ObjectRecogniser, library: TouchLibrary, touches: Selection
 ) -> None:
-    """Keep what the sensor of these touches was like, where its zero is known."""
-    zero = _latest_zero(library, touches)
-    if zero is None:
+    """Keep what the sensor of these touches was like, where its baseline is known."""
+    baseline = _latest_baseline(library, touches)
+    if baseline is None:
         return
     rows = np.unique(np.linspace(0, len(touches) - 1, _ENOUGH).round().astype(int))
-    memory = SensorMemory.of(_images(touches, rows), zero)
+    memory = SensorMemory.of(_images(touches, rows), baseline)
     model.sensor_ = memory.to_dict()
 
 
-def _latest_zero(library: TouchLibrary, touches: Selection) -> NDArray[Any] | None:
+def sensor_memory(model: ObjectRecogniser | None) -> SensorMemory | None:
+    """Return what a model remembers of the sensor it learnt from, None for nothing."""
+    stored = getattr(model, "sensor_", None)
+    return None if stored is None else SensorMemory.from_dict(stored)
+
+
+class Neighbours:
+    """Nearest learnt touches, each feature measured in its own spread.
+
+    Parameters
+    ----------
+    recogniser : ObjectRecogniser
+        Fitted; learnt from a library, it knows the ids of its touches.
+    stored_ids : collection of str
+        Ids of the touches in the library at hand.
+    """
+
+    def __init__(
+        self, recogniser: ObjectRecogniser, stored_ids: Collection[str]
+    ) -> None:
+        features = recogniser.features_
+        spread = features.std(axis=0)
+        self._scale = np.where(spread > 0, spread, 1.0)
+        self._features = features / self._scale
+        self._labels = recogniser.labels_
+        ids = getattr(recogniser, "touch_ids_", np.empty(0, "U1")).tolist()
+        if len(ids) != len(features):
+            ids = [""] * len(features)
+        stored = set(stored_ids)
+        self._ids = [key if key in stored else None for key in ids]
+
+    def of(self, features: Floats) -> list[dict[str, Any]]:
+        """Return the nearest touches of features (1, n_features), nearest first.
+
+        `id` is None where the touch is not in the library.
+        """
+        apart = self._features - features / self._scale
+        distance = np.sqrt(np.mean(apart**2, axis=1))
+        some = np.argsort(distance, kind="stable")[:_SHOWN]
+        return [
+            {
+                "id": self._ids[row],
+                "object": str(self._labels[row]),
+                "distance": float(distance[row]),
+            }
+            for row in some
+        ]
+
+
+def _latest_baseline(library: TouchLibrary, touches: Selection) -> Array | None:
     """Return the newest no-contact image that has the size of these touches."""
     shape = touches.touches([len(touches) - 1]).images.shape[1:]
     sessions: list[Any] = [None]
@@ -123,15 +174,15 @@ def _latest_zero(library: TouchLibrary, touches: Selection) -> NDArray[Any] | No
         sessions = [*dict.fromkeys(named)] or sessions
     for session in sessions:
         try:
-            zero = library.no_contact(session)
+            baseline = library.no_contact(session)
         except LibraryError:  # damaged: `palpate library check` tells of it
             continue
-        if zero is not None and zero.shape == shape:
-            return zero
+        if baseline is not None and baseline.shape == shape:
+            return baseline
     return None
 
 
-def _images(touches: Selection, rows: NDArray[np.intp]) -> Iterator[NDArray[Any]]:
+def _images(touches: Selection, rows: NDArray[np.intp]) -> Iterator[Array]:
     """Read images in pieces, so that few are in memory at once."""
     for start in range(0, len(rows), _AT_ONCE):
         yield from touches.touches(rows[start : start + _AT_ONCE]).images
