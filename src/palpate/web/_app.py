@@ -6,10 +6,9 @@ for what was not asked well, 507 where the disk has no room.
 
 import errno
 import sqlite3
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
 
 from fastapi import FastAPI, Request, Response, WebSocket
 from fastapi.exceptions import RequestValidationError
@@ -36,6 +35,7 @@ _HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
 }
+_NOT_NOW = (ContactError, SensorError, LearningError)
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 
@@ -59,7 +59,10 @@ def build_app(
         docs_url=None,
         redoc_url=None,
         lifespan=lifespan,
-        exception_handlers=_REFUSALS,
+        exception_handlers={
+            RequestValidationError: _malformed,
+            **dict.fromkeys((*_NOT_NOW, ValueError, TypeError, OSError), _refused),
+        },
     )
     app.state.session = session
     hub = Hub(session)
@@ -91,29 +94,22 @@ def build_app(
     return app
 
 
-async def _not_now(request: Request, error: Exception) -> JSONResponse:
-    return JSONResponse({"detail": str(error)}, 409)
-
-
 async def _refused(request: Request, error: Exception) -> JSONResponse:
-    return JSONResponse({"detail": str(error)}, 507 if _lacks_room(error) else 422)
-
-
-async def _disk_failed(request: Request, error: Exception) -> JSONResponse:
-    reason = getattr(error, "strerror", None) or error
-    detail = f"The disk cannot be written to: {reason}. Free space."
-    return JSONResponse({"detail": detail}, 507)
+    status, detail = 507 if _lacks_room(error) else 422, str(error)
+    if isinstance(error, _NOT_NOW):
+        status = 409
+    elif isinstance(error, OSError):
+        reason = error.strerror or error
+        status, detail = 507, f"The disk cannot be written to: {reason}. Free space."
+    return JSONResponse({"detail": detail}, status)
 
 
 async def _malformed(request: Request, error: Exception) -> JSONResponse:
     """Say what is wrong with a request, in valid JSON and without repeating it."""
     assert isinstance(error, RequestValidationError)
     detail = [
-        {
-            "loc": [str(part) for part in one["loc"]],
-            "msg": str(one["msg"]),
-            "type": str(one["type"]),
-        }
+        {key: str(one[key]) for key in ("msg", "type")}
+        | {"loc": [*map(str, one["loc"])]}
         for one in error.errors()[:10]
     ]
     return JSONResponse({"detail": detail}, 422)
@@ -130,12 +126,3 @@ def _lacks_room(error: BaseException) -> bool:
             return code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR)
         cause = cause.__cause__
     return False
-
-
-# The nearest class of an error counts; LibraryError and TouchesError are ValueErrors.
-_REFUSALS: dict[int | type[Exception], Callable[..., Any]] = {
-    RequestValidationError: _malformed,
-    **dict.fromkeys((ContactError, SensorError, LearningError), _not_now),
-    **dict.fromkeys((ValueError, TypeError), _refused),
-    OSError: _disk_failed,
-}

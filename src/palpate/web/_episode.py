@@ -4,31 +4,20 @@ import base64
 import time
 from dataclasses import dataclass, field
 from html import escape
+from pathlib import Path
+from string import Template
 from typing import Any
 
 import numpy as np
 
-from .._types import Array, Floats
+from .._types import Array
 from ..recognition import Belief, ObjectRecogniser
 from ..touches import Touches
 from ._images import thumbnail
+from ._learnt_touches import Neighbours
 
 _SHOWN = 5
-_STYLE = """
-:root{color-scheme:light dark;--line:#d5dbe1;--soft:#5a6572;--bar:#2f6f8f}
-@media(prefers-color-scheme:dark){:root{--line:#39424c;--soft:#a3afbb;--bar:#6fb7d6}}
-body{font:16px/1.5 system-ui,sans-serif;max-width:56rem;margin:2rem auto;padding:0 1rem}
-h1{font-size:1.5rem}h1,p,th{overflow-wrap:anywhere}.note{color:var(--soft)}
-ol{list-style:none;padding:0}
-li{display:grid;grid-template-columns:104px minmax(0,1fr);gap:1rem;align-items:center;
-border-top:1px solid var(--line);padding:.8rem 0}
-img{width:96px;border-radius:6px}
-table{border-collapse:collapse;width:100%;table-layout:fixed}
-th,td{text-align:left;padding:.1rem .5rem 0 0;
-font-weight:400}td:last-child{text-align:right;width:4rem}
-.track{background:var(--line);border-radius:4px;height:.6rem}
-.bar{background:var(--bar);border-radius:4px;height:.6rem}
-"""
+_PAGE = Path(__file__).parent / "static" / "report.html"
 
 
 @dataclass(eq=False)
@@ -40,7 +29,6 @@ class LiveTouch:
     """
 
     number: int
-    image: Array
     time_s: float
     posterior: dict[str, float] = field(default_factory=dict)
     unknown: float | None = None
@@ -48,15 +36,8 @@ class LiveTouch:
     latency_ms: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values, without the image."""
-        return {
-            "number": self.number,
-            "time_s": self.time_s,
-            "posterior": self.posterior,
-            "unknown": self.unknown,
-            "limit": self.limit,
-            "latency_ms": self.latency_ms,
-        }
+        """Return it as plain values."""
+        return dict(vars(self))
 
 
 class LiveEpisode:
@@ -70,37 +51,45 @@ class LiveEpisode:
         What recognises; None collects touches without a belief.
     error : float
         Accepted share of wrong decisions.
+    neighbours : Neighbours, optional
+        Finds the learnt touches that are most similar to the last one, `nearest`.
     """
 
     def __init__(
-        self, number: int, recogniser: ObjectRecogniser | None, error: float
+        self,
+        number: int,
+        recogniser: ObjectRecogniser | None,
+        error: float,
+        neighbours: Neighbours | None = None,
     ) -> None:
         self.number, self.error = number, error
-        self.recogniser = recogniser
+        self.recogniser, self.neighbours = recogniser, neighbours
+        self.nearest: list[dict[str, Any]] = []
         self.belief: Belief | None = None if recogniser is None else recogniser.start()
         self.touches: list[LiveTouch] = []
+        self.images: list[Array] = []
         self.open = True
 
-    def add(self, image: Array) -> tuple[LiveTouch, Floats | None]:
-        """Take in a touch; return it and its features, None without a model.
+    def add(self, image: Array) -> LiveTouch:
+        """Take in a touch and return it.
 
         Raises
         ------
         ValueError
             The recogniser cannot take this image; the episode is unchanged.
         """
-        touch = LiveTouch(len(self.touches) + 1, image, time.time())
-        features = None
+        touch = LiveTouch(len(self.touches) + 1, time.time())
         if self.recogniser is not None and self.belief is not None:
-            one = Touches(image[np.newaxis])
-            evidence = self.recogniser.evidence(one)
-            features = evidence.features
+            evidence = self.recogniser.evidence(Touches(image[np.newaxis]))
             self.belief.update(evidence)
             touch.posterior = self.belief.posterior
             touch.unknown = self.belief.unknown
             touch.limit = self.belief.unknown_limit(self.error)
+            if self.neighbours is not None:
+                self.nearest = self.neighbours.of(evidence.features)
+        self.images.append(image)  # first, for those who read meanwhile
         self.touches.append(touch)
-        return touch, features
+        return touch
 
     @property
     def decision(self) -> str | None:
@@ -140,7 +129,7 @@ class LiveEpisode:
             raise ValueError("The episode has no touch yet; touch something first.")
         times = np.array([touch.time_s for touch in self.touches])
         episode = np.full(len(times), self.number)
-        images = np.stack([touch.image for touch in self.touches])
+        images = np.stack(self.images[: len(times)])
         return Touches(images, time_s=times, episode=episode)
 
 
@@ -156,24 +145,20 @@ def episode_report(episode: LiveEpisode) -> str:
     """
     if not episode.touches:
         raise ValueError("The episode has no touch yet; touch something first.")
-    when = time.strftime("%Y-%m-%d %H:%M", time.localtime(episode.touches[0].time_s))
-    decided = episode.decision or "undecided"
-    items = "".join(_item(touch) for touch in episode.touches)
-    return (
-        "<!doctype html><html lang=en><meta charset=utf-8>"
-        "<meta name=viewport content='width=device-width,initial-scale=1'>"
-        f"<title>Episode {episode.number}: {escape(decided)}</title>"
-        f"<style>{_STYLE}</style><body>"
-        f"<h1>Episode {episode.number}: {escape(decided)}</h1>"
-        f"<p>{escape(episode.reason)}</p>"
-        f"<p class=note>{when}, {len(episode.touches)} touches. At most "
-        f"{episode.error:.1%} of decisions should be wrong.</p>"
-        f"<ol>{items}</ol></body></html>"
+    began = time.localtime(episode.touches[0].time_s)
+    return Template(_PAGE.read_text(encoding="utf-8")).substitute(
+        number=episode.number,
+        decision=escape(episode.decision or "undecided"),
+        reason=escape(episode.reason),
+        when=time.strftime("%Y-%m-%d %H:%M", began),
+        count=len(episode.touches),
+        error=f"{episode.error:.1%}",
+        items="".join(map(_item, episode.touches, episode.images)),
     )
 
 
-def _item(touch: LiveTouch) -> str:
-    picture = base64.b64encode(thumbnail(touch.image)).decode()
+def _item(touch: LiveTouch, image: Array) -> str:
+    picture = base64.b64encode(thumbnail(image)).decode()
     shown = sorted(touch.posterior.items(), key=lambda item: -item[1])[:_SHOWN]
     rows = "".join(_row(name, share) for name, share in shown)
     unknown = ""

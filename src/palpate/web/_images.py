@@ -9,6 +9,7 @@ anything is decoded, and a picture that is cut or altered is refused.
 from collections.abc import Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,17 +39,19 @@ class FramePainter:
 
     def paint(self, image: Array) -> bytes:
         """Return a frame as the bytes of a picture of `content_type`."""
-        import cv2
-
+        shown = self.levels(image)
         if self.coloured:
-            return _png(self._false_colour(image))
-        grey = image if image.dtype == np.uint8 else self._stretched(image)
-        coded = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
+            return _png(shown)
+        coded = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
         return coded.tobytes()
 
-    def _false_colour(self, image: Array) -> NDArray[np.uint8]:
-        import cv2
+    def levels(self, image: Array) -> NDArray[np.uint8]:
+        """Return a frame as it is shown: blue, green and red, or grey."""
+        if self.coloured:
+            return self._false_colour(image)
+        return image if image.dtype == np.uint8 else self._stretched(image)
 
+    def _false_colour(self, image: Array) -> NDArray[np.uint8]:
         levels = self._stretched(image)
         painted = cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)
         painted[np.isnan(image.astype(np.float64))] = (90, 90, 90)
@@ -67,17 +70,11 @@ class FramePainter:
 
 def thumbnail(image: Array) -> bytes:
     """Return one touch as a small PNG, stretched to its own range."""
-    import cv2
-
     painter = FramePainter(image.shape)
-    if painter.coloured:
-        shown = painter._false_colour(image)
-    else:
-        shown = image if image.dtype == np.uint8 else painter._stretched(image)
     scale = _THUMBNAIL / max(image.shape)
     size = tuple(max(1, round(side * scale)) for side in image.shape[::-1])
     how = cv2.INTER_NEAREST if painter.coloured else cv2.INTER_AREA
-    return _png(cv2.resize(shown, size, interpolation=how))
+    return _png(cv2.resize(painter.levels(image), size, interpolation=how))
 
 
 def read_picture(data: bytes, content_type: str) -> NDArray[np.uint8 | np.uint16]:
@@ -142,6 +139,4 @@ def check_image(
 
 
 def _png(picture: Array) -> bytes:
-    import cv2
-
     return cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()

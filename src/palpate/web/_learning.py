@@ -12,6 +12,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ..library import TouchLibrary
+from ..recognition import ObjectRecogniser
+from ._learnt_touches import chosen_touches, remember_sensor, set_touch_ids, touch_ids
+
 LEAST_OBJECTS, LEAST_TOUCHES = 2, 2
 _STAND_IN = "\ta name nobody can give"
 
@@ -84,10 +90,6 @@ def of_size(image_shape: tuple[int, int]) -> str:
 
 def learn_job(job: dict[str, Any]) -> dict[str, Any]:
     """Do one job as `learn_apart` describes it, in this process."""
-    from ..library import TouchLibrary
-    from ..recognition import ObjectRecogniser
-    from ._learnt_touches import remember_sensor, set_touch_ids, touch_ids
-
     with TouchLibrary.open(job["library"]) as library:
         touches, ids = _taught(library, job.get("image_shape"))
         base, kept = None, []
@@ -110,10 +112,6 @@ def learn_job(job: dict[str, Any]) -> dict[str, Any]:
 
 def _taught(library: Any, image_shape: Any) -> tuple[Any, dict[str, list[str]]]:
     """Return the touches to learn, None for none, and the ids of each object's."""
-    import numpy as np
-
-    from ._learnt_touches import chosen_touches
-
     if image_shape is None:
         (*_, newest) = library.list(limit=1, offset=max(0, len(library) - 1)) or [None]
         if newest is None:
@@ -138,8 +136,6 @@ def _kept(base: Any, library: Any, drop: Sequence[str]) -> list[str]:
 
     Those that do are what the library says now: renamed, forgotten or learnt anew.
     """
-    from ._learnt_touches import touch_ids
-
     stored = {row.id for row in library.list(limit=None, retracted=True)}
     here = {name for name, ids in touch_ids(base).items() if stored.intersection(ids)}
     taught = {*getattr(base, "taught_", []), *here, *drop}
@@ -148,8 +144,6 @@ def _kept(base: Any, library: Any, drop: Sequence[str]) -> list[str]:
 
 def _learnt(base: Any, kept: Sequence[str], touches: Any) -> Any:
     """Return a model of touches and of what is kept of the base model."""
-    from ..recognition import ObjectRecogniser
-
     if base is None or not kept:
         return ObjectRecogniser().fit(touches)
     if touches is not None:
@@ -187,8 +181,6 @@ def _added_to(base: Any, kept: Sequence[str], touches: Any) -> Any:
 
     A model cannot fall below two objects, so new ones come before old ones go.
     """
-    import numpy as np
-
     taught = {}
     if touches is not None:
         names = dict.fromkeys(touches.object.tolist())

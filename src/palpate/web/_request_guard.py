@@ -42,8 +42,8 @@ class RequestGuard:
     def __init__(self, app: ASGIApp, token: str, max_body: int, rate_hz: float) -> None:
         self._app, self._token = app, token.encode()
         self._max_body = max_body
-        self._buckets: dict[str, _Bucket] = {}
         self._rate_hz = rate_hz
+        self._permits: dict[str, tuple[float, float]] = {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer or hand on one request or one websocket."""
@@ -73,11 +73,15 @@ class RequestGuard:
         return None
 
     def _in_time(self, asked: HTTPConnection) -> bool:
+        """Take a permit of an address; they come back at the rate, up to twice it."""
         client = "" if asked.client is None else asked.client.host
-        if client not in self._buckets and len(self._buckets) >= _MOST_CLIENTS:
-            self._buckets.clear()
-        bucket = self._buckets.setdefault(client, _Bucket(self._rate_hz))
-        return bucket.take()
+        if client not in self._permits and len(self._permits) >= _MOST_CLIENTS:
+            self._permits.clear()
+        now_s, most = time.monotonic(), 2 * self._rate_hz
+        left, before_s = self._permits.get(client, (most, now_s))
+        left = min(most, left + (now_s - before_s) * self._rate_hz)
+        self._permits[client] = (left - 1 if left >= 1 else left), now_s
+        return left >= 1
 
     async def _within_size(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Hand on a request whose body is read here, up to the limit."""
@@ -120,23 +124,6 @@ class RequestGuard:
                     if n_dropped > _DROP_TIMES * self._max_body:
                         break
         return None if too_large else bytes(body)
-
-
-class _Bucket:
-    """Permits that come back at a rate; twice the rate may wait."""
-
-    def __init__(self, rate_hz: float) -> None:
-        self._rate_hz = rate_hz
-        self._left, self._at_s = 2 * rate_hz, time.monotonic()
-
-    def take(self) -> bool:
-        now_s = time.monotonic()
-        gained = (now_s - self._at_s) * self._rate_hz
-        self._left, self._at_s = min(2 * self._rate_hz, self._left + gained), now_s
-        if self._left < 1:
-            return False
-        self._left -= 1
-        return True
 
 
 def _given_token(asked: HTTPConnection) -> str | None:

@@ -1,7 +1,7 @@
 """The API: the same actions for the page and for robots.
 
-Each function runs in a thread of its own; what a session refuses becomes a clear
-answer in `_app`.
+First what goes in and out, as OpenAPI describes it, then the actions. Each runs in a
+thread of its own; what a session refuses becomes a clear answer in `_app`.
 """
 
 import asyncio
@@ -11,26 +11,146 @@ from typing import Annotated, Any
 from urllib.parse import quote
 
 from fastapi import APIRouter, Depends, HTTPException, Query, Request, Response
+from pydantic import BaseModel, ConfigDict, Field
 
 from .._types import Array
 from ..library import LibraryError
 from ..touches import Touches
-from . import _schemas as m
-from ._episode import episode_report
+from ._episode import LiveTouch, episode_report
 from ._images import read_numbers, read_picture, thumbnail
 from ._session import LiveSession
 from ._teaching import Teacher
 
+Name = Annotated[
+    str, Field(min_length=1, max_length=80, description="Name of an object.")
+]
+
+
+class Answer(BaseModel):
+    """What was refused, and why."""
+
+    detail: str
+
+
+class Order(BaseModel):
+    """The body of a request; a field that is not known is refused."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class Image(Order):
+    """One frame of numbers."""
+
+    image: Annotated[
+        list[list[float | None]],
+        Field(
+            min_length=1,
+            max_length=4096,
+            description="Taxels, rows of equal length, in the sensor's unit; null for "
+            "a dead taxel.",
+        ),
+    ]
+
+
+class NamedImage(Image):
+    """One frame of numbers, of an object."""
+
+    object: Name
+
+
+class LessonOrder(Order):
+    """What to teach with the next touches of the sensor."""
+
+    object: Name
+    touches: Annotated[int, Field(ge=1, le=1000, description="How many.")] = 12
+
+
+class Renaming(Order):
+    """An object's name and its new one."""
+
+    object: Name
+    name: Name
+
+
+class OneObject(Order):
+    """An object."""
+
+    object: Name
+
+
+class Placing(Order):
+    """What lies before a replayed or simulated sensor; null for nothing."""
+
+    object: Name | None
+
+
+class BaselineOrder(Order):
+    """How to take the baseline, the frame of touching nothing."""
+
+    force: Annotated[
+        bool, Field(description="Take it although something seems to touch.")
+    ] = False
+
+
+class EpisodeState(BaseModel):
+    """An episode: its touches, the belief after each, the decision."""
+
+    number: int
+    open: bool
+    error: Annotated[float, Field(description="Accepted share of wrong decisions.")]
+    decision: Annotated[
+        str | None, Field(description='An object, "unknown", or null: undecided.')
+    ]
+    best: str | None
+    reason: str
+    touches: list[LiveTouch]
+
+
+class Stored(BaseModel):
+    """A touch that is on the disk."""
+
+    id: str
+
+
+class Done(BaseModel):
+    """What was done, for people."""
+
+    message: str
+
+
+class NearTouch(BaseModel):
+    """A stored touch and how far it is from the current one."""
+
+    id: str | None
+    object: str
+    distance: float
+
+
+class State(BaseModel):
+    """Everything the page shows but pictures."""
+
+    sensor: dict[str, Any] | None
+    model: dict[str, Any] | None
+    library: dict[str, Any] | None
+    lesson: dict[str, Any] | None
+    episode: EpisodeState
+    nearest: list[NearTouch]
+    learning: bool
+    learn_error: str
+    message: str
+    health: dict[str, Any]
+
+
 _REFUSALS: dict[int | str, dict[str, Any]] = {
-    400: {"model": m.Answer, "description": "A body that cannot be read."},
-    401: {"model": m.Answer, "description": "No token."},
-    403: {"model": m.Answer, "description": "Wrong token."},
-    404: {"model": m.Answer, "description": "There is no such thing."},
-    409: {"model": m.Answer, "description": "Not now, or not with this server."},
-    413: {"model": m.Answer, "description": "Too large."},
+    400: {"model": Answer, "description": "A body that cannot be read."},
+    401: {"model": Answer, "description": "No token."},
+    403: {"model": Answer, "description": "Wrong token."},
+    404: {"model": Answer, "description": "There is no such thing."},
+    409: {"model": Answer, "description": "Not now, or not with this server."},
+    413: {"model": Answer, "description": "Too large."},
     422: {"description": "Not what was asked for."},
-    429: {"model": m.Answer, "description": "Too many requests."},
-    507: {"model": m.Answer, "description": "The disk has no room."},
+    429: {"model": Answer, "description": "Too many requests."},
+    507: {"model": Answer, "description": "The disk has no room."},
 }
 _PICTURE = {
     "requestBody": {
@@ -65,10 +185,10 @@ async def _picture(request: Request) -> Array:
 
 StoredTouches = Annotated[Teacher, Depends(_teacher)]
 Picture = Annotated[Array, Depends(_picture)]
-Name = Annotated[str, Query(alias="object", min_length=1, max_length=80)]
+NameQuery = Annotated[str, Query(alias="object", min_length=1, max_length=80)]
 
 
-@router.get("/state", response_model=m.State, tags=["state"])
+@router.get("/state", response_model=State, tags=["state"])
 def state(session: Session) -> Any:
     """Return everything the page shows but pictures."""
     return session.to_dict()
@@ -80,54 +200,54 @@ def health(session: Session) -> dict[str, Any]:
     return session.health.to_dict()
 
 
-@router.post("/baseline", response_model=m.Done, tags=["sensor"])
-def baseline(order: m.BaselineOrder, session: Session) -> Any:
+@router.post("/baseline", tags=["sensor"])
+def baseline(order: BaselineOrder, session: Session) -> Done:
     """Take the baseline, the frame of touching nothing; refused in contact."""
     session.take_baseline(force=order.force)
-    return {"message": "The baseline is taken."}
+    return Done(message="The baseline is taken.")
 
 
-@router.post("/zero", response_model=m.Done, tags=["sensor"], deprecated=True)
-def zero(order: m.BaselineOrder, session: Session) -> Any:
+@router.post("/zero", tags=["sensor"], deprecated=True)
+def zero(order: BaselineOrder, session: Session) -> Done:
     """Use /api/baseline instead: this name goes with the next release."""
     return baseline(order, session)
 
 
-@router.post("/place", response_model=m.Done, tags=["sensor"])
-def place(order: m.Placing, session: Session) -> Any:
+@router.post("/place", tags=["sensor"])
+def place(order: Placing, session: Session) -> Done:
     """Put something else before a replayed or simulated sensor."""
     session.place(order.object)
-    return {"message": f"{order.object or 'Nothing'} lies there now."}
+    return Done(message=f"{order.object or 'Nothing'} lies there now.")
 
 
-@router.get("/episode", response_model=m.EpisodeState, tags=["episode"])
+@router.get("/episode", response_model=EpisodeState, tags=["episode"])
 def episode(session: Session) -> Any:
     """Return the episode: its touches, the belief after each, the decision."""
     return session.episode.to_dict()
 
 
-@router.post("/episode/start", response_model=m.EpisodeState, tags=["episode"])
+@router.post("/episode/start", response_model=EpisodeState, tags=["episode"])
 def start(session: Session) -> Any:
     """Begin a new episode."""
     session.begin_episode()
     return session.episode.to_dict()
 
 
-@router.post("/episode/end", response_model=m.EpisodeState, tags=["episode"])
+@router.post("/episode/end", response_model=EpisodeState, tags=["episode"])
 def end(session: Session) -> Any:
     """End the episode; the next touch begins a new one."""
     return session.end_episode()
 
 
-@router.post("/touch", response_model=m.EpisodeState, tags=["episode"])
-def touch(image: m.Image, session: Session) -> Any:
+@router.post("/touch", response_model=EpisodeState, tags=["episode"])
+def touch(image: Image, session: Session) -> Any:
     """Take one touch, as numbers, into the episode; return the belief."""
     return session.post_touch(read_numbers(image.image))
 
 
 @router.post(
     "/touch/picture",
-    response_model=m.EpisodeState,
+    response_model=EpisodeState,
     tags=["episode"],
     openapi_extra=_PICTURE,
 )
@@ -155,84 +275,79 @@ def report(session: Session) -> Response:
 )
 def episode_picture(number: int, session: Session) -> Response:
     """Return one touch of the episode as a small PNG."""
-    touches = session.episode.touches
-    if not 1 <= number <= len(touches):
+    images = session.episode.images
+    if not 1 <= number <= len(images):
         raise HTTPException(404, f"The episode has no touch {number}.")
-    return _shown(touches[number - 1].image)
+    return _shown(images[number - 1])
 
 
-@router.post("/teach", response_model=m.Done, tags=["teach"])
-def teach(order: m.LessonOrder, session: Session) -> Any:
+@router.post("/teach", tags=["teach"])
+def teach(order: LessonOrder, session: Session) -> Done:
     """Store the next touches of the sensor as touches of an object."""
     session.teach(order.object, order.touches)
-    return {"message": f"Touch {order.object} {order.touches} times."}
+    return Done(message=f"Touch {order.object} {order.touches} times.")
 
 
-@router.post("/teach/stop", response_model=m.Done, tags=["teach"])
-def stop(session: Session) -> Any:
+@router.post("/teach/stop", tags=["teach"])
+def stop(session: Session) -> Done:
     """End the lesson; what was stored stays."""
     session.stop_teaching()
-    return {"message": "The lesson is over."}
+    return Done(message="The lesson is over.")
 
 
-@router.post("/teach/undo", response_model=m.Done, tags=["teach"])
-def undo(session: Session) -> Any:
+@router.post("/teach/undo", tags=["teach"])
+def undo(session: Session) -> Done:
     """Leave out the touch stored last."""
-    return {"message": f"The last touch of {session.undo()} is undone."}
+    return Done(message=f"The last touch of {session.undo()} is undone.")
 
 
-@router.post("/teach/touch", response_model=m.Stored, tags=["teach"])
-def teach_touch(image: m.NamedImage, session: Session) -> Any:
+@router.post("/teach/touch", tags=["teach"])
+def teach_touch(image: NamedImage, session: Session) -> Stored:
     """Store one touch, as numbers, of an object; answered once on the disk."""
-    return {"id": session.post_lesson(image.object, read_numbers(image.image))}
+    return Stored(id=session.post_lesson(image.object, read_numbers(image.image)))
 
 
-@router.post(
-    "/teach/touch/picture",
-    response_model=m.Stored,
-    tags=["teach"],
-    openapi_extra=_PICTURE,
-)
-def teach_picture(picture: Picture, name: Name, session: Session) -> Any:
+@router.post("/teach/touch/picture", tags=["teach"], openapi_extra=_PICTURE)
+def teach_picture(picture: Picture, name: NameQuery, session: Session) -> Stored:
     """Store one touch, as PNG or JPEG, of an object."""
-    return {"id": session.post_lesson(name, picture)}
+    return Stored(id=session.post_lesson(name, picture))
 
 
-@router.post("/learn", response_model=m.Done, status_code=202, tags=["teach"])
-def learn(session: Session) -> Any:
+@router.post("/learn", status_code=202, tags=["teach"])
+def learn(session: Session) -> Done:
     """Learn what the library holds; `state` tells when it is done."""
     session.learn()
-    return {"message": "Learning."}
+    return Done(message="Learning.")
 
 
-@router.post("/objects/rename", response_model=m.Done, tags=["objects"])
-def rename(order: m.Renaming, session: Session) -> Any:
+@router.post("/objects/rename", tags=["objects"])
+def rename(order: Renaming, session: Session) -> Done:
     """Give an object of the library another name."""
     session.rename(order.object, order.name)
-    return {"message": f"{order.object} is called {order.name} now."}
+    return Done(message=f"{order.object} is called {order.name} now.")
 
 
-@router.post("/objects/forget", response_model=m.Done, tags=["objects"])
-def forget(order: m.OneObject, session: Session) -> Any:
+@router.post("/objects/forget", tags=["objects"])
+def forget(order: OneObject, session: Session) -> Done:
     """Leave all touches of an object out and learn without it."""
     session.forget(order.object)
-    return {"message": f"{order.object} is forgotten."}
+    return Done(message=f"{order.object} is forgotten.")
 
 
 @router.get("/objects/archive", tags=["objects"], response_class=Response)
-def export(name: Name, teacher: StoredTouches) -> Response:
+def export(name: NameQuery, teacher: StoredTouches) -> Response:
     """Download the touches of an object as a touch archive (.npz)."""
     return _archive(teacher.touches(name), f"{name}.npz")
 
 
-@router.get("/objects/touches", response_model=list[m.Stored], tags=["objects"])
+@router.get("/objects/touches", tags=["objects"])
 def stored(
-    name: Name,
+    name: NameQuery,
     teacher: StoredTouches,
     limit: Annotated[int, Query(ge=1, le=200)] = 8,
-) -> Any:
+) -> list[Stored]:
     """Return the newest touches of an object, newest first."""
-    return [{"id": key} for key in teacher.ids(name, limit)]
+    return [Stored(id=key) for key in teacher.ids(name, limit)]
 
 
 @router.get("/touches/{key}/picture", tags=["objects"], response_class=Response)

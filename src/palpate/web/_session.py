@@ -81,7 +81,6 @@ class LiveSession:
         self.episode = LiveEpisode(1, None, self.error)
         self.learning, self.learn_error = False, ""
         self.message = self.trouble = ""
-        self._nearest: list[dict[str, Any]] = []
         self._drop_next: list[str] | None = None
         self._lock, self._learn_lock = threading.RLock(), threading.Lock()
         self.model_path = None if model is None else Path(model)
@@ -251,7 +250,7 @@ class LiveSession:
                 "library": None if teacher is None else teacher.to_dict(),
                 "lesson": None if lesson is None else lesson.to_dict(),
                 "episode": self.episode.to_dict(),
-                "nearest": list(self._nearest),
+                "nearest": self.episode.nearest,
                 "learning": self.learning,
                 "learn_error": self.learn_error,
                 "message": self.message,
@@ -309,8 +308,9 @@ class LiveSession:
 
     def _new_episode(self) -> None:
         number = self.episode.number + bool(self.episode.touches)
-        self.episode = LiveEpisode(number, self.recogniser, self.error)
-        self._nearest = []
+        self.episode = LiveEpisode(
+            number, self.recogniser, self.error, self._neighbours
+        )
 
     def _taken(self, image: Array, ended_s: float) -> None:
         """Take a touch of the sensor: into the lesson, else into the episode."""
@@ -339,13 +339,11 @@ class LiveSession:
         with self._lock:
             if not self.episode.open or len(self.episode.touches) >= LONGEST_EPISODE:
                 self._new_episode()
-            touch, features = self.episode.add(image)
-            if features is not None and self._neighbours is not None:
-                self._nearest = self._neighbours.of(features)
+            touch = self.episode.add(image)
             touch.latency_ms = 1e3 * (time.monotonic() - ended_s)
             self.health.count_touch(touch.latency_ms)
             episode = {**self.episode.to_dict(), "touches": [touch.to_dict()]}
-            values = {"episode": episode, "nearest": list(self._nearest)}
+            values = {"episode": episode, "nearest": self.episode.nearest}
         self.listeners.notify(Event("touch", values))
 
     def _learn_again(self, drop: Sequence[str]) -> None:

@@ -7,8 +7,9 @@ One that stops reading misses frames; when its queue is full it is let go.
 import asyncio
 import json
 from collections import deque
+from contextlib import suppress
 
-from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from ._events import Event
 from ._session import LiveSession
@@ -48,12 +49,14 @@ class Hub:
                 (listening, sending), return_when=asyncio.FIRST_COMPLETED
             )
         finally:
-            self._session.listeners.remove(client.receive)
+            self._session.listeners.discard(client.receive)
             self._clients.discard(client)
             for task in (listening, sending):
                 task.cancel()
             await asyncio.gather(listening, sending, return_exceptions=True)
-            await _closed(socket)
+            with suppress(RuntimeError, TimeoutError, WebSocketDisconnect):
+                async with asyncio.timeout(1.0):
+                    await socket.close()
 
 
 class _Client:
@@ -107,13 +110,3 @@ class _Client:
             text = head.encode()
             length = len(text).to_bytes(4, "big")
             await self._socket.send_bytes(length + text + event.picture)
-
-
-async def _closed(socket: WebSocket) -> None:
-    if socket.application_state is not WebSocketState.CONNECTED:
-        return
-    try:
-        async with asyncio.timeout(1.0):
-            await socket.close()
-    except (RuntimeError, TimeoutError, WebSocketDisconnect):
-        return
