@@ -67,15 +67,7 @@ def build_app(
     app.state.session = session
     hub = Hub(session)
     app.include_router(router)
-
-    @app.middleware("http")
-    async def with_headers(
-        request: Request, call_next: RequestResponseEndpoint
-    ) -> Response:
-        response = await call_next(request)
-        for name, value in _HEADERS.items():
-            response.headers.setdefault(name, value)
-        return response
+    app.middleware("http")(_with_headers)
 
     @app.get("/", include_in_schema=False)
     async def page(request: Request) -> Response:
@@ -92,6 +84,15 @@ def build_app(
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
     app.add_middleware(RequestGuard, token=token, max_body=max_body, rate_hz=rate_hz)
     return app
+
+
+async def _with_headers(
+    request: Request, call_next: RequestResponseEndpoint
+) -> Response:
+    response = await call_next(request)
+    for name, value in _HEADERS.items():
+        response.headers.setdefault(name, value)
+    return response
 
 
 async def _refused(request: Request, error: Exception) -> JSONResponse:

@@ -45,6 +45,8 @@ class LiveSession:
         Called with "frame", "contact", "touch" and "state", from other threads.
     episode : LiveEpisode
         The episode under way.
+    learning : bool
+        Whether it is learning now; `learn_error` says why it failed the last time.
     trouble : str
         Why the last touch of the sensor could not be taken; empty where it could.
 
