@@ -76,6 +76,9 @@ def test_the_baseline_is_refused_while_touching(make_session, drawn):
         assert waited(lambda: not session.watch.detector.touching)
         session.take_baseline()
         assert not session.baseline.any()
+        sensor_state = session.to_dict()["sensor"]
+        assert sensor_state["baseline"]
+        assert sensor_state["zero"]  # the name before, for one release
     with pytest.raises(SensorError, match="no sensor"):
         LiveSession().take_baseline()
 
