@@ -11,7 +11,7 @@ import pytest
 from palpate import Touches
 from palpate.sensors import ReplaySensor
 from palpate.web import LiveSession, create_app, new_token
-from palpate.web._learning import learn_job as learn_in_this_process
+from palpate.web._learning import learn_job
 
 pytest.importorskip("fastapi", reason='pip install "palpate[web]"')
 pytest.importorskip("uvicorn", reason='pip install "palpate[web]"')
@@ -60,20 +60,14 @@ def make_session(tmp_path_factory, drawn):
     return make
 
 
-@pytest.fixture(scope="session")
-def learn_job():
-    """Return a function that does a job of the learning process, in this one."""
-
-    def learn(library, output, base=None, drop=(), image_shape=None):
-        job = {"library": str(library), "output": str(output), "drop": list(drop)}
-        job["base"] = None if base is None else str(base)
-        return learn_in_this_process({**job, "image_shape": image_shape})
-
-    return learn
+@pytest.fixture(name="learn_job", scope="session")
+def learn_job_fixture():
+    """Give tests the job of the learning process, to be done in this one."""
+    return learn_job
 
 
 @pytest.fixture
-def learning_here(monkeypatch, learn_job):
+def learning_here(monkeypatch):
     """Learn in this process: starting another one takes seconds; others try that."""
     monkeypatch.setattr("palpate.web._session.learn_apart", learn_job)
 

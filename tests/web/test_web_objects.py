@@ -99,7 +99,7 @@ def test_each_sensor_learns_from_touches_of_its_size(folder, drawn):
     with LiveSession(ReplaySensor(drawn), library=folder) as session:
         session.learn(wait=True)
         assert settled(session) == ["bar", "disc"]
-        assert len(session.recogniser.labels_) == 16
+        assert len(session.recogniser.memory_) == 16
         session.rename("bar", "rod")
         assert settled(session) == ["disc", "rod"]
     other = ReplaySensor(small_touches("ball", 2), rate_hz=500)
@@ -192,9 +192,9 @@ def test_kept_objects_leave_the_others_their_touches(tmp_path, drawn, learn_job)
     output = tmp_path / "o.palpate"
     learn_job(tmp_path / "library", output, base)
     model = ObjectRecogniser.load(output)
-    assert model.touch_ids_[model.labels_ == "both"].tolist() == ids
-    assert set(model.touch_ids_[model.labels_ != "both"]) == {""}
-    memory = SensorMemory.from_dict(model.sensor_)
+    assert model.memory_.touch_ids[model.memory_.labels == "both"].tolist() == ids
+    assert set(model.memory_.touch_ids[model.memory_.labels != "both"]) == {""}
+    memory = SensorMemory.from_dict(model.memory_.sensor)
     assert memory.n_touches == 6
     assert (memory.no_contact == baseline).all()
     for folder, known_id in [("library", ids[-1]), ("another", None)]:

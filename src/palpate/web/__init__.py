@@ -6,8 +6,7 @@ FastAPI application (the extra `web`).
 
 from ._events import Event as Event
 from ._learning import LearningError as LearningError
-from ._learnt_touches import remember_library as remember_library
-from ._learnt_touches import touch_ids as touch_ids
+from ._learning import remember_library as remember_library
 from ._serving import create_app, new_token
 from ._serving import open_socket as open_socket
 from ._serving import require_web as require_web

@@ -2,6 +2,7 @@
 
 import base64
 import time
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -10,13 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from .._types import Array
+from .._types import Array, Floats
 from ..recognition import Belief, ObjectRecogniser
 from ..touches import Touches
 from ._images import thumbnail
-from ._learnt_touches import Neighbours
 
-_SHOWN = 5
+_SHOWN, _NEAREST = 5, 6
 _PAGE = Path(__file__).parent / "static" / "report.html"
 
 
@@ -38,6 +38,47 @@ class LiveTouch:
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
         return dict(vars(self))
+
+
+class Neighbours:
+    """Nearest learnt touches, each feature measured in its own spread.
+
+    Parameters
+    ----------
+    recogniser : ObjectRecogniser
+        Fitted; learnt from a library, it knows the ids of its touches.
+    stored_ids : collection of str
+        Ids of the touches in the library at hand.
+    """
+
+    def __init__(
+        self, recogniser: ObjectRecogniser, stored_ids: Collection[str]
+    ) -> None:
+        memory = recogniser.memory_
+        features = memory.features
+        spread = features.std(axis=0)
+        self._scale = np.where(spread > 0, spread, 1.0)
+        self._features = features / self._scale
+        self._labels = memory.labels
+        stored, ids = set(stored_ids), memory.touch_ids.tolist()
+        self._ids = [key if key in stored else None for key in ids]
+
+    def of(self, features: Floats) -> list[dict[str, Any]]:
+        """Return the nearest touches of features (1, n_features), nearest first.
+
+        `id` is None where the touch is not in the library.
+        """
+        apart = self._features - features / self._scale
+        distance = np.sqrt(np.mean(apart**2, axis=1))
+        some = np.argsort(distance, kind="stable")[:_NEAREST]
+        return [
+            {
+                "id": self._ids[row],
+                "object": str(self._labels[row]),
+                "distance": float(distance[row]),
+            }
+            for row in some
+        ]
 
 
 class LiveEpisode:

@@ -27,7 +27,6 @@ from ..sensors import (
 )
 from ._events import Event, Health, Listeners
 from ._images import FramePainter
-from ._learnt_touches import sensor_memory
 
 _BASELINE_FRAMES = 10
 _SHOWN_HZ = 45.0
@@ -148,7 +147,8 @@ class SensorWatch:
 
     def compare_with(self, model: ObjectRecogniser | None) -> None:
         """Compare the sensor with what it was when a model learnt, from now on."""
-        self._memory = sensor_memory(model)
+        stored = None if model is None else model.memory_.sensor
+        self._memory = None if stored is None else SensorMemory.from_dict(stored)
         learnt = None if model is None else tuple(model.encoder_.image_shape_)
         given = tuple(self.sensor.image_shape)
         self.misfit = ""

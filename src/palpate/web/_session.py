@@ -11,11 +11,10 @@ from .._checks import check_number
 from .._types import Array
 from ..recognition import ObjectRecogniser
 from ..sensors import LiveSensor, SensorError, desk_of
-from ._episode import LiveEpisode
+from ._episode import LiveEpisode, Neighbours
 from ._events import Event, Health, Listeners
 from ._images import check_image
 from ._learning import LearningError, learn_apart
-from ._learnt_touches import Neighbours
 from ._sensor_watch import SensorWatch
 from ._teaching import Lesson, Teacher, checked_name
 
@@ -264,7 +263,7 @@ class LiveSession:
             return None
         return {
             "objects": self.recogniser.classes_.tolist(),
-            "n_touches": len(self.recogniser.labels_),
+            "n_touches": len(self.recogniser.memory_),
             "encoding": str(self.recogniser.chosen_.get("encoding", "")),
             "file": str(self.model_path),
         }
