@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .._extras import needed
+from .._types import Array
 from ..touches import Touches
-from ._errors import LibraryError
-from ._extra import needed
+from ._store import LibraryError
 
 MAX_BYTES = 4 * 2**30
 _IMAGE = "sensor_msgs/msg/Image"
@@ -95,12 +95,12 @@ def _types() -> Any:
 
 def _messages(
     reader: Any, topic: str, max_bytes: int
-) -> tuple[list[NDArray[Any]], list[float]]:
+) -> tuple[list[Array], list[float]]:
     chosen = [c for c in reader.connections if c.topic == topic]
     if not chosen:
         listed = ", ".join(sorted({c.topic for c in reader.connections})) or "none"
         raise LibraryError(f"topic must be one of the bag ({listed}), got {topic!r}.")
-    images: list[NDArray[Any]] = []
+    images: list[Array] = []
     times: list[float] = []
     n_bytes = 0
     for connection, recorded_ns, raw in reader.messages(connections=chosen):
@@ -126,7 +126,7 @@ def _messages(
     return images, times
 
 
-def _image(message: Any, kind: str, where: str) -> NDArray[Any]:
+def _image(message: Any, kind: str, where: str) -> Array:
     if kind == _IMAGE:
         return _picture(message, where)
     if kind.startswith("std_msgs/msg/") and kind.endswith("MultiArray"):
@@ -137,7 +137,7 @@ def _image(message: Any, kind: str, where: str) -> NDArray[Any]:
     )
 
 
-def _picture(message: Any, where: str) -> NDArray[Any]:
+def _picture(message: Any, where: str) -> Array:
     n_rows, n_cols, step = int(message.height), int(message.width), int(message.step)
     encoding = str(message.encoding)
     if encoding not in _GREY and encoding not in _COLOUR:
@@ -158,10 +158,11 @@ def _picture(message: Any, where: str) -> NDArray[Any]:
     if encoding in _GREY:
         return values
     colours = values.reshape(n_rows, n_cols, n_channels)[..., list(_COLOUR[encoding])]
-    return np.rint(colours @ _LUMA).astype(np.uint8)
+    grey: Array = np.rint(colours @ _LUMA).astype(np.uint8)
+    return grey
 
 
-def _array(message: Any, where: str) -> NDArray[Any]:
+def _array(message: Any, where: str) -> Array:
     values = np.asarray(message.data)
     sizes = [int(d.size) for d in message.layout.dim if int(d.size) > 1]
     shape = (1, len(values)) if not sizes else (1, *sizes)[-2:]
@@ -179,4 +180,4 @@ def _seconds(message: Any, recorded_ns: int) -> float:
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     if stamp is None or not (stamp.sec or stamp.nanosec):
         return recorded_ns / 1e9
-    return float(stamp.sec) + stamp.nanosec / 1e9
+    return float(stamp.sec + stamp.nanosec / 1e9)

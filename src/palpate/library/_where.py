@@ -12,7 +12,7 @@ from collections.abc import Collection
 from itertools import accumulate
 from typing import Any, NamedTuple
 
-from ._errors import LibraryError
+from ._store import LibraryError
 
 COLUMNS = {
     "object": "o.name",
