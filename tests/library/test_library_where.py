@@ -2,8 +2,8 @@
 
 import re
 import sqlite3
-from collections import deque
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ FORCES = [0.1, 0.2, 0.3, 0.4, 0.5, np.nan]
 class _Noted(sqlite3.Connection):
     """Keeps what the database is asked, and with how many values."""
 
-    asked = deque()
+    asked: ClassVar = []
 
     def execute(self, sql, values=()):
         self.asked.append((sql, len(values)))

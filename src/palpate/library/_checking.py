@@ -194,9 +194,7 @@ def _unreadable(store: Store, rows: list[StoredTouch]) -> list[str]:
     wide = {
         key for key, columns in layouts(store).items() if any(c.wide for c in columns)
     }
-    return [
-        r.place.id.hex() for r in rows if r.layout in wide or not _is_whole(store, r)
-    ]
+    return [r.id.hex() for r in rows if r.layout in wide or not _is_whole(store, r)]
 
 
 def _is_whole(store: Store, row: StoredTouch) -> bool:

@@ -136,18 +136,23 @@ def list_touches(
 
 
 def _listed(touch: StoredTouch) -> TouchRow:
-    cells, sensor, place = touch.cells, touch.cells["sensor"], touch.place
-    shown = {name: cells[name] for name in TouchRow._fields if name in cells}
-    shown["sensor"] = touch.sensor if sensor is None else sensor
+    change = touch.retraction
     return TouchRow(
-        id=place.id.hex(),
-        n_rows=place.n_rows,
-        n_cols=place.n_cols,
-        dtype=place.dtype,
-        added_s=touch.added_s,
-        retracted=touch.retracted,
-        reason=touch.reason,
-        **shown,
+        touch.id.hex(),
+        touch.object,
+        touch.category,
+        touch.session,
+        touch.episode,
+        touch.recorded_by if touch.sensor is None else touch.sensor,
+        touch.order,
+        touch.time_s,
+        touch.force_n,
+        touch.n_rows,
+        touch.n_cols,
+        touch.dtype,
+        touch.added_s,
+        change is not None,
+        None if change is None else json.loads(change).get("reason"),
     )
 
 

@@ -63,12 +63,7 @@ def read_touches(
     shape = (len(numbers), n_rows, n_cols)
     mapped = n_bytes > in_memory
     images = _mapped(shape, dtype, store.folder) if mapped else np.empty(shape, dtype)
-    done = 0
-    for rows in rows_at(store, numbers):
-        some = read_images(store.folder, [row.place for row in rows])
-        images[done : done + len(some)] = some
-        done += len(some)
-    columns = read_columns(store, numbers)
+    columns = read_columns(store, numbers, images)
     return Touches(images, **columns, **read_whole(store, numbers))
 
 
@@ -81,16 +76,24 @@ def read_images(folder: Path, places: Sequence[Place]) -> Array:
 
 
 def read_columns(
-    store: Store, numbers: Numbers, *, wide: bool = True
+    store: Store, numbers: Numbers, images: Array | None = None
 ) -> dict[str, Array]:
-    """Return the columns of touches, one row each."""
+    """Return the columns of touches, one row each, and fill `images` with theirs.
+
+    Without these no file is read, and columns that stand in files are left out.
+    """
     used = {row[0] for row in distinct(store, "t.layout", numbers)}
     known = {key: layout for key, layout in layouts(store).items() if key in used}
     columns = _columns_of(known)
-    if not wide:
+    if images is None:
         columns = {n: c for n, c in columns.items() if not any(o.wide for o in c)}
     parts: dict[str, list[Array]] = {name: [] for name in columns}
+    done = 0
     for rows in rows_at(store, numbers):
+        if images is not None:
+            places = [row.place for row in rows]
+            images[done : done + len(rows)] = read_images(store.folder, places)
+            done += len(rows)
         values = list(_values(store, rows, columns, known))
         for name, alike in columns.items():
             cells = [value.get(name) for value in values]
@@ -170,7 +173,7 @@ def _runs(places: Sequence[Place]) -> Iterator[list[Place]]:
 def _run_of_images(folder: Path, run: list[Place]) -> Array:
     """Return neighbouring images of one file, each checked against its digest."""
     first = run[0]
-    path = file_path(folder / IMAGES, first.file)
+    path = file_path(folder / IMAGES, first.file.hex())
     shape = (len(run), first.n_rows, first.n_cols)
     try:
         images = read_values(path, first.start, shape, np.dtype(first.dtype))
@@ -210,16 +213,15 @@ def _values(
         key: [c.name for c in layout if c.wide and c.name in columns]
         for key, layout in known.items()
     }
-    sheets: dict[str, dict[str, Array]] = {}
+    sheets: dict[bytes, dict[str, Array]] = {}
     for row in rows:
-        extra = {} if row.extra is None else json.loads(row.extra)
-        wide = {}
+        values = row.values()
         if wide_names[row.layout]:
-            file, place = row.place.file, row.place.number
-            if file not in sheets:
-                sheets[file] = read_sheet(read_file(store.folder / IMAGES, file)).wide
-            wide = {n: sheets[file][n][place] for n in wide_names[row.layout]}
-        yield row.cells | extra | wide
+            if (file := row.file) not in sheets:
+                arrays = read_file(store.folder / IMAGES, file.hex())
+                sheets[file] = read_sheet(arrays).wide
+            values |= {n: sheets[file][n][row.number] for n in wide_names[row.layout]}
+        yield values
 
 
 def _joined(arrays: list[Array]) -> Array:

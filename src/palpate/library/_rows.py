@@ -23,12 +23,12 @@ FROM = (
     "LEFT JOIN objects given ON given.id = t.object "
     "LEFT JOIN objects o ON o.id = coalesce(given.merged_into, given.id) "
 )
-_CELLS = ", ".join("o.name" if name == "object" else f't."{name}"' for name in CELLS)
+_CELLS = ", ".join(f't."{name}"' for name in CELLS[1:])
 _SELECT = (
-    "SELECT t.id, lower(hex(f.name)), f.offset, t.place, t.image, r.n_rows, r.n_cols, "
-    "r.dtype, t.layout, r.sensor, t.added_s, t.retraction IS NOT NULL, c.content, "
-    f"t.extra, {_CELLS} {FROM} JOIN files f ON f.id = t.file "
-    "LEFT JOIN changes c ON c.id = t.retraction "
+    "SELECT t.id, f.name, f.offset, t.place, t.image, r.n_rows, r.n_cols, "
+    "r.dtype, t.layout, t.extra, t.added_s, r.sensor, c.content, o.name, "
+    f"{_CELLS} {FROM} "
+    "JOIN files f ON f.id = t.file LEFT JOIN changes c ON c.id = t.retraction "
 )
 _RECORDED = "sensor, kind, unit, pitch_mm, geometry, n_rows, n_cols, dtype"
 _INSERT = (
@@ -47,7 +47,7 @@ class Place(NamedTuple):
     """Where the image of a touch stands, what its values are like, its SHA-256."""
 
     id: bytes
-    file: str
+    file: bytes
     offset: int
     number: int
     digest: bytes
@@ -65,18 +65,47 @@ class Place(NamedTuple):
 class StoredTouch(NamedTuple):
     """What the database knows of a touch: one row with what it refers to.
 
-    `cells` are its plain values by the name of the column, `extra` those of further
-    columns as JSON, `layout` the key of its columns, `sensor` that of the recording.
+    `layout` is the key of its columns, `extra` the values of those that are no cells,
+    as JSON; `recorded_by` the sensor of its recording, `retraction` the change that
+    retracted it, as JSON. Cells follow, as `CELLS` names them.
     """
 
-    place: Place
+    id: bytes
+    file: bytes
+    offset: int
+    number: int
+    digest: bytes
+    n_rows: int
+    n_cols: int
+    dtype: str
     layout: int
-    sensor: str | None
-    added_s: float
-    retracted: bool
-    reason: str | None
     extra: str | None
-    cells: dict[str, Any]
+    added_s: float
+    recorded_by: str | None
+    retraction: str | None
+    object: str | None
+    category: Any
+    session: Any
+    episode: Any
+    sensor: Any
+    order: Any
+    time_s: Any
+    force_n: Any
+    press: Any
+    frame: Any
+    source_path: Any
+
+    @property
+    def place(self) -> Place:
+        """Where its image stands."""
+        return Place(*self[:8])
+
+    def values(self) -> dict[str, Any]:
+        """Return all its plain values by the name of their column."""
+        values = dict(zip(CELLS, self[-len(CELLS) :], strict=True))
+        if self.extra is not None:
+            values.update(json.loads(self.extra))
+        return values
 
 
 def read_rows(store: Store, tail: str, values: Sequence[Any] = ()) -> list[StoredTouch]:
@@ -91,14 +120,7 @@ def read_rows(store: Store, tail: str, values: Sequence[Any] = ()) -> list[Store
     values : sequence
         What stands for the question marks.
     """
-    found = []
-    for row in store.rows(_SELECT + tail, values):
-        layout, sensor, added_s, retracted, change, extra = row[8:14]
-        reason = None if change is None else json.loads(change).get("reason")
-        known = layout, sensor, added_s, bool(retracted), reason, extra
-        cells = dict(zip(CELLS, row[14:], strict=True))
-        found.append(StoredTouch(Place(*row[:8]), *known, cells))
-    return found
+    return [StoredTouch._make(row) for row in store.rows(_SELECT + tail, values)]
 
 
 def rows_at(store: Store, numbers: Numbers) -> Iterator[list[StoredTouch]]:

@@ -46,7 +46,7 @@ class Selection:
     def __init__(self, store: Store, numbers: Numbers) -> None:
         self._store, self._numbers = store, numbers
         common_kind(store, numbers)
-        self.columns = read_columns(store, numbers, wide=False)
+        self.columns = read_columns(store, numbers)
 
     def __len__(self) -> int:
         return len(self._numbers)
