@@ -17,7 +17,7 @@ from typing import Any
 from .._progress import Progress
 from ..touches import Touches
 from ._array_files import file_path, packed, publish
-from ._changes import renamings
+from ._changes import find_object, renamings
 from ._listing import SensorDescription
 from ._rows import FROM, SET_ASIDE, write_rows
 from ._sheet import IDENTITY, Sheet, identity, sheet_of
@@ -56,23 +56,18 @@ def _recording(
     store: Store, touches: Touches, sensor: SensorDescription | None
 ) -> dict[str, Any]:
     """Return what is the same for all of `touches`; arrays go to files."""
-    known = sensor or SensorDescription("")
+    known = (sensor or SensorDescription(""))._replace(geometry=touches.geometry)
+    described = known._asdict()
     n_rows, n_cols = touches.images.shape[1:]
     arrays = store.folder / ARRAYS
+    whole = {n: array for n, array in touches.whole.items() if n != "geometry"}
     return {
-        "sensor": known.name or None,
-        "kind": known.kind,
-        "unit": known.unit,
-        "pitch_mm": known.pitch_mm,
-        "geometry": touches.geometry,
+        "sensor": described.pop("name") or None,
+        **described,
         "n_rows": n_rows,
         "n_cols": n_cols,
         "dtype": touches.images.dtype.str,
-        "whole": {
-            name: publish(arrays, packed([array]))
-            for name, array in touches.whole.items()
-            if name != "geometry"
-        },
+        "whole": {n: publish(arrays, packed([array])) for n, array in whole.items()},
     }
 
 
@@ -114,7 +109,8 @@ def _matched(store: Store, sheet: Sheet) -> Sheet:
     empty or numbers, and both go by one name now.
     """
     labels = sheet.values.get("object", [None] * len(sheet.ids))
-    now = {label: _present(store, label) for label in set(labels)}
+    found = {label: find_object(store, label) for label in set(labels)}
+    now = {name: known[1] if known else name for name, known in found.items()}
     former = _former_names(store, set(now.values()))
     maybe: dict[bytes, tuple[bytes, str | None]] = {}
     for row, label in enumerate(labels):
@@ -126,24 +122,13 @@ def _matched(store: Store, sheet: Sheet) -> Sheet:
     if not maybe:
         return sheet
     sql = f"SELECT t.id, o.name {FROM} WHERE t.id IN (?)"
-    known = {key for key, _ in store.among(sql, sheet.ids)}
+    there = {key for key, _ in store.among(sql, sheet.ids)}
     stored = {
         maybe[key][0]: key
         for key, name in store.among(sql, list(maybe))
-        if maybe[key][0] not in known and maybe[key][1] == name
+        if maybe[key][0] not in there and maybe[key][1] == name
     }
     return replace(sheet, ids=[stored.get(key, key) for key in sheet.ids])
-
-
-def _present(store: Store, label: str | None) -> str | None:
-    """Return the name of the object that touches labelled so now belong to."""
-    row = store.one(
-        "SELECT o.name FROM objects given "
-        "JOIN objects o ON o.id = coalesce(given.merged_into, given.id) "
-        "WHERE given.name = ?",
-        [label],
-    )
-    return label if row is None else str(row[0])
 
 
 def _former_names(

@@ -23,19 +23,9 @@ from ._store import LibraryError
 
 MAX_BYTES = 4 * 2**30
 _IMAGE = "sensor_msgs/msg/Image"
-_GREY = {
-    "mono8": "u1",
-    "8UC1": "u1",
-    "mono16": "u2",
-    "16UC1": "u2",
-    "32FC1": "f4",
-}
-_COLOUR = {
-    "rgb8": (0, 1, 2),
-    "bgr8": (2, 1, 0),
-    "rgba8": (0, 1, 2),
-    "bgra8": (2, 1, 0),
-}
+_GREY = {"mono8": "u1", "8UC1": "u1", "mono16": "u2", "16UC1": "u2", "32FC1": "f4"}
+_RGB, _BGR = (0, 1, 2), (2, 1, 0)
+_COLOUR = {"rgb8": _RGB, "bgr8": _BGR, "rgba8": _RGB, "bgra8": _BGR}
 _LUMA = np.array([0.299, 0.587, 0.114])
 
 

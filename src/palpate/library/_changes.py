@@ -129,21 +129,29 @@ def renamings(store: Store) -> list[tuple[str, str]]:
     return [(c.get("old", c.get("source")), c.get("new", c.get("into"))) for c in known]
 
 
-def object_key(store: Store, name: str) -> int:
-    """Return the key of an object, that of the one it was merged into."""
-    row = None
-    if isinstance(name, str) and is_unicode(name):
-        row = store.one(
-            "SELECT coalesce(merged_into, id) FROM objects WHERE name = ?", [name]
-        )
-    if row is None:
+def find_object(store: Store, name: str | None) -> tuple[int, str] | None:
+    """Return key and present name of an object, of the one it was merged into."""
+    row = store.one(
+        "SELECT o.id, o.name FROM objects given "
+        "JOIN objects o ON o.id = coalesce(given.merged_into, given.id) "
+        "WHERE given.name = ?",
+        [name],
+    )
+    return None if row is None else (int(row[0]), str(row[1]))
+
+
+def known_object(store: Store, name: str) -> tuple[int, str]:
+    """Return key and present name of an object, or say that there is none."""
+    is_name = isinstance(name, str) and is_unicode(name)
+    found = find_object(store, name) if is_name else None
+    if found is None:
         known = [r[0] for r in store.rows("SELECT name FROM objects ORDER BY name")]
         listed = ", ".join(map(repr, known[:20])) + ", ..." * (len(known) > 20)
         raise LibraryError(
             f"object must be one in the library ({listed or 'it has none'}), got "
             f"{name!r}."
         )
-    return int(row[0])
+    return found
 
 
 def chosen_ids(
@@ -165,7 +173,7 @@ def chosen_ids(
             "SELECT lower(hex(t.id)) FROM touches t "
             "JOIN objects o ON o.id = t.object "
             f"WHERE coalesce(o.merged_into, o.id) = ? AND t.retraction {state}",
-            [object_key(store, name)],
+            known_object(store, name)[:1],
         )
         return [row[0] for row in rows]
     given = [ids] if isinstance(ids, str) else list(ids or [])
@@ -178,16 +186,9 @@ def chosen_ids(
     return given
 
 
-def current_name(store: Store, name: str) -> str:
-    """Return what an object is called now, that of the one it was merged into."""
-    key = object_key(store, name)
-    row = store.one("SELECT name FROM objects WHERE id = ?", [key])
-    return name if row is None else str(row[0])
-
-
 def _rename(store: Store, change: int, content: dict[str, Any]) -> int:
     old, new = content["old"], _checked_name(content["new"])
-    key = object_key(store, old)
+    key, _ = known_object(store, old)
     if store.one("SELECT id FROM objects WHERE name = ?", [new]):
         raise LibraryError(
             f"The new name must not be taken, got {new!r}. To make two objects one, "
@@ -197,8 +198,8 @@ def _rename(store: Store, change: int, content: dict[str, Any]) -> int:
 
 
 def _merge(store: Store, change: int, content: dict[str, Any]) -> int:
-    source = object_key(store, content["source"])
-    into = object_key(store, content["into"])
+    source, _ = known_object(store, content["source"])
+    into, _ = known_object(store, content["into"])
     if source == into:
         raise LibraryError(
             f"Objects to merge must be two, got {content['source']!r} and "

@@ -199,7 +199,7 @@ def _unreadable(store: Store, rows: list[StoredTouch]) -> list[str]:
 
 def _is_whole(store: Store, row: StoredTouch) -> bool:
     try:
-        read_images(store.folder, [row.place])
+        read_images(store.folder, [row])
     except LibraryError:
         return False
     return True

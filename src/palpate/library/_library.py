@@ -10,7 +10,7 @@ from .._durable import flush_folder
 from .._types import Array
 from ..touches import Touches
 from ._adding import add_touches
-from ._changes import chosen_ids, current_name, is_unicode, make_change
+from ._changes import chosen_ids, is_unicode, known_object, make_change
 from ._checking import CheckReport, check_library
 from ._exporting import export_touches
 from ._listing import (
@@ -185,7 +185,7 @@ class TouchLibrary:
 
     def image(self, id: str) -> Array:
         """Return the image of one touch, shape (n_rows, n_cols), retracted or not."""
-        image: Array = read_images(self.folder, [read_one(self._store, id).place])[0]
+        image: Array = read_images(self.folder, [read_one(self._store, id)])[0]
         return image
 
     def no_contact(self, session: str | int | None = None) -> Array | None:
@@ -256,13 +256,13 @@ class TouchLibrary:
 
     def rename_object(self, old: str, new: str) -> None:
         """Give an object another name; the old one is free afterwards."""
-        now = current_name(self._store, old)
+        _, now = known_object(self._store, old)
         make_change(self._store, action="rename", old=now, new=new)
 
     def merge_objects(self, source: str, into: str) -> None:
         """Make two objects one; touches added as `source` go there as well."""
-        source = current_name(self._store, source)
-        into = current_name(self._store, into)
+        _, source = known_object(self._store, source)
+        _, into = known_object(self._store, into)
         make_change(self._store, action="merge", source=source, into=into)
 
     def retract(

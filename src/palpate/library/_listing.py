@@ -1,9 +1,8 @@
 """What is known of touches, objects and sensors, found without reading an image."""
 
 import json
-from collections import defaultdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -157,32 +156,21 @@ def _listed(touch: StoredTouch) -> TouchRow:
 
 
 def list_objects(store: Store) -> list[ObjectRow]:
-    """Return all objects with touches that are not retracted, sorted by name."""
-    groups = store.rows(
-        "SELECT o.name, o.id, t.session, t.episode, count(*) FROM touches t "
-        "JOIN objects given ON given.id = t.object "
-        "JOIN objects o ON o.id = coalesce(given.merged_into, given.id) "
-        "WHERE t.retraction IS NULL GROUP BY t.object, t.session, t.episode"
-    )
-    episodes: dict[tuple[str, int], set[Any]] = defaultdict(set)
-    counts: dict[tuple[str, int], int] = defaultdict(int)
-    for name, key, session, episode, n_touches in groups:
-        episodes[name, key].add((session, episode))
-        counts[name, key] += n_touches
-    return [
-        ObjectRow(name, _category(store, key), counts[name, key], len(found))
-        for (name, key), found in sorted(episodes.items())
-    ]
+    """Return all objects with touches that are not retracted, sorted by name.
 
-
-def _category(store: Store, key: int) -> str | None:
-    """Return the category of an object, else that of one merged into it."""
-    row = store.one(
-        "SELECT category FROM objects WHERE (id = ? OR merged_into = ?) "
-        "AND category IS NOT NULL ORDER BY merged_into IS NOT NULL, id LIMIT 1",
-        [key, key],
+    The category is the object's own, else that of one merged into it.
+    """
+    rows = store.rows(
+        "WITH given AS (SELECT object, session, episode, count(*) AS n FROM touches "
+        "WHERE retraction IS NULL GROUP BY object, session, episode), "
+        "visits AS (SELECT coalesce(o.merged_into, o.id) AS key, sum(n) AS n "
+        "FROM given JOIN objects o ON o.id = object GROUP BY key, session, episode) "
+        "SELECT o.name, (SELECT category FROM objects WHERE (id = o.id "
+        "OR merged_into = o.id) AND category IS NOT NULL "
+        "ORDER BY merged_into IS NOT NULL, id LIMIT 1), sum(n), count(*) "
+        "FROM visits JOIN objects o ON o.id = key GROUP BY o.id ORDER BY o.name"
     )
-    return None if row is None else str(row[0])
+    return [ObjectRow(*row) for row in rows]
 
 
 def list_sensors(store: Store) -> list[SensorDescription]:

@@ -13,7 +13,7 @@ import numpy as np
 from .._types import Array
 from ..touches import Touches
 from ._array_files import file_path, read_file, read_values
-from ._rows import Numbers, Place, StoredTouch, distinct, layouts, rows_at
+from ._rows import Numbers, StoredTouch, distinct, layouts, rows_at
 from ._sheet import Column, column_array, image_digest, read_sheet
 from ._store import ARRAYS, IMAGES, LibraryError, Store
 
@@ -67,12 +67,12 @@ def read_touches(
     return Touches(images, **columns, **read_whole(store, numbers))
 
 
-def read_images(folder: Path, places: Sequence[Place]) -> Array:
+def read_images(folder: Path, rows: Sequence[StoredTouch]) -> Array:
     """Return images of one kind from their files alone, without the database.
 
     Each is checked against its digest; shape (n_touches, n_rows, n_cols).
     """
-    return np.concatenate([_run_of_images(folder, run) for run in _runs(places)])
+    return np.concatenate([_run_of_images(folder, run) for run in _runs(rows)])
 
 
 def read_columns(
@@ -91,8 +91,7 @@ def read_columns(
     done = 0
     for rows in rows_at(store, numbers):
         if images is not None:
-            places = [row.place for row in rows]
-            images[done : done + len(rows)] = read_images(store.folder, places)
+            images[done : done + len(rows)] = read_images(store.folder, rows)
             done += len(rows)
         values = list(_values(store, rows, columns, known))
         for name, alike in columns.items():
@@ -158,19 +157,19 @@ def _mapped(shape: tuple[int, ...], dtype: str, folder: Path) -> Array:
         return np.memmap(file, dtype=dtype, mode="w+", shape=shape)
 
 
-def _runs(places: Sequence[Place]) -> Iterator[list[Place]]:
-    """Group places that follow one another in one file."""
-    run: list[Place] = []
-    for place in places:
-        if run and (place.file, place.number) != (run[-1].file, run[-1].number + 1):
+def _runs(rows: Sequence[StoredTouch]) -> Iterator[list[StoredTouch]]:
+    """Group touches that follow one another in one file."""
+    run: list[StoredTouch] = []
+    for row in rows:
+        if run and (row.file, row.number) != (run[-1].file, run[-1].number + 1):
             yield run
             run = []
-        run.append(place)
+        run.append(row)
     if run:
         yield run
 
 
-def _run_of_images(folder: Path, run: list[Place]) -> Array:
+def _run_of_images(folder: Path, run: list[StoredTouch]) -> Array:
     """Return neighbouring images of one file, each checked against its digest."""
     first = run[0]
     path = file_path(folder / IMAGES, first.file.hex())
@@ -179,10 +178,10 @@ def _run_of_images(folder: Path, run: list[Place]) -> Array:
         images = read_values(path, first.start, shape, np.dtype(first.dtype))
     except LibraryError as error:
         raise LibraryError(f"Touch {first.id.hex()}: {error} {_FIX}") from error
-    for image, place in zip(images, run, strict=True):
-        if image_digest(image) != place.digest:
+    for image, row in zip(images, run, strict=True):
+        if image_digest(image) != row.digest:
             raise LibraryError(
-                f"Touch {place.id.hex()}: its image in {path} must be as it was "
+                f"Touch {row.id.hex()}: its image in {path} must be as it was "
                 f"added, got altered values. {_FIX}"
             )
     return images

@@ -43,29 +43,12 @@ _HEAL = (
 )
 
 
-class Place(NamedTuple):
-    """Where the image of a touch stands, what its values are like, its SHA-256."""
-
-    id: bytes
-    file: bytes
-    offset: int
-    number: int
-    digest: bytes
-    n_rows: int
-    n_cols: int
-    dtype: str
-
-    @property
-    def start(self) -> int:
-        """At which byte of its file the image begins."""
-        n_bytes = self.n_rows * self.n_cols * np.dtype(self.dtype).itemsize
-        return self.offset + self.number * n_bytes
-
-
 class StoredTouch(NamedTuple):
     """What the database knows of a touch: one row with what it refers to.
 
-    `layout` is the key of its columns, `extra` the values of those that are no cells,
+    Its image is the one of this `number` in `file`, where images begin at `offset`;
+    `digest` is its SHA-256. `layout` is the key of its columns, `extra` the values of
+    those that are no cells,
     as JSON; `recorded_by` the sensor of its recording, `retraction` the change that
     retracted it, as JSON. Cells follow, as `CELLS` names them.
     """
@@ -96,9 +79,10 @@ class StoredTouch(NamedTuple):
     source_path: Any
 
     @property
-    def place(self) -> Place:
-        """Where its image stands."""
-        return Place(*self[:8])
+    def start(self) -> int:
+        """At which byte of its file the image begins."""
+        n_bytes = self.n_rows * self.n_cols * np.dtype(self.dtype).itemsize
+        return self.offset + self.number * n_bytes
 
     def values(self) -> dict[str, Any]:
         """Return all its plain values by the name of their column."""

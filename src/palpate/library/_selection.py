@@ -24,7 +24,7 @@ from ._reading import (
     read_touches,
     read_whole,
 )
-from ._rows import Numbers, Place, rows_at
+from ._rows import Numbers, StoredTouch, rows_at
 from ._store import FEATURES, LibraryError, Store, room_for
 
 _TASKS_PER_FILE = 16
@@ -157,7 +157,7 @@ def _encode_new(
 
     common_kind(store, numbers)
     parts = Parallel(return_as="generator")(
-        delayed(_encoded)(store.folder, [row.place for row in rows], encode)
+        delayed(_encoded)(store.folder, rows, encode)
         for rows in rows_at(store, numbers)
     )
     waiting: list[Floats] = []
@@ -170,10 +170,9 @@ def _encode_new(
             waiting, n_kept = [], n_done
 
 
-def _encoded(folder: Path, places: list[Place], encode: Encode) -> Floats:
+def _encoded(folder: Path, rows: list[StoredTouch], encode: Encode) -> Floats:
     """Encode some touches; runs wherever joblib sends it, without the database."""
-    images = read_images(folder, places)
-    return np.asarray(encode(Touches(images)), dtype=np.float64)
+    return np.asarray(encode(Touches(read_images(folder, rows))), dtype=np.float64)
 
 
 def _keep(cache: Path, ids: Array, features: Floats) -> None:

@@ -172,8 +172,10 @@ def column_array(columns: Sequence[Column], cells: Sequence[Any]) -> Array:
         cells = [blank if cell is None else cell for cell in cells]
     if is_text:
         return np.array(cells, dtype=np.str_)
-    array = np.array(cells, dtype=np.float64 if _has_none(cells) else None)
+    array = np.array(cells)
     dtype = np.result_type(*dtypes)
+    if array.dtype.kind == "O" and dtype.kind in "biuf":  # None in vectors
+        array = array.astype(np.float64)
     lacks = array.dtype.kind == "f" and np.isnan(array).any()
     if lacks and dtype.kind in "biu":
         dtype = np.result_type(dtype, np.float16)
@@ -201,9 +203,10 @@ def _fits_cells(array: Array) -> bool:
 
 
 def _cells(name: str, array: Array) -> list[Any]:
-    cells: list[Any] = array.tolist()
-    if array.dtype.kind == "f":
-        return _without_nan(cells) if np.isnan(array).any() else cells
+    """Return the plain values of a column; NaN is None."""
+    if array.dtype.kind == "f" and np.isnan(array).any():
+        gaps, array = np.isnan(array), array.astype(object)
+        array[gaps] = None
     if array.dtype.kind == "U":
         try:
             "".join(array.ravel().tolist()).encode()
@@ -212,22 +215,8 @@ def _cells(name: str, array: Array) -> list[Any]:
                 f"column {name!r} must be text that UTF-8 can hold, got {error}. "
                 "Clean it first."
             ) from error
+    cells: list[Any] = array.tolist()
     return cells
-
-
-def _without_nan(cells: list[Any]) -> list[Any]:
-    return [
-        _without_nan(cell)
-        if isinstance(cell, list)
-        else (None if cell != cell else cell)
-        for cell in cells
-    ]
-
-
-def _has_none(cells: Any) -> bool:
-    if not isinstance(cells, list | tuple):
-        return cells is None
-    return any(_has_none(cell) for cell in cells)
 
 
 def identity(
