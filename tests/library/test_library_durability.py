@@ -60,24 +60,24 @@ def _acknowledged(pipe):
 def _kill_writers(folder, n_times):
     """Kill a writer at random moments; return everything it acknowledged."""
     rng = random.Random(3)
-    told = {}
+    acknowledged = {}
     for number in range(n_times):
         process, pipe = _start(_write_until_killed, folder, number * 1000)
         time.sleep(rng.uniform(0.01, 0.12))
         os.kill(process.pid, signal.SIGKILL)
         process.join()
-        told |= _acknowledged(pipe)
-    return told
+        acknowledged |= _acknowledged(pipe)
+    return acknowledged
 
 
-def _assert_all_there(folder, told):
-    ids = [key for keys in told.values() for key in keys]
+def _assert_all_there(folder, acknowledged):
+    ids = [key for keys in acknowledged.values() for key in keys]
     assert ids
     with TouchLibrary.open(folder) as library:
         listed = [row.id for row in library.list(limit=None)]
         assert len(set(listed)) == len(listed)
         assert set(ids) <= set(listed)
-        for seed, keys in told.items():
+        for seed, keys in acknowledged.items():
             expected = _press(seed, 1 + seed % 3).images
             assert_array_equal(np.stack([library.image(k) for k in keys]), expected)
         report = library.check()
@@ -111,15 +111,15 @@ def _write_some(folder, first, pipe):
 def test_two_writers_at_once_lose_nothing(tmp_path):
     """They also add some touches both: those are one."""
     started = [_start(_write_some, tmp_path, first) for first in (0, 10)]
-    told = {}
+    acknowledged = {}
     for process, pipe in started:
-        told |= _acknowledged(pipe)
+        acknowledged |= _acknowledged(pipe)
         process.join()
         assert process.exitcode == 0
-    assert sorted(told) == list(range(25))
-    _assert_all_there(tmp_path, told)
+    assert sorted(acknowledged) == list(range(25))
+    _assert_all_there(tmp_path, acknowledged)
     with TouchLibrary.open(tmp_path) as library:
-        assert len(library) == sum(len(ids) for ids in told.values())
+        assert len(library) == sum(len(ids) for ids in acknowledged.values())
 
 
 class _Full:
@@ -137,7 +137,7 @@ class _Full:
 
 @pytest.mark.parametrize("name", ["fsync", "open"])
 @pytest.mark.parametrize("after", [0, 1, 2, 3, 4, 5])
-def test_a_full_disk_is_told_and_the_library_stays_whole(
+def test_a_full_disk_is_reported_and_the_library_stays_whole(
     tmp_path, monkeypatch, name, after
 ):
     touches = _press(1, 600).with_columns(no_contact=np.zeros((6, 6), np.uint8))
@@ -155,7 +155,7 @@ def test_a_full_disk_is_told_and_the_library_stays_whole(
         assert len(library) == 601
 
 
-def test_a_disk_that_fills_in_the_database_is_told(tmp_path):
+def test_a_disk_that_fills_in_the_database_is_reported(tmp_path):
     """SQLite's own limit on pages stands for a full disk: it fails the same way."""
     with TouchLibrary.open(tmp_path, create=True) as library:
         library.add(_press(0))

@@ -157,7 +157,7 @@ def test_a_lost_database_is_not_replaced_by_an_empty_one(folder, damage):
     assert check_library(folder).ok
 
 
-def test_changes_that_a_database_lacks_are_told_and_carried_out(folder):
+def test_changes_that_a_database_lacks_are_reported_and_carried_out(folder):
     """As when it was lost and made anew by hand, or put back from last week."""
     before = _state(folder)
     (folder / "library.sqlite").unlink()
@@ -178,7 +178,7 @@ def test_changes_that_a_database_lacks_are_told_and_carried_out(folder):
 
 
 @pytest.mark.parametrize("content", [b"{}", b"\xff", b"", None])
-def test_altered_changes_are_told_and_written_anew(folder, content):
+def test_altered_changes_are_reported_and_written_anew(folder, content):
     with TouchLibrary.open(folder) as library:
         library.restore([row.id for row in library.list("press < 6", retracted=True)])
         library.merge_objects("b", "mug")
@@ -304,7 +304,7 @@ def test_touches_set_aside_are_counted_apart(folder):
     assert "20 touches are set aside" in str(report)
 
 
-def test_lost_images_of_retracted_touches_are_told(folder):
+def test_lost_images_of_retracted_touches_are_reported(folder):
     """They are left out already, so nothing is wrong; but they cannot be restored."""
     retracted = [row.id for row in _state(folder) if row.retracted]
     with TouchLibrary.open(folder) as library:

@@ -184,7 +184,7 @@ _PIECES = [
 )
 @settings(max_examples=300, deadline=None)
 def test_any_text_is_a_filter_or_refused(library, known_words, text):
-    """No character of a literal shows up in the SQL: only marks and known columns."""
+    """No literal shows up in the SQL: only question marks and known words."""
     try:
         asked = _asked(library, text)
     except LibraryError:

@@ -312,7 +312,7 @@ def test_only_touches_are_added(library):
 
 
 def test_a_forked_process_opens_the_library_anew(library, cups):
-    """SQLite's connections must not cross a fork: the child is told so."""
+    """SQLite's connections must not cross a fork: the child is refused."""
     library.add(cups)
     process = multiprocessing.get_context("fork").Process(
         target=_count_in_child, args=(library,)

@@ -1,4 +1,4 @@
-"""Adding touches: files first, then the database, then the caller is told.
+"""Adding touches: files first, then the database, then the answer to the caller.
 
 Touches that come back changed, renamed since or read from an export, are known
 again. A touch's id follows from what it was called when it was first added. An
@@ -81,18 +81,16 @@ def _parts(touches: Touches) -> Iterator[Touches]:
 def _store_sheet(store: Store, sheet: Sheet) -> None:
     """Store the touches of a sheet that are not in the library yet."""
     found = store.among(
-        f"SELECT t.id, hex(f.name), coalesce(t.retraction IN ({SET_ASIDE}), 0) "
+        f"SELECT t.id, f.name, coalesce(t.retraction IN ({SET_ASIDE}), 0) "
         "FROM touches t JOIN files f ON f.id = t.file WHERE t.id IN (?)",
         sheet.ids,
     )
-    known = {key: (name.lower(), bool(aside)) for key, name, aside in found}
-    names = {name for name, _ in known.values()}
     images = store.folder / IMAGES
-    gone = {name for name in names if not file_path(images, name).is_file()}
-    lost = {key for key, (name, aside) in known.items() if aside or name in gone}
-    new = {
-        key: row for row, key in enumerate(sheet.ids) if key not in known or key in lost
-    }
+    names = {name for _, name, _ in found}
+    gone = {n for n in names if not file_path(images, n.hex()).is_file()}
+    lost = {key for key, name, aside in found if aside or name in gone}
+    sound = {key for key, _, _ in found} - lost
+    new = {key: row for row, key in enumerate(sheet.ids) if key not in sound}
     if not new:
         return
     kept = sheet.picked(sorted(new.values()))

@@ -57,9 +57,11 @@ def read_bag(
         It is no bag, lacks the topic, or a message is no image.
     """
     highlevel = needed("rosbags.highlevel", "ros", "Reading ROS 2 bags")
+    typesys = needed("rosbags.typesys", "ros", "Reading ROS 2 bags")
+    types = typesys.get_typestore(typesys.Stores.LATEST)
     bag = Path(path)
     try:
-        with highlevel.AnyReader([bag], default_typestore=_types()) as reader:
+        with highlevel.AnyReader([bag], default_typestore=types) as reader:
             images, times = _messages(reader, topic, max_bytes)
     except LibraryError:
         raise
@@ -76,11 +78,6 @@ def read_bag(
         time_s=np.array(times),
         set_topic=np.array(topic),
     )
-
-
-def _types() -> Any:
-    typesys = needed("rosbags.typesys", "ros", "Reading ROS 2 bags")
-    return typesys.get_typestore(typesys.Stores.LATEST)
 
 
 def _messages(

@@ -17,7 +17,7 @@ from typing import Any
 from .._durable import write_text
 from ._rows import id_bytes
 from ._sheet import canonical
-from ._store import CHANGES, LibraryError, Store, room_for
+from ._store import CHANGES, LibraryError, Store, is_unicode, room_for
 
 
 def make_change(store: Store, **content: Any) -> int:
@@ -94,7 +94,7 @@ def file_fault(store: Store, name: str, brief: dict[str, Any]) -> str | None:
 
 
 def write_again(store: Store, name: str) -> None:
-    """Write the file of a change anew, as far as the database still tells.
+    """Write the file of a change anew, as far as the database still knows it.
 
     Of a retraction these are the touches that it still leaves out, of a restoration
     all that are in: carried out in their order, all changes end where they did.
@@ -225,17 +225,13 @@ def _restore(store: Store, change: int, content: dict[str, Any]) -> int:
     )
 
 
-def _leave_out(store: Store, change: int, content: dict[str, Any]) -> int:
-    """Note that arrays of whole recordings are lost; reading still tries them."""
-    return len(content["arrays"])
-
-
 _ACTIONS: dict[str, Callable[[Store, int, dict[str, Any]], int]] = {
     "rename": _rename,
     "merge": _merge,
     "retract": _retract,
     "restore": _restore,
-    "leave_out": _leave_out,
+    # Arrays of whole recordings are lost: only noted, reading still tries them.
+    "leave_out": lambda store, change, content: len(content["arrays"]),
 }
 
 
@@ -249,11 +245,6 @@ def _checked_name(name: object) -> str:
             f"{name!r}. Leave out line breaks and control characters."
         )
     return name
-
-
-def is_unicode(text: str) -> bool:
-    """Tell whether UTF-8, and so the database, can hold a text."""
-    return not any(unicodedata.category(letter) == "Cs" for letter in text)
 
 
 def _brief(content: dict[str, Any]) -> dict[str, Any]:

@@ -130,10 +130,8 @@ def _checked(store: Store, progress: bool | None) -> CheckReport:
 def database_problems(store: Store) -> list[Problem]:
     """Return what SQLite finds wrong with the database."""
     found = [row[0] for row in store.rows("PRAGMA quick_check(5)")]
-    wrong = [] if found == ["ok"] else found
-    return [
-        Problem("database", FILE_NAME, f"SQLite says: {text}", []) for text in wrong
-    ]
+    wrong = [f"SQLite says: {text}" for text in found if found != ["ok"]]
+    return [Problem("database", FILE_NAME, text, []) for text in wrong]
 
 
 def _image_problems(
@@ -215,18 +213,17 @@ def array_problems(store: Store) -> list[Problem]:
     for name, entries in sorted(users.items()):
         fault = _fault(store, ARRAYS, name)
         if fault is not None:
-            touches = _touches_of(store, list(entries))
+            sql = (
+                "SELECT lower(hex(id)) FROM touches WHERE recording IN (?) "
+                "ORDER BY number"
+            )
+            touches = [row[0] for row in store.among(sql, list(entries))]
             what = (
                 f"{fault.what} {len(touches)} touches are read without their "
                 f"{next(iter(entries.values()))}; adding them again brings it back."
             )
             problems.append(fault._replace(what=what, touches=touches))
     return problems
-
-
-def _touches_of(store: Store, recordings: list[int]) -> list[str]:
-    sql = "SELECT lower(hex(id)) FROM touches WHERE recording = ? ORDER BY number"
-    return [row[0] for key in recordings for row in store.rows(sql, [key])]
 
 
 def left_out(store: Store) -> set[str]:

@@ -35,13 +35,6 @@ from ._store import AT_ONCE, LibraryError, Store
 
 _LEROBOT_VERSION = "v3.0"
 _FRAMES_PER_SECOND = 1
-_SHARED = {
-    "timestamp": "float32",
-    "frame_index": "int64",
-    "episode_index": "int64",
-    "index": "int64",
-    "task_index": "int64",
-}
 _FILE = "chunk-{:03d}/file-{:03d}.parquet"
 
 
@@ -75,17 +68,12 @@ def export_touches(store: Store, numbers: Numbers, path: Path) -> int:
             f"{error.strerror or error}. Nothing is left there; free space, or give "
             "another one."
         ) from error
-    finally:
-        _remove(partial)
+    finally:  # what a failed export has left; a finished one has another name
+        if partial.is_dir():
+            shutil.rmtree(partial, ignore_errors=True)
+        with suppress(OSError):
+            partial.unlink()
     return len(numbers)
-
-
-def _remove(partial: Path) -> None:
-    """Remove what a failed export has left; a finished one has another name."""
-    if partial.is_dir():
-        shutil.rmtree(partial, ignore_errors=True)
-    with suppress(OSError):
-        partial.unlink()
 
 
 def _write_archive(path: Path, store: Store, numbers: Numbers) -> None:
@@ -170,7 +158,7 @@ def _episodes(store: Store, numbers: Numbers) -> list[Numbers]:
 
 
 class _Dataset:
-    """What a LeRobotDataset tells of its episodes, gathered one by one."""
+    """What a LeRobotDataset says of its episodes, gathered one by one."""
 
     def __init__(self) -> None:
         self.tasks: dict[str, int] = {}
@@ -189,8 +177,10 @@ class _Dataset:
         task_index = self.tasks.setdefault(task, len(self.tasks))
         number, first = len(self.rows), self.n_frames
         frames = lerobot_frames(touches, number, first, task_index)
-        self.features = self.features or _features(frames)
         for name, values in frames.items():
+            shape = list(values.shape[1:]) or [1]
+            feature = {"dtype": values.dtype.name, "shape": shape, "names": None}
+            self.features.setdefault(name, feature)
             self._add_up(name, values)
         self.rows.append(
             {
@@ -251,7 +241,7 @@ def lerobot_frames(
         or the number of the touch where times are not known.
     """
     n_touches = len(touches)
-    number = np.arange(n_touches)
+    number = np.arange(n_touches, dtype=np.int64)
     time_s = touches.columns.get("time_s", number)
     columns = {"observation.tactile": touches.images.astype(np.float32)}
     for name in ("position_mm", "force_n"):
@@ -262,32 +252,19 @@ def lerobot_frames(
         **columns,
         "timestamp": (time_s - time_s[0]).astype(np.float32),
         "frame_index": number,
-        "episode_index": np.full(n_touches, episode),
+        "episode_index": np.full(n_touches, episode, np.int64),
         "index": first + number,
-        "task_index": np.full(n_touches, task),
-    }
-
-
-def _features(frames: dict[str, Array]) -> dict[str, Any]:
-    return {
-        name: {
-            "dtype": _SHARED.get(name, "float32"),
-            "shape": list(values.shape[1:]) or [1],
-            "names": None,
-        }
-        for name, values in frames.items()
+        "task_index": np.full(n_touches, task, np.int64),
     }
 
 
 def _frame_table(pa: Any, frames: dict[str, Array]) -> Any:
     arrays = {}
     for name, values in frames.items():
-        kind = _SHARED.get(name, "float32")
-        typed = values.astype(kind)
-        nested = getattr(pa, kind)()
-        for _ in range(values.ndim - 1):
+        nested = pa.from_numpy_dtype(values.dtype)
+        for _ in values.shape[1:]:
             nested = pa.list_(nested)
-        arrays[name] = pa.array(typed.tolist() if values.ndim > 1 else typed, nested)
+        arrays[name] = pa.array(values.tolist() if values.ndim > 1 else values, nested)
     return pa.table(arrays)
 
 

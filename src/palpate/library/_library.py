@@ -10,7 +10,7 @@ from .._durable import flush_folder
 from .._types import Array
 from ..touches import Touches
 from ._adding import add_touches
-from ._changes import chosen_ids, is_unicode, known_object, make_change
+from ._changes import chosen_ids, known_object, make_change
 from ._checking import CheckReport, check_library
 from ._exporting import export_touches
 from ._listing import (
@@ -29,7 +29,7 @@ from ._reading import IN_MEMORY, latest_no_contact, read_images, read_touches
 from ._repairing import RepairReport, repair_library
 from ._rows import read_one
 from ._selection import Selection
-from ._store import FILE_NAME, LibraryError, Store, holds_files
+from ._store import FILE_NAME, LibraryError, Store, holds_files, is_unicode
 
 MAX_BYTES = 64 * 2**30
 Sensors = list[SensorDescription]

@@ -2,30 +2,16 @@
 
 import secrets
 import time
+from collections.abc import Callable
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from .._durable import PARTIAL, flush_folder
 from .._progress import Progress
+from . import _changes as changes
+from . import _checking as checking
 from ._array_files import read_file
-from ._changes import (
-    apply_change,
-    change_files,
-    enter_change,
-    file_fault,
-    known_changes,
-    make_change,
-    read_change,
-    write_again,
-)
-from ._checking import (
-    array_problems,
-    database_problems,
-    image_problem,
-    left_out,
-    touches_in,
-)
 from ._rows import MISSING, SET_ASIDE, write_rows
 from ._sheet import Sheet, read_sheet
 from ._store import (
@@ -92,9 +78,9 @@ def repair_library(folder: str | Path, *, progress: bool | None = None) -> Repai
         n_changes += _mend_changes(store)
         lost, found = _lost_and_found(store, progress)
         if lost:
-            make_change(store, action="retract", ids=lost, reason=MISSING)
+            changes.make_change(store, action="retract", ids=lost, reason=MISSING)
         if found:
-            make_change(store, action="restore", ids=found)
+            changes.make_change(store, action="restore", ids=found)
         n_left_out = _leave_out_arrays(store)
         _sweep(folder)
     counts = n_recovered, len(lost), len(found), n_changes, n_left_out
@@ -105,7 +91,7 @@ def _is_damaged(folder: Path) -> bool:
     """Tell whether the database is damaged; a failing disk is no damage."""
     try:
         with closing(Store(folder)) as store:
-            return bool(database_problems(store))
+            return bool(checking.database_problems(store))
     except (NewerLibrary, DatabaseUnavailable):
         raise
     except DatabaseDamaged:
@@ -161,22 +147,27 @@ def _enter_all(store: Store) -> tuple[int, int]:
     Returns how many touches it gained, and how many changes.
     """
     known = {row[0].hex() for row in store.rows("SELECT name FROM files")}
-    known_too = known_changes(store)
+    known_too = changes.known_changes(store)
     before = store.count("SELECT count(*) FROM touches")
     steps: list[tuple[float, str, Path]] = []
     for path in sorted((store.folder / IMAGES).glob("*/*.npy")):
         if path.stem not in known and (sheet := _sheet_in(store, path.stem)):
             steps.append((sheet.added_s, "touches", path))
-    for name, path in change_files(store).items():
+    for name, path in changes.change_files(store).items():
         if name not in known_too:
             with suppress(OSError, ValueError):
-                steps.append((read_change(path)["time_s"], "change", path))
+                steps.append((changes.read_change(path)["time_s"], "change", path))
     n_changes = 0
     for _, kind, path in sorted(steps):
         if kind == "change":
-            n_changes += _enter_change(store, path)
+            change = path.stem, changes.read_change(path)
+            if _entered(store, changes.apply_change, *change):
+                n_changes += 1
+            else:  # it is noted all the same
+                with store.writing():
+                    changes.enter_change(store, *change)
         elif sheet := _sheet_in(store, path.stem):
-            _enter_sheet(store, sheet, path.stem)
+            _entered(store, write_rows, sheet, path.stem)
     return store.count("SELECT count(*) FROM touches") - before, n_changes
 
 
@@ -188,38 +179,27 @@ def _sheet_in(store: Store, name: str) -> Sheet | None:
         return None
 
 
-def _enter_sheet(store: Store, sheet: Sheet, name: str) -> None:
+def _entered(store: Store, enter: Callable[..., Any], *what: Any) -> bool:
+    """Enter touches or a change; return False where it says nothing (any more)."""
     try:
         with store.writing():
-            write_rows(store, sheet, name)
+            enter(store, *what)
     except (DatabaseUnavailable, DatabaseDamaged):
         raise
     except _NO_SHEET:
-        return  # the file has a right name and a wrong content
-
-
-def _enter_change(store: Store, path: Path) -> bool:
-    """Carry out a change; one that says nothing any more is noted all the same."""
-    content = read_change(path)
-    try:
-        with store.writing():
-            apply_change(store, path.stem, content)
-    except (DatabaseUnavailable, DatabaseDamaged):
-        raise
-    except _NO_SHEET:
-        with store.writing():
-            enter_change(store, path.stem, content)
         return False
     return True
 
 
 def _mend_changes(store: Store) -> int:
     """Write damaged files of changes anew; set aside those that say nothing."""
-    known, files = known_changes(store), change_files(store)
-    bad = [name for name, brief in known.items() if file_fault(store, name, brief)]
+    known, files = changes.known_changes(store), changes.change_files(store)
+    bad = [
+        name for name, brief in known.items() if changes.file_fault(store, name, brief)
+    ]
     _set_aside(store.folder, *(files[n] for n in bad if n in files))
     for name in bad:
-        write_again(store, name)
+        changes.write_again(store, name)
     unknown = (path for name, path in files.items() if name not in known)
     _set_aside(store.folder, *unknown)
     return len(bad)
@@ -232,9 +212,9 @@ def _lost_and_found(store: Store, progress: bool | None) -> tuple[list[str], lis
     files = store.rows("SELECT id, name FROM files ORDER BY id")
     with Progress(len(files), "Reading files", progress) as bar:
         for key, name in files:
-            bad = image_problem(store, key, name.hex())
+            bad = checking.image_problem(store, key, name.hex())
             lost += [] if bad is None else bad.touches
-            rows = touches_in(store, key, f"t.retraction IN ({SET_ASIDE})")
+            rows = checking.touches_in(store, key, f"t.retraction IN ({SET_ASIDE})")
             if rows and _sheet_in(store, name.hex()) is not None:
                 found += [row.id.hex() for row in rows]
             bar.advance(1)
@@ -243,12 +223,12 @@ def _lost_and_found(store: Store, progress: bool | None) -> tuple[list[str], lis
 
 def _leave_out_arrays(store: Store) -> int:
     """Set altered arrays aside and note them, so that the rest is read without them."""
-    bad = array_problems(store)
+    bad = checking.array_problems(store)
     _set_aside(store.folder, *(store.folder / problem.path for problem in bad))
-    known = left_out(store)
+    known = checking.left_out(store)
     names = [n for problem in bad if (n := Path(problem.path).stem) not in known]
     if names:
-        make_change(store, action="leave_out", arrays=names)
+        changes.make_change(store, action="leave_out", arrays=names)
     return len(names)
 
 

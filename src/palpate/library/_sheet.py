@@ -74,7 +74,7 @@ class Sheet:
     ids, digests : list of bytes
         Identity of each touch (16 bytes) and SHA-256 of each image.
     recording : dict
-        What is the same for all, as `recording_of` gives it.
+        What is the same for all, as it is entered in the table of recordings.
     added_s : float
         When they were added (s since 1970).
     """

@@ -272,6 +272,11 @@ def holders(n_values: int) -> str:
     return f"({', '.join('?' * n_values)})"
 
 
+def is_unicode(text: str) -> bool:
+    """Tell whether UTF-8, and so the database, can hold a text."""
+    return not any("\ud800" <= letter <= "\udfff" for letter in text)
+
+
 def holds_files(library: Path) -> bool:
     """Tell whether touches or changes have ever been stored in a library."""
     kinds = (f"{IMAGES}/[0-9a-f][0-9a-f]/*.npy", f"{CHANGES}/*-*.json")
@@ -301,14 +306,10 @@ def _missing(path: Path) -> LibraryError:
     )
 
 
-_DAMAGE = ("SQLITE_CORRUPT", "SQLITE_NOTADB")
-_BUSY = ("SQLITE_BUSY", "SQLITE_LOCKED")
 _FIXES = {
     "SQLITE_FULL": "Free space on the disk and go on; what was acknowledged is kept.",
     "SQLITE_IOERR": "Free space on the disk, see that the disk is well, and try again; "
     "what was acknowledged is kept.",
-    "SQLITE_BUSY": "Another program has been writing for a minute; wait, or end it.",
-    "SQLITE_LOCKED": "Another program has been writing for a minute; wait, or end it.",
     "SQLITE_CANTOPEN": "Free space on the disk, and check that the folder may be "
     "written to.",
     "SQLITE_READONLY": "Check that the folder and the file may be written to.",
@@ -320,15 +321,18 @@ def _explained(path: Path, error: sqlite3.Error) -> LibraryError:
     """Return what SQLite stumbled over as one sentence with the fix."""
     name = "_".join(getattr(error, "sqlite_errorname", "").split("_")[:2])
     start = f"{path} must be a sound database, got: {error}. "
-    if name in _DAMAGE:
+    unusable = f"{path} must be readable and writable, got: {error}. "
+    if name in ("SQLITE_CORRUPT", "SQLITE_NOTADB"):
         return DatabaseDamaged(
             f"{start}It is damaged; `palpate library check --repair` rebuilds it from "
             "the image files."
         )
+    if name in ("SQLITE_BUSY", "SQLITE_LOCKED"):
+        return DatabaseBusy(
+            f"{unusable}Another program has been writing for a minute; wait, or end it."
+        )
     if name in _FIXES:
-        start = f"{path} must be readable and writable, got: {error}. "
-        kind = DatabaseBusy if name in _BUSY else DatabaseUnavailable
-        return kind(start + _FIXES[name])
+        return DatabaseUnavailable(unusable + _FIXES[name])
     if "closed" in str(error):
         return LibraryError(f"{start}The library was closed; open it again.")
     return LibraryError(

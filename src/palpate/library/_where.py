@@ -13,7 +13,7 @@ from itertools import accumulate
 from typing import Any, NamedTuple
 
 from ._sheet import CELLS
-from ._store import LibraryError, holders
+from ._store import LibraryError, holders, is_unicode
 
 _RECORDED = ("kind", "unit", "pitch_mm", "geometry", "n_rows", "n_cols")
 _COLUMNS = {
@@ -73,7 +73,7 @@ def parse_where(text: str, extra: Collection[str] = ()) -> Condition:
         raise LibraryError(
             f"--where must have at most {_LONGEST} characters, got {len(text)}."
         )
-    if not text.isascii() and any("\ud800" <= letter <= "\udfff" for letter in text):
+    if not is_unicode(text):
         raise LibraryError(
             f"--where must be text that UTF-8 can hold, got {text[:80]!r}. Give it in "
             "the encoding of the terminal."
