@@ -68,6 +68,20 @@ def test_a_library_is_encoded_alike_everywhere(library, on_cluster):
     assert_allclose(remote, alone, rtol=0, atol=1e-10)
 
 
+def _kinds():
+    """Return touches of two categories of two objects each."""
+    rng = np.random.default_rng(1)
+    categories = rng.normal(size=(2, 3, 24))
+    kind, one = np.repeat([0, 1], 40), np.tile(np.repeat([0, 1], 20), 2)
+    images = categories[kind] + 0.5 * rng.normal(size=(80, 3, 24))
+    return Touches(
+        images,
+        object=[f"{k}{o}" for k, o in zip(kind, one, strict=True)],
+        category=kind,
+        geometry="none",
+    )
+
+
 def _slow_square(number, folder):
     """Leave a mark with this worker's number, so that the test can kill it."""
     (folder / f"{number}.{os.getpid()}").touch()
@@ -112,12 +126,9 @@ def test_the_same_study_gives_the_same_figures_everywhere(cluster, monkeypatch):
 @pytest.mark.slow
 def test_the_command_evaluates_alike_everywhere(cluster, tmp_path, capsys, monkeypatch):
     """`--workers` and `--cluster` lead to the same figures."""
-    rng = np.random.default_rng(2)
-    patterns = np.repeat(rng.normal(size=(4, 3, 24)), 20, axis=0)
-    images = patterns + rng.normal(size=patterns.shape)
-    touches = Touches(images, object=np.repeat(list("abcd"), 20), geometry="none")
-    touches.with_columns(session=np.tile([1, 2], 40)).save(tmp_path / "t.npz")
-    given = ["--train", tmp_path / "t.npz", "--split", "session", "--json"]
+    _kinds().save(tmp_path / "t.npz")
+    given = ["--train", tmp_path / "t.npz", "--split", "unseen-objects", "--json"]
+    given += ["--label", "category", "--touches", "1,3", "--orders", 2]
     places = {
         "one": ["--workers", 1],
         "two": ["--workers", 2],
@@ -139,16 +150,7 @@ def test_folds_are_evaluated_alike_in_one_process_and_two():
     """Every category is left out once per fold; two processes share the folds."""
     from palpate.evaluation import Plan, evaluate
 
-    rng = np.random.default_rng(1)
-    categories = rng.normal(size=(2, 3, 24))
-    kind, one = np.repeat([0, 1], 40), np.tile(np.repeat([0, 1], 20), 2)
-    images = categories[kind] + 0.5 * rng.normal(size=(80, 3, 24))
-    touches = Touches(
-        images,
-        object=[f"{k}{o}" for k, o in zip(kind, one, strict=True)],
-        category=kind,
-        geometry="none",
-    )
+    touches = _kinds()
     plan = Plan(label="category", touches=(1, 3), orders=2)
     alone, _ = evaluate(touches, split="unseen-objects", plan=plan)
     with parallel_config("loky", n_jobs=2):

@@ -58,15 +58,20 @@ def _acknowledged(pipe):
 
 
 def _kill_writers(folder, n_times):
-    """Kill a writer at random moments; return everything it acknowledged."""
+    """Kill writers at random moments; return everything they acknowledged.
+
+    So many, and on a busy machine more, until one has acknowledged something.
+    """
     rng = random.Random(3)
     acknowledged = {}
-    for number in range(n_times):
+    number = 0
+    while number < n_times or not acknowledged:
         process, pipe = _start(_write_until_killed, folder, number * 1000)
         time.sleep(rng.uniform(0.01, 0.12))
         os.kill(process.pid, signal.SIGKILL)
         process.join()
         acknowledged |= _acknowledged(pipe)
+        number += 1
     return acknowledged
 
 

@@ -109,10 +109,14 @@ def _matched(store: Store, sheet: Sheet) -> Sheet:
     labels = sheet.values.get("object", [None] * len(sheet.ids))
     found = {label: find_object(store, label) for label in set(labels)}
     now = {name: known[1] if known else name for name, known in found.items()}
-    former = _former_names(store, set(now.values()))
+    former: dict[str | None, list[str]] = {name: [] for name in now.values()}
+    for old, new in renamings(store):
+        for name, before in former.items():
+            if new == name or new in before:
+                before.append(old)
     maybe: dict[bytes, tuple[bytes, str | None]] = {}
     for row, label in enumerate(labels):
-        names = [label, now[label], *former.get(now[label], [])]
+        names = [label, now[label], *former[now[label]]]
         for cells in _earlier(sheet, row, list(dict.fromkeys(names))):
             key = identity(sheet.digests[row], cells, sheet.wide, row)
             if key != sheet.ids[row]:
@@ -127,18 +131,6 @@ def _matched(store: Store, sheet: Sheet) -> Sheet:
         if maybe[key][0] not in there and maybe[key][1] == name
     }
     return replace(sheet, ids=[stored.get(key, key) for key in sheet.ids])
-
-
-def _former_names(
-    store: Store, present: set[str | None]
-) -> dict[str | None, list[str]]:
-    """Return the names that touches of each object may have been added under."""
-    former: dict[str | None, list[str]] = {name: [] for name in present}
-    for old, new in renamings(store):
-        for name, before in former.items():
-            if new == name or new in before:
-                before.append(old)
-    return former
 
 
 def _earlier(

@@ -65,14 +65,9 @@ class CheckReport(NamedTuple):
     n_set_aside: int = 0
 
     def __str__(self) -> str:
-        lines = [
-            f"{self.n_touches} touches in {self.n_files} files: "
-            + (
-                "all present and as they were written."
-                if self.ok
-                else f"{len(self.problems)} problems."
-            )
-        ]
+        sound = "all present and as they were written."
+        state = sound if self.ok else f"{len(self.problems)} problems."
+        lines = [f"{self.n_touches} touches in {self.n_files} files: {state}"]
         if self.n_set_aside:
             lines.append(
                 f"{self.n_set_aside} touches are set aside: their images were missing "
@@ -80,8 +75,9 @@ class CheckReport(NamedTuple):
                 "repaired, or when they are added again."
             )
         lines += [f"{p.kind}: {p.path}: {p.what}" for p in self.problems[:_SHOWN]]
-        more = len(self.problems) - _SHOWN
-        return "\n".join([*lines, *([f"... and {more} more"] * (more > 0))])
+        if len(self.problems) > _SHOWN:
+            lines.append(f"... and {len(self.problems) - _SHOWN} more")
+        return "\n".join(lines)
 
 
 def check_library(folder: str | Path, *, progress: bool | None = None) -> CheckReport:
@@ -116,7 +112,7 @@ def _checked(store: Store, progress: bool | None) -> CheckReport:
         noted = Path(problem.path).stem in known
         (remarks if noted else problems).append(problem)
     problems += _change_problems(store)
-    remarks += [*_spare_files(store), *_partial_files(store)]
+    remarks += _leftovers(store)
     # What should be there, its files, and what is set aside.
     aside = f"coalesce(retraction IN ({SET_ASIDE}), 0)"
     [counts] = store.rows(
@@ -257,16 +253,21 @@ def _change_problems(store: Store) -> Iterator[Problem]:
         yield Problem("change", f"{CHANGES}/{name}.json", what, [])
 
 
-def _spare_files(store: Store) -> Iterator[Problem]:
-    """Name files that a killed writer left before it acknowledged them."""
+def spare_files(store: Store) -> list[Path]:
+    """Return files of images that the database does not know.
+
+    A killed writer left them before it acknowledged them, or the database was lost.
+    """
     known = {row[0].hex() for row in store.rows("SELECT name FROM files")}
+    paths = sorted((store.folder / IMAGES).glob("*/*.npy"))
+    return [path for path in paths if path.stem not in known]
+
+
+def _leftovers(store: Store) -> Iterator[Problem]:
+    """Name what a killed writer left; it is harmless."""
     what = "No touch is found in it; harmless. --repair takes its touches in."
-    for path in sorted((store.folder / IMAGES).glob("*/*.npy")):
-        if path.stem not in known:
-            yield Problem("file without touches", _short(store, path), what, [])
-
-
-def _partial_files(store: Store) -> Iterator[Problem]:
+    for path in spare_files(store):
+        yield Problem("file without touches", _short(store, path), what, [])
     what = "A writer was killed, or is writing it now; harmless."
     for path in sorted(store.folder.rglob(f"{PARTIAL}*")):
         yield Problem("partial file", _short(store, path), what, [])

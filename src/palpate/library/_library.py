@@ -18,16 +18,15 @@ from ._listing import (
     SensorDescription,
     Stats,
     TouchRow,
-    count_touches,
+    condition,
     list_objects,
-    list_sensors,
     list_touches,
     numbers_of,
     stats_of,
 )
-from ._reading import IN_MEMORY, latest_no_contact, read_images, read_touches
+from ._reading import IN_MEMORY, read_array, read_images, read_touches
 from ._repairing import RepairReport, repair_library
-from ._rows import read_one
+from ._rows import FROM, read_one
 from ._selection import Selection
 from ._store import FILE_NAME, LibraryError, Store, holds_files, is_unicode
 
@@ -181,7 +180,8 @@ class TouchLibrary:
 
     def count(self, where: str | None = None) -> int:
         """Return how many touches meet a filter."""
-        return count_touches(self._store, where)
+        sql, values = condition(self._store, where)
+        return self._store.count(f"SELECT count(*) {FROM} WHERE {sql}", values)
 
     def image(self, id: str) -> Array:
         """Return the image of one touch, shape (n_rows, n_cols), retracted or not."""
@@ -193,11 +193,23 @@ class TouchLibrary:
 
         One that is missing or altered is passed over with a warning.
         """
-        return latest_no_contact(self._store, session)
+        chosen = "" if session is None else "AND t.session IS ? "
+        rows = self._store.rows(
+            "SELECT json_extract(r.whole, '$.no_contact') AS name FROM touches t "
+            f"JOIN recordings r ON r.id = t.recording WHERE name IS NOT NULL {chosen}"
+            "GROUP BY name ORDER BY max(t.number) DESC",
+            [] if session is None else [session],
+        )
+        images = (read_array(self._store, "no_contact", row[0]) for row in rows)
+        return next((image for image in images if image is not None), None)
 
     def sensors(self) -> Sensors:
         """Return the sensors that took the touches, in the order first met."""
-        return list_sensors(self._store)
+        rows = self._store.rows(
+            "SELECT sensor, kind, unit, pitch_mm, geometry FROM recordings "
+            "WHERE sensor IS NOT NULL ORDER BY id"
+        )
+        return list(dict.fromkeys(SensorDescription(*row) for row in rows))
 
     def touches(
         self,

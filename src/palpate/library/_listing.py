@@ -118,12 +118,6 @@ def numbers_of(store: Store, where: str | None) -> Numbers:
     return np.fromiter((row[0] for row in rows), dtype=np.int64, count=len(rows))
 
 
-def count_touches(store: Store, where: str | None) -> int:
-    """Return how many touches meet a filter."""
-    sql, values = condition(store, where)
-    return store.count(f"SELECT count(*) {FROM} WHERE {sql}", values)
-
-
 def list_touches(
     store: Store, where: str | None, limit: int | None, offset: int, retracted: bool
 ) -> list[TouchRow]:
@@ -171,15 +165,6 @@ def list_objects(store: Store) -> list[ObjectRow]:
         "FROM visits JOIN objects o ON o.id = key GROUP BY o.id ORDER BY o.name"
     )
     return [ObjectRow(*row) for row in rows]
-
-
-def list_sensors(store: Store) -> list[SensorDescription]:
-    """Return the sensors that took the touches, in the order first met."""
-    rows = store.rows(
-        "SELECT sensor, kind, unit, pitch_mm, geometry FROM recordings "
-        "WHERE sensor IS NOT NULL ORDER BY id"
-    )
-    return list(dict.fromkeys(SensorDescription(*row) for row in rows))
 
 
 def stats_of(store: Store) -> Stats:

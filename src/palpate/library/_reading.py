@@ -138,19 +138,6 @@ def read_array(store: Store, entry: str, name: str) -> Array | None:
         return None
 
 
-def latest_no_contact(store: Store, session: str | int | None) -> Array | None:
-    """Return the latest no-contact image that can be read, or None."""
-    chosen = "" if session is None else "AND t.session IS ? "
-    rows = store.rows(
-        "SELECT json_extract(r.whole, '$.no_contact') AS name FROM touches t "
-        f"JOIN recordings r ON r.id = t.recording WHERE name IS NOT NULL {chosen}"
-        "GROUP BY name ORDER BY max(t.number) DESC",
-        [] if session is None else [session],
-    )
-    images = (read_array(store, "no_contact", row[0]) for row in rows)
-    return next((image for image in images if image is not None), None)
-
-
 def _mapped(shape: tuple[int, ...], dtype: str, folder: Path) -> Array:
     scratch = folder if os.access(folder, os.W_OK) else None
     with tempfile.TemporaryFile(dir=scratch) as file:  # the mapping keeps it

@@ -146,15 +146,14 @@ def _enter_all(store: Store) -> tuple[int, int]:
 
     Returns how many touches it gained, and how many changes.
     """
-    known = {row[0].hex() for row in store.rows("SELECT name FROM files")}
-    known_too = changes.known_changes(store)
+    known = changes.known_changes(store)
     before = store.count("SELECT count(*) FROM touches")
     steps: list[tuple[float, str, Path]] = []
-    for path in sorted((store.folder / IMAGES).glob("*/*.npy")):
-        if path.stem not in known and (sheet := _sheet_in(store, path.stem)):
+    for path in checking.spare_files(store):
+        if sheet := _sheet_in(store, path.stem):
             steps.append((sheet.added_s, "touches", path))
     for name, path in changes.change_files(store).items():
-        if name not in known_too:
+        if name not in known:
             with suppress(OSError, ValueError):
                 steps.append((changes.read_change(path)["time_s"], "change", path))
     n_changes = 0

@@ -48,9 +48,9 @@ class StoredTouch(NamedTuple):
 
     Its image is the one of this `number` in `file`, where images begin at `offset`;
     `digest` is its SHA-256. `layout` is the key of its columns, `extra` the values of
-    those that are no cells,
-    as JSON; `recorded_by` the sensor of its recording, `retraction` the change that
-    retracted it, as JSON. Cells follow, as `CELLS` names them.
+    those that are no cells, as JSON; `recorded_by` the sensor of its recording,
+    `retraction` the change that retracted it, as JSON. Cells follow, as `CELLS` names
+    them.
     """
 
     id: bytes

@@ -166,20 +166,17 @@ def _encode_new(
         waiting.append(part)
         n_done += len(part)
         if number % _TASKS_PER_FILE == 0 or n_done == len(ids):
-            _keep(cache, ids[n_kept:n_done], np.concatenate(waiting))
+            plain = np.ascontiguousarray(ids[n_kept:n_done]).view(np.uint8)
+            content = packed([plain.reshape(-1, 16), np.concatenate(waiting)])
+            with room_for("features", cache, "Free space; touches are not affected."):
+                cache.mkdir(parents=True, exist_ok=True)
+                publish(cache, content)
             waiting, n_kept = [], n_done
 
 
 def _encoded(folder: Path, rows: list[StoredTouch], encode: Encode) -> Floats:
     """Encode some touches; runs wherever joblib sends it, without the database."""
     return np.asarray(encode(Touches(read_images(folder, rows))), dtype=np.float64)
-
-
-def _keep(cache: Path, ids: Array, features: Floats) -> None:
-    plain = np.ascontiguousarray(ids).view(np.uint8).reshape(-1, 16)
-    with room_for("features", cache, "Free space; touches are not affected."):
-        cache.mkdir(parents=True, exist_ok=True)
-        publish(cache, packed([plain, features]))
 
 
 def _sortable(ids: NDArray[np.uint8]) -> Array:
