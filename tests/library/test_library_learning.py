@@ -109,7 +109,7 @@ def test_an_encoding_is_learnt_from_some_touches_of_each_label(tmp_path, shown):
     assert (np.diff(rows) > 0).all()
     assert (rows >= 1990).sum() == 30
     assert len(rows) == 2000 // 3 + 30
-    assert len(read.features_) == 2020
+    assert len(read.memory_.features) == 2020
     answer = read.log_likelihood(_touches(5)).argmax(axis=1)
     assert (read.classes_[answer] == _touches(5).object).mean() > 0.9
 
@@ -143,6 +143,13 @@ def test_a_damaged_cache_is_computed_again(library):
         chosen.features("../x", _means)
 
 
+def test_a_selection_knows_the_ids_of_its_touches(library):
+    """One id in 256 ends in a byte of zero, which is a part of it."""
+    ids = library.add(_touches(9, ("cap",), 600))
+    assert library.select("object = cap").touch_id.tolist() == ids
+    assert any(key.endswith("00") for key in ids)
+
+
 def test_a_selection_reads_what_is_asked_for(library):
     chosen = library.select("object = mug")
     assert len(chosen) == 30
@@ -166,4 +173,4 @@ def test_real_touches_learn_alike_from_a_library(tmp_path, data_folder):
         library.add(touches)
         read = ObjectRecogniser("corradi2015").fit(library.select())
     held = ObjectRecogniser("corradi2015").fit(touches)
-    assert_allclose(read.features_, held.features_, atol=1e-9)
+    assert_allclose(read.memory_.features, held.memory_.features, atol=1e-9)

@@ -75,6 +75,11 @@ class Selection:
         return self.columns.get("session")
 
     @property
+    def touch_id(self) -> NDArray[np.str_]:
+        """Id of each touch, shape (n_touches,): 32 hexadecimal digits."""
+        return np.array([key.hex() for key in self._ids()])
+
+    @property
     def whole(self) -> dict[str, Array]:
         """What describes all of the touches alike, by name; see `Touches`."""
         return read_whole(self._store, self._numbers)
@@ -108,9 +113,7 @@ class Selection:
         if not key.isalnum():
             raise ValueError(f"key must be letters and digits, got {key!r}.")
         cache = self._store.folder / FEATURES / key
-        sql = "SELECT id FROM touches WHERE number IN (?) ORDER BY number"
-        found = self._store.among(sql, self._numbers.tolist())
-        ids = _sortable(np.frombuffer(b"".join(row[0] for row in found), np.uint8))
+        ids = _sortable(np.frombuffer(b"".join(self._ids()), np.uint8))
         known_ids, known = _cached(cache)
         missing = np.flatnonzero(~np.isin(ids, known_ids))
         if len(missing):
@@ -120,6 +123,10 @@ class Selection:
             known_ids, known = _cached(cache)
         features: Floats = known[np.searchsorted(known_ids, ids)]
         return features
+
+    def _ids(self) -> list[bytes]:
+        sql = "SELECT id FROM touches WHERE number IN (?) ORDER BY number"
+        return [row[0] for row in self._store.among(sql, self._numbers.tolist())]
 
     def _picked(self, rows: ArrayLike) -> Numbers:
         places = np.asarray(rows)
