@@ -1,13 +1,12 @@
 """Touches that are read as they are needed: learning from more than memory holds."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..touches import Touches
+from ..touches import Touches, TouchSource
 from ._choice import choose_encoder
 from ._contact import NO_CONTACT, ContactCheck
 from ._encoder import BATCH, TouchEncoder
@@ -19,36 +18,6 @@ from ._sequence import Floats
 # An encoding is learnt from this many touches of a source, the same number of each
 # label where there are enough.
 SHOWN = 2000
-
-
-@runtime_checkable
-class TouchSource(Protocol):
-    """Labelled touches whose images are read piece by piece.
-
-    `palpate.library.Selection` is one; the properties are as in `Touches`.
-    """
-
-    @property
-    def object(self) -> NDArray[np.str_] | None: ...
-
-    @property
-    def category(self) -> NDArray[np.str_] | None: ...
-
-    @property
-    def order(self) -> NDArray[Any] | None: ...
-
-    @property
-    def session(self) -> NDArray[Any] | None: ...
-
-    def __len__(self) -> int: ...
-
-    def touches(self, rows: NDArray[np.intp]) -> Touches:
-        """Read the touches in these rows, which rise."""
-        ...
-
-    def features(self, key: str, encode: Callable[[Touches], Floats]) -> Floats:
-        """Return features of all touches, made by `encode` or kept under `key`."""
-        ...
 
 
 def shown_rows(labels: NDArray, n_shown: int = SHOWN) -> NDArray[np.intp]:
