@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_count, check_number, check_positive
+from .._types import Floats
 from ._contact import contact_pressure, footprint, unevenness, window_weights
 from ._parts import Part, find_parts
 
@@ -187,7 +188,7 @@ class PressureArray:
         return max(2, ceil(self.pitch_mm / self.grid_mm - 1e-9))
 
     @cached_property
-    def gains(self) -> NDArray[np.float64]:
+    def gains(self) -> Floats:
         """Gain of each taxel, shape (rows, cols), with mean 1 over devices."""
         normal = np.random.default_rng(self.random_state).standard_normal(
             (self.rows, self.cols)
@@ -238,7 +239,7 @@ class PressureArray:
         part: Part | str | int,
         press: Press | None = None,
         random_state: Any = None,
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         """Return the mean stress in kPa over each sensing window, (rows, cols)."""
         pressure, row, col = self._contact(part, press or Press(), random_state)
         n_rows, n_cols = pressure.shape
@@ -254,7 +255,7 @@ class PressureArray:
         part: Part | str | int,
         press: Press | None = None,
         random_state: Any = None,
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         """Return the pressure in kPa on the cover's surface, on the contact grid.
 
         Its shape is (rows, cols) times `cells_per_pitch`.
@@ -267,7 +268,7 @@ class PressureArray:
         return whole
 
     @property
-    def _weights(self) -> tuple[NDArray[np.float64], ...]:
+    def _weights(self) -> tuple[Floats, ...]:
         """Scale (rank,) and factors (rank, n_taxels, n_cells) along rows, columns."""
         scale, factors = window_weights(
             max(self.rows, self.cols),
@@ -282,7 +283,7 @@ class PressureArray:
 
     def _contact(
         self, part: Part | str | int, press: Press, random_state: Any
-    ) -> tuple[NDArray[np.float64], int, int]:
+    ) -> tuple[Floats, int, int]:
         """Return pressure about the part, and the row and column it starts at."""
         (found,) = find_parts(part)
         inside, row, col = self._footprint(found, press)

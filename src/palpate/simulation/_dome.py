@@ -7,17 +7,16 @@ pictures grey levels 0 to 255 with the first row at the top.
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import check_count, check_number, check_positive
+from .._types import Floats
 from ._membrane import Contact, Membrane, solve_contact
-from ._objects import SimObject
-from ._optics import SURROUND_GREY, Optics, View, check_picture
-from ._placed import PlacedObject, SensorPose, gap_map, sleeve_gap
-from ._shading import Lighting, Plane
+from ._optics import SURROUND_GREY, Lighting, Optics, Plane, View, check_picture
+from ._placed import PlacedObject, SensorPose, SimObject, gap_map, sleeve_gap
 
 Frame = NDArray[np.uint8]
 
@@ -54,7 +53,7 @@ class DomePress:
     force_n: float
     area_mm2: float
     contact: Contact
-    gap_mm: NDArray[np.float64]
+    gap_mm: Floats
 
     @property
     def touched(self) -> bool:
@@ -62,8 +61,38 @@ class DomePress:
         return self.stopped_by != "nothing"
 
 
+class DomeSensor(Protocol):
+    """What sensors with a dome have in common."""
+
+    def press(
+        self,
+        target: SimObject | PlacedObject,
+        pose: SensorPose,
+        *,
+        force_n: float | None = None,
+    ) -> DomePress: ...
+
+    def image(
+        self, press: DomePress | None = None, rng: np.random.Generator | None = None
+    ) -> Frame: ...
+
+    def no_contact(self) -> Frame:
+        """Return the picture of the dome touching nothing, without noise."""
+        return self.image()
+
+    def touch(
+        self,
+        target: SimObject | PlacedObject,
+        pose: SensorPose,
+        force_n: float | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> Frame:
+        """Press from a pose until a force and return the picture."""
+        return self.image(self.press(target, pose, force_n=force_n), rng)
+
+
 @dataclass(frozen=True)
-class DomeCamera:
+class DomeCamera(DomeSensor):
     """Simulated dome camera.
 
     Parameters
@@ -223,9 +252,7 @@ class DomeCamera:
         sleeve = sleeve_gap(placed, pose, self.membrane_radius_mm, self.sleeve_mm)
         return self._ended(gap - first, first, sleeve - first, force_n, depth_mm)
 
-    def force_curve(
-        self, press: DomePress, depths_mm: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def force_curve(self, press: DomePress, depths_mm: Floats) -> Floats:
         """Return the force (N) at each depth after first touching, (n_depths,)."""
         depths = np.asarray(depths_mm, dtype=np.float64)
         if not press.touched:
@@ -250,20 +277,6 @@ class DomeCamera:
             grey += self._noise(rng)
         return np.clip(grey + np.float32(0.5), 0, 255).astype(np.uint8)
 
-    def no_contact(self) -> Frame:
-        """Return the picture of the dome touching nothing, without noise."""
-        return self.image()
-
-    def touch(
-        self,
-        target: SimObject | PlacedObject,
-        pose: SensorPose,
-        force_n: float | None = None,
-        rng: np.random.Generator | None = None,
-    ) -> Frame:
-        """Press from a pose until a force and return the picture."""
-        return self.image(self.press(target, pose, force_n=force_n), rng)
-
     def drifted(self, rng: np.random.Generator) -> Self:
         """Return this camera as another recording would find it."""
         row, col = self.disc_centre + self.centre_drift_sd * rng.standard_normal(2)
@@ -272,7 +285,7 @@ class DomeCamera:
 
     def _ended(
         self,
-        gap: NDArray[np.float64],
+        gap: Floats,
         first: float,
         sleeve: float,
         force_n: float | None,
