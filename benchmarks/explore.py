@@ -23,7 +23,7 @@ import numpy as np
 from exploration_pictures import draw
 from exploration_tables import fill
 from palpate import Touches
-from palpate.evaluation import outcome, run_episodes, single_touches
+from palpate.evaluation import run_episodes, scores, single_touches
 from palpate.recognition import ObjectRecogniser, adapt
 from palpate.simulation import HOUSEHOLD, UNSEEN, DomeCamera, simulate_touches
 
@@ -183,7 +183,7 @@ def _accuracy(recogniser: ObjectRecogniser, touches: Touches) -> list[float]:
     many = run_episodes(recogniser, log_likelihood, objects, truth, 20, 0)
     one = single_touches(recogniser, log_likelihood, many, objects)
     return [
-        float(outcome(*(one if k == 1 else many).after(k)).accuracy.mean())
+        float(scores(*(one if k == 1 else many).after(k)).accuracy.mean())
         for k in LENGTHS
     ]
 

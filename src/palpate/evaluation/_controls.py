@@ -8,12 +8,12 @@ classifier, from nothing but its own values.
 import numpy as np
 from numpy.typing import NDArray
 
+from .._types import Array, Floats
 from ..classifiers import KernelRidgeClassifier
 from ..images import fill_dead_taxels, find_rims
 from ..recognition import find_geometry
 from ..touches import Touches
 
-Floats = NDArray[np.float64]
 NO_CONTACT_CORRELATION = 0.98
 N_QUANTILES = 64
 BLOCK = 256
@@ -79,7 +79,7 @@ def without_contact(touches: Touches) -> NDArray[np.bool_] | None:
 
 
 def control_log_likelihood(
-    train: Floats, labels: NDArray, groups: NDArray, test: Floats
+    train: Floats, labels: Array, groups: Array, test: Floats
 ) -> Floats:
     """Learn labels from nuisance values; return log-likelihoods of test touches."""
     centre, spread = train.mean(axis=0), train.std(axis=0)
@@ -89,5 +89,5 @@ def control_log_likelihood(
     return classifier.log_likelihood((test - centre) / spread)
 
 
-def _flat(images: NDArray) -> Floats:
+def _flat(images: Array) -> Floats:
     return images.reshape(len(images), -1).astype(np.float64)

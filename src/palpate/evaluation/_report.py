@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .._durable import write_text
+from .._extras import needed
+from .._types import Array, Floats
 from . import plots
-from ._episodes import outcome
-from ._metrics import calibration_bins
+from ._episodes import scores
+from ._metrics import calibration_bins, spread
 from ._report_why import explanations
 from ._trial import Trial
 
@@ -38,7 +40,7 @@ td:first-child,th:first-child{text-align:left}
 
 def check_report_path(path: str | Path) -> Path:
     """Return `path` if a report can be written there, or explain."""
-    plots.require_matplotlib()
+    needed("matplotlib", "plot", "A report")
     target = Path(path)
     if target.suffix != ".html":
         raise ValueError(f"A report must end in .html, got {target.name!r}.")
@@ -78,7 +80,7 @@ def write_report(
         + "".join(sections)
         + "</body></html>"
     )
-    target.write_text(page, encoding="utf-8")
+    write_text(target, page)
     return target
 
 
@@ -99,11 +101,10 @@ def _head(figures: dict[str, Any]) -> str:
 
 
 def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
-    curve, spread = _curve(trials)
-    plot = plots.accuracy_curve(figures, curve, spread)
+    plot = plots.accuracy_curve(figures, *_curve(trials))
     bins = {}
     for k in map(int, figures["accuracy"]):
-        scored = [outcome(*t.after(k)) for t in trials if t.after(k)[0]]
+        scored = [one for t in trials if (one := t.scores(k)) is not None]
         bins[str(k)] = calibration_bins(
             np.concatenate([s.confidence for s in scored]),
             np.concatenate([s.hit for s in scored]),
@@ -120,10 +121,12 @@ def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
 
 def _table(figures: dict[str, Any]) -> str:
     keys = list(figures["accuracy"])
-    rows = [("right, %", figures["accuracy"], 100, 1)]
-    rows.append(("standard deviation, %", figures["accuracy_sd"], 100, 1))
-    rows.append(("log loss, nats", figures["log_loss"], 1, 2))
-    rows.append(("calibration error", figures["ece"], 1, 3))
+    rows = [
+        ("right, %", figures["accuracy"], 100, 1),
+        ("standard deviation, %", figures["accuracy_sd"], 100, 1),
+        ("log loss, nats", figures["log_loss"], 1, 2),
+        ("calibration error", figures["ece"], 1, 3),
+    ]
     for name, control in figures["controls"].items():
         rows.append((f"control: {name}, %", control or {}, 100, 1))
     if "unknown_auroc" in figures:
@@ -144,8 +147,8 @@ def _table(figures: dict[str, Any]) -> str:
 def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     k = [int(key) for key in figures["accuracy"]][min(1, len(figures["accuracy"]) - 1)]
     names = [str(name) for name in trials[0].recogniser.classes_]
-    parts = [outcome(*t.after(k)).confusion for t in trials if t.after(k)[0]]
-    confusion = np.mean(parts, axis=0)
+    scored = [one for t in trials if (one := t.scores(k)) is not None]
+    confusion = np.mean([one.confusion for one in scored], axis=0)
     pairs = _confused_pairs(confusion)
     shown = "".join(
         _pair(names, row, column, confusion, trials) for row, column in pairs
@@ -159,7 +162,7 @@ def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     )
 
 
-def _confused_pairs(confusion: NDArray) -> list[tuple[int, int]]:
+def _confused_pairs(confusion: Array) -> list[tuple[int, int]]:
     off = confusion.copy()
     np.fill_diagonal(off, 0)
     order = np.argsort(off, axis=None)[::-1][:PAIRS]
@@ -170,7 +173,7 @@ def _confused_pairs(confusion: NDArray) -> list[tuple[int, int]]:
 
 
 def _pair(
-    names: list[str], row: int, column: int, confusion: NDArray, trials: Sequence[Trial]
+    names: list[str], row: int, column: int, confusion: Array, trials: Sequence[Trial]
 ) -> str:
     share = f"{100 * confusion[row, column]:.0f} %"
     cells = "".join(
@@ -205,16 +208,16 @@ def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:
     )
 
 
-def _curve(trials: Sequence[Trial]) -> tuple[NDArray, NDArray]:
+def _curve(trials: Sequence[Trial]) -> tuple[Floats, Floats]:
     """Return mean and spread of accuracy after 1, 2, 3... touches.
 
     As far as every object has that many touches.
     """
     shortest = min(b.shape[1] for trial in trials for b in trial.episodes.beliefs)
-    mean, spread = np.empty(shortest), np.empty(shortest)
-    for k in range(1, shortest + 1):
-        accuracy = [outcome(*t.after(k)).accuracy for t in trials]
-        per_fold = np.array([a.mean() for a in accuracy])
-        mean[k - 1] = per_fold.mean()
-        spread[k - 1] = accuracy[0].std() if len(trials) == 1 else per_fold.std()
-    return mean, spread
+    each = [
+        [scores(*trial.after(k)).accuracy for trial in trials]
+        for k in range(1, shortest + 1)
+    ]
+    per_fold = np.array([[over.mean() for over in folds] for folds in each])
+    over = [folds[0] for folds in each] if len(trials) == 1 else per_fold
+    return per_fold.mean(axis=1), np.array([float(spread(one)) for one in over])

@@ -3,13 +3,14 @@
 matplotlib is the extra `plot`, imported where it is used.
 """
 
-import base64
 import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from .._types import Array
+from ..touches import png_address
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,17 +20,7 @@ OURS = "#0b6e8a"
 CONTROLS = ("#b8572a", "#8a6d0b", "#6b4e9b", "#5a6572")
 
 
-def require_matplotlib() -> None:
-    """Refuse clearly where the extra is missing."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        raise ImportError(
-            "Reports need matplotlib: pip install palpate[plot]."
-        ) from None
-
-
-def accuracy_curve(figures: dict[str, Any], curve: NDArray, spread: NDArray) -> str:
+def accuracy_curve(figures: dict[str, Any], curve: Array, spread: Array) -> str:
     """Return accuracy against touches with its spread, chance and the controls.
 
     `curve` and `spread` hold mean and standard deviation after 1, 2, 3... touches.
@@ -56,7 +47,7 @@ def accuracy_curve(figures: dict[str, Any], curve: NDArray, spread: NDArray) -> 
     return _svg(figure)
 
 
-def calibration_plot(bins: dict[str, tuple[NDArray, NDArray, NDArray]]) -> str:
+def calibration_plot(bins: dict[str, tuple[Array, Array, Array]]) -> str:
     """Return share right against belief, one line per number of touches."""
     figure, axes = _figure(3.9, 3.7)
     axes.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
@@ -82,7 +73,7 @@ def calibration_plot(bins: dict[str, tuple[NDArray, NDArray, NDArray]]) -> str:
     return _svg(figure)
 
 
-def confusion_plot(confusion: NDArray, names: Sequence[str]) -> str:
+def confusion_plot(confusion: Array, names: Sequence[str]) -> str:
     """Return the share of answers (columns) per true label (rows)."""
     size = min(11.0, 2.6 + 0.33 * len(names))
     figure, axes = _figure(size + 0.8, size)
@@ -107,19 +98,9 @@ def confusion_plot(confusion: NDArray, names: Sequence[str]) -> str:
     return _svg(figure)
 
 
-def picture(image: NDArray, *, side: int = 120) -> str:
+def picture(image: Array, *, side: int = 120) -> str:
     """Return one tactile image as a PNG data address, contrast stretched."""
-    import cv2
-
-    levels = np.nan_to_num(np.asarray(image, dtype=np.float64))
-    low, high = np.percentile(levels, [0.5, 99.5])
-    grey = np.clip((levels - low) / max(high - low, 1e-12), 0, 1) * 255
-    scale = side / max(grey.shape)
-    size = (max(1, round(grey.shape[1] * scale)), max(1, round(grey.shape[0] * scale)))
-    how = cv2.INTER_AREA if scale < 1 else cv2.INTER_NEAREST
-    small = cv2.resize(grey.astype(np.uint8), size, interpolation=how)
-    data = cv2.imencode(".png", small)[1].tobytes()
-    return "data:image/png;base64," + base64.b64encode(data).decode()
+    return png_address(image, side)
 
 
 def _figure(width: float, height: float) -> tuple["Figure", Any]:
