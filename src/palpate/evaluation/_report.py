@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from .._durable import write_text
-from .._extras import needed
 from .._types import Array, Floats
 from . import plots
 from ._episodes import scores
@@ -40,7 +39,7 @@ td:first-child,th:first-child{text-align:left}
 
 def check_report_path(path: str | Path) -> Path:
     """Return `path` if a report can be written there, or explain."""
-    needed("matplotlib", "plot", "A report")
+    plots.require_matplotlib()
     target = Path(path)
     if target.suffix != ".html":
         raise ValueError(f"A report must end in .html, got {target.name!r}.")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .._extras import needed
 from .._types import Array
 from ..touches import png_address
 
@@ -18,6 +19,11 @@ if TYPE_CHECKING:
 INK = "#1f2933"
 OURS = "#0b6e8a"
 CONTROLS = ("#b8572a", "#8a6d0b", "#6b4e9b", "#5a6572")
+
+
+def require_matplotlib() -> None:
+    """Refuse clearly where the extra is missing."""
+    needed("matplotlib", "plot", "A report")
 
 
 def accuracy_curve(figures: dict[str, Any], curve: Array, spread: Array) -> str:
