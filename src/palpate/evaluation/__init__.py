@@ -18,6 +18,7 @@ from ._metrics import calibration_error, davies_bouldin, roc_area
 from ._metrics import spread as spread
 from ._report import PAGE_STYLE as PAGE_STYLE
 from ._report import check_report_path as check_report_path
+from ._report import report_page as report_page
 from ._report import write_report
 from ._report_why import explained_episodes as explained_episodes
 from ._splits import SPLITS, split_touches

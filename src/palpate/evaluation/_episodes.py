@@ -78,24 +78,16 @@ def run_episodes(
     rng = np.random.default_rng(seed)
     floored = with_floor(log_likelihood, recogniser.floor_)
     names = np.unique(objects)
-    truth, beliefs, counts, unknown = [], [], [], []
-    scale = recogniser.unknown_scale_
     classes = recogniser.classes_.tolist()
+    truth, after = [], []
     for name in names:
         rows = np.flatnonzero(objects == name)
         orders = np.stack([rng.permutation(rows) for _ in range(n_orders)])
-        beliefs.append(
-            log_posteriors(
-                floored[orders],
-                recogniser.log_prior(),
-                recogniser.sequence_calibration_,
-            )
-        )
-        counts.append(n_informative(floored[orders]))
         new = None if novelty is None else novelty[orders]
-        unknown.append(scale.scores(beliefs[-1], floored[orders], new))
+        after.append(_after_each(recogniser, floored[orders], new))
         label = None if labels is None else str(labels[rows[0]])
         truth.append(classes.index(label) if label in classes else -1)
+    beliefs, counts, unknown = map(list, zip(*after, strict=True))
     return Episodes([str(name) for name in names], truth, beliefs, counts, unknown)
 
 
@@ -108,19 +100,21 @@ def single_touches(
 ) -> Episodes:
     """Return one episode of one touch for every touch."""
     floored = with_floor(log_likelihood, recogniser.floor_)[:, np.newaxis]
-    after_one = log_posteriors(
-        floored, recogniser.log_prior(), recogniser.sequence_calibration_
-    )
     new = None if novelty is None else novelty[:, np.newaxis]
-    scores = recogniser.unknown_scale_.scores(after_one, floored, new)
+    after_one = _after_each(recogniser, floored, new)
     rows = [objects == name for name in episodes.objects]
-    return Episodes(
-        episodes.objects,
-        episodes.truth,
-        [after_one[mine] for mine in rows],
-        [n_informative(floored[mine]) for mine in rows],
-        [scores[mine] for mine in rows],
-    )
+    parts = ([values[mine] for mine in rows] for values in after_one)
+    return Episodes(episodes.objects, episodes.truth, *parts)
+
+
+def _after_each(
+    recogniser: ObjectRecogniser, floored: Floats, novelty: Floats | None
+) -> tuple[Floats, Array, Floats]:
+    """Return beliefs, informative touches and unknown scores after each touch."""
+    prior, calibration = recogniser.log_prior(), recogniser.sequence_calibration_
+    beliefs = log_posteriors(floored, prior, calibration)
+    unknown = recogniser.unknown_scale_.scores(beliefs, floored, novelty)
+    return beliefs, n_informative(floored), unknown
 
 
 @dataclass(frozen=True)
@@ -157,13 +151,9 @@ def scores(truth: Sequence[int], beliefs: Sequence[Floats]) -> Scores:
     everything = np.concatenate(beliefs)
     best = everything.argmax(axis=1)
     true_log = everything[np.arange(len(best)), column_of]
+    pairs = zip(truth, beliefs, strict=True)
     return Scores(
-        accuracy=np.array(
-            [
-                (b.argmax(axis=1) == t).mean()
-                for t, b in zip(truth, beliefs, strict=True)
-            ]
-        ),
+        accuracy=np.array([(b.argmax(axis=1) == t).mean() for t, b in pairs]),
         confidence=np.exp(everything.max(axis=1)),
         hit=best == column_of,
         log_loss=np.where(column_of >= 0, -true_log, np.nan),
@@ -250,15 +240,9 @@ def decide_episodes(
     limits = np.concatenate([[np.inf], limits])
     scale = recogniser.unknown_scale_
     naming = np.array([scale.naming_threshold(k) for k in range(longest + 1)])
-    per_object = zip(
-        episodes.objects,
-        episodes.truth,
-        episodes.beliefs,
-        episodes.n_informative,
-        episodes.unknown,
-        strict=True,
-    )
-    for name, truth, log_posterior, counts, unknown in per_object:
+    for i, name in enumerate(episodes.objects):
+        log_posterior, unknown = episodes.beliefs[i], episodes.unknown[i]
+        counts = episodes.n_informative[i]
         n_orders, n_touches, _ = log_posterior.shape
         refuse = unknown > limits[counts]
         fits = unknown <= naming[counts]
@@ -267,7 +251,7 @@ def decide_episodes(
         last = np.where(decided, stop.argmax(axis=1), n_touches - 1)
         rows = np.arange(n_orders)
         refused = decided & refuse[rows, last]
-        right = log_posterior[rows, last].argmax(axis=1) == truth
+        right = log_posterior[rows, last].argmax(axis=1) == episodes.truth[i]
         whose = np.full(n_orders, name)
         ended = (last + 1, decided, right & decided & ~refused, refused, whose)
         parts.append(Decisions(*ended))

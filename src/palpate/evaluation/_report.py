@@ -72,15 +72,18 @@ def write_report(
         _examples(trials),
     ]
     title = f"palpate: {figures['n_labels']} {figures['label']} labels"
-    page = (
+    write_text(target, report_page(title, sections))
+    return target
+
+
+def report_page(title: str, sections: Sequence[str]) -> str:
+    """Return sections of HTML as one page in the style of reports."""
+    return (
         "<!doctype html><html lang=en><meta charset=utf-8>"
         "<meta name=viewport content='width=device-width,initial-scale=1'>"
         f"<title>{escape(title)}</title><style>{PAGE_STYLE}</style><body>"
-        + "".join(sections)
-        + "</body></html>"
+        f"{''.join(sections)}</body></html>"
     )
-    write_text(target, page)
-    return target
 
 
 def _head(figures: dict[str, Any]) -> str:

@@ -41,10 +41,8 @@ def accuracy_curve(figures: dict[str, Any], curve: Array, spread: Array) -> str:
     ):
         if control:
             label = "without contact" if name == "no contact" else f"{name} alone"
-            points = [(int(k), 100 * v) for k, v in control.items()]
-            axes.plot(
-                *zip(*points, strict=True), "o--", color=colour, ms=4, lw=1, label=label
-            )
+            after, right = map(int, control), (100 * v for v in control.values())
+            axes.plot([*after], [*right], "o--", color=colour, ms=4, lw=1, label=label)
     axes.axhline(100 * figures["chance"], color=INK, lw=0.8, ls=":", label="chance")
     axes.set(
         xlabel="touches", ylabel="right, %", ylim=(0, 101), xlim=(1, max(2, len(curve)))
@@ -59,22 +57,10 @@ def calibration_plot(bins: dict[str, tuple[Array, Array, Array]]) -> str:
     axes.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
     shades = np.linspace(0.35, 1.0, max(1, len(bins)))
     for shade, (name, (means, shares, _)) in zip(shades, bins.items(), strict=True):
-        axes.plot(
-            means,
-            shares,
-            "o-",
-            color=OURS,
-            alpha=float(shade),
-            ms=4,
-            lw=1.4,
-            label=f"after {name}",
-        )
-    axes.set(
-        xlabel="belief in the best",
-        ylabel="share right",
-        xlim=(0, 1.01),
-        ylim=(0, 1.01),
-    )
+        style = {"color": OURS, "alpha": float(shade), "ms": 4, "lw": 1.4}
+        axes.plot(means, shares, "o-", label=f"after {name}", **style)
+    axes.set(xlabel="belief in the best", xlim=(0, 1.01))
+    axes.set(ylabel="share right", ylim=(0, 1.01))
     axes.legend(frameon=False, fontsize=8)
     return _svg(figure)
 
@@ -92,15 +78,9 @@ def confusion_plot(confusion: Array, names: Sequence[str]) -> str:
     if len(names) <= 20:
         for row, column in np.argwhere(confusion >= 0.005):
             share = confusion[row, column]
-            axes.text(
-                column,
-                row,
-                f"{100 * share:.0f}",
-                ha="center",
-                va="center",
-                fontsize=small - 1,
-                color="white" if share > 0.6 else INK,
-            )
+            style = {"fontsize": small - 1, "color": "white" if share > 0.6 else INK}
+            text = f"{100 * share:.0f}"
+            axes.text(column, row, text, ha="center", va="center", **style)
     return _svg(figure)
 
 

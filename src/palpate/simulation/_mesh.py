@@ -5,11 +5,9 @@ where they are. What cannot be touched is refused, and the message says how to m
 it.
 """
 
-from dataclasses import dataclass
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,17 +71,7 @@ def load_mesh(
     mesh.apply_translation([*(-(low + high)[:2] / 2), -low[2]])
     label = name or file.stem
     kind = category or label
-    return SimObject(label, kind, _Made(mesh), _stable_rotations(mesh))
-
-
-@dataclass(frozen=True, eq=False)
-class _Made:
-    """A builder that has already built."""
-
-    mesh: Any
-
-    def __call__(self) -> Mesh:
-        return self.mesh
+    return SimObject(label, kind, mesh.copy, _stable_rotations(mesh))
 
 
 def _read(file: Path) -> tuple[Floats, NDArray[np.int64]]:

@@ -16,7 +16,6 @@ from .._types import Floats
 from ._dome import DomeCamera, DomePress, DomeSensor, Frame
 from ._membrane import Membrane
 from ._optics import sampled
-from ._placed import PlacedObject, SensorPose, SimObject
 
 _SUBPIXEL_BITS = 4
 
@@ -77,6 +76,9 @@ class TacTipPins(DomeSensor):
         check_number("pin_length_mm", self.pin_length_mm, low=0.0)
         check_positive("pin_radius_mm", self.pin_radius_mm)
 
+    def _dome(self) -> DomeCamera:
+        return self.dome
+
     @property
     def n_pins(self) -> int:
         """Number of pins."""
@@ -102,20 +104,6 @@ class TacTipPins(DomeSensor):
         pitch = self.spread * self.dome.membrane_radius_mm / n
         return np.column_stack([pitch * (a + b / 2), pitch * b * np.sqrt(0.75)]).astype(
             np.float32
-        )
-
-    def press(
-        self,
-        target: SimObject | PlacedObject,
-        pose: SensorPose,
-        *,
-        force_n: float | None = None,
-        depth_mm: float | None = None,
-        reach_mm: float = np.inf,
-    ) -> DomePress:
-        """Move in from a pose until a force is reached, see `DomeCamera.press`."""
-        return self.dome.press(
-            target, pose, force_n=force_n, depth_mm=depth_mm, reach_mm=reach_mm
         )
 
     def tips_mm(self, press: DomePress | None = None) -> NDArray[np.float32]:

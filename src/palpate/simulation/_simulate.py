@@ -16,7 +16,6 @@ from threadpoolctl import threadpool_limits
 
 from .._checks import check_count, check_number, check_option, check_positive
 from .._parallel import in_parallel
-from .._types import Floats
 from ..touches import Touches
 from ._array import Press, PressureArray
 from ._dome import DomeCamera, DomePress, Frame
@@ -298,8 +297,7 @@ def _touch_some(
 def _one(
     sensor: DomeCamera | TacTipPins, way: _Way, placed: PlacedObject, rng: Generator
 ) -> _Touch:
-    dome = sensor.dome if isinstance(sensor, TacTipPins) else sensor
-    force = dome.force_n * float(np.exp(rng.normal(0, way.force_sd)))
+    force = sensor._dome().force_n * float(np.exp(rng.normal(0, way.force_sd)))
     solid = len(placed.thing.mesh.faces) > 0
     for _ in range(_ATTEMPTS):
         pose = way.start(placed, rng)
@@ -348,18 +346,14 @@ def _touches_of(
         geometry="dome",
         session=np.concatenate([np.full(len(task[2]), task[3]) for task in tasks]),
         order=np.tile(np.arange(n_touches), len(things)),
-        position_mm=_stacked([touch.end.position_mm for touch in done]),
-        direction=_stacked([touch.end.direction for touch in done]),
+        position_mm=np.stack([np.asarray(touch.end.position_mm) for touch in done]),
+        direction=np.stack([np.asarray(touch.end.direction) for touch in done]),
         roll_rad=np.array([touch.end.roll_rad for touch in done]),
         force_n=np.array([press.force_n for press in presses]),
         depth_mm=np.array([press.depth_mm for press in presses]),
         area_mm2=np.array([press.area_mm2 for press in presses]),
         contact=np.array([press.area_mm2 > 0 for press in presses]),
     )
-
-
-def _stacked(vectors: list[Any]) -> Floats:
-    return np.stack([np.asarray(vector, dtype=np.float64) for vector in vectors])
 
 
 def _found(objects: Iterable[SimObject | str] | SimObject | str) -> list[SimObject]:

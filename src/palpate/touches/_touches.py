@@ -275,15 +275,12 @@ class Touches:
         ]
         line = f"<Touches: {len(self)} of {n_rows} x {n_cols} {self._images.dtype}; "
         line += ", ".join(kinds) or "no labels"
-        held = {"columns": [*self._columns], "whole set": [*self._whole]}
-        spare = _LINE - len(line) - 1
-        spare -= sum(len(_names(what, names, 0)) for what, names in held.items())
-        for what, names in held.items():
-            least = len(_names(what, names, 0))
-            text = _names(what, names, spare + least)
-            spare -= len(text) - least
-            line += text
-        return f"{line}>"
+        held = {"columns": self._columns, "whole set": self._whole}
+        held = {what: names for what, names in held.items() if names}
+        listed = "".join(f"; {what}: {', '.join(held[what])}" for what in held)
+        if len(line + listed) >= _LINE or not listed.isprintable():
+            listed = "".join(f"; {what}: {len(held[what])}" for what in held)
+        return f"{line}{listed}>"
 
     def _repr_html_(self) -> str:
         """Return a table of what is in the set, and the first few pictures."""
@@ -444,16 +441,3 @@ def read_folder(
     """
     limits = (max_pixels, max_bytes, progress)
     return Touches(**folder_arrays(Path(path), name_pattern, no_contact, *limits))
-
-
-def _names(what: str, names: list[str], room: int) -> str:
-    """Return as many names as there is room for, in letters, and count the others."""
-    if not names:
-        return ""
-    plain = [name if name.isprintable() else ascii(name) for name in names]
-    for shown in range(len(names), 0, -1):
-        more = f" and {len(names) - shown} more" if shown < len(names) else ""
-        text = f"; {what}: {', '.join(plain[:shown])}{more}"
-        if len(text) <= room:
-            return text
-    return f"; {what}: {len(names)}"
