@@ -233,12 +233,12 @@ def decide_episodes(
     """Stop each episode where `Belief.decide(error)` would."""
     parts = []
     longest = max(int(counts.max()) for counts in episodes.n_informative)
+    scale = recogniser.unknown_scale_
     limits = np.array(
-        [recogniser.refusal_threshold(k, error) for k in range(1, longest + 1)]
+        [scale.refusal_threshold(k, error) for k in range(1, longest + 1)]
     )
     # Before any touch said something there is no limit to exceed.
     limits = np.concatenate([[np.inf], limits])
-    scale = recogniser.unknown_scale_
     naming = np.array([scale.naming_threshold(k) for k in range(longest + 1)])
     for i, name in enumerate(episodes.objects):
         log_posterior, unknown = episodes.beliefs[i], episodes.unknown[i]

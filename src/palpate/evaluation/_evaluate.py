@@ -170,7 +170,7 @@ def _timed(
     start = time.perf_counter()
     features = recogniser.encoder_.transform(some)
     encoded = time.perf_counter()
-    recogniser.feature_log_likelihood(features)
+    recogniser.classifier_.log_likelihood(features)
     done = time.perf_counter()
     return recogniser.evidence(test), {
         "encode_per_touch": (encoded - start) / len(some),
@@ -198,7 +198,8 @@ def _meet_unknown(
 ) -> tuple[Episodes, Episodes]:
     column = unknown.object if unknown.object is not None else unknown.category
     objects = np.full(len(unknown), "unknown") if column is None else column
-    known = np.intersect1d(objects, np.union1d(recogniser.objects_, recogniser.labels_))
+    memory = recogniser.memory_
+    known = np.intersect1d(objects, np.union1d(memory.objects, memory.labels))
     if len(known):
         raise ValueError(
             f"unknown touches must be of objects that were not learnt, got "
@@ -219,13 +220,13 @@ def _controls(
         "brightness": brightness,
         "sorted pixels": sorted_pixels,
     }
-    train_labels = recogniser.labels_
-    groups = left_out_groups(train, train_labels, recogniser.objects_, plan.label)
+    memory = recogniser.memory_
+    groups = left_out_groups(train, memory.labels, memory.objects, plan.label)
     for name, measure in measures.items():
         result[name] = None
         if (of_train := measure(train)) is None or (of_test := measure(test)) is None:
             continue
-        values = control_log_likelihood(of_train, train_labels, groups, of_test)
+        values = control_log_likelihood(of_train, memory.labels, groups, of_test)
         result[name] = _curve(recogniser, values, objects, labels, plan)
     idle = without_contact(test)
     result["no contact"] = None

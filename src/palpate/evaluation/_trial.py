@@ -8,7 +8,7 @@ import numpy as np
 
 from .._checks import check_count, check_number, check_option
 from .._types import Floats
-from ..recognition import PRESETS, ObjectRecogniser, summary
+from ..recognition import PRESETS, ObjectRecogniser
 from ._episodes import Decisions, Episodes, Scores, decide_episodes, scores
 from ._metrics import calibration_error, roc_area, spread
 from ._splits import Fold
@@ -120,7 +120,7 @@ def figures_of(
     """Return the figures of all folds together; see `evaluate`."""
     first = trials[0].recogniser
     figures: dict[str, Any] = {
-        **{k: v for k, v in summary(first).items() if k != "labels"},
+        **{k: v for k, v in first.summary().items() if k != "labels"},
         "split": split,
         "n_folds": len(trials),
         "n_train_touches": sum(len(t.fold.train) for t in trials) // len(trials),
@@ -174,7 +174,7 @@ def _unknown(
             if not len(below) or not len(above):
                 continue
             areas.append(roc_area(below, above))
-            limit = trial.recogniser.unknown_threshold(k, refused=REFUSED)
+            limit = trial.recogniser.unknown_scale_.threshold(k, REFUSED)
             shares.append(float((above > limit).mean()))
         if areas:
             area[str(k)] = float(np.mean(areas))

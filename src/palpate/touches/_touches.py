@@ -6,16 +6,16 @@ the no-contact image are kept as the sensor gave them; differences are derived.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._types import Array, Floats
+from .._types import Array
 from ._archive import read_archive, write_archive
 from ._columns import (
     Arrays,
@@ -243,6 +243,11 @@ class Touches:
         return self._columns.get("session")
 
     @property
+    def touch_id(self) -> NDArray[np.str_] | None:
+        """Where each touch lies in a library, shape (n_touches,), or None."""
+        return self._columns.get("touch_id")
+
+    @property
     def no_contact(self) -> Array | None:
         """Image of no contact, shape (n_rows, n_cols), or None."""
         return self._whole.get("no_contact")
@@ -352,36 +357,6 @@ class Touches:
             )
             for rows in sorted(np.split(by_group, cuts), key=lambda rows: rows[0])
         ]
-
-
-@runtime_checkable
-class TouchSource(Protocol):
-    """Labelled touches whose images are read piece by piece.
-
-    `palpate.library.Selection` is one; the properties are as in `Touches`.
-    """
-
-    @property
-    def object(self) -> NDArray[np.str_] | None: ...
-
-    @property
-    def category(self) -> NDArray[np.str_] | None: ...
-
-    @property
-    def order(self) -> Array | None: ...
-
-    @property
-    def session(self) -> Array | None: ...
-
-    def __len__(self) -> int: ...
-
-    def touches(self, rows: NDArray[np.intp]) -> Touches:
-        """Read the touches in these rows, which rise."""
-        ...
-
-    def features(self, key: str, encode: Callable[[Touches], Floats]) -> Floats:
-        """Return features of all touches, made by `encode` or kept under `key`."""
-        ...
 
 
 def read_folder(
