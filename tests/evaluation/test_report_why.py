@@ -51,7 +51,7 @@ def result(request):
 
 
 def section(page):
-    return page[page.index("<h2>Why") : page.index("<h2>What the sensor feels")]
+    return page[page.index("<h2>Why") : page.index("<h2>Touches of each")]
 
 
 def test_wrong_decisions_come_first_and_right_ones_follow(result):

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from palpate.simulation import (
     BASIC_SHAPES,
     HOUSEHOLD,
-    STRANGE,
+    UNLIKE_OTHERS,
     UNSEEN,
     PlacedObject,
     SensorPose,
@@ -19,7 +19,7 @@ from palpate.simulation import (
     load_mesh,
 )
 
-EVERYTHING = HOUSEHOLD + UNSEEN + STRANGE + BASIC_SHAPES
+EVERYTHING = HOUSEHOLD + UNSEEN + UNLIKE_OTHERS + BASIC_SHAPES
 solid = pytest.mark.parametrize(
     "thing", [o for o in EVERYTHING if o.name != "nothing"], ids=lambda o: o.name
 )

@@ -195,7 +195,7 @@ def _examples(trials: Sequence[Trial]) -> str:
         f"<div class=touches>{_pictures(trials, name, EXAMPLES)}</div></div>"
         for name in names
     )
-    return f"<h2>What the sensor feels</h2>{lines}"
+    return f"<h2>Touches of each label</h2>{lines}"
 
 
 def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:

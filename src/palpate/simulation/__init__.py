@@ -17,7 +17,7 @@ from ._mesh import MESH_SUFFIXES as MESH_SUFFIXES
 from ._mesh import MeshError, load_mesh
 from ._objects import BASIC_SHAPES as BASIC_SHAPES
 from ._objects import HOUSEHOLD as HOUSEHOLD
-from ._objects import STRANGE as STRANGE
+from ._objects import UNLIKE_OTHERS as UNLIKE_OTHERS
 from ._objects import UNSEEN as UNSEEN
 from ._objects import find_object
 from ._objects import refuse_same_names as refuse_same_names

@@ -15,6 +15,8 @@ Positions are (x, y) in mm from the middle of the array, x along its columns and
 along its rows (downwards); angles turn x towards y, clockwise as displayed.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil
@@ -106,7 +108,7 @@ class PressureArray:
         piezoresistive cells commonly differ by about 10 %.
     dead_zone_kpa : float, default=69.0
         Below this a taxel reads nothing. The published calibration starts here, at
-        10 psi; that less is not felt is a guess.
+        10 psi; that less is not read is a guess.
     full_scale_kpa : float, default=4000.0
         Stress that reads 255; more saturates. The published calibration ends here,
         at 580 psi; that it fills the scale is a guess.
@@ -227,11 +229,11 @@ class PressureArray:
                 f"stress_kpa must be finite and of shape {(self.rows, self.cols)}, "
                 f"got {stress.shape}. Make it with `stress_kpa`."
             )
-        felt = stress * self.gains
-        felt[felt < self.dead_zone_kpa] = 0
+        sensed = stress * self.gains
+        sensed[sensed < self.dead_zone_kpa] = 0
         rng = np.random.default_rng(random_state)
-        felt += self.noise_kpa * rng.standard_normal(felt.shape)
-        levels = np.rint(felt * (255 / self.full_scale_kpa))
+        sensed += self.noise_kpa * rng.standard_normal(sensed.shape)
+        levels = np.rint(sensed * (255 / self.full_scale_kpa))
         return np.clip(levels, 0, 255).astype(np.uint8)
 
     def stress_kpa(

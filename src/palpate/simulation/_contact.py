@@ -1,4 +1,4 @@
-"""A flat face on a thin soft sheet: where it touches, and what is felt below.
+"""A flat face on a thin soft sheet: where it touches, and the stress below.
 
 Grids have square cells; positions on them are in cells, (column, row) for corners
 of loops and (row, column) for arrays. Pressures are in kPa.

@@ -2,11 +2,11 @@
 
 `HOUSEHOLD` are the ten objects of Corradi 2015 (doi:10.1109/ICRA.2015.7139744),
 `UNSEEN` its five variants never touched in training, `BASIC_SHAPES` the seven
-shapes of Corradi 2014 (TAROS, Birmingham). `STRANGE` is unlike all of these. Corradi
-2015 shows photographs without sizes: these are ordinary objects of each kind, every
-size a guess within what shops sell. Sizes are in millimetres, z points up. Household
-objects stand on z = 0 about the origin, the way they usually stand or lie; basic shapes
-have their feature at the origin, facing up, so that they are pressed from above there.
+shapes of Corradi 2014 (TAROS, Birmingham); `UNLIKE_OTHERS` resembles none of them.
+Corradi 2015 shows photographs without sizes: these are ordinary objects of each kind,
+every size a guess within what shops sell. Sizes are in millimetres, z points up.
+Household objects stand on z = 0 about the origin, the way they usually stand or lie;
+basic shapes have their feature at the origin, facing up, to be pressed from above.
 """
 
 from collections.abc import Iterable
@@ -41,7 +41,9 @@ def find_object(name: str) -> SimObject:
     ValueError
         There is none; the message lists the names.
     """
-    known = {thing.name: thing for thing in HOUSEHOLD + UNSEEN + STRANGE + BASIC_SHAPES}
+    known = {
+        thing.name: thing for thing in HOUSEHOLD + UNSEEN + UNLIKE_OTHERS + BASIC_SHAPES
+    }
     if name not in known:
         listed = ", ".join(known)
         raise ValueError(
@@ -348,7 +350,7 @@ HOUSEHOLD = (
     SimObject("water bottle", "bottle", water_bottle),
 )
 
-STRANGE = (SimObject("massage ball", "massage ball", massage_ball),)
+UNLIKE_OTHERS = (SimObject("massage ball", "massage ball", massage_ball),)
 
 UNSEEN = (
     SimObject("plastic card", "card", plastic_card, _turns(_UPSIDE)),

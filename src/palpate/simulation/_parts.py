@@ -9,6 +9,8 @@ Coordinates are (x, y): x along the columns of the image, y along its rows
 side along x; angles turn x towards y, clockwise as displayed.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Self

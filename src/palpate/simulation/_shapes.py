@@ -5,6 +5,8 @@ overlap are joined without cutting (`joined`): a ray from outside meets the same
 surface either way, only volumes would be counted twice.
 """
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np
