@@ -216,12 +216,15 @@ def _read_header(stream: IO[bytes]) -> Header:
         raise
     except Exception as error:
         # Pillow raises half a dozen kinds on damaged files.
-        if not stream.read(1):
-            raise PictureError(_CUT_SHORT) from error
-        raise PictureError(f"a damaged {kind} ({error})") from error
+        raise _damage(kind, stream, error) from error
     if not header.n_rows or not header.n_cols:
         raise PictureError(f"a {kind} of {header.n_cols} x {header.n_rows} pixels")
     return header
+
+
+def _damage(kind: str, stream: IO[bytes], error: Exception) -> PictureError:
+    """Word what Pillow stumbled over; at the end of a file, something is missing."""
+    return PictureError(f"a damaged {kind} ({error})" if stream.read(1) else _CUT_SHORT)
 
 
 def _grey_levels(data: bytes, header: Header) -> Array:
@@ -324,6 +327,6 @@ def _refuse_broken_png(data: bytes) -> None:
     try:
         ChunkStream(stream).verify(b"IEND")
     except Exception as error:
-        raise PictureError(f"a damaged PNG ({error})") from error
+        raise _damage("PNG", stream, error) from error
     if not data.startswith(_PNG_END, stream.tell() - 8):
         raise PictureError(_CUT_SHORT)
