@@ -32,6 +32,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from palpate import Touches
+from palpate.evaluation import spread
 from palpate.exploration import (
     QUICK_GUARD,
     InformativeRecorded,
@@ -166,7 +167,7 @@ def summary(found: list[Hits]) -> list[dict[str, Any]]:
                     "belief": belief,
                     "n_seeds": len(curves),
                     "accuracy": curves.mean(axis=0).round(4).tolist(),
-                    "accuracy_sd": curves.std(axis=0).round(4).tolist(),
+                    "accuracy_sd": spread(curves).round(4).tolist(),
                     "touches_for_95": _needed(curves.mean(axis=0)),
                     "touches_for_95_range": _needed_range(curves),
                     "touches_to_stay": _needed_to_stay(curves.mean(axis=0)),
@@ -225,7 +226,7 @@ def _until_right(
         per_seed.append(float(np.mean(last)) + 1)
     return {
         "touches_until_right": round(float(np.mean(per_seed)), 2),
-        "touches_until_right_sd": round(float(np.std(per_seed)), 2),
+        "touches_until_right_sd": round(float(spread(per_seed)), 2),
     }
 
 

@@ -93,7 +93,7 @@ def bench_decode_here() -> list[dict[str, Any]]:
 def _row(
     what: str, kind: str, ours: dict[str, float], peer: dict[str, float]
 ) -> dict[str, Any]:
-    from ..touches._decode import n_cores
+    from ..touches import n_cores
 
     ours_ms, peer_ms = ours[f"{what}_ms"], peer[f"{what}_ms"]
     size = f"{ours['n']:.0f} x {_N_COLS} x {_N_ROWS} uint8 JPEG"

@@ -10,7 +10,7 @@ from .._checks import check_option
 from ..simulation import (
     HOUSEHOLD,
     PARTS,
-    STRANGE,
+    UNLIKE_OTHERS,
     UNSEEN,
     DomeCamera,
     PressureArray,
@@ -68,7 +68,7 @@ class SimulatedStream(PlayedSensor):
         ramp: int = 3,
         random_state: int = 0,
     ) -> None:
-        solids = [thing.name for thing in (*HOUSEHOLD, *UNSEEN, *STRANGE)]
+        solids = [thing.name for thing in (*HOUSEHOLD, *UNSEEN, *UNLIKE_OTHERS)]
         parts = [part.name for part in PARTS]
         check_option("name", name, [*solids, *parts])
         dome = name in solids

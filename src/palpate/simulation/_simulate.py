@@ -1,23 +1,31 @@
-"""Sets of simulated touches: objects, a dome, and the ways to come at them."""
+"""Sets of simulated touches: objects under a dome, flat parts on a pressure array.
+
+How presses on an array differ is fixed by what a plain press rig and machined parts
+are like, and stated with `simulate_presses`; nothing here knows what recognises them.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
 from numpy.random import Generator, SeedSequence
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from .._checks import check_count, check_number, check_option, check_positive
-from .._progress import Progress
+from .._parallel import in_parallel
 from ..touches import Touches
+from ._array import Press, PressureArray
 from ._dome import DomeCamera, DomePress, Frame
-from ._objects import HOUSEHOLD, SimObject, find_object, refuse_same_names
+from ._objects import HOUSEHOLD, find_object, refuse_same_names
+from ._parts import PARTS, Part, find_parts
 from ._pins import TacTipPins
-from ._placed import PlacedObject, SensorPose
+from ._placed import PlacedObject, SensorPose, SimObject
 
 STRATEGIES = ("hemisphere", "above")
-_TOUCHES_PER_TASK = 25
+_PER_TASK = 25, 50  # touches, presses
 _ATTEMPTS = 50
 
 
@@ -115,8 +123,6 @@ def simulate_touches(
     >>> simulate_touches(["mug", "pen"], 2, random_state=0).images.shape
     (4, 120, 120)
     """
-    from joblib import Parallel, delayed
-
     things = _found(objects)
     sensor = DomeCamera(image_shape=(120, 120)) if camera is None else camera
     way = _Way(
@@ -133,14 +139,99 @@ def simulate_touches(
     count = check_count("n_touches", n_touches)
     sessions = min(check_count("n_sessions", n_sessions), count)
     tasks = list(_tasks(things, count, sessions, _root(random_state)))
-    run = Parallel(n_jobs=n_jobs, return_as="generator")
-    batches = run(delayed(_touch_some)(sensor, way, *task[:3]) for task in tasks)
-    done: list[_Touch] = []
-    with Progress(len(things) * count, "Touching", progress) as bar:
-        for batch in batches:
-            done += batch
-            bar.advance(len(batch))
-    return _as_touches(things, count, tasks, done, sensor)
+    batches = in_parallel(
+        _touch_some,
+        [(sensor, way, *task[:3]) for task in tasks],
+        "Touching",
+        n_jobs=n_jobs,
+        show=progress,
+        sizes=[len(task[2]) for task in tasks],
+    )
+    done = list(chain.from_iterable(batches))
+    return _touches_of(things, count, tasks, done, sensor)
+
+
+def simulate_presses(
+    parts: Iterable[Part | str | int] | Part | str | int = PARTS,
+    n_presses: int = 20,
+    *,
+    array: PressureArray | None = None,
+    load_kgf: float | tuple[float, float] = 4.0,
+    max_shift_mm: float = 1.0,
+    max_turn_deg: float = 180.0,
+    tilt_sd_deg: float = 0.1,
+    roughness_um: float = 10.0,
+    random_state: int | None = None,
+    n_jobs: int | None = None,
+    progress: bool = False,
+) -> Touches:
+    """Press parts on a pressure array, each time laid down anew.
+
+    Parameters
+    ----------
+    parts : Part, str, int, or a list of them, default=PARTS
+        Parts, or names or numbers among `PARTS`.
+    n_presses : int, default=20
+        Presses of each part (20 in Liu et al. 2014).
+    array : PressureArray, optional
+        The device; by default that of Liu et al. One device keeps its gains.
+    load_kgf : float or (float, float), default=4
+        Load in kgf, or a range to draw it from evenly.
+    max_shift_mm : float, default=1
+        The part's middle lies evenly within so much of the array's, along x and y.
+        Guess: half a pitch, so that every place relative to the taxels occurs.
+    max_turn_deg : float, default=180
+        The part is turned evenly by up to so much, either way; 180 is any angle
+        (the paper says "slightly different"; any angle is harder).
+    tilt_sd_deg : float, default=0.1
+        Standard deviation of the face's tilt along x and along y. Guess: parts held
+        to ISO 2768-2 class H (0.2 mm out of square on 100 mm, 0.11 degrees) in a
+        fixture without a ball joint.
+    roughness_um : float, default=10
+        Standard deviation of the face's unevenness in µm, drawn anew every press,
+        so that no single specimen's marks can be learnt. ISO 2768-2 class H allows
+        a flatness of 50 µm from 10 to 30 mm, taken as five standard deviations.
+    random_state : int, optional
+        Same number, same touches, whatever `n_jobs`.
+    n_jobs : int, optional
+        Processes, as in joblib; worth while from some ten thousand presses.
+    progress : bool, default=False
+        Show a bar on standard error.
+
+    Returns
+    -------
+    touches : Touches
+        uint8 images (n_parts * n_presses, rows, cols), part after part, geometry
+        "array". Columns: `object` (the part's name), `category`, `part` (its
+        number), `press` (from 0), `position_mm` (x, y), `angle_deg` (0 to 360),
+        `symmetry` (turns that look the same, 0 for all), `force_n`, `tilt_deg`
+        (along x, y). For the set: `set_pitch_mm`.
+
+    Examples
+    --------
+    >>> from palpate.simulation import simulate_presses
+    >>> simulate_presses(["bar10", "disc13"], 3, random_state=0).images.shape
+    (6, 10, 10)
+    """
+    found = find_parts(parts)
+    device = _device(array)
+    draw = _Draw(
+        _range("load_kgf", load_kgf),
+        check_number("max_shift_mm", max_shift_mm, low=0),
+        check_number("max_turn_deg", max_turn_deg, low=0, high=180),
+        check_number("tilt_sd_deg", tilt_sd_deg, low=0, high=2),
+        check_number("roughness_um", roughness_um, low=0, high=1000),
+    )
+    count = check_count("n_presses", n_presses)
+    repeated = [part for part in found for _ in range(count)]
+    seeds = _root(random_state).spawn(len(repeated))
+    batches = [slice(i, i + _PER_TASK[1]) for i in range(0, len(seeds), _PER_TASK[1])]
+    tasks = [(device, draw, repeated[some], seeds[some]) for some in batches]
+    sizes = [len(task[3]) for task in tasks]
+    pressed = in_parallel(
+        _press_all, tasks, "Pressing", n_jobs=n_jobs, show=progress, sizes=sizes
+    )
+    return _presses_of(repeated, list(chain.from_iterable(pressed)), count, device)
 
 
 @dataclass(frozen=True)
@@ -206,8 +297,7 @@ def _touch_some(
 def _one(
     sensor: DomeCamera | TacTipPins, way: _Way, placed: PlacedObject, rng: Generator
 ) -> _Touch:
-    dome = sensor.dome if isinstance(sensor, TacTipPins) else sensor
-    force = dome.force_n * float(np.exp(rng.normal(0, way.force_sd)))
+    force = sensor._dome().force_n * float(np.exp(rng.normal(0, way.force_sd)))
     solid = len(placed.thing.mesh.faces) > 0
     for _ in range(_ATTEMPTS):
         pose = way.start(placed, rng)
@@ -221,28 +311,28 @@ def _one(
     )
 
 
-Task = tuple[SimObject, SeedSequence, list[SeedSequence], int]
+_Task = tuple[SimObject, SeedSequence, list[SeedSequence], int]
 
 
 def _tasks(
     things: list[SimObject], n_touches: int, n_sessions: int, root: SeedSequence
-) -> Iterable[Task]:
+) -> Iterable[_Task]:
     """Split the work; seeds hang on the object's place and the touch's, not on this."""
     for thing, seed in zip(things, root.spawn(len(things)), strict=True):
         of_sessions, of_touches = seed.spawn(2)
         sessions = of_sessions.spawn(n_sessions)
         touches = of_touches.spawn(n_touches)
         for number, numbers in enumerate(np.array_split(range(n_touches), n_sessions)):
-            for start in range(0, len(numbers), _TOUCHES_PER_TASK):
-                some = numbers[start : start + _TOUCHES_PER_TASK]
+            for start in range(0, len(numbers), _PER_TASK[0]):
+                some = numbers[start : start + _PER_TASK[0]]
                 seeds = [touches[touch] for touch in some]
                 yield thing, sessions[number], seeds, number
 
 
-def _as_touches(
+def _touches_of(
     things: list[SimObject],
     n_touches: int,
-    tasks: list[Task],
+    tasks: list[_Task],
     done: list[_Touch],
     sensor: DomeCamera | TacTipPins,
 ) -> Touches:
@@ -256,18 +346,14 @@ def _as_touches(
         geometry="dome",
         session=np.concatenate([np.full(len(task[2]), task[3]) for task in tasks]),
         order=np.tile(np.arange(n_touches), len(things)),
-        position_mm=_stacked([touch.end.position_mm for touch in done]),
-        direction=_stacked([touch.end.direction for touch in done]),
+        position_mm=np.stack([np.asarray(touch.end.position_mm) for touch in done]),
+        direction=np.stack([np.asarray(touch.end.direction) for touch in done]),
         roll_rad=np.array([touch.end.roll_rad for touch in done]),
         force_n=np.array([press.force_n for press in presses]),
         depth_mm=np.array([press.depth_mm for press in presses]),
         area_mm2=np.array([press.area_mm2 for press in presses]),
         contact=np.array([press.area_mm2 > 0 for press in presses]),
     )
-
-
-def _stacked(vectors: list[Any]) -> NDArray[np.float64]:
-    return np.stack([np.asarray(vector, dtype=np.float64) for vector in vectors])
 
 
 def _found(objects: Iterable[SimObject | str] | SimObject | str) -> list[SimObject]:
@@ -296,3 +382,83 @@ def _root(random_state: int | None) -> SeedSequence:
     if random_state is None:
         return SeedSequence()
     return SeedSequence(check_count("random_state", random_state, at_least=0))
+
+
+@dataclass(frozen=True)
+class _Draw:
+    """How presses differ, as checked arguments of `simulate_presses`."""
+
+    loads: tuple[float, float]
+    shift: float
+    turn: float
+    tilt: float
+    roughness: float
+
+    def __call__(self, rng: Generator) -> Press:
+        x, y = self.shift * rng.uniform(-1, 1, size=2)
+        angle = self.turn * rng.uniform(-1, 1) % 360
+        load = rng.uniform(*self.loads)
+        along_x, along_y = np.clip(self.tilt * rng.standard_normal(2), -10, 10)
+        tilt = (float(along_x), float(along_y))
+        return Press(float(x), float(y), float(angle), load, tilt, self.roughness)
+
+
+_Pressed = tuple[NDArray[np.uint8], Press]
+
+
+def _press_all(
+    array: PressureArray,
+    draw: _Draw,
+    parts: list[Part],
+    seeds: list[SeedSequence],
+) -> list[_Pressed]:
+    """Press each part once, on one thread so that sums round alike everywhere."""
+    pressed = []
+    with threadpool_limits(limits=1, user_api="blas"):
+        for part, seed in zip(parts, seeds, strict=True):
+            rng = np.random.default_rng(seed)
+            press = draw(rng)
+            image = array.read(array.stress_kpa(part, press, rng), rng)
+            pressed.append((image, press))
+    return pressed
+
+
+def _presses_of(
+    parts: list[Part], pressed: list[_Pressed], n_presses: int, array: PressureArray
+) -> Touches:
+    presses = [press for _, press in pressed]
+    return Touches(
+        np.stack([image for image, _ in pressed]),
+        object=np.array([part.name for part in parts]),
+        category=np.array([part.category for part in parts]),
+        geometry="array",
+        part=np.array([part.number for part in parts]),
+        press=np.tile(np.arange(n_presses), len(parts) // n_presses),
+        position_mm=np.array([(press.x_mm, press.y_mm) for press in presses]),
+        angle_deg=np.array([press.angle_deg for press in presses]),
+        symmetry=np.array([part.symmetry for part in parts]),
+        force_n=np.array([press.force_n for press in presses]),
+        tilt_deg=np.array([press.tilt_deg for press in presses]),
+        set_pitch_mm=np.array(array.pitch_mm),
+    )
+
+
+def _device(array: object) -> PressureArray:
+    if array is None:
+        return PressureArray()
+    if not isinstance(array, PressureArray):
+        raise TypeError(f"array must be a PressureArray, got {type(array).__name__}.")
+    return array
+
+
+def _range(name: str, value: Any) -> tuple[float, float]:
+    """Return (low, high) for a range or for one number, each a valid load."""
+    limits = tuple(value) if isinstance(value, tuple | list) else (value, value)
+    if len(limits) != 2:
+        raise ValueError(f"{name} must be one load or (low, high), got {value}.")
+    low, high = limits
+    for load in limits:
+        Press(load_kgf=load)
+    if low > high:
+        raise ValueError(f"{name} must go from low to high, got {value}.")
+    return float(low), float(high)
