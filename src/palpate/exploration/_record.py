@@ -14,6 +14,7 @@ from ..touches import Touches
 OUTCOMES = (
     "touched",
     "nothing",
+    "force not reached",
     "force sensor",
     "limit exceeded",
     "timed out",
@@ -31,7 +32,8 @@ class TouchRecord:
     ----------
     outcome : str
         "touched": the force was reached and a frame taken. "nothing": nothing was
-        met. Any other of `OUTCOMES` is a fault, told in `message`.
+        met on the whole way. Any other of `OUTCOMES` is a fault, said in `message`;
+        "force not reached" where the line ended in too light a contact.
     start : SensorPose
         Where the approach began.
     position_mm : tuple of float
@@ -39,7 +41,7 @@ class TouchRecord:
     force_n : float
         Force there, offset removed; of the last readings that were taken.
     peak_force_n : float
-        Greatest single reading of the approach, offset removed.
+        Magnitude of the greatest single reading of the approach, offset removed.
     travel_mm : float
         Length of the approach.
     duration_s : float

@@ -45,8 +45,8 @@ class SimulatedRobot:
     random_state : int, default=0
         Seed of the noise.
     faults : mapping of int to str, default={}
-        Number of an attempt, counted from 0 by the retracts that were made, to
-        what fails in it, one of `FAULTS`:
+        Number of an attempt, which begins with the first move after a retract and
+        is counted from 0, to what fails in it, one of `FAULTS`:
 
         - "stuck force": the force sensor repeats its last reading;
         - "stuck force in contact": the same, from the first contact on;
@@ -90,13 +90,14 @@ class SimulatedRobot:
         self._spent: set[tuple[int, str]] = set()
         self._reading_n = self._offset_n
         self._seconds = 0.0
-        self.n_retracts = 0
+        self.n_retracts = self._attempt = 0
         self.stopped = False
         self._pose = home
         bench.move_to(home)
 
     def move_to(self, pose: SensorPose) -> None:
         """Move the tip to a pose in a straight line."""
+        self._attempt = self.n_retracts
         self._move(pose)
         if self._bench.force_n == 0:
             return
@@ -160,10 +161,10 @@ class SimulatedRobot:
         self._bench.move_to(pose)
 
     def _fails(self, fault: str) -> bool:
-        return self._faults.get(self.n_retracts) == fault
+        return self._faults.get(self._attempt) == fault
 
     def _fails_once(self, fault: str) -> bool:
-        key = (self.n_retracts, fault)
+        key = (self._attempt, fault)
         if not self._fails(fault) or key in self._spent:
             return False
         self._spent.add(key)
