@@ -143,7 +143,7 @@ def guarded_touch(
     Parameters
     ----------
     robot, sensor : Robot, TouchSensor
-        What moves and what feels.
+        The arm, and the tactile sensor that it carries.
     start : SensorPose
         Where the approach begins; the arm moves there in a straight line.
     guard : Guard, optional

@@ -1,29 +1,121 @@
-"""Exploring simulated objects to learn them, as in Corradi 2015.
+"""Simulated objects before the simulated arm: put down, touched, and learnt.
 
-Each object is put down on its usual face, several times, and touched from random
-points of the hemisphere each time. How it is turned is known to the teacher, so the
-places and directions of touches are in the object's own frame, as a `TouchMap` wants
-them.
+To learn, as in Corradi 2015, each object is put down on its usual face, several
+times, and touched from random points of the hemisphere each time. How it is turned is
+known to the teacher, so the places and directions of touches are in the object's own
+frame, as a `TouchMap` wants them.
 """
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
-from numpy.typing import NDArray
 
-from .._checks import check_count
-from .._progress import Progress
-from ..simulation import HOUSEHOLD, DomeCamera, SimObject, refuse_same_names
+from .._checks import check_count, check_number
+from .._parallel import in_parallel
+from .._types import Floats
+from ..sensors import SimulatedBench, SimulatedSensor
+from ..simulation import (
+    HOUSEHOLD,
+    DomeCamera,
+    PlacedObject,
+    SensorPose,
+    SimObject,
+    refuse_same_names,
+)
 from ..touches import Touches
 from ._episode import gather
-from ._guarded import Guard
-from ._record import as_touches
-from ._stand import QUICK_GUARD, put_down
-from ._strategies import RandomHemisphere
+from ._guarded import Guard, guarded_touch
+from ._record import TouchRecord, as_touches
+from ._robot import MissingFrames, SimulatedRobot
+from ._strategies import Hemisphere, RandomHemisphere
+
+# Twice the default step in the air: half the time to simulate. The rigid edge met
+# after such a step answers with 4 N (`housing_n_mm`), so the limit is above that.
+QUICK_GUARD = Guard(air_step_mm=2.0, limit_n=5.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """What is needed to touch one simulated object.
+
+    Attributes
+    ----------
+    thing : SimObject
+        What stands there.
+    hemisphere : Hemisphere
+        About where its middle should be.
+    robot, sensor : SimulatedRobot, SimulatedSensor
+        The arm, above the object at first, and the dome it carries.
+    """
+
+    thing: SimObject
+    hemisphere: Hemisphere
+    robot: SimulatedRobot
+    sensor: SimulatedSensor
+
+    def touch(self, start: SensorPose, guard: Guard | None = None) -> TouchRecord:
+        """Go round the object to a pose on the hemisphere and touch from there."""
+        for waypoint in self.hemisphere.way(self.robot.read_pose(), start):
+            self.robot.move_to(waypoint)
+        clock = self.robot.clock
+        return guarded_touch(self.robot, self.sensor, start, guard, clock=clock)
+
+
+def put_down(
+    thing: SimObject,
+    camera: DomeCamera | None = None,
+    *,
+    face: int = 0,
+    yaw_rad: float = 0.0,
+    placement_sd_mm: float = 5.0,
+    random_state: int = 0,
+    faults: Mapping[int, str] = MappingProxyType({}),
+    missing: Container[int] = (),
+) -> Stand:
+    """Put an object down before a simulated arm, not quite where it should be.
+
+    Parameters
+    ----------
+    thing : SimObject
+        What to put down; one with a surface.
+    camera : DomeCamera, optional
+        The dome, see `SimulatedBench`.
+    face : int, default=0
+        Which of its `resting_rotations` it rests in.
+    yaw_rad : float, default=0.0
+        How it is turned about the vertical.
+    placement_sd_mm : float, default=5.0
+        How far from the centre of the hemisphere it is put, along x and y each.
+    random_state : int, default=0
+        Same number, same place and noise.
+    faults, missing
+        What fails, see `SimulatedRobot` and `SimulatedSensor`.
+    """
+    n_faces = len(thing.resting_rotations)
+    if check_count("face", face, at_least=0) >= n_faces:
+        raise ValueError(
+            f"face must be below {n_faces}, the poses in which {thing.name!r} rests, "
+            f"got {face}."
+        )
+    check_number("placement_sd_mm", placement_sd_mm, low=0.0)
+    rng = np.random.default_rng(random_state)
+    placed = PlacedObject.resting(thing, face, yaw_rad)
+    x, y, z = placed.centre_mm
+    aside = np.array([*rng.normal(0, placement_sd_mm, 2), 0.0])
+    place = np.asarray(placed.position_mm) + aside
+    moved = PlacedObject(thing, placed.rotation, yaw_rad, place)
+    seeds = [int(seed) for seed in rng.integers(2**31, size=3)]
+    bench = SimulatedBench(moved, camera, random_state=seeds[0])
+    hemisphere = Hemisphere((float(x), float(y), float(z)))
+    home = hemisphere.pose(0.0, np.pi / 2)
+    robot = SimulatedRobot(bench, home, random_state=seeds[1], faults=faults)
+    lost = MissingFrames(robot, missing)
+    sensor = SimulatedSensor(bench, random_state=seeds[2], missing=lost)
+    return Stand(thing, hemisphere, robot, sensor)
 
 
 def explore_to_learn(
@@ -95,7 +187,7 @@ def explore_to_learn(
     way = _Way(seen_by, turned, drift, placement_sd_mm, guard)
     home = None if folder is None else Path(folder)
     tasks = [
-        delayed(_one_session)(
+        (
             thing,
             session,
             shares[session],
@@ -106,11 +198,14 @@ def explore_to_learn(
         for number, thing in enumerate(objects)
         for session in range(sessions)
     ]
-    parts = []
-    with Progress(len(objects) * count, "Exploring", progress) as bar:
-        for part in Parallel(n_jobs=n_jobs, return_as="generator")(tasks):
-            parts.append(part)
-            bar.advance(len(part))
+    parts = in_parallel(
+        _one_session,
+        tasks,
+        "Exploring",
+        n_jobs=n_jobs,
+        show=progress,
+        sizes=shares * len(objects),
+    )
     made = Touches.concatenate(parts)
     return made.with_columns(no_contact=seen_by.no_contact())
 
@@ -163,7 +258,7 @@ def _one_session(
     )
 
 
-def _turned_back(vectors: Any, yaw_rad: float) -> NDArray[np.float64]:
+def _turned_back(vectors: Any, yaw_rad: float) -> Floats:
     """Turn vectors about the vertical by minus the yaw of the object."""
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
     turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
