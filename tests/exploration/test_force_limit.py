@@ -191,7 +191,9 @@ def test_a_sensor_that_repeats_itself_is_found_in_three_steps(world, at_n, stuck
 
 
 @quick
-@given(st.floats(0.1, 100), st.floats(0.1, 0.6), st.floats(1e-6, 0.005))
+@given(st.floats(0.1, 100), st.floats(0.06, 0.6), st.floats(1e-6, 0.005))
+@example(0.3, 0.06, 0.005)
+@example(100.0, 0.06, 0.005)
 def test_one_that_sticks_noisily_in_contact_is_found_by_not_changing(
     stiffness, stuck_n, noise
 ):

@@ -52,8 +52,9 @@ class Guard:
         `limit_n` by what one step adds: choose steps below `limit_n` divided by the
         stiffness (N/mm) of the stiffest thing that may be met.
     contact_n : float, default=0.1
-        Force that counts as contact; above the noise of the force sensor. The mean of
-        a step's readings below minus this is a force of the wrong sign, a fault.
+        Force that counts as contact, until it falls below half of it; above the noise
+        of the force sensor. The mean of a step's readings below minus this is a force
+        of the wrong sign, a fault.
     max_travel_mm : float, default=315.0
         Length of the approach after which there is nothing: from a hemisphere of
         300 mm to its centre, and the depth of a dome.
@@ -177,7 +178,7 @@ def guarded_touch(
 class _Fault(Exception):
     """The end of an approach that should not have ended so."""
 
-    def __init__(self, outcome: str, message: str) -> None:
+    def __init__(self, message: str, outcome: str = "force sensor") -> None:
         super().__init__(message)
         self.outcome = outcome
 
@@ -202,7 +203,7 @@ class _Approach:
         self.retracted = True
         self._offset_n, self._flat_n = 0.0, _FLAT_N
         self._in_contact: list[tuple[float, float]] = []
-        self._most_n = 0.0
+        self._most_n = self._missed_mm = 0.0
         self._fine_until_mm = self._look_at_mm = 0.0
         self._air_frame: Floats | None = None
         self._last, self._n_equal = math.nan, 0
@@ -222,7 +223,8 @@ class _Approach:
     def run(self) -> None:
         """Move in until the force, the end of the line, or a fault."""
         guard = self.guard
-        self._refuse_miss(self._move(0.0))
+        self._move(0.0)
+        self._refuse_miss()
         self._tare()
         if guard.frame_change is not None:
             self._air_frame = self._frame().astype(np.float64)
@@ -233,7 +235,6 @@ class _Approach:
             self._advance(min(before + step, guard.max_travel_mm))
             if before == 0 and self.force_n >= guard.contact_n:
                 raise _Fault(
-                    "force sensor",
                     f"{self.force_n:.3f} N after the first {step:g} mm: the offset may "
                     "hold a load. Start further away, clear of everything.",
                 )
@@ -271,7 +272,6 @@ class _Approach:
         moved_n = float(np.mean(self._read_in_air())) - self._offset_n
         if abs(moved_n) > self.guard.contact_n:
             raise _Fault(
-                "force sensor",
                 f"The offset moved by {moved_n:.3f} N during the touch, more than "
                 f"contact_n = {self.guard.contact_n:g}: what was pressed is not known.",
             )
@@ -298,7 +298,6 @@ class _Approach:
         most = min(self.guard.max_offset_n, self.guard.limit_n - self.guard.force_n)
         if abs(offset) > most:
             raise _Fault(
-                "force sensor",
                 f"{offset:.3f} N in the air, more than {most:g}: the sensor touches "
                 "something or has drifted. Clear it, or set it to zero.",
             )
@@ -308,28 +307,27 @@ class _Approach:
     def _read_in_air(self) -> list[float]:
         return [self._read() for _ in range(self.guard.n_tare)]
 
-    def _move(self, travel_mm: float) -> float:
-        """Move along the line; return how far from there the arm says it is."""
+    def _move(self, travel_mm: float) -> None:
+        """Move along the line, and learn by how much the arm says that it missed."""
         # The arm may have moved although the driver raises: pull back that far too.
         self.farthest_mm = max(self.farthest_mm, travel_mm)
         pose = self.start.advanced(travel_mm) if travel_mm else self.start
         self.robot.move_to(pose)
         self.travel_mm = travel_mm
         here = np.asarray(self.robot.read_pose().position_mm)
-        missed = float(np.linalg.norm(here - np.asarray(pose.position_mm)))
-        if missed > self.guard.max_miss_mm:
+        self._missed_mm = float(np.linalg.norm(here - np.asarray(pose.position_mm)))
+        if self._missed_mm > self.guard.max_miss_mm:
             way = here - np.asarray(self.start.position_mm)
             reached = min(float(way @ self.start.direction), self.guard.max_travel_mm)
             self.farthest_mm = max(self.farthest_mm, reached)
-        return missed
 
     def _advance(self, travel_mm: float) -> None:
         """Move, then read the force there; refuse all that must not be moved on."""
-        missed = self._move(travel_mm)
+        self._move(travel_mm)
         self._measure()
-        self._refuse_miss(missed)
+        self._refuse_miss()
         if self.clock() - self._began > self.guard.timeout_s:
-            raise _Fault("timed out", f"No end after {self.guard.timeout_s:g} s.")
+            raise _Fault(f"No end after {self.guard.timeout_s:g} s.", "timed out")
 
     def _take_back(self, before_mm: float) -> None:
         """Undo a step that landed beyond the force, to make it again in small ones."""
@@ -337,7 +335,6 @@ class _Approach:
         self._advance(before_mm)
         if self.force_n >= self.guard.force_n:
             raise _Fault(
-                "force sensor",
                 f"Still {self.force_n:.3f} N where it was air before: the force sensor "
                 "is stuck or lags, or something holds on to the sensor.",
             )
@@ -348,7 +345,6 @@ class _Approach:
             self._most_of_readings()
         if self.force_n < -self.guard.contact_n:
             raise _Fault(
-                "force sensor",
                 f"{self.force_n:.3f} N: a force of the wrong sign. read_force must be "
                 "positive when something pushes back; if it is, the offset drifts.",
             )
@@ -367,7 +363,7 @@ class _Approach:
     def _watch_contact(self) -> None:
         """Note where contact began; refuse to go on pressing without a rising force."""
         guard, here = self.guard, self.travel_mm
-        if self.force_n < guard.contact_n:
+        if self.force_n < guard.contact_n / (2 if self._in_contact else 1):
             self._in_contact.clear()
             self._look()
             return
@@ -376,14 +372,12 @@ class _Approach:
         pressed = here - self._in_contact[0][0]
         if pressed > guard.max_press_mm:
             raise _Fault(
-                "force sensor",
                 f"Still {self.force_n:.3f} N {guard.max_press_mm:g} mm "
                 "beyond the first contact.",
             )
         recent = [n for mm, n in self._in_contact if mm >= here - guard.flat_mm - 1e-9]
         if pressed >= guard.flat_mm - 1e-9 and max(recent) - min(recent) < self._flat_n:
             raise _Fault(
-                "force sensor",
                 f"{self.force_n:.3f} N for {guard.flat_mm:g} mm in contact, without "
                 "a change: the force sensor is stuck. If the object is that soft or "
                 "the sensor that coarse, raise flat_mm.",
@@ -398,7 +392,6 @@ class _Approach:
         assert self.guard.frame_change is not None
         if not change < self.guard.frame_change:
             raise _Fault(
-                "force sensor",
                 f"The tactile image changed by {change:.3g}, as in contact, but the "
                 f"force sensor reads {self.force_n:.3f} N. Is it connected?",
             )
@@ -410,21 +403,19 @@ class _Approach:
         self._watch_contact()
         if self._most_n:
             raise _Fault(
+                f"{self._most_n:.3f} N at most on {self.travel_mm:g} mm, and no touch "
+                f"of {self.guard.force_n:g}. Raise max_travel_mm, or start nearer.",
                 "force not reached",
-                f"{self._most_n:.3f} N at most on {self.travel_mm:g} mm, less than the "
-                f"{self.guard.force_n:g} of a touch. Raise max_travel_mm, or start "
-                "nearer.",
             )
 
     def _read(self) -> float:
         force = float(self.robot.read_force())
         if not math.isfinite(force):
-            raise _Fault("force sensor", f"The force sensor reads {force}.")
+            raise _Fault(f"The force sensor reads {force}.")
         self._n_equal = self._n_equal + 1 if force == self._last else 1
         self._last = force
         if self.guard.stuck_after and self._n_equal >= self.guard.stuck_after:
             raise _Fault(
-                "force sensor",
                 f"The force sensor is stuck at {force:.4f} N for {self._n_equal} "
                 "readings. If it is that coarse, set stuck_after.",
             )
@@ -435,17 +426,17 @@ class _Approach:
         if max(abs(reading_n), abs(force_n)) > limit:
             sign = " read_force must be positive when something pushes back."
             raise _Fault(
-                "limit exceeded",
                 f"{force_n:.3f} N ({reading_n:.3f} with its offset), above the limit "
                 f"of {limit:g}.{sign if force_n < 0 else ''}",
+                "limit exceeded",
             )
 
-    def _refuse_miss(self, missed_mm: float) -> None:
-        if not missed_mm <= self.guard.max_miss_mm:
+    def _refuse_miss(self) -> None:
+        if not self._missed_mm <= self.guard.max_miss_mm:
             raise _Fault(
+                f"The arm is {self._missed_mm:.2f} mm from where it was sent, more "
+                f"than max_miss_mm = {self.guard.max_miss_mm:g}.",
                 "robot error",
-                f"The arm is {missed_mm:.2f} mm from where it was sent, more than "
-                f"max_miss_mm = {self.guard.max_miss_mm:g}.",
             )
 
     def _frame(self) -> Array:
@@ -453,21 +444,21 @@ class _Approach:
         try:
             frame = np.asarray(self.sensor.read())
         except SensorError as error:
-            raise _Fault("no frame", str(error)) from error
+            raise _Fault(str(error), "no frame") from error
         if (
             frame.shape != tuple(self.sensor.image_shape)
             or frame.dtype.kind not in "biuf"
         ):
             raise _Fault(
-                "no frame",
                 f"A frame of shape {frame.shape} and type {frame.dtype} arrived, not "
                 f"{self.sensor.image_shape}.",
+                "no frame",
             )
         if np.isinf(frame).any() or np.isnan(frame).all():
             raise _Fault(
-                "no frame",
                 "A frame must be finite but for dead taxels (NaN), got one with "
                 "infinity or of NaN alone. Look at the sensor.",
+                "no frame",
             )
         return frame.copy()
 

@@ -8,6 +8,7 @@ frame, as a `TouchMap` wants them.
 
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -184,14 +185,20 @@ def explore_to_learn(
     sessions = min(check_count("n_sessions", n_sessions), count)
     shares = [len(part) for part in np.array_split(range(count), sessions)]
     seen_by = DomeCamera(image_shape=(120, 120)) if camera is None else camera
-    way = _Way(seen_by, turned, drift, placement_sd_mm, guard)
+    session_of = partial(
+        _one_session,
+        camera=seen_by,
+        turned=turned,
+        drift=drift,
+        placement_sd_mm=placement_sd_mm,
+        guard=guard,
+    )
     home = None if folder is None else Path(folder)
     tasks = [
         (
             thing,
             session,
             shares[session],
-            way,
             None if home is None else home / thing.name / str(session),
             _seed(random_state, number, session),
         )
@@ -199,7 +206,7 @@ def explore_to_learn(
         for session in range(sessions)
     ]
     parts = in_parallel(
-        _one_session,
+        session_of,
         tasks,
         "Exploring",
         n_jobs=n_jobs,
@@ -210,33 +217,27 @@ def explore_to_learn(
     return made.with_columns(no_contact=seen_by.no_contact())
 
 
-@dataclass(frozen=True)
-class _Way:
-    """How every object is put down and touched."""
-
-    camera: DomeCamera
-    turned: bool
-    drift: bool
-    placement_sd_mm: float
-    guard: Guard
-
-
 def _one_session(
     thing: SimObject,
     session: int,
     n_touches: int,
-    way: _Way,
     folder: Path | None,
     seed: int,
+    *,
+    camera: DomeCamera,
+    turned: bool,
+    drift: bool,
+    placement_sd_mm: float,
+    guard: Guard,
 ) -> Touches:
     """Put an object down once and touch it."""
     rng = np.random.default_rng([seed, 1])
-    yaw = float(rng.uniform(0, 2 * np.pi)) if way.turned else 0.0
+    yaw = float(rng.uniform(0, 2 * np.pi)) if turned else 0.0
     stand = put_down(
         thing,
-        way.camera.drifted(rng) if way.drift else way.camera,
+        camera.drifted(rng) if drift else camera,
         yaw_rad=yaw,
-        placement_sd_mm=way.placement_sd_mm,
+        placement_sd_mm=placement_sd_mm,
         random_state=seed,
     )
     history = gather(
@@ -245,7 +246,7 @@ def _one_session(
         RandomHemisphere(stand.hemisphere, seed),
         folder,
         n_touches=n_touches,
-        guard=way.guard,
+        guard=guard,
         clock=stand.robot.clock,
     )
     touches = as_touches(
