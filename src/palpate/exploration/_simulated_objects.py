@@ -95,6 +95,11 @@ def put_down(
         Same number, same place and noise.
     faults, missing
         What fails, see `SimulatedRobot` and `SimulatedSensor`.
+
+    Raises
+    ------
+    ValueError
+        `face` is none of its faces, or it does not fit into the hemisphere.
     """
     n_faces = len(thing.resting_rotations)
     if check_count("face", face, at_least=0) >= n_faces:
@@ -112,11 +117,23 @@ def put_down(
     seeds = [int(seed) for seed in rng.integers(2**31, size=3)]
     bench = SimulatedBench(moved, camera, random_state=seeds[0])
     hemisphere = Hemisphere((float(x), float(y), float(z)))
+    _refuse_outside(placed, hemisphere)
     home = hemisphere.pose(0.0, np.pi / 2)
     robot = SimulatedRobot(bench, home, random_state=seeds[1], faults=faults)
     lost = MissingFrames(robot, missing)
     sensor = SimulatedSensor(bench, random_state=seeds[2], missing=lost)
     return Stand(thing, hemisphere, robot, sensor)
+
+
+def _refuse_outside(placed: PlacedObject, hemisphere: Hemisphere) -> None:
+    """Refuse what reaches out of the hemisphere: the arm would begin inside it."""
+    reach = float(np.linalg.norm(np.ptp(placed.bounds_mm, axis=0))) / 2
+    if reach >= hemisphere.radius_mm:
+        raise ValueError(
+            f"thing must fit into a hemisphere of {hemisphere.radius_mm:g} mm, got "
+            f"{placed.thing.name!r}, which reaches {reach:.0f} mm from its middle. Is "
+            "its unit right?"
+        )
 
 
 def explore_to_learn(
