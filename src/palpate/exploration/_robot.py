@@ -49,11 +49,17 @@ class Robot(Protocol):
         ...
 
     def read_pose(self) -> SensorPose:
-        """Return where the tip is now."""
+        """Return where the tip is now, as measured and not as it was sent.
+
+        A touch ends as a fault where the two differ, see `Guard.max_miss_mm`.
+        """
         ...
 
     def read_force(self) -> float:
-        """Return a fresh reading of the force sensor (N), its offset included."""
+        """Return a fresh reading of the force sensor (N), its offset included.
+
+        Positive when something pushes back.
+        """
         ...
 
     def retract(self, way_mm: float) -> None:
