@@ -4,7 +4,7 @@
     python benchmarks/choose_touches.py --pool DATA/bathtip/bathtip50.npz
 
 In simulation the ten household objects are taught in one pose, 60 touches each in
-three recordings with the object put down anew (5 mm aside along x and y), then felt
+three recordings with the object put down anew (5 mm aside along x and y), then touched
 in an episode of their own: in the training pose, turned about the vertical by an
 unknown angle, or on another resting face. Everything goes through the simulated arm:
 noisy force, contact that shifts the object by up to 5 % of its size, approaches that
@@ -17,7 +17,7 @@ their contact heights and radii. One object of each category is drawn per seed; 
 test touches are 25 of each, drawn at random ("between") or the last recorded ("last").
 
 "by touch" names the most probable object by the images alone (`Belief`), "by place" by
-images and the side they were felt on (`PlacedBelief`).
+images and the side they were touched on (`PlacedBelief`).
 """
 
 import argparse
