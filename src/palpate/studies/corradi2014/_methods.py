@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.neighbors import KNeighborsClassifier
@@ -13,12 +12,12 @@ from sklearn.neural_network import MLPClassifier
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from ..classifiers import KernelDensityNaiveBayes, OnePerLabelSVC
-from ..encodings import encoder_named
+from ..._types import Floats
+from ...classifiers import KernelDensityNaiveBayes, OnePerLabelSVC
+from ...encodings import encoder_named
+from .._touches import Codes
+from ._shapes import Images
 
-Floats = NDArray[np.float64]
-Codes = NDArray[np.intp]
-Images = NDArray[np.float32]
 PRINCIPAL = {"zernike-pca": "zernike", "oriented-pca": "scaled-pixels"}
 # Rows and columns that turned images are averaged to before their components.
 PCA_SIDE = 32
@@ -55,6 +54,22 @@ class Encoded:
         old, new = (old - mean) @ directions, (new - mean) @ directions
         return {n: (old[:, :n], new[:, :n]) for n in counts}
 
+    def right(
+        self,
+        kind: str,
+        codes: Codes,
+        train: Codes,
+        test: Codes,
+        counts: tuple[int, ...],
+        seed: int,
+    ) -> list[float]:
+        """Return the per cent that a classifier names, for each of the numbers."""
+        found = []
+        for old, new in self.features(train, test, counts).values():
+            named = answers(kind, old, codes[train], new, seed)
+            found.append(float(100 * (named == codes[test]).mean()))
+        return found
+
 
 def encode(
     name: str, known: Images, asked: Images | None, counts: tuple[int, ...]
@@ -63,21 +78,20 @@ def encode(
 
     `asked` are the same touches as they look when they test, None if no different.
     """
-    if name in PRINCIPAL:
-        options = {"side": PCA_SIDE} if name == "oriented-pca" else {}
-        encoder = encoder_named(PRINCIPAL[name], **options).fit(known)
-        old = {0: encoder.transform(known)}
-        new = old if asked is None else {0: encoder.transform(asked)}
-    elif name == "scaled-pixels":
+    if name == "scaled-pixels":
         fitted = {n: encoder_named(name, n).fit(known) for n in counts}
-        old = {n: encoder.transform(known) for n, encoder in fitted.items()}
-        new = old
-        if asked is not None:
-            new = {n: encoder.transform(asked) for n, encoder in fitted.items()}
     else:
-        encoder = encoder_named(name).fit(known)
-        old = _heads(encoder.transform(known), counts)
-        new = old if asked is None else _heads(encoder.transform(asked), counts)
+        options = {"side": PCA_SIDE} if name == "oriented-pca" else {}
+        fitted = {0: encoder_named(PRINCIPAL.get(name, name), **options).fit(known)}
+
+    def features(images: Images) -> dict[int, Floats]:
+        every = {n: encoder.transform(images) for n, encoder in fitted.items()}
+        if name in PRINCIPAL or name == "scaled-pixels":
+            return every
+        return {n: every[0][:, :n] for n in counts}
+
+    old = features(known)
+    new = old if asked is None else features(asked)
     return Encoded(old, new, name in PRINCIPAL)
 
 
@@ -106,10 +120,6 @@ def answers(name: str, train: Floats, codes: Codes, test: Floats, seed: int) -> 
         fitted = classifier(name, seed).fit(train, codes)
     predicted: Codes = fitted.predict(test)
     return predicted
-
-
-def _heads(features: Floats, counts: tuple[int, ...]) -> dict[int, Floats]:
-    return {n: features[:, :n] for n in counts}
 
 
 def _directions(centred: Floats, n_components: int) -> Floats:

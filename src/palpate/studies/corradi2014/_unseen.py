@@ -9,25 +9,24 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
-from threadpoolctl import threadpool_limits
 
-from ..classifiers import KernelDensityBayes, KernelRidgeClassifier
-from ..encodings import RootScaler, encoder_named
-from ..touches import Touches
-from ._corradi2014_methods import Encoded, answers, encode
-from ._corradi2014_plan import CLASSIFIERS, Corradi2014Plan
-from ._corradi2014_touches import Codes, Images, rim_discs, variants
-from ._recorded import labels
+from ..._types import Floats
+from ...classifiers import KernelDensityBayes, KernelRidgeClassifier
+from ...encodings import RootScaler, encoder_named
+from ...touches import Touches
+from .._report import Row, mean_row
+from .._touches import Codes, coded
+from ._methods import Encoded, encode
+from ._plan import CLASSIFIERS, Corradi2014Plan
+from ._shapes import Images, rim_discs, variants
 
-Floats = NDArray[np.float64]
-Row = dict[str, Any]
 DATA = "bathtip50, unseen objects"
 LENGTHS = (1, 10)
 N_ORDERS = 50
 FOUNDATION = "zernike-pca"
 CHOSEN = "chosen on the training objects"
+_KNOWN = {"data": DATA, "unit": "per cent"}
 # Encodings by name: (encoding, options, variant) of each part.
 Part = tuple[str, dict[str, Any], str]
 CANDIDATES: dict[str, tuple[Part, ...]] = {
@@ -66,10 +65,7 @@ class Recording:
 
 def recording(touches: Touches) -> Recording:
     """Cut the touches to discs and number the objects of each category."""
-    if touches.category is None:
-        raise ValueError("The touches must have a column 'category'. Label them.")
-    codes = np.unique(touches.category, return_inverse=True)[1]
-    objects = np.unique(labels(touches), return_inverse=True)[1]
+    codes, objects = coded(touches, "category"), coded(touches)
     fold = np.zeros(len(codes), dtype=np.intp)
     for category in np.unique(codes):
         of_category = codes == category
@@ -82,24 +78,24 @@ def judge_unseen(
     seen: Recording, variant: str, name: str, plan: Corradi2014Plan
 ) -> list[Row]:
     """Return one row per classifier: one touch names the category, per cent."""
-    with threadpool_limits(limits=1):
-        counts = plan.counts(name)[1::2]
-        encoded = encode(name, seen.images[variant], None, counts)
-        rows = []
-        for kind in CLASSIFIERS:
-            found = [
-                _judge_fold(encoded, seen, kind, k, counts, plan) for k in _folds(plan)
-            ]
-            right = np.array([share for share, _ in found])
-            rows.append(
-                {
-                    **_row(f"{name}, {kind}, {variant}", right),
-                    "encoding": name,
-                    "variant": variant,
-                    "classifier": kind,
-                    "n_components": [count for _, count in found],
-                }
-            )
+    counts = plan.counts(name)[1::2]
+    encoded = encode(name, seen.images[variant], None, counts)
+    rows = []
+    for kind in CLASSIFIERS:
+        folds = range(plan.fold_limit)
+        found = [_judge_fold(encoded, seen, kind, k, counts, plan) for k in folds]
+        right = np.array([share for share, _ in found])
+        rows.append(
+            {
+                **mean_row(f"{name}, {kind}, {variant}", right),
+                **_KNOWN,
+                "table": "unseen",
+                "encoding": name,
+                "variant": variant,
+                "classifier": kind,
+                "n_components": [count for _, count in found],
+            }
+        )
     return rows
 
 
@@ -109,13 +105,11 @@ def candidate_features(seen: Recording, name: str) -> list[Floats]:
     What polar gradients learn (a scale per channel) is undone by the scaling of
     each feature on the training touches, so all touches may teach it.
     """
-    with threadpool_limits(limits=1):
-        return [
-            encoder_named(encoding, **options).fit_transform(seen.images[variant])
-            for encoding, options, variant in CANDIDATES[
-                "zernike" if name == FOUNDATION else name
-            ]
-        ]
+    parts = CANDIDATES["zernike" if name == FOUNDATION else name]
+    return [
+        encoder_named(encoding, **options).fit_transform(seen.images[variant])
+        for encoding, options, variant in parts
+    ]
 
 
 def compare_fold(
@@ -130,24 +124,17 @@ def compare_fold(
         `right`, per candidate, and for the foundation as its paper has it, the
         share right after each number of touches.
     """
-    with threadpool_limits(limits=1):
-        test = np.flatnonzero(seen.fold == k)
-        known = np.flatnonzero(seen.fold != k)
-        inner = {
-            name: _inner(seen, name, parts, known, plan)
-            for name, parts in features.items()
-        }
-        chosen = max(inner, key=lambda name: inner[name])
-        train = _thinned(known, plan.thinning)
-        right = {
-            name: _right_after(
-                seen, _log_posterior(seen, name, parts, train, test), test
-            )
-            for name, parts in features.items()
-        }
-        density = _density(seen, features[FOUNDATION][0], train, test)
-        right[f"{FOUNDATION}, kernel density"] = _right_after(seen, density, test)
-        return {"chosen": chosen, "inner": inner, "right": right}
+    test, known = np.flatnonzero(seen.fold == k), np.flatnonzero(seen.fold != k)
+    train = known[:: plan.thinning]
+    inner, right = {}, {}
+    for name, parts in features.items():
+        inner[name] = _inner(seen, name, parts, known, plan)
+        posterior = _log_posterior(seen, name, parts, train, test)
+        right[name] = _right_after(seen, posterior, test)
+    density = _density(seen, features[FOUNDATION][0], train, test)
+    right[f"{FOUNDATION}, kernel density"] = _right_after(seen, density, test)
+    chosen = max(inner, key=lambda name: inner[name])
+    return {"chosen": chosen, "inner": inner, "right": right}
 
 
 def compared_rows(results: list[dict[str, Any]]) -> list[Row]:
@@ -161,10 +148,10 @@ def compared_rows(results: list[dict[str, Any]]) -> list[Row]:
     rows = []
     for name, right in after.items():
         for column, length in enumerate(LENGTHS):
-            row = _row(f"{name}, after {length}", right[:, column])
             rows.append(
                 {
-                    **row,
+                    **mean_row(f"{name}, after {length}", right[:, column]),
+                    **_KNOWN,
                     "table": "best",
                     "encoding": name,
                     "after": length,
@@ -187,30 +174,14 @@ def _judge_fold(
     known, test = np.flatnonzero(seen.fold != k), np.flatnonzero(seen.fold == k)
     # The network takes the machines' count: it would be chosen for minutes.
     chooser = "SVMs" if kind == "network" else kind
-    left_out = seen.fold[known] == _next(k, seen)
-    held = _thinned(known[left_out], 2 * plan.thinning)
-    rest = _thinned(known[~left_out], 4 * plan.thinning)
-    shares = _shares(encoded, seen, chooser, rest, held, counts, plan.seed)
+    left_out = seen.fold[known] == (k + 1) % (seen.fold.max() + 1)
+    held = known[left_out][:: 2 * plan.thinning]
+    rest = known[~left_out][:: 4 * plan.thinning]
+    shares = encoded.right(chooser, seen.codes, rest, held, counts, plan.seed)
     chosen = counts[int(np.argmax(shares))]
-    train = _thinned(known, 2 * plan.thinning)
-    (share,) = _shares(encoded, seen, kind, train, test, (chosen,), plan.seed)
+    train = known[:: 2 * plan.thinning]
+    (share,) = encoded.right(kind, seen.codes, train, test, (chosen,), plan.seed)
     return share, chosen
-
-
-def _shares(
-    encoded: Encoded,
-    seen: Recording,
-    kind: str,
-    train: Codes,
-    test: Codes,
-    counts: tuple[int, ...],
-    seed: int,
-) -> list[float]:
-    shares = []
-    for old, new in encoded.features(train, test, counts).values():
-        said = answers(kind, old, seen.codes[train], new, seed)
-        shares.append(float(100 * (said == seen.codes[test]).mean()))
-    return shares
 
 
 def _inner(
@@ -221,7 +192,7 @@ def _inner(
     plan: Corradi2014Plan,
 ) -> float:
     """Mean share right on left-out objects among the known ones, after one touch."""
-    thin = _thinned(known, 2 * plan.thinning)
+    thin = known[:: 2 * plan.thinning]
     right = []
     for held in np.unique(seen.fold[known])[: plan.fold_limit]:
         train = thin[seen.fold[thin] != held]
@@ -278,27 +249,3 @@ def _right_after(seen: Recording, log_posterior: Floats, test: Codes) -> list[fl
             said = log_posterior[drawn].sum(axis=0).argmax()
             right.append(said == seen.codes[test[rows[0]]])
     return [float(single), float(100 * np.mean(right))]
-
-
-def _row(name: str, right: Floats) -> Row:
-    return {
-        "name": name,
-        "paper": None,
-        "ours": float(right.mean()),
-        "sd": float(right.std(ddof=1)) if len(right) > 1 else None,
-        "data": DATA,
-        "table": "unseen",
-        "unit": "per cent",
-    }
-
-
-def _folds(plan: Corradi2014Plan) -> range:
-    return range(plan.fold_limit)
-
-
-def _next(k: int, seen: Recording) -> int:
-    return int((k + 1) % (seen.fold.max() + 1))
-
-
-def _thinned(rows: Codes, step: int) -> Codes:
-    return rows[::step]

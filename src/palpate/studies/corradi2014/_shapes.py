@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..images import (
+from ...images import (
     Circle,
     DerivativeMagnitude,
     DomeCrop,
@@ -17,24 +17,17 @@ from ..images import (
     repose,
     standardise_discs,
 )
-from ..simulation import BASIC_SHAPES, TacTipPins, simulate_touches
-from ..touches import Touches
-from ._corradi2014_plan import Corradi2014Plan
-from ._recorded import labels
+from ...simulation import BASIC_SHAPES, TacTipPins, simulate_touches
+from ...touches import Touches
+from .._touches import Archive, Codes, coded
+from ._plan import Corradi2014Plan
 
 Images = NDArray[np.float32]
-Codes = NDArray[np.intp]
 
-# What is recorded: archive, what it is called, where it is published.
-TACTIP = (
+TACTIP = Archive(
     Path("tactip4") / "tactip4.npz",
     "a real dome with pins",
     "github.com/marselap/tactip-cnn-bayes",
-)
-BATHTIP = (
-    Path("bathtip") / "bathtip50.npz",
-    "a real dome camera",
-    "github.com/Exhor/deep_visuotactile_classification",
 )
 SIZE = 128
 N_GROUPS = 5
@@ -58,7 +51,7 @@ class Shapes:
     codes : ndarray of int (n_touches,)
         Labels as numbers.
     groups : ndarray of int (n_touches,)
-        Recordings, or stretches of one: 0 to 4 in each half.
+        Recordings, or blocks of one: 0 to 4 in each half.
     half : ndarray of int (n_touches,)
         0 for touches that choose, 1 for touches that are reported.
     """
@@ -101,15 +94,15 @@ def recorded_shapes(
     """Give the recorded shapes upright, if asked, then with their test images turned.
 
     They come shape by shape in the order of recording: each shape's first half
-    chooses, and a fifth of a half is a stretch of the recording.
+    chooses, and a fifth of a half is a block of the recording.
     """
     codes = coded(touches)
     place = np.zeros(len(codes))
     for code in np.unique(codes):
         rows = np.flatnonzero(codes == code)
         place[rows] = np.arange(len(rows)) / len(rows)
-    stretch = (place * 2 * N_GROUPS).astype(np.intp)
-    half, groups = stretch // N_GROUPS, stretch % N_GROUPS
+    block = (place * 2 * N_GROUPS).astype(np.intp)
+    half, groups = block // N_GROUPS, block % N_GROUPS
     standing = variants(_frame_discs(touches.images))
     if upright:
         yield Shapes("tactip4", standing, None, codes, groups, half)
@@ -134,12 +127,6 @@ def near_duplicates(discs: Images) -> float:
     alike = flat @ flat.T
     np.fill_diagonal(alike, -1)
     return float(100 * (alike.max(axis=1) > SAME).mean())
-
-
-def coded(touches: Touches) -> Codes:
-    """Return the objects of touches as numbers."""
-    codes: Codes = np.unique(labels(touches), return_inverse=True)[1]
-    return codes
 
 
 def rim_discs(touches: Touches) -> Images:

@@ -1,9 +1,10 @@
 """What the Corradi 2014 study measures, and the paper's figures to set beside it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar
 
-from .._checks import check_count
+from .._study import Plan
 
 # Table 2: (our sensor, TacTip) on the image, then on the derivative.
 TABLE_2: dict[str, dict[str, tuple[float, float]]] = {
@@ -34,7 +35,7 @@ COUNTS: dict[str, tuple[int, ...]] = {
 
 
 @dataclass(frozen=True)
-class Corradi2014Plan:
+class Corradi2014Plan(Plan):
     """Sizes of the study; the defaults are the whole of it.
 
     Parameters
@@ -97,36 +98,26 @@ class Corradi2014Plan:
         "polar gradients",
         "polar gradients and zernike to order 30",
     )
-    seed: int = 0
+    first_look: ClassVar[Mapping[str, Any]] = {
+        "n_touches": 20,
+        "encodings": PAPER_ENCODINGS,
+        "runs": 2,
+        "slow_runs": 1,
+        "choice_runs": 1,
+        "slow_choice_runs": 1,
+        "choice_step": 3,
+        "thinning": 2,
+        "recorded_step": 8,
+        "recorded_upright": False,
+        "fold_limit": 1,
+        "candidates": ("zernike-pca", "zernike", "zernike to order 20"),
+    }
 
     def __post_init__(self) -> None:
-        for name in ("runs", "slow_runs", "choice_runs", "slow_choice_runs"):
-            check_count(name, getattr(self, name))
-        check_count("n_touches", self.n_touches, at_least=10)
-        check_count("thinning", self.thinning)
-        check_count("recorded_step", self.recorded_step)
-        check_count("fold_limit", self.fold_limit)
-        check_count("choice_step", self.choice_step)
-        check_count("seed", self.seed, at_least=0)
-
-    @classmethod
-    def quick(cls, **changes: Any) -> Self:
-        """Return the plan of a first look: few runs, few numbers of components."""
-        small: dict[str, Any] = {
-            "n_touches": 20,
-            "encodings": PAPER_ENCODINGS,
-            "runs": 2,
-            "slow_runs": 1,
-            "choice_runs": 1,
-            "slow_choice_runs": 1,
-            "choice_step": 3,
-            "thinning": 2,
-            "recorded_step": 8,
-            "recorded_upright": False,
-            "fold_limit": 1,
-            "candidates": ("zernike-pca", "zernike", "zernike to order 20"),
-        }
-        return cls(**(small | changes))
+        self.check_counts("runs", "slow_runs", "choice_runs", "slow_choice_runs")
+        self.check_counts("thinning", "recorded_step", "fold_limit", "choice_step")
+        self.check_counts("n_touches", at_least=10)
+        self.check_counts("seed", at_least=0)
 
     def counts(self, encoding: str) -> tuple[int, ...]:
         """Numbers of components to try, always with the largest."""

@@ -1,23 +1,28 @@
 """Two more questions to the released recordings: sight beside touch, a moved camera.
 
 The first author's own experiments joined touches with a photograph of the object. And
-in some recordings the camera moved: what was learnt before must do after. The
-Corradi 2015 study asks both; they stand here for whoever asks them of other touches.
+in some recordings the camera moved: what was learnt before must do after. `sight` and
+`moved` ask it of any touches; the study's rows are made of what they answer.
 """
 
-from collections.abc import Iterator, Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..evaluation import Fold, Plan, evaluate, split_touches
-from ..recognition import ObjectRecogniser
-from ..touches import Touches
-from ._recorded import labels
-
-Floats = NDArray[np.float64]
+from ..._types import Floats
+from ...evaluation import Fold, Plan, evaluate, split_touches
+from ...recognition import ObjectRecogniser
+from ...touches import Touches
+from .._report import Row, row, spread
+from .._touches import labels
+from ._episodes import DEFAULT
+from ._plan import LATER_SIGHT, Corradi2015Plan
+from ._rows import after_touches
 
 RIM = "rim_circle_row_col_radius_px"
 # By 24, 14, 12, 9, 8 and 7 pixels of the camera, once each.
@@ -32,6 +37,10 @@ MOVED = (
 SENSES = ("touch", "sight", "both")
 WAYS = ("before -> after", "after -> before")
 SPLIT_FOR = {"object": "last", "category": "unseen-objects"}
+WORDS = Path("bathtip") / "visual_words50.npz"
+# Labels and ways as tables of rows.
+SIGHT = {label: f"sight, {label}" for label in SPLIT_FOR}
+MOVES = {way: f"moved, {way}" for way in WAYS}
 
 
 class Photographs(NamedTuple):
@@ -84,12 +93,12 @@ def sight(
         `right[sense][k]`, the share right after `k` touches of each object that has
         as many; the senses are "touch", "sight" (`k` is 0) and "both".
     """
-    felt = touches[np.isin(labels(touches), photographs.object)]
-    shown = np.isin(photographs.object, labels(felt))
+    both = touches[np.isin(labels(touches), photographs.object)]
+    shown = np.isin(photographs.object, labels(both))
     seen = Photographs(photographs.words[shown], photographs.object[shown])
     rng = np.random.default_rng(seed)
     right: dict[str, dict[int, list[float]]] = {sense: {} for sense in SENSES}
-    for fold in split_touches(felt, SPLIT_FOR[label]):
+    for fold in split_touches(both, SPLIT_FOR[label]):
         for sense, k, hits in _fused(fold, seen, label, lengths, orders, rng):
             right[sense].setdefault(k, []).append(float(np.mean(hits)))
     return {
@@ -155,6 +164,80 @@ def _apart(centres: NDArray[Any]) -> float:
     return float(distances.sum())
 
 
+def beside_tasks(
+    plan: Corradi2015Plan, touches: Touches, data: str | Path | None
+) -> tuple[list[Callable[[], list[Row]]], list[str]]:
+    """Return what is to be run, and a sentence for each kind of rows left out."""
+    tasks: list[Callable[[], list[Row]]] = []
+    skipped = []
+    words = Path(data if data is not None else os.environ["PALPATE_DATA"]) / WORDS
+    if words.is_file():
+        seen = read_photographs(words)
+        tasks += [partial(sight_rows, plan, touches, seen, label) for label in SIGHT]
+    else:
+        skipped.append(
+            "The rows of sight beside touch are left out: the folder of recorded "
+            f"touches has no {WORDS}."
+        )
+    lacking = _lacking(touches)
+    if lacking:
+        skipped.append(
+            "The rows of objects whose camera moved are left out: the recorded touches "
+            f"have no {lacking}."
+        )
+    else:
+        tasks.append(partial(moved_rows, plan, touches))
+    return tasks, skipped
+
+
+def sight_rows(
+    plan: Corradi2015Plan, touches: Touches, photographs: Photographs, label: str
+) -> list[Row]:
+    """Return rows of touch, a photograph and both, beside the first author's."""
+    sizes = {"lengths": plan.touches, "orders": plan.orders, "seed": plan.seed}
+    rows = []
+    for sense, curve in sight(touches, photographs, label, **sizes).items():
+        for k, shares in curve.items():
+            known = {"recogniser": sense, "touches": k, "objects": len(shares)}
+            paper = LATER_SIGHT[label, sense].get(k)
+            mean, sd = shares.mean(), spread(shares)
+            rows.append(_row(SIGHT[label], known, paper, mean, sd))
+    return rows
+
+
+def moved_rows(plan: Corradi2015Plan, touches: Touches) -> list[Row]:
+    """Return rows of `default`, and of the controls, on the move's other side."""
+    sizes = {"lengths": plan.touches, "orders": plan.orders, "seed": plan.seed}
+    rows = []
+    for way, figures in moved(touches, **sizes).items():
+        curves = {DEFAULT: figures["accuracy"], **figures["controls"]}
+        for name, curve in curves.items():
+            for k, share in (curve or {}).items():
+                n_objects = figures["n_objects"][k]
+                known = {"recogniser": name, "touches": int(k), "objects": n_objects}
+                sd = figures["accuracy_sd"][k] if name == DEFAULT else None
+                rows.append(_row(MOVES[way], known, None, share, sd))
+    return rows
+
+
+def _lacking(touches: Touches) -> str:
+    """Return what a study of moved cameras does not find, "" if nothing."""
+    if not np.isin(labels(touches), MOVED).any():
+        return f"object among {', '.join(MOVED)}"
+    if touches.order is None or RIM not in touches.columns:
+        return f"columns 'order' and {RIM!r}"
+    return ""
+
+
+def _row(
+    table: str, known: Row, paper: float | None, share: float, sd: float | None
+) -> Row:
+    """Return a row in per cent; the deviation is that of objects."""
+    shown = after_touches(table, known["recogniser"], known["touches"])
+    figures = row(shown, 100 * share, None if sd is None else float(100 * sd), paper)
+    return {**figures, "data": "bathtip", "table": table, **known}
+
+
 def _fused(
     fold: Fold,
     seen: Photographs,
@@ -165,13 +248,13 @@ def _fused(
 ) -> Iterator[tuple[str, int, list[bool]]]:
     """Yield sense, number of touches and what was right, object by object."""
     kinds = _kinds(fold, label)
-    told = np.array([kinds[name] for name in seen.object])
+    kind_of = np.array([kinds[name] for name in seen.object])
     # Objects: half of the photographs; categories: those of the known objects.
     learnt = np.isin(seen.object, labels(fold.train))
     if label == "object":
-        learnt = np.arange(len(told)) % 2 == 0
+        learnt = np.arange(len(kind_of)) % 2 == 0
     recogniser = ObjectRecogniser(label=label).fit(fold.train)
-    recogniser.learn_modality("sight", seen.words[learnt], told[learnt])
+    recogniser.learn_modality("sight", seen.words[learnt], kind_of[learnt])
     rows = recogniser.log_likelihood(fold.test)
     for name in np.unique(labels(fold.test)):
         mine = np.flatnonzero(fold.test.object == name)
@@ -197,8 +280,6 @@ def _kinds(fold: Fold, label: str) -> dict[str, str]:
     """Return the label of every object."""
     kinds: dict[str, str] = {}
     for part in (fold.train, fold.test):
-        names = labels(part)
-        of_name = names if label == "object" else part.category
-        assert of_name is not None
-        kinds.update(zip(names.tolist(), of_name.tolist(), strict=True))
+        names, of_name = labels(part).tolist(), labels(part, label).tolist()
+        kinds.update(zip(names, of_name, strict=True))
     return kinds

@@ -1,9 +1,10 @@
 """What the Corradi 2015 study measures, and the figures to set beside it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar
 
-from .._checks import check_count
+from .._study import Plan
 
 N_KNOWN = 10
 # Share right in per cent after so many touches, as the text of the paper gives it.
@@ -33,7 +34,7 @@ LATER_SIGHT: dict[tuple[str, str], dict[int, float]] = {
 
 
 @dataclass(frozen=True)
-class Corradi2015Plan:
+class Corradi2015Plan(Plan):
     """Sizes of the study; the defaults are the whole of it.
 
     Parameters
@@ -76,36 +77,25 @@ class Corradi2015Plan:
     clusters: tuple[int, ...] = (10, 20, 40, 80)
     components: tuple[int, ...] = (1, 2, 4)
     later: bool = True
-    seed: int = 0
+    first_look: ClassVar[Mapping[str, Any]] = {
+        "partitions": 10,
+        "default_partitions": 1,
+        "later_partitions": 1,
+        "n_simulated": 75,
+        "orders": 5,
+        "clusters": (40,),
+        "components": (1, 2),
+        "later": False,
+    }
 
     def __post_init__(self) -> None:
-        for name in ("partitions", "later_partitions", "n_test", "orders"):
-            check_count(name, getattr(self, name))
-        for name in ("default_partitions", "seed"):
-            check_count(name, getattr(self, name), at_least=0)
-        for name in ("n_train", "few_train"):
-            check_count(name, getattr(self, name), at_least=6)
-        check_count("n_simulated", self.n_simulated, at_least=self.least)
-        for name in ("touches", "clusters", "components"):
-            for number in getattr(self, name):
-                check_count(name, number)
+        self.check_counts("partitions", "later_partitions", "n_test", "orders")
+        self.check_counts("default_partitions", "seed", at_least=0)
+        self.check_counts("n_train", "few_train", at_least=6)
+        self.check_counts("n_simulated", at_least=self.least)
+        self.check_counts("touches", "clusters", "components")
 
     @property
     def least(self) -> int:
         """Fewest touches an object may have."""
         return self.few_train + self.n_test
-
-    @classmethod
-    def quick(cls, **changes: Any) -> Self:
-        """Return the plan of a first look: few partitions, fewer simulated touches."""
-        small: dict[str, Any] = {
-            "partitions": 10,
-            "default_partitions": 1,
-            "later_partitions": 1,
-            "n_simulated": 75,
-            "orders": 5,
-            "clusters": (40,),
-            "components": (1, 2),
-            "later": False,
-        }
-        return cls(**(small | changes))

@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Any, ClassVar
 
-from .._checks import check_count, check_number, check_option
+from ..._checks import check_number, check_option
+from .._study import Plan
 
 PROTOCOLS = ("both", "nested", "paper")
 SCALINGS = ("z-scored", "raw")
@@ -39,7 +40,7 @@ FIGURES: dict[tuple[str, str], float] = {
 
 
 @dataclass(frozen=True)
-class Liu2014Plan:
+class Liu2014Plan(Plan):
     """Sizes and grids of the study; the defaults are the whole of it.
 
     Parameters
@@ -93,37 +94,30 @@ class Liu2014Plan:
     mkl_costs: tuple[float, ...] = (1e2, 1e3)
     presses: Mapping[str, Any] = field(default_factory=dict)
     protocol: str = "both"
-    seed: int = 0
+    first_look: ClassVar[Mapping[str, Any]] = {
+        "runs": 2,
+        "counts": (5, 20, 40),
+        "partitions": (2,),
+        "loads_kgf": (1.0, 4.0),
+        "covers_mm": (0.3, 0.9, 3.0),
+        "inner_folds": 2,
+        "widths": (2.0,),
+        "components": (20, 40),
+        "svm_widths": (1.0, 2.0),
+        "svm_costs": (10.0, 100.0),
+        "mkl_costs": (1e3,),
+    }
 
     def __post_init__(self) -> None:
         check_option("protocol", self.protocol, PROTOCOLS)
-        check_count("runs", self.runs)
-        check_count("n", self.n)
-        check_count("inner_folds", self.inner_folds, at_least=2)
-        check_count("n_presses", self.n_presses, at_least=2 * self.inner_folds)
-        check_count("seed", self.seed, at_least=0)
+        self.check_counts("runs", "n")
+        self.check_counts("inner_folds", at_least=2)
+        self.check_counts("n_presses", at_least=2 * self.inner_folds)
+        self.check_counts("seed", at_least=0)
         for number in self.parts:
             check_number("parts", number, low=1, high=12)
         if len(self.parts) < 2:
             raise ValueError(f"parts must be two or more, got {self.parts}.")
-
-    @classmethod
-    def quick(cls, **changes: Any) -> Self:
-        """Return the plan of a first look: two runs, small grids, a few settings."""
-        small: dict[str, Any] = {
-            "runs": 2,
-            "counts": (5, 20, 40),
-            "partitions": (2,),
-            "loads_kgf": (1.0, 4.0),
-            "covers_mm": (0.3, 0.9, 3.0),
-            "inner_folds": 2,
-            "widths": (2.0,),
-            "components": (20, 40),
-            "svm_widths": (1.0, 2.0),
-            "svm_costs": (10.0, 100.0),
-            "mkl_costs": (1e3,),
-        }
-        return cls(**(small | changes))
 
     @property
     def protocols(self) -> tuple[str, ...]:

@@ -1,8 +1,9 @@
-"""Touches as the study's features, each computed once for all partitions.
+"""The touches of the Corradi 2015 study, known and unseen, and their features.
 
-What a feature learns from touches (principal components, clusters) is learnt later,
-from the training touches of each partition. Only the disc that is cut out of the
-images belongs to the sensor: its rim is that of the no-contact frame.
+Each feature is computed once for all partitions. What it learns from touches (principal
+components, clusters) is learnt later, from the training touches of each partition. Only
+the disc that is cut out of the images belongs to the sensor: its rim is that of the
+no-contact frame.
 """
 
 from dataclasses import dataclass
@@ -13,17 +14,59 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import clone
 
-from ..evaluation import brightness, without_contact
-from ..images import DomeCrop, Rims, crop_discs, standardise_discs
-from ..recognition import PRESETS
-from ..touches import Touches
-from ._recorded import labels
-
-Floats = NDArray[np.float64]
-Codes = NDArray[np.intp]
+from ..._types import Floats
+from ...evaluation import brightness, without_contact
+from ...images import DomeCrop, Rims, crop_discs, standardise_discs
+from ...recognition import PRESETS
+from ...simulation import HOUSEHOLD, UNSEEN, simulate_touches
+from ...touches import Touches
+from .._touches import Codes, labels
+from ._plan import Corradi2015Plan
 
 N_RINGS, N_ANGLES, N_FREQUENCIES = 8, 64, 9
 PATCH, REACH_SD = 16, 2.5
+# Categories in which the paper had a second object too, or the nearest to them.
+UNSEEN_CATEGORIES = ("ball", "box", "can", "mug", "stapler")
+
+
+@dataclass(frozen=True)
+class Objects:
+    """Touches of ten objects to learn, and of others that are never learnt.
+
+    `every` holds all recorded objects, for the first author's later experiments.
+    """
+
+    data: str
+    known: Touches
+    unseen: Touches
+    every: Touches | None = None
+
+
+def simulated_objects(plan: Corradi2015Plan, workers: int) -> Objects:
+    """Touch the paper's ten objects and its five unseen ones in simulation.
+
+    The camera stays as it is from object to object, so that its place and exposure
+    tell nothing.
+    """
+    touches = simulate_touches(
+        HOUSEHOLD + UNSEEN,
+        plan.n_simulated,
+        drift=False,
+        random_state=plan.seed,
+        n_jobs=workers,
+    )
+    known = np.isin(labels(touches), [thing.name for thing in HOUSEHOLD])
+    return Objects("simulated", touches[known], touches[~known])
+
+
+def recorded_objects(touches: Touches) -> Objects:
+    """Take the first object of each category, and the second of five, by name."""
+    objects, category = labels(touches), labels(touches, "category")
+    names = {kind: np.unique(objects[category == kind]) for kind in np.unique(category)}
+    known = [members[0] for members in names.values()]
+    unseen = [names[kind][1] for kind in UNSEEN_CATEGORIES]
+    chosen = [np.isin(objects, some) for some in (known, unseen)]
+    return Objects("bathtip", touches[chosen[0]], touches[chosen[1]], touches)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_softmax
 from sklearn.cluster import KMeans
 from sklearn.decomposition import PCA
@@ -19,9 +18,10 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.mixture import GaussianMixture
 from sklearn.preprocessing import StandardScaler
 
-from ..classifiers import KernelDensityBayes, KernelRidgeClassifier
-from ..recognition import with_floor
-from ._corradi2015_encodings import Codes, Floats
+from ..._types import Array, Floats
+from ...classifiers import KernelDensityBayes, KernelRidgeClassifier
+from ...recognition import with_floor
+from .._touches import Codes
 
 # Share of the training touches that choose the number of clusters.
 _VALIDATION = 1 / 3
@@ -67,26 +67,64 @@ class Densities:
         return _added_up(model.log_likelihood(flat), episodes, self.floor)
 
 
-@dataclass(frozen=True)
-class ClusterBayes:
-    """Naive Bayes over k-means clusters: how often each object met each cluster.
+class _Clustered:
+    """What counts touches in k-means clusters.
 
-    The number of clusters is the one of `clusters` that recognises best a third of
-    the training touches, learnt from the others. One is added to every count.
+    The number of clusters is the one of `clusters` that recognises best a third of the
+    training touches, learnt from the others.
     """
 
     clusters: Sequence[int]
-    seed: int = 0
-    features: str = "Zernike"
+    seed: int
 
     def scores(self, train: Floats, codes: Codes, episodes: Floats) -> Floats:
-        chosen = choose_clusters(self, train, codes)
+        chosen = self.choose(train, codes)
         return self.with_clusters(chosen, train, codes, episodes)
 
     def with_clusters(
         self, n_clusters: int, train: Floats, codes: Codes, episodes: Floats
     ) -> Floats:
         """Return `scores` for a number of clusters."""
+        raise NotImplementedError
+
+    def choose(self, train: Floats, codes: Codes) -> int:
+        """Return the number of clusters, the smallest among equals.
+
+        What counts is the share right over all numbers of touches.
+        """
+        candidates = sorted(self.clusters)
+        if len(candidates) == 1:
+            return candidates[0]
+        rng = np.random.default_rng(self.seed)
+        least = int(np.bincount(codes).min() * _VALIDATION)
+        drawn = [
+            rng.permutation(np.flatnonzero(codes == code))[:least]
+            for code in range(codes.max() + 1)
+        ]
+        held = np.stack(drawn)
+        kept = np.setdiff1d(np.arange(len(codes)), held)
+        right = []
+        for number in candidates:
+            scores = self.with_clusters(number, train[kept], codes[kept], train[held])
+            named = scores.argmax(axis=-1)
+            right.append((named == np.arange(len(held))[:, np.newaxis]).mean())
+        return candidates[int(np.argmax(right))]
+
+
+@dataclass(frozen=True)
+class ClusterBayes(_Clustered):
+    """Naive Bayes over k-means clusters: how often each object met each cluster.
+
+    One is added to every count.
+    """
+
+    clusters: Sequence[int]
+    seed: int = 0
+    features: str = "Zernike"
+
+    def with_clusters(
+        self, n_clusters: int, train: Floats, codes: Codes, episodes: Floats
+    ) -> Floats:
         principal = principal_components(train)
         words = _words(principal.transform(train), n_clusters, self.seed)
         counts = _histograms(words.labels_, codes, words.n_clusters) + 1.0
@@ -139,26 +177,20 @@ class Mixtures:
 
 
 @dataclass(frozen=True)
-class BagOfTouches:
+class BagOfTouches(_Clustered):
     """Histograms over clusters of features, compared by their chi-squared distance.
 
     As in Pezzementi et al. 2011 (doi:10.1109/TRO.2011.2125350): the touches so far
-    make a histogram, the nearest object's is the answer. The number of clusters is
-    chosen as in `ClusterBayes`.
+    make a histogram, the nearest object's is the answer.
     """
 
     features: str
     clusters: Sequence[int]
     seed: int = 0
 
-    def scores(self, train: Floats, codes: Codes, episodes: Floats) -> Floats:
-        chosen = choose_clusters(self, train, codes)
-        return self.with_clusters(chosen, train, codes, episodes)
-
     def with_clusters(
         self, n_clusters: int, train: Floats, codes: Codes, episodes: Floats
     ) -> Floats:
-        """Return `scores` for a number of clusters."""
         words = _words(train, n_clusters, self.seed)
         counts = _histograms(words.labels_, codes, words.n_clusters)
         shares = counts / counts.sum(axis=1, keepdims=True)
@@ -192,32 +224,6 @@ def principal_components(train: Floats) -> PCA:
     return principal
 
 
-def choose_clusters(
-    recogniser: ClusterBayes | BagOfTouches, train: Floats, codes: Codes
-) -> int:
-    """Return the number of clusters that recognises left-out training touches best.
-
-    The mean over all numbers of touches; among equals the smallest.
-    """
-    candidates = sorted(recogniser.clusters)
-    if len(candidates) == 1:
-        return candidates[0]
-    rng = np.random.default_rng(recogniser.seed)
-    least = int(np.bincount(codes).min() * _VALIDATION)
-    drawn = [
-        rng.permutation(np.flatnonzero(codes == code))[:least]
-        for code in range(codes.max() + 1)
-    ]
-    held = np.stack(drawn)
-    kept = np.setdiff1d(np.arange(len(codes)), held)
-    right = []
-    for number in candidates:
-        scores = recogniser.with_clusters(number, train[kept], codes[kept], train[held])
-        answers = scores.argmax(axis=-1)
-        right.append((answers == np.arange(len(held))[:, np.newaxis]).mean())
-    return candidates[int(np.argmax(right))]
-
-
 def _words(train: Floats, n_clusters: int, seed: int) -> KMeans:
     clusters = KMeans(min(n_clusters, len(train)), n_init=1, random_state=seed)
     with warnings.catch_warnings():
@@ -226,7 +232,7 @@ def _words(train: Floats, n_clusters: int, seed: int) -> KMeans:
         return clusters.fit(train)
 
 
-def _histograms(words: NDArray, codes: Codes, n_clusters: int) -> Floats:
+def _histograms(words: Array, codes: Codes, n_clusters: int) -> Floats:
     """Return how often each object met each cluster, (n_objects, n_clusters)."""
     counts = np.zeros((codes.max() + 1, n_clusters))
     np.add.at(counts, (codes, words), 1)

@@ -1,0 +1,161 @@
+"""A study's result for people: cells and tables of text, figures, one HTML page.
+
+matplotlib is the extra `plot`, imported where it is used.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from .._durable import write_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Row = dict[str, Any]
+# A title, the names of the columns, and lines of text.
+Table = tuple[str, list[str], list[list[str]]]
+Figures = dict[str, "Figure"]
+Value = TypeVar("Value")
+
+
+def held(rows: Iterable[Row], **wanted: Any) -> list[Row]:
+    """Return the rows that have these entries."""
+    return [r for r in rows if all(r.get(k) == v for k, v in wanted.items())]
+
+
+def pick(rows: Iterable[Row], **wanted: Any) -> Row | None:
+    """Return the first row that has these entries, or None."""
+    return next(iter(held(rows, **wanted)), None)
+
+
+def unique(values: Iterable[Value]) -> list[Value]:
+    """Return different values in the order in which they come first."""
+    return list(dict.fromkeys(values))
+
+
+def different(rows: Iterable[Row], *keys: str) -> list[tuple[Any, ...]]:
+    """Return the different combinations of these entries, in their order."""
+    return unique(tuple(row[key] for key in keys) for row in rows)
+
+
+def spread(values: Any) -> float | None:
+    """Return the standard deviation (n - 1) of an array; None for a single value."""
+    return float(values.std(ddof=1)) if len(values) > 1 else None
+
+
+def row(
+    name: str, ours: float, sd: float | None = None, paper: float | None = None
+) -> Row:
+    """Return what every row has, to be joined with what tells it from the others."""
+    return {"name": name, "paper": paper, "ours": float(ours), "sd": sd}
+
+
+def mean_row(name: str, values: Any, paper: float | None = None) -> Row:
+    """Return `row` of an array's mean and standard deviation."""
+    return row(name, values.mean(), spread(values), paper)
+
+
+def cell(row: Row | None) -> str:
+    """Return mean and standard deviation, or a dash."""
+    if row is None:
+        return "-"
+    deviation = "" if row["sd"] is None else f" ± {row['sd']:.1f}"
+    return f"{row['ours']:.1f}{deviation}"
+
+
+def paper(row: Row | None, frame: str = "{}") -> str:
+    """Return the paper's figure in a frame such as " ({})", or nothing."""
+    known = None if row is None else row["paper"]
+    return "" if known is None else frame.format(f"{known:g}")
+
+
+def panels(
+    n_rows: int,
+    n_columns: int,
+    size: tuple[float, float],
+    *,
+    pictures: bool = False,
+    **shared: Any,
+) -> tuple["Figure", Any]:
+    """Return a figure of a size in inches and its axes, (n_rows, n_columns).
+
+    Those of pictures have no ticks, others no frame above and on the right; `shared`
+    is `sharex` and `sharey` of matplotlib.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(n_rows, n_columns, squeeze=False, **shared)
+    for place in axes.ravel():
+        if pictures:
+            place.set(xticks=[], yticks=[])
+        else:
+            place.spines[["top", "right"]].set_visible(False)
+    return figure, axes
+
+
+def draw_pictures(
+    folder: str | Path,
+    study: str,
+    result: dict[str, Any],
+    pictures: Callable[[dict[str, Any]], Figures],
+) -> list[Path]:
+    """Write a result's figures as `<study>-<name>.png` into an existing folder."""
+    from ..evaluation import plots
+
+    plots.require_matplotlib()
+    written = []
+    for name, figure in pictures(result).items():
+        written.append(Path(folder) / f"{study}-{name}.png")
+        figure.savefig(written[-1], dpi=100)
+    return written
+
+
+@dataclass(frozen=True)
+class Page:
+    """What frames a study's tables and pictures.
+
+    `captions` are those of the pictures by name; `introduction` makes the first
+    paragraph of a result.
+    """
+
+    title: str
+    captions: Mapping[str, str]
+    introduction: Callable[[dict[str, Any]], str]
+
+    def write(
+        self,
+        path: str | Path,
+        result: dict[str, Any],
+        tables: Sequence[Table],
+        pictures: Callable[[dict[str, Any]], Figures],
+    ) -> Path:
+        """Write a page that loads nothing from elsewhere."""
+        from ..evaluation import PAGE_STYLE, check_report_path, plots
+
+        target = check_report_path(path)
+        title, text = escape(self.title), escape(self.introduction(result))
+        sections = [f"<h1>{title}</h1><p>{text}</p>", *map(_table, tables)]
+        for name, figure in pictures(result).items():
+            caption = escape(self.captions[name])
+            sections.append(f"<p>{plots._svg(figure)}</p><p class=note>{caption}</p>")
+        head = (
+            "<!doctype html><html lang=en><meta charset=utf-8>"
+            "<meta name=viewport content='width=device-width,initial-scale=1'>"
+            f"<title>{title}</title><style>{PAGE_STYLE}</style><body>"
+        )
+        write_text(target, head + "".join(sections) + "</body></html>")
+        return target
+
+
+def _table(table: Table) -> str:
+    title, columns, rows = table
+    head = "".join(f"<th>{escape(column)}</th>" for column in columns)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>"
+        for row in rows
+    )
+    return f"<h2>{escape(title)}</h2><table><tr>{head}</tr>{body}</table>"

@@ -1,0 +1,185 @@
+"""One encoding of one set of touches: counts chosen on one half, reported on the other.
+
+Component counts come from the first half alone: by the Davies-Bouldin index for
+Table 2, by accuracy in randomised folds for Fig. 3. The second half is then
+cross-validated within itself, in randomised folds and recording by recording.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+from sklearn.model_selection import StratifiedKFold
+
+from ..._types import Floats
+from ...evaluation import davies_bouldin
+from .._report import Row, mean_row, row
+from .._touches import Codes
+from ._methods import Encoded, encode
+from ._plan import BEST, CLASSIFIERS, TABLE_2, Corradi2014Plan
+from ._shapes import Shapes
+
+SENSOR = {"simulated": 0, "simulated-pins": 1}
+N_FOLDS = 5
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Rows of one encoding, and the accuracy of each fold for the paired test.
+
+    `folds[classifier]` has shape (n_runs, 5), in per cent.
+    """
+
+    rows: list[Row]
+    folds: dict[str, Floats]
+
+
+def judge(shapes: Shapes, variant: str, name: str, plan: Corradi2014Plan) -> Judged:
+    """Choose on the first half and report on the second."""
+    counts = plan.counts(name)
+    asked = None if shapes.asked is None else shapes.asked[variant]
+    encoded = encode(name, shapes.images[variant], asked, counts)
+    known = {"data": shapes.data, "encoding": name, "variant": variant}
+    rows, folds = [], {}
+    if asked is None:
+        rows += list(_table_2(encoded, shapes, known, counts))
+    second = np.flatnonzero(shapes.half == 1)
+    for kind in CLASSIFIERS:
+        chosen = _choose(encoded, shapes, kind, counts, plan)
+        runs = plan.slow_runs if kind in ("network", "SVMs") else plan.runs
+        judged = (encoded, shapes.codes, second, kind, (chosen,))
+        folds[kind] = _random_folds(*judged, runs, plan.seed)[..., 0]
+        grouped = _grouped_folds(encoded, shapes, second, kind, chosen, plan.seed)
+        for one in _fig_3(known, kind, folds[kind].mean(axis=1), grouped):
+            rows.append({**one, "n_components": chosen})
+    return Judged(rows, folds)
+
+
+def corrected_t_test(differences: Floats) -> tuple[float, float, float]:
+    """Return mean difference, its standard error and p of no difference.
+
+    Folds of repeated cross-validation share touches, so the variance of their mean
+    is taken as (1 / n + n_test / n_train) times theirs.
+
+    Parameters
+    ----------
+    differences : ndarray of shape (n_runs, n_folds)
+        Of the two methods on the same folds.
+
+    References
+    ----------
+    .. [1] C. Nadeau, Y. Bengio, "Inference for the generalization error", Machine
+       Learning 52, 2003. doi:10.1023/A:1024068626366
+    """
+    n, n_folds = differences.size, differences.shape[1]
+    mean = float(differences.mean())
+    error = float(np.sqrt((1 / n + 1 / (n_folds - 1)) * differences.var(ddof=1)))
+    if error == 0:
+        return mean, 0.0, 1.0 if mean == 0 else 0.0
+    return mean, error, float(2 * student.sf(abs(mean) / error, n - 1))
+
+
+def holm(p_values: list[float]) -> list[float]:
+    """Return p values that hold for all tests together (Holm's step-down rule).
+
+    References
+    ----------
+    .. [1] S. Holm, "A simple sequentially rejective multiple test procedure",
+       Scand. J. Statist. 6(2), 1979.
+    """
+    order = np.argsort(p_values)
+    scaled = np.asarray(p_values)[order] * np.arange(len(order), 0, -1)
+    held = np.minimum(np.maximum.accumulate(scaled), 1.0)
+    result = np.empty(len(order))
+    result[order] = held
+    return [float(p) for p in result]
+
+
+def _table_2(
+    encoded: Encoded, shapes: Shapes, known: Row, counts: tuple[int, ...]
+) -> Iterator[Row]:
+    """Indices on the second half, the count being the best on the first."""
+    first, second = (np.flatnonzero(shapes.half == h) for h in (0, 1))
+    name, variant = known["encoding"], known["variant"]
+    sensor = SENSOR.get(known["data"])
+    paper = None
+    if sensor is not None and name in TABLE_2:
+        paper = TABLE_2[name][variant][sensor]
+    both = encoded.features(first, second, counts)
+    for q, beside in ((2, paper), (1, None)):
+        indices = [davies_bouldin(both[n][0], shapes.codes[first], q) for n in counts]
+        chosen = counts[int(np.argmin(indices))]
+        index = davies_bouldin(both[chosen][1], shapes.codes[second], q)
+        yield {
+            **row(f"{name}, {variant}, q = {q}", index, None, beside),
+            **known,
+            "table": "Table 2",
+            "unit": "index",
+            "q": q,
+            "n_components": chosen,
+        }
+
+
+def _fig_3(known: Row, kind: str, runs: Floats, grouped: Floats) -> Iterator[Row]:
+    name, variant = known["encoding"], known["variant"]
+    paper = BEST.get((name, kind, variant)) if known["data"] == "simulated" else None
+    for folds, values in {"randomised": runs, "grouped": grouped}.items():
+        shown = f"{name}, {kind}, {variant}, {folds} folds"
+        yield {
+            **mean_row(shown, values, paper if folds == "randomised" else None),
+            **known,
+            "table": "Fig. 3",
+            "unit": "per cent",
+            "classifier": kind,
+            "folds": folds,
+            "runs": len(runs) if folds == "randomised" else 1,
+        }
+
+
+def _choose(
+    encoded: Encoded,
+    shapes: Shapes,
+    kind: str,
+    counts: tuple[int, ...],
+    plan: Corradi2014Plan,
+) -> int:
+    first = np.flatnonzero(shapes.half == 0)
+    runs = plan.choice_runs if kind == "1-NN" else plan.slow_choice_runs
+    # The network is the slowest by far: every other number.
+    tried = tuple(reversed(counts[::-2])) if kind == "network" else counts
+    right = _random_folds(
+        encoded, shapes.codes, first, kind, tried, runs, plan.seed + 1
+    )
+    return tried[int(right.mean(axis=(0, 1)).argmax())]
+
+
+def _random_folds(
+    encoded: Encoded,
+    codes: Codes,
+    rows: Codes,
+    kind: str,
+    counts: tuple[int, ...],
+    runs: int,
+    seed: int,
+) -> Floats:
+    """Return per cent right, shape (n_runs, 5, n_counts)."""
+    right = []
+    for run in range(runs):
+        folds = StratifiedKFold(N_FOLDS, shuffle=True, random_state=1000 * seed + run)
+        for train, test in folds.split(rows, codes[rows]):
+            split = (rows[train], rows[test])
+            right.append(encoded.right(kind, codes, *split, counts, run))
+    return np.array(right).reshape(runs, N_FOLDS, len(counts))
+
+
+def _grouped_folds(
+    encoded: Encoded, shapes: Shapes, rows: Codes, kind: str, count: int, seed: int
+) -> Floats:
+    """Return per cent right of each recording, learnt from the others."""
+    right = []
+    for group in np.unique(shapes.groups[rows]):
+        held = shapes.groups[rows] == group
+        split = (rows[~held], rows[held])
+        right += encoded.right(kind, shapes.codes, *split, (count,), seed)
+    return np.array(right)
