@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from .._durable import write_text
@@ -72,6 +73,31 @@ def paper(row: Row | None, frame: str = "{}") -> str:
     return "" if known is None else frame.format(f"{known:g}")
 
 
+def with_paper(row: Row | None) -> str:
+    """Return mean and standard deviation, the paper's figure in brackets."""
+    return cell(row) + paper(row, " ({})")
+
+
+def pivot(
+    rows: Iterable[Row],
+    keys: Sequence[str],
+    columns: Iterable[Row],
+    show: Callable[[Row | None], str],
+    names: Mapping[str, str] = MappingProxyType({}),
+) -> list[list[str]]:
+    """Return a line of text for each combination of the entries `keys`.
+
+    After these (under other `names` where there are any) comes a cell for each of
+    `columns`, the entries that a column's rows have.
+    """
+    rows, columns, lines = list(rows), list(columns), []
+    for known in different(rows, *keys):
+        mine = held(rows, **dict(zip(keys, known, strict=True)))
+        cells = [show(pick(mine, **column)) for column in columns]
+        lines.append([*(names.get(key, key) for key in known), *cells])
+    return lines
+
+
 def panels(
     n_rows: int,
     n_columns: int,
@@ -95,23 +121,6 @@ def panels(
         else:
             place.spines[["top", "right"]].set_visible(False)
     return figure, axes
-
-
-def draw_pictures(
-    folder: str | Path,
-    study: str,
-    result: dict[str, Any],
-    pictures: Callable[[dict[str, Any]], Figures],
-) -> list[Path]:
-    """Write a result's figures as `<study>-<name>.png` into an existing folder."""
-    from ..evaluation import plots
-
-    plots.require_matplotlib()
-    written = []
-    for name, figure in pictures(result).items():
-        written.append(Path(folder) / f"{study}-{name}.png")
-        figure.savefig(written[-1], dpi=100)
-    return written
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from .._checks import check_count
 from .._parallel import in_parallel
-from ._report import Figures, Page, Table, draw_pictures
+from ._report import Figures, Page, Table
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,14 @@ class Study:
 
     def write_pictures(self, folder: str | Path, result: dict[str, Any]) -> list[Path]:
         """Write the pictures as `<study>-<name>.png` into an existing folder."""
-        return draw_pictures(folder, self.name, result, self._experiment.pictures)
+        from ..evaluation import plots
+
+        plots.require_matplotlib()
+        written = []
+        for name, figure in self._experiment.pictures(result).items():
+            written.append(Path(folder) / f"{self.name}-{name}.png")
+            figure.savefig(written[-1], dpi=100)
+        return written
 
     @property
     def _experiment(self) -> Experiment:

@@ -70,11 +70,11 @@ def _shapes_rows(
     tasks = [(s.only(v), v, e, plan) for s, e, v in keys]
     judged: list[Judged] = work.done(judge, tasks, "judging encodings")
     found = {(s.data, e, v): one for (s, e, v), one in zip(keys, judged, strict=True)}
-    paired = []
+    paired: list[Row] = []
     for data, encoding in dict.fromkeys(key[:2] for key in found):
         image, derivative = (found[data, encoding, v].folds for v in VARIANTS)
         for kind in CLASSIFIERS:
-            known = {"data": data, "encoding": encoding, "classifier": kind}
+            known: Row = {"data": data, "encoding": encoding, "classifier": kind}
             test = corrected_t_test(image[kind] - derivative[kind])
             figures = zip(("difference", "error", "p"), test, strict=True)
             paired.append({**known, **dict(figures)})

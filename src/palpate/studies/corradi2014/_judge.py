@@ -20,7 +20,7 @@ from ._methods import Encoded, encode
 from ._plan import BEST, CLASSIFIERS, TABLE_2, Corradi2014Plan
 from ._shapes import Shapes
 
-SENSOR = {"simulated": 0, "simulated-pins": 1}
+SENSORS = ("simulated", "simulated-pins")
 N_FOLDS = 5
 
 
@@ -102,10 +102,8 @@ def _table_2(
     """Indices on the second half, the count being the best on the first."""
     first, second = (np.flatnonzero(shapes.half == h) for h in (0, 1))
     name, variant = known["encoding"], known["variant"]
-    sensor = SENSOR.get(known["data"])
-    paper = None
-    if sensor is not None and name in TABLE_2:
-        paper = TABLE_2[name][variant][sensor]
+    by_sensor = zip(SENSORS, TABLE_2.get(name, {}).get(variant, ()), strict=False)
+    paper = dict(by_sensor).get(known["data"])
     both = encoded.features(first, second, counts)
     for q, beside in ((2, paper), (1, None)):
         indices = [davies_bouldin(both[n][0], shapes.codes[first], q) for n in counts]

@@ -16,7 +16,9 @@ from .._report import (
     panels,
     paper,
     pick,
+    pivot,
     unique,
+    with_paper,
 )
 from ._plan import CLASSIFIERS, VARIANTS, Corradi2014Plan
 from ._shapes import simulated_shapes
@@ -47,17 +49,13 @@ def tables(result: dict[str, Any]) -> list[Table]:
 
 
 def _table_2(rows: Sequence[Row]) -> Table:
-    columns = different(rows, "data", "variant")
-    lines = []
-    for encoding in unique(row["encoding"] for row in rows):
-        mine = held(rows, encoding=encoding)
-        found = [pick(mine, data=data, variant=variant) for data, variant in columns]
-        lines.append([encoding, *map(_index, found)])
-    heads = [f"{data}, {variant}" for data, variant in columns]
+    known = different(rows, "data", "variant")
+    columns = [{"data": data, "variant": variant} for data, variant in known]
+    heads = [f"{data}, {variant}" for data, variant in known]
     title = (
         "Table 2: Davies-Bouldin index, q = 2, smaller is better (paper in brackets)"
     )
-    return title, ["encoding", *heads], lines
+    return title, ["encoding", *heads], pivot(rows, ["encoding"], columns, _index)
 
 
 def _index(row: Row | None) -> str:
@@ -67,12 +65,8 @@ def _index(row: Row | None) -> str:
 def _accuracies(title: str, rows: Sequence[Row]) -> Table:
     """One line per encoding and variant, a column per classifier."""
     kinds = unique(row["classifier"] for row in rows)
-    lines = []
-    for encoding, variant in different(rows, "encoding", "variant"):
-        mine = held(rows, encoding=encoding, variant=variant)
-        found = [pick(mine, classifier=kind) for kind in kinds]
-        cells = [cell(row) + paper(row, " ({})") for row in found]
-        lines.append([encoding, variant, *cells])
+    columns = [{"classifier": kind} for kind in kinds]
+    lines = pivot(rows, ["encoding", "variant"], columns, with_paper)
     return title, ["encoding", "on", *kinds], lines
 
 

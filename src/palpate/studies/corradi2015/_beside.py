@@ -194,9 +194,8 @@ def sight_rows(
     plan: Corradi2015Plan, touches: Touches, photographs: Photographs, label: str
 ) -> list[Row]:
     """Return rows of touch, a photograph and both, beside the first author's."""
-    sizes = {"lengths": plan.touches, "orders": plan.orders, "seed": plan.seed}
     rows = []
-    for sense, curve in sight(touches, photographs, label, **sizes).items():
+    for sense, curve in sight(touches, photographs, label, **_sizes(plan)).items():
         for k, shares in curve.items():
             known = {"recogniser": sense, "touches": k, "objects": len(shares)}
             paper = LATER_SIGHT[label, sense].get(k)
@@ -207,9 +206,8 @@ def sight_rows(
 
 def moved_rows(plan: Corradi2015Plan, touches: Touches) -> list[Row]:
     """Return rows of `default`, and of the controls, on the move's other side."""
-    sizes = {"lengths": plan.touches, "orders": plan.orders, "seed": plan.seed}
     rows = []
-    for way, figures in moved(touches, **sizes).items():
+    for way, figures in moved(touches, **_sizes(plan)).items():
         curves = {DEFAULT: figures["accuracy"], **figures["controls"]}
         for name, curve in curves.items():
             for k, share in (curve or {}).items():
@@ -218,6 +216,10 @@ def moved_rows(plan: Corradi2015Plan, touches: Touches) -> list[Row]:
                 sd = figures["accuracy_sd"][k] if name == DEFAULT else None
                 rows.append(_row(MOVES[way], known, None, share, sd))
     return rows
+
+
+def _sizes(plan: Corradi2015Plan) -> dict[str, Any]:
+    return {"lengths": plan.touches, "orders": plan.orders, "seed": plan.seed}
 
 
 def _lacking(touches: Touches) -> str:

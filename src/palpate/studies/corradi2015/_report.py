@@ -7,7 +7,18 @@ import numpy as np
 
 from ..._types import Floats
 from ...evaluation import plots
-from .._report import Figures, Page, Row, Table, different, held, panels, pick, unique
+from .._report import (
+    Figures,
+    Page,
+    Row,
+    Table,
+    different,
+    held,
+    panels,
+    pick,
+    pivot,
+    unique,
+)
 from ._beside import MOVES, SIGHT
 from ._episodes import CLUSTERS, DEFAULT, FLOORED, MAIN
 from ._plan import (
@@ -119,11 +130,9 @@ def _pairs(confusion: dict[str, Any]) -> Table:
 
 def _unseen(rows: Sequence[Row]) -> Table:
     counts = unique(row["touches"] for row in rows)
-    lines = []
-    for data, preset, name in different(rows, "data", "recogniser", "unseen"):
-        mine = held(rows, data=data, recogniser=preset, unseen=name)
-        found = [_strongest(pick(mine, touches=k)) for k in counts]
-        lines.append([name, DATA_NAMES[data], preset, *found])
+    keys = ["unseen", "data", "recogniser"]
+    after = [{"touches": k} for k in counts]
+    lines = pivot(rows, keys, after, _strongest, DATA_NAMES)
     columns = ["never learnt", "data", "recogniser", *map(str, counts)]
     return "Mean belief in known objects after so many touches, %", columns, lines
 
@@ -174,8 +183,8 @@ def _accuracy(
         place.set_title(title, fontsize=9)
     axes[0, 0].set_ylabel("right, %")
     handles = axes[0, legend_of].get_legend_handles_labels()
-    where = {"loc": "outside lower center", "ncols": 3, "fontsize": 7}
-    figure.legend(*handles, frameon=False, **where)
+    look = {"ncols": 3, "fontsize": 7, "frameon": False}
+    figure.legend(*handles, loc="outside lower center", **look)
     return figure
 
 

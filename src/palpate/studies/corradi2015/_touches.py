@@ -120,10 +120,12 @@ class Encoder:
         """Return the disc without contact; without such a frame, the median disc."""
         if touches.no_contact is None:
             some = self.crop.transform(touches.images)
-            return standardise_discs(np.median(some, axis=0)[np.newaxis])[0]
-        frame = np.asarray(touches.no_contact)[np.newaxis]
-        disc: NDArray[np.float32] = self._discs(frame, self.crop.rims(frame))[0]
-        return disc
+            discs = standardise_discs(np.median(some, axis=0)[np.newaxis])
+        else:
+            frame = np.asarray(touches.no_contact)[np.newaxis]
+            discs = self._discs(frame, self.crop.rims(frame))
+        idle: NDArray[np.float32] = discs[0]
+        return idle
 
     def _discs(self, images: NDArray[Any], rims: Rims) -> NDArray[np.float32]:
         discs = crop_discs(images, rims, self.crop.disc_radius_, self.crop.size_)
@@ -143,7 +145,7 @@ def polar_fourier(discs: NDArray[np.float32]) -> Floats:
     row = (half + radius[:, None] * np.sin(angle)).astype(np.float32)
     rings = np.stack([cv2.remap(d, col, row, cv2.INTER_LINEAR) for d in discs])
     found = np.abs(np.fft.rfft(rings, axis=2))[:, :, :N_FREQUENCIES] / N_ANGLES
-    return found.reshape(len(discs), -1).astype(np.float64)
+    return np.asarray(found.reshape(len(discs), -1), dtype=np.float64)
 
 
 def moment_normalised(pressed: NDArray[np.float32]) -> Floats:
@@ -182,4 +184,5 @@ def _normalised(image: NDArray[np.float32]) -> Floats:
     maps = at_x.astype(np.float32), at_y.astype(np.float32)
     patch = cv2.remap(image, *maps, cv2.INTER_LINEAR).astype(np.float64)
     # Never empty: the centroid of what is pressed lies in it.
-    return (patch / max(patch.sum(), 1e-12)).ravel()
+    shares: Floats = patch / max(patch.sum(), 1e-12)
+    return shares.ravel()

@@ -174,7 +174,8 @@ class Neighbours:
 
     def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
         model = KNeighborsClassifier(self.k, algorithm="brute").fit(train, codes)
-        return model.predict(test)[np.newaxis]
+        named: Codes = model.predict(test)[np.newaxis]
+        return named
 
 
 @dataclass(frozen=True)

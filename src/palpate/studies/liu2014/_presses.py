@@ -106,7 +106,8 @@ def overlap(binary: NDArray[np.bool_], footprint: NDArray[np.bool_]) -> Floats:
     """Return the pixels in both as a share of those in either, shape (n_touches,)."""
     both = (binary & footprint).sum(axis=(1, 2))
     either = (binary | footprint).sum(axis=(1, 2))
-    return both / np.maximum(either, 1)
+    share: Floats = both / np.maximum(either, 1)
+    return share
 
 
 def footprints(touches: Touches, shape: tuple[int, int]) -> NDArray[np.bool_]:

@@ -20,7 +20,9 @@ from .._report import (
     panels,
     paper,
     pick,
+    pivot,
     unique,
+    with_paper,
 )
 from .._touches import labels
 from ._plan import Liu2014Plan
@@ -74,18 +76,16 @@ def _class_sets(rows: Sequence[Row]) -> Table:
     some = [r for r in rows if r["table"].startswith("Fig") and "condition" not in r]
     most = max((row["n"] for row in some if row.get("n")), default=0)
     encodings = ("FD", "GE", "FD+GE", "sorted pixels", "raw pixels")
-    lines = []
-    for data, classes, scaling in different(some, "data", "classes", "features"):
-        mine = held(some, data=data, classes=classes, features=scaling)
-        found = [
-            pick(mine, encoding=one, n=most if "FD" in one else None)
-            for one in encodings
-        ]
-        frame = " ({})" if data == "simulated" else ""
-        cells = [cell(row) + paper(row, frame) for row in found]
-        lines.append([DATA_NAMES[data], classes, scaling, *cells])
+    columns = [{"encoding": e, "n": most if "FD" in e else None} for e in encodings]
+    keys = ["data", "classes", "features"]
+    lines = pivot(some, keys, columns, _beside_paper, DATA_NAMES)
     title = f"Figs 12-14: 3-NN, n = {most} (paper in brackets)"
-    return title, ["data", "classes", "features", *encodings], lines
+    return title, [*keys, *encodings], lines
+
+
+def _beside_paper(row: Row | None) -> str:
+    real = row is not None and row["data"] != "simulated"
+    return cell(row) if real else with_paper(row)
 
 
 def _counts(rows: Sequence[Row]) -> Table:
@@ -93,14 +93,13 @@ def _counts(rows: Sequence[Row]) -> Table:
     some = [row for row in rows if row["table"] in ("Fig. 12", "Fig. 14")]
     counts = unique(row["n"] for row in some)
     keys = ["data", "classes", "encoding", "features"]
-    lines = []
-    for known in different(some, *keys):
-        mine = held(some, **dict(zip(keys, known, strict=True)))
-        found = [pick(mine, n=n) for n in counts]
-        values = ["-" if row is None else f"{row['ours']:.1f}" for row in found]
-        lines.append([DATA_NAMES[known[0]], *known[1:], *values])
+    lines = pivot(some, keys, [{"n": n} for n in counts], _mean, DATA_NAMES)
     heads = [*keys, *(f"n = {n}" for n in counts)]
     return "Figs 12 and 14: 3-NN against the number of descriptors", heads, lines
+
+
+def _mean(row: Row | None) -> str:
+    return "-" if row is None else f"{row['ours']:.1f}"
 
 
 def _conditions(

@@ -1,13 +1,12 @@
-"""The Zernike benchmark and the timing that all benchmarks share."""
+"""What benchmarks are made of: timing, rows, peers that compute the same, features."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from threadpoolctl import threadpool_info
 
-from palpate.bench import _zernike
+from palpate.bench import _encodings, _library, run_bench
 from palpate.bench._timing import one_thread, row
-from palpate.bench._zernike import bench_zernike, dense_basis
 from palpate.encodings import ZernikeMoments
 
 
@@ -35,8 +34,8 @@ def test_peers_compute_the_same_moments(rng):
     images = rng.uniform(0.1, 1, size=(2, 20, 20))
     ours = ZernikeMoments(6, method="sample").fit_transform(images)
     # Rounding: 1e-10 is asked of every peer.
-    assert_allclose(dense_basis(20, 6)(images), ours, atol=1e-10)
-    for peer, (encode, _) in _zernike._peers(20, 6).items():
+    assert_allclose(_encodings.dense_basis(20, 6)(images), ours, atol=1e-10)
+    for peer, (encode, _) in _encodings._peers(20, 6).items():
         if encode is None or peer == "dense basis":
             continue
         found = np.asarray(encode(images[:1])).ravel()
@@ -46,10 +45,10 @@ def test_peers_compute_the_same_moments(rng):
 
 def test_rows_name_size_type_mode_and_batch(monkeypatch):
     monkeypatch.setattr(
-        _zernike, "find_spec", lambda name: None if name == "mahotas" else name
+        _encodings, "find_spec", lambda name: None if name == "mahotas" else name
     )
-    monkeypatch.setattr(_zernike, "_centrosome", lambda size, order: np.sum)
-    rows = bench_zernike(size=16, order=4, n_touches=3, seconds=0.002)
+    monkeypatch.setattr(_encodings, "_centrosome", lambda size, order: np.sum)
+    rows = run_bench("zernike", size=16, order=4, n_touches=3, seconds=0.002)
     names = {r["name"] for r in rows}
     assert len(rows) == 3 * len(names) == 36
     assert "16 x 16 float64 sample single" in names
@@ -60,3 +59,10 @@ def test_rows_name_size_type_mode_and_batch(monkeypatch):
             assert "not installed" in r["reason"]
         else:
             assert r["ratio"] == r["peer_ms"] / r["ours_ms"]
+
+
+def test_stored_and_tested_touches_are_apart():
+    stored, labels, new = _library._features(None, 5000, 22, seed=0)
+    assert stored.shape == (5000, 22)
+    assert (labels[:100] == 0).all()
+    assert not set(map(tuple, new.round(9))) & set(map(tuple, stored.round(9)))
