@@ -109,18 +109,18 @@ def test_figures_by_hand():
     ]
     nested = nested_figure(settings, runs)
     # Run 1: (0.5 + 0.8) / 2, run 2: (0.6 + 0.4) / 2; sd with n - 1.
-    assert_allclose(nested.mean, 57.5)
-    assert_allclose(nested.sd, np.std([65, 50], ddof=1))
-    assert (nested.setting, nested.share) == ({"C": 2}, 0.75)
+    assert_allclose(nested["ours"], 57.5)
+    assert_allclose(nested["sd"], np.std([65, 50], ddof=1))
+    assert (nested["chosen"], nested["chosen_share"]) == ({"C": 2}, 0.75)
     paper = paper_figure(settings, runs)
-    assert_allclose(paper.mean, 70.0)
-    assert paper.setting == {"C": 2}
-    assert nested_figure(settings, runs[:1]).sd is None
+    assert_allclose(paper["ours"], 70.0)
+    assert paper["chosen"] == {"C": 2}
+    assert nested_figure(settings, runs[:1])["sd"] is None
 
 
 def test_halves_of_uneven_size_are_pooled_by_touches():
     run = [Half(0, np.array([1.0]), 30), Half(0, np.array([0.0]), 10)]
-    assert nested_figure([{}], [run]).mean == pytest.approx(75)
+    assert nested_figure([{}], [run])["ours"] == pytest.approx(75)
 
 
 def test_scaling_is_that_of_the_training_half(clouds, halves):

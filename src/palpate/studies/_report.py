@@ -4,7 +4,6 @@ matplotlib is the extra `plot`, imported where it is used.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from types import MappingProxyType
@@ -123,41 +122,23 @@ def panels(
     return figure, axes
 
 
-@dataclass(frozen=True)
-class Page:
-    """What frames a study's tables and pictures.
+def write_page(
+    target: Path, title: str, text: str, tables: Iterable[Table], figures: Figures
+) -> Path:
+    """Write a page that loads nothing from elsewhere; figures by their captions."""
+    from ..evaluation import PAGE_STYLE, plots
 
-    `captions` are those of the pictures by name; `introduction` makes the first
-    paragraph of a result.
-    """
-
-    title: str
-    captions: Mapping[str, str]
-    introduction: Callable[[dict[str, Any]], str]
-
-    def write(
-        self,
-        path: str | Path,
-        result: dict[str, Any],
-        tables: Sequence[Table],
-        pictures: Callable[[dict[str, Any]], Figures],
-    ) -> Path:
-        """Write a page that loads nothing from elsewhere."""
-        from ..evaluation import PAGE_STYLE, check_report_path, plots
-
-        target = check_report_path(path)
-        title, text = escape(self.title), escape(self.introduction(result))
-        sections = [f"<h1>{title}</h1><p>{text}</p>", *map(_table, tables)]
-        for name, figure in pictures(result).items():
-            caption = escape(self.captions[name])
-            sections.append(f"<p>{plots._svg(figure)}</p><p class=note>{caption}</p>")
-        head = (
-            "<!doctype html><html lang=en><meta charset=utf-8>"
-            "<meta name=viewport content='width=device-width,initial-scale=1'>"
-            f"<title>{title}</title><style>{PAGE_STYLE}</style><body>"
-        )
-        write_text(target, head + "".join(sections) + "</body></html>")
-        return target
+    sections = [f"<h1>{escape(title)}</h1><p>{escape(text)}</p>", *map(_table, tables)]
+    for caption, figure in figures.items():
+        drawn, below = plots._svg(figure), escape(caption)
+        sections.append(f"<p>{drawn}</p><p class=note>{below}</p>")
+    head = (
+        "<!doctype html><html lang=en><meta charset=utf-8>"
+        "<meta name=viewport content='width=device-width,initial-scale=1'>"
+        f"<title>{escape(title)}</title><style>{PAGE_STYLE}</style><body>"
+    )
+    write_text(target, head + "".join(sections) + "</body></html>")
+    return target
 
 
 def _table(table: Table) -> str:

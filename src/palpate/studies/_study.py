@@ -5,6 +5,7 @@ it is imported when the study is first used.
 """
 
 import time
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from importlib import import_module
@@ -15,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from .._checks import check_count
 from .._parallel import in_parallel
-from ._report import Figures, Page, Table
+from ._report import Figures, Table, write_page
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,15 @@ class Work:
         )
 
 
+def fitted(model: Any, *known: Any) -> Any:
+    """Return `model.fit(*known)`, converged or not."""
+    from sklearn.exceptions import ConvergenceWarning
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        return model.fit(*known)
+
+
 def on_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
     """Return `function(*arguments)`, its linear algebra on one thread."""
     with threadpool_limits(limits=1):
@@ -69,14 +79,17 @@ class Experiment:
     """What a paper's subpackage brings.
 
     `measure(plan, data, work)` returns `rows`, `skipped` and what else the result
-    holds; `tables` and `pictures` are made of a result, `page` frames them.
+    holds; `tables`, `pictures` and the `introduction` of its page are made of a result.
+    `captions` are those of the pictures, by name.
     """
 
     plan: type[Plan]
     measure: Callable[[Any, str | Path | None, Work], dict[str, Any]]
     tables: Callable[[dict[str, Any]], list[Table]]
     pictures: Callable[[dict[str, Any]], Figures]
-    page: Page
+    introduction: Callable[[dict[str, Any]], str]
+    title: str
+    captions: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -157,8 +170,15 @@ class Study:
         ImportError
             matplotlib is not installed.
         """
+        from ..evaluation import check_report_path
+
         one = self._experiment
-        return one.page.write(path, result, self.tables(result), one.pictures)
+        target = check_report_path(path)
+        figures = {
+            one.captions[name]: figure for name, figure in one.pictures(result).items()
+        }
+        words = (one.title, one.introduction(result))
+        return write_page(target, *words, one.tables(result), figures)
 
     def write_pictures(self, folder: str | Path, result: dict[str, Any]) -> list[Path]:
         """Write the pictures as `<study>-<name>.png` into an existing folder."""

@@ -21,7 +21,7 @@ from ._methods import encode as encode
 from ._plan import CLASSIFIERS, VARIANTS, Corradi2014Plan
 from ._plan import COUNTS as COUNTS
 from ._plan import TABLE_2 as TABLE_2
-from ._report import PAGE, pictures, tables
+from ._report import CAPTIONS, TITLE, introduction, pictures, tables
 from ._shapes import TACTIP, Shapes, near_duplicates, recorded_shapes, simulated_shapes
 from ._shapes import variants as variants
 from ._unseen import CANDIDATES as CANDIDATES
@@ -94,6 +94,8 @@ def _unseen_rows(seen: Recording, plan: Corradi2014Plan, work: Work) -> list[Row
     return [row for some in rows for row in some] + compared_rows(results)
 
 
-EXPERIMENT = Experiment(Corradi2014Plan, _measure, tables, pictures, PAGE)
+EXPERIMENT = Experiment(
+    Corradi2014Plan, _measure, tables, pictures, introduction, TITLE, CAPTIONS
+)
 
 __all__ = ["EXPERIMENT", "Corradi2014Plan"]

@@ -1,12 +1,10 @@
 """Encodings and classifiers of the Corradi 2014 study, over numbers of components."""
 
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy.linalg import eigh
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.neighbors import KNeighborsClassifier
 from sklearn.neural_network import MLPClassifier
 from sklearn.pipeline import make_pipeline
@@ -15,6 +13,7 @@ from sklearn.preprocessing import StandardScaler
 from ..._types import Floats
 from ...classifiers import KernelDensityNaiveBayes, OnePerLabelSVC
 from ...encodings import encoder_named
+from .._study import fitted
 from .._touches import Codes
 from ._shapes import Images
 
@@ -79,13 +78,13 @@ def encode(
     `asked` are the same touches as they look when they test, None if no different.
     """
     if name == "scaled-pixels":
-        fitted = {n: encoder_named(name, n).fit(known) for n in counts}
+        encoders = {n: encoder_named(name, n).fit(known) for n in counts}
     else:
         options = {"side": PCA_SIDE} if name == "oriented-pca" else {}
-        fitted = {0: encoder_named(PRINCIPAL.get(name, name), **options).fit(known)}
+        encoders = {0: encoder_named(PRINCIPAL.get(name, name), **options).fit(known)}
 
     def features(images: Images) -> dict[int, Floats]:
-        every = {n: encoder.transform(images) for n, encoder in fitted.items()}
+        every = {n: encoder.transform(images) for n, encoder in encoders.items()}
         if name in PRINCIPAL or name == "scaled-pixels":
             return every
         return {n: every[0][:, :n] for n in counts}
@@ -114,11 +113,8 @@ def classifier(name: str, seed: int) -> Any:
 
 def answers(name: str, train: Floats, codes: Codes, test: Floats, seed: int) -> Codes:
     """Return the label that a classifier gives to each test touch."""
-    with warnings.catch_warnings():
-        # The network stops after so many steps, converged or not.
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        fitted = classifier(name, seed).fit(train, codes)
-    predicted: Codes = fitted.predict(test)
+    # The network stops after so many steps, converged or not.
+    predicted: Codes = fitted(classifier(name, seed), train, codes).predict(test)
     return predicted
 
 

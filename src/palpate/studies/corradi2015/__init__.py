@@ -38,7 +38,7 @@ from ._recognisers import ClusterBayes as ClusterBayes
 from ._recognisers import Densities as Densities
 from ._recognisers import Mixtures as Mixtures
 from ._recognisers import Nuisance as Nuisance
-from ._report import PAGE, pictures, tables
+from ._report import CAPTIONS, TITLE, introduction, pictures, tables
 from ._rows import accuracy as accuracy
 from ._rows import confusion as confusion
 from ._rows import confusions, experiment_rows, timing_rows, unseen_rows
@@ -95,6 +95,8 @@ def _measure(
     }
 
 
-EXPERIMENT = Experiment(Corradi2015Plan, _measure, tables, pictures, PAGE)
+EXPERIMENT = Experiment(
+    Corradi2015Plan, _measure, tables, pictures, introduction, TITLE, CAPTIONS
+)
 
 __all__ = ["EXPERIMENT", "Corradi2015Plan"]

@@ -73,19 +73,11 @@ def sight(
 ) -> dict[str, dict[int, Floats]]:
     """Recognise by touch, by one photograph and by both, with the preset `default`.
 
-    Parameters
-    ----------
-    touches : Touches
-        With `object` and `category`; those without a photograph are left out.
-    photographs : Photographs
-    label : {"object", "category"}
-        Objects: the last touches of each recording, every other photograph being
-        learnt. Categories: of objects that were neither touched nor seen before.
-    lengths : sequence of int
-        Numbers of touches.
-    orders : int, default=20
-        Random orders of each object's touches, each with a photograph at random.
-    seed : int, default=0
+    With the label "object" the last touches of each recording are tested, and every
+    other photograph is learnt; with "category" those of objects that were neither
+    touched nor seen before. Touches without a photograph are left out; `lengths` are
+    numbers of touches, `orders` random orders of each object's touches, each with a
+    photograph at random.
 
     Returns
     -------
@@ -112,20 +104,9 @@ def moved(
 ) -> dict[str, dict[str, Any]]:
     """Learn all objects, and the moved ones on one side of their move alone.
 
-    Parameters
-    ----------
-    touches : Touches
-        With `order` and the rim's place in a column: it says when the camera moved,
-        and is not recognised by.
-    lengths : sequence of int
-    orders : int, default=20
-    seed : int, default=0
-
-    Returns
-    -------
-    figures : dict
-        For each of `WAYS` what `palpate.evaluation.evaluate` says of the moved
-        objects' touches on the other side.
+    The touches have an `order`, and the rim's place in a column: it says when the
+    camera moved, and is not recognised by. Returns, for each of `WAYS`, what
+    `palpate.evaluation.evaluate` says of the moved objects' touches on the other side.
     """
     early = before_the_move(touches)
     mine = np.isin(labels(touches), MOVED)

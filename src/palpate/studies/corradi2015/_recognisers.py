@@ -5,22 +5,21 @@ object, one after the other. It is never given the labels of what it answers for
 Labels are whole numbers without gaps.
 """
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.special import log_softmax
 from sklearn.cluster import KMeans
 from sklearn.decomposition import PCA
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.mixture import GaussianMixture
 from sklearn.preprocessing import StandardScaler
 
 from ..._types import Array, Floats
 from ...classifiers import KernelDensityBayes, KernelRidgeClassifier
 from ...recognition import with_floor
+from .._study import fitted
 from .._touches import Codes
 
 # Share of the training touches that choose the number of clusters.
@@ -226,11 +225,10 @@ def principal_components(train: Floats) -> PCA:
 
 
 def _words(train: Floats, n_clusters: int, seed: int) -> KMeans:
+    # Fewer different touches than clusters leave some clusters empty.
     clusters = KMeans(min(n_clusters, len(train)), n_init=1, random_state=seed)
-    with warnings.catch_warnings():
-        # Fewer different touches than clusters leave some clusters empty.
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        return clusters.fit(train)
+    found: KMeans = fitted(clusters, train)
+    return found
 
 
 def _histograms(words: Array, codes: Codes, n_clusters: int) -> Floats:
@@ -240,13 +238,10 @@ def _histograms(words: Array, codes: Codes, n_clusters: int) -> Floats:
     return counts
 
 
-def _mixture(
-    touches: Floats, components: int, lift: float, seed: int
-) -> GaussianMixture:
-    model = GaussianMixture(components, reg_covar=lift, random_state=seed)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        return model.fit(touches)
+def _mixture(touches: Floats, components: int, lift: float, seed: int) -> Any:
+    return fitted(
+        GaussianMixture(components, reg_covar=lift, random_state=seed), touches
+    )
 
 
 def _is_singular(touches: Floats, components: int, seed: int) -> bool:

@@ -7,18 +7,8 @@ import numpy as np
 
 from ..._types import Floats
 from ...evaluation import plots
-from .._report import (
-    Figures,
-    Page,
-    Row,
-    Table,
-    different,
-    held,
-    panels,
-    pick,
-    pivot,
-    unique,
-)
+from .. import _report as shared
+from .._report import Figures, Row, Table
 from ._beside import MOVES, SIGHT
 from ._episodes import CLUSTERS, DEFAULT, FLOORED, MAIN
 from ._plan import (
@@ -29,6 +19,16 @@ from ._plan import (
     PAPER_CLUSTERS,
 )
 
+TITLE = "Ten objects, touch by touch: Corradi et al. (2015) beside ours"
+CAPTIONS = {
+    "accuracy": "Right against touches, as the paper's Fig. 7; the bands are one "
+    "standard deviation over partitions.",
+    "confusion": "Answers (columns) for each object touched (rows), in per cent, "
+    "as the paper's Fig. 6.",
+    "unseen": "Mean belief in the known objects while an object is touched that "
+    "was never learnt, as the paper's Fig. 8.",
+    "later": "The first author's later experiments on these recordings.",
+}
 DATA_NAMES = {"simulated": "simulated", "bathtip": "recorded"}
 _FIRST = {MAIN: 0, DEFAULT: 1}
 _TITLES = {
@@ -74,12 +74,15 @@ def tables(result: dict[str, Any]) -> list[Table]:
     """Return (title, columns, rows) of every table, figures in per cent."""
     rows = result["rows"]
     made = [
-        _curves(experiment, data, held(rows, table=experiment, data=data))
+        _curves(experiment, data, shared.held(rows, table=experiment, data=data))
         for experiment in _TITLES
-        for data in unique(row["data"] for row in rows)
+        for data in shared.unique(row["data"] for row in rows)
     ]
     made += [_mixtures(rows), _pairs(result["confusion"])]
-    made += [_unseen(held(rows, table="unseen")), _timings(held(rows, table="timings"))]
+    made += [
+        _unseen(shared.held(rows, table="unseen")),
+        _timings(shared.held(rows, table="timings")),
+    ]
     return [table for table in made if table[2]]
 
 
@@ -90,9 +93,9 @@ def _curves(experiment: str, data: str, rows: Sequence[Row]) -> Table:
         [label, *(f"{figures[k]:g}" if k in figures else "-" for k in counts)]
         for label, figures in _PAPER_LINES.get(experiment, [])
     ]
-    names = unique(row["recogniser"] for row in rows)
+    names = shared.unique(row["recogniser"] for row in rows)
     for name in sorted(names, key=lambda name: _FIRST.get(name, len(_FIRST))):
-        found = [_short(pick(rows, recogniser=name, touches=k)) for k in counts]
+        found = [_short(shared.pick(rows, recogniser=name, touches=k)) for k in counts]
         lines.append([name, *found])
     title = f"{_TITLES[experiment]}, {DATA_NAMES[data]}: right after so many touches, %"
     return title, ["recogniser", *map(str, counts)], lines if rows else []
@@ -109,8 +112,8 @@ def _short(row: Row | None) -> str:
 def _mixtures(rows: Sequence[Row]) -> Table:
     some = [row for row in rows if "singular" in row]
     lines = []
-    for data, name in different(some, "data", "recogniser"):
-        (row, *_) = held(some, data=data, recogniser=name)
+    for data, name in shared.different(some, "data", "recogniser"):
+        (row, *_) = shared.held(some, data=data, recogniser=name)
         numbers = [f"{row[key]:.0f}" for key in ("n_features", "parameters")]
         lines.append([name, DATA_NAMES[data], *numbers, f"{row['singular']:.0f}"])
     columns = ["recogniser", "data", "features", "numbers to learn", "singular, %"]
@@ -129,10 +132,10 @@ def _pairs(confusion: dict[str, Any]) -> Table:
 
 
 def _unseen(rows: Sequence[Row]) -> Table:
-    counts = unique(row["touches"] for row in rows)
+    counts = shared.unique(row["touches"] for row in rows)
     keys = ["unseen", "data", "recogniser"]
     after = [{"touches": k} for k in counts]
-    lines = pivot(rows, keys, after, _strongest, DATA_NAMES)
+    lines = shared.pivot(rows, keys, after, _strongest, DATA_NAMES)
     columns = ["never learnt", "data", "recogniser", *map(str, counts)]
     return "Mean belief in known objects after so many touches, %", columns, lines
 
@@ -153,19 +156,23 @@ def _timings(rows: Sequence[Row]) -> Table:
 def pictures(result: dict[str, Any]) -> Figures:
     """Return the figures "accuracy", "confusion", "unseen" and, if run, "later"."""
     rows = result["rows"]
-    known = held(rows, table="ten objects")
+    known = shared.held(rows, table="ten objects")
     sides = [
-        (held(known, data=data), PAPER, f"{DATA_NAMES[data]} touches")
-        for data in unique(row["data"] for row in known)
+        (shared.held(known, data=data), PAPER, f"{DATA_NAMES[data]} touches")
+        for data in shared.unique(row["data"] for row in known)
     ]
     drawn = {
         "accuracy": _accuracy(sides, 4.6, legend_of=-1),
         "confusion": _confusion(result["confusion"]),
         "unseen": _beliefs(result),
     }
-    category = held(rows, table="category")
+    category = shared.held(rows, table="category")
     if category:
-        every = (held(rows, table="all objects"), LATER_OBJECTS, "all recorded objects")
+        every = (
+            shared.held(rows, table="all objects"),
+            LATER_OBJECTS,
+            "all recorded objects",
+        )
         unseen = (category, LATER_CATEGORY, "category of objects never touched")
         drawn["later"] = _accuracy([every, unseen], 4.2, legend_of=0)
     return drawn
@@ -177,7 +184,7 @@ def _accuracy(
     legend_of: int,
 ) -> Any:
     """Draw accuracy against touches, one panel per (rows, published figures, title)."""
-    figure, axes = panels(1, len(sides), (4.4 * len(sides), height))
+    figure, axes = shared.panels(1, len(sides), (4.4 * len(sides), height))
     for place, (rows, figures, title) in zip(axes[0], sides, strict=True):
         _lines(place, rows, figures)
         place.set_title(title, fontsize=9)
@@ -190,7 +197,7 @@ def _accuracy(
 
 def _lines(place: Any, rows: Sequence[Row], figures: dict[int, float]) -> None:
     for name, (colour, line, width) in _STYLES.items():
-        found = held(rows, recogniser=name)
+        found = shared.held(rows, recogniser=name)
         if not found:
             continue
         touches = [row["touches"] for row in found]
@@ -211,7 +218,7 @@ def _confusion(confusion: dict[str, Any]) -> Any:
     """Draw the confusion matrices of each data after a few and after more touches."""
     n_columns = max(len(found["after"]) for found in confusion.values())
     size = (4.5 * n_columns, 4.2 * len(confusion))
-    figure, axes = panels(len(confusion), n_columns, size)
+    figure, axes = shared.panels(len(confusion), n_columns, size)
     for line, (data, found) in zip(axes, confusion.items(), strict=True):
         names = [name.replace("_", " ") for name in found["names"]]
         for place, (k, matrix) in zip(line, found["after"].items(), strict=True):
@@ -237,7 +244,7 @@ def _beliefs(result: dict[str, Any]) -> Any:
     found = {data: one[MAIN] for data, one in result["unseen"].items()}
     n_columns = max(len(curves) for curves in found.values())
     size = (2.5 * n_columns, 2.7 * len(found))
-    figure, axes = panels(len(found), n_columns, size)
+    figure, axes = shared.panels(len(found), n_columns, size)
     for line, (data, curves) in zip(axes, found.items(), strict=True):
         names = result["confusion"][data]["names"]
         for place, (thing, curve) in zip(line, curves.items(), strict=False):
@@ -265,7 +272,8 @@ def _three_strongest(place: Any, curve: Floats, names: Sequence[str]) -> None:
     place.legend(frameon=False, fontsize=6, loc="upper left")
 
 
-def _introduction(result: dict[str, Any]) -> str:
+def introduction(result: dict[str, Any]) -> str:
+    """Return the first paragraph of the page."""
     plan = result["plan"]
     recorded = " ".join(result["skipped"]) or (
         "Recorded touches are a later set than the paper's own: the first object of "
@@ -284,18 +292,3 @@ def _introduction(result: dict[str, Any]) -> str:
         "Bags of touches reached 90 % after about 60 touches of five objects in "
         f"Pezzementi et al. (2011). {recorded}"
     )
-
-
-PAGE = Page(
-    "Ten objects, touch by touch: Corradi et al. (2015) beside ours",
-    {
-        "accuracy": "Right against touches, as the paper's Fig. 7; the bands are one "
-        "standard deviation over partitions.",
-        "confusion": "Answers (columns) for each object touched (rows), in per cent, "
-        "as the paper's Fig. 6.",
-        "unseen": "Mean belief in the known objects while an object is touched that "
-        "was never learnt, as the paper's Fig. 8.",
-        "later": "The first author's later experiments on these recordings.",
-    },
-    _introduction,
-)

@@ -33,7 +33,6 @@ _FIGURES: dict[tuple[str, str], dict[int, float]] = {
     ("all objects", MAIN): LATER_OBJECTS,
     ("category", MAIN): LATER_CATEGORY,
 }
-_REPEATS, _ENCODED = 15, 60
 SIZES = (600, 1200)
 
 
@@ -149,10 +148,22 @@ def unseen_rows(beliefs: dict[str, dict[str, Floats]], objects: Objects) -> list
 def timing_rows(touches: Touches, data: str) -> list[Row]:
     """Return CPU milliseconds, medians, one touch at a time."""
     some = touches[np.arange(min(len(touches), max(SIZES)))]
-    encoder = Encoder(some, bags=False)
-    discs = encoder.crop.transform(some.images)
-    values = encoder.moments.fit(discs).transform(discs)
-    rows = _encoding(encoder, some, discs)
+    encoder, images = Encoder(some, bags=False), some.images
+    discs = encoder.crop.transform(images)
+    moments = encoder.moments.fit(discs)
+    values = moments.transform(discs)
+
+    def whole(i: int) -> None:
+        moments.transform(encoder.crop.transform(images[i : i + 1]))
+
+    def alone(i: int) -> None:
+        moments.transform(discs[i : i + 1])
+
+    disc, frame = (" x ".join(map(str, one.shape[1:])) for one in (discs, images))
+    rows = [
+        _timed(f"Zernike moments of a disc, {disc}", PAPER_MS["encode", 0], alone),
+        _timed(f"rim, disc and moments of an image, {frame}", None, whole),
+    ]
     for size in SIZES:
         if len(values) >= size:
             rows += _learning(values[:size])
@@ -163,23 +174,6 @@ def _idle_curve(answered: Iterable[Answered]) -> Floats:
     """Return the share right of all touches without contact, however they fell."""
     right = np.concatenate([one.answers[:, 0] == one.truth for one in answered])
     return np.array([[right.mean()]])
-
-
-def _encoding(encoder: Encoder, touches: Touches, discs: Any) -> list[Row]:
-    shape = " x ".join(map(str, touches.images.shape[1:]))
-    moments, side = encoder.moments, discs.shape[1]
-
-    def whole(i: int) -> None:
-        moments.transform(encoder.crop.transform(touches.images[i : i + 1]))
-
-    def alone(i: int) -> None:
-        moments.transform(discs[i : i + 1])
-
-    paper = PAPER_MS["encode", 0]
-    return [
-        _timed(f"Zernike moments of a disc, {side} x {side}", paper, alone, _ENCODED),
-        _timed(f"rim, disc and moments of an image, {shape}", None, whole, _ENCODED),
-    ]
 
 
 def _learning(values: Floats) -> list[Row]:
@@ -196,15 +190,15 @@ def _learning(values: Floats) -> list[Row]:
     def recognise(i: int) -> None:
         model.log_likelihood(principal.transform(values[i : i + 1]))
 
-    paper = [PAPER_MS[what, size] for what in ("learn", "recognise")]
+    learning, recognising = (PAPER_MS[what, size] for what in ("learn", "recognise"))
     return [
-        _timed(f"learn {size} touches", paper[0], learn, _REPEATS),
-        _timed(f"recognise a touch among {size}", paper[1], recognise, _ENCODED),
+        _timed(f"learn {size} touches", learning, learn, times=15),
+        _timed(f"recognise a touch among {size}", recognising, recognise),
     ]
 
 
 def _timed(
-    name: str, paper: float | None, work: Callable[[int], object], times: int
+    name: str, paper: float | None, work: Callable[[int], object], times: int = 60
 ) -> Row:
     spent = []
     work(0)

@@ -26,7 +26,7 @@ from ._presses import count_pieces as count_pieces
 from ._presses import encode as encode
 from ._presses import footprints as footprints
 from ._presses import overlap as overlap
-from ._report import PAGE, pictures, tables
+from ._report import CAPTIONS, TITLE, introduction, pictures, tables
 
 
 def _measure(plan: Liu2014Plan, data: str | Path | None, work: Work) -> dict[str, Any]:
@@ -39,6 +39,8 @@ def _measure(plan: Liu2014Plan, data: str | Path | None, work: Work) -> dict[str
     return {"rows": rows, "skipped": [real] if isinstance(real, str) else []}
 
 
-EXPERIMENT = Experiment(Liu2014Plan, _measure, tables, pictures, PAGE)
+EXPERIMENT = Experiment(
+    Liu2014Plan, _measure, tables, pictures, introduction, TITLE, CAPTIONS
+)
 
 __all__ = ["EXPERIMENT", "REAL", "Liu2014Plan", "reposed_presses", "simulated_presses"]

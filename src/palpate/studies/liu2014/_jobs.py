@@ -81,17 +81,7 @@ class Job:
         for protocol in plan.protocols[:1] if single else plan.protocols:
             summary = nested_figure if protocol == "nested" else paper_figure
             figure = summary(self.method.settings, runs)
-            yield {
-                "name": self.row["name"],
-                "paper": self.row["paper"],
-                "ours": figure.mean,
-                "sd": figure.sd,
-                "data": self.row["data"],
-                "protocol": protocol,
-                **self.row,
-                "chosen": figure.setting,
-                "chosen_share": figure.share,
-            }
+            yield {**self.row, "protocol": protocol, **figure}
 
 
 def run_jobs(jobs: Sequence[Job], plan: Liu2014Plan, work: Work) -> list[Row]:
@@ -214,35 +204,31 @@ def _controls(plan: Liu2014Plan, touches: Touches) -> Iterator[Job]:
 
 def _figures(plan: Liu2014Plan, encoded: Encoded, touches: Touches) -> Iterator[Job]:
     """3-NN on each class set: FD, GE, both, and two controls."""
+    compared: list[tuple[str, str, int | None]] = [("Fig. 13", "GE", None)]
+    for n in plan.counts:
+        compared += [("Fig. 12", "FD", n), ("Fig. 14", "FD+GE", n)]
+    pixels = _pixels(touches)
+    compared += [("Figs 12-14", encoding, None) for encoding in pixels]
     part = touches.columns.get("part")
     sets = {"all": np.ones(len(touches), dtype=bool)}
     if part is not None:
         sets = {name: np.isin(part, some) for name, some in plan.class_sets.items()}
-    for classes, held in sets.items():
-        for figure, encoding, n, features in _figure_features(plan, encoded, touches):
-            shown = "" if n is None else f", n = {n}"
-            known = FIGURES.get((encoding, classes))
-            row = {
-                "name": f"{encoding} k-NN{shown}, {classes}",
-                "table": figure,
-                "paper": known if n in (None, PAPER_N) else None,
-                "encoding": encoding,
-                "classes": classes,
-                "n": n,
-                "partitions": PAPER_PARTITIONS,
-            }
-            yield from _jobs(row, features[held], coded(touches)[held], Neighbours())
-
-
-def _figure_features(
-    plan: Liu2014Plan, encoded: Encoded, touches: Touches
-) -> Iterator[tuple[str, str, int | None, Floats]]:
-    yield "Fig. 13", "GE", None, encoded.geometry
-    for n in plan.counts:
-        yield "Fig. 12", "FD", n, encoded.features("FD", n)
-        yield "Fig. 14", "FD+GE", n, encoded.features("FD+GE", n)
-    for encoding, features in _pixels(touches).items():
-        yield "Figs 12-14", encoding, None, features
+    asked = [(classes, *one) for classes in sets for one in compared]
+    for classes, figure, encoding, n in asked:
+        held, known = sets[classes], FIGURES.get((encoding, classes))
+        row = {
+            "name": f"{encoding} k-NN{'' if n is None else f', n = {n}'}, {classes}",
+            "table": figure,
+            "paper": known if n in (None, PAPER_N) else None,
+            "encoding": encoding,
+            "classes": classes,
+            "n": n,
+            "partitions": PAPER_PARTITIONS,
+        }
+        features = pixels.get(encoding)
+        if features is None:
+            features = encoded.features(encoding, n or 0)
+        yield from _jobs(row, features[held], coded(touches)[held], Neighbours())
 
 
 def _jobs(row: Row, features: Floats, codes: Codes, method: Method) -> Iterator[Job]:

@@ -8,14 +8,12 @@ figure. Labels are whole numbers. Kernel widths are in median distances of the t
 touches, so that one grid serves z-scored and raw features.
 """
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from scipy.spatial.distance import pdist
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.model_selection import StratifiedKFold
 from sklearn.neighbors import KNeighborsClassifier
 from sklearn.svm import SVC
@@ -23,7 +21,8 @@ from sklearn.svm import SVC
 from ..._types import Floats
 from ...classifiers import MKLSVC
 from ...encodings import KernelPCA
-from .._report import spread
+from .._report import Row, spread
+from .._study import fitted
 from .._touches import Codes
 
 Setting = dict[str, Any]
@@ -51,20 +50,6 @@ class Half:
     chosen: int
     right: Floats
     n_test: int
-
-
-@dataclass(frozen=True)
-class Figure:
-    """Mean and standard deviation over runs, in per cent, and the setting behind.
-
-    `sd` is None after a single run. `share` is the share of halves that chose
-    `setting`, the most frequent one.
-    """
-
-    mean: float
-    sd: float | None
-    setting: Setting
-    share: float
 
 
 @dataclass(frozen=True)
@@ -133,25 +118,33 @@ class Twofold:
         return method.answers(known, codes[train], asked)
 
 
-def nested_figure(settings: Sequence[Setting], runs: Sequence[list[Half]]) -> Figure:
-    """Return what the settings chosen inside the training halves achieve."""
+def nested_figure(settings: Sequence[Setting], runs: Sequence[list[Half]]) -> Row:
+    """Return what the settings chosen inside the training halves achieve.
+
+    `ours` and `sd` are mean and standard deviation over runs in per cent (None after a
+    single run), `chosen` is the most frequent setting, and `chosen_share` the share of
+    halves that chose it.
+    """
     shares = np.array([_pooled(run, [half.chosen for half in run]) for run in runs])
     chosen = np.array([half.chosen for run in runs for half in run])
     counts = np.bincount(chosen, minlength=len(settings))
     most = int(counts.argmax())
-    share = float(counts[most] / len(chosen))
-    per_cent = 100 * shares
-    return Figure(float(per_cent.mean()), spread(per_cent), settings[most], share)
+    return _figure(shares, settings[most], float(counts[most] / len(chosen)))
 
 
-def paper_figure(settings: Sequence[Setting], runs: Sequence[list[Half]]) -> Figure:
+def paper_figure(settings: Sequence[Setting], runs: Sequence[list[Half]]) -> Row:
     """Return the setting that is best on these very runs, as the paper does."""
     shares = np.array(
         [[_pooled(run, [s] * len(run)) for s in range(len(settings))] for run in runs]
     )
     best = int(shares.mean(axis=0).argmax())
-    per_cent = 100 * shares[:, best]
-    return Figure(float(per_cent.mean()), spread(per_cent), settings[best], 1.0)
+    return _figure(shares[:, best], settings[best], 1.0)
+
+
+def _figure(shares: Floats, setting: Setting, chosen_share: float) -> Row:
+    per_cent = 100 * shares
+    figure = {"ours": float(per_cent.mean()), "sd": spread(per_cent)}
+    return {**figure, "chosen": setting, "chosen_share": chosen_share}
 
 
 def _pooled(run: Sequence[Half], settings: Sequence[int]) -> float:
@@ -212,11 +205,9 @@ class MKL:
         return [{"C": C} for C in self.costs]
 
     def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
+        # One pair of many that stops short of a gap of 1e-6 is still a machine.
         machines = [MKLSVC(C=C, probability=False) for C in self.costs]
-        with warnings.catch_warnings():
-            # One pair of many that stops short of a gap of 1e-6 is still a machine.
-            warnings.simplefilter("ignore", ConvergenceWarning)
-            return np.stack([m.fit(train, codes).predict(test) for m in machines])
+        return np.stack([fitted(m, train, codes).predict(test) for m in machines])
 
 
 @dataclass(frozen=True)

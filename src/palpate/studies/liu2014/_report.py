@@ -9,25 +9,22 @@ from ...evaluation import plots
 from ...images import stage_pictures
 from ...simulation import find_parts
 from ...touches import Touches
-from .._report import (
-    Figures,
-    Page,
-    Row,
-    Table,
-    cell,
-    different,
-    held,
-    panels,
-    paper,
-    pick,
-    pivot,
-    unique,
-    with_paper,
-)
+from .. import _report as shared
+from .._report import Figures, Row, Table
 from .._touches import labels
 from ._plan import Liu2014Plan
 from ._presses import simulated_presses
 
+TITLE = "One press of a pressure array: Liu et al. (2014) beside ours"
+CAPTIONS = {
+    "stages": "The clean-up of simulated presses, stage by stage, as the paper's "
+    "Fig. 10; the last three are thresholded as a whole, and on 2 x 2 and 3 x 3 "
+    "partitions.",
+    "parts": "Simulated presses of every part, with the outline of where it lay.",
+    "conditions": "Load (cover 0.9 mm) and cover (4 kgf), as the paper's Figs 5 "
+    "and 6 ask: accuracy, presses whose binary image falls into several pieces, "
+    "and its overlap with the part's true face.",
+}
 DATA_NAMES = {"simulated": "simulated", "taxel10x10": "real"}
 PRESSES_SHOWN = 5
 STAGES_SHOWN = 3
@@ -45,8 +42,8 @@ def tables(result: dict[str, Any]) -> list[Table]:
     """Return (title, columns, rows) of every table, figures in per cent."""
     rows = result["rows"]
     made = [
-        _methods("Table 2", held(rows, table="Table 2")),
-        _methods("Controls, and our moments", held(rows, table="controls")),
+        _methods("Table 2", shared.held(rows, table="Table 2")),
+        _methods("Controls, and our moments", shared.held(rows, table="controls")),
         _class_sets(rows),
         _counts(rows),
         _conditions("Load, cover 0.9 mm", "load, kgf", "load_kgf", rows, "Fig. 5"),
@@ -57,16 +54,19 @@ def tables(result: dict[str, Any]) -> list[Table]:
 
 def _methods(title: str, rows: Sequence[Row]) -> Table:
     """One line per method and scaling; a column per data and protocol."""
-    columns = different(rows, "data", "protocol")
+    columns = shared.different(rows, "data", "protocol")
     lines = []
-    for name, scaling in different(rows, "name", "features"):
-        mine = held(rows, name=name, features=scaling)
+    for name, scaling in shared.different(rows, "name", "features"):
+        mine = shared.held(rows, name=name, features=scaling)
         # Where nothing is chosen there is one row, which stands for both protocols.
         shown = [
-            pick(mine, data=data, protocol=protocol) or pick(mine, data=data)
+            shared.pick(mine, data=data, protocol=protocol)
+            or shared.pick(mine, data=data)
             for data, protocol in columns
         ]
-        lines.append([name, scaling, paper(mine[0]) or "-", *map(cell, shown)])
+        lines.append(
+            [name, scaling, shared.paper(mine[0]) or "-", *map(shared.cell, shown)]
+        )
     heads = [f"{DATA_NAMES[data]}, {protocol}" for data, protocol in columns]
     return title, ["method", "features", "paper", *heads], lines
 
@@ -78,22 +78,22 @@ def _class_sets(rows: Sequence[Row]) -> Table:
     encodings = ("FD", "GE", "FD+GE", "sorted pixels", "raw pixels")
     columns = [{"encoding": e, "n": most if "FD" in e else None} for e in encodings]
     keys = ["data", "classes", "features"]
-    lines = pivot(some, keys, columns, _beside_paper, DATA_NAMES)
+    lines = shared.pivot(some, keys, columns, _beside_paper, DATA_NAMES)
     title = f"Figs 12-14: 3-NN, n = {most} (paper in brackets)"
     return title, [*keys, *encodings], lines
 
 
 def _beside_paper(row: Row | None) -> str:
     real = row is not None and row["data"] != "simulated"
-    return cell(row) if real else with_paper(row)
+    return shared.cell(row) if real else shared.with_paper(row)
 
 
 def _counts(rows: Sequence[Row]) -> Table:
     """Accuracy against the number of Fourier descriptors."""
     some = [row for row in rows if row["table"] in ("Fig. 12", "Fig. 14")]
-    counts = unique(row["n"] for row in some)
+    counts = shared.unique(row["n"] for row in some)
     keys = ["data", "classes", "encoding", "features"]
-    lines = pivot(some, keys, [{"n": n} for n in counts], _mean, DATA_NAMES)
+    lines = shared.pivot(some, keys, [{"n": n} for n in counts], _mean, DATA_NAMES)
     heads = [*keys, *(f"n = {n}" for n in counts)]
     return "Figs 12 and 14: 3-NN against the number of descriptors", heads, lines
 
@@ -105,12 +105,12 @@ def _mean(row: Row | None) -> str:
 def _conditions(
     title: str, head: str, key: str, rows: Sequence[Row], table: str
 ) -> Table:
-    some = held(rows, table=table)
+    some = shared.held(rows, table=table)
     lines = []
-    for value in unique(row[key] for row in some):
-        here = held(some, **{key: value})
+    for value in shared.unique(row[key] for row in some):
+        here = shared.held(some, **{key: value})
         cells = [
-            cell(pick(here, encoding=encoding, features=scaling))
+            shared.cell(shared.pick(here, encoding=encoding, features=scaling))
             for encoding, scaling, *_ in _CURVES
         ]
         first = here[0]
@@ -134,7 +134,7 @@ def pictures(result: dict[str, Any]) -> Figures:
 
 def _stages(touches: Touches) -> Any:
     """Draw every stage of the clean-up of one press of a few parts (Fig. 10)."""
-    names = unique(labels(touches).tolist())
+    names = shared.unique(labels(touches).tolist())
     spaced = np.linspace(0, len(names) - 1, min(STAGES_SHOWN, len(names)))
     shown = [names[i] for i in spaced.round().astype(int)]
     rows = [int(np.flatnonzero(touches.object == name)[0]) for name in shown]
@@ -153,7 +153,7 @@ def _stages(touches: Touches) -> Any:
 
 def _parts(touches: Touches) -> Any:
     """Draw a few presses of every part, the part's outline over its taxels."""
-    names = unique(labels(touches).tolist())
+    names = shared.unique(labels(touches).tolist())
     half = -(-len(names) // 2)
     figure, axes = _images(half, 2 * PRESSES_SHOWN, 0.95)
     for place in axes.ravel():
@@ -171,11 +171,11 @@ def _parts(touches: Touches) -> Any:
 
 def _over_conditions(rows: Sequence[Row]) -> Any:
     """Draw accuracy, overlap and pieces against load and against cover."""
-    figure, axes = panels(2, 2, (7.6, 5.2), sharex="col", sharey="row")
+    figure, axes = shared.panels(2, 2, (7.6, 5.2), sharex="col", sharey="row")
     sides = (("Fig. 5", "load_kgf", "load, kgf"), ("Fig. 6", "cover_mm", "cover, mm"))
     for column, (table, key, label) in enumerate(sides):
-        _accuracy(axes[0, column], held(rows, table=table), key)
-        _overlap(axes[1, column], held(rows, table=table, encoding="FD+GE"), key)
+        _accuracy(axes[0, column], shared.held(rows, table=table), key)
+        _overlap(axes[1, column], shared.held(rows, table=table, encoding="FD+GE"), key)
         axes[1, column].set_xlabel(label)
     axes[0, 0].set_ylabel("3-NN right, %")
     axes[1, 0].set_ylabel("presses or pixels, %")
@@ -188,7 +188,7 @@ def _over_conditions(rows: Sequence[Row]) -> Any:
 
 def _accuracy(place: Any, rows: Sequence[Row], key: str) -> None:
     for encoding, scaling, label, colour, style in _CURVES:
-        found = held(rows, encoding=encoding, features=scaling)
+        found = shared.held(rows, encoding=encoding, features=scaling)
         x, y = [row[key] for row in found], [row["ours"] for row in found]
         bars = [row["sd"] or 0.0 for row in found]
         look = {"ms": 4, "lw": 1.3, "capsize": 2, "color": colour, "label": label}
@@ -201,7 +201,7 @@ def _overlap(place: Any, rows: Sequence[Row], key: str) -> None:
         ("overlap", "overlap with the true face", plots.OURS),
     )
     for entry, label, colour in lines:
-        points = zip(*different(rows, key, entry), strict=True)
+        points = zip(*shared.different(rows, key, entry), strict=True)
         place.plot(*points, "o-", color=colour, ms=4, lw=1.3, label=label)
 
 
@@ -220,10 +220,11 @@ def _outline(place: Any, touches: Touches, row: int) -> None:
 
 def _images(n_rows: int, n_columns: int, side: float) -> tuple[Any, Any]:
     size = (side * n_columns, side * n_rows + 0.3)
-    return panels(n_rows, n_columns, size, pictures=True)
+    return shared.panels(n_rows, n_columns, size, pictures=True)
 
 
-def _introduction(result: dict[str, Any]) -> str:
+def introduction(result: dict[str, Any]) -> str:
+    """Return the first paragraph of the page."""
     plan = result["plan"]
     real = " ".join(result["skipped"]) or (
         "Real presses are those of 17 objects on another 10 x 10 array, each object in "
@@ -237,18 +238,3 @@ def _introduction(result: dict[str, Any]) -> str:
         "standard deviation over runs, in per cent. nested: parameters chosen inside "
         f"the training half; paper: on the runs reported, as the paper did. {real}"
     )
-
-
-PAGE = Page(
-    "One press of a pressure array: Liu et al. (2014) beside ours",
-    {
-        "stages": "The clean-up of simulated presses, stage by stage, as the paper's "
-        "Fig. 10; the last three are thresholded as a whole, and on 2 x 2 and 3 x 3 "
-        "partitions.",
-        "parts": "Simulated presses of every part, with the outline of where it lay.",
-        "conditions": "Load (cover 0.9 mm) and cover (4 kgf), as the paper's Figs 5 "
-        "and 6 ask: accuracy, presses whose binary image falls into several pieces, "
-        "and its overlap with the part's true face.",
-    },
-    _introduction,
-)
