@@ -164,6 +164,6 @@ def test_recorded_touches_are_recognised_as_the_paper_says(data_folder):
         for row in held(result, data="bathtip", recogniser="corradi2015")
         if row["table"] == "ten objects"
     }
-    # Ten partitions of ten objects: a standard error of 3 points after 15 touches.
+    # Five partitions of ten objects: a standard error of 5 points after 15 touches.
     assert figures[15] == pytest.approx(87, abs=9)
     assert figures[30] == pytest.approx(95, abs=9)

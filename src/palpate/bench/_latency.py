@@ -13,14 +13,13 @@ from ..recognition import ObjectRecogniser
 from ..touches import Touches, decode_bytes
 from ._timing import Row, coded, drawn_dome, one_thread, row
 
-N_OBJECTS, N_EACH, N_ASKED = 50, 90, 200
 STAGES = ("decode", "clean up", "encode", "likelihood", "belief")
 
 
 def bench_latency(
-    n_objects: int = N_OBJECTS,
-    n_each: int = N_EACH,
-    n_asked: int = N_ASKED,
+    n_objects: int = 50,
+    n_each: int = 90,
+    n_asked: int = 200,
     presets: tuple[str, ...] = ("default", "corradi2015"),
 ) -> list[Row]:
     """Measure one touch at a time, median and 99th percentile of wall time (ms).
@@ -35,27 +34,18 @@ def bench_latency(
     with one_thread():
         for preset in presets:
             recogniser = ObjectRecogniser(preset).fit(train)
-            rows += _rows(recogniser, pictures, preset)
+            for picture in pictures[:3]:
+                _one(recogniser, picture)
+            seconds = np.array([_one(recogniser, picture) for picture in pictures])
+            stages = np.column_stack([seconds, seconds.sum(axis=1)]) * 1e3
+            for name, ms in zip((*STAGES, "in all"), stages.T, strict=True):
+                shown, late = (
+                    f"{n_objects} objects {preset} {name}",
+                    np.quantile(ms, 0.99),
+                )
+                known = {"p99_ms": float(late), "reason": "no peer does this"}
+                rows.append(row(shown, float(np.median(ms)), "none", **known))
     return rows
-
-
-def _rows(
-    recogniser: ObjectRecogniser, pictures: list[bytes], preset: str
-) -> list[Row]:
-    for picture in pictures[:3]:
-        _one(recogniser, picture)
-    seconds = np.array([_one(recogniser, picture) for picture in pictures])
-    stages = np.column_stack([seconds, seconds.sum(axis=1)]) * 1e3
-    return [
-        row(
-            f"{len(recogniser.classes_)} objects {preset} {name}",
-            float(np.median(ms)),
-            "none",
-            p99_ms=float(np.quantile(ms, 0.99)),
-            reason="no peer does this",
-        )
-        for name, ms in zip((*STAGES, "in all"), stages.T, strict=True)
-    ]
 
 
 def _one(recogniser: ObjectRecogniser, picture: bytes) -> list[float]:

@@ -31,6 +31,7 @@ N_OBJECTS = 50
 N_TESTED = 192
 NOISE = 0.3
 WIDTHS = (22, 71)
+_PRODUCT = "float32 matrix product"
 _AT_ONCE = 50_000
 _ADDED_SINGLY = 20
 
@@ -147,16 +148,9 @@ def _likelihood_rows(
         }
 
     exact, product = each_ms(model.log_likelihood), each_ms(_product(model))
-    megabytes = (model.points_.nbytes + model.tiles_.nbytes) / 2**20
-    known = {"megabytes": megabytes}
+    known = {"megabytes": (model.points_.nbytes + model.tiles_.nbytes) / 2**20}
     rows = [
-        row(
-            f"{name}, exact {mode}",
-            ms,
-            "float32 matrix product",
-            product[mode],
-            **known,
-        )
+        row(f"{name}, exact {mode}", ms, _PRODUCT, product[mode], **known)
         for mode, ms in exact.items()
     ]
     started = time.process_time()
@@ -170,11 +164,9 @@ def _likelihood_rows(
         "megabytes": (index.weights_.nbytes + index.packed_.nbytes) / 2**20,
         **index.quality(new)._asdict(),
     }
-    found = each_ms(index.log_likelihood).items()
-    return rows + [
-        row(f"{name}, index {mode}", ms, "exact", exact[mode], **facts)
-        for mode, ms in found
-    ]
+    for mode, ms in each_ms(index.log_likelihood).items():
+        rows.append(row(f"{name}, index {mode}", ms, "exact", exact[mode], **facts))
+    return rows
 
 
 def _product(model: KernelDensityBayes) -> Callable[[Floats], object]:

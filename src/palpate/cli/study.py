@@ -20,7 +20,7 @@ def study(
         ),
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="A first look: two runs, small grids.")
+        bool, typer.Option("--quick", help="A first look, few runs and small grids.")
     ] = False,
     protocol: Annotated[
         str | None,

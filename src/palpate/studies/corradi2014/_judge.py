@@ -5,8 +5,9 @@ Table 2, by accuracy in randomised folds for Fig. 3. The second half is then
 cross-validated within itself, in randomised folds and recording by recording.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.stats import t as student
@@ -22,6 +23,9 @@ from ._shapes import Shapes
 
 SENSORS = ("simulated", "simulated-pins")
 N_FOLDS = 5
+Counts = tuple[int, ...]
+# From training and test touches, numbers of components and a seed to per cent right.
+Right = Callable[[Codes, Codes, Counts, int], list[float]]
 
 
 @dataclass(frozen=True)
@@ -41,16 +45,21 @@ def judge(shapes: Shapes, variant: str, name: str, plan: Corradi2014Plan) -> Jud
     asked = None if shapes.asked is None else shapes.asked[variant]
     encoded = encode(name, shapes.images[variant], asked, counts)
     known = {"data": shapes.data, "encoding": name, "variant": variant}
+    first, second = (np.flatnonzero(shapes.half == h) for h in (0, 1))
     rows, folds = [], {}
     if asked is None:
         rows += list(_table_2(encoded, shapes, known, counts))
-    second = np.flatnonzero(shapes.half == 1)
     for kind in CLASSIFIERS:
-        chosen = _choose(encoded, shapes, kind, counts, plan)
+        right = partial(encoded.right, kind, shapes.codes)
+        # The network is the slowest by far: every other number.
+        tried = tuple(reversed(counts[::-2])) if kind == "network" else counts
+        runs = plan.choice_runs if kind == "1-NN" else plan.slow_choice_runs
+        tests = _random_folds(right, shapes.codes, first, tried, runs, plan.seed + 1)
+        chosen = tried[int(tests.mean(axis=(0, 1)).argmax())]
         runs = plan.slow_runs if kind in ("network", "SVMs") else plan.runs
-        judged = (encoded, shapes.codes, second, kind, (chosen,))
-        folds[kind] = _random_folds(*judged, runs, plan.seed)[..., 0]
-        grouped = _grouped_folds(encoded, shapes, second, kind, chosen, plan.seed)
+        tests = _random_folds(right, shapes.codes, second, (chosen,), runs, plan.seed)
+        folds[kind] = tests[..., 0]
+        grouped = _grouped_folds(right, shapes.groups, second, chosen, plan.seed)
         for one in _fig_3(known, kind, folds[kind].mean(axis=1), grouped):
             rows.append({**one, "n_components": chosen})
     return Judged(rows, folds)
@@ -135,49 +144,24 @@ def _fig_3(known: Row, kind: str, runs: Floats, grouped: Floats) -> Iterator[Row
         }
 
 
-def _choose(
-    encoded: Encoded,
-    shapes: Shapes,
-    kind: str,
-    counts: tuple[int, ...],
-    plan: Corradi2014Plan,
-) -> int:
-    first = np.flatnonzero(shapes.half == 0)
-    runs = plan.choice_runs if kind == "1-NN" else plan.slow_choice_runs
-    # The network is the slowest by far: every other number.
-    tried = tuple(reversed(counts[::-2])) if kind == "network" else counts
-    right = _random_folds(
-        encoded, shapes.codes, first, kind, tried, runs, plan.seed + 1
-    )
-    return tried[int(right.mean(axis=(0, 1)).argmax())]
-
-
 def _random_folds(
-    encoded: Encoded,
-    codes: Codes,
-    rows: Codes,
-    kind: str,
-    counts: tuple[int, ...],
-    runs: int,
-    seed: int,
+    right: Right, codes: Codes, rows: Codes, counts: Counts, runs: int, seed: int
 ) -> Floats:
     """Return per cent right, shape (n_runs, 5, n_counts)."""
-    right = []
+    found = []
     for run in range(runs):
         folds = StratifiedKFold(N_FOLDS, shuffle=True, random_state=1000 * seed + run)
         for train, test in folds.split(rows, codes[rows]):
-            split = (rows[train], rows[test])
-            right.append(encoded.right(kind, codes, *split, counts, run))
-    return np.array(right).reshape(runs, N_FOLDS, len(counts))
+            found.append(right(rows[train], rows[test], counts, run))
+    return np.array(found).reshape(runs, N_FOLDS, len(counts))
 
 
 def _grouped_folds(
-    encoded: Encoded, shapes: Shapes, rows: Codes, kind: str, count: int, seed: int
+    right: Right, groups: Codes, rows: Codes, count: int, seed: int
 ) -> Floats:
     """Return per cent right of each recording, learnt from the others."""
-    right = []
-    for group in np.unique(shapes.groups[rows]):
-        held = shapes.groups[rows] == group
-        split = (rows[~held], rows[held])
-        right += encoded.right(kind, shapes.codes, *split, (count,), seed)
-    return np.array(right)
+    found = []
+    for group in np.unique(groups[rows]):
+        held = groups[rows] == group
+        found += right(rows[~held], rows[held], (count,), seed)
+    return np.array(found)

@@ -78,7 +78,7 @@ class Corradi2015Plan(Plan):
     components: tuple[int, ...] = (1, 2, 4)
     later: bool = True
     first_look: ClassVar[Mapping[str, Any]] = {
-        "partitions": 10,
+        "partitions": 5,
         "default_partitions": 1,
         "later_partitions": 1,
         "n_simulated": 75,
