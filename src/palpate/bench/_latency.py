@@ -44,7 +44,7 @@ def bench_latency(
                     np.quantile(ms, 0.99),
                 )
                 known = {"p99_ms": float(late), "reason": "no peer does this"}
-                rows.append(row(shown, float(np.median(ms)), "none", **known))
+                rows.append(row(shown, float(np.median(ms)), "none", None, **known))
     return rows
 
 

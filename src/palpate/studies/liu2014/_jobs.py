@@ -214,20 +214,21 @@ def _figures(plan: Liu2014Plan, encoded: Encoded, touches: Touches) -> Iterator[
     if part is not None:
         sets = {name: np.isin(part, some) for name, some in plan.class_sets.items()}
     asked = [(classes, *one) for classes in sets for one in compared]
-    for classes, figure, encoding, n in asked:
+    for classes, figure, encoding, count in asked:
         held, known = sets[classes], FIGURES.get((encoding, classes))
+        shown = "" if count is None else f", n = {count}"
         row = {
-            "name": f"{encoding} k-NN{'' if n is None else f', n = {n}'}, {classes}",
+            "name": f"{encoding} k-NN{shown}, {classes}",
             "table": figure,
-            "paper": known if n in (None, PAPER_N) else None,
+            "paper": known if count in (None, PAPER_N) else None,
             "encoding": encoding,
             "classes": classes,
-            "n": n,
+            "n": count,
             "partitions": PAPER_PARTITIONS,
         }
         features = pixels.get(encoding)
         if features is None:
-            features = encoded.features(encoding, n or 0)
+            features = encoded.features(encoding, count or 0)
         yield from _jobs(row, features[held], coded(touches)[held], Neighbours())
 
 
