@@ -2,12 +2,12 @@
 
 import pytest
 
-from palpate.bench import BENCHES
-from palpate.bench._encodings import bench_encodings
+from palpate.bench import BENCHES, run_bench
 
 
-def test_stages_and_encodings_have_rows():
-    rows = bench_encodings(None, seconds=1e-3, names=["hu", "scaled-pixels"])
+def test_stages_and_encodings_have_rows(monkeypatch):
+    monkeypatch.delenv("PALPATE_DATA", raising=False)
+    rows = run_bench("encodings", seconds=1e-3, names=["hu", "scaled-pixels"])
     assert [row["name"] for row in rows] == [
         "640 x 480 drawn decoding",
         "640 x 480 drawn rim finding",
@@ -29,7 +29,7 @@ def test_stages_and_encodings_have_rows():
 
 def test_a_folder_without_pictures_is_refused(tmp_path):
     with pytest.raises(ValueError, match="32 pictures in bathtip/originals, got 0"):
-        bench_encodings(tmp_path)
+        run_bench("encodings", data=tmp_path)
 
 
 def test_it_is_listed():

@@ -2,16 +2,17 @@
 
 import pytest
 
-from palpate.bench._likelihood import BATCHES, SIZES, bench_likelihood
+from palpate.bench import run_bench
 
 
 @pytest.fixture(scope="module")
 def rows():
-    return bench_likelihood(seconds=0.001)
+    return run_bench("likelihood", seconds=0.001)
 
 
 def test_every_size_beside_every_peer(rows):
-    assert len(rows) == 3 * len(SIZES) * len(BATCHES)
+    # Three peers, three sizes, single and batch.
+    assert len(rows) == 3 * 3 * 2
     assert len({(row["name"], row["peer"]) for row in rows}) == len(rows)
     assert "50 objects x 94 touches, 22 features, float32 batch 64" in {
         row["name"] for row in rows

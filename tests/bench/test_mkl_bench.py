@@ -2,12 +2,12 @@
 
 import pytest
 
-from palpate.bench import _mkl
+from palpate.bench import run_bench
 
 
 @pytest.fixture(scope="module")
 def rows():
-    return _mkl.bench_mkl(seconds=0.02, large=False)
+    return run_bench("mkl", seconds=0.02, large=False)
 
 
 def test_every_peer_has_a_row_or_a_reason(rows):

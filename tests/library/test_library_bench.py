@@ -2,8 +2,7 @@
 
 import pytest
 
-from palpate.bench import BENCHES
-from palpate.bench import _library as bench
+from palpate.bench import BENCHES, run_bench
 
 
 @pytest.fixture(autouse=True)
@@ -13,7 +12,7 @@ def _without_real_touches(monkeypatch):
 
 def test_a_small_run_has_every_row():
     pytest.importorskip("faiss")
-    rows = bench.bench_library((500,), seconds=0.005)
+    rows = run_bench("library", sizes=(500,), seconds=0.005)
     names = [row["name"] for row in rows]
     assert len(set(names)) == len(names) == 6 + 2 * 4
     assert all(row["ours_ms"] > 0 for row in rows)
@@ -24,13 +23,6 @@ def test_a_small_run_has_every_row():
     assert all(0 <= row["equal_decisions"] <= 1 for row in indexed)
     assert all("random" in row["name"] for row in indexed)
     assert all(row["ratio"] is not None or row["reason"] for row in rows)
-
-
-def test_stored_and_tested_touches_are_apart():
-    stored, labels, new = bench._features(None, 5000, 22, seed=0)
-    assert stored.shape == (5000, 22)
-    assert (labels[:100] == 0).all()
-    assert not set(map(tuple, new.round(9))) & set(map(tuple, stored.round(9)))
 
 
 def test_the_benchmarks_are_listed():

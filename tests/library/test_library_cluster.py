@@ -105,7 +105,8 @@ def test_a_worker_that_dies_is_survived(on_cluster, tmp_path):
 @pytest.mark.slow
 def test_the_same_study_gives_the_same_figures_everywhere(cluster, monkeypatch):
     """A small study in one process, two, and a cluster."""
-    from palpate.studies import Liu2014Plan, run_study
+    from palpate.studies import run_study
+    from palpate.studies.liu2014 import Liu2014Plan
 
     monkeypatch.delenv("PALPATE_DATA", raising=False)
     small = {"parts": (3, 7), "n_presses": 4, "loads_kgf": (2.0,), "covers_mm": (0.9,)}

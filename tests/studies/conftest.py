@@ -2,7 +2,7 @@
 
 import pytest
 
-from palpate.studies import Liu2014Plan
+from palpate.studies.liu2014 import Liu2014Plan
 
 TINY = {
     "parts": (3, 7, 12),

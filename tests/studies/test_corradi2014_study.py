@@ -12,31 +12,31 @@ from sklearn.decomposition import PCA
 from palpate import Touches
 from palpate.encodings import OrientedPCA, ZernikePCA
 from palpate.evaluation import davies_bouldin
-from palpate.studies import (
-    Corradi2014Plan,
-    run_study,
-    study_tables,
-    write_study_report,
-)
-from palpate.studies._corradi2014_judge import corrected_t_test, holm, judge
-from palpate.studies._corradi2014_methods import answers, encode
-from palpate.studies._corradi2014_pictures import fig_3_figure, table_2_figure
-from palpate.studies._corradi2014_plan import CLASSIFIERS, COUNTS, TABLE_2
-from palpate.studies._corradi2014_touches import (
-    Shapes,
-    near_duplicates,
-    recorded_shapes,
-    variants,
-)
-from palpate.studies._corradi2014_unseen import (
+from palpate.studies import STUDIES, run_study
+from palpate.studies.corradi2014 import (
     CANDIDATES,
+    CLASSIFIERS,
+    COUNTS,
+    TABLE_2,
+    Corradi2014Plan,
     Recording,
+    Shapes,
+    answers,
     candidate_features,
     compare_fold,
     compared_rows,
+    corrected_t_test,
+    encode,
+    holm,
+    judge,
     judge_unseen,
+    near_duplicates,
+    pictures,
+    recorded_shapes,
+    variants,
 )
 
+STUDY = STUDIES["corradi2014"]
 TINY = Corradi2014Plan.quick(
     n_touches=10, encodings=("hu", "zernike-pca"), choice_step=8
 )
@@ -102,7 +102,7 @@ def test_missing_touches_are_told(result):
 
 def test_tables_and_report_show_it_all(result, tmp_path):
     again = json.loads(json.dumps(result))
-    tables = study_tables(again)
+    tables = STUDY.tables(again)
     assert [title.split(":")[0] for title, _, _ in tables[:3]] == [
         "Table 2",
         "Fig. 3",
@@ -111,7 +111,7 @@ def test_tables_and_report_show_it_all(result, tmp_path):
     for _, columns, rows in tables:
         assert rows
         assert {len(row) for row in rows} == {len(columns)}
-    page = write_study_report(tmp_path / "r.html", again).read_text("utf-8")
+    page = STUDY.write_report(tmp_path / "r.html", again).read_text("utf-8")
     assert page.count("<svg") == 3
     assert "96.4" in page
     loaded = re.findall(r"""(?:src|href)=["']?([^"' >]+)""", page)
@@ -119,8 +119,9 @@ def test_tables_and_report_show_it_all(result, tmp_path):
 
 
 def test_pictures_have_a_panel_per_set(result):
-    assert len(table_2_figure(result["rows"]).axes) == 2
-    assert len(fig_3_figure(result["rows"]).axes) == 4
+    drawn = pictures(result)
+    assert len(drawn["table2"].axes) == 2
+    assert len(drawn["fig3"].axes) == 4
 
 
 def shapes_of(discs, codes, asked=None):

@@ -7,31 +7,28 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
 from palpate.recognition import ObjectRecogniser
-from palpate.studies._corradi2015_encodings import (
+from palpate.studies.corradi2015 import (
     N_FREQUENCIES,
     N_RINGS,
-    Encoded,
-    Encoder,
-    moment_normalised,
-    polar_fourier,
-)
-from palpate.studies._corradi2015_methods import (
+    Answered,
     BagOfTouches,
     ClusterBayes,
+    Corradi2015Plan,
     Densities,
+    Encoded,
+    Encoder,
     Mixtures,
     Nuisance,
-    choose_clusters,
-)
-from palpate.studies._corradi2015_plan import Corradi2015Plan
-from palpate.studies._corradi2015_runs import (
-    Outcome,
     Partition,
+    accuracy,
+    category_folds,
+    confusion,
     draw_orders,
     draw_partition,
+    moment_normalised,
     only_idle,
+    polar_fourier,
 )
-from palpate.studies._corradi2015_tasks import category_folds
 
 ROW, COL = np.mgrid[:61, :61] - 30.0
 
@@ -76,10 +73,11 @@ def test_touches_without_contact_become_episodes_of_their_own():
     assert only_idle(partition, np.zeros(6, dtype=bool)) is None
 
 
-def test_outcomes_are_shares():
-    outcome = Outcome([np.array([[0, 0], [0, 1]])], [np.array([0, 1])])
-    assert_allclose(outcome.accuracy(), [[0.5, 1.0]])
-    assert_allclose(outcome.confusion(1, 2), [[1, 0], [1, 0]])
+def test_answers_become_shares():
+    answers, truth = np.array([[0, 0], [0, 1]]), np.array([0, 1])
+    answered = [Answered("ten objects", "drawn", "ours", answers, truth, {})]
+    assert_allclose(accuracy(answered), [[0.5, 1.0]])
+    assert_allclose(confusion(answered, 1, 2), [[1, 0], [1, 0]])
 
 
 def test_polar_fourier_does_not_see_the_angle():
@@ -154,7 +152,7 @@ def test_the_number_of_clusters_is_the_one_that_recognises():
     # Diagonal corners belong together: two clusters cannot tell the objects apart.
     which = np.r_[np.tile([0, 1], 12), np.tile([2, 3], 12)]
     train = corners[which] + 0.1 * rng.normal(size=(48, 2))
-    assert choose_clusters(BagOfTouches("Zernike", (1, 4)), train, codes) == 4
+    assert BagOfTouches("Zernike", (1, 4)).choose(train, codes) == 4
 
 
 def test_one_component_is_the_gaussian_of_the_object(rng):

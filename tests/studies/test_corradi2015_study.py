@@ -7,13 +7,10 @@ import pytest
 from typer.testing import CliRunner
 
 from palpate.cli._app import app
-from palpate.studies import (
-    Corradi2015Plan,
-    run_study,
-    study_tables,
-    write_study_report,
-)
-from palpate.studies._corradi2015_pictures import draw_pictures
+from palpate.studies import STUDIES, run_study
+from palpate.studies.corradi2015 import Corradi2015Plan, worst_pairs
+
+STUDY = STUDIES["corradi2015"]
 
 TINY = {
     "partitions": 2,
@@ -78,8 +75,6 @@ def test_mixtures_say_how_under_determined_they_are(result):
 
 
 def test_confusions_are_shares_and_pairs_are_sorted():
-    from palpate.studies._corradi2015_rows import worst_pairs
-
     confusion = np.array([[0.6, 0.4, 0.0], [0.2, 0.7, 0.1], [0.0, 0.0, 1.0]])
     pairs = worst_pairs(confusion, ["pen", "brush", "mug"])
     assert pairs[0] == {"objects": ["pen", "brush"], "share": pytest.approx(30.0)}
@@ -119,16 +114,16 @@ def test_the_same_seed_gives_the_same_figures(result, monkeypatch):
 
 
 def test_tables_pictures_and_report(result, tmp_path):
-    titles = [table[0] for table in study_tables(result)]
+    titles = [table[0] for table in STUDY.tables(result)]
     assert titles[0].startswith("Ten objects, simulated")
     assert "Milliseconds, one thread" in titles
-    for _, columns, rows in study_tables(result):
+    for _, columns, rows in STUDY.tables(result):
         assert all(len(row) == len(columns) for row in rows)
-    names = [path.name for path in draw_pictures(tmp_path, result)]
+    names = [path.name for path in STUDY.write_pictures(tmp_path, result)]
     assert names == [
         f"corradi2015-{n}.png" for n in ("accuracy", "confusion", "unseen")
     ]
-    page = write_study_report(tmp_path / "page.html", result).read_text("utf-8")
+    page = STUDY.write_report(tmp_path / "page.html", result).read_text("utf-8")
     assert page.startswith("<!doctype html>")
     assert "Most confused pairs" in page
 
@@ -169,6 +164,6 @@ def test_recorded_touches_are_recognised_as_the_paper_says(data_folder):
         for row in held(result, data="bathtip", recogniser="corradi2015")
         if row["table"] == "ten objects"
     }
-    # Ten partitions of ten objects: a standard error of 3 points after 15 touches.
+    # Five partitions of ten objects: a standard error of 5 points after 15 touches.
     assert figures[15] == pytest.approx(87, abs=9)
     assert figures[30] == pytest.approx(95, abs=9)

@@ -6,14 +6,10 @@ import re
 import numpy as np
 import pytest
 
-from palpate.studies import (
-    STUDIES,
-    Liu2014Plan,
-    run_study,
-    study_tables,
-    write_study_report,
-)
-from palpate.studies._liu2014_pictures import draw_pictures
+from palpate.studies import STUDIES, run_study
+from palpate.studies.liu2014 import Liu2014Plan
+
+STUDY = STUDIES["liu2014"]
 
 TABLE_2 = {
     "FD+GE k-NN": 68.69,
@@ -178,7 +174,7 @@ def test_missing_presses_are_told_once(result):
 
 
 def test_tables_have_cells_for_every_column(result):
-    tables = study_tables(result)
+    tables = STUDY.tables(result)
     assert tables[0][0] == "Table 2"
     assert len(tables) == 6
     for _, columns, rows in tables:
@@ -187,10 +183,10 @@ def test_tables_have_cells_for_every_column(result):
 
 
 def test_the_report_is_one_page_that_loads_nothing(result, tmp_path):
-    page = write_study_report(tmp_path / "r.html", result).read_text("utf-8")
+    page = STUDY.write_report(tmp_path / "r.html", result).read_text("utf-8")
     assert page.startswith("<!doctype html>")
     assert page.count("<svg") == 3
-    for row in study_tables(result)[0][2]:
+    for row in STUDY.tables(result)[0][2]:
         assert row[0] in page
     assert "<script" not in page
     loaded = re.findall(r"""(?:src|href)=["']?([^"' >]+)""", page)
@@ -199,7 +195,7 @@ def test_the_report_is_one_page_that_loads_nothing(result, tmp_path):
 
 def test_a_result_read_back_from_json_makes_the_same_pictures(result, tmp_path):
     again = json.loads(json.dumps(result))
-    written = draw_pictures(tmp_path, again)
+    written = STUDY.write_pictures(tmp_path, again)
     assert [path.name for path in written] == [
         "liu2014-stages.png",
         "liu2014-parts.png",

@@ -6,12 +6,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
 from palpate.simulation import PARTS, find_parts, simulate_presses
-from palpate.studies import Liu2014Plan
-from palpate.studies._liu2014_curves import count_pieces, footprints, overlap
-from palpate.studies._liu2014_plan import CLASS_SETS
-from palpate.studies._liu2014_touches import (
+from palpate.studies import recorded_touches
+from palpate.studies.liu2014 import (
+    CLASS_SETS,
+    REAL,
+    Liu2014Plan,
+    count_pieces,
     encode,
-    real_presses,
+    footprints,
+    overlap,
     reposed_presses,
     simulated_presses,
 )
@@ -82,17 +85,17 @@ def test_presses_are_found(given, tmp_path, monkeypatch):
     touches = Touches(np.ones((2, 10, 10)), object=["a", "b"])
     touches.save(tmp_path / "taxel10x10" / "taxel10x10.npz")
     monkeypatch.setenv("PALPATE_DATA", "" if given else str(tmp_path))
-    found = real_presses(tmp_path if given else None)
+    found = recorded_touches(tmp_path if given else None, REAL)
     assert_array_equal(found.images, touches.images)
 
 
 def test_missing_presses_are_a_sentence_or_a_refusal(tmp_path, monkeypatch):
     monkeypatch.delenv("PALPATE_DATA", raising=False)
-    assert "--data or PALPATE_DATA" in real_presses(None)
+    assert "--data or PALPATE_DATA" in recorded_touches(None, REAL)
     monkeypatch.setenv("PALPATE_DATA", str(tmp_path))
-    assert "PALPATE_DATA has no" in real_presses(None)
+    assert "PALPATE_DATA has no" in recorded_touches(None, REAL)
     with pytest.raises(ValueError, match="--data must name a folder that holds"):
-        real_presses(tmp_path / "gone")
+        recorded_touches(tmp_path / "gone", REAL)
 
 
 def test_pieces_touch_at_corners():

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from palpate.cli._app import app, main
-from palpate.studies import Liu2014Plan
+from palpate.studies.liu2014 import Liu2014Plan
 
 
 @pytest.fixture

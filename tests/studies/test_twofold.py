@@ -9,21 +9,18 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC
 
 from palpate.encodings import KernelPCA
-from palpate.studies._liu2014_methods import (
+from palpate.studies.liu2014 import (
     Fused,
     GaussianSVM,
-    Neighbours,
-    median_distance,
-)
-from palpate.studies._twofold import (
     Half,
-    judge_half,
-    judge_run,
+    Neighbours,
+    Twofold,
+    median_distance,
     nested_figure,
     paper_figure,
 )
 
-HOW = {"scaled": True, "inner_folds": 2, "seed": 0}
+SCALED = Twofold(scaled=True, inner_folds=2)
 
 
 @pytest.fixture
@@ -66,24 +63,23 @@ METHODS = [
 def test_the_choice_never_sees_the_test_half(method, clouds, halves, rng):
     features, codes = clouds
     train, test = halves
-    honest = judge_half(method, features, codes, train, test, **HOW)
+    honest = SCALED.half(method, features, codes, train, test, 0)
     poisoned = codes.copy()
     poisoned[test] = (codes[test] + 1) % 3
-    wrong = judge_half(method, features, poisoned, train, test, **HOW)
+    wrong = SCALED.half(method, features, poisoned, train, test, 0)
     assert wrong.chosen == honest.chosen
     assert (wrong.right != honest.right).any()
     moved = features.copy()
     moved[test] = rng.normal(scale=1e3, size=moved[test].shape)
-    assert judge_half(method, moved, codes, train, test, **HOW).chosen == honest.chosen
+    assert SCALED.half(method, moved, codes, train, test, 0).chosen == honest.chosen
 
 
 def test_a_method_is_only_shown_training_touches(clouds, halves):
     features, codes = clouds
     train, test = halves
     method = Recorder()
-    judge_half(
-        method, features, codes, train, test, scaled=False, inner_folds=2, seed=0
-    )
+    raw = Twofold(scaled=False, inner_folds=2)
+    raw.half(method, features, codes, train, test, 0)
     allowed = {tuple(row) for row in features[train]}
     assert [len(shown) for shown, _ in method.shown] == [15, 15, 30]
     for shown, _ in method.shown:
@@ -94,16 +90,14 @@ def test_the_choice_prefers_the_setting_that_generalises(clouds, halves):
     features, codes = clouds
     # A kernel far narrower than any distance knows nothing of other touches.
     method = GaussianSVM((1e-3, 1.0), (10.0,))
-    half = judge_half(method, features, codes, *halves, **HOW)
+    half = SCALED.half(method, features, codes, *halves, 0)
     assert half.chosen == 1
     assert half.right[1] > half.right[0]
 
 
 def test_a_run_tests_every_touch_once(clouds):
     features, codes = clouds
-    run = judge_run(
-        Neighbours(), features, codes, scaled=True, inner_folds=2, seed=(0, 1)
-    )
+    run = SCALED.run(Neighbours(), features, codes, (0, 1))
     assert [half.n_test for half in run] == [30, 30]
 
 
@@ -115,18 +109,18 @@ def test_figures_by_hand():
     ]
     nested = nested_figure(settings, runs)
     # Run 1: (0.5 + 0.8) / 2, run 2: (0.6 + 0.4) / 2; sd with n - 1.
-    assert_allclose(nested.mean, 57.5)
-    assert_allclose(nested.sd, np.std([65, 50], ddof=1))
-    assert (nested.setting, nested.share) == ({"C": 2}, 0.75)
+    assert_allclose(nested["ours"], 57.5)
+    assert_allclose(nested["sd"], np.std([65, 50], ddof=1))
+    assert (nested["chosen"], nested["chosen_share"]) == ({"C": 2}, 0.75)
     paper = paper_figure(settings, runs)
-    assert_allclose(paper.mean, 70.0)
-    assert paper.setting == {"C": 2}
-    assert nested_figure(settings, runs[:1]).sd is None
+    assert_allclose(paper["ours"], 70.0)
+    assert paper["chosen"] == {"C": 2}
+    assert nested_figure(settings, runs[:1])["sd"] is None
 
 
 def test_halves_of_uneven_size_are_pooled_by_touches():
     run = [Half(0, np.array([1.0]), 30), Half(0, np.array([0.0]), 10)]
-    assert nested_figure([{}], [run]).mean == pytest.approx(75)
+    assert nested_figure([{}], [run])["ours"] == pytest.approx(75)
 
 
 def test_scaling_is_that_of_the_training_half(clouds, halves):
@@ -136,7 +130,7 @@ def test_scaling_is_that_of_the_training_half(clouds, halves):
     unit = median_distance(StandardScaler().fit_transform(features[train]))
     reference = make_pipeline(StandardScaler(), SVC(C=10, gamma=0.5 / unit**2))
     reference.fit(features[train], codes[train])
-    half = judge_half(method, features, codes, train, test, **HOW)
+    half = SCALED.half(method, features, codes, train, test, 0)
     assert half.right[0] == reference.score(features[test], codes[test])
 
 
@@ -144,8 +138,8 @@ def test_a_constant_feature_does_not_matter(clouds, halves):
     features, codes = clouds
     padded = np.column_stack([features, np.full(60, 0.1)])
     for one in (GaussianSVM((1.0,), (10.0,)), Neighbours()):
-        plain = judge_half(one, features, codes, *halves, **HOW)
-        same = judge_half(one, padded, codes, *halves, **HOW)
+        plain = SCALED.half(one, features, codes, *halves, 0)
+        same = SCALED.half(one, padded, codes, *halves, 0)
         assert_array_equal(same.right, plain.right)
 
 

@@ -2,12 +2,12 @@
 
 import pytest
 
-from palpate.bench import _decode
+from palpate.bench import run_bench
 
 
 def test_rows_tell_time_and_memory(monkeypatch):
-    monkeypatch.setattr(_decode, "_N_PICTURES", 24)
-    rows = _decode.bench_decode(None, repeats=1)
+    monkeypatch.delenv("PALPATE_DATA", raising=False)
+    rows = run_bench("decode", repeats=1, n_pictures=24)
     assert [row["name"] for row in rows] == [
         "24 x 640 x 480 uint8 JPEG drawn folder cpu",
         "24 x 640 x 480 uint8 JPEG drawn folder wall",

@@ -1,10 +1,15 @@
-"""From a 640 x 480 picture to a vector, stage by stage, for every encoding.
+"""From a 640 x 480 picture to a vector, stage by stage; Zernike moments beside peers.
 
 A touch is decoded, its rim found, its disc cut and standardised, and the disc
 encoded. CPU time on one thread for one touch at a time, as a robot has them.
+
+Every peer of Zernike moments gets what it can prepare beforehand for free: centrosome
+its polynomials, the dense basis its matrix of the taxels inside the disc. mahotas
+prepares nothing between images. Neither package takes several images at once, so beside
+a batch stands their time for one image. mahotas drops taxels that are not positive: all
+are here.
 """
 
-import os
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,69 +19,107 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..encodings import ENCODINGS, encoder_named
+from .._extras import missing
+from .._types import Array, Floats
+from ..encodings import (
+    ENCODINGS,
+    ZernikeMoments,
+    encoder_named,
+    zernike_degrees,
+    zernike_values,
+)
 from ..images import DomeCrop, crop_discs, standardise_discs
-from ._timing import cpu_ms, one_thread, row
+from ._timing import (
+    Picture,
+    Row,
+    coded,
+    cpu_ms,
+    drawn_dome,
+    one_thread,
+    real_touches,
+    row,
+)
 
+Discs = NDArray[np.float32]
+Encode = Callable[[Array], Floats]
+_TYPES = ("float64", "float32", "uint8")
 _N_TOUCHES = 32
-_FRAME = (480, 640)
 _SIZE = 128
 
 
 def bench_encodings(
-    data: Path | None, *, seconds: float = 0.3, names: list[str] | None = None
-) -> list[dict[str, Any]]:
+    data: str | Path | None = None,
+    *,
+    seconds: float = 0.3,
+    names: list[str] | None = None,
+) -> list[Row]:
     """Time each stage on its own, then each encoding.
 
-    Parameters
-    ----------
-    data : Path or None
-        The folder of real touches, of whose `bathtip/originals` a few are read;
-        None draws as many pictures of the same size.
-    seconds : float, default=0.3
-        CPU time to spend on each figure.
-    names : list of str, optional
-        Encodings; by default all that `encoder_named` knows.
-
-    Returns
-    -------
-    list of dict
-        Rows of the stages, then of the encodings: `ours_ms` of the encoding alone;
-        `touch_ms` from decoded array to vector without finding the rim (crop,
-        standardise, encode); `share_decode`, `share_rim`, `share_crop` and
-        `share_encode`, of everything in per cent. `peer` is another package that
-        encodes the same disc.
+    Of real touches a few of `bathtip/originals` are read. Encodings are those called
+    `names`, by default all that `encoder_named` knows; their rows hold `ours_ms`
+    of the encoding alone; `touch_ms` from decoded array to vector without finding the
+    rim (crop, standardise, encode); `share_decode`, `share_rim`, `share_crop` and
+    `share_encode`, of everything in per cent. `peer` is another package that encodes
+    the same disc.
     """
-    coded = _pictures(data)
-    kind = "drawn" if data is None else "real"
+    real = real_touches(data)
+    pictures, kind = _pictures(real), "drawn" if real is None else "real"
     with one_thread():
-        stages, discs = _stages(coded, seconds)
+        stages, discs = _stages(pictures, seconds)
         rows = [
-            row(f"640 x 480 {kind} {name}", ms, "", None, reason="a stage of ours")
+            row(f"640 x 480 {kind} {name}", ms, reason="a stage of ours")
             for name, ms in stages.items()
         ]
         for name in ENCODINGS if names is None else names:
-            rows.append(_row(name, kind, discs, stages, seconds))
+            rows.append(_encoding_row(name, kind, discs, stages, seconds))
     return rows
 
 
-def bench_encodings_here() -> list[dict[str, Any]]:
-    """Measure on the pictures in PALPATE_DATA where it is set, else on drawn ones."""
-    data = os.environ.get("PALPATE_DATA")
-    return bench_encodings(Path(data) if data else None)
+def bench_zernike(
+    *,
+    size: int = 300,
+    order: int = 15,
+    n_touches: int = 64,
+    seconds: float = 0.5,
+    random_state: int = 0,
+) -> list[Row]:
+    """Time the encoding of square images, alone and in a batch.
+
+    Images have `size` taxels a side, and the disc is inscribed; a batch holds
+    `n_touches`. Milliseconds are those of one image. All work in float64 whatever the
+    type of the images.
+    """
+    rng = np.random.default_rng(random_state)
+    grey = rng.integers(1, 256, size=(n_touches, size, size), dtype=np.uint8)
+    rows = []
+    with one_thread():
+        peers = _peers(size, order)
+        for dtype in _TYPES:
+            images = grey.astype(dtype)
+            for some, batch in ((images[:1], "single"), (images, f"batch {n_touches}")):
+                theirs = {
+                    peer: {"peer_ms": _time(encode, some[:limit], seconds)}
+                    if encode
+                    else {"reason": missing(peer, "bench", "A peer")}
+                    for peer, (encode, limit) in peers.items()
+                }
+                for method in ("sample", "exact"):
+                    encoder = ZernikeMoments(order, method=method).fit(some[:1])
+                    ours = _time(encoder.transform, some, seconds)
+                    name = f"{size} x {size} {dtype} {method} {batch}"
+                    rows += [row(name, ours, p, **found) for p, found in theirs.items()]
+    return rows
 
 
-def _stages(
-    coded: list[NDArray[np.uint8]], seconds: float
-) -> tuple[dict[str, float], NDArray[np.float32]]:
+def _stages(pictures: list[Picture], seconds: float) -> tuple[dict[str, float], Discs]:
     """Milliseconds of each stage before the encoding, and the discs."""
-    images = np.stack([_decoded(one) for one in coded])
+    images = np.stack([_decoded(one) for one in pictures])
     crop = DomeCrop(_SIZE).fit(images)
     rims = crop.rims(images)
     radius, size = crop.disc_radius_, crop.size_
     discs = crop_discs(images, rims, radius, size)
     stages: dict[str, Callable[[int], object]] = {
-        "decoding": lambda i: _decoded(coded[i]),
+        "decoding": lambda i: _decoded(pictures[i]),
         "rim finding": lambda i: crop.rims(images[i : i + 1]),
         "cropping": lambda i: crop_discs(
             images[i : i + 1], rims[i : i + 1], radius, size
@@ -87,57 +130,46 @@ def _stages(
     return times, standardise_discs(discs)
 
 
-def _decoded(coded: NDArray[np.uint8]) -> NDArray[Any]:
-    image = cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE)
+def _decoded(one: Picture) -> Array:
+    image = cv2.imdecode(one, cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise ValueError("Pictures must be decodable, got one that is not.")
     return image
 
 
-def _row(
-    name: str,
-    kind: str,
-    discs: NDArray[np.float32],
-    stages: dict[str, float],
-    seconds: float,
-) -> dict[str, object]:
+def _encoding_row(
+    name: str, kind: str, discs: Discs, stages: dict[str, float], seconds: float
+) -> Row:
     encoder = encoder_named(name).fit(discs)
     encode = _each(lambda i: encoder.transform(discs[i : i + 1]), seconds)
     crop = stages["cropping"] + stages["standardising"]
-    parts = {
-        "decode": stages["decoding"],
-        "rim": stages["rim finding"],
-        "crop": crop,
-        "encode": encode,
-    }
+    parts = {"decode": stages["decoding"], "rim": stages["rim finding"]}
+    parts |= {"crop": crop, "encode": encode}
     whole = sum(parts.values())
-    shares = {f"share_{part}": 100 * ms / whole for part, ms in parts.items()}
-    extra: dict[str, object] = {"touch_ms": crop + encode, **shares}
-    label = f"640 x 480 {kind} encoding {name}"
-    peer, peer_ms, reason = _peer(name, discs, seconds)
-    if peer_ms is None:
-        extra["reason"] = reason
-    return row(label, encode, peer, peer_ms, **extra)
+    shares: dict[str, Any] = {
+        f"share_{part}": 100 * ms / whole for part, ms in parts.items()
+    }
+    return row(
+        f"640 x 480 {kind} encoding {name}",
+        encode,
+        **_peer(name, discs, seconds),
+        touch_ms=crop + encode,
+        **shares,
+    )
 
 
-def _peer(
-    name: str, discs: NDArray[np.float32], seconds: float
-) -> tuple[str, float | None, str]:
+def _peer(name: str, discs: Discs, seconds: float) -> dict[str, Any]:
     """The same encoding by another package, on discs of positive levels."""
     if name == "hu":
         ms = _each(lambda i: cv2.HuMoments(cv2.moments(discs[i])), seconds)
-        return "OpenCV", ms, ""
+        return {"peer": "OpenCV", "peer_ms": ms}
     if name != "zernike":
-        return "", None, "no package has it"
+        return {"reason": "no package has it"}
     if find_spec("mahotas") is None:
-        return "mahotas", None, "mahotas is not installed: pip install palpate[bench]"
-    from mahotas.features import zernike_moments
-
-    side = discs.shape[1]
-    centre = ((side - 1) / 2, (side - 1) / 2)
-    lit = discs - discs.min() + 1
-    ms = _each(lambda i: zernike_moments(lit[i], side / 2, 15, cm=centre), seconds)
-    return "mahotas", ms, ""
+        return {"peer": "mahotas", "reason": missing("mahotas", "bench", "A peer")}
+    encode, lit = _mahotas(discs.shape[1], 15), discs - discs.min() + 1
+    ms = _each(lambda i: encode(lit[i : i + 1]), seconds)
+    return {"peer": "mahotas", "peer_ms": ms}
 
 
 def _each(function: Callable[[int], object], seconds: float) -> float:
@@ -147,10 +179,11 @@ def _each(function: Callable[[int], object], seconds: float) -> float:
     )
 
 
-def _pictures(data: Path | None) -> list[NDArray[np.uint8]]:
+def _pictures(data: Path | None) -> list[Picture]:
     """Coded JPEGs: real ones spread over the objects, or drawn ones."""
     if data is None:
-        return [_drawn(seed) for seed in range(_N_TOUCHES)]
+        drawn = [drawn_dome(np.random.default_rng(n)) for n in range(_N_TOUCHES)]
+        return [np.frombuffer(coded(one), np.uint8) for one in drawn]
     found = sorted((data / "bathtip" / "originals").glob("*/*/*.jpg"))
     if len(found) < _N_TOUCHES:
         raise ValueError(
@@ -161,13 +194,67 @@ def _pictures(data: Path | None) -> list[NDArray[np.uint8]]:
     return [np.frombuffer(found[i].read_bytes(), np.uint8) for i in spread]
 
 
-def _drawn(seed: int) -> NDArray[np.uint8]:
-    """A dark disc with a smooth dent before a bright surround, as JPEG."""
-    rng = np.random.default_rng(seed)
-    rows, cols = np.mgrid[: _FRAME[0], : _FRAME[1]]
-    row_0, col_0 = rng.uniform(150, 330, size=2)
-    dent = np.exp(-((rows - row_0) ** 2 + (cols - col_0) ** 2) / 5000)
-    inside = np.hypot(rows - 235, cols - 250) < 220
-    levels = np.where(inside, 60 + 90 * dent, 245) + rng.normal(scale=3, size=_FRAME)
-    grey = levels.clip(0, 255).astype(np.uint8)
-    return np.asarray(cv2.imencode(".jpg", grey)[1]).ravel()
+def _time(encode: Encode, images: Array, seconds: float) -> float:
+    """Milliseconds for one image."""
+    return cpu_ms(lambda: encode(images), seconds) / len(images)
+
+
+def _peers(size: int, order: int) -> dict[str, tuple[Encode | None, int | None]]:
+    """How each peer encodes, None where absent, and how many images it takes."""
+    makers = {"mahotas": _mahotas, "centrosome": _centrosome}
+    peers: dict[str, tuple[Encode | None, int | None]] = {
+        name: (make(size, order) if find_spec(name) else None, 1)
+        for name, make in makers.items()
+    }
+    return peers | {"dense basis": (dense_basis(size, order), None)}
+
+
+def _mahotas(size: int, order: int) -> Encode:
+    from mahotas.features import zernike_moments
+
+    centre = ((size - 1) / 2, (size - 1) / 2)
+    return lambda images: zernike_moments(images[0], size / 2, order, cm=centre)
+
+
+def _centrosome(size: int, order: int) -> Encode:
+    from centrosome.zernike import construct_zernike_polynomials
+
+    x, y, inside = _disc(size)
+    degrees = np.array(zernike_degrees(order))
+    values = construct_zernike_polynomials(x[inside], y[inside], degrees)
+    scale = (degrees[:, 0] + 1) / np.pi * (2 / size) ** 2
+
+    def encode(images: Array) -> Floats:
+        levels = images[0][inside].astype(np.float64)
+        moments: Floats = np.abs((levels[:, None] * values).sum(axis=0)) * scale
+        return moments
+
+    return encode
+
+
+def dense_basis(size: int, order: int) -> Encode:
+    """One matrix product with the polynomials at all taxel centres in the disc."""
+    x, y, inside = _disc(size)
+    degrees = np.array(zernike_degrees(order))
+    taxels = np.flatnonzero(inside)
+    waves = degrees[:, 1] > 0
+    values = np.stack(list(zernike_values(order, x[inside], y[inside])), axis=1)
+    basis = np.concatenate([values.real, values.imag[:, waves]], axis=1)
+    scale = (degrees[:, 0] + 1) / np.pi * (2 / size) ** 2
+
+    def encode(images: Array) -> Floats:
+        levels = images.reshape(len(images), -1).take(taxels, axis=1)
+        parts = levels.astype(np.float64, copy=False) @ basis
+        sizes = np.abs(parts[:, : len(degrees)])
+        sizes[:, waves] = np.hypot(sizes[:, waves], parts[:, len(degrees) :])
+        scaled: Floats = sizes * scale
+        return scaled
+
+    return encode
+
+
+def _disc(size: int) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Taxel centres x and y, in radii, and which lie in the inscribed disc."""
+    side = (2 * np.arange(size) + 1 - size) / size
+    x, y = np.meshgrid(side, side)
+    return x, y, np.hypot(x, y) <= 1

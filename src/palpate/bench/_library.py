@@ -13,16 +13,17 @@ The library itself holds small images (10 x 10 uint8) drawn at random.
 import os
 import tempfile
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .._types import Array, Floats
 from ..classifiers import KernelDensityBayes, KernelDensityIndex
 from ..library import TouchLibrary
 from ..touches import Touches
-from ._timing import cpu_ms, one_thread, row
+from ._timing import Row, cpu_ms, one_thread, real_touches, row, wall_ms
 
 SIZES = (10_000, 100_000)
 LARGE = (1_000_000,)
@@ -30,10 +31,11 @@ N_OBJECTS = 50
 N_TESTED = 192
 NOISE = 0.3
 WIDTHS = (22, 71)
+_PRODUCT = "float32 matrix product"
 _AT_ONCE = 50_000
 _ADDED_SINGLY = 20
 
-Rows = list[dict[str, object]]
+Rows = list[Row]
 
 
 def bench_library(
@@ -41,20 +43,9 @@ def bench_library(
 ) -> Rows:
     """Measure a library and exact and indexed likelihoods at several sizes.
 
-    Parameters
-    ----------
-    sizes : tuple of int, default=(10_000, 100_000)
-        Touches in the library, over 50 objects.
-    seconds : float, default=0.5
-        CPU time to spend on each figure of a millisecond.
-    random_state : int, default=0
-
-    Returns
-    -------
-    list of dict
-        Rows with `name`, `ours_ms`, `peer`, `peer_ms`, `ratio`, and per kind of row
-        `touches_per_s`, `bytes_per_touch`, `megabytes`, `build_s`,
-        `equal_decisions`, `error_nats`.
+    `sizes` are touches in the library, over 50 objects. Rows also have, per kind,
+    `touches_per_s`, `bytes_per_touch`, `megabytes`, `build_s`, `equal_decisions` and
+    `error_nats`.
     """
     real = _real_features()
     kind = "random" if real is None else "resampled real"
@@ -77,57 +68,56 @@ def bench_library_large(*, seconds: float = 0.5, random_state: int = 0) -> Rows:
 
 def _store_rows(folder: Path, size: int, seed: int) -> Rows:
     """Add, open, list and count; times are of the wall, as disks take them."""
-    started = time.perf_counter()
     with TouchLibrary.open(folder / "library", create=True) as library:
-        for first in range(0, size, _AT_ONCE):
-            library.add(_touches(first, min(_AT_ONCE, size - first), seed))
-        added_s = time.perf_counter() - started
-        stats = library.stats()
-        raw = size * 100
+
+        def add_all() -> None:
+            for first in range(0, size, _AT_ONCE):
+                library.add(_touches(first, min(_AT_ONCE, size - first), seed))
+
+        def add_singly() -> None:
+            for touch in single:
+                library.add(touch)
+
+        added_ms, stats = wall_ms(add_all) / size, library.stats()
         single = _touches(size, _ADDED_SINGLY, seed + 1)
-        started = time.perf_counter()
-        for touch in single:
-            library.add(touch)
-        single_ms = (time.perf_counter() - started) * 1e3 / _ADDED_SINGLY
-    bare_ms = _bare_ms(folder, single)
-    peer = "numpy.save + fsync"
-    size_bytes = (stats.database_bytes + stats.image_bytes - raw) / size
+        single_ms = wall_ms(add_singly) / _ADDED_SINGLY
+    bare_ms = wall_ms(lambda: _save_bare(folder, single)) / _ADDED_SINGLY
+    raw, peer = size * 100, "numpy.save + fsync"
     rows = [
         row(
             f"{size:,} touches added, per touch (wall)",
-            added_s * 1e3 / size,
+            added_ms,
             peer,
             bare_ms,
-            touches_per_s=size / added_s,
-            bytes_per_touch=size_bytes,
+            touches_per_s=1e3 / added_ms,
+            bytes_per_touch=(stats.database_bytes + stats.image_bytes - raw) / size,
         ),
         row(f"one touch added to {size:,} (wall)", single_ms, peer, bare_ms),
     ]
-    no_peer = {"peer": "", "peer_ms": None, "reason": "nothing to compare with"}
-    actions = {
+    actions: dict[str, Callable[[TouchLibrary], object]] = {
         "opened": lambda one: None,
         "opened, 50 listed": lambda one: one.list(limit=50),
         "opened, filtered by force": lambda one: one.list("force_n > 0.9999"),
         "opened, objects counted": lambda one: one.objects(),
     }
-    for name, action in actions.items():
-        started = time.perf_counter()
+
+    def opened(action: Callable[[TouchLibrary], object]) -> None:
         with TouchLibrary.open(folder / "library") as library:
             action(library)
-        taken = (time.perf_counter() - started) * 1e3
-        rows.append(row(f"{size:,} touches {name} (wall)", taken, **no_peer))  # type: ignore[arg-type]
+
+    for name, action in actions.items():
+        ms, shown = wall_ms(partial(opened, action)), f"{size:,} touches {name} (wall)"
+        rows.append(row(shown, ms, reason="nothing to compare with"))
     return rows
 
 
-def _bare_ms(folder: Path, touches: Touches) -> float:
-    """Return what one durable file alone costs, in ms of the wall."""
-    started = time.perf_counter()
+def _save_bare(folder: Path, touches: Touches) -> None:
+    """Write one durable file a touch and nothing else."""
     for number, image in enumerate(touches.images):
         with (folder / f"{number}.npy").open("wb") as file:
             np.save(file, image)
             file.flush()
             os.fsync(file.fileno())
-    return (time.perf_counter() - started) * 1e3 / len(touches)
 
 
 def _touches(first: int, count: int, seed: int) -> Touches:
@@ -145,76 +135,63 @@ def _touches(first: int, count: int, seed: int) -> Touches:
 
 
 def _likelihood_rows(
-    name: str, stored: NDArray, labels: NDArray, new: NDArray, seconds: float
+    name: str, stored: Floats, labels: Array, new: Floats, seconds: float
 ) -> Rows:
     """Time the exact sums, then the index beside them."""
     model = KernelDensityBayes().fit(stored, labels)
-    megabytes = (model.points_.nbytes + model.tiles_.nbytes) / 2**20
-    exact, rows = {}, []
-    for batch in (1, 64):
-        mode = "single" if batch == 1 else f"batch {batch}"
-        ask = partial(model.log_likelihood, new[:batch])
-        exact[mode] = cpu_ms(ask, seconds) / batch
-        rows.append(
-            row(
-                f"{name}, exact {mode}",
-                exact[mode],
-                "float32 matrix product",
-                cpu_ms(_product(model, new[:batch]), seconds) / batch,
-                megabytes=megabytes,
-            )
-        )
+    some = {"single": new[:1], "batch 64": new[:64]}
+
+    def each_ms(ask: Callable[[Floats], object]) -> dict[str, float]:
+        return {
+            mode: cpu_ms(partial(ask, asked), seconds) / len(asked)
+            for mode, asked in some.items()
+        }
+
+    exact, product = each_ms(model.log_likelihood), each_ms(_product(model))
+    known = {"megabytes": (model.points_.nbytes + model.tiles_.nbytes) / 2**20}
+    rows = [
+        row(f"{name}, exact {mode}", ms, _PRODUCT, product[mode], **known)
+        for mode, ms in exact.items()
+    ]
     started = time.process_time()
     try:
         index = KernelDensityIndex(model)
     except ImportError as error:
-        reason = {"reason": str(error)}
-        return [*rows, row(f"{name}, index", float("nan"), "exact", None, **reason)]
-    build_s = time.process_time() - started
-    quality = index.quality(new)
-    for batch, mode in ((1, "single"), (64, "batch 64")):
-        ask = partial(index.log_likelihood, new[:batch])
-        rows.append(
-            row(
-                f"{name}, index {mode}",
-                cpu_ms(ask, seconds) / batch,
-                "exact",
-                exact[mode],
-                build_s=build_s,
-                megabytes=(index.weights_.nbytes + index.packed_.nbytes) / 2**20,
-                equal_decisions=quality.equal_decisions,
-                error_of_best_nats=quality.error_of_best_nats,
-                error_nats=quality.error_nats,
-                error_of_posterior=quality.error_of_posterior,
-            )
-        )
+        none = float("nan")
+        return [*rows, row(f"{name}, index", none, "exact", reason=str(error))]
+    facts = {
+        "build_s": time.process_time() - started,
+        "megabytes": (index.weights_.nbytes + index.packed_.nbytes) / 2**20,
+        **index.quality(new)._asdict(),
+    }
+    for mode, ms in each_ms(index.log_likelihood).items():
+        rows.append(row(f"{name}, index {mode}", ms, "exact", exact[mode], **facts))
     return rows
 
 
-def _product(model: KernelDensityBayes, new: NDArray) -> partial[NDArray]:
+def _product(model: KernelDensityBayes) -> Callable[[Floats], object]:
     columns = np.ascontiguousarray(model.points_.T, dtype=np.float32)
-    return partial(np.matmul, new[:, : len(columns)].astype(np.float32), columns)
+    return lambda new: new[:, : len(columns)].astype(np.float32) @ columns
 
 
-def _real_features() -> tuple[NDArray, NDArray] | None:
+def _real_features() -> tuple[Floats, Array] | None:
     """Return Zernike magnitudes and objects of half the real touches, or None."""
     from ..encodings import ZernikeMoments
     from ..images import DomeCrop
 
-    path = Path(os.environ.get("PALPATE_DATA", "")) / "bathtip" / "bathtip50.npz"
+    path = (real_touches(None) or Path()) / "bathtip" / "bathtip50.npz"
     if not path.is_file():
         return None
     touches = Touches.load(path)[::2]
     discs = DomeCrop().fit(touches.images, no_contact=touches.no_contact)
     images = discs.transform(touches.images)
     moments = ZernikeMoments(order=15, drop_constant=True).fit_transform(images)
-    assert touches.object is not None
-    return moments, np.unique(touches.object, return_inverse=True)[1]
+    return moments, np.unique(np.asarray(touches.object), return_inverse=True)[1]
 
 
 def _features(
-    real: tuple[NDArray, NDArray] | None, size: int, n_features: int, seed: int
-) -> tuple[NDArray, NDArray, NDArray]:
+    real: tuple[Floats, Array] | None, size: int, n_features: int, seed: int
+) -> tuple[Floats, Array, Floats]:
     """Return stored features, their objects, and features of held-out touches."""
     rng = np.random.default_rng(seed)
     values, objects = _random_features(rng) if real is None else real
@@ -234,7 +211,7 @@ def _features(
     return stored, labels, values[held_out][:N_TESTED]
 
 
-def _random_features(rng: np.random.Generator) -> tuple[NDArray, NDArray]:
+def _random_features(rng: np.random.Generator) -> tuple[Floats, Array]:
     objects = np.repeat(np.arange(N_OBJECTS), 40)
     centres = rng.normal(size=(N_OBJECTS, max(WIDTHS)))
     return centres[objects] + rng.normal(size=(len(objects), max(WIDTHS))), objects

@@ -9,18 +9,18 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
 from sklearn.neighbors import KernelDensity
 
+from .._types import Array, Floats
 from ..classifiers import KernelDensityBayes
-from ._timing import cpu_ms, one_thread, row
+from ._timing import Row, cpu_ms, one_thread, row
 
 SIZES = ((10, 60), (50, 24), (50, 94))  # objects, touches of each
 BATCHES = (1, 64)
 
-Measure = Callable[[NDArray], NDArray]
+Measure = Callable[[Floats], Floats]
 
 
 def bench_likelihood(
@@ -28,22 +28,11 @@ def bench_likelihood(
     n_features: int = 22,
     seconds: float = 0.3,
     random_state: int = 0,
-) -> list[dict[str, object]]:
+) -> list[Row]:
     """Time the log-likelihoods of new touches, alone and in batches.
 
-    Parameters
-    ----------
-    n_features : int, default=22
-    seconds : float, default=0.3
-        CPU time to spend on each figure.
-    random_state : int, default=0
-
-    Returns
-    -------
-    list of dict
-        Rows with `name`, `ours_ms`, `peer`, `peer_ms`, `ratio`, and `error_nats`:
-        our largest difference from the density written out in float64.
-        Milliseconds of CPU time for one touch against all stored touches.
+    Milliseconds are those of one touch against all stored touches; `error_nats` is our
+    largest difference from the density written out in float64.
     """
     rng = np.random.default_rng(random_state)
     rows = []
@@ -62,8 +51,8 @@ def bench_likelihood(
 
 
 def _rows(
-    name: str, stored: NDArray, labels: NDArray, new: NDArray, seconds: float
-) -> list[dict[str, object]]:
+    name: str, stored: Floats, labels: Array, new: Floats, seconds: float
+) -> list[Row]:
     """Time ours and every peer at one size."""
     model = KernelDensityBayes(precision="single").fit(stored, labels)
     peers = _peers(stored, labels)
@@ -82,7 +71,7 @@ def _rows(
     ]
 
 
-def _peers(stored: NDArray, labels: NDArray) -> dict[str, Measure]:
+def _peers(stored: Floats, labels: Array) -> dict[str, Measure]:
     """Return what is measured beside ours; preparation is free."""
     columns = np.ascontiguousarray(stored.T, dtype=np.float32)
     deviations = stored.std(axis=0, ddof=1)
@@ -92,18 +81,20 @@ def _peers(stored: NDArray, labels: NDArray) -> dict[str, Measure]:
     log_volume = np.log(deviations).sum()
     gaussian = log_volume + stored.shape[1] * np.log(2 * np.pi) / 2
 
-    def product(new: NDArray) -> NDArray:
-        return new.astype(np.float32) @ columns
+    def product(new: Floats) -> Floats:
+        return np.asarray(new.astype(np.float32) @ columns)
 
-    def one_leaf(new: NDArray) -> NDArray:
+    def one_leaf(new: Floats) -> Floats:
         x = new / deviations
-        return np.stack([t.score_samples(x) for t in trees], axis=1) - log_volume
+        scores = [tree.score_samples(x) for tree in trees]
+        return np.asarray(np.stack(scores, axis=1) - log_volume)
 
-    def written_out(new: NDArray) -> NDArray:
+    def written_out(new: Floats) -> Floats:
         x = new / deviations
         sums = [logsumexp(cdist(x, p, "sqeuclidean") / -2, axis=1) for p in parts]
         counts = [len(part) for part in parts]
-        return np.stack(sums, axis=1) - np.log(counts) - gaussian
+        logs: Floats = np.stack(sums, axis=1) - np.log(counts) - gaussian
+        return logs
 
     return {
         "float32 matrix product": product,

@@ -13,42 +13,30 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..touches import Touches
-from ._timing import one_thread, row
+from ._timing import N_COLS, N_ROWS, Row, drawn_dome, one_thread, row
 
-_N_ROWS, _N_COLS = 480, 640
-_OBJECTS = ("ball", "edge")
 _N_TOUCHES = 12
 _OFFERED_HZ = 30.0
+_STREAM = f"{N_COLS} x {N_ROWS} uint8 replay"
+_WAYS = ("frame to", "touch to belief at")
 _NO_PEER = "no other tool shows a belief over objects live"
 
 
-def bench_live(seconds: float = 8.0) -> list[dict[str, Any]]:
+def bench_live(seconds: float = 8.0) -> list[Row]:
     """Measure the live loop at 640 x 480, 30 frames offered a second.
 
-    Parameters
-    ----------
-    seconds : float, default=8
-        How long each stream is watched.
-
-    Returns
-    -------
-    list of dict
-        Rows without a peer: milliseconds per frame that reached the client (33.3 is
-        all of 30 a second), from a touch's last frame to its belief at the client
-        (median and greatest), and per frame of a 16 x 16 array at 100 Hz, with
-        `n_lost`.
+    Each stream is watched for some `seconds`. Milliseconds are those per frame that
+    reached the client (33.3 is all of 30 a second), from a touch's last frame to its
+    belief at the client (median and greatest), and per frame of a 16 x 16 array at
+    100 Hz, with `n_lost`.
     """
     with one_thread():
-        watched = _watched(seconds)
-        rows = _page_rows(watched)
-        rows.append(_array_row(seconds))
-    return rows
+        return [*_watched(seconds), _array_row(seconds)]
 
 
-def _watched(seconds: float) -> dict[str, Any]:
+def _watched(seconds: float) -> list[Row]:
     """Serve a replayed camera that recognises, and read its websocket."""
     from ..recognition import ObjectRecogniser
     from ..sensors import ReplaySensor
@@ -62,7 +50,7 @@ def _watched(seconds: float) -> dict[str, Any]:
         return _read_page(session, seconds)
 
 
-def _read_page(session: Any, seconds: float) -> dict[str, Any]:
+def _read_page(session: Any, seconds: float) -> list[Row]:
     import uvicorn
     from websockets.sync.client import connect
 
@@ -81,14 +69,14 @@ def _read_page(session: Any, seconds: float) -> dict[str, Any]:
     try:
         with connect(f"ws://127.0.0.1:{port}/ws?token=bench", max_size=None) as page:
             page.recv()
-            return _counted(page, seconds)
+            return _page_rows(page, seconds)
     finally:
         server.should_exit = True
         thread.join(10)
         opened.close()
 
 
-def _counted(page: Any, seconds: float) -> dict[str, Any]:
+def _page_rows(page: Any, seconds: float) -> list[Row]:
     """Count frames, bytes and touches that reach a client in some seconds."""
     n_frames, n_bytes = 0, 0
     to_belief_ms: list[float] = []
@@ -106,38 +94,24 @@ def _counted(page: Any, seconds: float) -> dict[str, Any]:
             touch = event["episode"]["touches"][-1]
             way_ms = 1e3 * (time.time() - touch["time_s"])
             to_belief_ms.append(touch["latency_ms"] + way_ms)
-    return {
-        "seconds": time.monotonic() - began_s,
-        "cpu_s": time.process_time() - began_cpu_s,
-        "n_frames": n_frames,
-        "n_bytes": n_bytes,
-        "to_belief_ms": to_belief_ms,
+    taken_s, cpu_s = time.monotonic() - began_s, time.process_time() - began_cpu_s
+    seen, known = max(1, n_frames), to_belief_ms or [float("nan")]
+    kib = n_bytes / seen / 1024
+    streamed: dict[str, Any] = {
+        "frames_per_s": n_frames / taken_s,
+        "kib_per_frame": kib,
     }
-
-
-def _page_rows(watched: dict[str, Any]) -> list[dict[str, Any]]:
-    n_frames = max(1, watched["n_frames"])
-    size = f"{_N_COLS} x {_N_ROWS} uint8 replay"
-    to_belief_ms = watched["to_belief_ms"] or [float("nan")]
-    per_s = watched["n_frames"] / watched["seconds"]
+    frame, touched = (f"{_STREAM} {what} page" for what in _WAYS)
+    median, counted = float(np.median(known)), {"n_touches": len(to_belief_ms)}
     return [
-        _alone(
-            f"{size} frame to page wall",
-            1e3 * watched["seconds"] / n_frames,
-            frames_per_s=per_s,
-            kib_per_frame=watched["n_bytes"] / n_frames / 1024,
-        ),
-        _alone(f"{size} frame to page cpu", 1e3 * watched["cpu_s"] / n_frames),
-        _alone(
-            f"{size} touch to belief at page median",
-            float(np.median(to_belief_ms)),
-            n_touches=len(watched["to_belief_ms"]),
-        ),
-        _alone(f"{size} touch to belief at page greatest", float(max(to_belief_ms))),
+        _alone(f"{frame} wall", 1e3 * taken_s / seen, **streamed),
+        _alone(f"{frame} cpu", 1e3 * cpu_s / seen),
+        _alone(f"{touched} median", median, **counted),
+        _alone(f"{touched} greatest", float(max(known))),
     ]
 
 
-def _array_row(seconds: float) -> dict[str, Any]:
+def _array_row(seconds: float) -> Row:
     """Follow a 16 x 16 array at 100 Hz and count what is lost."""
     from ..sensors import ReplaySensor, TouchDetector
 
@@ -160,30 +134,17 @@ def _array_row(seconds: float) -> dict[str, Any]:
         )
 
 
-def _alone(name: str, ours_ms: float, **extra: object) -> dict[str, Any]:
-    return row(name, ours_ms, "", None, reason=_NO_PEER, **extra)
+def _alone(name: str, ours_ms: float, **extra: Any) -> Row:
+    return row(name, ours_ms, reason=_NO_PEER, **extra)
 
 
 def _drawn() -> Touches:
-    """Draw touches of a dome by a round and a long thing, (n, 480, 640)."""
+    """Draw touches of a dome by a round and a long thing."""
     rng = np.random.default_rng(0)
-    y, x = np.mgrid[:_N_ROWS, :_N_COLS].astype(np.float32)
-    dome = np.where(np.hypot(y - 240, x - 320) < 220, 110, 20).astype(np.float32)
-
-    def press(long: bool) -> NDArray[np.uint8]:
-        row_at, col_at = rng.uniform(180, 300), rng.uniform(260, 380)
-        widths = (24.0, 110.0) if long else (55.0, 55.0)
-        turn = rng.uniform(0, np.pi)
-        along = (y - row_at) * np.sin(turn) + (x - col_at) * np.cos(turn)
-        across = (y - row_at) * np.cos(turn) - (x - col_at) * np.sin(turn)
-        bump = np.exp(-((across / widths[0]) ** 2) - (along / widths[1]) ** 2)
-        noise = rng.normal(scale=2, size=dome.shape)
-        return (dome + 90 * bump + noise).clip(0, 255).astype(np.uint8)
-
-    images = np.stack(
-        [press(long) for long in (False, True) for _ in range(_N_TOUCHES)]
-    )
-    labels = np.repeat(_OBJECTS, _N_TOUCHES)
+    kinds = {"ball": (55.0, 55.0), "edge": (24.0, 110.0)}
     return Touches(
-        images, object=labels, no_contact=dome.astype(np.uint8), geometry="dome"
+        [drawn_dome(rng, size) for size in kinds.values() for _ in range(_N_TOUCHES)],
+        object=np.repeat(list(kinds), _N_TOUCHES),
+        no_contact=drawn_dome(None),
+        geometry="dome",
     )

@@ -1,28 +1,32 @@
-"""CPU time of one simulated touch of the dome camera, whole and by stage."""
+"""CPU time of simulated touches: of a dome camera, by stage; of pressure arrays."""
 
 from collections.abc import Callable
-from itertools import cycle
+from functools import partial
+from itertools import count, cycle
 
 import numpy as np
 
 from ..simulation import (
     HOUSEHOLD,
+    PARTS,
     DomeCamera,
-    DomePress,
     PlacedObject,
+    PressureArray,
     SensorPose,
     gap_map,
 )
-from ._timing import cpu_ms, one_thread, row
+from ._timing import Row, cpu_ms, one_thread, row
 
 _SHAPES = ((96, 96), (150, 150), (300, 300), (480, 640))
 _TOUCHES_PER_OBJECT = 4
-_REASON = "no other package presses a shaded dome on objects"
+_ARRAY_SIZES = (10, 16, 32)
+_NO_DOME = "no other package presses a shaded dome on objects"
+_NO_ARRAY = "no other package presses parts on a covered array"
 
 Approach = tuple[PlacedObject, SensorPose]
 
 
-def bench_simulate(seconds: float = 0.5) -> list[dict[str, object]]:
+def bench_simulate(seconds: float = 0.5) -> list[Row]:
     """Time touches of the ten household objects from random sides, noise included.
 
     A touch is all of it; its stages are the rays, the contact (everything else of a
@@ -31,7 +35,16 @@ def bench_simulate(seconds: float = 0.5) -> list[dict[str, object]]:
     """
     with one_thread():
         approaches = _approaches()
-        return [_row(shape, approaches, seconds) for shape in _SHAPES]
+        return [_dome_row(shape, approaches, seconds) for shape in _SHAPES]
+
+
+def bench_simulate_array(seconds: float = 0.5) -> list[Row]:
+    """Time a press, the mean over the 12 parts, unevenness and noise included.
+
+    Presses differ in place and angle every time, so that nothing is timed twice.
+    """
+    with one_thread():
+        return [_array_row(size, seconds) for size in _ARRAY_SIZES]
 
 
 def _approaches() -> list[Approach]:
@@ -53,44 +66,53 @@ def _approaches() -> list[Approach]:
     return found
 
 
-def _row(
+def _dome_row(
     shape: tuple[int, int], approaches: list[Approach], seconds: float
-) -> dict[str, object]:
-    camera = DomeCamera(image_shape=shape)
-    rng = np.random.default_rng(0)
-    presses = [camera.press(placed, pose) for placed, pose in approaches]
-    in_turn, pressed = cycle(approaches), cycle(presses)
+) -> Row:
+    camera, rng = DomeCamera(image_shape=shape), np.random.default_rng(0)
+    presses = cycle([camera.press(placed, pose) for placed, pose in approaches])
+    in_turn, n_approaches = cycle(approaches), len(approaches)
 
-    def touch() -> None:
-        placed, pose = next(in_turn)
-        camera.touch(placed, pose, rng=rng)
+    def each_ms(stage: Callable[[], object]) -> float:
+        """Time a stage for every approach, so that each run times the same mix."""
+        every = partial(_repeat, stage, n_approaches)
+        return cpu_ms(every, seconds) / n_approaches
 
-    def rays() -> None:
-        placed, pose = next(in_turn)
-        gap_map(placed, pose, camera.membrane)
-
-    def picture() -> None:
-        press: DomePress = next(pressed)
-        camera.image(press, rng)
-
-    whole, by_rays, by_picture = (
-        cpu_ms(_repeated(stage, len(approaches)), seconds) / len(approaches)
-        for stage in (touch, rays, picture)
+    whole = each_ms(lambda: camera.touch(*next(in_turn), rng=rng))
+    rays = each_ms(lambda: gap_map(*next(in_turn), camera.membrane))
+    picture = each_ms(lambda: camera.image(next(presses), rng))
+    return row(
+        f"touch {shape[0]} x {shape[1]} uint8",
+        whole,
+        "none",
+        reason=_NO_DOME,
+        rays_ms=rays,
+        contact_ms=whole - rays - picture,
+        picture_ms=picture,
     )
-    name = f"touch {shape[0]} x {shape[1]} uint8"
-    stages = {
-        "rays_ms": by_rays,
-        "contact_ms": whole - by_rays - by_picture,
-        "picture_ms": by_picture,
-    }
-    return row(name, whole, "none", None, reason=_REASON, **stages)
 
 
-def _repeated(stage: Callable[[], None], times: int) -> Callable[[], None]:
-    """Run a stage for every approach, so that each run times the same mix."""
+def _repeat(stage: Callable[[], object], times: int) -> None:
+    for _ in range(times):
+        stage()
 
-    def run() -> None:
-        for _ in range(times):
-            stage()
 
-    return run
+def _array_row(size: int, seconds: float) -> Row:
+    array = PressureArray(size, size)
+    numbers = count()
+
+    def press_all() -> None:
+        number = next(numbers)
+        for part in PARTS:
+            array.press(
+                part,
+                x_mm=(0.37 * number) % 1,
+                angle_deg=37.3 * number,
+                tilt_deg=(0.1, -0.1),
+                roughness_um=10.0,
+                random_state=number,
+            )
+
+    ours_ms = cpu_ms(press_all, seconds) / len(PARTS)
+    name = f"press {size} x {size} pitch 2 mm"
+    return row(name, ours_ms, "none", reason=_NO_ARRAY)

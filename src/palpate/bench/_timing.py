@@ -1,14 +1,39 @@
-"""Timing shared by the benchmarks: CPU time, equal total durations, one thread.
+"""What the benchmarks share: CPU time, equal total durations, one thread; their data.
 
 Wall time on a busy machine flatters short calls, so calls are timed by the CPU time
 of the process, and each is repeated until about the same total time is spent.
 """
 
+import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from time import process_time
+from pathlib import Path
+from time import perf_counter, process_time
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
+
+Row = dict[str, Any]
+Picture = NDArray[np.uint8]
+N_ROWS, N_COLS = 480, 640
+# The kernel's high-water mark of a process: allocations of OpenCV are invisible to
+# `tracemalloc`, and `ru_maxrss` starts from the parent's value.
+_PEAK = """
+import json, sys, time
+def peak_mib():
+    try:
+        with open("/proc/self/status") as lines:
+            return next(int(l.split()[1]) for l in lines if "VmHWM" in l) / 1024
+    except OSError:
+        import resource
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak / (2**20 if sys.platform == "darwin" else 2**10)
+"""
 
 
 def cpu_ms(function: Callable[[], object], seconds: float = 0.5) -> float:
@@ -30,6 +55,13 @@ def cpu_ms(function: Callable[[], object], seconds: float = 0.5) -> float:
     return 1e3 * sorted(runs)[len(runs) // 2]
 
 
+def wall_ms(function: Callable[[], object]) -> float:
+    """Return the time of one call by the clock, in milliseconds."""
+    start = perf_counter()
+    function()
+    return 1e3 * (perf_counter() - start)
+
+
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Limit BLAS and OpenMP to one thread inside the `with` block."""
@@ -37,27 +69,78 @@ def one_thread() -> Iterator[None]:
         yield
 
 
+def measured_apart(code: str, *arguments: object) -> dict[str, Any]:
+    """Run code in a process of its own, so that its peak of memory is its own.
+
+    It finds `json`, `sys`, `time` and `peak_mib()`, and prints one JSON object.
+    """
+    command = [sys.executable, "-c", _PEAK + code, *map(str, arguments)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def real_touches(data: str | Path | None) -> Path | None:
+    """Return the folder of real touches: `data`, or what PALPATE_DATA names, if any."""
+    named = data if data is not None else os.environ.get("PALPATE_DATA")
+    return Path(named) if named else None
+
+
+def drawn_dome(
+    rng: np.random.Generator | None, widths_px: tuple[float, float] = (70.0, 70.0)
+) -> Picture:
+    """Draw a dome on a bright ground with a dent at a random place.
+
+    As JPEG it is as large as a picture of a real one, 60 KiB.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator, optional
+        None draws the dome without contact or noise.
+    widths_px : tuple of float
+        Of the dent, across and along its random direction.
+    """
+    rows, cols = np.mgrid[:N_ROWS, :N_COLS].astype(np.float32)
+    levels = np.where(np.hypot(rows - 240, cols - 320) < 220, 60, 245)
+    if rng is not None:
+        y, x = rows - rng.uniform(180, 300), cols - rng.uniform(260, 380)
+        turn = rng.uniform(0, np.pi)
+        across = x * np.sin(turn) - y * np.cos(turn)
+        along = x * np.cos(turn) + y * np.sin(turn)
+        dent = np.exp(-((across / widths_px[0]) ** 2) - (along / widths_px[1]) ** 2)
+        inside = np.where(levels == 60, 90 * dent, 0)
+        levels = levels + inside + rng.normal(scale=1.7, size=levels.shape)
+    return levels.clip(0, 255).astype(np.uint8)
+
+
+def coded(picture: Picture, quality: int = 95) -> bytes:
+    """Return a picture as JPEG."""
+    import cv2
+
+    options = [cv2.IMWRITE_JPEG_QUALITY, quality]
+    return bytes(cv2.imencode(".jpg", picture, options)[1])
+
+
 def row(
     name: str,
     ours_ms: float,
-    peer: str,
-    peer_ms: float | None,
-    **extra: object,
-) -> dict[str, object]:
+    peer: str = "",
+    peer_ms: float | None = None,
+    **extra: Any,
+) -> Row:
     """Return one row of a benchmark; `ratio` is how much faster ours is.
 
-    Pass `peer_ms=None` and `reason="..."` where the peer is absent: its ratio is
+    Leave out `peer_ms` and pass `reason="..."` where the peer is absent: its ratio is
     None then. Further keywords (`reason`, `n_touches`, ...) become columns.
     """
     if peer_ms is None and "reason" not in extra:
         raise ValueError(f"reason must be given for {name!r}: {peer} was not timed.")
-    ratio = None if peer_ms is None else peer_ms / ours_ms
     return {
         "name": name,
         "ours_ms": ours_ms,
         "peer": peer,
         "peer_ms": peer_ms,
-        "ratio": ratio,
+        "ratio": None if peer_ms is None else peer_ms / ours_ms,
         **extra,
     }
 

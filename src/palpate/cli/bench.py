@@ -18,7 +18,7 @@ def bench(
     from ._stages import Stages
 
     if list_names or not name:
-        for known, (_, _, what) in BENCHES.items():
+        for known, (_, what) in BENCHES.items():
             print(f"{known:12s} {what}")
         return
     with Stages() as stage:

@@ -20,7 +20,7 @@ def study(
         ),
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="A first look: two runs, small grids.")
+        bool, typer.Option("--quick", help="A first look, few runs and small grids.")
     ] = False,
     protocol: Annotated[
         str | None,
@@ -40,13 +40,14 @@ def study(
     as_json: AsJson = False,
 ) -> None:
     """Run a paper's experiment and print its figures beside the paper's."""
-    from ..studies import STUDIES, check_study
+    from .._checks import check_option
+    from ..studies import STUDIES
 
     if list_names or not name:
         for known, one in STUDIES.items():
             print(f"{known:12s} {one.summary}")
         return
-    check_study(name)
+    check_option("study", name, STUDIES)
     options: dict[str, Any] = {"data": data, "quick": quick, "seed": seed}
     if protocol is not None:
         options["protocol"] = protocol
@@ -58,19 +59,20 @@ def _run(
     name: str, options: dict[str, Any], report: Path | None, as_json: bool
 ) -> None:
     from ..evaluation import check_report_path
-    from ..studies import run_study, study_tables, write_study_report
+    from ..studies import STUDIES
 
+    one = STUDIES[name]
     if report is not None:
         check_report_path(report)
-    result = run_study(name, **options)
+    result = one.run(**options)
     for sentence in result["skipped"]:
         print(sentence, file=sys.stderr)
     if report is not None:
-        write_study_report(report, result)
+        one.write_report(report, result)
     if as_json:
         print_json(result)
         return
-    for title, columns, rows in study_tables(result):
+    for title, columns, rows in one.tables(result):
         table(title, columns, rows)
     if report is not None:
         print(report)
