@@ -1,12 +1,12 @@
 """A simulated sensor on the desk: a dome camera or a pressure array that runs live."""
 
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import check_option
+from .._types import Array
 from ..simulation import (
     HOUSEHOLD,
     PARTS,
@@ -77,7 +77,7 @@ class SimulatedStream(PlayedSensor):
         self._rng = np.random.default_rng(random_state)
         self._noise = _noise(self._rest_image, "dome" if dome else "array", self._rng)
         self._pool: ThreadPoolExecutor | None = None
-        self._made: tuple[str, Future[NDArray[Any]]] | None = None
+        self._made: tuple[str, Future[Array]] | None = None
         super().__init__(
             f"simulated {'dome camera' if dome else 'pressure array'}",
             "grey level",
@@ -92,7 +92,7 @@ class SimulatedStream(PlayedSensor):
         )
         self._placed = name
 
-    def no_contact(self) -> NDArray[Any]:
+    def no_contact(self) -> Array:
         """Return the frame of touching nothing, without noise."""
         return self._rest_image
 
@@ -105,7 +105,7 @@ class SimulatedStream(PlayedSensor):
             self._pool.shutdown(wait=False, cancel_futures=True)
         self._pool = self._made = None
 
-    def _next_touch(self, name: str) -> NDArray[Any] | None:
+    def _next_touch(self, name: str) -> Array | None:
         assert self._pool is not None
         if self._made is None or self._made[0] != name:
             self._made = name, self._pool.submit(self._touched, name)
@@ -115,7 +115,7 @@ class SimulatedStream(PlayedSensor):
         self._made = name, self._pool.submit(self._touched, name)
         return future.result()
 
-    def _touched(self, name: str) -> NDArray[Any]:
+    def _touched(self, name: str) -> Array:
         seed = int(self._rng.integers(2**31))
         if isinstance(self._device, DomeCamera):
             touches = simulate_touches(
@@ -123,12 +123,12 @@ class SimulatedStream(PlayedSensor):
             )
         else:
             touches = simulate_presses(name, 1, array=self._device, random_state=seed)
-        image: NDArray[Any] = touches.images[0]
+        image: Array = touches.images[0]
         return image
 
-    def _with_noise(self, image: NDArray[Any]) -> NDArray[Any]:
+    def _with_noise(self, image: Array) -> Array:
         noise = self._noise[self._number % _NOISE_FRAMES]
-        noisy: NDArray[Any] = (image + noise).clip(0, 255).astype(np.uint8)
+        noisy: Array = (image + noise).clip(0, 255).astype(np.uint8)
         return noisy
 
 

@@ -133,7 +133,7 @@ class LiveSession:
     @property
     def zero(self) -> NDArray[Any] | None:
         """The frame of no contact, where there is one."""
-        return None if self.watch is None else self.watch.detector.zero
+        return None if self.watch is None else self.watch.detector.baseline
 
     def post_touch(self, image: NDArray[Any]) -> dict[str, Any]:
         """Take one touch from outside into the episode; return the episode.

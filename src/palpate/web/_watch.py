@@ -20,9 +20,9 @@ from ..sensors import (
     SensorError,
     SensorMemory,
     TouchDetector,
+    baseline_warning,
     desk_of,
     gain_warning,
-    zero_warning,
 )
 from ._events import Event, Listeners
 from ._health import Health
@@ -117,7 +117,7 @@ class SensorWatch:
             raise SensorError(f"{self.sensor.name} gave too few frames for a zero.")
         with self._lock:
             self.detector.step = self.sensor.step
-            self.detector.take_zero(frames, force=force)
+            self.detector.take_baseline(frames, force=force)
             self._recent = []
         self._compare()
 
@@ -129,9 +129,9 @@ class SensorWatch:
             "unit": sensor.unit,
             "shape": list(sensor.image_shape),
             "lost": sensor.lost,
-            "zero": self.detector.zero is not None,
+            "zero": self.detector.baseline is not None,
             "touching": self.detector.touching,
-            "offer": self.detector.rezero_offer(time.monotonic()),
+            "offer": self.detector.baseline_offer(time.monotonic()),
             "warnings": list(self._warnings),
             "desk": None
             if desk is None
@@ -152,10 +152,10 @@ class SensorWatch:
 
     def _compare(self) -> None:
         """Say what has left tolerance since the model learnt."""
-        zero, memory = self.detector.zero, self._memory
+        zero, memory = self.detector.baseline, self._memory
         found = [self._misfit]
         if not self._misfit and zero is not None and memory is not None:
-            found = [zero_warning(memory, zero.astype(np.float64))]
+            found = [baseline_warning(memory, zero.astype(np.float64))]
             recent = list(self._recent)
             if recent and memory.response.size and not found[0]:
                 now = SensorMemory.of(np.stack(recent), zero)
