@@ -1,6 +1,7 @@
 """`palpate library`, and every verb that takes touches taking a library."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -160,9 +161,10 @@ def test_a_model_is_extended_from_new_episodes(palpate, folder, tmp_path):
 
 
 def test_a_cluster_that_is_not_there_is_told(palpate, folder, tmp_path, monkeypatch):
-    import palpate.cli._workers as workers
+    import distributed
 
-    monkeypatch.setattr(workers, "CONNECT_S", 0.2)
+    soon = partial(distributed.Client, timeout=0.2)
+    monkeypatch.setattr(distributed, "Client", lambda address, timeout: soon(address))
     model = tmp_path / "m.palpate"
     refused = palpate("learn", folder, "-o", model, "--cluster", "nowhere:1")
     assert refused.returncode == 1

@@ -14,7 +14,6 @@ from palpate.library import TouchLibrary
 from palpate.recognition import ObjectRecogniser
 from palpate.sensors import ReplaySensor, SensorMemory
 from palpate.web import LiveSession
-from palpate.web._teaching import Teacher
 
 
 @pytest.fixture(scope="module")
@@ -177,15 +176,15 @@ def test_live_says_why_a_touch_was_not_taken(
 
 
 def test_record_says_that_the_disk_is_full(palpate, replay, tmp_path, monkeypatch):
-    stored, plain = [], Teacher.store
+    stored, plain = [], TouchLibrary.add
 
-    def store(self, name, image, zero):
+    def add(self, *touches, **where):
         if len(stored) == 2:
             raise OSError("No space left on device")
-        stored.append(plain(self, name, image, zero))
+        stored.append(plain(self, *touches, **where))
         return stored[-1]
 
-    monkeypatch.setattr(Teacher, "store", store)
+    monkeypatch.setattr(TouchLibrary, "add", add)
     words = ["record", "bar", *replay, "--gap", "3", "--timeout", "20"]
     told = palpate(*words, "--library", tmp_path / "l", "-n", "5")
     assert told.returncode == 1

@@ -89,7 +89,7 @@ def test_a_worker_that_dies_is_survived(on_cluster, tmp_path):
 @pytest.mark.slow
 def test_the_same_study_gives_the_same_figures_everywhere(cluster, monkeypatch):
     """A small study from the command's own helper: one process, two, a cluster."""
-    from palpate.cli._workers import working
+    from palpate.cli import Working
     from palpate.studies import Liu2014Plan, run_study
 
     monkeypatch.delenv("PALPATE_DATA", raising=False)
@@ -101,7 +101,7 @@ def test_the_same_study_gives_the_same_figures_everywhere(cluster, monkeypatch):
         ("two", 2, None),
         ("cluster", None, cluster.scheduler_address),
     ):
-        with working(workers, address) as n_jobs:
+        with Working(workers, address).started() as n_jobs:
             rows = run_study("liu2014", workers=n_jobs, plan=plan, progress=False)[
                 "rows"
             ]

@@ -1,5 +1,7 @@
 """The command `palpate`: one verb per file, each a thin layer over the library."""
 
+from ._app import app as app
 from ._app import main
+from ._options import Working as Working
 
 __all__ = ["main"]

@@ -6,10 +6,11 @@ that `palpate --help` answers at once.
 
 import os
 import sys
+from typing import Annotated
 
 import typer
 
-from . import simulate_dome  # noqa: F401, registers `dome` and `pins`
+from .. import __version__
 from .bench import bench
 from .demo import demo
 from .doctor import doctor
@@ -26,22 +27,44 @@ from .study import study
 
 app = typer.Typer(
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     help="Recognise things by touch: learn objects from touches, recognise them "
     "touch by touch, and say when something is unknown.",
 )
-for verb in (learn, recognise, evaluate, demo, study, bench, doctor):
+VERBS = (learn, recognise, evaluate, demo, study, bench, doctor, serve, record, live)
+for verb in VERBS:
     app.command()(verb)
-for live_verb in (serve, record, live):
-    app.command()(live_verb)
-app.add_typer(simulate, name="simulate")
-app.add_typer(library, name="library")
-app.add_typer(explore, name="explore")
+for name, verbs in {
+    "simulate": simulate,
+    "library": library,
+    "explore": explore,
+}.items():
+    app.add_typer(verbs, name=name)
+
+
+# What a verb may fail with; anything else is a fault of palpate and shows where.
+FAILURES = (ValueError, TypeError, OSError, RuntimeError, ImportError, MemoryError)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"palpate {__version__}")
+        raise typer.Exit
 
 
 @app.callback()
-def _root() -> None:
+def _root(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            help="Print the version and exit.",
+            callback=_print_version,
+            is_eager=True,
+        ),
+    ] = False,
+) -> None:
     """Take the verbs as they are."""
 
 
@@ -52,14 +75,7 @@ def main() -> None:
     """
     try:
         app()
-    except (
-        ValueError,
-        TypeError,
-        OSError,
-        RuntimeError,
-        ImportError,
-        MemoryError,
-    ) as error:
+    except FAILURES as error:
         if os.environ.get("PALPATE_DEBUG"):
             raise
         print(f"palpate: {error}", file=sys.stderr)

@@ -4,18 +4,17 @@ from typing import Annotated, Any
 
 import typer
 
-from ._options import AsJson
-from ._output import print_json, table
+from ._options import AsJson, ListNames
+from ._output import Stages, print_json, table
 
 
 def bench(
     name: Annotated[str, typer.Argument(help="Which benchmark; see --list.")] = "",
-    list_names: Annotated[bool, typer.Option("--list", help="List them.")] = False,
+    list_names: ListNames = False,
     as_json: AsJson = False,
 ) -> None:
     """Measure speed beside peers: CPU time, one thread, ratios within one run."""
     from ..bench import BENCHES, run_bench
-    from ._stages import Stages
 
     if list_names or not name:
         for known, (_, _, what) in BENCHES.items():

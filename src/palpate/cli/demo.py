@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ._options import AsJson, Seed
-from ._output import percent, print_json
-from ._stages import Stages
-from .explore import print_attempt, told
+from ._output import Stages, percent, print_json
+from .explore import exploration_to_dict, print_attempt
 from .recognise import print_episode, recognise_episodes
 
 if TYPE_CHECKING:
@@ -156,7 +155,7 @@ def _recognise_by_exploring(
         )
         if not quiet:
             print(f"  {end.reason}\n")
-        episodes.append({"object": name, **told(recogniser, end)})
+        episodes.append({"object": name, **exploration_to_dict(recogniser, end)})
     return episodes
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import typer
 
+from .._extras import install
 from ._options import AsJson
 from ._output import print_json, table
 
@@ -73,8 +74,7 @@ def _package(name: str, extra: str | None) -> dict[str, Any]:
     try:
         return _check(name, version(name), "", ok=True, needed=extra is None)
     except PackageNotFoundError:
-        target = "palpate" if extra is None else f"palpate[{extra}]"
-        fix = f"pip install {target}"
+        fix = f"pip install {name}" if extra is None else install(extra)
         return _check(name, "missing", fix, ok=False, needed=extra is None)
 
 

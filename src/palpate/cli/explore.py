@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._options import AsJson, ModelPath, Preset, Seed
-from ._output import belief_line, print_json
-from .simulate import Workers
-from .simulate_dome import Objects, Rows, Unit, find_objects
+from ._options import AsJson, ErrorRate, ModelOutput, ModelPath, Preset, Seed
+from ._output import Stages, belief_line, print_json
+from .simulate import Objects, Rows, Unit, Workers, find_objects
 
 if TYPE_CHECKING:
     from ..exploration import (
@@ -40,9 +39,7 @@ Folder = Annotated[
 
 @explore.command()
 def learn(
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="The model file to write (.palpate).")
-    ],
+    output: ModelOutput,
     objects: Objects = None,
     touches: Annotated[
         int, typer.Option("--touches", help="Touches of each object.")
@@ -66,7 +63,6 @@ def learn(
     from ..exploration import RobotError, explore_to_learn
     from ..recognition import ObjectRecogniser, check_model_path, summary
     from ..simulation import DomeCamera
-    from ._stages import Stages
 
     check_model_path(output)
     things = find_objects(objects, unit)
@@ -121,9 +117,7 @@ def recognise(
     most: Annotated[
         int, typer.Option("--max-touches", help="Budget of attempts.")
     ] = 30,
-    error: Annotated[
-        float, typer.Option("--error", help="Accepted share of wrong decisions.")
-    ] = 0.01,
+    error: ErrorRate = 0.01,
     folder: Folder = None,
     yaw: Annotated[
         float | None,
@@ -179,7 +173,7 @@ def recognise(
     )
     if as_json:
         about = {"object": found.name, "strategy": strategy}
-        print_json({**about, **told(knower, end)})
+        print_json({**about, **exploration_to_dict(knower, end)})
         return
     print(f"  {end.reason}")
 
@@ -209,7 +203,9 @@ def print_attempt(record: "TouchRecord", belief: Any) -> None:
         print(f"  {record.outcome}. {record.message}".rstrip())
 
 
-def told(knower: "ObjectRecogniser | TouchMap", end: "Exploration") -> dict[str, Any]:
+def exploration_to_dict(
+    knower: "ObjectRecogniser | TouchMap", end: "Exploration"
+) -> dict[str, Any]:
     """Return an exploration as plain values, with the belief after every attempt."""
     from ..exploration import as_touches
 
@@ -263,7 +259,6 @@ def _touch_map(
     from .._checks import check_option
     from ..exploration import TouchMap
     from ..touches import Touches
-    from ._stages import Stages
 
     check_option("strategy", strategy, STRATEGIES)
     archive = taught_path(model) if taught is None else taught

@@ -10,18 +10,16 @@ from ._options import (
     Calibration,
     Floor,
     Label,
-    MaxMegapixels,
-    NamePattern,
-    NoContact,
+    ModelOutput,
     Preset,
+    Reading,
     Seed,
     TouchesPath,
-    Where,
+    Working,
     calibrated,
-    training_touches,
+    grouped,
 )
-from ._output import print_json
-from ._workers import Cluster, Workers, working
+from ._output import Stages, print_json
 
 if TYPE_CHECKING:
     from ..library import Selection
@@ -29,12 +27,12 @@ if TYPE_CHECKING:
     from ..touches import Touches
 
 
+@grouped
 def learn(
     touches: TouchesPath,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="The model file to write (.palpate).")
-    ],
-    where: Where = None,
+    output: ModelOutput,
+    reading: Reading,
+    working: Working,
     preset: Preset = "default",
     label: Label = "object",
     floor: Floor = None,
@@ -54,25 +52,18 @@ def learn(
             "encoding and what it knows stay as they are.",
         ),
     ] = None,
-    workers: Workers = None,
-    cluster: Cluster = None,
-    name_pattern: NamePattern = None,
-    no_contact: NoContact = None,
     calibration: Calibration = None,
-    max_megapixels: MaxMegapixels = 50,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
     """Learn objects from labelled touches and write a model file."""
     from ..library import TouchLibrary
     from ..recognition import ObjectRecogniser, check_model_path, summary
-    from ._stages import Stages
 
     check_model_path(output)
-    read = (touches, name_pattern, no_contact, max_megapixels, where)
-    with Stages() as stage, working(workers, cluster):
+    with Stages() as stage, working.started():
         stage(f"reading {touches}")
-        with training_touches(*read) as found:
+        with reading.selection(touches) as found:
             training = found
             if calibration is not None:
                 training = calibrated(_held(found), calibration)
@@ -87,7 +78,9 @@ def learn(
                 stage("learning where parts lie")
                 recogniser.fit_pose(_held(training), pitch_mm)
         if TouchLibrary.is_library(touches):
-            _remember(recogniser, touches, where, extend, raw=calibration is None)
+            _remember(
+                recogniser, touches, reading.where, extend, raw=calibration is None
+            )
         written = recogniser.save(output)
     learnt = summary(recogniser)
     if as_json:

@@ -5,15 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._options import (
-    AsJson,
-    MaxMegapixels,
-    NamePattern,
-    NoContact,
-    TouchesPath,
-    Where,
-    read_touches,
-)
+from ._options import AsJson, Reading, TouchesPath, Where, grouped
 from ._output import print_json, table
 
 if TYPE_CHECKING:
@@ -30,10 +22,11 @@ LibraryPath = Annotated[
 
 
 @library.command()
+@grouped
 def add(
     folder: LibraryPath,
     touches: TouchesPath,
-    where: Where = None,
+    reading: Reading,
     session: Annotated[
         str | None, typer.Option("--session", help="Name of the recording session.")
     ] = None,
@@ -61,9 +54,6 @@ def add(
         str | None,
         typer.Option("--object", help="Of a bag: what is touched in all of it."),
     ] = None,
-    name_pattern: NamePattern = None,
-    no_contact: NoContact = None,
-    max_megapixels: MaxMegapixels = 50,
     as_json: AsJson = False,
 ) -> None:
     """Add touches; LIBRARY is made where there is none. Adding twice adds once."""
@@ -74,19 +64,16 @@ def add(
     if topic is None:
         if object_name is not None:
             raise ValueError("--object must come with a bag and --topic.")
-        found = read_touches(touches, name_pattern, no_contact, max_megapixels, where)
+        found = reading.touches(touches)
     else:
         from ..library import read_bag
 
-        _refuse_with_topic(
-            {"--where": where, "--name-pattern": name_pattern}
-            | {"--no-contact": no_contact}
-        )
+        _refuse_with_topic(reading)
         found = read_bag(touches, topic, object=object_name)
-    told = sensor and SensorDescription(sensor, kind, unit, pitch_mm)
+    described = sensor and SensorDescription(sensor, kind, unit, pitch_mm)
     with TouchLibrary.open(folder, create=True) as opened:
         before = opened.stats()
-        opened.add(found, session=session, episode=episode, sensor=told or None)
+        opened.add(found, session=session, episode=episode, sensor=described or None)
         after = opened.stats()
     n_new = sum(after[:2]) - sum(before[:2])
     if as_json:
@@ -298,9 +285,10 @@ _ID_SHOWN = 12
 _SHOWN = ("id", "object", "session", "episode", "order", "force_n", "retracted")
 
 
-def _refuse_with_topic(options: dict[str, object]) -> None:
+def _refuse_with_topic(reading: Reading) -> None:
     """Refuse what says nothing of a bag."""
-    for name, value in options.items():
+    options = {"--where": reading.where, "--name-pattern": reading.name_pattern}
+    for name, value in {**options, "--no-contact": reading.no_contact}.items():
         if value is not None:
             raise ValueError(
                 f"{name} must be left out with --topic, got {str(value)!r}. All "

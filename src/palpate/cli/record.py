@@ -3,39 +3,29 @@
 import sys
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._live_options import (
-    Baud,
-    Checksum,
-    FramingName,
-    Gap,
-    Hold,
-    Place,
-    RateHz,
-    SensorSpec,
-    Shape,
-    Summary,
-    chosen_sensor,
-)
-from ._options import AsJson, NamePattern, NoContact
+from ._options import AsJson, grouped
 from ._output import print_json
+from ._sensor import Patience, SensorAddress, SensorOptions, Summary, need_baseline
 
 if TYPE_CHECKING:
     from ..web import LiveSession
 
 
+@grouped
 def record(
     name: Annotated[str, typer.Argument(metavar="OBJECT", help="What is touched.")],
-    sensor: SensorSpec,
+    sensor: SensorAddress,
     library: Annotated[
         Path,
         typer.Option(
             "--library", help="Folder that keeps the touches; made if missing."
         ),
     ],
+    options: SensorOptions,
     touches: Annotated[
         int, typer.Option("-n", "--touches", help="How many touches to take.")
     ] = 12,
@@ -45,20 +35,8 @@ def record(
             "-o", "--output", help="Write the object's touches to an archive too."
         ),
     ] = None,
-    timeout: Annotated[
-        float, typer.Option("--timeout", help="Give up after so long without a touch.")
-    ] = 120.0,
+    timeout: Patience = 120.0,
     summary: Summary = "peak",
-    shape: Shape = None,
-    rate: RateHz = None,
-    baud: Baud = None,
-    framing: FramingName = None,
-    checksum: Checksum = True,
-    hold: Hold = None,
-    gap: Gap = None,
-    place: Place = None,
-    name_pattern: NamePattern = None,
-    no_contact: NoContact = None,
     as_json: AsJson = False,
 ) -> None:
     """Record touches of one object; each is on the disk as soon as it is counted."""
@@ -66,41 +44,22 @@ def record(
 
     if output is not None and output.suffix != ".npz":
         raise typer.BadParameter(f"--output must end in .npz, got {output.name!r}.")
-    chosen = chosen_sensor(
-        sensor,
-        shape=shape,
-        rate=rate,
-        baud=baud,
-        framing=framing,
-        checksum=checksum,
-        hold=hold,
-        gap=gap,
-        no_contact=no_contact,
-        name_pattern=name_pattern,
-        place=place,
-    )
+    chosen = options.open(sensor)
     name = " ".join(name.split())  # as it is kept
     with LiveSession(chosen, library=library, summary=summary) as session:
-        _need_zero(session)
+        need_baseline(session)
         n_taken = _lesson(session, name, touches, timeout)
         assert session.teacher is not None
         if output is not None and n_taken:
             session.teacher.touches(name).save(output)
     if as_json:
-        told: dict[str, Any] = {"object": name, "touches": n_taken}
-        where = None if output is None else str(output)
-        print_json({**told, "library": str(library), "output": where})
+        output_path = None if output is None else str(output)
+        kept = {"library": str(library), "output": output_path}
+        print_json({"object": name, "touches": n_taken, **kept})
     else:
         print(f"{n_taken} touches of {name} are in {library}.")
     if n_taken < touches:
         raise typer.Exit(1)
-
-
-def _need_zero(session: "LiveSession") -> None:
-    """Take the frame of no contact where the sensor does not know it."""
-    if session.zero is None:
-        print("Leave the sensor alone: taking its zero.", file=sys.stderr)
-        session.take_zero()
 
 
 def _lesson(session: "LiveSession", name: str, wanted: int, timeout_s: float) -> int:

@@ -7,32 +7,21 @@ from typing import Annotated
 
 import typer
 
-from ._live_options import (
-    Baud,
-    Checksum,
-    ErrorRate,
-    FramingName,
-    Gap,
-    Hold,
-    Place,
-    RateHz,
-    Shape,
-    Summary,
-    chosen_sensor,
-)
-from ._options import AsJson, NamePattern, NoContact
+from ._options import AsJson, ErrorRate, grouped
 from ._output import print_json
+from ._sensor import ADDRESS, SensorOptions, Summary
 
 HERE = "127.0.0.1"
 
 
+@grouped
 def serve(
+    options: SensorOptions,
     sensor: Annotated[
         str | None,
         typer.Option(
             "--sensor",
-            help="camera:NAME, serial:PORT, replay:PATH or sim:OBJECT. Without one "
-            "touches come through the API alone.",
+            help=f"{ADDRESS} Without one touches come through the API alone.",
         ),
     ] = None,
     model: Annotated[
@@ -60,16 +49,6 @@ def serve(
     ] = 8765,
     error: ErrorRate = 0.01,
     summary: Summary = "peak",
-    shape: Shape = None,
-    rate: RateHz = None,
-    baud: Baud = None,
-    framing: FramingName = None,
-    checksum: Checksum = True,
-    hold: Hold = None,
-    gap: Gap = None,
-    place: Place = None,
-    name_pattern: NamePattern = None,
-    no_contact: NoContact = None,
     as_json: AsJson = False,
 ) -> None:
     """Serve the page and the API of one sensor, to whoever has the printed address."""
@@ -77,21 +56,7 @@ def serve(
     from ..web.serving import open_socket, run_app
 
     require_web()
-    chosen = None
-    if sensor is not None:
-        chosen = chosen_sensor(
-            sensor,
-            shape=shape,
-            rate=rate,
-            baud=baud,
-            framing=framing,
-            checksum=checksum,
-            hold=hold,
-            gap=gap,
-            no_contact=no_contact,
-            name_pattern=name_pattern,
-            place=place,
-        )
+    chosen = None if sensor is None else options.open(sensor)
     token = new_token()
     with (
         closing(open_socket(host, port)) as socket,

@@ -1,14 +1,19 @@
 """`palpate simulate`: touches of a sensor that is not there, as a touch archive."""
 
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._options import AsJson, Seed
+from ._options import AsJson, Seed, checked_workers, grouped
 from ._output import print_json
-from ._workers import checked_workers
 
+if TYPE_CHECKING:
+    from ..simulation import DomeCamera, SimObject, TacTipPins
+    from ..touches import Touches
+
+SETS = ("household", "unseen", "shapes")
 # Share of the pitch that senses, where --sensing is not given (the paper's 1.3 / 2).
 SENSING_SHARE = 0.65
 
@@ -19,14 +24,87 @@ simulate = typer.Typer(
 Output = Annotated[
     Path, typer.Option("-o", "--output", help="The touch archive to write (.npz).")
 ]
-
-
 Workers = Annotated[
     int,
     typer.Option(
         "--workers", help="Processes; -1 for all cores.", callback=checked_workers
     ),
 ]
+Objects = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[OBJECT]...",
+        help="Names (mug, 'porridge pot'...), the sets household, unseen or shapes, or "
+        "mesh files (.stl .obj .ply). Default: household.",
+    ),
+]
+Rows = Annotated[int, typer.Option("--rows", help="Rows of the picture.")]
+Cols = Annotated[int, typer.Option("--cols", help="Columns of the picture.")]
+Unit = Annotated[
+    str, typer.Option("--unit", help="Unit of mesh files: mm, cm, m or in.")
+]
+Force = Annotated[float, typer.Option("--force", help="A press ends at so many N.")]
+
+
+@dataclass(frozen=True)
+class DomeTouches:
+    """How objects are touched by a dome, and where the touches go."""
+
+    output: Output
+    objects: Objects = None
+    touches: Annotated[
+        int, typer.Option("--touches", help="Touches of each object.")
+    ] = 60
+    sessions: Annotated[
+        int,
+        typer.Option(
+            "--sessions",
+            help="Recordings: in each the object is turned anew and the camera drifts.",
+        ),
+    ] = 1
+    any_pose: Annotated[
+        bool, typer.Option("--any-pose", help="Let objects rest on any of their faces.")
+    ] = False
+    aim_sd: Annotated[
+        float,
+        typer.Option("--aim-sd", help="Presses face the centre to within this sd, mm."),
+    ] = 5.0
+    no_drift: Annotated[
+        bool,
+        typer.Option("--no-drift", help="Keep exposure and place in all sessions."),
+    ] = False
+    unit: Unit = "mm"
+    workers: Workers = -1
+    seed: Seed = 0
+    as_json: AsJson = False
+
+    def make(self, camera: "DomeCamera | TacTipPins") -> None:
+        """Touch the objects and write the archive."""
+        from ..simulation import BASIC_SHAPES, simulate_touches
+
+        things = find_objects(self.objects, self.unit)
+        check_output(self.output)
+        shapes = [thing in BASIC_SHAPES for thing in things]
+        if any(shapes) and not all(shapes):
+            raise ValueError(
+                "The basic shapes are touched from above, other objects from all "
+                "sides; simulate them into archives of their own."
+            )
+        made = simulate_touches(
+            things,
+            self.touches,
+            camera,
+            "above" if all(shapes) else "hemisphere",
+            pose="any" if self.any_pose else "usual",
+            aim_sd_mm=self.aim_sd,
+            drift=not self.no_drift,
+            n_sessions=self.sessions,
+            n_jobs=self.workers,
+            random_state=self.seed,
+            progress=None,
+        )
+        names = [thing.name for thing in things]
+        _write(made, self.output, "Touched", "objects", names, self.as_json)
 
 
 @simulate.command()
@@ -71,7 +149,7 @@ def array(
         float, typer.Option("--gain-spread", help="Spread of the taxels' gains.")
     ] = 0.1,
     dead_zone: Annotated[
-        float, typer.Option("--dead-zone", help="Less than this is not felt, kPa.")
+        float, typer.Option("--dead-zone", help="Less than this reads 0, kPa.")
     ] = 69.0,
     full_scale: Annotated[
         float, typer.Option("--full-scale", help="Stress that reads 255, kPa.")
@@ -87,6 +165,8 @@ def array(
     as_json: AsJson = False,
 ) -> None:
     """Press flat parts on a pressure array, each time laid down anew."""
+    import numpy as np
+
     from ..simulation import PressureArray, simulate_presses
 
     check_output(output)
@@ -113,12 +193,76 @@ def array(
         random_state=seed,
         n_jobs=workers,
     )
+    names = list(dict.fromkeys(np.asarray(made.object).tolist()))
+    _write(made, output, "Pressed", "parts", names, as_json)
+
+
+@simulate.command()
+@grouped
+def dome(
+    way: DomeTouches,
+    rows: Rows = 120,
+    cols: Cols = 120,
+    force: Force = 0.735,
+    youngs: Annotated[
+        float, typer.Option("--youngs", help="Young's modulus of the rubber, MPa.")
+    ] = 0.11,
+    thickness: Annotated[
+        float, typer.Option("--thickness", help="Thickness of the rubber, mm.")
+    ] = 1.5,
+    leds: Annotated[int, typer.Option("--leds", help="Number of LEDs.")] = 8,
+    gain: Annotated[float, typer.Option("--gain", help="Exposure.")] = 1.0,
+    noise: Annotated[
+        float, typer.Option("--noise", help="Noise of a picture, grey levels.")
+    ] = 3.6,
+) -> None:
+    """Touch objects with a rubber dome and the camera behind it."""
+    from ..simulation import DomeCamera
+
+    way.make(
+        DomeCamera(
+            image_shape=(rows, cols),
+            force_n=force,
+            youngs_mpa=youngs,
+            thickness_mm=thickness,
+            n_leds=leds,
+            gain=gain,
+            noise_sd=noise,
+        )
+    )
+
+
+@simulate.command()
+@grouped
+def pins(
+    way: DomeTouches,
+    rows: Rows = 300,
+    cols: Cols = 300,
+    force: Force = 0.735,
+    rings: Annotated[int, typer.Option("--rings", help="Rings of pins.")] = 6,
+) -> None:
+    """Touch objects with a dome whose inside carries pins, as a TacTip's does."""
+    from ..simulation import TacTipPins
+
+    usual = TacTipPins()
+    seen = replace(usual.dome, image_shape=(rows, cols), force_n=force)
+    way.make(replace(usual, dome=seen, n_rings=rings))
+
+
+def _write(
+    made: "Touches",
+    output: Path,
+    done: str,
+    things: str,
+    names: list[str],
+    as_json: bool,
+) -> None:
+    """Write the archive and tell what is in it."""
     made.save(output)
-    names = list(dict.fromkeys(map(str, made.object)))  # type: ignore[arg-type]
     if as_json:
         print_json({"touches": str(output), "n_touches": len(made), "objects": names})
         return
-    print(f"Pressed {len(names)} parts, {len(made)} touches.")
+    print(f"{done} {len(names)} {things}, {len(made)} touches.")
     print(output)
 
 
@@ -149,3 +293,43 @@ def check_output(path: Path) -> None:
         raise ValueError(f"--output must end in .npz, got {path.name!r}.")
     if not path.parent.is_dir():
         raise ValueError(f"There is no folder {path.parent} to write to; make it.")
+
+
+def find_objects(names: list[str] | None, unit: str) -> "list[SimObject]":
+    """Return the objects that names, sets and mesh files stand for.
+
+    Raises
+    ------
+    ValueError
+        There is no such object, or two of them have one name: their touches would
+        be those of one.
+    """
+    from ..simulation import (
+        BASIC_SHAPES,
+        HOUSEHOLD,
+        MESH_SUFFIXES,
+        UNSEEN,
+        find_object,
+        load_mesh,
+    )
+
+    sets = dict(zip(SETS, (HOUSEHOLD, UNSEEN, BASIC_SHAPES), strict=True))
+    given_as: dict[str, str] = {}
+    found: list[SimObject] = []
+    for name in names or ["household"]:
+        if name in sets:
+            things = sets[name]
+        elif Path(name).suffix.lower() in MESH_SUFFIXES:
+            things = (load_mesh(name, unit=unit),)
+        else:
+            things = (find_object(name),)
+        for thing in things:
+            if thing.name in given_as:
+                raise ValueError(
+                    f"OBJECT must name each object once, got {thing.name!r} as "
+                    f"{given_as[thing.name]!r} and {name!r}. Leave one out; a mesh "
+                    "file is called as its object, so rename it."
+                )
+            given_as[thing.name] = name
+        found += things
+    return found

@@ -6,12 +6,13 @@ from typing import Annotated, Any
 
 import typer
 
-from ._options import AsJson, Seed
+from ._options import AsJson, ListNames, Report, Seed, Working, grouped
 from ._output import print_json, table
-from ._workers import Cluster, Workers, working
 
 
+@grouped
 def study(
+    working: Working,
     name: Annotated[str, typer.Argument(help="Which study; see --list.")] = "",
     data: Annotated[
         Path | None,
@@ -30,12 +31,8 @@ def study(
             "paper (on the runs reported). Default: both.",
         ),
     ] = None,
-    workers: Workers = None,
-    cluster: Cluster = None,
-    report: Annotated[
-        Path | None, typer.Option("--report", help="Write one self-contained .html.")
-    ] = None,
-    list_names: Annotated[bool, typer.Option("--list", help="List them.")] = False,
+    report: Report = None,
+    list_names: ListNames = False,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
@@ -50,7 +47,7 @@ def study(
     options: dict[str, Any] = {"data": data, "quick": quick, "seed": seed}
     if protocol is not None:
         options["protocol"] = protocol
-    with working(-1 if workers is None and cluster is None else workers, cluster) as n:
+    with working.started(usual=-1) as n:
         _run(name, {**options, "workers": n}, report, as_json)
 
 
