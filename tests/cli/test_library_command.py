@@ -10,18 +10,6 @@ from palpate import Touches
 from palpate.library import TouchLibrary
 
 NAMES = ("ball", "mug", "pen")
-VERBS = (
-    "add",
-    "list",
-    "show",
-    "export",
-    "check",
-    "stats",
-    "rename",
-    "merge",
-    "retract",
-    "restore",
-)
 
 
 def _touches(seed, names=NAMES, n_each=20):
@@ -46,13 +34,6 @@ def folder(tmp_path, archive, palpate):
     done = palpate("library", "add", folder, archive, "--session", "monday", "--json")
     assert json.loads(done.stdout)["added"] == 60
     return folder
-
-
-def test_every_verb_has_help(palpate):
-    listed = palpate("library", "--help").stdout
-    for verb in VERBS:
-        assert verb in listed
-        assert "Usage" in palpate("library", verb, "--help").stdout
 
 
 def test_adding_twice_adds_once(palpate, folder, archive):

@@ -58,6 +58,14 @@ def test_record_keeps_touches_in_a_library_and_an_archive(palpate, replay, tmp_p
     assert "touch 4 of 4" in told.stderr
 
 
+def test_an_address_may_say_what_options_say(palpate, recording, tmp_path):
+    address = f"replay:{recording}?rate=200&hold=3&gap=3&place=bar"
+    words = ["record", "bar", "--sensor", address, "-n", "3", "--rate", "200"]
+    told = palpate(*words, "--library", tmp_path / "l", "--json")
+    assert told.returncode == 0, told.stderr
+    assert json.loads(told.stdout)["touches"] == 3
+
+
 def test_record_gives_up_where_no_touch_comes(palpate, replay, tmp_path):
     told = palpate(
         *["record", "bar", "--sensor", "sim:bar10", "--rate", "50", "--gap", "10000"],
@@ -96,6 +104,11 @@ def test_live_follows_an_episode_to_its_decision(palpate, replay, recording, tmp
         (["--sensor", "camera:/dev/nowhere"], "no camera at"),
         (["--sensor", "sim:mug", "--baud", "9600"], "says nothing to a sim sensor"),
         (["--sensor", "sim:mug", "--shape", "big"], "rows x columns"),
+        (["--sensor", "sim:mug?speed=3"], "'speed' is no option"),
+        (["--sensor", "sim:mug?rate=3&rate=3"], "rate must be given once"),
+        (["--sensor", "sim:mug?rate=3", "--rate", "4"], "rate=3.0 in 'sim:mug?rate=3'"),
+        (["--sensor", "sim:mug?rate=3", "--rate", "4"], "--rate 4.0 contradict"),
+        (["--sensor", "serial:x?checksum=no", "--checksum"], "checksum=no in"),
         (["--sensor", "telepathy"], "camera:NAME"),
     ],
 )

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from .. import __version__
+from ._options import option
 from .bench import bench
 from .demo import demo
 from .doctor import doctor
@@ -57,9 +58,9 @@ def _print_version(wanted: bool) -> None:
 def _root(
     version: Annotated[
         bool,
-        typer.Option(
+        option(
             "--version",
-            help="Print the version and exit.",
+            "Print the version and exit.",
             callback=_print_version,
             is_eager=True,
         ),

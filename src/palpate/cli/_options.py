@@ -43,73 +43,73 @@ def checked_workers(workers: int | None) -> int | None:
     return workers
 
 
+def option(*names_and_help: str, **more: Any) -> Any:
+    """Return an option of the command line: its names, then what it does, as text.
+
+    Square brackets in the text, as in `palpate[plot]`, are no markup.
+    """
+    *names, text = names_and_help
+    return typer.Option(*names, help=text.replace("[", r"\["), **more)
+
+
+def argument(*name_and_help: str) -> Any:
+    """Return an argument of the command line: its name, if it has one, and its help."""
+    *name, text = name_and_help
+    return typer.Argument(metavar=name[0] if name else None, help=text)
+
+
 TouchesPath = Annotated[
     Path,
-    typer.Argument(
-        metavar="TOUCHES",
-        help="A touch archive (.npz), a folder of JPEG/PNG images, or a library.",
+    argument(
+        "TOUCHES", "A touch archive (.npz), a folder of JPEG/PNG images, or a library."
     ),
 ]
-ModelPath = Annotated[
-    Path, typer.Argument(metavar="MODEL", help="A model file (.palpate).")
-]
+ModelPath = Annotated[Path, argument("MODEL", "A model file (.palpate).")]
 ModelOutput = Annotated[
-    Path, typer.Option("-o", "--output", help="The model file to write (.palpate).")
+    Path, option("-o", "--output", "The model file to write (.palpate).")
 ]
-AsJson = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object and nothing else.")
-]
+AsJson = Annotated[bool, option("--json", "Print one JSON object and nothing else.")]
 Seed = Annotated[
-    int,
-    typer.Option("--seed", help="Seed of everything random.", callback=checked_seed),
+    int, option("--seed", "Seed of everything random.", callback=checked_seed)
 ]
-Preset = Annotated[
-    str, typer.Option("--preset", help='"default", "corradi2015" or "liu2014".')
-]
-Label = Annotated[
-    str, typer.Option("--label", help='What to recognise: "object" or "category".')
-]
-ErrorRate = Annotated[
-    float, typer.Option("--error", help="Accepted share of wrong decisions.")
-]
-Report = Annotated[
-    Path | None, typer.Option("--report", help="Write one self-contained .html.")
-]
-ListNames = Annotated[bool, typer.Option("--list", help="List them.")]
+Preset = Annotated[str, option("--preset", '"default", "corradi2015" or "liu2014".')]
+Label = Annotated[str, option("--label", 'What to recognise: "object" or "category".')]
+ErrorRate = Annotated[float, option("--error", "Accepted share of wrong decisions.")]
+Report = Annotated[Path | None, option("--report", "Write one self-contained .html.")]
+ListNames = Annotated[bool, option("--list", "List them.")]
 Floor = Annotated[
     float | None,
-    typer.Option(
+    option(
         "--floor",
-        help="Least probability one touch leaves to all objects; 0 lets one touch "
+        "Least probability one touch leaves to all objects; 0 lets one touch "
         "rule an object out. Default: the preset's.",
     ),
 ]
 NamePattern = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--name-pattern",
-        help="Regular expression for image names with named groups, such as "
+        "Regular expression for image names with named groups, such as "
         r"'(?P<object>\w+)_(?P<order>\d+)'. Without it folders name the objects.",
     ),
 ]
 NoContact = Annotated[
-    Path | None,
-    typer.Option("--no-contact", help="The image of the sensor touching nothing."),
+    Path | None, option("--no-contact", "The image of the sensor touching nothing.")
 ]
 Where = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--where",
-        help="Of a library, the touches that meet this filter alone, such as "
+        "Of a library, the touches that meet this filter alone, such as "
         '"object = mug and force_n > 0.5". Comparisons: = != < <= > >= in contains, '
         "is null; joined by and, or, not.",
     ),
 ]
 Calibration = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--calibration",
-        help="A `TaxelCalibration` (JSON) of a pressure array: readings become kPa "
+        "A `TaxelCalibration` (JSON) of a pressure array: readings become kPa "
         "before anything else. Give the same to `learn` and `recognise`.",
     ),
 ]
@@ -123,8 +123,7 @@ class Reading:
     name_pattern: NamePattern = None
     no_contact: NoContact = None
     max_megapixels: Annotated[
-        float,
-        typer.Option("--max-megapixels", help="Larger pictures are refused unread."),
+        float, option("--max-megapixels", "Larger pictures are refused unread.")
     ] = 50
 
     def touches(self, path: Path) -> "Touches":
@@ -183,18 +182,17 @@ class Working:
 
     workers: Annotated[
         int | None,
-        typer.Option(
+        option(
             "--workers",
-            help="Processes on this machine; -1 is one per core. Results do not "
-            "change.",
+            "Processes on this machine; -1 is one per core. Results do not change.",
         ),
     ] = None
     cluster: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--cluster",
-            help="Address of a Dask scheduler, such as tcp://lab:8786; needs "
-            + install("distributed").replace("[", r"\["),
+            "Address of a Dask scheduler, such as tcp://lab:8786; needs "
+            + install("distributed"),
         ),
     ] = None
 

@@ -6,8 +6,9 @@ Text is printed as it is: square brackets, as in `palpate[plot]`, are no markup.
 import json
 import math
 import sys
-from types import TracebackType
-from typing import Any, Self
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
 
 BAR_WIDTH = 24
 SHOWN = 3
@@ -16,6 +17,15 @@ SHOWN = 3
 def print_json(value: dict[str, Any]) -> None:
     """Print one JSON object; numbers that are not finite become null."""
     print(json.dumps(_plain(value), allow_nan=False))
+
+
+def answer(as_json: bool, values: dict[str, Any], *lines: object) -> None:
+    """Print values as one JSON object, or lines for people."""
+    if as_json:
+        print_json(values)
+        return
+    for line in lines:
+        print(line)
 
 
 def belief_line(touch: int, posterior: dict[str, float]) -> str:
@@ -45,36 +55,24 @@ def percent(value: float | None) -> str:
     return "-" if value is None else f"{100 * value:.1f}"
 
 
-class Stages:
-    """Show the present stage of long work with a running clock.
+@contextmanager
+def stages() -> Iterator[Callable[[str], None]]:
+    """Show the present stage of long work with a running clock, on standard error.
 
-    Called with the name of each stage. Draws nothing where standard error is no
-    terminal, so that logs stay readable.
+    Yields what is to be called with the name of each stage. Draws nothing where
+    standard error is no terminal, so that logs stay readable.
     """
+    if not sys.stderr.isatty():
+        yield lambda stage: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    def __init__(self) -> None:
-        self._bar: Any = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __call__(self, stage: str) -> None:
-        if not sys.stderr.isatty():
-            return
-        if self._bar is None:
-            self._bar = _clock()
-            self._bar.start()
-            self._bar.add_task(stage, total=None)
-        self._bar.update(self._bar.task_ids[0], description=stage)
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+    text = TextColumn("{task.description}", markup=False)
+    columns = SpinnerColumn(), text, TimeElapsedColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda stage: bar.update(task, description=stage)
 
 
 def _plain(value: Any) -> Any:
@@ -85,16 +83,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-def _clock() -> Any:
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    return Progress(
-        SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-        transient=True,
-    )

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._options import NamePattern, NoContact
+from ._options import NamePattern, NoContact, option
 
 if TYPE_CHECKING:
     from ..sensors import LiveSensor
@@ -16,17 +16,17 @@ ADDRESS = (
     "camera:NAME, serial:PORT, replay:PATH or sim:OBJECT, with options as in "
     "'camera:USB Camera?shape=480x640&rate=30'."
 )
-SensorAddress = Annotated[str, typer.Option("--sensor", help=ADDRESS)]
+SensorAddress = Annotated[str, option("--sensor", ADDRESS)]
 Summary = Annotated[
     str,
-    typer.Option(
+    option(
         "--summary",
-        help='What stands for a touch: "peak", the frame of greatest change, or '
+        'What stands for a touch: "peak", the frame of greatest change, or '
         '"mean" over the hold.',
     ),
 ]
 Patience = Annotated[
-    float, typer.Option("--timeout", help="Give up after so long without a touch.")
+    float, option("--timeout", "Give up after so long without a touch.")
 ]
 
 
@@ -36,45 +36,35 @@ class SensorOptions:
 
     image_shape: Annotated[
         str | None,
-        typer.Option(
-            "--shape", help="Rows x columns of an array (16x16) or a camera (480x640)."
-        ),
+        option("--shape", "Rows x columns of an array (16x16) or a camera (480x640)."),
     ] = None
     rate_hz: Annotated[
-        float | None, typer.Option("--rate", help="Frames per second, where chosen.")
+        float | None, option("--rate", "Frames per second, where chosen.")
     ] = None
     baud: Annotated[
-        int | None, typer.Option("--baud", help="Bits per second of a serial port.")
+        int | None, option("--baud", "Bits per second of a serial port.")
     ] = None
     framing: Annotated[
         str | None,
-        typer.Option(
-            "--framing", help='How a serial array writes: "line" or "binary".'
-        ),
+        option("--framing", 'How a serial array writes: "line" or "binary".'),
     ] = None
     checksum: Annotated[
         bool | None,
-        typer.Option(
+        option(
             "--checksum/--no-checksum",
-            help="Refuse serial lines without a checksum. Default: refuse.",
+            "Refuse serial lines without a checksum. Default: refuse.",
         ),
     ] = None
     hold: Annotated[
         int | None,
-        typer.Option(
-            "--hold", help="Frames that a replayed or simulated touch is held."
-        ),
+        option("--hold", "Frames that a replayed or simulated touch is held."),
     ] = None
     gap: Annotated[
-        int | None,
-        typer.Option("--gap", help="Frames of nothing between two such touches."),
+        int | None, option("--gap", "Frames of nothing between two such touches.")
     ] = None
     place: Annotated[
         str | None,
-        typer.Option(
-            "--place",
-            help="What lies before a replayed or simulated sensor at first.",
-        ),
+        option("--place", "What lies before a replayed or simulated sensor at first."),
     ] = None
     name_pattern: NamePattern = None
     no_contact: NoContact = None

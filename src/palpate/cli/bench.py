@@ -2,14 +2,12 @@
 
 from typing import Annotated, Any
 
-import typer
-
-from ._options import AsJson, ListNames
-from ._output import Stages, print_json, table
+from ._options import AsJson, ListNames, argument
+from ._output import print_json, stages, table
 
 
 def bench(
-    name: Annotated[str, typer.Argument(help="Which benchmark; see --list.")] = "",
+    name: Annotated[str, argument("Which benchmark; see --list.")] = "",
     list_names: ListNames = False,
     as_json: AsJson = False,
 ) -> None:
@@ -20,7 +18,7 @@ def bench(
         for known, (_, _, what) in BENCHES.items():
             print(f"{known:12s} {what}")
         return
-    with Stages() as stage:
+    with stages() as stage:
         stage(f"measuring {name}")
         rows = run_bench(name)
     if as_json:

@@ -1,13 +1,12 @@
 """`palpate demo`: explore and learn ten objects, recognise them, meet unknown ones."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from ._options import AsJson, Seed
-from ._output import Stages, percent, print_json
+from ._options import AsJson, Seed, option
+from ._output import percent, print_json, stages
 from .explore import exploration_to_dict, print_attempt
 from .recognise import print_episode, recognise_episodes
 
@@ -32,14 +31,15 @@ ERROR = 0.1
 MOST_ATTEMPTS = 16
 
 Sets = tuple["Touches", "Touches", "Touches"]
+Stage = Callable[[str], None]
 
 
 def demo(
     real: Annotated[
-        bool, typer.Option("--real", help="Use the recorded touches in PALPATE_DATA.")
+        bool, option("--real", "Use the recorded touches in PALPATE_DATA.")
     ] = False,
     folder: Annotated[
-        Path, typer.Option("--output", help="Where to write the model and the report.")
+        Path, option("--output", "Where to write the model and the report.")
     ] = Path("demo"),
     seed: Seed = 0,
     as_json: AsJson = False,
@@ -55,7 +55,7 @@ def demo(
 
     folder.mkdir(parents=True, exist_ok=True)
     report = check_report_path(folder / "report.html")
-    with Stages() as stage:
+    with stages() as stage:
         sets = _read(pictures, seed, stage) if pictures else _explored(seed)
         train, test, unknown = sets
         plan = Plan(touches=(1, 3, 5, 10), seed=seed)
@@ -184,7 +184,7 @@ def _recognise_recorded(
     return known + strange
 
 
-def _read(pictures: Path, seed: int, stage: Stages) -> Sets:
+def _read(pictures: Path, seed: int, stage: Stage) -> Sets:
     """Read the recorded pictures; some objects, drawn by lot, are the unknown ones."""
     import numpy as np
 

@@ -4,8 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from ._options import (
     AsJson,
     ErrorRate,
@@ -17,49 +15,47 @@ from ._options import (
     Seed,
     Working,
     grouped,
+    option,
 )
-from ._output import Stages, percent, print_json, table
+from ._output import percent, print_json, stages, table
 
 
 @grouped
 def evaluate(
-    train: Annotated[Path, typer.Option("--train", help="Training touches.")],
-    reading: Reading,
-    working: Working,
+    train: Annotated[Path, option("--train", "Training touches.")],
+    *,
     test: Annotated[
-        Path | None, typer.Option("--test", help="Test touches; or give --split.")
+        Path | None, option("--test", "Test touches; or give --split.")
     ] = None,
     split: Annotated[
         str | None,
-        typer.Option(
-            "--split", help="Split --train itself: between, last or unseen-objects."
-        ),
+        option("--split", "Split --train itself: between, last or unseen-objects."),
     ] = None,
     label: Label = "object",
     preset: Preset = "default",
     touches: Annotated[
-        str, typer.Option("--touches", help="Give figures after so many touches.")
+        str, option("--touches", "Give figures after so many touches.")
     ] = "1,5,15,30",
     train_touches: Annotated[
-        int | None,
-        typer.Option("--train-touches", help="Draw so many per object to train."),
+        int | None, option("--train-touches", "Draw so many per object to train.")
     ] = None,
     orders: Annotated[
-        int, typer.Option("--orders", help="Random orders of each object's touches.")
+        int, option("--orders", "Random orders of each object's touches.")
     ] = 20,
     unknown: Annotated[
-        Path | None,
-        typer.Option("--unknown", help="Touches of objects that are not trained on."),
+        Path | None, option("--unknown", "Touches of objects that are not trained on.")
     ] = None,
     test_where: Annotated[
-        str | None, typer.Option("--test-where", help="The same for --test.")
+        str | None, option("--test-where", "The same for --test.")
     ] = None,
     unknown_where: Annotated[
-        str | None, typer.Option("--unknown-where", help="The same for --unknown.")
+        str | None, option("--unknown-where", "The same for --unknown.")
     ] = None,
     error: ErrorRate = 0.01,
     report: Report = None,
     floor: Floor = None,
+    reading: Reading,
+    working: Working,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
@@ -86,7 +82,7 @@ def evaluate(
         stage(f"reading {path}")
         return replace(reading, where=where).touches(path)
 
-    with Stages() as stage, working.started():
+    with stages() as stage, working.started():
         training, testing = read(train, reading.where), read(test, test_where)
         strange = read(unknown, unknown_where)
         figures, trials = run(

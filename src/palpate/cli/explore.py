@@ -6,8 +6,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._options import AsJson, ErrorRate, ModelOutput, ModelPath, Preset, Seed
-from ._output import Stages, belief_line, print_json
+from ._options import (
+    AsJson,
+    ErrorRate,
+    ModelOutput,
+    ModelPath,
+    Preset,
+    Seed,
+    argument,
+    option,
+)
+from ._output import answer, belief_line, stages
 from .simulate import Objects, Rows, Unit, Workers, find_objects
 
 if TYPE_CHECKING:
@@ -30,9 +39,9 @@ explore = typer.Typer(
 )
 Folder = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--folder",
-        help="Keep every attempt here as it is made; the same command goes on there.",
+        "Keep every attempt here as it is made; the same command goes on there.",
     ),
 ]
 
@@ -41,11 +50,9 @@ Folder = Annotated[
 def learn(
     output: ModelOutput,
     objects: Objects = None,
-    touches: Annotated[
-        int, typer.Option("--touches", help="Touches of each object.")
-    ] = 60,
+    touches: Annotated[int, option("--touches", "Touches of each object.")] = 60,
     sessions: Annotated[
-        int, typer.Option("--sessions", help="How often each object is put down anew.")
+        int, option("--sessions", "How often each object is put down anew.")
     ] = 3,
     preset: Preset = "default",
     rows: Rows = 120,
@@ -81,56 +88,52 @@ def learn(
         )
     except RobotError as error:
         raise ValueError(str(error)) from error
-    with Stages() as stage:
+    with stages() as stage:
         stage(f"learning from {len(taught)} touches")
         recogniser = ObjectRecogniser(preset, random_state=seed).fit(taught)
     archive = taught_path(output)
     taught.save(archive)
     written = recogniser.save(output)
     learnt = summary(recogniser)
-    if as_json:
-        print_json({"model": str(written), "touches": str(archive), **learnt})
-        return
-    print(f"Explored {len(things)} objects with {len(taught)} touches.")
-    print(archive)
-    print(written)
+    answer(
+        as_json,
+        {"model": str(written), "touches": str(archive), **learnt},
+        f"Explored {len(things)} objects with {len(taught)} touches.",
+        archive,
+        written,
+    )
 
 
 @explore.command()
 def recognise(
     model: ModelPath,
-    thing: Annotated[
-        str,
-        typer.Argument(metavar="OBJECT", help="A built-in object or a mesh file."),
-    ],
+    thing: Annotated[str, argument("OBJECT", "A built-in object or a mesh file.")],
     strategy: Annotated[
-        str, typer.Option("--strategy", help="informative, random or raster.")
+        str, option("--strategy", "informative, random or raster.")
     ] = "informative",
     taught: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--taught",
-            help="The touches MODEL learnt, with their directions. Default: the .npz "
+            "The touches MODEL learnt, with their directions. Default: the .npz "
             "of MODEL's name, where there is one.",
         ),
     ] = None,
-    most: Annotated[
-        int, typer.Option("--max-touches", help="Budget of attempts.")
-    ] = 30,
+    most: Annotated[int, option("--max-touches", "Budget of attempts.")] = 30,
     error: ErrorRate = 0.01,
     folder: Folder = None,
     yaw: Annotated[
         float | None,
-        typer.Option("--yaw", help="Turn about the vertical, degrees. Default: drawn."),
+        option("--yaw", "Turn about the vertical, degrees. Default: drawn."),
     ] = None,
     face: Annotated[
-        int, typer.Option("--face", help="Which face it rests on; 0 is the usual one.")
+        int, option("--face", "Which face it rests on; 0 is the usual one.")
     ] = 0,
     fault: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--fault",
-            help="Let something fail, as '2=no force': in attempt 2, counted from 0. "
+            "Let something fail, as '2=no force': in attempt 2, counted from 0. "
             "Repeatable. stuck force, stuck force in contact, no force, overshoot, "
             "driver error, slow, retract error, arm stuck, no frame, out of reach.",
         ),
@@ -171,11 +174,8 @@ def recognise(
         clock=stand.robot.clock,
         on_attempt=None if as_json else print_attempt,
     )
-    if as_json:
-        about = {"object": found.name, "strategy": strategy}
-        print_json({**about, **exploration_to_dict(knower, end)})
-        return
-    print(f"  {end.reason}")
+    about = {"object": found.name, "strategy": strategy}
+    answer(as_json, {**about, **exploration_to_dict(knower, end)}, f"  {end.reason}")
 
 
 def one_object(name: str, unit: str = "mm") -> "SimObject":
@@ -270,7 +270,7 @@ def _touch_map(
             f"directions, got no {archive}. Name them with --taught, or take "
             "--strategy random."
         )
-    with Stages() as stage:
+    with stages() as stage:
         stage("learning where touches were made")
         return TouchMap(random_state=seed).fit(recogniser, Touches.load(archive))
 

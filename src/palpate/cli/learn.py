@@ -3,8 +3,6 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from ._options import (
     AsJson,
     Calibration,
@@ -18,8 +16,9 @@ from ._options import (
     Working,
     calibrated,
     grouped,
+    option,
 )
-from ._output import Stages, print_json
+from ._output import answer, stages
 
 if TYPE_CHECKING:
     from ..library import Selection
@@ -31,27 +30,28 @@ if TYPE_CHECKING:
 def learn(
     touches: TouchesPath,
     output: ModelOutput,
-    reading: Reading,
-    working: Working,
+    *,
     preset: Preset = "default",
     label: Label = "object",
     floor: Floor = None,
     pitch_mm: Annotated[
         float | None,
-        typer.Option(
+        option(
             "--pitch-mm",
-            help="Distance of neighbouring taxels: learn also where and at what angle "
+            "Distance of neighbouring taxels: learn also where and at what angle "
             "parts lie on a pressure array. Default: what the archive says.",
         ),
     ] = None,
     extend: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--extend",
-            help="Add the objects of TOUCHES that this model does not know to it; its "
+            "Add the objects of TOUCHES that this model does not know to it; its "
             "encoding and what it knows stay as they are.",
         ),
     ] = None,
+    working: Working,
+    reading: Reading,
     calibration: Calibration = None,
     seed: Seed = 0,
     as_json: AsJson = False,
@@ -61,7 +61,7 @@ def learn(
     from ..recognition import ObjectRecogniser, check_model_path, summary
 
     check_model_path(output)
-    with Stages() as stage, working.started():
+    with stages() as stage, working.started():
         stage(f"reading {touches}")
         with reading.selection(touches) as found:
             training = found
@@ -83,15 +83,14 @@ def learn(
             )
         written = recogniser.save(output)
     learnt = summary(recogniser)
-    if as_json:
-        print_json({"model": str(written), **learnt})
-        return
-    print(
+    poses = " Poses on the array are learnt too." if recogniser.pose_ else ""
+    answer(
+        as_json,
+        {"model": str(written), **learnt},
         f"Learnt {learnt['n_labels']} {learnt['label']} labels from "
-        f"{learnt['n_train_touches']} touches ({learnt['chosen']['encoding']})."
-        + (" Poses on the array are learnt too." if recogniser.pose_ else "")
+        f"{learnt['n_train_touches']} touches ({learnt['chosen']['encoding']}).{poses}",
+        written,
     )
-    print(written)
 
 
 def _extended(model: Path, training: "Touches | Selection") -> "ObjectRecogniser":

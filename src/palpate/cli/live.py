@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._options import AsJson, ErrorRate, ModelPath, grouped
+from ._options import AsJson, ErrorRate, ModelPath, grouped, option
 from ._output import belief_line, print_json
 from ._sensor import Patience, SensorAddress, SensorOptions, Summary, need_baseline
 
@@ -21,17 +21,17 @@ Episode = dict[str, Any]
 def live(
     model: ModelPath,
     sensor: SensorAddress,
-    options: SensorOptions,
+    *,
     touches: Annotated[
-        int, typer.Option("-n", "--touches", help="Most touches of an episode.")
+        int, option("-n", "--touches", "Most touches of an episode.")
     ] = 30,
     episodes: Annotated[
-        int,
-        typer.Option("--episodes", help="How many episodes; 0 goes on until Ctrl-C."),
+        int, option("--episodes", "How many episodes; 0 goes on until Ctrl-C.")
     ] = 1,
     timeout: Patience = 120.0,
     error: ErrorRate = 0.01,
     summary: Summary = "peak",
+    options: SensorOptions,
     as_json: AsJson = False,
 ) -> None:
     """Recognise touch by touch, live: an episode ends when the object is decided."""

@@ -14,7 +14,7 @@ from ._options import (
     calibrated,
     grouped,
 )
-from ._output import Stages, belief_line, print_json
+from ._output import belief_line, print_json, stages
 
 if TYPE_CHECKING:
     from ..recognition import ObjectRecogniser
@@ -29,16 +29,17 @@ SHOWN_LATER = (8, 12, 20, 30, 50, 100)
 def recognise(
     model: ModelPath,
     touches: TouchesPath,
-    reading: Reading,
-    working: Working,
+    *,
     error: ErrorRate = 0.01,
+    reading: Reading,
     calibration: Calibration = None,
+    working: Working,
     as_json: AsJson = False,
 ) -> None:
     """Recognise touch by touch: one episode per object (and session) of TOUCHES."""
     from ..recognition import ObjectRecogniser
 
-    with Stages() as stage, working.started():
+    with stages() as stage, working.started():
         stage(f"reading {model}")
         recogniser = ObjectRecogniser.load(model)
         stage(f"reading {touches}")

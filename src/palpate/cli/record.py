@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._options import AsJson, grouped
-from ._output import print_json
+from ._options import AsJson, argument, grouped, option
+from ._output import answer
 from ._sensor import Patience, SensorAddress, SensorOptions, Summary, need_baseline
 
 if TYPE_CHECKING:
@@ -17,26 +17,22 @@ if TYPE_CHECKING:
 
 @grouped
 def record(
-    name: Annotated[str, typer.Argument(metavar="OBJECT", help="What is touched.")],
+    name: Annotated[str, argument("OBJECT", "What is touched.")],
     sensor: SensorAddress,
     library: Annotated[
-        Path,
-        typer.Option(
-            "--library", help="Folder that keeps the touches; made if missing."
-        ),
+        Path, option("--library", "Folder that keeps the touches; made if missing.")
     ],
-    options: SensorOptions,
+    *,
     touches: Annotated[
-        int, typer.Option("-n", "--touches", help="How many touches to take.")
+        int, option("-n", "--touches", "How many touches to take.")
     ] = 12,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o", "--output", help="Write the object's touches to an archive too."
-        ),
+        option("-o", "--output", "Write the object's touches to an archive too."),
     ] = None,
     timeout: Patience = 120.0,
     summary: Summary = "peak",
+    options: SensorOptions,
     as_json: AsJson = False,
 ) -> None:
     """Record touches of one object; each is on the disk as soon as it is counted."""
@@ -52,12 +48,13 @@ def record(
         assert session.teacher is not None
         if output is not None and n_taken:
             session.teacher.touches(name).save(output)
-    if as_json:
-        output_path = None if output is None else str(output)
-        kept = {"library": str(library), "output": output_path}
-        print_json({"object": name, "touches": n_taken, **kept})
-    else:
-        print(f"{n_taken} touches of {name} are in {library}.")
+    written = None if output is None else str(output)
+    kept = {"library": str(library), "output": written}
+    answer(
+        as_json,
+        {"object": name, "touches": n_taken, **kept},
+        f"{n_taken} touches of {name} are in {library}.",
+    )
     if n_taken < touches:
         raise typer.Exit(1)
 

@@ -5,9 +5,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from ._options import AsJson, ErrorRate, grouped
+from ._options import AsJson, ErrorRate, grouped, option
 from ._output import print_json
 from ._sensor import ADDRESS, SensorOptions, Summary
 
@@ -16,39 +14,35 @@ HERE = "127.0.0.1"
 
 @grouped
 def serve(
-    options: SensorOptions,
+    *,
     sensor: Annotated[
         str | None,
-        typer.Option(
-            "--sensor",
-            help=f"{ADDRESS} Without one touches come through the API alone.",
+        option(
+            "--sensor", f"{ADDRESS} Without one touches come through the API alone."
         ),
     ] = None,
     model: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--model",
-            help="Model file to start from; learning writes it. Default: "
+            "Model file to start from; learning writes it. Default: "
             "model.palpate in the library.",
         ),
     ] = None,
     library: Annotated[
         Path | None,
-        typer.Option(
-            "--library", help="Folder that keeps what is taught; made if missing."
-        ),
+        option("--library", "Folder that keeps what is taught; made if missing."),
     ] = None,
     host: Annotated[
         str,
-        typer.Option(
-            "--host", help="Address to listen on; other than 127.0.0.1 is the network."
-        ),
+        option("--host", "Address to listen on; other than 127.0.0.1 is the network."),
     ] = HERE,
     port: Annotated[
-        int, typer.Option("--port", help="Port to listen on; 0 takes a free one.")
+        int, option("--port", "Port to listen on; 0 takes a free one.")
     ] = 8765,
     error: ErrorRate = 0.01,
     summary: Summary = "peak",
+    options: SensorOptions,
     as_json: AsJson = False,
 ) -> None:
     """Serve the page and the API of one sensor, to whoever has the printed address."""

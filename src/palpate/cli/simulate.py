@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._options import AsJson, Seed, checked_workers, grouped
-from ._output import print_json
+from ._options import AsJson, Seed, argument, checked_workers, grouped, option
+from ._output import answer
 
 if TYPE_CHECKING:
     from ..simulation import DomeCamera, SimObject, TacTipPins
@@ -21,29 +21,22 @@ simulate = typer.Typer(
     no_args_is_help=True, help="Make touches with a simulated sensor."
 )
 
-Output = Annotated[
-    Path, typer.Option("-o", "--output", help="The touch archive to write (.npz).")
-]
+Output = Annotated[Path, option("-o", "--output", "The touch archive to write (.npz).")]
 Workers = Annotated[
-    int,
-    typer.Option(
-        "--workers", help="Processes; -1 for all cores.", callback=checked_workers
-    ),
+    int, option("--workers", "Processes; -1 for all cores.", callback=checked_workers)
 ]
 Objects = Annotated[
     list[str] | None,
-    typer.Argument(
-        metavar="[OBJECT]...",
-        help="Names (mug, 'porridge pot'...), the sets household, unseen or shapes, or "
+    argument(
+        "OBJECT",
+        "Names (mug, 'porridge pot'...), the sets household, unseen or shapes, or "
         "mesh files (.stl .obj .ply). Default: household.",
     ),
 ]
-Rows = Annotated[int, typer.Option("--rows", help="Rows of the picture.")]
-Cols = Annotated[int, typer.Option("--cols", help="Columns of the picture.")]
-Unit = Annotated[
-    str, typer.Option("--unit", help="Unit of mesh files: mm, cm, m or in.")
-]
-Force = Annotated[float, typer.Option("--force", help="A press ends at so many N.")]
+Rows = Annotated[int, option("--rows", "Rows of the picture.")]
+Cols = Annotated[int, option("--cols", "Columns of the picture.")]
+Unit = Annotated[str, option("--unit", "Unit of mesh files: mm, cm, m or in.")]
+Force = Annotated[float, option("--force", "A press ends at so many N.")]
 
 
 @dataclass(frozen=True)
@@ -52,26 +45,22 @@ class DomeTouches:
 
     output: Output
     objects: Objects = None
-    touches: Annotated[
-        int, typer.Option("--touches", help="Touches of each object.")
-    ] = 60
+    touches: Annotated[int, option("--touches", "Touches of each object.")] = 60
     sessions: Annotated[
         int,
-        typer.Option(
+        option(
             "--sessions",
-            help="Recordings: in each the object is turned anew and the camera drifts.",
+            "Recordings: in each the object is turned anew and the camera drifts.",
         ),
     ] = 1
     any_pose: Annotated[
-        bool, typer.Option("--any-pose", help="Let objects rest on any of their faces.")
+        bool, option("--any-pose", "Let objects rest on any of their faces.")
     ] = False
     aim_sd: Annotated[
-        float,
-        typer.Option("--aim-sd", help="Presses face the centre to within this sd, mm."),
+        float, option("--aim-sd", "Presses face the centre to within this sd, mm.")
     ] = 5.0
     no_drift: Annotated[
-        bool,
-        typer.Option("--no-drift", help="Keep exposure and place in all sessions."),
+        bool, option("--no-drift", "Keep exposure and place in all sessions.")
     ] = False
     unit: Unit = "mm"
     workers: Workers = -1
@@ -112,53 +101,48 @@ def array(
     output: Output,
     parts: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[PART]...",
-            help="Names (bar10, disc13-hole8...) or numbers, 1 to 12. Default: all.",
+        argument(
+            "PART", "Names (bar10, disc13-hole8...) or numbers, 1 to 12. Default: all."
         ),
     ] = None,
-    presses: Annotated[int, typer.Option("--presses", help="Presses of each.")] = 20,
-    rows: Annotated[int, typer.Option("--rows", help="Taxels down.")] = 10,
-    cols: Annotated[int, typer.Option("--cols", help="Taxels across.")] = 10,
-    pitch: Annotated[
-        float, typer.Option("--pitch", help="Distance of taxels, mm.")
-    ] = 2.0,
+    presses: Annotated[int, option("--presses", "Presses of each.")] = 20,
+    rows: Annotated[int, option("--rows", "Taxels down.")] = 10,
+    cols: Annotated[int, option("--cols", "Taxels across.")] = 10,
+    pitch: Annotated[float, option("--pitch", "Distance of taxels, mm.")] = 2.0,
     sensing: Annotated[
         float | None,
-        typer.Option("--sensing", help="Side of what a taxel senses, mm. [0.65 pitch]"),
+        option("--sensing", "Side of what a taxel senses, mm. [0.65 pitch]"),
     ] = None,
     load: Annotated[
-        str, typer.Option("--load", help="Load in kgf, or a range such as 1:5.")
+        str, option("--load", "Load in kgf, or a range such as 1:5.")
     ] = "4",
-    cover: Annotated[
-        float, typer.Option("--cover", help="Thickness of the cover, mm.")
-    ] = 0.9,
+    cover: Annotated[float, option("--cover", "Thickness of the cover, mm.")] = 0.9,
     shift: Annotated[
-        float, typer.Option("--shift", help="Parts lie off the middle by up to, mm.")
+        float, option("--shift", "Parts lie off the middle by up to, mm.")
     ] = 1.0,
     turn: Annotated[
-        float, typer.Option("--turn", help="Parts are turned by up to, degrees.")
+        float, option("--turn", "Parts are turned by up to, degrees.")
     ] = 180.0,
     tilt: Annotated[
-        float, typer.Option("--tilt", help="Standard deviation of tilt, degrees.")
+        float, option("--tilt", "Standard deviation of tilt, degrees.")
     ] = 0.1,
     roughness: Annotated[
-        float, typer.Option("--roughness", help="Unevenness of the faces, µm.")
+        float, option("--roughness", "Unevenness of the faces, µm.")
     ] = 10.0,
     gain_spread: Annotated[
-        float, typer.Option("--gain-spread", help="Spread of the taxels' gains.")
+        float, option("--gain-spread", "Spread of the taxels' gains.")
     ] = 0.1,
     dead_zone: Annotated[
-        float, typer.Option("--dead-zone", help="Less than this reads 0, kPa.")
+        float, option("--dead-zone", "Less than this reads 0, kPa.")
     ] = 69.0,
     full_scale: Annotated[
-        float, typer.Option("--full-scale", help="Stress that reads 255, kPa.")
+        float, option("--full-scale", "Stress that reads 255, kPa.")
     ] = 4000.0,
     noise: Annotated[
-        float, typer.Option("--noise", help="Standard deviation of a reading, kPa.")
+        float, option("--noise", "Standard deviation of a reading, kPa.")
     ] = 8.0,
     device: Annotated[
-        int, typer.Option("--device", help="Which array: seed of its taxels' gains.")
+        int, option("--device", "Which array: seed of its taxels' gains.")
     ] = 0,
     workers: Workers = 1,
     seed: Seed = 0,
@@ -200,21 +184,22 @@ def array(
 @simulate.command()
 @grouped
 def dome(
-    way: DomeTouches,
+    *,
     rows: Rows = 120,
     cols: Cols = 120,
     force: Force = 0.735,
     youngs: Annotated[
-        float, typer.Option("--youngs", help="Young's modulus of the rubber, MPa.")
+        float, option("--youngs", "Young's modulus of the rubber, MPa.")
     ] = 0.11,
     thickness: Annotated[
-        float, typer.Option("--thickness", help="Thickness of the rubber, mm.")
+        float, option("--thickness", "Thickness of the rubber, mm.")
     ] = 1.5,
-    leds: Annotated[int, typer.Option("--leds", help="Number of LEDs.")] = 8,
-    gain: Annotated[float, typer.Option("--gain", help="Exposure.")] = 1.0,
+    leds: Annotated[int, option("--leds", "Number of LEDs.")] = 8,
+    gain: Annotated[float, option("--gain", "Exposure.")] = 1.0,
     noise: Annotated[
-        float, typer.Option("--noise", help="Noise of a picture, grey levels.")
+        float, option("--noise", "Noise of a picture, grey levels.")
     ] = 3.6,
+    way: DomeTouches,
 ) -> None:
     """Touch objects with a rubber dome and the camera behind it."""
     from ..simulation import DomeCamera
@@ -235,11 +220,12 @@ def dome(
 @simulate.command()
 @grouped
 def pins(
-    way: DomeTouches,
+    *,
     rows: Rows = 300,
     cols: Cols = 300,
     force: Force = 0.735,
-    rings: Annotated[int, typer.Option("--rings", help="Rings of pins.")] = 6,
+    rings: Annotated[int, option("--rings", "Rings of pins.")] = 6,
+    way: DomeTouches,
 ) -> None:
     """Touch objects with a dome whose inside carries pins, as a TacTip's does."""
     from ..simulation import TacTipPins
@@ -259,11 +245,10 @@ def _write(
 ) -> None:
     """Write the archive and tell what is in it."""
     made.save(output)
-    if as_json:
-        print_json({"touches": str(output), "n_touches": len(made), "objects": names})
-        return
-    print(f"{done} {len(names)} {things}, {len(made)} touches.")
-    print(output)
+    values = {"touches": str(output), "n_touches": len(made), "objects": names}
+    answer(
+        as_json, values, f"{done} {len(names)} {things}, {len(made)} touches.", output
+    )
 
 
 def _parts(names: list[str] | None) -> list[str | int]:

@@ -4,33 +4,39 @@ import sys
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
-from ._options import AsJson, ListNames, Report, Seed, Working, grouped
+from ._options import (
+    AsJson,
+    ListNames,
+    Report,
+    Seed,
+    Working,
+    argument,
+    grouped,
+    option,
+)
 from ._output import print_json, table
 
 
 @grouped
 def study(
-    working: Working,
-    name: Annotated[str, typer.Argument(help="Which study; see --list.")] = "",
+    *,
+    name: Annotated[str, argument("Which study; see --list.")] = "",
     data: Annotated[
         Path | None,
-        typer.Option(
-            "--data", help="Folder of recorded touches. Default: PALPATE_DATA."
-        ),
+        option("--data", "Folder of recorded touches. Default: PALPATE_DATA."),
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="A first look: two runs, small grids.")
+        bool, option("--quick", "A first look: two runs, small grids.")
     ] = False,
     protocol: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--protocol",
-            help="liu2014: nested (parameters chosen inside the training half) or "
+            "liu2014: nested (parameters chosen inside the training half) or "
             "paper (on the runs reported). Default: both.",
         ),
     ] = None,
+    working: Working,
     report: Report = None,
     list_names: ListNames = False,
     seed: Seed = 0,
