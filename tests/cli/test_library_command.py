@@ -141,7 +141,7 @@ def test_a_model_is_extended_from_new_episodes(palpate, folder, tmp_path):
     assert json.loads(done.stdout)["n_labels"] == 4
 
 
-def test_a_cluster_that_is_not_there_is_told(palpate, folder, tmp_path, monkeypatch):
+def test_a_cluster_that_is_not_there_is_named(palpate, folder, tmp_path, monkeypatch):
     import distributed
 
     soon = partial(distributed.Client, timeout=0.2)

@@ -24,10 +24,10 @@ def test_all_parts_as_the_library_presses_them(simulate, tmp_path):
     path = tmp_path / "t.npz"
     done = simulate("-o", path, "--presses", 2, "--seed", 5, "--json")
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told["touches"] == str(path)
-    assert told["n_touches"] == 24
-    assert len(told["objects"]) == 12
+    found = json.loads(done.stdout)
+    assert found["touches"] == str(path)
+    assert found["n_touches"] == 24
+    assert len(found["objects"]) == 12
     touches = Touches.load(path)
     expected = simulate_presses(n_presses=2, random_state=5)
     assert_array_equal(touches.images, expected.images)

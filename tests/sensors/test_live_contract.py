@@ -72,7 +72,7 @@ def test_the_contract_is_kept(sensor):
         ({"read_next": lambda self, t=2.0: self.read_latest(t)}, "numbers must rise"),
     ],
 )
-def test_a_broken_driver_is_told_what_it_breaks(change, message):
+def test_the_check_says_what_a_driver_breaks(change, message):
     broken = type("Broken", (Counting,), change)()
     for name in {"unit", "geometry"} & set(change):
         setattr(broken, name, change[name])

@@ -55,7 +55,9 @@ def option(*names_and_help: str, **more: Any) -> Any:
 def argument(*name_and_help: str) -> Any:
     """Return an argument of the command line: its name, if it has one, and its help."""
     *name, text = name_and_help
-    return typer.Argument(metavar=name[0] if name else None, help=text)
+    return typer.Argument(
+        metavar=name[0] if name else None, help=text.replace("[", r"\[")
+    )
 
 
 TouchesPath = Annotated[

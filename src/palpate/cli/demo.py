@@ -169,19 +169,19 @@ def _recognise_recorded(
     recogniser: "ObjectRecogniser", test: "Touches", unknown: "Touches", *, quiet: bool
 ) -> list[dict[str, Any]]:
     known = recognise_episodes(recogniser, test, error=ERROR)
-    strange = recognise_episodes(recogniser, unknown, error=ERROR)
+    others = recognise_episodes(recogniser, unknown, error=ERROR)
     if not quiet:
         print(f"Recognising the other {len(test)} touches, one by one:\n")
         for episode in known:
             print_episode(episode)
-        names = " and ".join(str(episode["object"]) for episode in strange)
+        names = " and ".join(str(episode["object"]) for episode in others)
         print(
             f"Now {names}, recorded like the others but left out of learning, so that "
             "there is something unknown:\n"
         )
-        for episode in strange:
+        for episode in others:
             print_episode(episode)
-    return known + strange
+    return known + others
 
 
 def _read(pictures: Path, seed: int, stage: Stage) -> Sets:
@@ -199,8 +199,8 @@ def _read(pictures: Path, seed: int, stage: Stage) -> Sets:
     )
     names = np.unique(np.asarray(touches.object))
     drawn = np.random.default_rng(seed).permutation(names)[:UNKNOWN_RECORDED]
-    strange = np.isin(np.asarray(touches.object), drawn)
-    return *split_by_count(touches[~strange], TRAIN_TOUCHES, seed), touches[strange]
+    unknown = np.isin(np.asarray(touches.object), drawn)
+    return *split_by_count(touches[~unknown], TRAIN_TOUCHES, seed), touches[unknown]
 
 
 def _print_figures(figures: dict[str, Any], trial: "Trial") -> None:

@@ -84,9 +84,9 @@ def evaluate(
 
     with stages() as stage, working.started():
         training, testing = read(train, reading.where), read(test, test_where)
-        strange = read(unknown, unknown_where)
+        others = read(unknown, unknown_where)
         figures, trials = run(
-            training, testing, split=split, unknown=strange, plan=plan, progress=stage
+            training, testing, split=split, unknown=others, plan=plan, progress=stage
         )
         if report is not None:
             stage(f"writing {report}")

@@ -22,13 +22,12 @@ from .simulate import Objects, Rows, Unit, Workers, find_objects
 if TYPE_CHECKING:
     from ..exploration import (
         Exploration,
-        PlacedBelief,
         Stand,
         Strategy,
         TouchMap,
         TouchRecord,
     )
-    from ..recognition import Belief, ObjectRecogniser
+    from ..recognition import ObjectRecogniser
     from ..simulation import SimObject
 
 STRATEGIES = ("informative", "random", "raster")
@@ -210,10 +209,12 @@ def exploration_to_dict(
     from ..exploration import as_touches
 
     belief = knower.start()
-    attempts = []
-    for record in end.history:
+    attempts: list[dict[str, Any]] = []
+    touched = []  # the number of the attempt of each touch
+    for number, record in enumerate(end.history):
         if record.touched:
             belief.update(as_touches([record]))
+            touched.append(number)
         attempts.append(
             {
                 "outcome": record.outcome,
@@ -231,21 +232,14 @@ def exploration_to_dict(
         "decision": end.decision,
         "ended_by": end.ended_by,
         "reasons": [end.reason],
-        "explanation": _explanation(belief, end.history),
+        "explanation": [
+            {**moved, "attempt": touched[moved["touch"] - 1]}
+            for moved in belief.explain()
+        ],
         "touches_used": end.n_touches,
         "n_attempts": len(end.history),
         "attempts": attempts,
     }
-
-
-def _explanation(
-    belief: "Belief | PlacedBelief", history: "Sequence[TouchRecord]"
-) -> list[dict[str, Any]]:
-    """Return what moved the belief, with the number of the attempt of each touch."""
-    touched = [number for number, record in enumerate(history) if record.touched]
-    return [
-        {**moved, "attempt": touched[moved["touch"] - 1]} for moved in belief.explain()
-    ]
 
 
 def _touch_map(

@@ -130,7 +130,11 @@ class CameraSensor(LiveSensor):
             raise SensorError(
                 f"the camera {self.camera!r} stopped giving pictures. Plug it in again."
             )
-        return [_grey(picture)]
+        if picture.ndim == 3:
+            import cv2
+
+            picture = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+        return [picture]
 
     def _close(self) -> None:
         if self._capture is not None:
@@ -189,11 +193,3 @@ def _open_video(camera: str) -> Any:
 
     place = find_camera(camera)
     return cv2.VideoCapture(int(place) if place.isdigit() else place)
-
-
-def _grey(picture: Array) -> Array:
-    if picture.ndim == 2:
-        return picture
-    import cv2
-
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)

@@ -3,7 +3,6 @@
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._checks import check_option
 from .._types import Array
@@ -20,7 +19,7 @@ from ..simulation import (
 from ._played import PlayedSensor
 
 _NOISE_FRAMES = 8
-_NOISE_LEVELS = {"dome": 1.0, "array": 0.5}
+_DOME_NOISE, _ARRAY_NOISE = 1.0, 0.5
 
 
 class SimulatedStream(PlayedSensor):
@@ -72,10 +71,20 @@ class SimulatedStream(PlayedSensor):
         parts = [part.name for part in PARTS]
         check_option("name", name, [*solids, *parts])
         dome = name in solids
-        self._device: DomeCamera | PressureArray
-        self._device, self._rest_image = _dome(image_shape) if dome else _array()
         self._rng = np.random.default_rng(random_state)
-        self._noise = _noise(self._rest_image, "dome" if dome else "array", self._rng)
+        self._device: DomeCamera | PressureArray
+        if dome:
+            self._device = DomeCamera(image_shape=image_shape or (120, 120))
+            self._rest_image = self._device.no_contact()
+        else:
+            self._device = PressureArray()
+            shape = self._device.rows, self._device.cols
+            self._rest_image = np.zeros(shape, dtype=np.uint8)
+        # Fields of noise, (n_frames, n_rows, n_cols), that are played round.
+        size = _NOISE_FRAMES, *self._rest_image.shape
+        level = _DOME_NOISE if dome else _ARRAY_NOISE
+        noise = self._rng.normal(scale=level, size=size)
+        self._noise = np.rint(noise).astype(np.int16)
         self._pool: ThreadPoolExecutor | None = None
         self._made: tuple[str, Future[Array]] | None = None
         super().__init__(
@@ -130,21 +139,3 @@ class SimulatedStream(PlayedSensor):
         noise = self._noise[self._number % _NOISE_FRAMES]
         noisy: Array = (image + noise).clip(0, 255).astype(np.uint8)
         return noisy
-
-
-def _dome(shape: tuple[int, int] | None) -> tuple[DomeCamera, NDArray[np.uint8]]:
-    camera = DomeCamera(image_shape=(120, 120) if shape is None else shape)
-    return camera, camera.no_contact()
-
-
-def _array() -> tuple[PressureArray, NDArray[np.uint8]]:
-    array = PressureArray()
-    return array, np.zeros((array.rows, array.cols), dtype=np.uint8)
-
-
-def _noise(
-    rest: NDArray[np.uint8], kind: str, rng: np.random.Generator
-) -> NDArray[np.int16]:
-    """Return fields of noise, (n_frames, n_rows, n_cols), that are played round."""
-    drawn = rng.normal(scale=_NOISE_LEVELS[kind], size=(_NOISE_FRAMES, *rest.shape))
-    return np.rint(drawn).astype(np.int16)
