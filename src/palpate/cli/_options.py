@@ -4,6 +4,7 @@ An option is a type (`Seed`). Options that belong together are a dataclass (`Rea
 a verb takes one parameter of it, and `grouped` puts its fields on the command line.
 """
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, fields, is_dataclass
@@ -49,15 +50,17 @@ def option(*names_and_help: str, **more: Any) -> Any:
     Square brackets in the text, as in `palpate[plot]`, are no markup.
     """
     *names, text = names_and_help
-    return typer.Option(*names, help=text.replace("[", r"\["), **more)
+    return typer.Option(*names, help=_no_markup(text), **more)
 
 
 def argument(*name_and_help: str) -> Any:
     """Return an argument of the command line: its name, if it has one, and its help."""
     *name, text = name_and_help
-    return typer.Argument(
-        metavar=name[0] if name else None, help=text.replace("[", r"\[")
-    )
+    return typer.Argument(metavar=name[0] if name else None, help=_no_markup(text))
+
+
+def _no_markup(text: str) -> str:
+    return re.sub(r"(?=\[[a-z#/@])", r"\\", text)  # what Rich would take for a tag
 
 
 TouchesPath = Annotated[
