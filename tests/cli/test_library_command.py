@@ -131,7 +131,7 @@ def test_a_model_is_extended_from_new_episodes(palpate, folder, tmp_path):
     old, new = tmp_path / "old.palpate", tmp_path / "new.palpate"
     palpate("learn", folder, "-o", old)
     refused = palpate("learn", folder, "--extend", old, "-o", new)
-    assert "does not know, got none" in refused.stderr
+    assert "has not learnt, got none" in refused.stderr
     with TouchLibrary.open(folder) as library:
         library.add(_touches(1, ("cap",)), episode="new")
     done = palpate(
@@ -139,6 +139,11 @@ def test_a_model_is_extended_from_new_episodes(palpate, folder, tmp_path):
         *("--extend", old, "-o", new, "--json"),
     )
     assert json.loads(done.stdout)["n_labels"] == 4
+    with TouchLibrary.open(folder) as library:
+        library.add(_touches(2, ("mug",), 7), episode="more")
+    done = palpate("learn", folder, "--extend", new, "-o", new, "--json")
+    learnt = json.loads(done.stdout)
+    assert (learnt["n_labels"], learnt["n_train_touches"]) == (4, 87)
 
 
 def test_a_cluster_that_is_not_there_is_named(palpate, folder, tmp_path, monkeypatch):

@@ -224,8 +224,8 @@ def test_what_learn_makes_of_a_library_knows_its_touches_and_sensor(
     known = "object != lone"
     assert palpate("learn", folder, "--where", known, "-o", model).returncode == 0
     learnt = ObjectRecogniser.load(model)
-    assert learnt.touch_ids_.tolist() == ids
-    memory = SensorMemory.from_dict(learnt.sensor_)
+    assert learnt.memory_.touch_ids.tolist() == ids
+    memory = SensorMemory.from_dict(learnt.memory_.sensor)
     assert (memory.no_contact == zero).all()
     assert memory.n_touches == 20
     moved = ReplaySensor(recorded.with_columns(no_contact=zero + np.uint8(60)))
@@ -236,10 +236,10 @@ def test_what_learn_makes_of_a_library_knows_its_touches_and_sensor(
     words = ["learn", folder, "--where", "object = lone", "-o", more]
     assert palpate(*words, "--extend", model).returncode == 0
     extended = ObjectRecogniser.load(more)
-    assert extended.touch_ids_[:20].tolist() == ids
-    lone = extended.touch_ids_[extended.labels_ == "lone"].tolist()
+    assert extended.memory_.touch_ids[:20].tolist() == ids
+    lone = extended.memory_.touch_ids[extended.memory_.labels == "lone"].tolist()
     assert len(set(lone) - set(ids) - {""}) == 5
-    assert (extended.sensor_["no_contact"] == zero).all()
+    assert (extended.memory_.sensor["no_contact"] == zero).all()
 
 
 def test_serve_warns_when_it_listens_to_the_network(palpate, monkeypatch):

@@ -85,7 +85,7 @@ def test_an_object_is_added_from_its_new_episodes_alone(library, counted):
 
 
 def test_an_encoding_is_learnt_from_some_touches_of_each_label(library, monkeypatch):
-    import palpate.recognition._source as source
+    import palpate.recognition._learning as source
 
     rows = source.shown_rows(np.repeat(["a", "b"], [1000, 5]), n_shown=40)
     assert len(rows) == 25
@@ -95,7 +95,7 @@ def test_an_encoding_is_learnt_from_some_touches_of_each_label(library, monkeypa
     assert (rows >= 1000).sum() == 5
     monkeypatch.setattr(source.shown_rows, "__defaults__", (30,))
     read = ObjectRecogniser().fit(library.select())
-    assert len(read.features_) == 90
+    assert len(read.memory_.features) == 90
     answer = read.log_likelihood(_touches(5)).argmax(axis=1)
     assert (read.classes_[answer] == _touches(5).object).mean() > 0.9
 
@@ -148,4 +148,4 @@ def test_real_touches_learn_alike_from_a_library(tmp_path, data_folder):
         library.add(touches)
         read = ObjectRecogniser("corradi2015").fit(library.select())
     held = ObjectRecogniser("corradi2015").fit(touches)
-    assert_allclose(read.features_, held.features_, atol=1e-9)
+    assert_allclose(read.memory_.features, held.memory_.features, atol=1e-9)

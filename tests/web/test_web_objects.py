@@ -108,7 +108,7 @@ def test_each_sensor_learns_from_touches_of_its_size(folder, drawn):
     with LiveSession(ReplaySensor(drawn), library=folder) as session:
         session.learn(wait=True)
         assert settled(session) == ["bar", "disc"]
-        assert len(session.recogniser.labels_) == 16
+        assert len(session.recogniser.memory_) == 16
         session.rename("bar", "rod")
         assert settled(session) == ["disc", "rod"]
     other = ReplaySensor(small_touches("ball", 2), rate_hz=500)
@@ -202,14 +202,14 @@ def test_kept_objects_leave_the_others_their_touches(tmp_path, drawn):
     job = {"library": str(tmp_path / "library"), "output": str(output)}
     learn_job({**job, "base": str(base), "drop": []})
     model = ObjectRecogniser.load(output)
-    assert model.touch_ids_[model.labels_ == "both"].tolist() == ids
-    assert set(model.touch_ids_[model.labels_ != "both"]) == {""}
-    memory = SensorMemory.from_dict(model.sensor_)
+    assert model.memory_.touch_ids[model.memory_.labels == "both"].tolist() == ids
+    assert set(model.memory_.touch_ids[model.memory_.labels != "both"]) == {""}
+    memory = SensorMemory.from_dict(model.memory_.sensor)
     assert memory.n_touches == 6
     assert (memory.no_contact == zero).all()
-    near = Neighbours(model, ids).of(model.features_[-1:])
+    near = Neighbours(model, ids).of(model.memory_.features[-1:])
     assert near[0] == {"id": ids[-1], "object": "both", "distance": 0.0}
-    elsewhere = Neighbours(model, ids[:-1]).of(model.features_[-1:])
+    elsewhere = Neighbours(model, ids[:-1]).of(model.memory_.features[-1:])
     assert elsewhere[0]["id"] is None
 
 

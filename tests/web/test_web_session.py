@@ -33,7 +33,8 @@ def model(drawn, tmp_path_factory):
     """A model that knows the disc and the bar, and remembers its sensor."""
     known = drawn[drawn.object != "both"][::2]
     recogniser = ObjectRecogniser().fit(known)
-    recogniser.sensor_ = SensorMemory.of(known.images, known.no_contact).to_dict()
+    memory = SensorMemory.of(known.images, known.no_contact)
+    recogniser.remember_sensor(memory.to_dict())
     return recogniser.save(tmp_path_factory.mktemp("model") / "m.palpate")
 
 
@@ -204,8 +205,8 @@ def test_a_model_of_the_library_knows_its_touches_and_its_sensor(drawn, tmp_path
     job = {"library": str(tmp_path / "library"), "output": str(output)}
     assert learn_job({**job, "base": None, "drop": []})["n_touches"] == 30
     recogniser = ObjectRecogniser.load(output)
-    assert recogniser.touch_ids_.tolist() == ids
-    memory = SensorMemory.from_dict(recogniser.sensor_)
+    assert recogniser.memory_.touch_ids.tolist() == ids
+    memory = SensorMemory.from_dict(recogniser.memory_.sensor)
     assert memory.n_touches == 30
     assert (memory.no_contact == drawn.no_contact).all()
 

@@ -9,15 +9,16 @@ from collections.abc import Callable
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import log_softmax
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from .._checks import check_label_kinds, check_option, check_positive
-from ._inputs import Floats, as_touches
+from .._types import Array, Floats
 from ._kernel_sums import blocks_of
+from ._touch_classifier import as_touches
 from ._whitening import learn_whitening, whiten
 
 # Interquartile range of a Gaussian, in standard deviations.
@@ -133,7 +134,7 @@ class KernelDensityNaiveBayes(ClassifierMixin, BaseEstimator):
         for rows in blocks_of(len(x)):
             for feature in range(x.shape[1]):
                 sums[rows] += self._log_sums(x[rows, feature], feature)
-        return sums + constants
+        return np.asarray(sums + constants)
 
     def predict_log_proba(self, X: ArrayLike) -> Floats:
         """Return the log posterior of the labels, (n_touches, n_labels)."""
@@ -144,10 +145,10 @@ class KernelDensityNaiveBayes(ClassifierMixin, BaseEstimator):
         """Return the posterior of the labels, (n_touches, n_labels)."""
         return np.exp(self.predict_log_proba(X))
 
-    def predict(self, X: ArrayLike) -> NDArray:
+    def predict(self, X: ArrayLike) -> Array:
         """Return the most probable label of each touch, the first of equals."""
         best = self._log_joint(X).argmax(axis=1)
-        return self.classes_[best]
+        return np.asarray(self.classes_[best])
 
     def _check_parameters(self) -> None:
         if isinstance(self.bandwidth, str):
@@ -185,7 +186,7 @@ class KernelDensityNaiveBayes(ClassifierMixin, BaseEstimator):
         log_likelihood = self.log_likelihood(X)
         if self.prior == "uniform":
             return log_likelihood
-        return log_likelihood + np.log(self.counts_ / self.counts_.sum())
+        return np.asarray(log_likelihood + np.log(self.counts_ / self.counts_.sum()))
 
 
 def _scott(values: Floats) -> Floats:

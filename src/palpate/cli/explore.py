@@ -67,7 +67,7 @@ def learn(
     choosing touches needs.
     """
     from ..exploration import RobotError, explore_to_learn
-    from ..recognition import ObjectRecogniser, check_model_path, summary
+    from ..recognition import ObjectRecogniser, check_model_path
     from ..simulation import DomeCamera
 
     check_model_path(output)
@@ -93,7 +93,7 @@ def learn(
     archive = taught_path(output)
     taught.save(archive)
     written = recogniser.save(output)
-    learnt = summary(recogniser)
+    learnt = recogniser.summary()
     answer(
         as_json,
         {"model": str(written), "touches": str(archive), **learnt},
@@ -291,7 +291,7 @@ def _camera(recogniser: "ObjectRecogniser") -> Any:
             f"MODEL must be of a dome camera, got one of {shape[0]} x {shape[1]} "
             "taxels. Make one with: palpate explore learn."
         )
-    return DomeCamera(image_shape=tuple(shape))
+    return DomeCamera(image_shape=(shape[0], shape[1]))
 
 
 def _yaw_rad(yaw: float | None, seed: int) -> float:

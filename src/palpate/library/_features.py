@@ -52,6 +52,11 @@ def stored_features(
     return features
 
 
+def touch_ids(database: Database, numbers: NDArray[np.int64]) -> NDArray[np.str_]:
+    """Return the ids of touches as `add` returned them, (n_touches,)."""
+    return np.array([key.tobytes().hex() for key in _ids(database, numbers)])
+
+
 def _ids(database: Database, numbers: NDArray[np.int64]) -> NDArray:
     """Return the ids of touches as 16-byte values that sort."""
     known: list[bytes] = []

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..touches import Touches
 from ._database import Database
 from ._errors import LibraryError
-from ._features import Encode, Floats, stored_features
+from ._features import Encode, Floats, stored_features, touch_ids
 from ._reading import common_shape, read_columns, read_touches, read_whole
 
 _NO_LIMIT = 2**62
@@ -59,6 +59,11 @@ class Selection:
     def session(self) -> NDArray[Any] | None:
         """Session of each touch, shape (n_touches,), or None."""
         return self.columns.get("session")
+
+    @property
+    def touch_id(self) -> NDArray[np.str_]:
+        """Id of each touch, shape (n_touches,): 32 hexadecimal digits."""
+        return touch_ids(self._database, self._numbers)
 
     @property
     def whole(self) -> dict[str, NDArray[Any]]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from ._episode import LiveEpisode, LiveTouch
 from ._events import Event
 from ._learning import LearningError
-from ._origin import remember_library, touch_ids
+from ._origin import remember_library
 from ._session import LiveSession
 
 if TYPE_CHECKING:
@@ -82,5 +82,4 @@ __all__ = [
     "new_token",
     "remember_library",
     "require_web",
-    "touch_ids",
 ]

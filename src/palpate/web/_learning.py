@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 LEAST_OBJECTS, LEAST_TOUCHES = 2, 2
-_STAND_IN = "\ta name nobody can give"
 
 
 class LearningError(ValueError):
@@ -81,52 +80,45 @@ def learn_job(job: dict[str, Any]) -> dict[str, Any]:
     """Do one job as `learn_apart` describes it, in this process."""
     from ..library import TouchLibrary
     from ..recognition import ObjectRecogniser
-    from ._origin import remember_sensor, set_touch_ids, touch_ids
+    from ._origin import remember_sensor
 
     with TouchLibrary.open(job["library"]) as library:
-        touches, ids = _taught(library, job.get("image_shape"))
+        touches = _taught(library, job.get("image_shape"))
         base, kept = None, []
         if job["base"] is not None and Path(job["base"]).is_file():
             base = ObjectRecogniser.load(job["base"])
             kept = _kept(base, library, job["drop"])
-        if len({*kept, *ids}) < LEAST_OBJECTS:
+        names = set() if touches is None else set(touches.object.tolist())
+        if len({*kept, *names}) < LEAST_OBJECTS:
             _refuse_to_empty(base, job.get("image_shape"))
             return {"objects": [], "n_touches": 0, "kept": kept}
-        before = {} if base is None else touch_ids(base)
         model = _learnt(base, kept, touches)
-        set_touch_ids(model, {**before, **ids})
         if touches is not None:
             remember_sensor(model, library, touches)
-        model.taught_ = sorted(ids)
         model.save(job["output"])
-    names = model.classes_.tolist()
-    return {"objects": names, "n_touches": len(model.labels_), "kept": kept}
+    objects = model.classes_.tolist()
+    return {"objects": objects, "n_touches": len(model.memory_), "kept": kept}
 
 
-def _taught(library: Any, image_shape: Any) -> tuple[Any, dict[str, list[str]]]:
-    """Return the touches to learn, None for none, and the ids of each object's."""
+def _taught(library: Any, image_shape: Any) -> Any:
+    """Return the touches to learn, None for none."""
     import numpy as np
 
     from ._chosen import of_size
-    from ._origin import chosen_touches
 
     if image_shape is None:
         (*_, newest) = library.list(limit=1, offset=max(0, len(library) - 1)) or [None]
         if newest is None:
-            return None, {}
+            return None
         image_shape = newest.n_rows, newest.n_cols
     where = f"object is not null and {of_size(image_shape)}"
     if not library.list(where, limit=1):
-        return None, {}
-    chosen, ids = chosen_touches(library, where)
+        return None
+    chosen = library.select(where)
     labels = np.asarray(chosen.object)
-    names, at, counts = np.unique(labels, return_inverse=True, return_counts=True)
+    at, counts = np.unique(labels, return_inverse=True, return_counts=True)[1:]
     rows = np.flatnonzero(counts[at] >= LEAST_TOUCHES)
-    if not len(rows):
-        return None, {}
-    some, keys = chosen[rows], np.array(ids)[rows]
-    of = {str(n): keys[some.object == n].tolist() for n in names}
-    return some, {name: held for name, held in of.items() if held}
+    return chosen[rows] if len(rows) else None
 
 
 def _kept(base: Any, library: Any, drop: Sequence[str]) -> list[str]:
@@ -134,12 +126,12 @@ def _kept(base: Any, library: Any, drop: Sequence[str]) -> list[str]:
 
     Those that do are what the library says now: renamed, forgotten or learnt anew.
     """
-    from ._origin import touch_ids
+    import numpy as np
 
     stored = {row.id for row in library.list(limit=None, retracted=True)}
-    here = {name for name, ids in touch_ids(base).items() if stored.intersection(ids)}
-    taught = {*getattr(base, "taught_", []), *here, *drop}
-    return [name for name in base.classes_.tolist() if name not in taught]
+    here = np.isin(base.memory_.touch_ids, list(stored))
+    gone = {*map(str, base.memory_.labels[here]), *drop}
+    return [name for name in base.classes_.tolist() if name not in gone]
 
 
 def _learnt(base: Any, kept: Sequence[str], touches: Any) -> Any:
@@ -150,7 +142,7 @@ def _learnt(base: Any, kept: Sequence[str], touches: Any) -> Any:
         return ObjectRecogniser().fit(touches)
     if touches is not None:
         _refuse_other_size(base, kept, touches.touches([0]).images.shape[1:])
-    return _added_to(base, kept, touches)
+    return base.replace_objects(touches, forget={*base.classes_.tolist()} - {*kept})
 
 
 def _refuse_to_empty(base: Any, image_shape: Any) -> None:
@@ -176,38 +168,6 @@ def _refuse_other_size(
             "touches are not in the library. Forget those, or start with another "
             "--model."
         )
-
-
-def _added_to(base: Any, kept: Sequence[str], touches: Any) -> Any:
-    """Return the base model with what was taught, in place of what it had of it.
-
-    A model cannot fall below two objects, so new ones come before old ones go.
-    """
-    import numpy as np
-
-    taught = {}
-    if touches is not None:
-        names = dict.fromkeys(touches.object.tolist())
-        taught = {n: touches[np.flatnonzero(touches.object == n)] for n in names}
-    again = [name for name in taught if name in base.classes_]
-    for name in set(taught) - set(again):
-        base.add_object(name, taught[name])
-    for name in set(base.classes_.tolist()) - {*kept, *taught}:
-        base.forget_object(name)
-    for name in again:
-        _replace(base, name, taught[name])
-    return base
-
-
-def _replace(base: Any, name: str, touches: Any) -> None:
-    """Learn an object anew; a stand-in keeps a model of two above its least size."""
-    stands_in = len(base.classes_) == LEAST_OBJECTS
-    if stands_in:
-        base.add_object(_STAND_IN, touches)
-    base.forget_object(name)
-    base.add_object(name, touches)
-    if stands_in:
-        base.forget_object(_STAND_IN)
 
 
 def main() -> None:

@@ -25,15 +25,14 @@ class Neighbours:
     def __init__(
         self, recogniser: ObjectRecogniser, stored_ids: Collection[str]
     ) -> None:
-        features = recogniser.features_
+        memory = recogniser.memory_
+        features = memory.features
         spread = features.std(axis=0)
         self._scale = np.where(spread > 0, spread, 1.0)
         self._features = features / self._scale
-        self._labels = recogniser.labels_
-        ids = getattr(recogniser, "touch_ids_", np.empty(0, "U1")).tolist()
-        if len(ids) != len(features):
-            ids = [""] * len(features)
+        self._labels = memory.labels
         stored = set(stored_ids)
+        ids = memory.touch_ids.tolist()
         self._ids = [key if key in stored else None for key in ids]
 
     def of(self, features: NDArray[np.float64]) -> list[dict[str, Any]]:

@@ -294,7 +294,7 @@ class LiveSession:
 
     def _use(self, recogniser: ObjectRecogniser | None) -> None:
         """Recognise with another model from the next touch on."""
-        stored = getattr(recogniser, "sensor_", None)
+        stored = None if recogniser is None else recogniser.memory_.sensor
         memory = None if stored is None else SensorMemory.from_dict(stored)
         ids = set() if self.teacher is None else self.teacher.known_ids()
         neighbours = None if recogniser is None else Neighbours(recogniser, ids)

@@ -83,7 +83,7 @@ def model_state(
         return None
     return {
         "objects": recogniser.classes_.tolist(),
-        "n_touches": len(recogniser.labels_),
+        "n_touches": len(recogniser.memory_),
         "encoding": str(recogniser.chosen_.get("encoding", "")),
         "file": str(file),
     }
