@@ -207,12 +207,10 @@ def test_doctor_knows_this_installation(palpate):
 
 def test_doctor_asks_for_what_the_package_is_made_with(palpate):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    extras = dict(project["optional-dependencies"])
-    del extras["test"]
-    wanted = {line for lines in extras.values() for line in lines}
-    wanted = {
-        re.split(r"[>=<\[]", line)[0] for line in {*wanted, *project["dependencies"]}
-    }
+    lists = [project["dependencies"]]
+    for extra, lines in project["optional-dependencies"].items():
+        lists += [lines] * (extra not in ("test", "dev"))
+    wanted = {re.split(r"[>=<\[]", line)[0] for lines in lists for line in lines}
     found = json.loads(palpate("doctor", "--json").stdout)["checks"]
     assert {check["name"] for check in found} == wanted | {"Python", "PALPATE_DATA"}
 
@@ -241,7 +239,8 @@ def test_doctor_says_what_to_type(palpate, monkeypatch, name, command, code):
     assert cells == [name, "missing", command]
 
 
-def test_square_brackets_are_no_markup(palpate, tmp_path):
+def test_square_brackets_are_no_markup(palpate, monkeypatch, tmp_path):
+    monkeypatch.setenv("COLUMNS", "200")
     words = " ".join(palpate("learn", "--help").stdout.replace("│", " ").split())
     assert 'needs pip install "palpate[distributed]"' in words
     shown = palpate("simulate", "array", "--help").stdout

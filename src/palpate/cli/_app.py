@@ -29,6 +29,7 @@ from .study import study
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Recognise things by touch: learn objects from touches, recognise them "
     "touch by touch, and say when something is unknown.",

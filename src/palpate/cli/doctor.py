@@ -14,6 +14,9 @@ from .._extras import install
 from ._options import AsJson
 from ._output import print_json, table
 
+# Extras of those who change palpate, not of those who use it.
+FOR_AUTHORS = ("test", "dev")
+
 
 def doctor(as_json: AsJson = False) -> None:
     """Check this installation; exit 1 when something that palpate needs is missing."""
@@ -40,7 +43,7 @@ def _packages() -> list[tuple[str, str | None]]:
         return [("palpate", None)]
     for line in lines:
         name, extra = re.match(r"[\w.-]+", line), re.search(r"extra == .(\w+)", line)
-        if name and name[0] != "palpate" and not (extra and extra[1] == "test"):
+        if name and name[0] != "palpate" and not (extra and extra[1] in FOR_AUTHORS):
             found.append((name[0], extra[1] if extra else None))
     return found
 
