@@ -13,8 +13,6 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import log_softmax
-from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
@@ -29,7 +27,7 @@ from ._kernel_sums import (
     squared_distances,
     tile_log_sums,
 )
-from ._touch_classifier import as_groups, as_touches
+from ._touch_classifier import BayesRule, as_groups, as_touches
 from ._whitening import learn_whitening, whiten
 
 # With precision="auto" a model computes in float64 when it has at most this many
@@ -38,7 +36,7 @@ SMALL = 256
 MOSTLY = 0.9
 
 
-class KernelDensityBayes(ClassifierMixin, BaseEstimator):
+class KernelDensityBayes(BayesRule):
     """Bayes classifier with a Gaussian kernel density for every object.
 
     Parameters
@@ -215,20 +213,6 @@ class KernelDensityBayes(ClassifierMixin, BaseEstimator):
         in_order[self.order_] = result
         return in_order
 
-    def predict_log_proba(self, X: ArrayLike) -> Floats:
-        """Return the log posterior of the objects, (n_touches, n_objects)."""
-        log_posterior: Floats = log_softmax(self._log_joint(X), axis=1)
-        return log_posterior
-
-    def predict_proba(self, X: ArrayLike) -> Floats:
-        """Return the posterior of the objects, (n_touches, n_objects)."""
-        return np.exp(self.predict_log_proba(X))
-
-    def predict(self, X: ArrayLike) -> Array:
-        """Return the most probable object of each touch, the first of equals."""
-        best = self._log_joint(X).argmax(axis=1)
-        return np.asarray(self.classes_[best])
-
     def _check_parameters(self) -> None:
         check_option("bandwidth", self.bandwidth, ("pooled", "per-object", "full"))
         check_positive("scale", self.scale)
@@ -321,9 +305,3 @@ class KernelDensityBayes(ClassifierMixin, BaseEstimator):
         densities: Floats = sums + self.log_norms_[place]
         densities[share > 0] -= np.log(share[share > 0])
         return densities
-
-    def _log_joint(self, X: ArrayLike) -> Floats:
-        log_likelihood = self.log_likelihood(X)
-        if self.prior == "uniform":
-            return log_likelihood
-        return np.asarray(log_likelihood + np.log(self.counts_ / self.counts_.sum()))

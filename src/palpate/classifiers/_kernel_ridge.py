@@ -18,14 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import log_softmax
-from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.metrics.pairwise import euclidean_distances
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from .._checks import check_count, check_label_kinds, check_positive, check_squarable
 from .._types import Array, Floats
-from ._touch_classifier import as_groups, as_touches
+from ._touch_classifier import BayesRule, as_groups, as_touches
 
 # Temperature and bend of the posterior are fitted to at most so many touches.
 _SHAPED_BY = 10_000
@@ -38,7 +37,7 @@ _JITTER = 1e-8
 KernelOf = Callable[[NDArray[np.intp]], Floats]
 
 
-class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
+class KernelRidgeClassifier(BayesRule):
     """Gaussian-kernel ridge regression on labels, with a calibrated posterior.
 
     Parameters
@@ -247,15 +246,6 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
     def predict_log_proba(self, X: ArrayLike) -> Floats:
         """Return the log posterior under equal priors, (n_touches, n_classes)."""
         return self.log_likelihood(X)
-
-    def predict_proba(self, X: ArrayLike) -> Floats:
-        """Return the posterior under equal priors, (n_touches, n_classes)."""
-        return np.exp(self.log_likelihood(X))
-
-    def predict(self, X: ArrayLike) -> Array:
-        """Return the most probable label of each touch."""
-        best = self.log_likelihood(X).argmax(axis=1)
-        return np.asarray(self.classes_[best])
 
     def refit(
         self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None

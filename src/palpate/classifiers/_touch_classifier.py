@@ -9,6 +9,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import log_softmax
 from sklearn.base import BaseEstimator, ClassifierMixin, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
@@ -54,7 +55,43 @@ class TouchClassifier(Protocol):
         ...
 
 
-class FromProbabilities(ClassifierMixin, BaseEstimator):
+class BayesRule(ClassifierMixin, BaseEstimator):
+    """Predictions of a classifier that has `classes_` and `log_likelihood`.
+
+    With the parameter `prior="counts"` and `counts_` (n_objects,), objects are as
+    probable before the touch as they were frequent in training; else equally probable.
+    """
+
+    classes_: Array
+    counts_: NDArray[np.intp]
+    prior = "uniform"
+
+    def log_likelihood(self, X: ArrayLike) -> Floats:
+        """Return log p(touch | object) up to a constant per touch (nats)."""
+        raise NotImplementedError
+
+    def predict_log_proba(self, X: ArrayLike) -> Floats:
+        """Return the log posterior of the objects, (n_touches, n_objects)."""
+        log_posterior: Floats = log_softmax(self._log_joint(X), axis=1)
+        return log_posterior
+
+    def predict_proba(self, X: ArrayLike) -> Floats:
+        """Return the posterior of the objects, (n_touches, n_objects)."""
+        return np.exp(self.predict_log_proba(X))
+
+    def predict(self, X: ArrayLike) -> Array:
+        """Return the most probable object of each touch, the first of equals."""
+        best = self._log_joint(X).argmax(axis=1)
+        return np.asarray(self.classes_[best])
+
+    def _log_joint(self, X: ArrayLike) -> Floats:
+        log_likelihood = self.log_likelihood(X)
+        if self.prior == "uniform":
+            return log_likelihood
+        return np.asarray(log_likelihood + np.log(self.counts_ / self.counts_.sum()))
+
+
+class FromProbabilities(BayesRule):
     """Any classifier with `predict_proba` as a `TouchClassifier`.
 
     Its posterior is taken as the one under equal priors, and kept above 1e-12. Left-out
@@ -82,8 +119,6 @@ class FromProbabilities(ClassifierMixin, BaseEstimator):
     >>> model.fit([[0], [1], [5], [6]], ["pen", "pen", "mug", "mug"]).predict([[4]])
     array(['mug'], dtype='<U3')
     """
-
-    classes_: Array
 
     def __init__(self, classifier: Any) -> None:
         self.classifier = classifier
@@ -136,15 +171,6 @@ class FromProbabilities(ClassifierMixin, BaseEstimator):
             known = _log_probability(again, self.touches_[test])
             result[np.ix_(test, columns)] = known
         return result
-
-    def predict_proba(self, X: ArrayLike) -> Floats:
-        """Return the classifier's posterior, (n_touches, n_objects)."""
-        return np.exp(self.log_likelihood(X))
-
-    def predict(self, X: ArrayLike) -> Array:
-        """Return the most probable label of each touch."""
-        best = self.log_likelihood(X).argmax(axis=1)
-        return np.asarray(self.classes_[best])
 
 
 def as_touches(estimator: BaseEstimator, X: ArrayLike) -> Floats:
