@@ -37,13 +37,9 @@ app = typer.Typer(
 VERBS = (learn, recognise, evaluate, demo, study, bench, doctor, serve, record, live)
 for verb in VERBS:
     app.command()(verb)
-for name, verbs in {
-    "simulate": simulate,
-    "library": library,
-    "explore": explore,
-}.items():
-    app.add_typer(verbs, name=name)
-
+app.add_typer(simulate, name="simulate")
+app.add_typer(library, name="library")
+app.add_typer(explore, name="explore")
 
 # What a verb may fail with; anything else is a fault of palpate and shows where.
 FAILURES = (ValueError, TypeError, OSError, RuntimeError, ImportError, MemoryError)
@@ -60,10 +56,7 @@ def _root(
     version: Annotated[
         bool,
         option(
-            "--version",
-            "Print the version and exit.",
-            callback=_print_version,
-            is_eager=True,
+            "--version", "Print the version.", callback=_print_version, is_eager=True
         ),
     ] = False,
 ) -> None:
