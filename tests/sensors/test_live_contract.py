@@ -140,9 +140,9 @@ def test_a_frame_that_is_none_is_an_error_of_the_device():
 
 def test_a_silent_device_says_why():
     sensor = Counting(fails=range(10_000))
-    sensor.retry_s = 0.01
+    sensor.retry_s = 60.0  # it stays lost while it is asked
     with sensor, pytest.raises(SensorError, match="counting is lost: the plug fell"):
-        sensor.read_next(0.1)
+        sensor.read_next(0.5)
     with pytest.raises(SensorError, match="not connected; call connect"):
         sensor.read_latest()
 

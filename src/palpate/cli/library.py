@@ -188,7 +188,7 @@ def check(
 
 @library.command()
 def stats(folder: LibraryPath, as_json: AsJson = False) -> None:
-    """Tell how much the library holds."""
+    """Show how much the library holds."""
     with _opened(folder) as opened:
         found = opened.stats()._asdict()
         sensors = [sensor._asdict() for sensor in opened.sensors()]
