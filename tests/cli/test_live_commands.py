@@ -155,9 +155,7 @@ def test_serve_says_what_is_wrong_before_it_gives_an_address(
     palpate, monkeypatch, tmp_path, words, message
 ):
     monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr(
-        "palpate.web.serving.run_app", lambda app, opened: opened.close()
-    )
+    monkeypatch.setattr("palpate.web.run_app", lambda app, opened: opened.close())
     done = palpate("serve", *words, "--library", tmp_path / "l", "--port=0", *words)
     assert done.returncode in (1, 2)
     assert message in done.stderr
@@ -230,7 +228,7 @@ def test_what_learn_makes_of_a_library_knows_its_touches_and_sensor(
     assert memory.n_touches == 20
     moved = ReplaySensor(recorded.with_columns(no_contact=zero + np.uint8(60)))
     session = LiveSession(moved, model=model)
-    (warning,) = session.state()["sensor"]["warnings"]
+    (warning,) = session.to_dict()["sensor"]["warnings"]
     assert "At rest the sensor differs" in warning
     more = tmp_path / "more.palpate"
     words = ["learn", folder, "--where", "object = lone", "-o", more]
@@ -243,9 +241,7 @@ def test_what_learn_makes_of_a_library_knows_its_touches_and_sensor(
 
 
 def test_serve_warns_when_it_listens_to_the_network(palpate, monkeypatch):
-    monkeypatch.setattr(
-        "palpate.web.serving.run_app", lambda app, opened: opened.close()
-    )
+    monkeypatch.setattr("palpate.web.run_app", lambda app, opened: opened.close())
     said = palpate("serve", "--port", "0", "--host", "0.0.0.0")
     assert said.stdout.startswith("Open http://127.0.0.1:")
     assert "everybody on that network who knows the token" in said.stderr

@@ -2,6 +2,5 @@
 
 from ._app import app as app
 from ._app import main
-from ._options import Working as Working
 
 __all__ = ["main"]

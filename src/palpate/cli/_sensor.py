@@ -81,6 +81,6 @@ class SensorOptions:
 
 def need_baseline(session: "LiveSession") -> None:
     """Take the frame of no contact where the sensor does not know it."""
-    if session.zero is None:
+    if session.baseline is None:
         print("Leave the sensor alone: taking its baseline.", file=sys.stderr)
-        session.take_zero()
+        session.take_baseline()
