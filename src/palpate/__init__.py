@@ -8,4 +8,4 @@ imported by name.
 from .touches import Touches
 
 __all__ = ["Touches", "__version__"]
-__version__ = "0.1.0"
+__version__ = "0.2.0"
