@@ -28,7 +28,8 @@ test-all: check
 # The oldest versions that pyproject.toml promises; old packages beside new ones warn
 # about each other.
 test-oldest: $(OLDEST_VENV)/.installed
-	$(ONE_THREAD) $(OLDEST_VENV)/bin/python -m pytest -n 2 -m "not slow" -W ignore::DeprecationWarning
+	$(ONE_THREAD) $(OLDEST_VENV)/bin/python -m pytest -n 2 -m "not slow" \
+		-W ignore::DeprecationWarning -W ignore::PendingDeprecationWarning
 
 # No extra at all: what needs one is skipped by its name, and everything else works.
 test-bare: $(BARE_VENV)/.installed
