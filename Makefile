@@ -33,7 +33,8 @@ test-oldest: $(OLDEST_VENV)/.installed
 
 # No extra at all: what needs one is skipped by its name, and everything else works.
 test-bare: $(BARE_VENV)/.installed
-	$(ONE_THREAD) $(BARE_VENV)/bin/python -m pytest -n 2 -m "not slow"
+	PALPATE_BARE=1 $(ONE_THREAD) $(BARE_VENV)/bin/python -m pytest -n 2 \
+		-m "not slow" --doctest-ignore-import-errors
 
 check: $(VENV)/.test-installed
 	$(BIN)/ruff check .
@@ -86,7 +87,7 @@ $(OLDEST_VENV)/.installed: pyproject.toml .ci/lower_bounds.py
 
 $(BARE_VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv --clear $(BARE_VENV)
-	$(BARE_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e . pytest pytest-xdist hypothesis
+	$(BARE_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e . pytest pytest-xdist hypothesis httpx
 	@touch $@
 
 # MKLpy (GPL-3) is a yardstick, never a dependency: it has an environment of its own,
