@@ -32,8 +32,7 @@ from palpate.images import (
     DomeCrop,
     OrientationRegulariser,
 )
-from palpate.recognition._known import KNOWN_CLASSES
-from palpate.recognition._model_file import read_model, write_model
+from palpate.recognition import read_model, write_model
 
 ENCODERS = [
     CentroidMoments(),
@@ -86,8 +85,8 @@ def test_pickle_and_model_file_keep_the_encoding(encoder, touches, tmp_path):
     expected = fitted.transform(touches)
     again = pickle.loads(pickle.dumps(fitted))
     assert_array_equal(again.transform(touches), expected)
-    stored = write_model(tmp_path / "e.palpate", fitted, KNOWN_CLASSES)
-    read = read_model(stored, KNOWN_CLASSES)
+    stored = write_model(tmp_path / "e.palpate", fitted)
+    read = read_model(stored, type(fitted))
     assert_array_equal(read.transform(touches), expected)
 
 

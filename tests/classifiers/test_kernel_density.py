@@ -115,8 +115,8 @@ def test_objects_far_apart_keep_finite_and_exact_likelihoods():
     here, there = rng.normal(loc=[[[0]], [[500]]], size=(2, 300, 5))
     # The spread is that of the near object alone, so the far one is 500 of it away.
     model = KernelDensityBayes(precision="single").fit(here, np.full(300, "near"))
-    model.add_class("far", there)
     touches, labels = np.r_[here, there], np.repeat(["near", "far"], 300)
+    model.refit(touches, labels)
     found = model.log_likelihood(touches)
     slow = slow_log_likelihood(model, touches, labels, touches, spread=here)
     assert_allclose(found, slow, rtol=1e-12, atol=1e-3)
@@ -185,13 +185,14 @@ def test_learning_and_forgetting_leave_the_others_to_the_bit(
     before = model.log_likelihood(new_touches)
     wild = 40 * touches[:77] - 3 * touches[100:177]
     for name, place in (("a first one", 0), ("thing 44", 5), ("zebra", 10)):
-        model.add_class(name, wild)
+        model.refit(np.r_[touches, wild], np.r_[labels, np.full(77, name)])
         assert model.classes_[place] == name
         with_it = model.log_likelihood(new_touches)
         assert_array_equal(np.delete(with_it, place, axis=1), before)
-        model.forget_class(name)
+        model.refit(touches, labels)
         assert_array_equal(model.log_likelihood(new_touches), before)
-    model.forget_class("thing 3")
+    rest = labels != "thing 3"
+    model.refit(touches[rest], labels[rest])
     assert_array_equal(model.log_likelihood(new_touches), np.delete(before, 3, axis=1))
 
 
@@ -199,7 +200,7 @@ def test_an_added_object_is_as_if_learnt_from_the_start(learnt, new_touches):
     touches, labels = learnt
     late = labels == "thing 7"
     model = KernelDensityBayes().fit(touches[~late], labels[~late])
-    model.add_class("thing 7", touches[late])
+    model.refit(touches, labels)
     whole = KernelDensityBayes().fit(touches, labels)
     # With the spread of all touches in place, nothing else differs.
     for attribute in ("centre_", "spread_", "varies_", "log_volume_"):
@@ -217,10 +218,10 @@ def test_leave_one_out_is_the_mean_over_the_other_touches(bandwidth, grouped, le
     fitted, labels = learnt[0][:150], learnt[1][:150]
     model = KernelDensityBayes(bandwidth, scale=0.7).fit(fitted, labels)
     extra = 1.5 * fitted[:9] - 0.5 * fitted[9:18]
-    model.add_class("added", extra)
     touches, labels = np.r_[fitted, extra], np.r_[labels, np.full(9, "added")]
     groups = np.arange(159) // 3 if grouped else np.arange(159)
-    found = model.leave_one_out_log_likelihood(groups if grouped else None)
+    model.refit(touches, labels, groups if grouped else None)
+    found = model.left_out_log_likelihood()
     kept = groups[:, np.newaxis] != groups
     slow = slow_log_likelihood(
         model, touches, labels, touches, spread=fitted, kept=kept
@@ -230,11 +231,11 @@ def test_leave_one_out_is_the_mean_over_the_other_touches(bandwidth, grouped, le
 
 
 def test_left_out_object_without_other_touches_is_impossible():
-    model = KernelDensityBayes().fit([[0.0], [1.0], [2.0]], ["a", "b", "b"])
-    found = model.leave_one_out_log_likelihood()
+    three = [[0.0], [1.0], [2.0]], ["a", "b", "b"]
+    found = KernelDensityBayes().fit(*three).left_out_log_likelihood()
     assert_array_equal(np.isneginf(found), [[True, False], [False] * 2, [False] * 2])
     with pytest.raises(ValueError, match=r"one entry per training touch \(3\)"):
-        model.leave_one_out_log_likelihood([0, 1])
+        KernelDensityBayes().fit(*three, groups=[0, 1])
 
 
 def test_leave_one_out_keeps_the_order_of_learning(learnt):
@@ -246,13 +247,14 @@ def test_leave_one_out_keeps_the_order_of_learning(learnt):
     )
     # Sums run in another order.
     assert_allclose(
-        other.leave_one_out_log_likelihood(),
-        straight.leave_one_out_log_likelihood()[shuffled],
+        other.left_out_log_likelihood(),
+        straight.left_out_log_likelihood()[shuffled],
         rtol=1e-9,
     )
-    straight.forget_class("thing 4")
-    assert_array_equal(np.sort(straight.order_), np.arange((labels != "thing 4").sum()))
-    assert len(straight.leave_one_out_log_likelihood()) == len(straight.order_)
+    rest = labels != "thing 4"
+    straight.refit(touches[rest], labels[rest])
+    assert_array_equal(np.sort(straight.order_), np.arange(rest.sum()))
+    assert len(straight.left_out_log_likelihood()) == len(straight.order_)
 
 
 def test_prior_by_counts_shifts_the_posterior_only(learnt, new_touches):
@@ -299,24 +301,19 @@ def test_not_finite_is_refused(bad):
     with pytest.raises(ValueError, match=r"NaN|infinity"):
         model.log_likelihood(np.array([[0.0, bad]]))
     with pytest.raises(ValueError, match=r"NaN|infinity"):
-        model.add_class(2, [[0.0, bad]])
+        model.refit([[0.0, bad], [1.0, 0.0]], [0, 1])
     with pytest.raises(ValueError, match=r"NaN|infinity"):
         clone(model).fit([[0.0, bad], [1.0, 0.0]], [0, 1])
 
 
-def test_labels_are_checked():
+def test_touches_learnt_again_are_checked():
     model = KernelDensityBayes().fit([[0.0], [1.0]], ["a", "b"])
-    with pytest.raises(ValueError, match=r"must be new, got 'a'\. Forget it first"):
-        model.add_class("a", [[2.0]])
-    with pytest.raises(TypeError, match=r"kind of the known labels .* got int"):
-        model.add_class(3, [[2.0]])
-    with pytest.raises(ValueError, match="must be one of 'a', 'b', got 'c'"):
-        model.forget_class("c")
+    with pytest.raises(TypeError, match="labels of one kind, got text and numbers"):
+        model.refit([[0.0], [1.0], [2.0]], ["a", "b", 3])
     with pytest.raises(ValueError, match=r"2 features, but .* 1 features"):
-        model.add_class("c", [[2.0, 1.0]])
-    assert_array_equal(model.forget_class("a").predict([[0.0]]), ["b"])
-    with pytest.raises(ValueError, match="At least one object must remain"):
-        model.forget_class("b")
+        model.refit([[2.0, 1.0]], ["c"])
+    assert_array_equal(model.predict([[0.0]]), ["a"])
+    assert_array_equal(model.refit([[0.0]], ["b"]).predict([[9.0]]), ["b"])
 
 
 @pytest.mark.parametrize(

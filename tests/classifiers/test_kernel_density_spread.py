@@ -40,7 +40,7 @@ def test_equal_touches_say_nothing(bandwidth):
     model = KernelDensityBayes(bandwidth, prior="counts").fit(np.ones((3, 4)), labels)
     assert_array_equal(model.log_likelihood([[1, 2, 3, 4], [1, 1, 1, 1]]), 0)
     assert_allclose(model.predict_proba([[5, 5, 5, 5]]), [[1 / 3, 2 / 3]])
-    assert_array_equal(model.leave_one_out_log_likelihood()[1:], 0)
+    assert_array_equal(model.left_out_log_likelihood()[1:], 0)
 
 
 def test_repeated_features_and_too_few_touches_lose_directions():

@@ -80,7 +80,7 @@ def test_the_choice_is_made_on_part_of_many_touches(problem):
     [
         ({"widths": [0.0]}, None, ValueError, "widths must be positive"),
         ({"ridges": ["a"]}, None, TypeError, "ridges must be a number"),
-        ({}, [1, 2], ValueError, r"one entry per touch \(60\)"),
+        ({}, [1, 2], ValueError, r"one entry per training touch \(60\)"),
     ],
 )
 def test_bad_input_is_refused(problem, parameters, groups, error, message):

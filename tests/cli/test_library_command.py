@@ -149,7 +149,7 @@ def test_a_model_is_extended_from_new_episodes(palpate, folder, tmp_path):
     old, new = tmp_path / "old.palpate", tmp_path / "new.palpate"
     palpate("learn", folder, "-o", old)
     refused = palpate("learn", folder, "--extend", old, "-o", new)
-    assert "does not know, got none" in refused.stderr
+    assert "has not learnt, got none" in refused.stderr
     with TouchLibrary.open(folder) as library:
         library.add(_touches(1, ("cap",)), episode="new")
     done = palpate(

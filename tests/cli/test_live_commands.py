@@ -143,9 +143,7 @@ def test_serve_says_what_is_wrong_before_it_gives_an_address(
     palpate, monkeypatch, tmp_path, words, message
 ):
     monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr(
-        "palpate.web.serving.run_app", lambda app, opened: opened.close()
-    )
+    monkeypatch.setattr("palpate.web.run_app", lambda app, opened: opened.close())
     done = palpate("serve", *words, "--library", tmp_path / "l", "--port=0", *words)
     assert done.returncode in (1, 2)
     assert message in done.stderr
@@ -212,28 +210,26 @@ def test_what_learn_makes_of_a_library_knows_its_touches_and_sensor(
     known = "object != lone"
     assert palpate("learn", folder, "--where", known, "-o", model).returncode == 0
     learnt = ObjectRecogniser.load(model)
-    assert learnt.touch_ids_.tolist() == ids
-    memory = SensorMemory.from_dict(learnt.sensor_)
+    assert learnt.memory_.touch_ids.tolist() == ids
+    memory = SensorMemory.from_dict(learnt.memory_.sensor)
     assert (memory.no_contact == zero).all()
     assert memory.n_touches == 20
     moved = ReplaySensor(recorded.with_columns(no_contact=zero + np.uint8(60)))
     session = LiveSession(moved, model=model)
-    (warning,) = session.state()["sensor"]["warnings"]
+    (warning,) = session.to_dict()["sensor"]["warnings"]
     assert "At rest the sensor differs" in warning
     more = tmp_path / "more.palpate"
     words = ["learn", folder, "--where", "object = lone", "-o", more]
     assert palpate(*words, "--extend", model).returncode == 0
     extended = ObjectRecogniser.load(more)
-    assert extended.touch_ids_[:20].tolist() == ids
-    lone = extended.touch_ids_[extended.labels_ == "lone"].tolist()
+    assert extended.memory_.touch_ids[:20].tolist() == ids
+    lone = extended.memory_.touch_ids[extended.memory_.labels == "lone"].tolist()
     assert len(set(lone) - set(ids) - {""}) == 5
-    assert (extended.sensor_["no_contact"] == zero).all()
+    assert (extended.memory_.sensor["no_contact"] == zero).all()
 
 
 def test_serve_warns_when_it_listens_to_the_network(palpate, monkeypatch):
-    monkeypatch.setattr(
-        "palpate.web.serving.run_app", lambda app, opened: opened.close()
-    )
+    monkeypatch.setattr("palpate.web.run_app", lambda app, opened: opened.close())
     said = palpate("serve", "--port", "0", "--host", "0.0.0.0")
     assert said.stdout.startswith("Open http://127.0.0.1:")
     assert "everybody on that network who knows the token" in said.stderr

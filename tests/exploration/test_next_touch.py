@@ -23,7 +23,7 @@ from palpate.exploration import (
     look_at_recorded,
 )
 from palpate.exploration._informative import Stations, most_promising
-from palpate.exploration._places import freshness
+from palpate.exploration._place_geometry import freshness
 from palpate.recognition import ObjectRecogniser, SequenceCalibration
 
 N_TURNS = 12
@@ -216,7 +216,9 @@ def test_gain_is_the_mutual_information_worked_out_slowly(touch_map, strategy):
             evidence = touch_map.weighed(
                 touch_map.left_out_[touch], ratio[stations, :, touch].T
             )
-            after = belief.log_joint + touch_map.discount(3) * evidence
+            after = (
+                belief.log_joint + touch_map.sequence_calibration.weight(3) * evidence
+            )
             after = logsumexp(after, axis=1) - logsumexp(after)
             total += chance * (after[code] - log_belief[code])
         # The strategy computes in single precision.

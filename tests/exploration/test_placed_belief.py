@@ -78,8 +78,8 @@ def test_costs_decide_as_worked_out_by_hand(touch_map, monkeypatch):
     belief = touch_map.start()
     belief.log_joint = np.log(np.outer([0.1, 0.6, 0.3], np.full(4, 0.25)))
     monkeypatch.setattr(type(belief), "touches_used", 1)
-    monkeypatch.setattr(belief.touch, "decide", lambda error: None)
-    monkeypatch.setattr(belief.touch, "looks_known", lambda: True)
+    monkeypatch.setattr(belief, "unknown_limit", lambda error: None)
+    monkeypatch.setattr(belief, "looks_known", lambda: True)
     assert belief.decide(0.45) == "box"
     assert belief.decide(0.35) is None
     # Naming the box costs 0.1 x 1 + 0.3 x 5, the pen 0.1 x 1 + 0.6 x 0.2, the ball

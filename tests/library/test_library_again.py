@@ -15,8 +15,8 @@ def library(tmp_path):
 
 def _touches(seed=0, **columns):
     images = np.random.default_rng(seed).integers(0, 255, (6, 4, 4), dtype=np.uint8)
-    told = {"object": ["a", "b", "c"] * 2, "press": np.arange(6)} | columns
-    return Touches(images, **told)
+    known = {"object": ["a", "b", "c"] * 2, "press": np.arange(6)} | columns
+    return Touches(images, **known)
 
 
 def _exported(library, tmp_path, where=None):

@@ -1,4 +1,4 @@
-"""The benchmark of libraries runs at a small size and tells what it promises."""
+"""The benchmark of libraries runs at a small size and has the rows it promises."""
 
 import pytest
 

@@ -1,8 +1,11 @@
 """One process, two workers and a Dask cluster agree; a worker that dies is survived."""
 
+import json
 import os
 import signal
+import sys
 import time
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ from joblib import Parallel, delayed, parallel_config
 from numpy.testing import assert_allclose
 
 from palpate import Touches
+from palpate.cli import main
 from palpate.library import TouchLibrary
 
 distributed = pytest.importorskip("distributed")
@@ -43,13 +47,11 @@ def _spectrum(touches):
 
 
 @pytest.fixture
-def library(tmp_path, monkeypatch):
-    import palpate.library._features as features
-
-    monkeypatch.setattr(features, "AT_ONCE", 25)
+def library(tmp_path):
+    """More touches than are encoded at once."""
     rng = np.random.default_rng(0)
     with TouchLibrary.open(tmp_path / "library", create=True) as opened:
-        opened.add(Touches(rng.normal(size=(200, 12, 12)), object=["a", "b"] * 100))
+        opened.add(Touches(rng.normal(size=(2000, 12, 12)), object=["a", "b"] * 1000))
         yield opened
 
 
@@ -64,6 +66,20 @@ def test_a_library_is_encoded_alike_everywhere(library, on_cluster):
     # The same arithmetic on the same machine: only the order of threads could differ.
     assert_allclose(local, alone, rtol=0, atol=1e-10)
     assert_allclose(remote, alone, rtol=0, atol=1e-10)
+
+
+def _kinds():
+    """Return touches of two categories of two objects each."""
+    rng = np.random.default_rng(1)
+    categories = rng.normal(size=(2, 3, 24))
+    kind, one = np.repeat([0, 1], 40), np.tile(np.repeat([0, 1], 20), 2)
+    images = categories[kind] + 0.5 * rng.normal(size=(80, 3, 24))
+    return Touches(
+        images,
+        object=[f"{k}{o}" for k, o in zip(kind, one, strict=True)],
+        category=kind,
+        geometry="none",
+    )
 
 
 def _slow_square(number, folder):
@@ -88,26 +104,45 @@ def test_a_worker_that_dies_is_survived(on_cluster, tmp_path):
 
 @pytest.mark.slow
 def test_the_same_study_gives_the_same_figures_everywhere(cluster, monkeypatch):
-    """A small study from the command's own helper: one process, two, a cluster."""
-    from palpate.cli._workers import working
+    """A small study in one process, two, and a cluster."""
     from palpate.studies import Liu2014Plan, run_study
 
     monkeypatch.delenv("PALPATE_DATA", raising=False)
     small = {"parts": (3, 7), "n_presses": 4, "loads_kgf": (2.0,), "covers_mm": (0.9,)}
     plan = Liu2014Plan.quick(protocol="nested", **small)
-    figures = {}
-    for name, workers, address in (
-        ("one", 1, None),
-        ("two", 2, None),
-        ("cluster", None, cluster.scheduler_address),
-    ):
-        with working(workers, address) as n_jobs:
-            rows = run_study("liu2014", workers=n_jobs, plan=plan, progress=False)[
-                "rows"
-            ]
-        figures[name] = [row["ours"] for row in rows]
-    assert_allclose(figures["two"], figures["one"], rtol=0, atol=1e-10)
-    assert_allclose(figures["cluster"], figures["one"], rtol=0, atol=1e-10)
+
+    def figures(workers):
+        done = run_study("liu2014", workers=workers, plan=plan, progress=False)
+        return [row["ours"] for row in done["rows"]]
+
+    with parallel_config("loky", n_jobs=1):
+        one = figures(1)
+    with parallel_config("loky", n_jobs=2):
+        assert_allclose(figures(2), one, rtol=0, atol=1e-10)
+    with distributed.Client(cluster.scheduler_address), parallel_config("dask"):
+        assert_allclose(figures(-1), one, rtol=0, atol=1e-10)
+
+
+@pytest.mark.slow
+def test_the_command_evaluates_alike_everywhere(cluster, tmp_path, capsys, monkeypatch):
+    """`--workers` and `--cluster` lead to the same figures."""
+    _kinds().save(tmp_path / "t.npz")
+    given = ["--train", tmp_path / "t.npz", "--split", "unseen-objects", "--json"]
+    given += ["--label", "category", "--touches", "1,3", "--orders", 2]
+    places = {
+        "one": ["--workers", 1],
+        "two": ["--workers", 2],
+        "cluster": ["--cluster", cluster.scheduler_address],
+    }
+    log_loss = {}
+    for name, place in places.items():
+        words = map(str, ["palpate", "evaluate", *given, *place])
+        monkeypatch.setattr(sys, "argv", list(words))
+        with suppress(SystemExit):
+            main()
+        log_loss[name] = json.loads(capsys.readouterr().out)["log_loss"]
+    assert log_loss["two"] == pytest.approx(log_loss["one"], rel=0, abs=1e-10)
+    assert log_loss["cluster"] == pytest.approx(log_loss["one"], rel=0, abs=1e-10)
 
 
 @pytest.mark.slow
@@ -115,16 +150,7 @@ def test_folds_are_evaluated_alike_in_one_process_and_two():
     """Every category is left out once per fold; two processes share the folds."""
     from palpate.evaluation import Plan, evaluate
 
-    rng = np.random.default_rng(1)
-    categories = rng.normal(size=(2, 3, 24))
-    kind, one = np.repeat([0, 1], 40), np.tile(np.repeat([0, 1], 20), 2)
-    images = categories[kind] + 0.5 * rng.normal(size=(80, 3, 24))
-    touches = Touches(
-        images,
-        object=[f"{k}{o}" for k, o in zip(kind, one, strict=True)],
-        category=kind,
-        geometry="none",
-    )
+    touches = _kinds()
     plan = Plan(label="category", touches=(1, 3), orders=2)
     alone, _ = evaluate(touches, split="unseen-objects", plan=plan)
     with parallel_config("loky", n_jobs=2):

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
-from palpate.library import LibraryError, TouchLibrary, lerobot_frames, read_bag
+from palpate.library import LibraryError, TouchLibrary, read_bag
 
 pq = pytest.importorskip("pyarrow.parquet")
 
@@ -41,17 +41,18 @@ def test_an_archive_holds_the_same_touches(library, tmp_path):
         assert {row.id for row in other.list()} == kept
 
 
-def test_a_parquet_file_holds_the_same_touches(library, tmp_path, monkeypatch):
-    import palpate.library._exporting as exporting
-
-    monkeypatch.setattr(exporting, "AT_ONCE", 3)
-    assert library.export(tmp_path / "t.parquet") == 7
+def test_a_parquet_file_holds_the_same_touches(library, tmp_path, rng):
+    """Of many touches, some hundreds at a time are a row group."""
+    seven = library.touches()
+    more = seven[np.arange(1200) % 7].with_columns(time_s=np.arange(200.0, 1400))
+    library.add(more)
+    assert library.export(tmp_path / "t.parquet") == 1207
     file = pq.ParquetFile(tmp_path / "t.parquet")
     assert file.num_row_groups == 3
     table = file.read()
     expected = library.touches()
     images = np.array(table["image"].to_pylist(), dtype=np.float32)
-    assert_array_equal(images.reshape(7, 3, 4), expected.images)
+    assert_array_equal(images.reshape(-1, 3, 4), expected.images)
     assert table["object"].to_pylist() == expected.object.tolist()
     assert_allclose(table["position_mm"].to_pylist(), expected.columns["position_mm"])
     about = json.loads(table.schema.metadata[b"palpate"])
@@ -89,19 +90,25 @@ def test_a_lerobot_dataset_has_the_layout_of_v3(library, tmp_path):
         assert inside == [row["episode_index"]] * row["length"]
     stats = json.loads((folder / "meta/stats.json").read_text())
     images = np.array(frames["observation.tactile"])
-    told = stats["observation.tactile"]
+    spread = stats["observation.tactile"]
     # float32 values summed in float64: equal but for the order of the sums.
-    assert_allclose(told["mean"], images.mean(axis=0), atol=1e-12)
-    assert_allclose(told["std"], images.std(axis=0), atol=1e-7)
-    assert_allclose(told["max"], images.max(axis=0))
+    assert_allclose(spread["mean"], images.mean(axis=0), atol=1e-12)
+    assert_allclose(spread["std"], images.std(axis=0), atol=1e-7)
+    assert_allclose(spread["max"], images.max(axis=0))
     with pytest.raises(LibraryError, match="new or empty folder"):
         library.export(folder)
 
 
-def test_frames_without_times_count_touches():
-    frames = lerobot_frames(Touches(np.ones((3, 2, 2))), episode=5, first=40, task=2)
-    assert frames["timestamp"].tolist() == [0, 1, 2]
-    assert frames["index"].tolist() == [40, 41, 42]
+def test_frames_without_times_count_touches(tmp_path, rng):
+    names = ["cup"] * 2 + ["pen"] * 3
+    with TouchLibrary.open(tmp_path / "bare", create=True) as library:
+        library.add(Touches(rng.normal(size=(5, 2, 2)), object=names))
+        library.export(tmp_path / "robot")
+    table = pq.read_table(tmp_path / "robot/data/chunk-000/file-000.parquet")
+    frames = table.to_pydict()
+    assert frames["timestamp"] == [0, 1, 0, 1, 2]
+    assert frames["index"] == [0, 1, 2, 3, 4]
+    assert frames["task_index"] == [0, 0, 1, 1, 1]
     assert "observation.force_n" not in frames
 
 

@@ -6,7 +6,7 @@ from joblib import parallel_config
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
-from palpate.library import LibraryError, TouchLibrary
+from palpate.library import LibraryError, Selection, TouchLibrary
 from palpate.recognition import ObjectRecogniser
 
 NAMES = ("ball", "mug", "pen")
@@ -36,17 +36,32 @@ def library(tmp_path):
 
 @pytest.fixture
 def counted(monkeypatch):
-    """How many touches were encoded, one entry per call."""
-    from palpate.recognition._encoder import TouchEncoder
-
+    """How many touches of a library were encoded, one entry per call."""
     calls = []
-    encode = TouchEncoder.encode_fully
+    features = Selection.features
 
-    def counting(self, cleaned):
-        calls.append(len(cleaned))
-        return encode(self, cleaned)
+    def counting(self, key, encode):
+        def encode_counted(touches):
+            calls.append(len(touches))
+            return encode(touches)
 
-    monkeypatch.setattr(TouchEncoder, "encode_fully", counting)
+        return features(self, key, encode_counted)
+
+    monkeypatch.setattr(Selection, "features", counting)
+    return calls
+
+
+@pytest.fixture
+def shown(monkeypatch):
+    """Places of the touches whose images were read, one entry per call."""
+    calls = []
+    touches = Selection.touches
+
+    def showing(self, rows):
+        calls.append(np.asarray(rows))
+        return touches(self, rows)
+
+    monkeypatch.setattr(Selection, "touches", showing)
     return calls
 
 
@@ -84,26 +99,29 @@ def test_an_object_is_added_from_its_new_episodes_alone(library, counted):
     assert belief.best == "cap"
 
 
-def test_an_encoding_is_learnt_from_some_touches_of_each_label(library, monkeypatch):
-    import palpate.recognition._source as source
-
-    rows = source.shown_rows(np.repeat(["a", "b"], [1000, 5]), n_shown=40)
-    assert len(rows) == 25
-    few = source.shown_rows(np.repeat(["a", "b"], [30, 5]), n_shown=40)
-    assert_array_equal(few, np.arange(35))
+def test_an_encoding_is_learnt_from_some_touches_of_each_label(tmp_path, shown):
+    """Of 2,020 touches some 2,000 are shown, of each of three labels a third."""
+    parts = [_touches(6, ("ball",), 1990), _touches(7, ("mug", "pen"), 15)]
+    with TouchLibrary.open(tmp_path, create=True) as library:
+        library.add(Touches.concatenate(parts))
+        read = ObjectRecogniser().fit(library.select())
+    [rows] = shown
     assert (np.diff(rows) > 0).all()
-    assert (rows >= 1000).sum() == 5
-    monkeypatch.setattr(source.shown_rows, "__defaults__", (30,))
-    read = ObjectRecogniser().fit(library.select())
-    assert len(read.features_) == 90
+    assert (rows >= 1990).sum() == 30
+    assert len(rows) == 2000 // 3 + 30
+    assert len(read.memory_.features) == 2020
     answer = read.log_likelihood(_touches(5)).argmax(axis=1)
     assert (read.classes_[answer] == _touches(5).object).mean() > 0.9
 
 
-def test_features_are_the_same_from_one_process_and_two(library, monkeypatch):
-    import palpate.library._features as features
+def test_an_encoding_is_learnt_from_all_of_a_few_touches(library, shown):
+    ObjectRecogniser("corradi2015").fit(library.select())
+    assert_array_equal(shown[0], np.arange(90))
 
-    monkeypatch.setattr(features, "AT_ONCE", 20)
+
+def test_features_are_the_same_from_one_process_and_two(library):
+    """More touches than are encoded at once."""
+    library.add(_touches(8, n_each=400))
     chosen = library.select()
     one = chosen.features("one", _means)
     assert_array_equal(one, library.touches().images.mean(axis=2))
@@ -123,6 +141,13 @@ def test_a_damaged_cache_is_computed_again(library):
     assert_array_equal(chosen.features("means", _means), first)
     with pytest.raises(ValueError, match="letters and digits"):
         chosen.features("../x", _means)
+
+
+def test_a_selection_knows_the_ids_of_its_touches(library):
+    """One id in 256 ends in a byte of zero, which is a part of it."""
+    ids = library.add(_touches(9, ("cap",), 600))
+    assert library.select("object = cap").touch_id.tolist() == ids
+    assert any(key.endswith("00") for key in ids)
 
 
 def test_a_selection_reads_what_is_asked_for(library):
@@ -148,4 +173,4 @@ def test_real_touches_learn_alike_from_a_library(tmp_path, data_folder):
         library.add(touches)
         read = ObjectRecogniser("corradi2015").fit(library.select())
     held = ObjectRecogniser("corradi2015").fit(touches)
-    assert_allclose(read.features_, held.features_, atol=1e-9)
+    assert_allclose(read.memory_.features, held.memory_.features, atol=1e-9)

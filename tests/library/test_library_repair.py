@@ -1,11 +1,13 @@
 """Full disks, lost databases, altered arrays and changes: found, named and mended."""
 
+import errno
 import multiprocessing
 import os
 import shutil
 import signal
 import sqlite3
 from contextlib import closing
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,8 +20,6 @@ from palpate.library import (
     check_library,
     repair_library,
 )
-from palpate.library import _changes as changes
-from palpate.library import _database as databases
 
 
 def _touches(seed=0):
@@ -157,7 +157,7 @@ def test_a_lost_database_is_not_replaced_by_an_empty_one(folder, damage):
     assert check_library(folder).ok
 
 
-def test_changes_that_a_database_lacks_are_told_and_carried_out(folder):
+def test_changes_that_a_database_lacks_are_reported_and_carried_out(folder):
     """As when it was lost and made anew by hand, or put back from last week."""
     before = _state(folder)
     (folder / "library.sqlite").unlink()
@@ -178,7 +178,7 @@ def test_changes_that_a_database_lacks_are_told_and_carried_out(folder):
 
 
 @pytest.mark.parametrize("content", [b"{}", b"\xff", b"", None])
-def test_altered_changes_are_told_and_written_anew(folder, content):
+def test_altered_changes_are_reported_and_written_anew(folder, content):
     with TouchLibrary.open(folder) as library:
         library.restore([row.id for row in library.list("press < 6", retracted=True)])
         library.merge_objects("b", "mug")
@@ -220,18 +220,23 @@ def test_a_file_that_is_no_change_is_set_aside(folder):
 
 
 def test_a_change_that_is_not_acknowledged_leaves_no_file(folder, monkeypatch):
-    """The transaction fails after the file is in place: a rebuild must not find it."""
+    """The disk fails after the file is in place: a rebuild must not find it."""
     before = _state(folder)
-    written = changes.write_change
+    flush = os.fsync
+    seen = []
 
-    def then_fail(*arguments):
-        written(*arguments)
-        raise LibraryError("the disk is full")
+    def fail_in_place(handle):
+        found = sorted((folder / "changes").glob("*.json"))
+        if len(found) == 3:
+            seen.extend(found)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        flush(handle)
 
-    monkeypatch.setattr(changes, "write_change", then_fail)
     with TouchLibrary.open(folder) as library:
-        with pytest.raises(LibraryError, match="full"):
+        monkeypatch.setattr(os, "fsync", fail_in_place)
+        with pytest.raises(LibraryError, match="Nothing was changed; free space"):
             library.rename_object("mug", "cup")
+        assert seen
         assert len(list((folder / "changes").iterdir())) == 2
     assert _state(folder) == before
     assert check_library(folder).ok
@@ -240,8 +245,8 @@ def test_a_change_that_is_not_acknowledged_leaves_no_file(folder, monkeypatch):
 @pytest.mark.parametrize("lost", [True, False])
 def test_a_damaged_array_costs_no_touch(folder, lost):
     """Everything else is read; the array is named, and comes back when added again."""
-    zero = np.full((6, 6), 3, np.uint8)
-    again = _touches(1).with_columns(no_contact=zero, set_unit="kPa")
+    baseline = np.full((6, 6), 3, np.uint8)
+    again = _touches(1).with_columns(no_contact=baseline, set_unit="kPa")
     with TouchLibrary.open(folder) as library:
         ids = library.add(again)
         [path] = [
@@ -268,16 +273,16 @@ def test_a_damaged_array_costs_no_touch(folder, lost):
         assert "20 touches are read without their no_contact" in str(report)
         assert library.repair().n_left_out == 0
         library.add(again)
-        assert_array_equal(library.no_contact(), zero)
+        assert_array_equal(library.no_contact(), baseline)
         assert not library.check().problems
-        assert_array_equal(library.touches(where).no_contact, zero)
+        assert_array_equal(library.touches(where).no_contact, baseline)
 
 
 def test_an_older_no_contact_image_stands_in_for_a_damaged_one(folder):
     with TouchLibrary.open(folder) as library:
         for value in (1, 2):
-            zero = np.full((6, 6), value, np.uint8)
-            library.add(_touches(value).with_columns(no_contact=zero))
+            baseline = np.full((6, 6), value, np.uint8)
+            library.add(_touches(value).with_columns(no_contact=baseline))
         [newest] = [
             p for p in (folder / "arrays").rglob("*.npy") if (np.load(p) == 2).all()
         ]
@@ -299,7 +304,7 @@ def test_touches_set_aside_are_counted_apart(folder):
     assert "20 touches are set aside" in str(report)
 
 
-def test_lost_images_of_retracted_touches_are_told(folder):
+def test_lost_images_of_retracted_touches_are_reported(folder):
     """They are left out already, so nothing is wrong; but they cannot be restored."""
     retracted = [row.id for row in _state(folder) if row.retracted]
     with TouchLibrary.open(folder) as library:
@@ -316,12 +321,21 @@ def test_lost_images_of_retracted_touches_are_told(folder):
     assert "19 touches that are retracted" in str(report)
 
 
+class _Hurried(sqlite3.Connection):
+    """Waits a tenth of a second for others, where a library waits for a minute."""
+
+    def execute(self, sql, *values):
+        hurried = "PRAGMA busy_timeout = 100" if "busy_timeout" in sql else sql
+        return super().execute(hurried, *values)
+
+
 def test_a_database_that_another_keeps_to_itself_is_left_alone(folder, monkeypatch):
-    monkeypatch.setattr(databases, "PATIENCE_S", 0.1)
+    hurried = partial(sqlite3.connect, factory=_Hurried)
     files = _files(folder)
     with closing(sqlite3.connect(folder / "library.sqlite")) as other:
         other.execute("PRAGMA locking_mode = EXCLUSIVE")
         other.execute("SELECT * FROM touches").fetchall()
+        monkeypatch.setattr(sqlite3, "connect", hurried)
         [problem] = check_library(folder).problems
         assert problem.kind == "disk"
         assert "Another program" in problem.what

@@ -261,12 +261,10 @@ def test_image_files_are_plain_arrays(library, cups):
     assert_array_equal(np.load(path), cups.images)
 
 
-def test_large_selections_are_mapped(library, cups, monkeypatch):
-    import palpate.library._reading as reading
-
+def test_large_selections_are_mapped(library, cups):
     library.add(cups)
-    monkeypatch.setattr(reading, "IN_MEMORY", 10)
-    again = library.touches()
+    assert not _is_mapped(library.touches().images)
+    again = library.touches(in_memory=10)
     assert _is_mapped(again.images)
     assert_array_equal(again.images, cups.images)
     with pytest.raises(LibraryError, match="at most 100 bytes"):
@@ -314,7 +312,7 @@ def test_only_touches_are_added(library):
 
 
 def test_a_forked_process_opens_the_library_anew(library, cups):
-    """SQLite's connections must not cross a fork: the child is told so."""
+    """SQLite's connections must not cross a fork: the child is refused."""
     library.add(cups)
     process = multiprocessing.get_context("fork").Process(
         target=_count_in_child, args=(library,)

@@ -57,9 +57,12 @@ def test_a_camera_that_sees_the_dome_elsewhere_is_found_again(recogniser, elsewh
 
 
 def test_the_old_recogniser_stays_as_it_is(recogniser, elsewhere):
-    features, shape = recogniser.features_.copy(), recogniser.encoder_.image_shape_
+    features, shape = (
+        recogniser.memory_.features.copy(),
+        recogniser.encoder_.image_shape_,
+    )
     adapt(recogniser, elsewhere)
-    assert np.array_equal(recogniser.features_, features)
+    assert np.array_equal(recogniser.memory_.features, features)
     assert recogniser.encoder_.image_shape_ == shape
 
 
@@ -67,11 +70,11 @@ def test_new_touches_join_the_old_and_are_one_group_of_their_own():
     old, new = _vectors(0.0, 20, 0), _vectors(0.5, 4, 1)
     recogniser = ObjectRecogniser().fit(old)
     adapted = adapt(recogniser, new)
-    assert len(adapted.features_) == 48
-    assert adapted.labels_[40:].tolist() == ["a"] * 4 + ["b"] * 4
-    group = set(adapted.blocks_[40:])
+    assert len(adapted.memory_) == 48
+    assert adapted.memory_.labels[40:].tolist() == ["a"] * 4 + ["b"] * 4
+    group = set(adapted.memory_.blocks[40:])
     assert len(group) == 1
-    assert not group & set(adapted.blocks_[:40])
+    assert not group & set(adapted.memory_.blocks[:40])
 
 
 def test_what_a_device_does_to_touches_is_learnt():
@@ -108,5 +111,5 @@ def test_one_touch_of_one_object_is_enough_to_be_taken_in():
     learnt = ObjectRecogniser().fit(_vectors(0.0, 10, 0))
     there = _vectors(0.3, 1, 1)[:1]
     adapted = adapt(learnt, there)
-    assert len(adapted.features_) == 21
+    assert len(adapted.memory_) == 21
     assert adapted.classes_.tolist() == ["a", "b"]

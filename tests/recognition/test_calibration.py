@@ -2,16 +2,9 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
-from sklearn.neighbors import KNeighborsClassifier
 
-from palpate.classifiers import KernelRidgeClassifier
-from palpate.recognition._calibration import (
-    draw_episodes,
-    fit_sequence_calibration,
-    left_out_log_likelihood,
-)
-from palpate.recognition._training import blocks_in_order
+from palpate.recognition._calibration import draw_episodes, fit_sequence_calibration
+from palpate.recognition._memory import blocks_in_order
 
 
 def test_stretches_follow_the_recording():
@@ -24,34 +17,6 @@ def test_stretches_follow_the_recording():
 
 def test_an_object_with_few_touches_has_few_stretches():
     assert blocks_in_order(np.array(["a", "a", "b"])).tolist() == [0, 1, 2]
-
-
-@pytest.fixture
-def separate(rng):
-    labels = np.repeat(["a", "b", "c"], 20)
-    features = rng.normal(size=(60, 5)) + 3 * np.repeat(np.eye(3, 5), 20, axis=0)
-    return features, labels, blocks_in_order(labels)
-
-
-@pytest.mark.parametrize("n_neighbors", [1, 3])
-def test_any_classifier_can_be_asked_about_left_out_touches(separate, n_neighbors):
-    features, labels, group = separate
-    # Had a touch met itself, its nearest neighbour would always be right.
-    noise = np.random.default_rng(1).normal(size=features.shape)
-    machine = KNeighborsClassifier(n_neighbors).fit(noise, labels)
-    left_out = left_out_log_likelihood(machine, noise, labels, group)
-    assert np.isfinite(left_out).all()
-    right = machine.classes_[left_out.argmax(axis=1)] == labels
-    assert right.mean() < 0.7
-
-
-def test_closed_form_is_used_where_there_is_one(separate):
-    features, labels, group = separate
-    machine = KernelRidgeClassifier().fit(features, labels, groups=group)
-    assert_allclose(
-        left_out_log_likelihood(machine, features, labels, group),
-        machine.left_out_log_likelihood(),
-    )
 
 
 def test_episodes_come_from_one_object_and_few_stretches(rng):

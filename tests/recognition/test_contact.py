@@ -62,7 +62,7 @@ def test_order_of_silent_touches_does_not_matter(camera):
 
 def test_touches_in_contact_are_heard(camera):
     recogniser, touches = camera
-    assert recogniser.flags(touches) == [""] * len(touches)
+    assert recogniser.evidence(touches).flags == [""] * len(touches)
     assert (np.ptp(recogniser.log_likelihood(touches), axis=1) > 0).all()
 
 
@@ -122,14 +122,14 @@ def test_saturated_and_double_presses_are_marked(array):
     double = np.zeros((10, 10), np.uint8)
     double[1:4, 1:4] = double[6:9, 6:9] = 100
     both = Touches(np.stack([full, double, touches.images[0]]))
-    assert recogniser.flags(both) == ["saturated", "double contact", ""]
+    assert recogniser.evidence(both).flags == ["saturated", "double contact", ""]
 
 
 def test_model_file_keeps_what_contact_is(array, tmp_path):
     recogniser, touches = array
     again = ObjectRecogniser.load(recogniser.save(tmp_path / "m.palpate"))
     empty = Touches(np.zeros((1, 10, 10), np.uint8))
-    assert again.flags(empty) == ["no contact"]
+    assert again.evidence(empty).flags == ["no contact"]
     assert_array_equal(
         again.log_likelihood(touches), recogniser.log_likelihood(touches)
     )
@@ -145,5 +145,5 @@ def test_the_recorded_frame_moves_nothing(data_folder):
     # Other exposure, and the camera moved by two pixels.
     moved = np.roll((0.9 * frame.astype(float)).astype(np.uint8), 2, axis=1)
     for image in (frame, moved):
-        assert recogniser.flags(Touches(image[np.newaxis])) == ["no contact"]
-    assert np.mean([flag == "" for flag in recogniser.flags(touches)]) > 0.8
+        assert recogniser.evidence(Touches(image[np.newaxis])).flags == ["no contact"]
+    assert np.mean([flag == "" for flag in recogniser.evidence(touches).flags]) > 0.8

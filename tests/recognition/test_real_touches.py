@@ -36,7 +36,7 @@ def test_the_paper_as_written(ten_objects):
     # About 69 % after 5 touches is known of such sets; objects differ much.
     assert 0.5 < figures["accuracy"]["5"] < 0.9
     # 16 to 22 components hold 95 % of the variance of real touches.
-    assert 14 <= trials[0].recogniser.features_.shape[1] <= 24
+    assert 14 <= trials[0].recogniser.memory_.features.shape[1] <= 24
 
 
 def test_a_sensor_without_a_rim(data_folder):

@@ -56,9 +56,9 @@ def test_a_model_file_remembers_its_sensor(presses, tmp_path):
     touches = Touches(presses, object=["a"] * 30 + ["b"] * 30, geometry="none")
     recogniser = ObjectRecogniser().fit(touches)
     memory = SensorMemory.of(presses, np.ones((6, 6)))
-    recogniser.sensor_ = memory.to_dict()
+    recogniser.remember_sensor(memory.to_dict())
     recogniser.save(tmp_path / "model.palpate")
-    stored = ObjectRecogniser.load(tmp_path / "model.palpate").sensor_
+    stored = ObjectRecogniser.load(tmp_path / "model.palpate").memory_.sensor
     again = SensorMemory.from_dict(stored)
     assert again.touch_change == memory.touch_change
     assert np.array_equal(again.response, memory.response)

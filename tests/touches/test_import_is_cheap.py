@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 HEAVY = "{'sklearn', 'cv2', 'matplotlib', 'PIL', 'rich'}"
 
 
@@ -12,3 +14,14 @@ def test_import_loads_nothing_heavy():
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == "[]"
+
+
+def test_names_are_loaded_when_they_are_used():
+    import palpate
+
+    assert set(palpate.__all__) <= set(dir(palpate))
+    for name in palpate.__all__:
+        assert getattr(palpate, name) is not None
+    assert palpate.recognition.ObjectRecogniser is palpate.ObjectRecogniser
+    with pytest.raises(AttributeError, match="no attribute 'nothing_of_that_name'"):
+        _ = palpate.nothing_of_that_name

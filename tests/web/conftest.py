@@ -11,9 +11,10 @@ import pytest
 from palpate import Touches
 from palpate.sensors import ReplaySensor
 from palpate.web import LiveSession, create_app, new_token
+from palpate.web._learning import learn_job
 
-pytest.importorskip("fastapi", reason="pip install palpate[web]")
-pytest.importorskip("uvicorn", reason="pip install palpate[web]")
+pytest.importorskip("fastapi", reason='pip install "palpate[web]"')
+pytest.importorskip("uvicorn", reason='pip install "palpate[web]"')
 
 SIDE = 12
 
@@ -59,12 +60,24 @@ def make_session(tmp_path_factory, drawn):
     return make
 
 
+@pytest.fixture(name="learn_job", scope="session")
+def learn_job_fixture():
+    """Give tests the job of the learning process, to be done in this one."""
+    return learn_job
+
+
+@pytest.fixture
+def learning_here(monkeypatch):
+    """Learn in this process: starting another one takes seconds; others try that."""
+    monkeypatch.setattr("palpate.web._session.learn_apart", learn_job)
+
+
 @contextmanager
 def serving(session, token=None, **limits):
     """Run the application of a session on a free port; give its address and token."""
     import uvicorn
 
-    from palpate.web.serving import open_socket
+    from palpate.web import open_socket
 
     token = token or new_token()
     opened = open_socket("127.0.0.1", 0)

@@ -12,7 +12,6 @@ from PIL import Image
 
 from palpate import Touches
 from palpate.library import TouchLibrary
-from palpate.web._learning import learn_job
 
 
 @pytest.fixture(scope="module")
@@ -20,18 +19,6 @@ def shared(make_session, connected):
     """A client for what is refused: nothing it does leaves a trace."""
     with connected(make_session(sensor=False), max_body=400_000) as client:
         yield client
-
-
-@pytest.fixture
-def learning_here(monkeypatch):
-    """Learn in this process: starting another one takes seconds; others try that."""
-
-    def learn(library, output, base, drop=(), image_shape=None):
-        job = {"library": library, "output": output, "base": base, "drop": list(drop)}
-        job["image_shape"] = image_shape
-        return learn_job(job)
-
-    monkeypatch.setattr("palpate.web._session.learn_apart", learn)
 
 
 @pytest.fixture
@@ -269,6 +256,7 @@ def test_an_image_must_suit_those_before_it(client, drawn):
 
 def test_what_this_server_cannot_do_is_said(client):
     for path, body, words in [
+        ("/api/baseline", {"force": False}, "no sensor"),
         ("/api/zero", {"force": False}, "no sensor"),
         ("/api/place", {"object": "mug"}, "cannot be chosen"),
         ("/api/teach/undo", None, "no touch to undo"),

@@ -8,6 +8,8 @@ import time
 import pytest
 from websockets.sync.client import connect
 
+from palpate.web import Event
+
 N_CLIENTS = 20
 
 
@@ -66,7 +68,7 @@ def test_twenty_pages_and_one_that_stops_reading(make_session, serving):
 
 
 def test_a_client_that_never_reads_is_let_go(make_session, serving, monkeypatch):
-    monkeypatch.setattr("palpate.web._hub._PATIENCE_S", 0.3)
+    monkeypatch.setattr("palpate.web._websocket._PATIENCE_S", 0.3)
     session = make_session()
     with serving(session) as (address, token):
         slow = stopped_reader(address, token)
@@ -75,8 +77,7 @@ def test_a_client_that_never_reads_is_let_go(make_session, serving, monkeypatch)
             time.sleep(0.01)
         assert len(session.listeners) == 1
         for _ in range(400):  # states of some kilobytes fill every buffer there is
-            session.message = "x" * 40_000
-            session._tell_state()
+            session.listeners.notify(Event("state", {"message": "x" * 40_000}))
             time.sleep(0.002)
         deadline = time.monotonic() + 10
         while len(session.listeners) and time.monotonic() < deadline:

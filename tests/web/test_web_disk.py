@@ -8,7 +8,6 @@ import pytest
 from PIL import Image
 
 from palpate.library import LibraryError
-from palpate.web._refusals import lacks_room
 
 
 @pytest.fixture
@@ -48,14 +47,27 @@ def test_a_touch_that_cannot_be_stored_is_not_acknowledged(client, drawn, monkey
     assert client.get("/api/state").json()["library"]["undoable"] == 0
 
 
-def test_a_database_without_room_lacks_room():
+@pytest.fixture
+def database_error():
+    """What SQLite raises when a database has no room."""
     small = sqlite3.connect(":memory:")
     small.execute("CREATE TABLE t (x)")
     small.execute("PRAGMA max_page_count = 2")
     with pytest.raises(sqlite3.OperationalError) as caught:
         small.execute("INSERT INTO t VALUES (zeroblob(100000))")
     small.close()
-    told = LibraryError("It is full.")
-    told.__cause__ = caught.value
-    assert lacks_room(told)
-    assert not lacks_room(LibraryError("There is none."))
+    return caught.value
+
+
+def test_a_database_without_room_lacks_room(client, monkeypatch, database_error):
+    causes = [database_error, None]
+
+    def refuse(*given, **named):
+        raise LibraryError("It is full.") from causes.pop(0)
+
+    monkeypatch.setattr(client.session.teacher.library, "rename_object", refuse)
+    for status in (507, 422):
+        order = {"object": "cup", "name": "mug"}
+        answer = client.post("/api/objects/rename", json=order)
+        assert answer.status_code == status
+        assert answer.json()["detail"] == "It is full."

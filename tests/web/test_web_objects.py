@@ -11,8 +11,6 @@ from palpate.library import LibraryError, TouchLibrary
 from palpate.recognition import ObjectRecogniser
 from palpate.sensors import ReplaySensor, SensorMemory
 from palpate.web import LearningError, LiveSession
-from palpate.web._learning import learn_job
-from palpate.web._neighbours import Neighbours
 
 SMALL = np.arange(64, dtype=np.uint8).reshape(8, 8)
 
@@ -23,15 +21,7 @@ def small_touches(name, count, start=0):
     return Touches(images, object=[name] * count, time_s=np.arange(count) + start)
 
 
-@pytest.fixture(autouse=True)
-def learning_here(monkeypatch):
-    """Learn in this process: starting another one takes seconds; others try that."""
-
-    def learn(library, output, base, drop=(), image_shape=None):
-        job = {"library": library, "output": output, "base": base, "drop": list(drop)}
-        return learn_job({**job, "image_shape": image_shape})
-
-    monkeypatch.setattr("palpate.web._session.learn_apart", learn)
+pytestmark = pytest.mark.usefixtures("learning_here")
 
 
 @pytest.fixture
@@ -62,7 +52,7 @@ def test_undo_leaves_out_what_was_taught_here_and_nothing_else(folder, drawn):
         assert [session.undo(), session.undo()] == ["cup", "cup"]
         with pytest.raises(LibraryError, match="no touch to undo"):
             session.undo()
-        assert session.state()["library"]["undoable"] == 0
+        assert session.to_dict()["library"]["undoable"] == 0
         assert session.teacher.library.count() == 26
 
 
@@ -86,19 +76,20 @@ def test_a_rename_that_would_lose_what_the_model_knows_is_refused(tmp_path, draw
             ValueError, match=r"'disc' must have at least 2 touches .*1"
         ):
             session.rename("disc", "coin")
-        assert session.teacher.told()["objects"] == [{"name": "disc", "n_touches": 1}]
+        assert session.teacher.to_dict()["objects"] == [
+            {"name": "disc", "n_touches": 1}
+        ]
         session.post_lesson("disc", drawn.images[1])
         session.rename("disc", "coin")
         assert settled(session) == ["bar", "coin"]
 
 
-def test_what_was_renamed_elsewhere_is_known_by_its_touches(folder):
+def test_what_was_renamed_elsewhere_is_known_by_its_touches(folder, learn_job):
     model = folder / "model.palpate"
-    job = {"library": str(folder), "output": str(model), "base": None, "drop": []}
-    learn_job(job)
+    learn_job(folder, model)
     with TouchLibrary.open(folder) as library:
         library.rename_object("disc", "coin")
-    assert learn_job({**job, "base": str(model)})["objects"] == ["bar", "coin"]
+    assert learn_job(folder, model, model)["objects"] == ["bar", "coin"]
 
 
 def test_each_sensor_learns_from_touches_of_its_size(folder, drawn):
@@ -108,12 +99,12 @@ def test_each_sensor_learns_from_touches_of_its_size(folder, drawn):
     with LiveSession(ReplaySensor(drawn), library=folder) as session:
         session.learn(wait=True)
         assert settled(session) == ["bar", "disc"]
-        assert len(session.recogniser.labels_) == 16
+        assert len(session.recogniser.memory_) == 16
         session.rename("bar", "rod")
         assert settled(session) == ["disc", "rod"]
     other = ReplaySensor(small_touches("ball", 2), rate_hz=500)
     with LiveSession(other, library=folder) as session:
-        (warning,) = session.state()["sensor"]["warnings"]
+        (warning,) = session.to_dict()["sensor"]["warnings"]
         assert "8 x 8 taxels" in warning
         assert "12 x 12" in warning
         session.learn(wait=True)
@@ -131,15 +122,16 @@ def test_a_model_is_not_given_up_for_a_sensor_without_touches(folder, drawn):
         assert (folder / "model.palpate").is_file()
 
 
-def test_objects_of_another_size_that_are_nowhere_else_are_kept(tmp_path, drawn):
+def test_objects_of_another_size_that_are_nowhere_else_are_kept(
+    tmp_path, drawn, learn_job
+):
     model = model_of_elsewhere(drawn, tmp_path / "m.palpate")
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
         library.add(small_touches("ball", 4))
         library.add(small_touches("cube", 4, start=9))
-    job = {"library": str(tmp_path / "library"), "output": str(model)}
     with pytest.raises(LearningError, match=r"8 x 8 .*'bar', 'disc' from .*12 x 12"):
-        learn_job({**job, "base": str(model), "drop": []})
-    dropped = learn_job({**job, "base": str(model), "drop": ["disc", "bar"]})
+        learn_job(tmp_path / "library", model, model)
+    dropped = learn_job(tmp_path / "library", model, model, ["disc", "bar"])
     assert dropped["objects"] == ["ball", "cube"]
 
 
@@ -183,34 +175,35 @@ def test_thumbnails_are_asked_for_without_listing_everything(folder, monkeypatch
     session.stop()
 
 
-def test_learning_reads_images_piece_by_piece(folder, tmp_path, monkeypatch):
+def test_learning_reads_images_piece_by_piece(folder, tmp_path, monkeypatch, learn_job):
     def refuse(self, where=None, **named):
         raise AssertionError("all touches were read at once")
 
     monkeypatch.setattr(TouchLibrary, "touches", refuse)
-    output = tmp_path / "m.palpate"
-    job = {"library": str(folder), "output": str(output), "base": None, "drop": []}
-    assert learn_job(job)["n_touches"] == 16
+    assert learn_job(folder, tmp_path / "m.palpate")["n_touches"] == 16
 
 
-def test_kept_objects_leave_the_others_their_touches(tmp_path, drawn):
+def test_kept_objects_leave_the_others_their_touches(tmp_path, drawn, learn_job):
     base = model_of_elsewhere(drawn, tmp_path / "m.palpate")
+    taught = drawn[drawn.object == "both"][:6]
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
-        ids = library.add(drawn[drawn.object == "both"][:6])
-        zero = library.no_contact()
+        ids = library.add(taught)
+        baseline = library.no_contact()
     output = tmp_path / "o.palpate"
-    job = {"library": str(tmp_path / "library"), "output": str(output)}
-    learn_job({**job, "base": str(base), "drop": []})
+    learn_job(tmp_path / "library", output, base)
     model = ObjectRecogniser.load(output)
-    assert model.touch_ids_[model.labels_ == "both"].tolist() == ids
-    assert set(model.touch_ids_[model.labels_ != "both"]) == {""}
-    memory = SensorMemory.from_dict(model.sensor_)
+    assert model.memory_.touch_ids[model.memory_.labels == "both"].tolist() == ids
+    assert set(model.memory_.touch_ids[model.memory_.labels != "both"]) == {""}
+    memory = SensorMemory.from_dict(model.memory_.sensor)
     assert memory.n_touches == 6
-    assert (memory.no_contact == zero).all()
-    near = Neighbours(model, ids).of(model.features_[-1:])
-    assert near[0] == {"id": ids[-1], "object": "both", "distance": 0.0}
-    elsewhere = Neighbours(model, ids[:-1]).of(model.features_[-1:])
-    assert elsewhere[0]["id"] is None
+    assert (memory.no_contact == baseline).all()
+    for folder, known_id in [("library", ids[-1]), ("another", None)]:
+        with LiveSession(model=output, library=tmp_path / folder) as session:
+            session.post_touch(taught.images[-1])
+            near = session.to_dict()["nearest"][0]
+            assert (near["id"], near["object"]) == (known_id, "both")
+            # Encoded alone a touch differs by rounding from one among others.
+            assert near["distance"] == pytest.approx(0, abs=1e-9)
 
 
 def test_nothing_waits_for_a_sensor_that_is_not_there(make_session, connected):

@@ -15,7 +15,7 @@ from schemathesis.specs.openapi.checks import (  # noqa: E402
 
 HEADERS = {"Authorization": "Bearer token"}
 # They take seconds; other tests try them.
-SLOW_BY_NATURE = ("/api/zero", "/api/learn")
+SLOW_BY_NATURE = ("/api/baseline", "/api/zero", "/api/learn")
 CHECKS = [
     not_a_server_error,
     status_code_conformance,
@@ -42,6 +42,16 @@ def test_every_answer_is_one_that_was_promised(api_schema, mode):
         tried.add(operation.path)
         _try(operation, schemathesis.GenerationMode(mode))
     assert len(tried) > 15
+
+
+def test_a_name_that_goes_says_which_one_to_use(api_schema):
+    paths = api_schema.raw_schema["paths"]
+    old, new = paths["/api/zero"]["post"], paths["/api/baseline"]["post"]
+    assert old["deprecated"]
+    assert "Use /api/baseline" in old["description"]
+    assert "deprecated" not in new
+    for part in ("requestBody", "responses"):
+        assert old[part] == new[part]
 
 
 def _try(operation, mode):

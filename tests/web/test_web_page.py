@@ -246,7 +246,7 @@ def test_it_can_be_used_by_keyboard_and_read_aloud(page, make_session, serving):
             page.keyboard.press("Tab")
             reached.add(page.evaluate("document.activeElement.id"))
         # Undo is disabled while nothing is taught, so it is no stop.
-        assert {"placed", "zero", "fresh", "name", "wanted"} <= reached
+        assert {"placed", "baseline", "fresh", "name", "wanted"} <= reached
         unnamed = page.evaluate(
             """() => [...document.querySelectorAll('button, input, select, a, img')]
             .filter((e) => e.checkVisibility() && !(e.labels && e.labels.length) &&

@@ -17,7 +17,6 @@ from palpate.sensors import (
     StreamingSensor,
 )
 from palpate.web import LearningError, LiveSession
-from palpate.web._learning import learn_job
 
 
 def waited(condition, seconds=20.0):
@@ -33,7 +32,8 @@ def model(drawn, tmp_path_factory):
     """A model that knows the disc and the bar, and remembers its sensor."""
     known = drawn[drawn.object != "both"][::2]
     recogniser = ObjectRecogniser().fit(known)
-    recogniser.sensor_ = SensorMemory.of(known.images, known.no_contact).to_dict()
+    memory = SensorMemory.of(known.images, known.no_contact)
+    recogniser.remember_sensor(memory.to_dict())
     return recogniser.save(tmp_path_factory.mktemp("model") / "m.palpate")
 
 
@@ -47,10 +47,10 @@ def test_touches_of_the_sensor_move_the_belief(make_session, model):
         session.place(None)
     kinds = {events.get_nowait().kind for _ in range(events.qsize())}
     assert {"frame", "contact", "touch", "state"} <= kinds
-    assert session.episode.told()["best"] == "disc"
+    assert session.episode.to_dict()["best"] == "disc"
     numbers = [touch.number for touch in session.episode.touches]
     assert numbers == list(range(1, len(numbers) + 1))
-    assert session.health_state()["n_dropped"] == 0
+    assert session.health.to_dict()["n_dropped"] == 0
 
 
 def test_a_lesson_takes_so_many_touches_and_no_more(make_session):
@@ -66,27 +66,30 @@ def test_a_lesson_takes_so_many_touches_and_no_more(make_session):
         assert session.teacher.library.count() == 3
 
 
-def test_the_zero_is_refused_while_touching(make_session, drawn):
+def test_the_baseline_is_refused_while_touching(make_session, drawn):
     sensor = ReplaySensor(drawn, rate_hz=100, hold=1000, gap=2)
     session = LiveSession(sensor)
     with session:
         assert waited(lambda: session.watch.detector.touching)
         with pytest.raises(ContactError, match="Something touches"):
-            session.take_zero()
+            session.take_baseline()
         session.place(None)
         assert waited(lambda: not session.watch.detector.touching)
-        session.take_zero()
-        assert not session.zero.any()
+        session.take_baseline()
+        assert not session.baseline.any()
+        sensor_state = session.to_dict()["sensor"]
+        assert sensor_state["baseline"]
+        assert sensor_state["zero"]  # the name before, for one release
     with pytest.raises(SensorError, match="no sensor"):
-        LiveSession().take_zero()
+        LiveSession().take_baseline()
 
 
 def test_a_sensor_that_has_changed_since_learning_is_told_of(model, drawn):
     same = LiveSession(ReplaySensor(drawn), model=model)
-    assert same.state()["sensor"]["warnings"] == []
+    assert same.to_dict()["sensor"]["warnings"] == []
     moved = drawn.with_columns(no_contact=drawn.no_contact + np.uint8(60))
     other = LiveSession(ReplaySensor(moved), model=model)
-    (warning,) = other.state()["sensor"]["warnings"]
+    (warning,) = other.to_dict()["sensor"]["warnings"]
     assert "At rest the sensor differs" in warning
 
 
@@ -113,11 +116,11 @@ def test_a_sensor_that_is_lost_is_told_of_and_comes_back():
 
     sensor = Plugged()
     with LiveSession(sensor) as session:
-        session.take_zero()
+        session.take_baseline()
         sensor.plugged = False
-        assert waited(lambda: session.state()["sensor"]["lost"] == "it is unplugged")
+        assert waited(lambda: session.to_dict()["sensor"]["lost"] == "it is unplugged")
         sensor.plugged = True
-        assert waited(lambda: session.state()["sensor"]["lost"] == "")
+        assert waited(lambda: session.to_dict()["sensor"]["lost"] == "")
 
 
 def test_a_taxel_that_flickers_by_one_count_is_not_stored(tmp_path):
@@ -142,7 +145,7 @@ def test_a_taxel_that_flickers_by_one_count_is_not_stored(tmp_path):
 
     sensor = Flickering()
     with LiveSession(sensor, library=tmp_path / "library") as session:
-        session.take_zero()
+        session.take_baseline()
         sensor.levels = [0.0, 0.0, 1.0, 1.0]
         session.teach("cup", 2)
         begun = sensor.n_frames
@@ -176,46 +179,45 @@ def test_a_missing_sensor_leaves_no_library_behind(tmp_path):
 
 
 def test_learning_keeps_what_the_model_knew_and_adds_what_was_taught(
-    model, drawn, tmp_path
+    model, drawn, tmp_path, learn_job
 ):
     """The job of the learning process, in this one."""
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
         library.add(drawn[drawn.object == "both"][::2])
     output = tmp_path / "out.palpate"
-    job = {"library": str(tmp_path / "library"), "output": str(output)}
-    answer = learn_job({**job, "base": str(model), "drop": []})
+    answer = learn_job(tmp_path / "library", output, model)
     assert answer["objects"] == ["bar", "both", "disc"]
     assert sorted(answer["kept"]) == ["bar", "disc"]
-    again = learn_job({**job, "base": str(output), "drop": ["disc"]})
+    again = learn_job(tmp_path / "library", output, output, ["disc"])
     assert again["objects"] == ["bar", "both"]
     with TouchLibrary.open(tmp_path / "more", create=True) as library:
         library.add(drawn[drawn.object == "bar"][20:])
-    job["library"] = str(tmp_path / "more")
-    fresh = learn_job({**job, "base": str(model), "drop": []})
+    fresh = learn_job(tmp_path / "more", output, model)
     assert fresh["objects"] == ["bar", "disc"]
     # Ten touches of the bar in place of the fifteen that the model had.
     assert fresh["n_touches"] == 25
 
 
-def test_a_model_of_the_library_knows_its_touches_and_its_sensor(drawn, tmp_path):
+def test_a_model_of_the_library_knows_its_touches_and_its_sensor(
+    drawn, tmp_path, learn_job
+):
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
         ids = library.add(drawn[::3])
     output = tmp_path / "out.palpate"
-    job = {"library": str(tmp_path / "library"), "output": str(output)}
-    assert learn_job({**job, "base": None, "drop": []})["n_touches"] == 30
+    assert learn_job(tmp_path / "library", output)["n_touches"] == 30
     recogniser = ObjectRecogniser.load(output)
-    assert recogniser.touch_ids_.tolist() == ids
-    memory = SensorMemory.from_dict(recogniser.sensor_)
+    assert recogniser.memory_.touch_ids.tolist() == ids
+    memory = SensorMemory.from_dict(recogniser.memory_.sensor)
     assert memory.n_touches == 30
     assert (memory.no_contact == drawn.no_contact).all()
 
 
-def test_too_little_is_no_model(drawn, tmp_path):
+def test_too_little_is_no_model(drawn, tmp_path, learn_job):
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
         library.add(drawn[drawn.object == "disc"])
         library.add(drawn[drawn.object == "bar"][:1])
-    job = {"library": str(tmp_path / "library"), "output": str(tmp_path / "o.palpate")}
-    assert learn_job({**job, "base": None, "drop": []})["objects"] == []
+    learnt = learn_job(tmp_path / "library", tmp_path / "o.palpate")
+    assert learnt["objects"] == []
     assert not (tmp_path / "o.palpate").exists()
 
 
@@ -249,7 +251,7 @@ def test_frames_go_on_while_it_learns(make_session, drawn):
         session.learn(wait=True)
         assert session.recogniser is not None
         # The sensor keeps 256 frames: a stall of over 10 s would have dropped some.
-        assert session.health_state()["n_dropped"] == 0
+        assert session.health.to_dict()["n_dropped"] == 0
 
 
 def test_what_cannot_be_opened_is_refused(tmp_path, drawn):

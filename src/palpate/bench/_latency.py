@@ -79,7 +79,7 @@ def _one(recogniser: ObjectRecogniser, picture: bytes) -> list[float]:
     times.append(clock())
     features = encoder.encode(cleaned)
     times.append(clock())
-    log_likelihood = recogniser.feature_log_likelihood(features)
+    log_likelihood = recogniser.classifier_.log_likelihood(features)
     times.append(clock())
     belief.update_from_log_likelihood(log_likelihood, features=features)
     belief.decide()

@@ -66,8 +66,7 @@ def _read_page(session: Any, seconds: float) -> dict[str, Any]:
     import uvicorn
     from websockets.sync.client import connect
 
-    from ..web import create_app
-    from ..web.serving import open_socket
+    from ..web import create_app, open_socket
 
     opened = open_socket("127.0.0.1", 0)
     config = uvicorn.Config(

@@ -7,9 +7,11 @@ from ._kernel_ridge import KernelRidgeClassifier
 from ._kernels import GaussianKernel, LinearKernel, PolynomialKernel
 from ._mkl_svc import MKLSVC
 from ._one_per_label import OnePerLabelSVC
+from ._touch_classifier import FromProbabilities, TouchClassifier
 
 __all__ = [
     "MKLSVC",
+    "FromProbabilities",
     "GaussianKernel",
     "IndexQuality",
     "KernelDensityBayes",
@@ -19,4 +21,5 @@ __all__ = [
     "LinearKernel",
     "OnePerLabelSVC",
     "PolynomialKernel",
+    "TouchClassifier",
 ]

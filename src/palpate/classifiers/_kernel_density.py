@@ -7,17 +7,17 @@ out of a sum because it is far away, since an object at minus infinity could not
 brought back by any later touch.
 """
 
+from __future__ import annotations
+
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import log_softmax
-from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from .._checks import check_label_kinds, check_number, check_option, check_positive
-from ._inputs import Floats, as_groups, as_label, as_touches
+from .._types import Array, Floats
 from ._kernel_sums import (
     blocks_of,
     count_tiles,
@@ -27,6 +27,7 @@ from ._kernel_sums import (
     squared_distances,
     tile_log_sums,
 )
+from ._touch_classifier import BayesRule, as_groups, as_touches
 from ._whitening import learn_whitening, whiten
 
 # With precision="auto" a model computes in float64 when it has at most this many
@@ -35,7 +36,7 @@ SMALL = 256
 MOSTLY = 0.9
 
 
-class KernelDensityBayes(ClassifierMixin, BaseEstimator):
+class KernelDensityBayes(BayesRule):
     """Bayes classifier with a Gaussian kernel density for every object.
 
     Parameters
@@ -72,8 +73,8 @@ class KernelDensityBayes(ClassifierMixin, BaseEstimator):
         Logarithm of the volume of a cell with one standard deviation a side.
     points_ : ndarray of shape (n_touches, n_directions)
         Training touches in bandwidths, object by object.
-    order_ : ndarray of int, shape (n_touches,)
-        When each of them was learnt: 0 is the first touch given to `fit`.
+    order_, groups_ : ndarray of int, shape (n_touches,)
+        Which of the touches given to `fit` each of them is; and of those the groups.
     means_ : ndarray of shape (n_objects, n_directions)
         Mean of each object's `points_`.
     precisions_ : ndarray of shape (n_objects, n_directions) or None
@@ -96,8 +97,8 @@ class KernelDensityBayes(ClassifierMixin, BaseEstimator):
     constant up to rounding over all training touches are left out of the density. If
     no feature varies, every log-likelihood is 0.
 
-    `add_class` and `forget_class` leave `centre_`, `spread_` and `rotation_` as `fit`
-    learnt them, so the likelihoods of all other objects stay the same to the bit.
+    `refit` leaves `centre_`, `spread_` and `rotation_` as `fit` learnt them, so the
+    likelihoods of objects whose touches stay are the same to the bit.
 
     In single precision the error of a log-likelihood is at most 1e-3 nats: pairs of
     touch and object for which rounding could do worse, because they are far apart or
@@ -116,9 +117,14 @@ class KernelDensityBayes(ClassifierMixin, BaseEstimator):
     >>> from palpate.classifiers import KernelDensityBayes
     >>> touches = [[0.0, 0.1], [0.1, 0.0], [1.0, 0.9], [0.9, 1.0]]
     >>> model = KernelDensityBayes().fit(touches, ["pen", "pen", "mug", "mug"])
-    >>> model.add_class("ball", [[5.0, 0.0]]).predict([[4, 0], [0, 0]])
-    array(['ball', 'pen'], dtype='<U4')
+    >>> model.predict([[4, 0], [0, 0]])
+    array(['mug', 'pen'], dtype='<U3')
     """
+
+    classes_: Array
+    counts_: NDArray[np.intp]
+    points_: Floats
+    log_norms_: Floats
 
     def __init__(
         self,
@@ -134,7 +140,7 @@ class KernelDensityBayes(ClassifierMixin, BaseEstimator):
         self.min_variance = min_variance
         self.precision = precision
 
-    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> Self:
         """Store the touches of every object.
 
         Parameters
@@ -143,6 +149,9 @@ class KernelDensityBayes(ClassifierMixin, BaseEstimator):
             Feature vectors of the touches.
         y : array-like of shape (n_touches,)
             Their objects.
+        groups : array-like of shape (n_touches,), optional
+            Touches of one group (a block of a recording) are left out together in
+            `left_out_log_likelihood`; by default each is left out alone.
 
         Raises
         ------
@@ -153,72 +162,29 @@ class KernelDensityBayes(ClassifierMixin, BaseEstimator):
         check_label_kinds(y)
         touches, labels = validate_data(self, X, y, dtype=np.float64)
         check_classification_targets(labels)
-        self.classes_, codes = np.unique(labels, return_inverse=True)
         learnt = learn_whitening(touches, full=self.bandwidth == "full")
         self.centre_, self.spread_, self.varies_ = learnt[:3]
         self.rotation_, self.log_volume_ = learnt[3:]
-        self.order_ = np.argsort(codes, kind="stable")
-        points, counts = self._whiten(touches[self.order_]), np.bincount(codes)
         self.dtype_ = "float64" if self.precision == "double" else "float32"
-        self._store(points, counts)
+        self._learn(touches, labels, groups)
         if self.precision == "auto" and self._needs_double():
             self.dtype_ = "float64"
-            self._store(points, counts)
+            self._store(self.points_, self.counts_)
         return self
 
-    def add_class(self, label: object, X: ArrayLike) -> Self:
-        """Learn one more object; the likelihoods of the others stay the same.
+    def refit(
+        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None
+    ) -> Self:
+        """Store other touches in the bandwidth and precision that `fit` chose.
 
-        Parameters
-        ----------
-        label : str or int
-            A label not known yet, of the same kind as the others.
-        X : array-like of shape (n_touches, n_features)
-            Its touches.
-
-        Raises
-        ------
-        ValueError
-            If the label is known already, or `X` is not like the touches of `fit`.
-        TypeError
-            If the label is text among numbers or a number among text.
+        The likelihoods of objects whose touches are as before stay the same to the bit,
+        so objects are learnt and forgotten one by one. Parameters and errors as of
+        `fit`.
         """
         check_is_fitted(self)
-        new = as_label(label, self.classes_)
-        touches = as_touches(self, X)
-        place = int(np.searchsorted(self.classes_, new)[0])
-        row = int(self.counts_[:place].sum())
-        before, after = np.split(self.classes_, [place])
-        self.classes_ = np.concatenate([before, new, after])
-        learnt_now = len(self.order_) + np.arange(len(touches))
-        self.order_ = np.insert(self.order_, row, learnt_now)
-        points = np.insert(self.points_, row, self._whiten(touches), axis=0)
-        self._store(points, np.insert(self.counts_, place, len(touches)))
-        return self
-
-    def forget_class(self, label: object) -> Self:
-        """Forget one object; the likelihoods of the others stay the same.
-
-        Raises
-        ------
-        ValueError
-            If it is not known, or is the only one.
-        """
-        check_is_fitted(self)
-        known = self.classes_.tolist()
-        check_option("label", label, known)
-        if len(known) == 1:
-            raise ValueError(
-                f"At least one object must remain, cannot forget {label!r}. "
-                "Add another object first."
-            )
-        place = known.index(label)
-        rows = self._rows()[place]
-        self.classes_ = np.delete(self.classes_, place)
-        # The touches that remain are numbered without gaps.
-        self.order_ = np.argsort(np.argsort(np.delete(self.order_, rows)))
-        points = np.delete(self.points_, rows, axis=0)
-        self._store(points, np.delete(self.counts_, place))
+        check_label_kinds(y)
+        touches, labels = validate_data(self, X, y, dtype=np.float64, reset=False)
+        self._learn(touches, labels, groups)
         return self
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
@@ -227,29 +193,17 @@ class KernelDensityBayes(ClassifierMixin, BaseEstimator):
         x = self._whiten(as_touches(self, X))
         return np.vstack([self._log_densities(x[rows]) for rows in blocks_of(len(x))])
 
-    def leave_one_out_log_likelihood(self, groups: ArrayLike | None = None) -> Floats:
-        """Return `log_likelihood` of the training touches, each without itself.
-
-        Parameters
-        ----------
-        groups : array-like of shape (n_training_touches,), optional
-            Touches of one group (a stretch of a recording) are left out together;
-            by default each touch is left out alone.
+    def left_out_log_likelihood(self) -> Floats:
+        """Return `log_likelihood` of the training touches, each without its group.
 
         Returns
         -------
         ndarray of shape (n_training_touches, n_objects)
-            Rows in the order of learning: the touches of `fit` as they were given,
-            then those of `add_class`. Bandwidths stay as learnt from all touches.
-            An object with no touch left gets minus infinity.
-
-        Raises
-        ------
-        ValueError
-            If `groups` has another length.
+            Rows as they were given to `fit`. Bandwidths stay as learnt from all
+            touches. An object with no touch left gets minus infinity.
         """
         check_is_fitted(self)
-        group = as_groups(groups, len(self.points_))[self.order_]
+        group = self.groups_[self.order_]
         sums = [self._log_densities(self.points_[r]) for r in blocks_of(len(group))]
         result = np.vstack(sums)
         for place, rows in enumerate(self._rows()):
@@ -258,20 +212,6 @@ class KernelDensityBayes(ClassifierMixin, BaseEstimator):
         in_order = np.empty_like(result)
         in_order[self.order_] = result
         return in_order
-
-    def predict_log_proba(self, X: ArrayLike) -> Floats:
-        """Return the log posterior of the objects, (n_touches, n_objects)."""
-        log_posterior: Floats = log_softmax(self._log_joint(X), axis=1)
-        return log_posterior
-
-    def predict_proba(self, X: ArrayLike) -> Floats:
-        """Return the posterior of the objects, (n_touches, n_objects)."""
-        return np.exp(self.predict_log_proba(X))
-
-    def predict(self, X: ArrayLike) -> NDArray:
-        """Return the most probable object of each touch, the first of equals."""
-        best = self._log_joint(X).argmax(axis=1)
-        return self.classes_[best]
 
     def _check_parameters(self) -> None:
         check_option("bandwidth", self.bandwidth, ("pooled", "per-object", "full"))
@@ -284,6 +224,15 @@ class KernelDensityBayes(ClassifierMixin, BaseEstimator):
         """Return touches in bandwidths from the centre of all training touches."""
         bandwidth = self.spread_ * self.scale
         return whiten(touches, self.centre_, bandwidth, self.varies_, self.rotation_)
+
+    def _learn(self, touches: Floats, labels: Array, groups: ArrayLike | None) -> None:
+        """Store touches object by object, each object whitened by itself."""
+        self.groups_ = as_groups(groups, len(touches))
+        self.classes_, codes = np.unique(labels, return_inverse=True)
+        self.order_ = np.argsort(codes, kind="stable")
+        counts = np.bincount(codes)
+        parts = np.split(touches[self.order_], np.cumsum(counts)[:-1])
+        self._store(np.concatenate([self._whiten(part) for part in parts]), counts)
 
     def _rows(self) -> list[slice]:
         """Return where each object's touches stand in `points_`."""
@@ -339,7 +288,9 @@ class KernelDensityBayes(ClassifierMixin, BaseEstimator):
             sums[pairs, place] = exact_log_sums(x[pairs], points, precision)
         return sums + self.log_norms_
 
-    def _without(self, place: int, met: NDArray[np.bool_], group: NDArray) -> Floats:
+    def _without(
+        self, place: int, met: NDArray[np.bool_], group: NDArray[np.intp]
+    ) -> Floats:
         """Return log densities of one object at some of the stored touches.
 
         Each without the touches of its own group.
@@ -354,9 +305,3 @@ class KernelDensityBayes(ClassifierMixin, BaseEstimator):
         densities: Floats = sums + self.log_norms_[place]
         densities[share > 0] -= np.log(share[share > 0])
         return densities
-
-    def _log_joint(self, X: ArrayLike) -> Floats:
-        log_likelihood = self.log_likelihood(X)
-        if self.prior == "uniform":
-            return log_likelihood
-        return log_likelihood + np.log(self.counts_ / self.counts_.sum())

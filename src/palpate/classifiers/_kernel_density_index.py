@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count
-from ._inputs import Floats, as_touches
+from .._types import Array, Floats
 from ._kernel_density import KernelDensityBayes
 from ._kernel_sums import (
     blocks_of,
@@ -23,6 +23,7 @@ from ._kernel_sums import (
     make_tiles,
     squared_distances,
 )
+from ._touch_classifier import as_touches
 
 TOUCHES_PER_CELL = 8
 MOST_CELLS = 256
@@ -194,7 +195,7 @@ class KernelDensityIndex:
         return result
 
     def _refined(
-        self, x: NDArray[np.float32], place: int, cells: NDArray, shared: Floats
+        self, x: NDArray[np.float32], place: int, cells: Array, shared: Floats
     ) -> float:
         """Return the log sum of one object: near cells by touch, far ones rough."""
         first = self.starts_[place]

@@ -9,22 +9,21 @@ from collections.abc import Callable
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.special import log_softmax
-from sklearn.base import BaseEstimator, ClassifierMixin
+from numpy.typing import ArrayLike
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from .._checks import check_label_kinds, check_option, check_positive
-from ._inputs import Floats, as_touches
+from .._types import Floats
 from ._kernel_sums import blocks_of
+from ._touch_classifier import BayesRule, as_touches
 from ._whitening import learn_whitening, whiten
 
 # Interquartile range of a Gaussian, in standard deviations.
 GAUSSIAN_IQR = 1.349
 
 
-class KernelDensityNaiveBayes(ClassifierMixin, BaseEstimator):
+class KernelDensityNaiveBayes(BayesRule):
     """Naive Bayes classifier with Gaussian kernel densities per feature.
 
     Parameters
@@ -133,21 +132,7 @@ class KernelDensityNaiveBayes(ClassifierMixin, BaseEstimator):
         for rows in blocks_of(len(x)):
             for feature in range(x.shape[1]):
                 sums[rows] += self._log_sums(x[rows, feature], feature)
-        return sums + constants
-
-    def predict_log_proba(self, X: ArrayLike) -> Floats:
-        """Return the log posterior of the labels, (n_touches, n_labels)."""
-        log_posterior: Floats = log_softmax(self._log_joint(X), axis=1)
-        return log_posterior
-
-    def predict_proba(self, X: ArrayLike) -> Floats:
-        """Return the posterior of the labels, (n_touches, n_labels)."""
-        return np.exp(self.predict_log_proba(X))
-
-    def predict(self, X: ArrayLike) -> NDArray:
-        """Return the most probable label of each touch, the first of equals."""
-        best = self._log_joint(X).argmax(axis=1)
-        return self.classes_[best]
+        return np.asarray(sums + constants)
 
     def _check_parameters(self) -> None:
         if isinstance(self.bandwidth, str):
@@ -180,12 +165,6 @@ class KernelDensityNaiveBayes(ClassifierMixin, BaseEstimator):
         np.exp(exponents, out=exponents)
         sums: Floats = np.add.reduceat(exponents, starts, axis=0)
         return (largest + np.log(sums)).T
-
-    def _log_joint(self, X: ArrayLike) -> Floats:
-        log_likelihood = self.log_likelihood(X)
-        if self.prior == "uniform":
-            return log_likelihood
-        return log_likelihood + np.log(self.counts_ / self.counts_.sum())
 
 
 def _scott(values: Floats) -> Floats:

@@ -2,34 +2,42 @@
 
 Least squares on one-hot labels in the space of a Gaussian kernel. What makes it
 worth having: the answer the machine WOULD give to a touch, had a whole group of
-touches (a stretch of a recording, an object) never been learnt, follows from the
+touches (a block of a recording, an object) never been learnt, follows from the
 inverse that training computes anyway. So the kernel width, the ridge and the
 temperature of the posterior are all chosen on touches left out with their group,
 without a single further fit.
 """
 
-from collections.abc import Iterable
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import log_softmax
-from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.metrics.pairwise import euclidean_distances
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from .._checks import check_count, check_label_kinds, check_positive, check_squarable
-from ._inputs import Floats, as_touches
-from ._kernel_ridge_landmarks import learn_from_landmarks
+from .._types import Array, Floats
+from ._touch_classifier import BayesRule, as_groups, as_touches
 
 # Temperature and bend of the posterior are fitted to at most so many touches.
 _SHAPED_BY = 10_000
+# Touches whose kernel with the landmarks is in memory at once.
+_TOUCHES_AT_ONCE = 2000
+# Keeps the landmarks' own kernel positive definite, where two of them are the same.
+_JITTER = 1e-8
+
+# Rows of touches, some of them -> their kernel with the landmarks.
+KernelOf = Callable[[NDArray[np.intp]], Floats]
 
 
-class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
+class KernelRidgeClassifier(BayesRule):
     """Gaussian-kernel ridge regression on labels, with a calibrated posterior.
 
     Parameters
@@ -95,6 +103,8 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
     array(['mug'], dtype='<U3')
     """
 
+    classes_: Array
+
     def __init__(
         self,
         widths: Iterable[float] = (0.5, 1.0, 2.0, 4.0),
@@ -137,19 +147,19 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
             raise ValueError(
                 f"y must hold at least two labels, got 1 class: {self.classes_[0]}."
             )
-        group = _group_codes(groups, len(touches))
+        group = as_groups(groups, len(touches))
         self._choose(touches, codes, group)
         self._learn(touches, codes, group)
         return self
 
     def _validated(
         self, X: ArrayLike, y: ArrayLike, *, reset: bool
-    ) -> tuple[Floats, NDArray]:
+    ) -> tuple[Floats, Array]:
         check_label_kinds(y)
         touches, labels = validate_data(self, X, y, dtype=np.float64, reset=reset)
         return check_squarable("X", touches), labels
 
-    def _choose(self, touches: Floats, codes: NDArray, group: NDArray) -> None:
+    def _choose(self, touches: Floats, codes: Array, group: Array) -> None:
         """Set `unit_`, `width_` and `ridge_` by the log loss of left-out groups."""
         widths = [check_positive("widths", w) for w in self.widths]
         ridges = [check_positive("ridges", r) for r in self.ridges]
@@ -168,7 +178,7 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
                 if loss < best:
                     best, self.width_, self.ridge_ = loss, width, ridge
 
-    def _learn(self, touches: Floats, codes: NDArray, group: NDArray) -> None:
+    def _learn(self, touches: Floats, codes: Array, group: Array) -> None:
         self.mean_ = touches.mean(axis=0)
         centred = touches - self.mean_
         target = _one_hot(codes, len(self.classes_))
@@ -181,7 +191,7 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         else:
             n_landmarks = check_count("n_landmarks", self.n_landmarks, at_least=2)
             marks = centred[_thin(codes, min(n_landmarks, len(codes)))]
-            self.coefficients_, left_out = learn_from_landmarks(
+            self.coefficients_, left_out = _learn_from_landmarks(
                 lambda rows: self._kernel(
                     euclidean_distances(centred[rows], marks, squared=True)
                 ),
@@ -237,15 +247,6 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         """Return the log posterior under equal priors, (n_touches, n_classes)."""
         return self.log_likelihood(X)
 
-    def predict_proba(self, X: ArrayLike) -> Floats:
-        """Return the posterior under equal priors, (n_touches, n_classes)."""
-        return np.exp(self.log_likelihood(X))
-
-    def predict(self, X: ArrayLike) -> NDArray:
-        """Return the most probable label of each touch."""
-        best = self.log_likelihood(X).argmax(axis=1)
-        return self.classes_[best]
-
     def refit(
         self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None
     ) -> Self:
@@ -253,30 +254,18 @@ class KernelRidgeClassifier(ClassifierMixin, BaseEstimator):
         check_is_fitted(self)
         touches, labels = self._validated(X, y, reset=False)
         self.classes_, codes = np.unique(labels, return_inverse=True)
-        self._learn(touches, codes, _group_codes(groups, len(touches)))
+        self._learn(touches, codes, as_groups(groups, len(touches)))
         return self
 
 
-def _group_codes(groups: ArrayLike | None, n_touches: int) -> NDArray:
-    if groups is None:
-        return np.arange(n_touches)
-    given = np.asarray(groups)
-    if given.shape != (n_touches,):
-        raise ValueError(
-            f"groups must have one entry per touch ({n_touches}), "
-            f"got shape {given.shape}."
-        )
-    return np.unique(given, return_inverse=True)[1]
-
-
-def _thin(codes: NDArray, at_most: int) -> NDArray:
+def _thin(codes: Array, at_most: int) -> Array:
     """Return every k-th touch of each label, for the least k that fits."""
     step = -(-len(codes) // at_most)
     by_label = np.lexsort((np.arange(len(codes)), codes))
     return np.sort(by_label[::step])
 
 
-def _one_hot(codes: NDArray, n_classes: int) -> Floats:
+def _one_hot(codes: Array, n_classes: int) -> Floats:
     """Targets minus their fixed mean of 1 / n_classes."""
     return np.eye(n_classes)[codes] - 1 / n_classes
 
@@ -289,20 +278,18 @@ def _solve(kernel: Floats, target: Floats, ridge: float) -> tuple[Floats, Floats
 
 
 def _left_out(
-    inverse: Floats, coefficients: Floats, target: Floats, group: NDArray
+    inverse: Floats, coefficients: Floats, target: Floats, group: Array
 ) -> Floats:
     """Scores of every touch had its group never been learnt."""
     n_classes = target.shape[1]
-    scores = target + 1 / n_classes
-    order = np.argsort(group, kind="stable")
-    ends = np.flatnonzero(np.diff(group[order])) + 1
-    for members in np.split(order, ends):
+    scores: Floats = target + 1 / n_classes
+    for members in _members(group):
         block = inverse[np.ix_(members, members)]
         scores[members] -= np.linalg.solve(block, coefficients[members])
     return scores
 
 
-def _log_counts(codes: NDArray, n_classes: int) -> Floats:
+def _log_counts(codes: Array, n_classes: int) -> Floats:
     counts: Floats = np.log(np.maximum(np.bincount(codes, minlength=n_classes), 1))
     return counts
 
@@ -318,13 +305,13 @@ def _log_posterior(
 
 
 def _loss(
-    shape: tuple[float, float], scores: Floats, codes: NDArray, log_counts: Floats
+    shape: tuple[float, float], scores: Floats, codes: Array, log_counts: Floats
 ) -> float:
     log_posterior = _log_posterior(shape, scores, log_counts)
     return float(-log_posterior[np.arange(len(codes)), codes].mean())
 
 
-def _best_temperature(scores: Floats, codes: NDArray) -> tuple[float, float]:
+def _best_temperature(scores: Floats, codes: Array) -> tuple[float, float]:
     """Return the factor with the least log loss, unbent, and that loss (nats)."""
     log_counts = _log_counts(codes, scores.shape[1])
 
@@ -335,17 +322,94 @@ def _best_temperature(scores: Floats, codes: NDArray) -> tuple[float, float]:
     return float(np.exp(found.x)), float(found.fun)
 
 
-def _best_shape(scores: Floats, codes: NDArray) -> tuple[tuple[float, float], float]:
+def _best_shape(scores: Floats, codes: Array) -> tuple[tuple[float, float], float]:
     """Return (temperature, bend) with the least log loss, and that loss (nats)."""
     log_counts = _log_counts(codes, scores.shape[1])
 
-    def shape(raw: NDArray) -> tuple[float, float]:
+    def shape(raw: Array) -> tuple[float, float]:
         log_temperature, log_bend = np.clip(raw, -8, 6)
         return float(np.exp(log_temperature)), float(np.exp(log_bend))
 
-    def loss(raw: NDArray) -> float:
+    def loss(raw: Array) -> float:
         return _loss(shape(raw), scores, codes, log_counts)
 
     start = np.log([_best_temperature(scores, codes)[0], 0.5])
     found = minimize(loss, start, method="Nelder-Mead")
     return shape(found.x), float(found.fun)
+
+
+def _learn_from_landmarks(
+    kernel_of: KernelOf,
+    own_kernel: Floats,
+    target: Floats,
+    group: NDArray[np.intp],
+    ridge: float,
+) -> tuple[Floats, Floats]:
+    """Solve the ridge regression of `target` on the landmarks' kernel.
+
+    The kernel is replaced by that of its projection onto some of the touches (Nystroem
+    features, C. K. I. Williams and M. Seeger, "Using the Nystroem method to speed up
+    kernel machines", NIPS 13, 2001). Memory grows with the touches, not with their
+    square.
+
+    Parameters
+    ----------
+    kernel_of : callable
+        Returns the kernel of touches (rows) with the landmarks, (n_rows, n_landmarks).
+    own_kernel : ndarray of shape (n_landmarks, n_landmarks)
+    target : ndarray of shape (n_touches, n_outputs)
+    group : ndarray of int, shape (n_touches,)
+        Touches of one group are left out together.
+    ridge : float
+
+    Returns
+    -------
+    coefficients : ndarray of shape (n_landmarks, n_outputs)
+        Scores of a touch are its kernel with the landmarks times these.
+    left_out : ndarray of shape (n_touches, n_outputs)
+        What every touch would be given, had its group never been learnt: with
+        features F of the group, Q = (F_all^T F_all + ridge I)^-1 and residuals r it
+        is target - (I - F Q F^T)^-1 r.
+    """
+    n_landmarks = len(own_kernel)
+    root = cholesky(own_kernel + _JITTER * np.eye(n_landmarks), lower=True)
+
+    def features(rows: NDArray[np.intp]) -> Floats:
+        solved = solve_triangular(root, kernel_of(rows).T, lower=True)
+        return np.ascontiguousarray(solved.T)
+
+    inner = ridge * np.eye(n_landmarks)
+    outer = np.zeros((n_landmarks, target.shape[1]))
+    for rows in _pieces(len(target)):
+        some = features(rows)
+        inner += some.T @ some
+        outer += some.T @ target[rows]
+    factor = cho_factor(inner)
+    weights = cho_solve(factor, outer)
+    left_out = target.copy()
+    for members in _members(group):
+        some = features(members)
+        residual = target[members] - some @ weights
+        left_out[members] -= _residual_without(some, residual, inner, factor)
+    return solve_triangular(root, weights, lower=True, trans="T"), left_out
+
+
+def _residual_without(
+    some: Floats, residual: Floats, inner: Floats, factor: tuple[Floats, bool]
+) -> Floats:
+    """Residuals of a group that was left out, through the smaller of two matrices."""
+    if len(some) <= len(inner):
+        hat = some @ cho_solve(factor, some.T)
+        return np.asarray(np.linalg.solve(np.eye(len(some)) - hat, residual))
+    others = cho_factor(inner - some.T @ some)
+    return np.asarray(residual + some @ cho_solve(others, some.T @ residual))
+
+
+def _pieces(n: int) -> Iterator[NDArray[np.intp]]:
+    for start in range(0, n, _TOUCHES_AT_ONCE):
+        yield np.arange(start, min(n, start + _TOUCHES_AT_ONCE))
+
+
+def _members(group: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    order = np.argsort(group, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-Floats = NDArray[np.float64]
+from .._types import Array, Floats
+
 Tiles = NDArray[np.floating]
 
 TILE = 32
@@ -129,7 +130,7 @@ def exact_log_sums(
     x: Floats,
     points: Floats,
     precisions: Floats | None,
-    groups: tuple[NDArray, NDArray] | None = None,
+    groups: tuple[Array, Array] | None = None,
 ) -> Floats:
     """Return log of the sum of Gaussians around `points`, differences in float64.
 

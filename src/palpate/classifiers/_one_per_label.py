@@ -20,7 +20,8 @@ from .._checks import (
     check_positive,
     check_squarable,
 )
-from ._inputs import Floats, as_touches
+from .._types import Array, Floats
+from ._touch_classifier import as_touches
 
 KERNELS = ("linear", "poly", "rbf", "sigmoid")
 
@@ -135,7 +136,7 @@ class OnePerLabelSVC(ClassifierMixin, BaseEstimator):
         values: Floats = kernel @ self.coefficients_ + self.intercepts_
         return values
 
-    def predict(self, X: ArrayLike) -> NDArray:
+    def predict(self, X: ArrayLike) -> Array:
         """Return the winning label of each touch."""
         winners = winning(self.decision_values(X))
         return self.classes_[winners]

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from .._types import Floats
 
 # Whitened coordinates end here, so that their squares are finite numbers.
 FARTHEST = 1e100

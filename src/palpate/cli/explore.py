@@ -64,7 +64,7 @@ def learn(
     choosing touches needs.
     """
     from ..exploration import RobotError, explore_to_learn
-    from ..recognition import ObjectRecogniser, check_model_path, summary
+    from ..recognition import ObjectRecogniser, check_model_path
     from ..simulation import DomeCamera
     from ._stages import Stages
 
@@ -91,7 +91,7 @@ def learn(
     archive = taught_path(output)
     taught.save(archive)
     written = recogniser.save(output)
-    learnt = summary(recogniser)
+    learnt = recogniser.summary()
     if as_json:
         print_json({"model": str(written), "touches": str(archive), **learnt})
         return
@@ -302,7 +302,7 @@ def _camera(recogniser: "ObjectRecogniser") -> Any:
             f"MODEL must be of a dome camera, got one of {shape[0]} x {shape[1]} "
             "taxels. Make one with: palpate explore learn."
         )
-    return DomeCamera(image_shape=tuple(shape))
+    return DomeCamera(image_shape=(shape[0], shape[1]))
 
 
 def _yaw_rad(yaw: float | None, seed: int) -> float:

@@ -65,7 +65,7 @@ def learn(
 ) -> None:
     """Learn objects from labelled touches and write a model file."""
     from ..library import TouchLibrary
-    from ..recognition import ObjectRecogniser, check_model_path, summary
+    from ..recognition import ObjectRecogniser, check_model_path
     from ._stages import Stages
 
     check_model_path(output)
@@ -86,10 +86,12 @@ def learn(
             if pitch_mm is not None or "set_pitch_mm" in training.whole:
                 stage("learning where parts lie")
                 recogniser.fit_pose(_held(training), pitch_mm)
-        if TouchLibrary.is_library(touches):
-            _remember(recogniser, touches, where, extend, raw=calibration is None)
+        if TouchLibrary.is_library(touches) and calibration is None and extend is None:
+            from ..web import remember_library
+
+            remember_library(recogniser, touches, where)
         written = recogniser.save(output)
-    learnt = summary(recogniser)
+    learnt = recogniser.summary()
     if as_json:
         print_json({"model": str(written), **learnt})
         return
@@ -102,7 +104,10 @@ def learn(
 
 
 def _extended(model: Path, training: "Touches | Selection") -> "ObjectRecogniser":
-    """Return a model that knows the new labels of `training` as well."""
+    """Return a model that knows the new labels of `training` as well.
+
+    Where all labels are known, their touches join those that the model has.
+    """
     import numpy as np
 
     from ..recognition import ObjectRecogniser
@@ -114,31 +119,21 @@ def _extended(model: Path, training: "Touches | Selection") -> "ObjectRecogniser
             f"TOUCHES must have a column {recogniser.label!r} to extend a model with."
         )
     new = np.setdiff1d(labels, recogniser.classes_)
-    if not len(new):
-        raise ValueError(
-            f"TOUCHES must hold objects that {model} does not know, got none. To learn "
-            "more touches of known objects, learn again from all of them."
-        )
     for name in new.tolist():
-        rows = np.flatnonzero(labels == name)
-        recogniser.add_object(name, training[rows])
+        recogniser.add_object(name, training[np.flatnonzero(labels == name)])
+    if not len(new):
+        fresh = np.ones(len(labels), dtype=bool)
+        if training.touch_id is not None:
+            fresh = ~np.isin(training.touch_id, recogniser.memory_.touch_ids)
+        if not fresh.any():
+            raise ValueError(
+                f"TOUCHES must hold some that {model} has not learnt, got none. Add "
+                "touches, or name other ones with --where."
+            )
+        for name in np.unique(labels[fresh]).tolist():
+            mine = np.flatnonzero(fresh & (labels == name))
+            recogniser.extend_object(name, training[mine])
     return recogniser
-
-
-def _remember(
-    model: "ObjectRecogniser",
-    library: Path,
-    where: str | None,
-    extended: Path | None,
-    *,
-    raw: bool,
-) -> None:
-    """Keep where the touches are and what their sensor was like, for `serve`."""
-    from ..recognition import ObjectRecogniser
-    from ..web import remember_library, touch_ids
-
-    before = None if extended is None else touch_ids(ObjectRecogniser.load(extended))
-    remember_library(model, library, where, before=before, raw=raw)
 
 
 def _held(training: "Touches | Selection") -> "Touches":

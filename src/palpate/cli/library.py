@@ -83,10 +83,10 @@ def add(
             | {"--no-contact": no_contact}
         )
         found = read_bag(touches, topic, object=object_name)
-    told = sensor and SensorDescription(sensor, kind, unit, pitch_mm)
+    described = sensor and SensorDescription(sensor, kind, unit, pitch_mm)
     with TouchLibrary.open(folder, create=True) as opened:
         before = opened.stats()
-        opened.add(found, session=session, episode=episode, sensor=told or None)
+        opened.add(found, session=session, episode=episode, sensor=described or None)
         after = opened.stats()
     n_new = sum(after[:2]) - sum(before[:2])
     if as_json:
@@ -222,7 +222,7 @@ def check(
 
 @library.command()
 def stats(folder: LibraryPath, as_json: AsJson = False) -> None:
-    """Tell how much the library holds."""
+    """Show how much the library holds."""
     from ..library import TouchLibrary
 
     with TouchLibrary.open(folder) as opened:

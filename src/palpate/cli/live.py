@@ -80,9 +80,9 @@ def live(
         )
     )
     with session:
-        if session.zero is None:
-            print("Leave the sensor alone: taking its zero.", file=sys.stderr)
-            session.take_zero()
+        if session.baseline is None:
+            print("Leave the sensor alone: taking its baseline.", file=sys.stderr)
+            session.take_baseline()
         try:
             while episodes == 0 or len(done) < episodes:
                 told = _episode(session, found, touches, timeout, quiet=as_json)

@@ -98,9 +98,9 @@ def record(
 
 def _need_zero(session: "LiveSession") -> None:
     """Take the frame of no contact where the sensor does not know it."""
-    if session.zero is None:
-        print("Leave the sensor alone: taking its zero.", file=sys.stderr)
-        session.take_zero()
+    if session.baseline is None:
+        print("Leave the sensor alone: taking its baseline.", file=sys.stderr)
+        session.take_baseline()
 
 
 def _lesson(session: "LiveSession", name: str, wanted: int, timeout_s: float) -> int:

@@ -73,8 +73,14 @@ def serve(
     as_json: AsJson = False,
 ) -> None:
     """Serve the page and the API of one sensor, to whoever has the printed address."""
-    from ..web import LiveSession, create_app, new_token, require_web
-    from ..web.serving import open_socket, run_app
+    from ..web import (
+        LiveSession,
+        create_app,
+        new_token,
+        open_socket,
+        require_web,
+        run_app,
+    )
 
     require_web()
     chosen = None

@@ -87,7 +87,10 @@ def decide_episodes(
     parts = []
     longest = max(int(counts.max()) for counts in episodes.n_told)
     limits = np.array(
-        [recogniser.refusal_threshold(k, error) for k in range(1, longest + 1)]
+        [
+            recogniser.unknown_scale_.refusal_threshold(k, error)
+            for k in range(1, longest + 1)
+        ]
     )
     # Before any touch said something there is no limit to exceed.
     limits = np.concatenate([[np.inf], limits])

@@ -153,7 +153,7 @@ def _timed(
     start = time.perf_counter()
     features = recogniser.encoder_.transform(some)
     encoded = time.perf_counter()
-    recogniser.feature_log_likelihood(features)
+    recogniser.classifier_.log_likelihood(features)
     done = time.perf_counter()
     return recogniser.evidence(test), {
         "encode_per_touch": (encoded - start) / len(some),
@@ -185,7 +185,8 @@ def _meet_unknown(trial: Trial, unknown: Touches, plan: Plan) -> None:
     recogniser = trial.recogniser
     column = unknown.object if unknown.object is not None else unknown.category
     objects = np.full(len(unknown), "unknown") if column is None else column
-    known = np.intersect1d(objects, np.union1d(recogniser.objects_, recogniser.labels_))
+    memory = recogniser.memory_
+    known = np.intersect1d(objects, np.union1d(memory.objects, memory.labels))
     if len(known):
         raise ValueError(
             f"unknown touches must be of objects that were not learnt, got "
@@ -211,15 +212,15 @@ def _controls(
         "brightness": brightness,
         "sorted pixels": sorted_pixels,
     }
-    train_labels = recogniser.labels_
-    groups = left_out_groups(train, train_labels, recogniser.objects_, plan.label)
+    memory = recogniser.memory_
+    groups = left_out_groups(train, memory.labels, memory.objects, plan.label)
     for name, measure in measures.items():
         of_train = measure(train)
         of_test = None if of_train is None else measure(test)
         if of_train is None or of_test is None:
             result[name] = None
             continue
-        values = control_log_likelihood(of_train, train_labels, groups, of_test)
+        values = control_log_likelihood(of_train, memory.labels, groups, of_test)
         result[name] = _curve(recogniser, values, objects, labels, plan)
     idle = without_contact(test)
     result["no contact"] = None

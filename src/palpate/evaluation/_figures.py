@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from ..recognition import summary
 from ._decisions import Decisions, decide_episodes
 from ._episodes import outcome
 from ._metrics import calibration_error, roc_area
@@ -20,7 +19,7 @@ def figures_of(
     """Return the figures of all folds together; see `evaluate`."""
     first = trials[0].recogniser
     figures: dict[str, Any] = {
-        **{k: v for k, v in summary(first).items() if k != "labels"},
+        **{k: v for k, v in first.summary().items() if k != "labels"},
         "split": split,
         "n_folds": len(trials),
         "n_train_touches": sum(len(t.fold.train) for t in trials) // len(trials),
@@ -76,7 +75,7 @@ def _unknown(
             if not len(below) or not len(above):
                 continue
             areas.append(roc_area(below, above))
-            limit = trial.recogniser.unknown_threshold(k, refused=REFUSED)
+            limit = trial.recogniser.unknown_scale_.threshold(k, REFUSED)
             shares.append(float((above > limit).mean()))
         if areas:
             area[str(k)], refused[str(k)] = (

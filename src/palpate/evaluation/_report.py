@@ -196,7 +196,7 @@ def _examples(trials: Sequence[Trial]) -> str:
 def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:
     """Return evenly spaced training touches of a label, cleaned up, as images."""
     trial = trials[0]
-    rows = np.flatnonzero(trial.recogniser.labels_ == name)
+    rows = np.flatnonzero(trial.recogniser.memory_.labels == name)
     some = rows[np.unique(np.linspace(0, len(rows) - 1, count).astype(int))]
     cleaned = trial.recogniser.encoder_.clean(trial.fold.train[some])
     alt = escape(f"touch of {name}")

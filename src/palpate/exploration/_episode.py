@@ -20,10 +20,8 @@ from ._strategies import Strategy
 
 if TYPE_CHECKING:  # scikit-learn is not needed to touch.
     from ..recognition import Belief, ObjectRecogniser
-    from ._placed_belief import PlacedBelief
     from ._touch_map import TouchMap
 
-    AnyBelief = Belief | PlacedBelief
 
 MAX_FAULTS = 3
 
@@ -49,7 +47,7 @@ class Exploration:
     decision: str | None
     ended_by: str
     reason: str
-    belief: AnyBelief
+    belief: Belief
     history: list[TouchRecord]
 
     @property
@@ -70,7 +68,7 @@ def explore(
     error: float = 0.01,
     max_faults: int = MAX_FAULTS,
     clock: Clock = time.monotonic,
-    on_attempt: Callable[[TouchRecord, AnyBelief], None] | None = None,
+    on_attempt: Callable[[TouchRecord, Belief], None] | None = None,
 ) -> Exploration:
     """Touch an object until it is recognised.
 
@@ -174,7 +172,7 @@ def _attempt(
     robot: Robot,
     sensor: TouchSensor,
     strategy: Strategy,
-    belief: AnyBelief | None,
+    belief: Belief | None,
     log: EpisodeLog,
     guard: Guard,
     clock: Clock,
@@ -197,7 +195,7 @@ def _come_out(robot: Robot, strategy: Strategy) -> None:
         robot.retract(way_mm)
 
 
-def _kept(belief: AnyBelief, touch: TouchRecord, log: EpisodeLog) -> TouchRecord:
+def _kept(belief: Belief, touch: TouchRecord, log: EpisodeLog) -> TouchRecord:
     """Take in an attempt and record it, even if the program is interrupted."""
     record = touch
     try:
@@ -207,7 +205,7 @@ def _kept(belief: AnyBelief, touch: TouchRecord, log: EpisodeLog) -> TouchRecord
     return record
 
 
-def _taken_in(belief: AnyBelief, record: TouchRecord) -> TouchRecord:
+def _taken_in(belief: Belief, record: TouchRecord) -> TouchRecord:
     """Update the belief; a touch that it cannot take comes back as a fault."""
     if not record.touched:
         return record
@@ -221,7 +219,7 @@ def _taken_in(belief: AnyBelief, record: TouchRecord) -> TouchRecord:
 
 
 def _end(
-    belief: AnyBelief, n_attempts: int, max_attempts: int, error: float, gave_up: str
+    belief: Belief, n_attempts: int, max_attempts: int, error: float, gave_up: str
 ) -> tuple[str | None, str, str] | None:
     """Return decision, what ended the episode and why, or None to go on."""
     decision = belief.decide(error)

@@ -8,7 +8,7 @@ would change the belief; the expected gain of the candidate is how much more pro
     I(c) = sum_(o, a) b(o, a) sum_i K_i(c turned back by a) [log b'(o | f_i) - log b(o)]
 
 the mutual information of the object and the touch, under the map. Training touches
-are weighed by what they would say had their stretch of the recording never been
+are weighed by what they would say had their block of the recording never been
 learnt, so a place where the recogniser errs is worth little, or less than nothing. A
 place near one that was touched before feels the same again: its gain is scaled by
 1 - exp(-d^2 / 2 w^2). Where nothing promises anything, the freshest place is next.
@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from .._checks import check_count
+from .._types import Floats
 from ..simulation import SensorPose
 from ._hemisphere import Hemisphere, outward
+from ._place_geometry import freshness
 from ._placed_belief import PlacedBelief
-from ._places import Floats, freshness
 from ._record import TouchRecord, as_touches
 from ._touch_map import TouchMap
 
@@ -40,7 +41,7 @@ _LEAST = np.float32(1e-30)
 
 
 class Stations:
-    """Rings of places round the objects, and what may be felt at each.
+    """Rings of places round the objects, and the touches that may come of each.
 
     A candidate in the world is a station on the object: turning the object by a step
     moves it one station back along its ring.
@@ -58,8 +59,8 @@ class Stations:
         n_rings, n_turns, _ = places.shape
         closeness = touch_map.closeness(places.reshape(n_rings * n_turns, -1))
         ratio = touch_map.station_ratio(*touch_map.left_out(), closeness)
-        felt = touch_map.touch_weight_ * touch_map.left_out_.T
-        evidence = felt + touch_map.placed_weight_ * ratio
+        by_touch = touch_map.touch_weight_ * touch_map.left_out_.T
+        evidence = by_touch + touch_map.placed_weight_ * ratio
         shape = (n_rings, n_turns, touch_map.n_objects, len(touch_map.codes_))
         by_object = evidence.astype(np.float32).reshape(shape).transpose(2, 0, 1, 3)
         self._evidence = self._floored(by_object)
@@ -79,16 +80,16 @@ class Stations:
         """
         joint = np.exp(log_joint).astype(np.float32)
         turned = joint[:, self._back]
-        discount = np.float32(self._map.discount(n_touches + 1))
-        told = turned[:, np.newaxis] @ np.exp(discount * self._evidence)
-        everything = np.maximum(told.sum(axis=0), _LEAST)
+        weight = np.float32(self._map.sequence_calibration.weight(n_touches + 1))
+        given = turned[:, np.newaxis] @ np.exp(weight * self._evidence)
+        everything = np.maximum(given.sum(axis=0), _LEAST)
         total = np.zeros(everything.shape[:2])
         for code, rows in enumerate(self._map.rows_of_object):
-            felt = turned[code] @ self._closeness[..., rows]
-            after = told[code][..., rows] / everything[..., rows]
+            chance = turned[code] @ self._closeness[..., rows]
+            after = given[code][..., rows] / everything[..., rows]
             before = np.maximum(joint[code].sum(), _LEAST)
             gain = np.log(np.maximum(after, _LEAST)) - np.log(before)
-            total += (felt * gain).sum(axis=-1)
+            total += (chance * gain).sum(axis=-1)
         return total.ravel()
 
     def _floored(self, evidence: Floats32) -> Floats32:
@@ -109,7 +110,7 @@ class InformativeTouch:
     Parameters
     ----------
     touch_map : TouchMap
-        What every object feels like from every side.
+        What touches of every object are like from every side.
     hemisphere : Hemisphere, optional
         Where the poses lie.
     n_rings : int, default=6
@@ -189,13 +190,13 @@ class InformativeTouch:
 
     def _follow(self, history: Sequence[TouchRecord]) -> PlacedBelief:
         """Return the placed belief after `history`; what was encoded stays so."""
-        felt = [record for record in history if record.touched]
+        touched = [record for record in history if record.touched]
         n_seen = len(self._seen)
-        if n_seen > len(felt) or any(map(_differ, self._seen, felt)):
+        if n_seen > len(touched) or any(map(_differ, self._seen, touched)):
             self._seen, self._placed, n_seen = [], self.touch_map.start(), 0
-        if len(felt) > n_seen:
-            self._placed.update(as_touches(felt[n_seen:]))
-            self._seen = felt
+        if len(touched) > n_seen:
+            self._placed.update(as_touches(touched[n_seen:]))
+            self._seen = touched
         return self._placed
 
 

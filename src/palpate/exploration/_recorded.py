@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_count
+from .._types import Floats
 from ..touches import Touches
 from ._informative import Stations, most_promising
+from ._place_geometry import freshness
 from ._placed_belief import PlacedBelief
-from ._places import Floats, freshness
 from ._touch_map import TouchMap
 
 if TYPE_CHECKING:
@@ -127,6 +128,6 @@ def look_at_recorded(
         number = chooser.next_touch(belief, used)
         used.append(number)
         belief.update(touches[[number]], where[[number]])
-        named.append((belief.touch.best, belief.best))
+        named.append((belief.best_without_places, belief.best))
     by_touch, by_place = np.array(named).reshape(-1, 2).T
     return np.array(used, dtype=np.intp), by_touch, by_place

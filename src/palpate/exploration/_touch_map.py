@@ -1,6 +1,7 @@
-"""What every known object feels like from every side, learnt from its touches.
+"""What touches of every known object are like from every side.
 
-The recogniser knows what an object feels like somewhere; a `TouchMap` knows where. A
+The recogniser knows what touches of an object are like somewhere; a `TouchMap` knows
+where. A
 place is a point in the object's own frame: for touches from a hemisphere the unit
 vector from the centre towards the sensor. How the object is turned about the vertical
 is unknown, so a hypothesis is an object AND one of `n_turns` turns.
@@ -18,27 +19,42 @@ place explains the touch than any place does, and is 1 where the map knows nothi
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Self
+from itertools import product
+from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.special import log_softmax
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize
+from scipy.special import log_softmax, logsumexp
 
 from .._checks import check_count
-from ..recognition import ObjectRecogniser, left_out_log_likelihood, with_floor
+from .._types import Array, Floats
+from ..recognition import (
+    Evidence,
+    ObjectRecogniser,
+    SequenceCalibration,
+    given_prior,
+    with_floor,
+)
 from ..touches import Touches
-from ._places import Floats, places_of, squared_distances, turned_back
-from ._touch_map_choice import choose_kernels
+from ._place_geometry import places_of, squared_distances, turned_back
+from ._placed_belief import PlacedBelief
 
-if TYPE_CHECKING:
-    from ._placed_belief import PlacedBelief
-
+Weights = tuple[float, float, float]
+Episodes = list[NDArray[np.intp]]
+# Widths in units of the places (radians, on a hemisphere), bandwidths as shares of
+# the mean squared distance between features.
+WIDTHS = (0.08, 0.15, 0.3, 0.6)
+BANDWIDTHS = (0.03, 0.1, 0.3)
+LENGTHS = (1, 2, 3, 5, 8)
+EPISODES_PER_OBJECT = 30
+_FIRST_WEIGHTS = (1.0, 1.0, 0.2)
 _ELSEWHERE = 1e-3
 _TINY = 1e-6
 
 
 class TouchMap:
-    """Where on each object which touches are felt.
+    """Which touches are met where on each object.
 
     Parameters
     ----------
@@ -98,22 +114,39 @@ class TouchMap:
         _refuse_others(recogniser, touches)
         self.recogniser = recogniser
         self.places_ = places_of(touches, places, self.n_turns)
-        self.features_ = np.asarray(recogniser.features_)
-        self.codes_ = np.searchsorted(recogniser.classes_, recogniser.labels_)
-        self.group_ = np.asarray(recogniser.blocks_)
+        self.features_ = recogniser.memory_.features
+        self.codes_ = np.searchsorted(recogniser.classes_, recogniser.memory_.labels)
+        self.group_ = recogniser.memory_.blocks
         codes = range(len(recogniser.classes_))
         self.rows_of_object = [np.flatnonzero(self.codes_ == code) for code in codes]
         self._squared = squared_distances(self.features_, self.features_)
         self.left_out_ = log_softmax(
-            left_out_log_likelihood(
-                recogniser.classifier_, self.features_, recogniser.labels_, self.group_
-            ),
+            recogniser.left_out_log_likelihood(),
             axis=1,
         )
-        weights, by_touch, by_place = choose_kernels(self, self.random_state)
+        self._choose()
+        return self
+
+    def _choose(self) -> None:
+        """Set kernels and weights by the log loss of left-out episodes.
+
+        Episodes are drawn from the training touches of each object; each touch is
+        judged by a map without its block of the recording (or its session). The
+        kernels, then the weights, with the least log loss of the object win. How the
+        object is turned is unknown in these episodes as it is in real ones.
+        """
+        episodes = _episodes(self, self.random_state)
+        losses = {}
+        for width, share in product(WIDTHS, BANDWIDTHS):
+            self.set_kernels(width, share)
+            ratio = _left_out_ratio(self)
+            losses[width, share] = _loss(self, ratio, episodes, _FIRST_WEIGHTS)
+        self.set_kernels(*min(losses, key=lambda pair: losses[pair]))
+        ratio = _left_out_ratio(self)
+        by_touch, _ = _best_weights(self, 0 * ratio, episodes)
+        by_place, weights = _best_weights(self, ratio, episodes)
         self.touch_weight_, self.placed_weight_, self.correlation_ = weights
         self.log_loss_ = {"touch": by_touch, "placed": by_place}
-        return self
 
     @property
     def n_objects(self) -> int:
@@ -128,9 +161,23 @@ class TouchMap:
         prior : mapping of str to float, optional
             How probable each object is, see `ObjectRecogniser.start`.
         """
-        from ._placed_belief import PlacedBelief
+        judge = self.recogniser.judge()
+        log_prior = None if prior is None else given_prior(prior, judge.classes)
+        return PlacedBelief(judge, self.recogniser.evidence, log_prior, self)
 
-        return PlacedBelief(self, prior)
+    @property
+    def sequence_calibration(self) -> SequenceCalibration:
+        """How touches of one episode and their places add up."""
+        return SequenceCalibration(1.0, self.correlation_)
+
+    def evidence_at(self, evidence: Evidence, places: Floats) -> Floats:
+        """Return the evidence of touches at places, (n_touches, n_objects, n_turns).
+
+        Places of touches that say nothing say nothing either.
+        """
+        ratio = self.placed_ratio(evidence.features, places)
+        ratio[~evidence.log_likelihood.any(axis=1)] = 0.0
+        return self.weighed(log_softmax(evidence.log_likelihood, axis=1), ratio)
 
     def set_kernels(self, width: float, bandwidth_share: float) -> None:
         """Set the width, and the bandwidth by its share of the features' spread."""
@@ -159,9 +206,9 @@ class TouchMap:
         return kernel
 
     def left_out(self) -> tuple[Floats, Floats]:
-        """Return the nearness of training touches and who may speak, (n, n) each.
+        """Return the nearness of training touches and which count, (n, n) each.
 
-        A touch hears nothing from its own group: 0 there, else 1.
+        Touches of its own group say nothing about a touch: 0 there, else 1.
         """
         allowed = (self.group_[:, None] != self.group_).astype(np.float64)
         return self._nearness(self._squared), allowed
@@ -176,7 +223,7 @@ class TouchMap:
         nearness : ndarray of shape (n_touches, n_training)
             N of their features about those of the training touches.
         allowed : ndarray of shape (n_touches, n_training) or None
-            0 where a training touch may not speak about a touch, else 1.
+            0 where a training touch does not count for a touch, else 1.
         closeness : ndarray of shape (n_stations, n_training)
             From `closeness`.
         """
@@ -224,10 +271,6 @@ class TouchMap:
         floored = with_floor(flat, self.recogniser.floor_)
         return floored.reshape(evidence.shape)
 
-    def discount(self, n_touches: int) -> float:
-        """Return c after so many touches."""
-        return 1 / (1 + (max(n_touches, 1) - 1) * self.correlation_)
-
     def _nearness(self, squared: Floats) -> Floats:
         """N of features but for a factor per touch, at most 1."""
         least = squared.min(axis=1, keepdims=True)
@@ -236,7 +279,7 @@ class TouchMap:
 
 
 def _log_ratio(here: Floats, weight: Floats, total: Floats, n_free: Floats) -> Floats:
-    """Log of the weighed mean over the plain mean; 0 where nothing may speak."""
+    """Log of the weighted mean over the plain mean; 0 where nothing counts."""
     placed = here / np.maximum(weight, _TINY)
     anywhere = total / np.maximum(n_free, 1)
     ratio: Floats = np.log((placed + _TINY) / (anywhere + _TINY))
@@ -245,8 +288,79 @@ def _log_ratio(here: Floats, weight: Floats, total: Floats, n_free: Floats) -> F
 
 def _refuse_others(recogniser: ObjectRecogniser, touches: Touches) -> None:
     labels = touches.object if recogniser.label == "object" else touches.category
-    if labels is None or not np.array_equal(labels, recogniser.labels_):
+    if labels is None or not np.array_equal(labels, recogniser.memory_.labels):
         raise ValueError(
             "touches must be those that the recogniser learnt, in the same order, got "
             f"{touches!r}. Fit both on the same touches."
         )
+
+
+def _episodes(touch_map: TouchMap, random_state: int) -> Episodes:
+    """Draw episodes of each length, (n_episodes, n_touches) training touches."""
+    rng = np.random.default_rng(random_state)
+    drawn = []
+    for length in LENGTHS:
+        rows = [
+            rng.permutation(touches)[:length]
+            for touches in touch_map.rows_of_object
+            for _ in range(EPISODES_PER_OBJECT)
+            if len(touches) >= length
+        ]
+        if rows:
+            drawn.append(np.stack(rows))
+    return drawn
+
+
+def _left_out_ratio(touch_map: TouchMap) -> Floats:
+    """Return log r of training touches at their own places, turned every way.
+
+    Shape (n_touches, n_objects, n_turns); the first turn is the true one.
+    """
+    nearness, allowed = touch_map.left_out()
+    stations = turned_back(touch_map.places_, touch_map.n_turns)
+    shape = (len(nearness), touch_map.n_objects, touch_map.n_turns)
+    result = np.empty(shape)
+    for turn in range(touch_map.n_turns):
+        closeness = touch_map.closeness(stations[:, turn])
+        result[:, :, turn] = touch_map.own_ratio(nearness, allowed, closeness)
+    return result
+
+
+def _best_weights(
+    touch_map: TouchMap, ratio: Floats, episodes: Episodes
+) -> tuple[float, Weights]:
+    """Return the least log loss and the weights that have it."""
+
+    def weights(raw: Array) -> Weights:
+        touch, placed = np.exp(np.clip(raw[:2], -4, 1))
+        return float(touch), float(placed), float(1 / (1 + np.exp(-raw[2])))
+
+    def loss(raw: Array) -> float:
+        return _loss(touch_map, ratio, episodes, weights(raw))
+
+    start = np.array([-0.3, -1.0, -1.0])
+    options: Any = {
+        "initial_simplex": start + np.vstack([np.zeros(3), np.eye(3)]),
+        "maxfev": 60,
+        "xatol": 0.02,
+    }
+    found = minimize(loss, start, method="Nelder-Mead", options=options)
+    return float(found.fun), weights(found.x)
+
+
+def _loss(
+    touch_map: TouchMap, ratio: Floats, episodes: Episodes, weights: Weights
+) -> float:
+    """Return the mean log loss (nats) of the object after drawn episodes."""
+    evidence = touch_map.weighed(touch_map.left_out_, ratio, weights[:2])
+    flat = evidence.reshape(len(evidence), -1)
+    prior = np.repeat(touch_map.recogniser.log_prior(), touch_map.n_turns)
+    losses = []
+    for rows in episodes:
+        discount = SequenceCalibration(1.0, weights[2]).weight(rows.shape[1])
+        joint = log_softmax(flat[rows].sum(axis=1) * discount + prior, axis=1)
+        shape = (-1, touch_map.n_objects, touch_map.n_turns)
+        posterior = logsumexp(joint.reshape(shape), axis=2)
+        true = touch_map.codes_[rows[:, 0]]
+        losses.append(-posterior[np.arange(len(rows)), true].mean())
+    return float(np.mean(losses))

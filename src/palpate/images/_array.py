@@ -12,7 +12,7 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.base import BaseEstimator, TransformerMixin, clone
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
@@ -91,13 +91,19 @@ class ArrayCleanUp(TransformerMixin, BaseEstimator):
         self.dead = dead
         self.output = output
 
-    def fit(self, X: ArrayLike, y: object = None) -> Self:
-        """Check the parameters and note the size of the images; `y` is ignored."""
+    def fit(
+        self, X: ArrayLike, y: object = None, *, no_contact: ArrayLike | None = None
+    ) -> Self:
+        """Check the parameters and note the size of the images; the rest is ignored."""
         images = check_images(X, allow_nan=True)
         check_option("output", self.output, _OUTPUTS)
         self._clean(images[:1])
         self.image_shape_ = (images.shape[1], images.shape[2])
         return self
+
+    def moved(self, X: ArrayLike, no_contact: ArrayLike | None = None) -> Self:
+        """Return this clean-up for another array of the same kind."""
+        return clone(self).fit(X, no_contact=no_contact)
 
     def transform(self, X: ArrayLike) -> NDArray:
         """Return cleaned images of shape (n_touches, *shape), bool when binary."""

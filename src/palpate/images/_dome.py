@@ -15,7 +15,7 @@ from typing import Self
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.base import BaseEstimator, TransformerMixin, clone
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
@@ -141,6 +141,19 @@ class DomeCrop(TransformerMixin, BaseEstimator):
             )
         discs = crop_discs(images, rims, self.disc_radius_, self.size_)
         return standardise_discs(discs) if self.output == "standardised" else discs
+
+    def moved(self, X: ArrayLike, no_contact: ArrayLike | None = None) -> Self:
+        """Return this clean-up for another camera before the same sensor.
+
+        The rim is found in its images `X`; the disc keeps its share of the rim and its
+        size in pixels.
+        """
+        other = clone(self).fit(X, no_contact=no_contact)
+        if other.has_rim_ and self.has_rim_:
+            share = self.disc_radius_ / self.rim_radius_
+            other.disc_radius_ = share * other.rim_radius_
+        other.size_ = self.size_
+        return other
 
     def rims(self, X: ArrayLike) -> Rims:
         """Return the circle about which each touch is cut, and which were seen."""

@@ -15,27 +15,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .._extras import needed
+from .._types import Array
 from ..touches import Touches
-from ._errors import LibraryError
-from ._extra import needed
+from ._store import LibraryError
 
 MAX_BYTES = 4 * 2**30
 _IMAGE = "sensor_msgs/msg/Image"
-_GREY = {
-    "mono8": "u1",
-    "8UC1": "u1",
-    "mono16": "u2",
-    "16UC1": "u2",
-    "32FC1": "f4",
-}
-_COLOUR = {
-    "rgb8": (0, 1, 2),
-    "bgr8": (2, 1, 0),
-    "rgba8": (0, 1, 2),
-    "bgra8": (2, 1, 0),
-}
+_GREY = {"mono8": "u1", "8UC1": "u1", "mono16": "u2", "16UC1": "u2", "32FC1": "f4"}
+_RGB, _BGR = (0, 1, 2), (2, 1, 0)
+_COLOUR = {"rgb8": _RGB, "bgr8": _BGR, "rgba8": _RGB, "bgra8": _BGR}
 _LUMA = np.array([0.299, 0.587, 0.114])
 
 
@@ -67,9 +57,11 @@ def read_bag(
         It is no bag, lacks the topic, or a message is no image.
     """
     highlevel = needed("rosbags.highlevel", "ros", "Reading ROS 2 bags")
+    typesys = needed("rosbags.typesys", "ros", "Reading ROS 2 bags")
+    types = typesys.get_typestore(typesys.Stores.LATEST)
     bag = Path(path)
     try:
-        with highlevel.AnyReader([bag], default_typestore=_types()) as reader:
+        with highlevel.AnyReader([bag], default_typestore=types) as reader:
             images, times = _messages(reader, topic, max_bytes)
     except LibraryError:
         raise
@@ -88,19 +80,14 @@ def read_bag(
     )
 
 
-def _types() -> Any:
-    typesys = needed("rosbags.typesys", "ros", "Reading ROS 2 bags")
-    return typesys.get_typestore(typesys.Stores.LATEST)
-
-
 def _messages(
     reader: Any, topic: str, max_bytes: int
-) -> tuple[list[NDArray[Any]], list[float]]:
+) -> tuple[list[Array], list[float]]:
     chosen = [c for c in reader.connections if c.topic == topic]
     if not chosen:
         listed = ", ".join(sorted({c.topic for c in reader.connections})) or "none"
         raise LibraryError(f"topic must be one of the bag ({listed}), got {topic!r}.")
-    images: list[NDArray[Any]] = []
+    images: list[Array] = []
     times: list[float] = []
     n_bytes = 0
     for connection, recorded_ns, raw in reader.messages(connections=chosen):
@@ -126,7 +113,7 @@ def _messages(
     return images, times
 
 
-def _image(message: Any, kind: str, where: str) -> NDArray[Any]:
+def _image(message: Any, kind: str, where: str) -> Array:
     if kind == _IMAGE:
         return _picture(message, where)
     if kind.startswith("std_msgs/msg/") and kind.endswith("MultiArray"):
@@ -137,7 +124,7 @@ def _image(message: Any, kind: str, where: str) -> NDArray[Any]:
     )
 
 
-def _picture(message: Any, where: str) -> NDArray[Any]:
+def _picture(message: Any, where: str) -> Array:
     n_rows, n_cols, step = int(message.height), int(message.width), int(message.step)
     encoding = str(message.encoding)
     if encoding not in _GREY and encoding not in _COLOUR:
@@ -158,10 +145,11 @@ def _picture(message: Any, where: str) -> NDArray[Any]:
     if encoding in _GREY:
         return values
     colours = values.reshape(n_rows, n_cols, n_channels)[..., list(_COLOUR[encoding])]
-    return np.rint(colours @ _LUMA).astype(np.uint8)
+    grey: Array = np.rint(colours @ _LUMA).astype(np.uint8)
+    return grey
 
 
-def _array(message: Any, where: str) -> NDArray[Any]:
+def _array(message: Any, where: str) -> Array:
     values = np.asarray(message.data)
     sizes = [int(d.size) for d in message.layout.dim if int(d.size) > 1]
     shape = (1, len(values)) if not sizes else (1, *sizes)[-2:]
@@ -179,4 +167,4 @@ def _seconds(message: Any, recorded_ns: int) -> float:
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     if stamp is None or not (stamp.sec or stamp.nanosec):
         return recorded_ns / 1e9
-    return float(stamp.sec) + stamp.nanosec / 1e9
+    return float(stamp.sec + stamp.nanosec / 1e9)

@@ -2,22 +2,30 @@
 
 import json
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
+from .._durable import PARTIAL
 from .._progress import Progress
-from ._adding import SET_ASIDE
+from ._array_files import file_path, read_file
 from ._changes import change_files, file_fault, known_changes, read_change
-from ._database import FILE_NAME, Database
-from ._errors import DatabaseUnavailable, LibraryError, NewerLibrary
-from ._files import ARRAYS, CHANGES, IMAGES, PARTIAL, file_path, read_file, read_values
-from ._sheet import image_digest
+from ._reading import read_images
+from ._rows import SET_ASIDE, StoredTouch, layouts, read_rows
+from ._store import (
+    ARRAYS,
+    CHANGES,
+    FILE_NAME,
+    IMAGES,
+    DatabaseUnavailable,
+    LibraryError,
+    NewerLibrary,
+    Store,
+)
 
 _SHOWN = 20
-_KEPT = "retraction IS NULL"
-_RETRACTED = f"retraction IS NOT NULL AND retraction NOT IN ({SET_ASIDE})"
+_KEPT = "t.retraction IS NULL"
+_RETRACTED = f"t.retraction IS NOT NULL AND t.retraction NOT IN ({SET_ASIDE})"
 
 
 class Problem(NamedTuple):
@@ -57,14 +65,9 @@ class CheckReport(NamedTuple):
     n_set_aside: int = 0
 
     def __str__(self) -> str:
-        lines = [
-            f"{self.n_touches} touches in {self.n_files} files: "
-            + (
-                "all present and as they were written."
-                if self.ok
-                else f"{len(self.problems)} problems."
-            )
-        ]
+        sound = "all present and as they were written."
+        state = sound if self.ok else f"{len(self.problems)} problems."
+        lines = [f"{self.n_touches} touches in {self.n_files} files: {state}"]
         if self.n_set_aside:
             lines.append(
                 f"{self.n_set_aside} touches are set aside: their images were missing "
@@ -72,25 +75,15 @@ class CheckReport(NamedTuple):
                 "repaired, or when they are added again."
             )
         lines += [f"{p.kind}: {p.path}: {p.what}" for p in self.problems[:_SHOWN]]
-        more = len(self.problems) - _SHOWN
-        return "\n".join([*lines, *([f"... and {more} more"] * (more > 0))])
-
-
-class _Stored(NamedTuple):
-    id: str
-    offset: int
-    place: int
-    digest: bytes
-    n_rows: int
-    n_cols: int
-    dtype: str
-    wide: bool
+        if len(self.problems) > _SHOWN:
+            lines.append(f"... and {len(self.problems) - _SHOWN} more")
+        return "\n".join(lines)
 
 
 def check_library(folder: str | Path, *, progress: bool | None = None) -> CheckReport:
     """Read everything in a library and compare it with its checksums.
 
-    Nothing is changed; a library too damaged to open is told of as well.
+    Nothing is changed; a library too damaged to open is reported as well.
 
     Parameters
     ----------
@@ -100,201 +93,181 @@ def check_library(folder: str | Path, *, progress: bool | None = None) -> CheckR
         Show a bar on standard error when it takes over two seconds; by default
         where that is a terminal.
     """
-    folder = Path(folder)
     try:
-        database = Database(folder / FILE_NAME, create=False)
+        with closing(Store(Path(folder))) as store:
+            return _checked(store, progress)
     except LibraryError as error:
-        return _not_read(error)
-    try:
-        problems = database_problems(database)
-        lost, remarks = _image_problems(database, folder, progress)
-        problems += lost
-        arrays = array_problems(database, folder)
-        known = left_out(database)
-        problems += [p for p in arrays if Path(p.path).stem not in known]
-        problems += change_problems(database, folder)
-        remarks += [p for p in arrays if Path(p.path).stem in known]
-        remarks += [*_spare_files(database, folder), *_partial_files(folder)]
-        counts = _counts(database)
-        return CheckReport(not problems, *counts[:2], problems + remarks, counts[2])
-    except LibraryError as error:
-        return _not_read(error)
-    finally:
-        database.close()
+        kind = "database"
+        if isinstance(error, NewerLibrary | DatabaseUnavailable):
+            kind = "version" if isinstance(error, NewerLibrary) else "disk"
+        return CheckReport(False, 0, 0, [Problem(kind, FILE_NAME, str(error), [])])
 
 
-def _not_read(error: LibraryError) -> CheckReport:
-    kind = "database"
-    if isinstance(error, NewerLibrary | DatabaseUnavailable):
-        kind = "version" if isinstance(error, NewerLibrary) else "disk"
-    return CheckReport(False, 0, 0, [Problem(kind, FILE_NAME, str(error), [])])
-
-
-def database_problems(database: Database) -> list[Problem]:
-    """Return what SQLite finds wrong with the database."""
-    found = [row[0] for row in database.rows("PRAGMA quick_check(5)")]
-    wrong = [] if found == ["ok"] else found
-    return [
-        Problem("database", FILE_NAME, f"SQLite says: {text}", []) for text in wrong
-    ]
-
-
-def _counts(database: Database) -> tuple[int, int, int]:
-    """Return the touches that should be there, their files, and those set aside."""
+def _checked(store: Store, progress: bool | None) -> CheckReport:
+    problems = database_problems(store)
+    lost, remarks = _image_problems(store, progress)
+    problems += lost
+    known = left_out(store)
+    for problem in array_problems(store):
+        noted = Path(problem.path).stem in known
+        (remarks if noted else problems).append(problem)
+    problems += _change_problems(store)
+    remarks += _leftovers(store)
+    # What should be there, its files, and what is set aside.
     aside = f"coalesce(retraction IN ({SET_ASIDE}), 0)"
-    row = database.one(
+    [counts] = store.rows(
         f"SELECT count(*) - sum({aside}), count(DISTINCT iif({aside}, NULL, file)), "
         f"sum({aside}) FROM touches"
     )
-    n_touches, n_files, n_aside = (int(cell or 0) for cell in row or (0, 0, 0))
-    return n_touches, n_files, n_aside
+    n_touches, n_files, n_aside = (int(count or 0) for count in counts)
+    return CheckReport(not problems, n_touches, n_files, problems + remarks, n_aside)
+
+
+def database_problems(store: Store) -> list[Problem]:
+    """Return what SQLite finds wrong with the database."""
+    found = [row[0] for row in store.rows("PRAGMA quick_check(5)")]
+    wrong = [f"SQLite says: {text}" for text in found if found != ["ok"]]
+    return [Problem("database", FILE_NAME, text, []) for text in wrong]
 
 
 def _image_problems(
-    database: Database, folder: Path, progress: bool | None
+    store: Store, progress: bool | None
 ) -> tuple[list[Problem], list[Problem]]:
     """Return what is wrong with images of touches, and of retracted ones."""
-    files = database.rows("SELECT id, name FROM files ORDER BY id")
-    problems: list[Problem | None] = []
-    remarks: list[Problem | None] = []
+    files = store.rows("SELECT id, name FROM files ORDER BY id")
+    found: dict[str, list[Problem]] = {_KEPT: [], _RETRACTED: []}
     with Progress(len(files), "Checking files", progress) as bar:
         for key, name in files:
-            file = (database, folder, key, name.hex())
-            problems.append(image_problem(*file))
-            remarks.append(image_problem(*file, _RETRACTED))
+            for state, problems in found.items():
+                problem = image_problem(store, key, name.hex(), state)
+                problems += [] if problem is None else [problem]
             bar.advance(1)
-    return [p for p in problems if p is not None], [p for p in remarks if p is not None]
+    return found[_KEPT], found[_RETRACTED]
 
 
 def image_problem(
-    database: Database, folder: Path, key: int, name: str, state: str = _KEPT
+    store: Store, key: int, name: str, state: str = _KEPT
 ) -> Problem | None:
     """Return what is wrong with a file of images that touches stand in."""
-    rows = touches_in(database, key, state)
-    if not rows:
+    rows = touches_in(store, key, state)
+    fault = _fault(store, IMAGES, name) if rows else None
+    if fault is None:
         return None
+    lost = _unreadable(store, rows)
+    if state != _KEPT and not lost:
+        return None
+    end = "are lost." if state == _KEPT else "that are retracted cannot come back."
+    return fault._replace(what=f"{fault.what} {len(lost)} touches {end}", touches=lost)
+
+
+def touches_in(store: Store, file: int, state: str) -> list[StoredTouch]:
+    """Return what a file should hold: touches in this state."""
+    return read_rows(store, f"WHERE t.file = ? AND {state}", [file])
+
+
+def _fault(store: Store, kind: str, name: str) -> Problem | None:
+    """Return what is wrong with a file of images or arrays, whomever it concerns."""
     try:
-        read_file(folder / IMAGES, name)
+        read_file(store.folder / kind, name)
     except LibraryError as error:
-        path = file_path(folder / IMAGES, name)
-        short = path.relative_to(folder).as_posix()
-        lost = _unreadable(path, rows)
-        if state != _KEPT and not lost:
-            return None
-        end = "are lost." if state == _KEPT else "that are retracted cannot come back."
-        what = f"{str(error).replace(f'{path} ', 'It ')} {len(lost)} touches {end}"
-        return Problem("image", short, what, lost)
+        path = file_path(store.folder / kind, name)
+        what = str(error).replace(f"{path} ", "It ")
+        return Problem(kind.removesuffix("s"), _short(store, path), what, [])
     return None
 
 
-def touches_in(database: Database, file: int, state: str) -> list[_Stored]:
-    """Return what a file should hold: touches in this state."""
-    rows = database.rows(
-        "SELECT lower(hex(t.id)), f.offset, t.place, t.image, r.n_rows, r.n_cols, "
-        "r.dtype, l.columns FROM touches t JOIN recordings r ON r.id = t.recording "
-        "JOIN layouts l ON l.id = t.layout JOIN files f ON f.id = t.file "
-        f"WHERE t.file = ? AND {state}",
-        [file],
-    )
-    return [
-        _Stored._make((*row[:-1], any(column[3] for column in json.loads(row[-1]))))
-        for row in rows
-    ]
+def _short(store: Store, path: Path) -> str:
+    return path.relative_to(store.folder).as_posix()
 
 
-def _unreadable(path: Path, rows: list[_Stored]) -> list[str]:
+def _unreadable(store: Store, rows: list[StoredTouch]) -> list[str]:
     """Return the touches whose image is gone from a damaged file.
 
     Wide columns have no checksum of their own: touches with such are lost as well.
     """
-    lost = []
-    for row in rows:
-        dtype = np.dtype(row.dtype)
-        shape = (row.n_rows, row.n_cols)
-        start = row.offset + row.place * row.n_rows * row.n_cols * dtype.itemsize
-        try:
-            image = read_values(path, start, shape, dtype)
-            whole = image_digest(image) == row.digest and not row.wide
-        except LibraryError:
-            whole = False
-        lost += [] if whole else [row.id]
-    return lost
+    wide = {
+        key for key, columns in layouts(store).items() if any(c.wide for c in columns)
+    }
+    return [r.id.hex() for r in rows if r.layout in wide or not _is_whole(store, r)]
 
 
-def array_problems(database: Database, folder: Path) -> list[Problem]:
+def _is_whole(store: Store, row: StoredTouch) -> bool:
+    try:
+        read_images(store.folder, [row])
+    except LibraryError:
+        return False
+    return True
+
+
+def array_problems(store: Store) -> list[Problem]:
     """Return what is wrong with arrays of whole recordings."""
     users: dict[str, dict[int, str]] = {}
-    for key, whole in database.rows("SELECT id, whole FROM recordings ORDER BY id"):
+    for key, whole in store.rows("SELECT id, whole FROM recordings ORDER BY id"):
         for entry, name in json.loads(whole).items():
             users.setdefault(name, {})[key] = entry
     problems = []
-    for name, keys in sorted(users.items()):
-        try:
-            read_file(folder / ARRAYS, name)
-        except LibraryError as error:
-            path = file_path(folder / ARRAYS, name)
-            short = path.relative_to(folder).as_posix()
-            touches = _touches_of(database, list(keys))
-            what = (
-                f"{str(error).replace(f'{path} ', 'It ')} {len(touches)} touches are "
-                f"read without their {next(iter(keys.values()))}; adding them again "
-                "brings it back."
+    for name, entries in sorted(users.items()):
+        fault = _fault(store, ARRAYS, name)
+        if fault is not None:
+            sql = (
+                "SELECT lower(hex(id)) FROM touches WHERE recording IN (?) "
+                "ORDER BY number"
             )
-            problems.append(Problem("array", short, what, touches))
+            touches = [row[0] for row in store.among(sql, list(entries))]
+            what = (
+                f"{fault.what} {len(touches)} touches are read without their "
+                f"{next(iter(entries.values()))}; adding them again brings it back."
+            )
+            problems.append(fault._replace(what=what, touches=touches))
     return problems
 
 
-def _touches_of(database: Database, recordings: list[int]) -> list[str]:
-    sql = "SELECT lower(hex(id)) FROM touches WHERE recording = ? ORDER BY number"
-    return [row[0] for key in recordings for row in database.rows(sql, [key])]
-
-
-def left_out(database: Database) -> set[str]:
+def left_out(store: Store) -> set[str]:
     """Return the names of arrays that an earlier repair found lost."""
-    rows = database.rows("SELECT content FROM changes WHERE action = 'leave_out'")
+    rows = store.rows("SELECT content FROM changes WHERE action = 'leave_out'")
     return {name for (text,) in rows for name in json.loads(text)["arrays"]}
 
 
-def change_problems(database: Database, folder: Path) -> list[Problem]:
-    """Return what the database and the files of changes do not agree on."""
-    known, files = known_changes(database), change_files(folder)
-    told = []
+def _change_problems(store: Store) -> Iterator[Problem]:
+    """Name what the database and the files of changes do not agree on."""
+    known, files = known_changes(store), change_files(store)
+    wrong = {}
     for name, brief in known.items():
-        fault = file_fault(folder, name, brief)
+        fault = file_fault(store, name, brief)
         if fault is not None:
-            what = (
+            wrong[name] = (
                 f"It must be as it was written, got: {fault}. The database knows this "
                 f"{brief['action']}; --repair writes its file anew."
             )
-            told.append((name, what))
     for name in sorted(files.keys() - known.keys()):
         try:
             action = read_change(files[name])["action"]
         except (OSError, ValueError) as error:
-            what = f"It must be a change, got: {error}. --repair sets it aside."
+            wrong[name] = f"It must be a change, got: {error}. --repair sets it aside."
         else:
-            what = (
+            wrong[name] = (
                 f"The database lacks this {action}: it has been lost and made anew, or "
                 "a writer was killed. --repair carries it out."
             )
-        told.append((name, what))
-    return [
-        Problem("change", f"{CHANGES}/{name}.json", what, []) for name, what in told
-    ]
+    for name, what in wrong.items():
+        yield Problem("change", f"{CHANGES}/{name}.json", what, [])
 
 
-def _spare_files(database: Database, folder: Path) -> Iterator[Problem]:
-    """Name files that a killed writer left before it acknowledged them."""
-    known = {row[0].hex() for row in database.rows("SELECT name FROM files")}
-    for path in sorted((folder / IMAGES).glob("*/*.npy")):
-        if path.stem not in known:
-            what = "No touch is found in it; harmless. --repair takes its touches in."
-            short = path.relative_to(folder).as_posix()
-            yield Problem("file without touches", short, what, [])
+def spare_files(store: Store) -> list[Path]:
+    """Return files of images that the database does not know.
+
+    A killed writer left them before it acknowledged them, or the database was lost.
+    """
+    known = {row[0].hex() for row in store.rows("SELECT name FROM files")}
+    paths = sorted((store.folder / IMAGES).glob("*/*.npy"))
+    return [path for path in paths if path.stem not in known]
 
 
-def _partial_files(folder: Path) -> Iterator[Problem]:
-    for path in sorted(folder.rglob(f"{PARTIAL}*")):
-        short = path.relative_to(folder).as_posix()
-        what = "A writer was killed, or is writing it now; harmless."
-        yield Problem("partial file", short, what, [])
+def _leftovers(store: Store) -> Iterator[Problem]:
+    """Name what a killed writer left; it is harmless."""
+    what = "No touch is found in it; harmless. --repair takes its touches in."
+    for path in spare_files(store):
+        yield Problem("file without touches", _short(store, path), what, [])
+    what = "A writer was killed, or is writing it now; harmless."
+    for path in sorted(store.folder.rglob(f"{PARTIAL}*")):
+        yield Problem("partial file", _short(store, path), what, [])

@@ -1,31 +1,46 @@
-"""Writing touches of a library in other forms."""
+"""Touches of a library in other forms: archive, Parquet file, LeRobotDataset.
 
+A Parquet file has one row per touch: `image` is a list of n_rows * n_cols values, row
+by row, in the sensor's own type; columns keep their names, vectors become lists. What
+describes the whole set stands in the schema's metadata under `palpate`, as JSON.
+
+A LeRobotDataset (format v3.0) is the layout of robot learning's most used recordings:
+`data/` holds frames, `meta/info.json` their features, `meta/episodes/` where each
+episode lies, `meta/tasks.parquet` the tasks, `meta/stats.json` the spread of each
+feature. One touch is one frame, one object in one session (and episode) is one
+episode, and its task is "touch <object>".
+
+References
+----------
+.. [1] LeRobotDataset v3.0, https://huggingface.co/docs/lerobot/lerobot-dataset-v3
+"""
+
+import json
 import secrets
 import shutil
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Iterable
+from contextlib import ExitStack, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .._durable import PARTIAL
+from .._extras import needed
+from .._types import Array
 from ..touches import Touches
-from ._database import Database
-from ._errors import LibraryError
-from ._files import PARTIAL
-from ._lerobot import episodes_in_order, write_lerobot
-from ._parquet import write_parquet
-from ._query import AT_ONCE, FROM, chunks
-from ._reading import common_shape, read_touches
+from ._reading import common_kind, read_touches
+from ._rows import FROM, Numbers
+from ._store import AT_ONCE, LibraryError, Store
 
-_NO_LIMIT = 2**62
+_LEROBOT_VERSION = "v3.0"
+_FRAMES_PER_SECOND = 1
+_FILE = "chunk-{:03d}/file-{:03d}.parquet"
 
 
-def export_touches(
-    database: Database, folder: Path, numbers: NDArray[np.int64], path: Path
-) -> int:
+def export_touches(store: Store, numbers: Numbers, path: Path) -> int:
     """Write touches to `path`, whose ending says how; return how many."""
-    common_shape(database, numbers)
+    common_kind(store, numbers)
     path = path if path.name else path.absolute()  # "." and ".." have no name
     kind = path.suffix.lower()
     if kind not in _WRITERS:
@@ -45,7 +60,7 @@ def export_touches(
         )
     partial = path.with_name(f"{PARTIAL}{secrets.token_hex(8)}{kind}")
     try:
-        n_written = _WRITERS[kind](partial, database, folder, numbers)
+        _WRITERS[kind](partial, store, numbers)
         partial.replace(path)
     except OSError as error:
         raise LibraryError(
@@ -53,69 +68,231 @@ def export_touches(
             f"{error.strerror or error}. Nothing is left there; free space, or give "
             "another one."
         ) from error
-    finally:
-        _remove(partial)
-    return n_written
-
-
-def _archive(
-    partial: Path,
-    database: Database,
-    folder: Path,
-    numbers: NDArray[np.int64],
-) -> int:
-    read_touches(database, folder, numbers, _NO_LIMIT).save(partial)
+    finally:  # what a failed export has left; a finished one has another name
+        if partial.is_dir():
+            shutil.rmtree(partial, ignore_errors=True)
+        with suppress(OSError):
+            partial.unlink()
     return len(numbers)
 
 
-def _parquet(
-    partial: Path,
-    database: Database,
-    folder: Path,
-    numbers: NDArray[np.int64],
-) -> int:
-    return write_parquet(partial, _parts(database, folder, numbers))
+def _write_archive(path: Path, store: Store, numbers: Numbers) -> None:
+    read_touches(store, numbers).save(path)
 
 
-def _lerobot(
-    partial: Path,
-    database: Database,
-    folder: Path,
-    numbers: NDArray[np.int64],
-) -> int:
-    return write_lerobot(
-        partial,
-        _episodes(database, numbers),
-        lambda rows: read_touches(database, folder, rows, _NO_LIMIT),
-    )
+def _write_parquet(path: Path, store: Store, numbers: Numbers) -> None:
+    """Write one row group for every `AT_ONCE` touches."""
+    starts = range(0, len(numbers), AT_ONCE)
+    parts = (read_touches(store, numbers[s : s + AT_ONCE]) for s in starts)
+    _write_tables(path, map(_parquet_table, parts), compression="zstd")
 
 
-_WRITERS = {".npz": _archive, ".parquet": _parquet, "": _lerobot}
+def _write_lerobot(path: Path, store: Store, numbers: Numbers) -> None:
+    pa = needed("pyarrow", "parquet", "Writing a LeRobotDataset")
+    data = path / "data" / _FILE.format(0, 0)
+    data.parent.mkdir(parents=True)
+    dataset = _Dataset()
+    episodes = (read_touches(store, some) for some in _episodes(store, numbers))
+    _write_tables(data, (_frame_table(pa, dataset.add(e)) for e in episodes))
+    _write_meta(pa, path / "meta", dataset)
 
 
-def _remove(partial: Path) -> None:
-    """Remove what a failed export has left; a finished one has another name."""
-    if partial.is_dir():
-        shutil.rmtree(partial, ignore_errors=True)
-    with suppress(OSError):
-        partial.unlink()
+_WRITERS = {".npz": _write_archive, ".parquet": _write_parquet, "": _write_lerobot}
 
 
-def _parts(
-    database: Database, folder: Path, numbers: NDArray[np.int64]
-) -> Iterator[Touches]:
-    for start in range(0, len(numbers), AT_ONCE):
-        some = numbers[start : start + AT_ONCE]
-        yield read_touches(database, folder, some, _NO_LIMIT)
+def _write_tables(path: Path, tables: Iterable[Any], **options: Any) -> None:
+    """Write tables of one schema into one Parquet file, one row group each."""
+    pq = needed("pyarrow.parquet", "parquet", "Writing Parquet")
+    writer: Any = None
+    with ExitStack() as closing:
+        for table in tables:
+            if writer is None:
+                writer = pq.ParquetWriter(path, table.schema, **options)
+                closing.enter_context(writer)
+            writer.write_table(table.cast(writer.schema))
 
 
-def _episodes(
-    database: Database, numbers: NDArray[np.int64]
-) -> list[NDArray[np.int64]]:
+def _parquet_table(touches: Touches) -> Any:
+    pa = needed("pyarrow", "parquet", "Writing Parquet")
+    columns = {"image": touches.images, **touches.columns}
+    n_rows, n_cols = touches.images.shape[1:]
+    about = {
+        "format": 1,
+        "n_rows": n_rows,
+        "n_cols": n_cols,
+        "dtype": touches.images.dtype.str,
+        "whole": {name: array.tolist() for name, array in touches.whole.items()},
+    }
+    table = pa.table({name: _arrow(pa, name, array) for name, array in columns.items()})
+    return table.replace_schema_metadata({"palpate": json.dumps(about, default=str)})
+
+
+def _arrow(pa: Any, name: str, array: Array) -> Any:
+    """Return one column; every further axis becomes one flat list per row."""
+    native = array.astype(array.dtype.newbyteorder("="))
+    try:
+        if array.ndim == 1:
+            return pa.array(native)
+        flat = np.ascontiguousarray(native).reshape(-1)
+        return pa.FixedSizeListArray.from_arrays(
+            pa.array(flat), int(np.prod(array.shape[1:]))
+        )
+    except (pa.ArrowException, ValueError, TypeError) as error:
+        raise LibraryError(
+            f"Column {name!r} must have a type that Parquet holds, got "
+            f"{array.dtype}. Leave it out, or convert it."
+        ) from error
+
+
+def _episodes(store: Store, numbers: Numbers) -> list[Numbers]:
     """Return the numbers of the touches of each object, session and episode."""
-    keys = []
-    for piece in chunks(numbers):
-        marks = ", ".join("?" * len(piece))
-        sql = f"SELECT o.name, t.session, t.episode {FROM} WHERE t.number IN ({marks})"
-        keys += database.rows(f"{sql} ORDER BY t.number", piece)
-    return [numbers[rows] for rows in episodes_in_order(keys)]
+    keys = store.among(
+        f"SELECT o.name, t.session, t.episode {FROM} WHERE t.number IN (?) "
+        "ORDER BY t.number",
+        numbers.tolist(),
+    )
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    for row, key in enumerate(keys):
+        groups.setdefault(key, []).append(row)
+    return [numbers[rows] for rows in groups.values()]
+
+
+class _Dataset:
+    """What a LeRobotDataset says of its episodes, gathered one by one."""
+
+    def __init__(self) -> None:
+        self.tasks: dict[str, int] = {}
+        self.rows: list[dict[str, Any]] = []
+        self.features: dict[str, Any] = {}
+        self._sums: dict[str, list[Any]] = {}
+
+    @property
+    def n_frames(self) -> int:
+        """Frames of all episodes so far."""
+        return int(self.rows[-1]["dataset_to_index"]) if self.rows else 0
+
+    def add(self, touches: Touches) -> dict[str, Array]:
+        """Take in the touches of one episode, all of one object; return its frames."""
+        task = f"touch {'' if touches.object is None else touches.object[0]}".strip()
+        task_index = self.tasks.setdefault(task, len(self.tasks))
+        number, first = len(self.rows), self.n_frames
+        frames = lerobot_frames(touches, number, first, task_index)
+        for name, values in frames.items():
+            shape = list(values.shape[1:]) or [1]
+            feature = {"dtype": values.dtype.name, "shape": shape, "names": None}
+            self.features.setdefault(name, feature)
+            self._add_up(name, values)
+        self.rows.append(
+            {
+                "episode_index": number,
+                "tasks": [task],
+                "length": len(touches),
+                "data/chunk_index": 0,
+                "data/file_index": 0,
+                "dataset_from_index": first,
+                "dataset_to_index": first + len(touches),
+                "meta/episodes/chunk_index": 0,
+                "meta/episodes/file_index": 0,
+            }
+        )
+        return frames
+
+    def _add_up(self, name: str, values: Array) -> None:
+        wide = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+        found = [len(wide), wide.sum(0), (wide**2).sum(0), wide.min(0), wide.max(0)]
+        if name in self._sums:
+            known = self._sums[name]
+            sums = [a + b for a, b in zip(known[:3], found[:3], strict=True)]
+            least = np.minimum(known[3], found[3])
+            found = [*sums, least, np.maximum(known[4], found[4])]
+        self._sums[name] = found
+
+    def spread(self) -> dict[str, Any]:
+        """Return minimum, maximum, mean and deviation of each feature over all."""
+        result = {}
+        for name, (count, total, squares, least, most) in self._sums.items():
+            mean = total / count
+            sd = np.sqrt(np.maximum(squares / count - mean**2, 0))
+            shape = self.features[name]["shape"]
+            values = {"min": least, "max": most, "mean": mean, "std": sd}
+            result[name] = {k: v.reshape(shape).tolist() for k, v in values.items()}
+            result[name]["count"] = [count]
+        return result
+
+
+def lerobot_frames(
+    touches: Touches, episode: int, first: int, task: int
+) -> dict[str, Array]:
+    """Return the frames of one episode by feature: the one mapping there is.
+
+    Parameters
+    ----------
+    touches : Touches
+        The episode.
+    episode, first, task : int
+        Number of the episode, of its first frame in the whole set, of its task.
+
+    Returns
+    -------
+    features : dict of ndarray
+        `observation.tactile` (n, n_rows, n_cols) float32; where known,
+        `observation.position_mm` (n, 3) and `observation.force_n` (n, 1) float32; and
+        what every LeRobotDataset has. `timestamp` is seconds since the first touch,
+        or the number of the touch where times are not known.
+    """
+    n_touches = len(touches)
+    number = np.arange(n_touches, dtype=np.int64)
+    time_s = touches.columns.get("time_s", number)
+    columns = {"observation.tactile": touches.images.astype(np.float32)}
+    for name in ("position_mm", "force_n"):
+        if name in touches.columns:
+            values = touches.columns[name].reshape(n_touches, -1)
+            columns[f"observation.{name}"] = values.astype(np.float32)
+    return {
+        **columns,
+        "timestamp": (time_s - time_s[0]).astype(np.float32),
+        "frame_index": number,
+        "episode_index": np.full(n_touches, episode, np.int64),
+        "index": first + number,
+        "task_index": np.full(n_touches, task, np.int64),
+    }
+
+
+def _frame_table(pa: Any, frames: dict[str, Array]) -> Any:
+    arrays = {}
+    for name, values in frames.items():
+        nested = pa.from_numpy_dtype(values.dtype)
+        for _ in values.shape[1:]:
+            nested = pa.list_(nested)
+        arrays[name] = pa.array(values.tolist() if values.ndim > 1 else values, nested)
+    return pa.table(arrays)
+
+
+def _write_meta(pa: Any, meta: Path, dataset: _Dataset) -> None:
+    pq = needed("pyarrow.parquet", "parquet", "Writing a LeRobotDataset")
+    info = {
+        "codebase_version": _LEROBOT_VERSION,
+        "robot_type": None,
+        "total_episodes": len(dataset.rows),
+        "total_frames": dataset.n_frames,
+        "total_tasks": len(dataset.tasks),
+        "chunks_size": 1000,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": _FRAMES_PER_SECOND,
+        "splits": {"train": f"0:{len(dataset.rows)}"},
+        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        "video_path": None,
+        "features": dataset.features,
+    }
+    episodes = meta / "episodes" / _FILE.format(0, 0)
+    episodes.parent.mkdir(parents=True)
+    pq.write_table(pa.Table.from_pylist(dataset.rows), episodes)
+    tasks = dataset.tasks
+    table = pa.table({"task_index": list(tasks.values()), "task": list(tasks)})
+    # Readers take the task's name from the index of a pandas table.
+    about = {"index_columns": ["task"], "columns": [], "column_indexes": []}
+    table = table.replace_schema_metadata({"pandas": json.dumps(about)})
+    pq.write_table(table, meta / "tasks.parquet")
+    (meta / "info.json").write_text(json.dumps(info, indent=4))
+    (meta / "stats.json").write_text(json.dumps(dataset.spread()))

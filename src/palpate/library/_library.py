@@ -2,26 +2,33 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .._durable import flush_folder
+from .._types import Array
 from ..touches import Touches
 from ._adding import add_touches
-from ._changes import current_name, is_unicode, make_change, object_key
+from ._changes import chosen_ids, known_object, make_change
 from ._checking import CheckReport, check_library
-from ._database import FILE_NAME, Database
-from ._errors import LibraryError
 from ._exporting import export_touches
-from ._files import flush_folder, holds_files
-from ._objects import object_rows, stats_of
-from ._query import condition, count_touches, id_bytes, list_touches, numbers_of
-from ._reading import read_array, read_one_image, read_touches
-from ._records import ObjectRow, SensorDescription, Stats, TouchRow
+from ._listing import (
+    ObjectRow,
+    SensorDescription,
+    Stats,
+    TouchRow,
+    condition,
+    list_objects,
+    list_touches,
+    numbers_of,
+    stats_of,
+)
+from ._reading import IN_MEMORY, read_array, read_images, read_touches
 from ._repairing import RepairReport, repair_library
+from ._rows import FROM, read_one
 from ._selection import Selection
+from ._store import FILE_NAME, LibraryError, Store, holds_files, is_unicode
 
 MAX_BYTES = 64 * 2**30
 Sensors = list[SensorDescription]
@@ -56,7 +63,7 @@ class TouchLibrary:
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
-        self._database = Database(self.folder / FILE_NAME, create=False)
+        self._store = Store(self.folder)
 
     @classmethod
     def open(cls, folder: str | Path, create: bool = False) -> Self:
@@ -80,12 +87,7 @@ class TouchLibrary:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -93,17 +95,16 @@ class TouchLibrary:
 
     def __len__(self) -> int:
         """Return the number of touches that are not retracted."""
-        row = self._database.one(
+        return self._store.count(
             "SELECT count(*) FROM touches WHERE retraction IS NULL"
         )
-        return 0 if row is None else int(row[0])
 
     def __repr__(self) -> str:
         return f"TouchLibrary({str(self.folder)!r})"
 
     def close(self) -> None:
         """Close the library; it can be opened again."""
-        self._database.close()
+        self._store.close()
 
     def add(
         self,
@@ -148,13 +149,13 @@ class TouchLibrary:
                 f"touches must be Touches, got {type(touches).__name__}. "
                 "Write Touches(images, object=labels)."
             )
-        told = None if sensor is None else sensor.checked()
-        labelled = _labelled(touches, episode, session, told)
-        return add_touches(self._database, self.folder, labelled, told, progress)
+        checked = None if sensor is None else sensor.checked()
+        labelled = _labelled(touches, episode, session, checked)
+        return add_touches(self._store, labelled, checked, progress)
 
     def objects(self) -> list[ObjectRow]:
         """Return all objects with touches, sorted by name."""
-        return object_rows(self._database)
+        return list_objects(self._store)
 
     def list(
         self,
@@ -175,47 +176,49 @@ class TouchLibrary:
         retracted : bool, default=False
             Show retracted touches too.
         """
-        found = condition(self._database, where, retracted=retracted)
-        return list_touches(self._database, found, limit, offset)
+        return list_touches(self._store, where, limit, offset, retracted)
 
     def count(self, where: str | None = None) -> int:
         """Return how many touches meet a filter."""
-        return count_touches(self._database, condition(self._database, where))
+        sql, values = condition(self._store, where)
+        return self._store.count(f"SELECT count(*) {FROM} WHERE {sql}", values)
 
-    def image(self, id: str) -> NDArray[Any]:
+    def image(self, id: str) -> Array:
         """Return the image of one touch, shape (n_rows, n_cols), retracted or not."""
-        return read_one_image(self._database, self.folder, id)
+        image: Array = read_images(self.folder, [read_one(self._store, id)])[0]
+        return image
 
-    def no_contact(self, session: str | int | None = None) -> NDArray[Any] | None:
+    def no_contact(self, session: str | int | None = None) -> Array | None:
         """Return the latest no-contact image of a session (of all), or None.
 
         One that is missing or altered is passed over with a warning.
         """
         chosen = "" if session is None else "AND t.session IS ? "
-        rows = self._database.rows(
+        rows = self._store.rows(
             "SELECT json_extract(r.whole, '$.no_contact') AS name FROM touches t "
             f"JOIN recordings r ON r.id = t.recording WHERE name IS NOT NULL {chosen}"
             "GROUP BY name ORDER BY max(t.number) DESC",
             [] if session is None else [session],
         )
-        images = (read_array(self.folder, "no_contact", row[0]) for row in rows)
+        images = (read_array(self._store, "no_contact", row[0]) for row in rows)
         return next((image for image in images if image is not None), None)
 
     def sensors(self) -> Sensors:
         """Return the sensors that took the touches, in the order first met."""
-        rows = self._database.rows(
+        rows = self._store.rows(
             "SELECT sensor, kind, unit, pitch_mm, geometry FROM recordings "
             "WHERE sensor IS NOT NULL ORDER BY id"
         )
         return list(dict.fromkeys(SensorDescription(*row) for row in rows))
 
     def touches(
-        self, where: str | None = None, *, max_bytes: int = MAX_BYTES
+        self,
+        where: str | None = None,
+        *,
+        max_bytes: int = MAX_BYTES,
+        in_memory: int = IN_MEMORY,
     ) -> Touches:
         """Return touches that are not retracted, in the order added.
-
-        Beyond 256 MiB the images are mapped to a temporary file rather than held in
-        memory.
 
         Parameters
         ----------
@@ -223,6 +226,9 @@ class TouchLibrary:
             A filter such as "object = mug and force_n > 0.5".
         max_bytes : int, default=64 GiB
             Most bytes that the images may take.
+        in_memory : int, default=256 MiB
+            Images that take more bytes are mapped to a temporary file rather than
+            held in memory.
 
         Raises
         ------
@@ -237,16 +243,15 @@ class TouchLibrary:
         image) are left out; see `no_contact`. So are, with a warning, those whose
         file is missing or altered.
         """
-        numbers = numbers_of(self._database, condition(self._database, where))
-        return read_touches(self._database, self.folder, numbers, max_bytes)
+        numbers = numbers_of(self._store, where)
+        return read_touches(self._store, numbers, max_bytes, in_memory)
 
     def select(self, where: str | None = None) -> Selection:
         """Return touches as a source that reads images only as they are needed.
 
         `ObjectRecogniser.fit` and `add_object` take it in place of `Touches`.
         """
-        numbers = numbers_of(self._database, condition(self._database, where))
-        return Selection(self._database, self.folder, numbers)
+        return Selection(self._store, numbers_of(self._store, where))
 
     def export(self, path: str | Path, where: str | None = None) -> int:
         """Write touches in another form and return how many there are.
@@ -259,19 +264,18 @@ class TouchLibrary:
         where : str, optional
             A filter such as "object = mug and force_n > 0.5".
         """
-        numbers = numbers_of(self._database, condition(self._database, where))
-        return export_touches(self._database, self.folder, numbers, Path(path))
+        return export_touches(self._store, numbers_of(self._store, where), Path(path))
 
     def rename_object(self, old: str, new: str) -> None:
         """Give an object another name; the old one is free afterwards."""
-        now = current_name(self._database, old)
-        self._change(action="rename", old=now, new=new)
+        _, now = known_object(self._store, old)
+        make_change(self._store, action="rename", old=now, new=new)
 
     def merge_objects(self, source: str, into: str) -> None:
         """Make two objects one; touches added as `source` go there as well."""
-        source = current_name(self._database, source)
-        into = current_name(self._database, into)
-        self._change(action="merge", source=source, into=into)
+        _, source = known_object(self._store, source)
+        _, into = known_object(self._store, into)
+        make_change(self._store, action="merge", source=source, into=into)
 
     def retract(
         self,
@@ -289,19 +293,20 @@ class TouchLibrary:
         """
         if not isinstance(reason, str) or not reason.strip() or not is_unicode(reason):
             raise ValueError(f"reason must be a text, got {reason!r}. Say why.")
-        chosen = self._chosen(ids, object, "t.retraction IS NULL")
-        return self._change(action="retract", ids=chosen, object=object, reason=reason)
+        chosen = chosen_ids(self._store, ids, object, "IS NULL")
+        known = {"ids": chosen, "object": object, "reason": reason}
+        return make_change(self._store, action="retract", **known)
 
     def restore(
         self, ids: str | Iterable[str] | None = None, *, object: str | None = None
     ) -> int:
         """Take retracted touches back in; return how many it concerned."""
-        chosen = self._chosen(ids, object, "t.retraction IS NOT NULL")
-        return self._change(action="restore", ids=chosen, object=object)
+        chosen = chosen_ids(self._store, ids, object, "IS NOT NULL")
+        return make_change(self._store, action="restore", ids=chosen, object=object)
 
     def stats(self) -> Stats:
         """Return how much the library holds."""
-        return stats_of(self._database, self.folder)
+        return stats_of(self._store)
 
     def check(self, *, progress: bool | None = None) -> CheckReport:
         """Read everything and compare it with its checksums; see `check_library`."""
@@ -310,33 +315,6 @@ class TouchLibrary:
     def repair(self, *, progress: bool | None = None) -> RepairReport:
         """Set aside what is damaged and recover what is not; see `repair_library`."""
         return repair_library(self.folder, progress=progress)
-
-    def _change(self, **content: Any) -> int:
-        return make_change(self._database, self.folder, content)
-
-    def _chosen(
-        self, ids: str | Iterable[str] | None, name: str | None, state: str
-    ) -> Ids:
-        """Return the ids that are meant, or say that one is not in the library."""
-        if (ids is None) == (name is None):
-            raise ValueError("Give either ids or object, got both or neither.")
-        if name is not None:
-            rows = self._database.rows(
-                "SELECT lower(hex(t.id)) FROM touches t "
-                "JOIN objects o ON o.id = t.object "
-                f"WHERE coalesce(o.merged_into, o.id) = ? AND {state}",
-                [object_key(self._database, name)],
-            )
-            return [row[0] for row in rows]
-        given = [ids] if isinstance(ids, str) else list(ids or [])
-        for key in given:
-            known = "SELECT 1 FROM touches WHERE id = ?"
-            if self._database.one(known, [id_bytes(key)]) is None:
-                raise LibraryError(
-                    f"ids must be of touches in the library, got {key!r}. "
-                    "See `palpate library list`."
-                )
-        return given
 
 
 def _make(place: Path) -> None:
@@ -353,7 +331,7 @@ def _make(place: Path) -> None:
         raise LibraryError(
             f"{place} must be a folder that can be made, got: {error.strerror}."
         ) from error
-    Database(place / FILE_NAME, create=True).close()
+    Store(place, create=True).close()
     flush_folder(place)
     flush_folder(place.parent)
 

@@ -2,33 +2,28 @@
 
 import secrets
 import time
+from collections.abc import Callable
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from .._durable import PARTIAL, flush_folder
 from .._progress import Progress
-from ._adding import MISSING, SET_ASIDE, enter_sheet
-from ._changes import (
-    apply_change,
-    change_files,
-    enter_change,
-    file_fault,
-    known_changes,
-    make_change,
-    read_change,
-    write_again,
-)
-from ._checking import (
-    array_problems,
-    database_problems,
-    image_problem,
-    left_out,
-    touches_in,
-)
-from ._database import FILE_NAME, Database
-from ._errors import DatabaseDamaged, DatabaseUnavailable, LibraryError, NewerLibrary
-from ._files import IMAGES, PARTIAL, file_path, flush_folder, holds_files, read_file
+from . import _changes as changes
+from . import _checking as checking
+from ._array_files import read_file
+from ._rows import MISSING, SET_ASIDE, write_rows
 from ._sheet import Sheet, read_sheet
+from ._store import (
+    FILE_NAME,
+    IMAGES,
+    DatabaseDamaged,
+    DatabaseUnavailable,
+    LibraryError,
+    NewerLibrary,
+    Store,
+    holds_files,
+)
 
 DAMAGED = "damaged"
 _STALE_S = 86_400.0
@@ -78,29 +73,25 @@ def repair_library(folder: str | Path, *, progress: bool | None = None) -> Repai
     """
     folder = Path(folder)
     gained = _make_anew(folder) if _is_damaged(folder) else None
-    rebuilt = gained is not None
-    with closing(Database(folder / FILE_NAME, create=False)) as database:
-        n_recovered, n_changes = gained or _enter_all(database, folder)
-        n_changes += _mend_changes(database, folder)
-        lost, found = _lost_and_found(database, folder, progress)
+    with closing(Store(folder)) as store:
+        n_recovered, n_changes = gained or _enter_all(store)
+        n_changes += _mend_changes(store)
+        lost, found = _lost_and_found(store, progress)
         if lost:
-            make_change(
-                database, folder, {"action": "retract", "ids": lost, "reason": MISSING}
-            )
+            changes.make_change(store, action="retract", ids=lost, reason=MISSING)
         if found:
-            make_change(database, folder, {"action": "restore", "ids": found})
-        n_left_out = _leave_out_arrays(database, folder)
+            changes.make_change(store, action="restore", ids=found)
+        n_left_out = _leave_out_arrays(store)
         _sweep(folder)
-        return RepairReport(
-            rebuilt, n_recovered, len(lost), len(found), n_changes, n_left_out
-        )
+    counts = n_recovered, len(lost), len(found), n_changes, n_left_out
+    return RepairReport(gained is not None, *counts)
 
 
 def _is_damaged(folder: Path) -> bool:
     """Tell whether the database is damaged; a failing disk is no damage."""
     try:
-        with closing(Database(folder / FILE_NAME, create=False)) as database:
-            return bool(database_problems(database))
+        with closing(Store(folder)) as store:
+            return bool(checking.database_problems(store))
     except (NewerLibrary, DatabaseUnavailable):
         raise
     except DatabaseDamaged:
@@ -116,9 +107,9 @@ def _make_anew(folder: Path) -> tuple[int, int]:
     path = folder / FILE_NAME
     partial = folder / f"{PARTIAL}{secrets.token_hex(8)}.sqlite"
     try:
-        with closing(Database(partial, create=True)) as database:
-            gained = _enter_all(database, folder)
-            database.rows("PRAGMA wal_checkpoint(TRUNCATE)")
+        with closing(Store(folder, create=True, name=partial.name)) as store:
+            gained = _enter_all(store)
+            store.rows("PRAGMA wal_checkpoint(TRUNCATE)")
         _set_aside(folder, *_with_logs(path))
         partial.replace(path)
         flush_folder(folder)
@@ -150,108 +141,93 @@ def _set_aside(folder: Path, *paths: Path) -> None:
         path.replace(away / path.name)
 
 
-def _enter_all(database: Database, folder: Path) -> tuple[int, int]:
+def _enter_all(store: Store) -> tuple[int, int]:
     """Enter all files that the database does not know, in the order of time.
 
     Returns how many touches it gained, and how many changes.
     """
-    known = {row[0].hex() for row in database.rows("SELECT name FROM files")}
-    known_too = known_changes(database)
-    before = _n_touches(database)
+    known = changes.known_changes(store)
+    before = store.count("SELECT count(*) FROM touches")
     steps: list[tuple[float, str, Path]] = []
-    for path in sorted((folder / IMAGES).glob("*/*.npy")):
-        if path.stem not in known and (sheet := _sheet_in(folder, path)) is not None:
+    for path in checking.spare_files(store):
+        if sheet := _sheet_in(store, path.stem):
             steps.append((sheet.added_s, "touches", path))
-    for name, path in change_files(folder).items():
-        if name not in known_too:
+    for name, path in changes.change_files(store).items():
+        if name not in known:
             with suppress(OSError, ValueError):
-                steps.append((read_change(path)["time_s"], "change", path))
+                steps.append((changes.read_change(path)["time_s"], "change", path))
     n_changes = 0
     for _, kind, path in sorted(steps):
         if kind == "change":
-            n_changes += _enter_change(database, path)
-        elif (sheet := _sheet_in(folder, path)) is not None:
-            _enter_sheet(database, sheet, path.stem)
-    return _n_touches(database) - before, n_changes
+            change = path.stem, changes.read_change(path)
+            if _entered(store, changes.apply_change, *change):
+                n_changes += 1
+            else:  # it is noted all the same
+                with store.writing():
+                    changes.enter_change(store, *change)
+        elif sheet := _sheet_in(store, path.stem):
+            _entered(store, write_rows, sheet, path.stem)
+    return store.count("SELECT count(*) FROM touches") - before, n_changes
 
 
-def _enter_sheet(database: Database, sheet: Sheet, name: str) -> None:
-    try:
-        with database.writing():
-            enter_sheet(database, sheet, name)
-    except (DatabaseUnavailable, DatabaseDamaged):
-        raise
-    except _NO_SHEET:
-        return  # the file has a right name and a wrong content
-
-
-def _enter_change(database: Database, path: Path) -> bool:
-    """Carry out a change; one that says nothing any more is noted all the same."""
-    content = read_change(path)
-    try:
-        with database.writing():
-            apply_change(database, path.stem, content)
-    except (DatabaseUnavailable, DatabaseDamaged):
-        raise
-    except _NO_SHEET:
-        with database.writing():
-            enter_change(database, path.stem, content)
-        return False
-    return True
-
-
-def _n_touches(database: Database) -> int:
-    row = database.one("SELECT count(*) FROM touches")
-    return 0 if row is None else int(row[0])
-
-
-def _mend_changes(database: Database, folder: Path) -> int:
-    """Write damaged files of changes anew; set aside those that say nothing."""
-    known, files = known_changes(database), change_files(folder)
-    bad = [name for name, brief in known.items() if file_fault(folder, name, brief)]
-    _set_aside(folder, *(files[n] for n in bad if n in files))
-    for name in bad:
-        write_again(database, folder, name)
-    _set_aside(folder, *(path for name, path in files.items() if name not in known))
-    return len(bad)
-
-
-def _sheet_in(folder: Path, path: Path) -> Sheet | None:
+def _sheet_in(store: Store, name: str) -> Sheet | None:
     """Return the touches in a file, or None where it is not what it should be."""
     try:
-        return read_sheet(read_file(folder / IMAGES, path.stem))
+        return read_sheet(read_file(store.folder / IMAGES, name))
     except _NO_SHEET:
         return None
 
 
-def _lost_and_found(
-    database: Database, folder: Path, progress: bool | None
-) -> tuple[list[str], list[str]]:
+def _entered(store: Store, enter: Callable[..., Any], *what: Any) -> bool:
+    """Enter touches or a change; return False where it says nothing (any more)."""
+    try:
+        with store.writing():
+            enter(store, *what)
+    except (DatabaseUnavailable, DatabaseDamaged):
+        raise
+    except _NO_SHEET:
+        return False
+    return True
+
+
+def _mend_changes(store: Store) -> int:
+    """Write damaged files of changes anew; set aside those that say nothing."""
+    known, files = changes.known_changes(store), changes.change_files(store)
+    bad = [
+        name for name, brief in known.items() if changes.file_fault(store, name, brief)
+    ]
+    _set_aside(store.folder, *(files[n] for n in bad if n in files))
+    for name in bad:
+        changes.write_again(store, name)
+    unknown = (path for name, path in files.items() if name not in known)
+    _set_aside(store.folder, *unknown)
+    return len(bad)
+
+
+def _lost_and_found(store: Store, progress: bool | None) -> tuple[list[str], list[str]]:
     """Return touches whose image is gone, and those set aside whose image is back."""
     lost: list[str] = []
     found: list[str] = []
-    files = database.rows("SELECT id, name FROM files ORDER BY id")
-    aside = f"t.retraction IN ({SET_ASIDE})"
+    files = store.rows("SELECT id, name FROM files ORDER BY id")
     with Progress(len(files), "Reading files", progress) as bar:
         for key, name in files:
-            path = file_path(folder / IMAGES, name.hex())
-            bad = image_problem(database, folder, key, name.hex())
+            bad = checking.image_problem(store, key, name.hex())
             lost += [] if bad is None else bad.touches
-            rows = touches_in(database, key, aside)
-            if rows and _sheet_in(folder, path) is not None:
-                found += [row.id for row in rows]
+            rows = checking.touches_in(store, key, f"t.retraction IN ({SET_ASIDE})")
+            if rows and _sheet_in(store, name.hex()) is not None:
+                found += [row.id.hex() for row in rows]
             bar.advance(1)
     return lost, found
 
 
-def _leave_out_arrays(database: Database, folder: Path) -> int:
+def _leave_out_arrays(store: Store) -> int:
     """Set altered arrays aside and note them, so that the rest is read without them."""
-    bad = array_problems(database, folder)
-    _set_aside(folder, *(folder / problem.path for problem in bad))
-    known = left_out(database)
+    bad = checking.array_problems(store)
+    _set_aside(store.folder, *(store.folder / problem.path for problem in bad))
+    known = checking.left_out(store)
     names = [n for problem in bad if (n := Path(problem.path).stem) not in known]
     if names:
-        make_change(database, folder, {"action": "leave_out", "arrays": names})
+        changes.make_change(store, action="leave_out", arrays=names)
     return len(names)
 
 

@@ -9,14 +9,14 @@ rebuilt from the files.
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .._types import Array
 from ..touches import Touches
-from ._errors import LibraryError
+from ._store import LibraryError
 
 WIDE = 16
 CELLS = (
@@ -34,19 +34,10 @@ CELLS = (
 )
 # What tells two touches with the same image apart.
 IDENTITY = (
-    "object",
-    "session",
-    "episode",
-    "sensor",
-    "order",
-    "time_s",
-    "force_n",
-    "press",
-    "frame",
+    *(name for name in CELLS if name not in ("category", "source_path")),
     "position_mm",
     "position_raw",
 )
-Arrays = dict[str, NDArray[Any]]
 _CANONICAL = json.JSONEncoder(
     sort_keys=True, separators=(",", ":"), allow_nan=False, check_circular=False
 )
@@ -59,6 +50,11 @@ class Column(NamedTuple):
     dtype: str
     shape: tuple[int, ...]
     wide: bool
+
+    @classmethod
+    def all_of(cls, layout: list[Any]) -> "list[Column]":
+        """Return columns from what JSON makes of them."""
+        return [cls(n, d, tuple(s), bool(w)) for n, d, s, w in layout]
 
 
 @dataclass(frozen=True)
@@ -78,21 +74,21 @@ class Sheet:
     ids, digests : list of bytes
         Identity of each touch (16 bytes) and SHA-256 of each image.
     recording : dict
-        What is the same for all, as `recording_of` gives it.
+        What is the same for all, as it is entered in the table of recordings.
     added_s : float
         When they were added (s since 1970).
     """
 
     layout: list[Column]
     values: dict[str, list[Any]]
-    wide: Arrays
-    images: NDArray[Any]
+    wide: dict[str, Array]
+    images: Array
     recording: dict[str, Any]
     added_s: float
-    ids: list[bytes] = field(default_factory=list)
-    digests: list[bytes] = field(default_factory=list)
+    ids: list[bytes]
+    digests: list[bytes]
 
-    def arrays(self) -> list[NDArray[Any]]:
+    def arrays(self) -> list[Array]:
         """Return what is written into the file: images, wide columns, the rest."""
         sheet = {
             "format": 1,
@@ -107,15 +103,13 @@ class Sheet:
 
     def picked(self, rows: Sequence[int]) -> "Sheet":
         """Return some of these touches."""
-        return Sheet(
-            self.layout,
-            {name: [cells[i] for i in rows] for name, cells in self.values.items()},
-            {name: array[list(rows)] for name, array in self.wide.items()},
-            self.images[list(rows)],
-            self.recording,
-            self.added_s,
-            [self.ids[i] for i in rows],
-            [self.digests[i] for i in rows],
+        return replace(
+            self,
+            values={n: [cells[i] for i in rows] for n, cells in self.values.items()},
+            wide={name: array[list(rows)] for name, array in self.wide.items()},
+            images=self.images[list(rows)],
+            ids=[self.ids[i] for i in rows],
+            digests=[self.digests[i] for i in rows],
         )
 
 
@@ -131,15 +125,15 @@ def sheet_of(touches: Touches, recording: dict[str, Any], added_s: float) -> She
             values[name] = _cells(name, array)
     images = np.ascontiguousarray(touches.images)
     digests = [image_digest(image) for image in images]
-    told = [(n, values[n]) for n in IDENTITY if n in values]
+    known = [(n, values[n]) for n in IDENTITY if n in values]
     ids = [
-        identity(d, {n: cells[row] for n, cells in told}, wide, row)
+        identity(d, {n: cells[row] for n, cells in known}, wide, row)
         for row, d in enumerate(digests)
     ]
     return Sheet(layout, values, wide, images, recording, added_s, ids, digests)
 
 
-def read_sheet(arrays: Sequence[NDArray[Any]]) -> Sheet:
+def read_sheet(arrays: Sequence[Array]) -> Sheet:
     """Return the sheet that `Sheet.arrays` wrote.
 
     Raises
@@ -153,7 +147,7 @@ def read_sheet(arrays: Sequence[NDArray[Any]]) -> Sheet:
     sheet = json.loads(text.tobytes())
     if sheet["format"] != 1:
         raise ValueError(f"sheet format {sheet['format']!r}")
-    layout = [Column(n, d, tuple(s), bool(w)) for n, d, s, w in sheet["layout"]]
+    layout = Column.all_of(sheet["layout"])
     names = [column.name for column in layout if column.wide]
     wide = dict(zip(names, blocks, strict=True))
     ids = [bytes.fromhex(key) for key in sheet["ids"]]
@@ -161,19 +155,11 @@ def read_sheet(arrays: Sequence[NDArray[Any]]) -> Sheet:
     if lengths | {len(array) for array in wide.values()} != {len(images)}:
         raise ValueError("columns of unequal length")
     digests = [image_digest(image) for image in images]
-    return Sheet(
-        layout,
-        sheet["values"],
-        wide,
-        images,
-        sheet["recording"],
-        float(sheet["added_s"]),
-        ids,
-        digests,
-    )
+    same = sheet["recording"], float(sheet["added_s"])
+    return Sheet(layout, sheet["values"], wide, images, *same, ids, digests)
 
 
-def column_array(columns: Sequence[Column], cells: Sequence[Any]) -> NDArray[Any]:
+def column_array(columns: Sequence[Column], cells: Sequence[Any]) -> Array:
     """Return cells as one array of the type that holds all of `columns`.
 
     None is NaN among numbers and empty among text; numbers among text become text.
@@ -186,15 +172,17 @@ def column_array(columns: Sequence[Column], cells: Sequence[Any]) -> NDArray[Any
         cells = [blank if cell is None else cell for cell in cells]
     if is_text:
         return np.array(cells, dtype=np.str_)
-    array = np.array(cells, dtype=np.float64 if _has_none(cells) else None)
+    array = np.array(cells)
     dtype = np.result_type(*dtypes)
+    if array.dtype.kind == "O" and dtype.kind in "biuf":  # None in vectors
+        array = array.astype(np.float64)
     lacks = array.dtype.kind == "f" and np.isnan(array).any()
     if lacks and dtype.kind in "biu":
         dtype = np.result_type(dtype, np.float16)
     return array.astype(dtype)
 
 
-def image_digest(image: NDArray[Any]) -> bytes:
+def image_digest(image: Array) -> bytes:
     """Return the SHA-256 of an image: its type, its shape and its values."""
     start = f"{image.dtype.str} {image.shape}".encode()
     return hashlib.sha256(start + image.tobytes()).digest()
@@ -205,7 +193,7 @@ def canonical(value: Any) -> str:
     return _CANONICAL.encode(value)
 
 
-def _fits_cells(array: NDArray[Any]) -> bool:
+def _fits_cells(array: Array) -> bool:
     kind, n_numbers = array.dtype.kind, int(np.prod(array.shape[1:]))
     if n_numbers > WIDE or not n_numbers or kind not in "biufU":
         return False
@@ -214,10 +202,11 @@ def _fits_cells(array: NDArray[Any]) -> bool:
     return kind != "u" or array.dtype.itemsize < 8 or int(array.max()) < 2**63
 
 
-def _cells(name: str, array: NDArray[Any]) -> list[Any]:
-    cells: list[Any] = array.tolist()
-    if array.dtype.kind == "f":
-        return _without_nan(cells) if np.isnan(array).any() else cells
+def _cells(name: str, array: Array) -> list[Any]:
+    """Return the plain values of a column; NaN is None."""
+    if array.dtype.kind == "f" and np.isnan(array).any():
+        gaps, array = np.isnan(array), array.astype(object)
+        array[gaps] = None
     if array.dtype.kind == "U":
         try:
             "".join(array.ravel().tolist()).encode()
@@ -226,25 +215,13 @@ def _cells(name: str, array: NDArray[Any]) -> list[Any]:
                 f"column {name!r} must be text that UTF-8 can hold, got {error}. "
                 "Clean it first."
             ) from error
+    cells: list[Any] = array.tolist()
     return cells
 
 
-def _without_nan(cells: list[Any]) -> list[Any]:
-    return [
-        _without_nan(cell)
-        if isinstance(cell, list)
-        else (None if cell != cell else cell)
-        for cell in cells
-    ]
-
-
-def _has_none(cells: Any) -> bool:
-    if not isinstance(cells, list | tuple):
-        return cells is None
-    return any(_has_none(cell) for cell in cells)
-
-
-def identity(digest: bytes, cells: dict[str, Any], wide: Arrays, row: int) -> bytes:
+def identity(
+    digest: bytes, cells: dict[str, Any], wide: dict[str, Array], row: int
+) -> bytes:
     """Return the id of a touch: of its image and of what tells it from others.
 
     Parameters

@@ -8,32 +8,21 @@ parameters alone; column names are looked up in a table.
 """
 
 import re
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from itertools import accumulate
 from typing import Any, NamedTuple
 
-from ._errors import LibraryError
+from ._sheet import CELLS
+from ._store import LibraryError, holders, is_unicode
 
-COLUMNS = {
+_RECORDED = ("kind", "unit", "pitch_mm", "geometry", "n_rows", "n_cols")
+_COLUMNS = {
+    **{name: f't."{name}"' for name in CELLS},
     "object": "o.name",
-    "category": "t.category",
-    "session": "t.session",
-    "episode": "t.episode",
     "sensor": "coalesce(t.sensor, r.sensor)",
-    "order": 't."order"',
-    "time_s": "t.time_s",
-    "force_n": "t.force_n",
-    "press": "t.press",
-    "frame": "t.frame",
-    "source_path": "t.source_path",
     "id": "lower(hex(t.id))",
     "added_s": "t.added_s",
-    "kind": "r.kind",
-    "unit": "r.unit",
-    "pitch_mm": "r.pitch_mm",
-    "geometry": "r.geometry",
-    "n_rows": "r.n_rows",
-    "n_cols": "r.n_cols",
+    **{name: f"r.{name}" for name in _RECORDED},
     "x_mm": "json_extract(t.extra, '$.position_mm[0]')",
     "y_mm": "json_extract(t.extra, '$.position_mm[1]')",
     "z_mm": "json_extract(t.extra, '$.position_mm[2]')",
@@ -46,16 +35,7 @@ _TOKENS = re.compile(
 )
 _INTEGER = re.compile("[+-]?[0-9]+")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|[+-]?inf", re.I)
-_OPERATORS = {
-    "=": "IS",
-    "==": "IS",
-    "!=": "IS NOT",
-    "<>": "IS NOT",
-    "<": "<",
-    "<=": "<=",
-    ">": ">",
-    ">=": ">=",
-}
+_EQUAL, _UNEQUAL, _ORDERED = ("=", "=="), ("!=", "<>"), ("<", "<=", ">", ">=")
 _LONGEST = 10_000
 _DEEPEST = 50
 _DEEPEST_SQL = 30  # SQLite's parser holds 100 symbols, up to three for each bracket
@@ -93,7 +73,7 @@ def parse_where(text: str, extra: Collection[str] = ()) -> Condition:
         raise LibraryError(
             f"--where must have at most {_LONGEST} characters, got {len(text)}."
         )
-    if not text.isascii() and any("\ud800" <= letter <= "\udfff" for letter in text):
+    if not is_unicode(text):
         raise LibraryError(
             f"--where must be text that UTF-8 can hold, got {text[:80]!r}. Give it in "
             "the encoding of the terminal."
@@ -127,14 +107,12 @@ class _Parser:
         if self._next < len(self._tokens):
             raise self._error("and, or, or its end")
 
-    def _joined(self, word: str, part: Any, depth: int) -> Condition:
+    def _joined(
+        self, word: str, part: Callable[[int], Condition], depth: int
+    ) -> Condition:
         parts = [part(depth)]
-        while self._is_word(word):
-            self._next += 1
+        while self._take_word(word):
             parts.append(part(depth))
-        if len(parts) == 1:
-            only: Condition = parts[0]
-            return only
         sql = _balanced(word.upper(), [p.sql for p in parts])
         return Condition(sql, [v for p in parts for v in p.values])
 
@@ -142,44 +120,39 @@ class _Parser:
         if depth > _DEEPEST:
             raise LibraryError(f"--where must nest at most {_DEEPEST} brackets deep.")
         negated = False
-        while self._is_word("not"):
-            self._next += 1
+        while self._take_word("not"):
             negated = not negated
-        inner = self._positive(depth)
-        if not negated:
-            return inner
-        return Condition(f"(NOT coalesce({inner.sql}, 0))", inner.values)
-
-    def _positive(self, depth: int) -> Condition:
         if self._take("("):
             inner = self.either(depth + 1)
             self._expect(")")
-            return inner
-        return self._comparison()
+        else:
+            inner = self._comparison()
+        return _negated(inner) if negated else inner
 
     def _comparison(self) -> Condition:
         column, bound = self._column()
-        if self._is_word("is"):
-            return self._null(column, bound)
-        if self._is_word("in"):
-            self._next += 1
+        if self._take_word("is"):
+            no = "NOT " if self._take_word("not") else ""
+            if not self._take_word("null"):
+                raise self._error("null")
+            return Condition(f"({column} IS {no}NULL)", bound)
+        if self._take_word("in"):
             self._expect("(")
             tokens = [self._literal()]
             while self._take(","):
                 tokens.append(self._literal())
             self._expect(")")
             return _within(column, bound, tokens)
-        if self._is_word("contains"):
-            self._next += 1
+        if self._take_word("contains"):
             text = self._literal().text
             return Condition(f"(instr({column}, ?) > 0)", [*bound, text])
-        token = self._current()
-        if token is None or not token.operator or token.text not in _OPERATORS:
+        if self._take(*_EQUAL):
+            return _within(column, bound, [self._literal()])
+        if self._take(*_UNEQUAL):
+            return _negated(_within(column, bound, [self._literal()]))
+        operator = self._take(*_ORDERED)
+        if operator is None:
             raise self._error("a comparison such as = or <")
-        self._next += 1
-        operator = _OPERATORS[token.text]
-        if operator.startswith("IS"):
-            return self._equal(column, bound, operator)
         token = self._literal()
         if token.text.lower() == "nan" and not token.quoted:
             raise LibraryError(
@@ -188,56 +161,42 @@ class _Parser:
             )
         return Condition(f"({column} {operator} ?)", [*bound, _value(token)])
 
-    def _equal(self, column: str, bound: list[Any], operator: str) -> Condition:
-        """Compare with the text and with the number that a literal may mean."""
-        within = _within(column, bound, [self._literal()])
-        if operator == "IS":
-            return within
-        return Condition(f"(NOT coalesce({within.sql}, 0))", within.values)
-
-    def _null(self, column: str, bound: list[Any]) -> Condition:
-        self._next += 1
-        negated = self._is_word("not")
-        self._next += negated
-        if not self._is_word("null"):
-            raise self._error("null")
-        self._next += 1
-        return Condition(f"({column} IS {'NOT ' * negated}NULL)", bound)
-
     def _column(self) -> tuple[str, list[Any]]:
-        token = self._current()
-        if token is None or token.operator:
-            raise self._error("the name of a column")
-        if token.text in COLUMNS:
-            self._next += 1
-            return COLUMNS[token.text], []
+        token = self._plain("the name of a column")
+        if token.text in _COLUMNS:
+            return _COLUMNS[token.text], []
         if token.text in self._extra:
-            self._next += 1
             return "json_extract(t.extra, ?)", [f'$."{token.text}"']
-        names = ", ".join([*COLUMNS, *sorted(self._extra)])
+        names = ", ".join([*_COLUMNS, *sorted(self._extra)])
         raise LibraryError(
             f"--where must name columns of the library ({names}), got {token.text!r}."
         )
 
     def _literal(self) -> _Token:
+        return self._plain("a number, a word or a quoted text")
+
+    def _plain(self, wanted: str) -> _Token:
         token = self._current()
         if token is None or token.operator:
-            raise self._error("a number, a word or a quoted text")
+            raise self._error(wanted)
         self._next += 1
         return token
 
     def _current(self) -> _Token | None:
         return self._tokens[self._next] if self._next < len(self._tokens) else None
 
-    def _is_word(self, word: str) -> bool:
+    def _take_word(self, word: str) -> bool:
         token = self._current()
-        return token is not None and not token.quoted and token.text.lower() == word
-
-    def _take(self, operator: str) -> bool:
-        token = self._current()
-        found = token is not None and token.operator and token.text == operator
+        found = token is not None and not token.quoted and token.text.lower() == word
         self._next += found
         return found
+
+    def _take(self, *operators: str) -> str | None:
+        token = self._current()
+        if token is None or not token.operator or token.text not in operators:
+            return None
+        self._next += 1
+        return token.text
 
     def _expect(self, operator: str) -> None:
         if not self._take(operator):
@@ -264,11 +223,11 @@ def _tokens(text: str) -> list[_Token]:
             )
         kind = str(found.lastgroup)
         quoted = kind in ("single", "double")
-        said = found[kind]
+        literal = found[kind]
         if quoted:
-            mark = "'" if kind == "single" else '"'
-            said = said.replace(2 * mark, mark)
-        tokens.append(_Token(said, quoted, kind == "op"))
+            quote = "'" if kind == "single" else '"'
+            literal = literal.replace(2 * quote, quote)
+        tokens.append(_Token(literal, quoted, kind == "op"))
         place = found.end()
     return tokens
 
@@ -277,8 +236,12 @@ def _within(column: str, bound: list[Any], tokens: list[_Token]) -> Condition:
     """Compare with the texts and with the numbers that literals may mean."""
     values = [v for t in tokens for v in (t.text, _value(t))]
     different = list(dict.fromkeys((type(v), v) for v in values))
-    marks = ", ".join("?" * len(different))
-    return Condition(f"({column} IN ({marks}))", [*bound, *(v for _, v in different)])
+    sql = f"({column} IN {holders(len(different))})"
+    return Condition(sql, [*bound, *(v for _, v in different)])
+
+
+def _negated(condition: Condition) -> Condition:
+    return Condition(f"(NOT coalesce({condition.sql}, 0))", condition.values)
 
 
 def _balanced(word: str, parts: list[str]) -> str:

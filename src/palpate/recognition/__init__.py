@@ -1,41 +1,39 @@
-"""Touches -> object: recogniser, belief, presets and model files."""
+"""Touches -> object: recogniser, belief, presets and model files.
+
+`Touches -> encode -> Evidence -> Belief`, a file for each.
+"""
 
 from ._adapting import adapt
 from ._belief import Belief
-from ._calibration import left_out_log_likelihood
-from ._geometry import find_geometry
+from ._belief import Judge as Judge
+from ._encoder import TouchEncoder as TouchEncoder
+from ._encoder import find_geometry
+from ._evidence import Evidence, SequenceCalibration
+from ._evidence import as_touches as as_touches
+from ._evidence import doubts as doubts
+from ._evidence import given_prior as given_prior
+from ._evidence import log_posteriors as log_posteriors
+from ._evidence import n_informative as n_informative
+from ._evidence import with_floor as with_floor
+from ._memory import Memory
+from ._memory import left_out_groups as left_out_groups
 from ._modality import Modality
-from ._model_file import ModelFileError, check_model_path
+from ._model_file import ModelFileError
+from ._model_file import check_model_path as check_model_path
+from ._model_file import read_model as read_model
+from ._model_file import write_model as write_model
 from ._presets import PRESETS
 from ._recogniser import ObjectRecogniser
-from ._sequence import (
-    Evidence,
-    SequenceCalibration,
-    doubts,
-    log_posteriors,
-    n_informative,
-    with_floor,
-)
-from ._summary import summary
-from ._training import left_out_groups
 
 __all__ = [
     "PRESETS",
     "Belief",
     "Evidence",
+    "Memory",
     "Modality",
     "ModelFileError",
     "ObjectRecogniser",
     "SequenceCalibration",
     "adapt",
-    "check_model_path",
-    "doubts",
     "find_geometry",
-    "left_out_groups",
-    "left_out_log_likelihood",
-    "log_posteriors",
-    "n_informative",
-    "summary",
-    "told",
-    "with_floor",
 ]

@@ -7,19 +7,16 @@ undone; another membrane dents otherwise, which must be learnt.
 from __future__ import annotations
 
 from copy import deepcopy
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..images import DomeCrop
+from .._types import Array
 from ..touches import Touches
-from ._belief import as_touches
 from ._contact import ContactCheck
-from ._presets import find_preset
+from ._evidence import as_touches
+from ._learning import encoded, memory_of
+from ._memory import named_labels
 from ._recogniser import ObjectRecogniser
-from ._source import encoded
-from ._training import named_labels
 
 
 def adapt(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecogniser:
@@ -59,39 +56,18 @@ def adapt(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecogniser:
     objects = labels if new.object is None else new.object
     _refuse_unknown(labels, recogniser)
     result = deepcopy(recogniser)
-    _find_disc(result.encoder_, new)
+    result.encoder_ = recogniser.encoder_.moved(new)
     result.contact_ = ContactCheck().fit(new, result.encoder_)
-    evidence, left, nothing = encoded(result.encoder_, result.contact_, new)
-    group = np.full(len(new), result.blocks_.max() + 1)
-    result.features_ = np.vstack([result.features_, evidence])
-    result.nothing_ = np.concatenate([result.nothing_, nothing])
-    result.unexplained_ = np.concatenate([result.unexplained_, left])
-    result.labels_ = np.concatenate([result.labels_, labels])
-    result.objects_ = np.concatenate([result.objects_, objects])
-    result.blocks_ = np.concatenate([result.blocks_, group])
-    result._learn(fresh=False)
-    result._calibrate(find_preset(result.preset))
-    return result
+    encoding = encoded(result.encoder_, result.contact_, new)
+    one_group = np.zeros(len(new), dtype=np.intp)
+    there = memory_of(new, encoding, labels, objects, one_group)
+    return result._relearn(result.memory_.plus(there))
 
 
-def _refuse_unknown(labels: NDArray[Any], recogniser: ObjectRecogniser) -> None:
-    strange = np.setdiff1d(labels, recogniser.classes_)
-    if len(strange):
+def _refuse_unknown(labels: Array, recogniser: ObjectRecogniser) -> None:
+    unknown = np.setdiff1d(labels, recogniser.classes_)
+    if len(unknown):
         raise ValueError(
-            f"touches must be of known objects, got {str(strange[0])!r}, which was not "
+            f"touches must be of known objects, got {str(unknown[0])!r}, which was not "
             "learnt. Adapt first, then add it with add_object."
         )
-
-
-def _find_disc(encoder: Any, touches: Touches) -> None:
-    """Find the rim in the images of another camera; keep the disc's share of it."""
-    encoder.image_shape_ = touches.images.shape[1:]
-    before = encoder.clean_up_
-    if not isinstance(before, DomeCrop):
-        return
-    after = deepcopy(before).fit(touches.images, no_contact=touches.no_contact)
-    if after.has_rim_ and before.has_rim_:
-        share = before.disc_radius_ / before.rim_radius_
-        after.disc_radius_ = share * after.rim_radius_
-    after.size_ = before.size_
-    encoder.clean_up_ = after

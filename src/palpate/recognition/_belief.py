@@ -2,29 +2,64 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from html import escape
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import log_softmax
 
 from .._checks import check_number, check_option
+from .._types import Array, Floats
 from ..touches import Touches
-from ._explanation import explanation
-from ._sequence import (
+from ._evidence import (
     Evidence,
-    Floats,
+    SequenceCalibration,
+    as_touches,
     doubts,
-    log_posteriors,
-    n_informative,
+    is_informative,
+    log_posterior,
     with_floor,
 )
-
-if TYPE_CHECKING:
-    from ._recogniser import ObjectRecogniser
+from ._explanation import explanation
+from ._memory import Memory
+from ._modality import Modality
+from ._unknown import UnknownScale
 
 Costs = Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True)
+class Judge:
+    """What a belief is made by: all that a recogniser has learnt beside its encoding.
+
+    Attributes
+    ----------
+    classes : ndarray of str, shape (n_objects,)
+        Names of the known objects.
+    log_prior : ndarray of shape (n_objects,)
+        Before the first touch (nats).
+    floor : float
+        Least probability that one touch leaves to all objects together.
+    sequence_calibration : SequenceCalibration
+        How the evidence of an episode adds up.
+    unknown_scale : UnknownScale
+        What episodes of known objects look like.
+    senses : mapping of str to Modality
+        Other senses.
+    memory : Memory
+        The training touches, for `Belief.explain`.
+    """
+
+    classes: NDArray[np.str_]
+    log_prior: Floats
+    floor: float
+    sequence_calibration: SequenceCalibration
+    unknown_scale: UnknownScale
+    senses: Mapping[str, Modality]
+    memory: Memory
 
 
 class Belief:
@@ -52,20 +87,32 @@ class Belief:
         What was wrong with each touch, "" for most; see `ObjectRecogniser.flags`.
     """
 
-    def __init__(
-        self, recogniser: ObjectRecogniser, log_prior: Floats | None = None
-    ) -> None:
-        self._recogniser = recogniser
-        self._log_prior = recogniser.log_prior() if log_prior is None else log_prior
-        self._floored = np.empty((0, len(recogniser.classes_)))
-        self._features = np.empty((0, recogniser.features_.shape[1]))
-        self._novelty = np.empty(0)
-        self._senses: dict[str, Floats] = {}
-        self._log_posterior = self._log_prior
-        self._unknown: float | None = None
-        self.flags: list[str] = []
+    # What the touches are weighed with, in sentences.
+    _basis = ""
 
-    def update(self, touch: Touches | NDArray | Evidence) -> Belief:
+    def __init__(
+        self,
+        judge: Judge,
+        evidence_of: Callable[[Touches], Evidence],
+        log_prior: Floats | None = None,
+    ) -> None:
+        self._judge = judge
+        self._evidence_of = evidence_of
+        self._log_prior = judge.log_prior if log_prior is None else log_prior
+        self.flags: list[str] = []
+        self._floored: list[Floats] = []
+        self._features: list[Floats] = []
+        self._senses: dict[str, list[Floats]] = {}
+        # Sums over the touches that said anything: of log-likelihoods, of the
+        # probabilities that they give each object, of what they leave unexplained.
+        self._n_informative = self._n_novelties = 0
+        self._total = np.zeros(len(judge.classes))
+        self._given = np.zeros(len(judge.classes))
+        self._novelty = 0.0
+        self._touch_log_posterior = self._log_prior
+        self._unknown: float | None = None
+
+    def update(self, touch: Touches | Array | Evidence) -> Self:
         """Take in one touch (or several, in order) and return this belief.
 
         Parameters
@@ -81,39 +128,56 @@ class Belief:
             NaN or infinity where the recogniser cannot take it; the belief is
             then unchanged.
         """
-        if not isinstance(touch, Evidence):
-            touch = self._recogniser.evidence(as_touches(touch))
-        given = touch._asdict()
-        return self.update_from_log_likelihood(given.pop("log_likelihood"), **given)
+        given = touch
+        if not isinstance(given, Evidence):
+            given = self._evidence_of(as_touches(given))
+        return self.update_from_log_likelihood(
+            given.log_likelihood,
+            features=given.features,
+            flags=given.flags,
+            novelty=given.novelty,
+        )
 
     def update_from_log_likelihood(
         self,
-        log_likelihood: NDArray,
+        log_likelihood: ArrayLike,
         *,
-        features: NDArray | None = None,
+        features: Floats | None = None,
         flags: list[str] | None = None,
-        novelty: NDArray | None = None,
-    ) -> Belief:
+        novelty: Floats | None = None,
+    ) -> Self:
         """Take in touches by their log-likelihoods, shape (n_touches, n_objects).
 
         With `features` (n_touches, n_features) they can be explained later; `flags` and
-        `novelty` (n_touches,) are as in `ObjectRecogniser.evidence`.
+        `novelty` (n_touches,) are as in `Evidence`.
         """
-        rows = _checked_rows(log_likelihood, len(self._recogniser.classes_))
-        floored = with_floor(rows, self._recogniser.floor_)
-        n_touches = len(floored)
+        rows = _checked_rows(log_likelihood, len(self._judge.classes))
+        n_touches = len(rows)
         if features is None:
-            features = np.full((n_touches, self._features.shape[1]), np.nan)
-        if novelty is None:
-            novelty = np.full(n_touches, np.nan)
-        self._novelty = np.concatenate([self._novelty, np.atleast_1d(novelty)])
-        self._floored = np.vstack([self._floored, floored])
-        self._features = np.vstack([self._features, np.atleast_2d(features)])
+            features = np.full(
+                (n_touches, self._judge.memory.features.shape[1]), np.nan
+            )
         self.flags += flags or [""] * n_touches
+        self._features += list(np.atleast_2d(features))
+        news = np.full(n_touches, np.nan) if novelty is None else np.ravel(novelty)
+        for floored, new in zip(with_floor(rows, self._judge.floor), news, strict=True):
+            self._add(floored, float(new))
         self._weigh()
         return self
 
-    def update_sense(self, name: str, X: ArrayLike) -> Belief:
+    def _add(self, floored: Floats, novelty: float) -> None:
+        """Add one touch to the sums, unless it says nothing."""
+        self._floored.append(floored)
+        if not is_informative(floored):
+            return
+        self._n_informative += 1
+        self._total = self._total + floored
+        self._given = self._given + np.exp(floored)
+        if not np.isnan(novelty):
+            self._n_novelties += 1
+            self._novelty += novelty
+
+    def update_sense(self, name: str, X: ArrayLike) -> Self:
         """Take in what another sense tells of the same object.
 
         Parameters
@@ -123,31 +187,39 @@ class Belief:
         X : array-like of shape (n_features,) or (n_examples, n_features)
             One example or several.
         """
-        senses = self._recogniser.modalities_
+        senses = self._judge.senses
         if not senses:
             raise ValueError(
                 f"name must be a sense that was learnt, got {name!r} and none is. Call "
                 "learn_modality first."
             )
         check_option("name", name, senses)
-        classes = self._recogniser.classes_
-        rows = senses[name].log_likelihood(np.atleast_2d(np.asarray(X)), classes)
-        before = self._senses.get(name, np.empty((0, len(classes))))
-        self._senses[name] = np.vstack([before, rows])
+        examples = np.atleast_2d(np.asarray(X))
+        rows = senses[name].log_likelihood(examples, self._judge.classes)
+        self._senses.setdefault(name, []).extend(rows)
         self._weigh()
         return self
 
     def _weigh(self) -> None:
         """Add up the prior, the other senses and the touches."""
+        total = self._prior_and_senses()
+        if self._floored:
+            calibration = self._judge.sequence_calibration
+            total = log_posterior(self._total, self._n_informative, total, calibration)
+        self._touch_log_posterior = log_softmax(total)
+        self._unknown = None
+
+    def _prior_and_senses(self) -> Floats:
         total = self._log_prior
         for name, rows in self._senses.items():
-            trust = self._recogniser.modalities_[name].sequence_calibration_
-            total = total + rows.sum(axis=0) * trust.weight(len(rows))
-        if len(self._floored):
-            trust = self._recogniser.sequence_calibration_
-            total = log_posteriors(self._floored, total, trust)[-1]
-        self._log_posterior = log_softmax(total)
-        self._unknown = None
+            calibration = self._judge.senses[name].sequence_calibration_
+            total = total + np.sum(rows, axis=0) * calibration.weight(len(rows))
+        return total
+
+    @property
+    def log_posterior(self) -> Floats:
+        """Log posterior of each known object (nats), shape (n_objects,)."""
+        return self._touch_log_posterior
 
     @property
     def touches_used(self) -> int:
@@ -157,29 +229,35 @@ class Belief:
     @property
     def posterior(self) -> dict[str, float]:
         """Probability of each known object."""
-        probabilities = np.exp(self._log_posterior)
-        names = map(str, self._recogniser.classes_)
-        return dict(zip(names, map(float, probabilities), strict=True))
+        shares = np.exp(self.log_posterior).tolist()
+        return dict(zip(self._judge.classes.tolist(), shares, strict=True))
 
     @property
     def best(self) -> str:
         """The most probable object; ties go to the first in sorted order."""
-        return str(self._recogniser.classes_[self._log_posterior.argmax()])
+        return str(self._judge.classes[self.log_posterior.argmax()])
 
     @property
     def doubt(self) -> float:
         """Probability outside `best`."""
-        return float(doubts(self._log_posterior))
+        return float(doubts(self.log_posterior))
 
     @property
     def unknown(self) -> float:
         """How little the touches look like any known object; see `UnknownScale`."""
-        if not len(self._floored):
+        if not self._floored:
             return 0.0
         if self._unknown is None:
-            beliefs = np.broadcast_to(self._log_posterior, self._floored.shape)
-            scores = self._recogniser.unknown_scale_.scores
-            self._unknown = float(scores(beliefs, self._floored, self._novelty)[-1])
+            told = self._n_novelties > 0
+            novelty = self._novelty / self._n_novelties if told else np.nan
+            self._unknown = float(
+                self._judge.unknown_scale.score(
+                    self._touch_log_posterior,
+                    np.asarray(self._n_informative),
+                    self._given,
+                    np.asarray(novelty),
+                )
+            )
         return self._unknown
 
     def decide(self, error: float = 0.01, costs: Costs | None = None) -> str | None:
@@ -213,13 +291,13 @@ class Belief:
             return None
         if costs is None:
             return self.best if self.doubt <= error else None
-        expected = np.exp(self._log_posterior) @ self._cost_table(costs)
+        expected = np.exp(self.log_posterior) @ self._cost_table(costs)
         affordable = expected.min() <= error
-        return str(self._recogniser.classes_[expected.argmin()]) if affordable else None
+        return str(self._judge.classes[expected.argmin()]) if affordable else None
 
     def looks_known(self) -> bool:
         """Whether the touches fit a known object as four in five known episodes do."""
-        scale = self._recogniser.unknown_scale_
+        scale = self._judge.unknown_scale
         return self.unknown <= scale.naming_threshold(self._n_informative)
 
     def unknown_limit(self, error: float = 0.01) -> float | None:
@@ -227,16 +305,13 @@ class Belief:
 
         None before any touch said something.
         """
-        count = self._n_informative
-        return self._recogniser.refusal_threshold(count, error) if count else None
-
-    @property
-    def _n_informative(self) -> int:
-        """Number of touches that said anything."""
-        return int(n_informative(self._floored)[-1]) if len(self._floored) else 0
+        if not self._n_informative:
+            return None
+        scale = self._judge.unknown_scale
+        return scale.refusal_threshold(self._n_informative, error)
 
     def _cost_table(self, costs: Costs) -> Floats:
-        names = [str(name) for name in self._recogniser.classes_]
+        names = self._judge.classes.tolist()
         table = 1.0 - np.eye(len(names))
         if not isinstance(costs, Mapping):
             raise TypeError(
@@ -265,14 +340,15 @@ class Belief:
         """Return one sentence that says why `decide` answers as it does."""
         decision = self.decide(error, costs)
         touches = f"{self.touches_used} touch{'es' * (self.touches_used != 1)}"
-        sure = f"{self.best} has probability {1 - self.doubt:.4f} after {touches}"
+        chance = f"{self.best} has probability {1 - self.doubt:.4f}"
+        sure = f"{chance} after {touches}{self._basis}"
         if decision is None and not self.looks_known():
             return (
                 f"Undecided: {sure}, but four in five known episodes fit better "
                 f"(unknown score {self.unknown:.3f}). Touch again."
             )
         if costs is not None and decision != "unknown":
-            expected = np.exp(self._log_posterior) @ self._cost_table(costs)
+            expected = np.exp(self.log_posterior) @ self._cost_table(costs)
             least = f"{expected.min():.4f} after {touches}"
             if decision is None:
                 return f"Undecided: the least expected cost is {least}, over {error:g}."
@@ -305,21 +381,55 @@ class Belief:
             `object`, `row` (among the training touches) and `distance` (1 is that of
             a middling pair of training touches).
         """
-        return explanation(
-            self._recogniser,
-            self._floored,
-            self._features,
-            self._log_posterior,
-            self.flags,
+        if not self._floored:
+            return []
+        weight = self._judge.sequence_calibration.weight(self._n_informative)
+        steps = explanation(
+            self._judge.memory,
+            self._judge.classes,
+            np.stack(self._floored),
+            float(weight),
+            np.stack(self._features),
+            self._touch_log_posterior,
             (n_touches, n_nearest),
         )
+        return [{**step, "flag": self.flags[step["touch"] - 1]} for step in steps]
 
     def __repr__(self) -> str:
-        order = np.argsort(self._log_posterior)[::-1][:3]
-        names = self._recogniser.classes_[order]
-        shares = np.exp(self._log_posterior[order])
-        listed = ", ".join(f"{n} {p:.2f}" for n, p in zip(names, shares, strict=True))
-        return f"<Belief after {self.touches_used} touches: {listed}>"
+        order = np.argsort(self.log_posterior)[::-1][:3]
+        names, shares = self._judge.classes[order], np.exp(self.log_posterior[order])
+        listed = ", ".join(
+            f"{_short(name)} {p:.2f}" for name, p in zip(names, shares, strict=True)
+        )
+        return f"<{type(self).__name__} after {self.touches_used} touches: {listed}>"
+
+    def _repr_html_(self) -> str:
+        """Return bars of the ten most probable objects, for notebooks."""
+        order = np.argsort(-self.log_posterior, kind="stable")[:_BARS]
+        shares = np.exp(self.log_posterior[order])
+        rows = "".join(
+            _bar(str(self._judge.classes[k]), float(share))
+            for k, share in zip(order, shares, strict=True)
+        )
+        n_more = len(self._judge.classes) - len(order)
+        more = f"<tr><td colspan=2>and {n_more} more</td></tr>" if n_more else ""
+        head = f"After {self.touches_used} touches; unknown score {self.unknown:.2f}"
+        return f"<table><caption>{head}</caption>{rows}{more}</table>"
+
+
+# Objects and letters that a picture of a belief shows.
+_BARS, _LETTERS = 10, 24
+
+
+def _short(name: object) -> str:
+    text = str(name)
+    return text if len(text) <= _LETTERS else f"{text[: _LETTERS - 3]}..."
+
+
+def _bar(name: str, share: float) -> str:
+    style = f"background:#4c78a8;height:0.8em;width:{max(share, 0.002) * 12:.2f}em"
+    bar = f'<div style="{style};display:inline-block"></div> {share:.3f}'
+    return f'<tr><td>{escape(name)}</td><td style="text-align:left">{bar}</td></tr>'
 
 
 def _checked_rows(log_likelihood: ArrayLike, n_objects: int) -> Floats:
@@ -336,16 +446,3 @@ def _checked_rows(log_likelihood: ArrayLike, n_objects: int) -> Floats:
             f"{rows[bad][0]} for touch {np.flatnonzero(bad)[0]}. Leave that touch out."
         )
     return rows
-
-
-def as_touches(touch: Touches | NDArray) -> Touches:
-    """Return one image or a set of touches as `Touches`, or explain."""
-    if isinstance(touch, Touches):
-        return touch
-    image = np.asarray(touch)
-    if image.ndim != 2:
-        raise ValueError(
-            "touch must be Touches or one image (n_rows, n_cols), "
-            f"got an array of shape {image.shape}."
-        )
-    return Touches(image[np.newaxis])

@@ -1,7 +1,7 @@
 """Touches that cannot be trusted: nothing touched, levels at their limit, two things.
 
 A touch that looks like the no-contact frame tells about the recording (exposure,
-where the camera sat) and not about the object, so it is not heard.
+where the camera sat) and not about the object, so it is not used.
 """
 
 from typing import Any, Self
@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
 
+from .._types import Array, Floats
 from ..images import fill_dead_taxels, otsu_threshold
 from ..touches import Touches
-from ._encoder import TouchEncoder
-from ._geometry import find_geometry
-from ._sequence import Floats
+from ._encoder import TouchEncoder, find_geometry
 
 NO_CONTACT = "no contact"
 
@@ -68,7 +67,7 @@ class ContactCheck(BaseEstimator):
         self.at_limit_ = float(np.quantile(self._share_at_limit(touches), 0.99))
         return self
 
-    def no_contact(self, touches: Touches, cleaned: NDArray) -> NDArray[np.bool_]:
+    def no_contact(self, touches: Touches, cleaned: Array) -> NDArray[np.bool_]:
         """Return which touches look like touching nothing, shape (n_touches,).
 
         `cleaned` are the same touches after the encoder's clean-up.
@@ -79,7 +78,7 @@ class ContactCheck(BaseEstimator):
             return np.asarray(self._change(touches) < FAINT * self.typical_)
         return np.zeros(len(touches), dtype=bool)
 
-    def flags(self, touches: Touches, cleaned: NDArray) -> list[str]:
+    def flags(self, touches: Touches, cleaned: Array) -> list[str]:
         """Return what is wrong with each touch: "" or the reason in two words.
 
         "no contact", "saturated" (more taxels at the limit of the sensor than in
@@ -111,10 +110,11 @@ class ContactCheck(BaseEstimator):
             np.count_nonzero(image == low) + np.count_nonzero(image == high)
             for image in images
         ]
-        return np.array(counts) / images[0].size
+        shares: Floats = np.array(counts) / images[0].size
+        return shares
 
 
-def consists_of_nothing(labels: NDArray, no_contact: NDArray) -> bool:
+def consists_of_nothing(labels: Array, no_contact: Array) -> bool:
     """Whether some label's touches mostly show no contact, such as "Nothing"."""
     return any(no_contact[labels == n].mean() > CONSISTS for n in np.unique(labels))
 
@@ -127,7 +127,7 @@ def _limits(dtype: Any) -> tuple[float, float]:
     return float("nan"), float("nan")
 
 
-def _correlation(images: NDArray, idle: NDArray) -> Floats:
+def _correlation(images: Array, idle: Array) -> Floats:
     flat = images.reshape(len(images), -1).astype(np.float64)
     one = idle.ravel().astype(np.float64)
     flat = flat - flat.mean(axis=1, keepdims=True)

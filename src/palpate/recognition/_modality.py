@@ -1,26 +1,28 @@
 """Another sense beside touch: photographs, where it was touched, anything with labels.
 
 A sense has its own training examples and its own classifier; what it says enters the
-same belief, weighted as its left-out examples say it may be trusted.
+same belief, weighted as its left-out examples say that it adds up.
 """
+
+from __future__ import annotations
 
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, clone
+from numpy.typing import ArrayLike
+from sklearn.base import BaseEstimator
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils import check_array
 
 from .._checks import check_number
-from ..classifiers import KernelRidgeClassifier
+from .._types import Array, Floats
+from ..classifiers import FromProbabilities, KernelRidgeClassifier
 from ._calibration import draw_all, fit_sequence_calibration, left_out_log_likelihood
-from ._calibration import touch_log_likelihood as any_log_likelihood
-from ._sequence import Floats, with_floor
+from ._evidence import SequenceCalibration, with_floor
 
 
 class Modality(BaseEstimator):
-    """A classifier of something else than touch, with calibrated trust.
+    """A classifier of something else than touch, calibrated like touch.
 
     Parameters
     ----------
@@ -41,6 +43,9 @@ class Modality(BaseEstimator):
     sequence_calibration_ : SequenceCalibration
         How its examples add up.
     """
+
+    classes_: Array
+    sequence_calibration_: SequenceCalibration
 
     def __init__(
         self, classifier: Any = None, floor: float = 0.01, random_state: int = 0
@@ -71,13 +76,12 @@ class Modality(BaseEstimator):
         self.scaler_ = StandardScaler().fit(examples)
         scaled = self.scaler_.transform(examples)
         group = np.arange(len(labels)) if groups is None else np.asarray(groups)
-        self.classifier_ = self._fresh()
-        if isinstance(self.classifier_, KernelRidgeClassifier):
-            self.classifier_.fit(scaled, labels, groups=group)
-        else:
-            self.classifier_.fit(scaled, labels)
+        machine: Any = KernelRidgeClassifier()
+        if self.classifier is not None:
+            machine = FromProbabilities(self.classifier)
+        self.classifier_ = machine.fit(scaled, labels, groups=group)
         self.classes_ = np.unique(labels)
-        left_out = left_out_log_likelihood(self.classifier_, scaled, labels, group)
+        left_out = left_out_log_likelihood(self.classifier_)
         self.sequence_calibration_ = fit_sequence_calibration(
             with_floor(left_out, self.floor),
             np.searchsorted(self.classes_, labels),
@@ -86,14 +90,14 @@ class Modality(BaseEstimator):
         )
         return self
 
-    def log_likelihood(self, X: ArrayLike, classes: NDArray) -> Floats:
+    def log_likelihood(self, X: ArrayLike, classes: Array) -> Floats:
         """Return log p(example | object) up to a constant, a column for each class.
 
         With its floor. An object that it does not know gets the mean over those of
         `classes` that it knows, so that it is neither favoured nor ruled out.
         """
         examples = check_array(X, dtype=np.float64)
-        known = any_log_likelihood(self.classifier_, self.scaler_.transform(examples))
+        known = self.classifier_.log_likelihood(self.scaler_.transform(examples))
         floored = with_floor(known, self.floor)
         asked = np.isin(self.classes_, classes)
         if not asked.any():
@@ -106,18 +110,8 @@ class Modality(BaseEstimator):
                 result[:, column] = floored[:, place[str(name)]]
         return result
 
-    def _fresh(self) -> Any:
-        if self.classifier is None:
-            return KernelRidgeClassifier()
-        if not hasattr(self.classifier, "predict_proba"):
-            raise TypeError(
-                "classifier must have predict_proba, got "
-                f"{type(self.classifier).__name__}. Wrap it in CalibratedClassifierCV."
-            )
-        return clone(self.classifier)
 
-
-def _refuse_few(labels: NDArray) -> None:
+def _refuse_few(labels: Array) -> None:
     names, counts = np.unique(labels, return_counts=True)
     if len(names) < 2 or counts.min() < 2:
         raise ValueError(

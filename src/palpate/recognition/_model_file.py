@@ -7,31 +7,58 @@ A file is a safetensors container whose metadata hold one JSON document.
 
 import hashlib
 import json
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
+from sklearn.decomposition import PCA
+from sklearn.preprocessing import StandardScaler
 
-from .. import __version__
+from .. import __version__, classifiers, encodings, images
+from .._durable import replacing
+from .._types import Array
+from ._contact import ContactCheck
+from ._encoder import TouchEncoder
+from ._evidence import SequenceCalibration
+from ._format_3 import from_format_3
+from ._memory import Memory
+from ._modality import Modality
+from ._unknown import UnknownScale
 
-FORMAT = 3
+FORMAT = 4
 MAX_BYTES = 4 * 2**30
 
-Tensors = dict[str, NDArray]
+Tensors = dict[str, Array]
+
+_OWN = (ContactCheck, Memory, Modality, SequenceCalibration, TouchEncoder, UnknownScale)
+_ROOMS = (classifiers, encodings, images)
+# Made anew from a stored model; making one computes, which reading a file must not.
+_NEVER_STORED = ("IndexQuality", "KernelDensityIndex", "TouchClassifier")
+
+
+def _known_classes() -> dict[str, type]:
+    """Return the classes that a model file may name: ours, and two of scikit-learn."""
+    public = {name: getattr(room, name) for room in _ROOMS for name in room.__all__}
+    known = {
+        name: item
+        for name, item in public.items()
+        if isinstance(item, type) and name not in _NEVER_STORED
+    }
+    return known | {item.__name__: item for item in (*_OWN, PCA, StandardScaler)}
+
+
+KNOWN_CLASSES = _known_classes()
 
 
 class ModelFileError(ValueError):
     """A model file that cannot be read or written, and why."""
 
 
-def write_model(path: str | Path, model: object, known: Mapping[str, type]) -> Path:
+def write_model(path: str | Path, model: object) -> Path:
     """Write `model` to `path`, all or nothing.
 
     Parameters
@@ -40,34 +67,25 @@ def write_model(path: str | Path, model: object, known: Mapping[str, type]) -> P
         Ending in `.palpate`; an existing file is replaced in one step.
     model : estimator or dataclass
         Its parameters and learnt attributes must be arrays, plain values, or
-        instances of the classes in `known`.
-    known : mapping of str to type
-        The classes that a model file may name.
+        instances of the classes in `KNOWN_CLASSES`.
     """
     target = check_model_path(path)
     tensors: Tensors = {}
-    document = json.dumps({"format": FORMAT, "model": _pack(model, tensors, known)})
+    packed = _pack_object(model, tensors)
+    document = json.dumps({"format": FORMAT, "model": packed})
     metadata = {"palpate": document, "sha256": _checksum(document, tensors)}
-    handle, name = tempfile.mkstemp(dir=target.parent, suffix=".partial")
-    os.close(handle)
-    try:
-        save_file(tensors or {"empty": np.zeros(1)}, name, metadata=metadata)
-        with Path(name).open("rb+") as written:
-            os.fsync(written.fileno())
-        Path(name).chmod(0o666 & ~_umask())
-        Path(name).replace(target)
-    finally:
-        Path(name).unlink(missing_ok=True)
+    with replacing(target) as file:
+        save_file(tensors or {"empty": np.zeros(1)}, file.name, metadata=metadata)
     return target
 
 
-def state_digest(model: object, known: Mapping[str, type]) -> str:
+def state_digest(model: object) -> str:
     """Return a SHA-256 of all that `model` is and has learnt, and of palpate's version.
 
     Two models with one digest answer alike.
     """
     tensors: Tensors = {}
-    state = json.dumps([FORMAT, __version__, _pack(model, tensors, known)])
+    state = json.dumps([FORMAT, __version__, _pack(model, tensors)])
     return _checksum(state, tensors)
 
 
@@ -86,14 +104,21 @@ def check_model_path(path: str | Path) -> Path:
     return target
 
 
-def read_model(path: str | Path, known: Mapping[str, type]) -> Any:
+def read_model(path: str | Path, also: type) -> Any:
     """Return the model that `write_model` wrote, or say what is wrong with it.
+
+    Parameters
+    ----------
+    path : str or Path
+        A `.palpate` file of this format or of format 3.
+    also : type
+        The class of the model itself, beside `KNOWN_CLASSES`.
 
     Raises
     ------
     ModelFileError
         If the file is missing, damaged, truncated, of another version, or names
-        a class that is not in `known`.
+        a class that is not known.
     """
     source = Path(path)
     if not source.is_file():
@@ -103,26 +128,29 @@ def read_model(path: str | Path, known: Mapping[str, type]) -> Any:
     if source.stat().st_size > MAX_BYTES:
         raise ModelFileError(f"{source} is larger than {MAX_BYTES} bytes; refused.")
     document, tensors = _open(source)
+    known = KNOWN_CLASSES | {also.__name__: also}
     try:
         content = json.loads(document)
-        version = content["format"]
-        if version != FORMAT:
+        version, model = content["format"], content["model"]
+        if version not in (3, FORMAT):
             raise ModelFileError(
-                f"{source} has model format {version!r}, this palpate reads {FORMAT}. "
-                "Learn again, or use the palpate that wrote it."
+                f"{source} has model format {version!r}, this palpate reads 3 and "
+                f"{FORMAT}. Learn again, or use the palpate that wrote it."
             )
-        return _unpack(content["model"], tensors, known)
+        if version == 3:
+            model = from_format_3(model)
+        return _unpack(model, tensors, known)
     except ModelFileError:
         raise
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+    except (
+        KeyError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        IndexError,
+        RecursionError,
+    ) as error:
         raise ModelFileError(f"{source} is damaged: {error}. Learn again.") from error
-
-
-def _umask() -> int:
-    """Return the umask; it can only be read by setting it."""
-    mask = os.umask(0o077)
-    os.umask(mask)
-    return mask
 
 
 def _open(source: Path) -> tuple[str, Tensors]:
@@ -155,7 +183,7 @@ def _checksum(document: str, tensors: Tensors) -> str:
     return digest.hexdigest()
 
 
-def _pack(value: object, tensors: Tensors, known: Mapping[str, type]) -> Any:
+def _pack(value: object, tensors: Tensors) -> Any:
     """Return `value` as JSON; arrays go to `tensors` under running numbers."""
     if isinstance(value, np.generic):
         value = value.item()
@@ -166,26 +194,29 @@ def _pack(value: object, tensors: Tensors, known: Mapping[str, type]) -> Any:
     if isinstance(value, np.ndarray):
         return _pack_array(value, tensors)
     if isinstance(value, list | tuple):
-        items = [_pack(item, tensors, known) for item in value]
+        items = [_pack(item, tensors) for item in value]
         return {"list" if isinstance(value, list) else "tuple": items}
-    if isinstance(value, dict):
-        pairs = [[str(k), _pack(v, tensors, known)] for k, v in value.items()]
+    if isinstance(value, Mapping):
+        pairs = [[str(k), _pack(v, tensors)] for k, v in value.items()]
         return {"dict": pairs}
-    name = type(value).__name__
-    if known.get(name) is not type(value):
+    if KNOWN_CLASSES.get(type(value).__name__) is not type(value):
         raise ModelFileError(
-            f"A model file cannot hold a {name}; it may hold "
-            f"{', '.join(sorted(known))}."
+            f"A model file cannot hold a {type(value).__name__}; it may hold "
+            f"{', '.join(sorted(KNOWN_CLASSES))}."
         )
+    return _pack_object(value, tensors)
+
+
+def _pack_object(value: object, tensors: Tensors) -> dict[str, Any]:
     params, learnt = _state(value)
     return {
-        "class": name,
-        "params": {k: _pack(v, tensors, known) for k, v in params.items()},
-        "learnt": {k: _pack(v, tensors, known) for k, v in learnt.items()},
+        "class": type(value).__name__,
+        "params": {k: _pack(v, tensors) for k, v in params.items()},
+        "learnt": {k: _pack(v, tensors) for k, v in learnt.items()},
     }
 
 
-def _pack_array(array: NDArray, tensors: Tensors) -> dict[str, Any]:
+def _pack_array(array: Array, tensors: Tensors) -> dict[str, Any]:
     if array.dtype.kind in "US":
         return {"text": array.astype(str).ravel().tolist(), "shape": list(array.shape)}
     if array.dtype.kind == "O" and all(isinstance(item, str) for item in array.flat):

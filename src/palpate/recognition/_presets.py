@@ -8,7 +8,13 @@ from sklearn.decomposition import PCA
 from sklearn.preprocessing import StandardScaler
 
 from .._checks import check_option
-from ..classifiers import MKLSVC, KernelDensityBayes, KernelRidgeClassifier
+from ..classifiers import (
+    MKLSVC,
+    FromProbabilities,
+    KernelDensityBayes,
+    KernelRidgeClassifier,
+    TouchClassifier,
+)
 from ..encodings import (
     CentroidMoments,
     EncodingUnion,
@@ -23,8 +29,7 @@ from ..encodings import (
 )
 from ..images import ArrayCleanUp, DomeCrop
 from ..touches import Touches
-from ._encoder import TouchEncoder
-from ._geometry import find_geometry
+from ._encoder import TouchEncoder, find_geometry
 
 # With fewer taxels on a side, gradients along rings have too few places.
 FINE_TAXELS = 24
@@ -46,14 +51,14 @@ class Preset:
     floor : float
         Least probability that one touch leaves to all objects together.
     calibrates_sequence : bool
-        Whether the trust in a sequence of touches is learnt, or 1.
+        Whether it is learnt how touches add up; else they simply do.
     skips_no_contact : bool
         Whether touches that look like the no-contact frame say nothing.
     """
 
     summary: str
     encoders: Callable[[Touches], dict[str, TouchEncoder]]
-    classifier: Callable[[], Any]
+    classifier: Callable[[], TouchClassifier]
     floor: float
     calibrates_sequence: bool
     skips_no_contact: bool
@@ -111,7 +116,7 @@ def _disc_steps(touches: Touches) -> list[Any]:
 PRESETS: dict[str, Preset] = {
     "default": Preset(
         summary="Our best: encoding chosen for the sensor, kernel ridge posterior, "
-        "calibrated trust.",
+        "calibrated sequences of touches.",
         encoders=_default_encoders,
         classifier=KernelRidgeClassifier,
         floor=0.01,
@@ -131,7 +136,7 @@ PRESETS: dict[str, Preset] = {
         summary="Liu et al. 2014: one press on an array, cleaned up; area, edges and "
         "Fourier descriptors fused by kernel PCA; multiple kernel learning SVM.",
         encoders=_liu2014_encoders,
-        classifier=MKLSVC,
+        classifier=lambda: FromProbabilities(MKLSVC()),
         floor=0.01,
         calibrates_sequence=True,
         skips_no_contact=True,

@@ -1,41 +1,61 @@
 """Touches -> object: the recogniser that learns touch by touch."""
 
-from collections.abc import Mapping
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
-from sklearn.base import BaseEstimator
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator, ClassifierMixin
+from sklearn.exceptions import NotFittedError
+from sklearn.utils import Tags
 
 from .._checks import check_number, check_option
-from ..touches import Touches
-from ._belief import Belief, as_touches
-from ._beside_touch import BesideTouch
-from ._calibration import (
-    calibrate,
-    draw_all,
-    left_out_log_likelihood,
-    touch_log_likelihood,
-)
+from .._types import Array, Floats
+from ..classifiers import TouchClassifier
+from ..images import Poses, PressPose
+from ..touches import Touches, TouchSource
+from ._belief import Belief, Judge
+from ._calibration import calibrate, draw_all, left_out_log_likelihood
 from ._contact import NO_CONTACT, ContactCheck, consists_of_nothing
-from ._encoder import BATCH
-from ._known import KNOWN_CLASSES
+from ._encoder import BATCH, TouchEncoder
+from ._evidence import (
+    Evidence,
+    SequenceCalibration,
+    as_touches,
+    given_prior,
+    log_posteriors,
+    with_floor,
+)
+from ._learning import encoded, encoded_and_flagged, learn_encoding, memory_of
+from ._memory import (
+    Memory,
+    blocks_in_order,
+    given_groups,
+    labelled,
+    left_out_groups,
+    named_labels,
+    training_labels,
+)
+from ._modality import Modality
 from ._model_file import ModelFileError, read_model, write_model
 from ._presets import Preset, find_preset
-from ._sequence import Evidence, Floats, SequenceCalibration, given_prior, with_floor
-from ._source import TouchSource, encoded, encoded_and_flagged, learn_encoding
-from ._training import blocks_in_order, left_out_groups, training_labels
-from ._trial_touch import try_one_touch
+from ._trial_touch import check_parts, try_one_touch
 from ._unknown import UnknownScale
 
-# Touches of one task; a multiple of the encoder's blocks, so that results are the same.
+# Touches of one task; a multiple of the encoder's batches, for the same results.
 SHARD = 4 * BATCH
-KEPT = ("features_", "labels_", "objects_", "blocks_", "nothing_", "unexplained_")
 
 
-class ObjectRecogniser(BesideTouch, BaseEstimator):
+class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     """Learns objects from labelled touches and recognises them touch by touch.
+
+    It keeps scikit-learn's contract for classifiers of images: `clone`,
+    `cross_val_score`, `GridSearchCV` and `Pipeline` take it.
 
     Parameters
     ----------
@@ -56,21 +76,18 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
 
     Attributes
     ----------
-    classes_ : ndarray of str, shape (n_objects,)
+    classes_ : ndarray of shape (n_objects,)
         The labels, sorted; the columns of `log_likelihood`.
     encoder_ : TouchEncoder
         Clean-up and encodings.
-    classifier_ : estimator
+    classifier_ : TouchClassifier
         Features -> log-likelihoods.
-    features_, labels_, objects_, blocks_, nothing_ : ndarray of n_touches rows
+    memory_ : Memory
         What is kept of the training touches.
-    unexplained_ : ndarray of shape (n_touches,)
-        How much of each training touch principal components that never met its
-        stretch leave out; NaN where the encoding has none.
     contact_ : ContactCheck
         Tells touches without contact.
     uses_no_contact_ : bool
-        Whether touches without contact are heard: where a label consists of them.
+        Whether touches without contact count: where a label consists of them.
     sequence_calibration_ : SequenceCalibration
         How touches of one episode add up.
     unknown_scale_ : UnknownScale
@@ -97,13 +114,18 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
     'pen'
     """
 
-    classes_: NDArray
+    classes_: Array
+    encoder_: TouchEncoder
+    classifier_: TouchClassifier
+    memory_: Memory
     contact_: ContactCheck
     uses_no_contact_: bool
     sequence_calibration_: SequenceCalibration
     unknown_scale_: UnknownScale
     floor_: float
     chosen_: dict[str, Any]
+    pose_: PressPose | None
+    modalities_: dict[str, Modality]
 
     def __init__(
         self,
@@ -120,15 +142,25 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
         self.prior = prior
         self.random_state = random_state
 
-    def fit(self, touches: Touches | TouchSource) -> Self:
+    def fit(
+        self,
+        X: Touches | TouchSource | ArrayLike | Sequence[Touches],
+        y: ArrayLike | None = None,
+        groups: ArrayLike | None = None,
+    ) -> Self:
         """Learn objects from labelled touches.
 
         Parameters
         ----------
-        touches : Touches or TouchSource
+        X : Touches, TouchSource, or array-like of shape (n_touches, n_rows, n_cols)
             Of a source (`TouchLibrary.select`), the encoding is learnt from some
             2000 touches and the rest are encoded piece by piece, so that their
             images are never all in memory.
+        y : array-like of shape (n_touches,), optional
+            Labels; by default the touches' own.
+        groups : array-like of shape (n_touches,), optional
+            Touches of one group (a session, a block of a recording) are left out
+            together; by default found out from session, order and object.
 
         Raises
         ------
@@ -137,22 +169,22 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
             fewer than two touches.
         """
         preset = self._check_parameters()
-        if not isinstance(touches, Touches | TouchSource):
-            raise TypeError(
-                f"touches must be Touches, got {type(touches).__name__}. "
-                "Write Touches(images, object=labels)."
-            )
+        touches = labelled(X, y, self.label)
         labels, objects = training_labels(touches, self.label)
-        group = left_out_groups(touches, labels, objects, self.label)
-        learnt = learn_encoding(preset, touches, labels, group, self.random_state)
-        self.encoder_, self.contact_ = learnt.encoder, learnt.contact
-        self.features_, self.nothing_ = learnt.features, learnt.nothing
-        self.unexplained_ = learnt.unexplained
-        self.chosen_ = learnt.chosen
-        self.labels_, self.objects_, self.blocks_ = labels, objects, group
-        self.classifier_ = preset.classifier()
-        self._learn(fresh=True)
-        self._calibrate(preset)
+        if y is not None and self.label == "object":
+            labels = objects = np.asarray(y)
+        blocks = given_groups(groups, len(labels))
+        if blocks is None:
+            blocks = left_out_groups(touches, labels, objects, self.label)
+        encoder, contact, chosen, encoding = learn_encoding(
+            preset, touches, labels, blocks, self.random_state
+        )
+        memory = memory_of(touches, encoding, labels, objects, blocks)
+        self.encoder_, self.contact_, self.chosen_ = encoder, contact, chosen
+        self.classifier_ = preset.classifier().fit(
+            memory.features, memory.labels, groups=memory.blocks
+        )
+        self._calibrate(memory)
         self.pose_, self.modalities_ = None, {}
         return self
 
@@ -172,34 +204,48 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
             If the object is known, or has fewer than two touches.
         """
         self._check_fitted()
-        if name in self.classes_:
+        if name in self._names():
             raise ValueError(
-                f"name must be new, got {name!r}, which is known already. "
-                "Forget it first, or choose another name."
+                f"name must be new, got {name!r}, which is known already. Add touches "
+                "to it with extend_object, replace it, or choose another name."
             )
-        if not isinstance(name, str) or not name:
-            raise ValueError(f"name must be a text that is not empty, got {name!r}.")
-        if not isinstance(touches, TouchSource):
-            touches = as_touches(touches)
-        if len(touches) < 2:
-            raise ValueError(f"{name!r} must have at least 2 touches, got 1.")
-        features, new, nothing = encoded(self.encoder_, self.contact_, touches)
-        labels = np.full(len(touches), name)
-        objects = labels if touches.object is None else touches.object
-        group = blocks_in_order(labels, touches.order) + self.blocks_.max() + 1
-        self.features_ = np.vstack([self.features_, features])
-        self.nothing_ = np.concatenate([self.nothing_, nothing])
-        self.unexplained_ = np.concatenate([self.unexplained_, new])
-        self.labels_ = np.concatenate([self.labels_, labels])
-        self.objects_ = np.concatenate([self.objects_, objects])
-        self.blocks_ = np.concatenate([self.blocks_, group])
-        if hasattr(self.classifier_, "add_class"):
-            self.classifier_.add_class(name, features)
-        else:
-            self._learn(fresh=False)
-        self.classes_ = np.unique(self.labels_)
-        self._calibrate(find_preset(self.preset))
-        return self
+        return self._relearn(self.memory_.plus(self._learnt(name, touches, 2)))
+
+    def extend_object(self, name: str, touches: Touches | TouchSource) -> Self:
+        """Learn more touches of a known object, beside those it has.
+
+        Parameters and errors as of `add_object`, but the object must be known, and one
+        touch is enough.
+        """
+        self._check_fitted()
+        check_option("name", name, self._names())
+        return self._relearn(self.memory_.plus(self._learnt(name, touches, 1)))
+
+    def replace_objects(
+        self, touches: Touches | TouchSource | None, forget: Iterable[str] = ()
+    ) -> Self:
+        """Learn objects anew, in place of what was known of them, and forget others.
+
+        Parameters
+        ----------
+        touches : Touches, TouchSource or None
+            Labelled touches of known or new objects, two of each at least.
+        forget : iterable of str
+            Names that are forgotten; unknown ones are passed over.
+
+        Raises
+        ------
+        ValueError
+            If fewer than two objects would remain, or labels are missing.
+        """
+        self._check_fitted()
+        memory = self.memory_.without(forget)
+        if touches is not None:
+            for name in np.unique(named_labels(touches, self.label)).tolist():
+                mine = np.flatnonzero(named_labels(touches, self.label) == name)
+                some = touches[mine]
+                memory = memory.replaced(self._learnt(name, some, 2))
+        return self._relearn(memory)
 
     def forget_object(self, name: str) -> Self:
         """Forget one object; the others are as before.
@@ -210,75 +256,76 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
             If it is not known, or fewer than two would remain.
         """
         self._check_fitted()
-        check_option("name", name, self.classes_.tolist())
-        if len(self.classes_) < 3:
-            raise ValueError(
-                f"At least two objects must remain, cannot forget {name!r}. "
-                "Add another object first."
-            )
-        keep = self.labels_ != name
-        for attribute in KEPT:
-            setattr(self, attribute, getattr(self, attribute)[keep])
-        if hasattr(self.classifier_, "forget_class"):
-            self.classifier_.forget_class(name)
-        else:
-            self._learn(fresh=False)
-        self.classes_ = np.unique(self.labels_)
-        self._calibrate(find_preset(self.preset))
-        return self
+        check_option("name", name, self._names())
+        return self._relearn(self.memory_.without([name]))
+
+    def predict(self, X: Touches | ArrayLike) -> Array:
+        """Return the most probable label after each touch alone, (n_touches,)."""
+        best = self.predict_log_proba(X).argmax(axis=1)
+        return np.asarray(self.classes_[best])
+
+    def predict_proba(self, X: Touches | ArrayLike) -> Floats:
+        """Return the belief after each touch alone, shape (n_touches, n_objects)."""
+        return np.exp(self.predict_log_proba(X))
+
+    def predict_log_proba(self, X: Touches | ArrayLike) -> Floats:
+        """Return the log belief after each touch alone, (n_touches, n_objects)."""
+        floored = with_floor(self.log_likelihood(as_touches(X)), self.floor_)
+        alone = floored[:, np.newaxis]
+        return log_posteriors(alone, self.log_prior(), self.sequence_calibration_)[:, 0]
+
+    def score(
+        self,
+        X: Touches | ArrayLike,
+        y: ArrayLike | None = None,
+        sample_weight: ArrayLike | None = None,
+    ) -> float:
+        """Return the share of single touches that are recognised.
+
+        `y` (n_touches,) are the labels, by default the touches' own.
+        """
+        truth = named_labels(as_touches(X), self.label) if y is None else y
+        return float(super().score(X, truth, sample_weight))
 
     def log_likelihood(self, touches: Touches) -> Floats:
         """Return log p(touch | object) up to a constant per touch (nats).
 
         Shape (n_touches, n_objects), columns as in `classes_`; neither floor nor
-        trust is in it yet. The row of a touch without contact is all zeros, see
-        `uses_no_contact_`.
+        sequence calibration is in it yet. The row of a touch without contact is all
+        zeros, see `uses_no_contact_`.
         """
         return self.evidence(touches).log_likelihood
 
-    def flags(self, touches: Touches) -> list[str]:
-        """Return what is wrong with each touch, "" for most; see `ContactCheck.flags`.
+    def left_out_log_likelihood(self) -> Floats:
+        """Return `log_likelihood` of training touches, each with its block left out.
 
-        A touch marked "no contact" is not heard; the others are.
+        Shape (n_touches, n_objects), rows as in `memory_`; touches without contact are
+        recognised like any other.
         """
-        return self.evidence(touches).flags
+        self._check_fitted()
+        return left_out_log_likelihood(self.classifier_)
 
     def evidence(self, touches: Touches) -> Evidence:
         """Return all that touches tell; see `Evidence`.
 
-        Many touches are felt in shards of 1024, wherever `joblib.parallel_config` says.
+        Many touches are encoded in shards of 1024, wherever `joblib.parallel_config`
+        says.
         """
         self._check_fitted()
         given = as_touches(touches)
         if len(given) <= SHARD:
-            return self._evidence_shard(given)
+            return self._evidence_of(given)
         from joblib import Parallel, delayed
 
         shards = (given[start : start + SHARD] for start in range(0, len(given), SHARD))
         return Evidence.together(
-            Parallel()(delayed(self._evidence_shard)(s) for s in shards)
+            Parallel()(delayed(self._evidence_of)(shard) for shard in shards)
         )
-
-    def _evidence_shard(self, touches: Touches) -> Evidence:
-        features, new, flags = encoded_and_flagged(
-            self.encoder_, self.contact_, touches
-        )
-        nothing = np.array(flags) == NO_CONTACT
-        heard = self._used(self.feature_log_likelihood(features), nothing)
-        return Evidence(features, heard, flags, new)
-
-    def feature_log_likelihood(self, features: Floats) -> Floats:
-        """Return log-likelihoods of features, of touches taken to be in contact."""
-        return touch_log_likelihood(self.classifier_, features)
 
     def log_prior(self) -> Floats:
         """Return the log prior of the objects (nats), shape (n_objects,)."""
         self._check_fitted()
-        if self.prior == "uniform":
-            return np.full(len(self.classes_), -np.log(len(self.classes_)))
-        counts = np.unique(self.labels_, return_counts=True)[1]
-        log_shares: Floats = np.log(counts / counts.sum())
-        return log_shares
+        return self._log_prior(self.memory_)
 
     def start(self, prior: Mapping[str, float] | None = None) -> Belief:
         """Return the belief before the first touch of an episode.
@@ -289,35 +336,131 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
             How probable each object is, all of them, positive; brought to sum 1. By
             default as the parameter `prior` says.
         """
+        judge = self.judge()
+        log_prior = None if prior is None else given_prior(prior, judge.classes)
+        return Belief(judge, self.evidence, log_prior)
+
+    def judge(self) -> Judge:
+        """Return what beliefs are made by."""
         self._check_fitted()
-        return Belief(
-            self, None if prior is None else given_prior(prior, self.classes_)
+        return Judge(
+            classes=self.classes_.astype(str),
+            log_prior=self.log_prior(),
+            floor=self.floor_,
+            sequence_calibration=self.sequence_calibration_,
+            unknown_scale=self.unknown_scale_,
+            senses=self.modalities_,
+            memory=self.memory_,
         )
 
-    def refusal_threshold(self, n_touches: int, error: float = 0.05) -> float:
-        """Return the unknown score above which `Belief.decide(error)` says "unknown".
+    def fit_pose(self, touches: Touches, pitch_mm: float | None = None) -> Self:
+        """Learn also where and how parts lie on a pressure array.
 
-        Stricter than `unknown_threshold`: of known episodes that are asked about after
-        every touch, in all a share `error` is refused.
+        Parameters
+        ----------
+        touches : Touches
+            The training touches; a column `angle_deg` fixes what is reported as 0.
+        pitch_mm : float, optional
+            Distance of neighbouring taxels in mm; by default the touches' own
+            `set_pitch_mm`.
+
+        Raises
+        ------
+        ValueError
+            If no pitch is known.
         """
         self._check_fitted()
-        return self.unknown_scale_.refusal_threshold(n_touches, error)
+        pitch = touches.whole.get("set_pitch_mm") if pitch_mm is None else pitch_mm
+        if pitch is None:
+            raise ValueError(
+                "pitch_mm must be given to learn poses, got None, and the touches have "
+                "no 'set_pitch_mm'; pass the distance of neighbouring taxels."
+            )
+        self.pose_ = PressPose(pitch_mm=float(pitch)).fit(
+            touches.images,
+            training_labels(touches, self.label)[0],
+            touches.columns.get("angle_deg"),
+        )
+        return self
 
-    def unknown_threshold(self, n_touches: int, refused: float = 0.05) -> float:
-        """Return the unknown score that a share `refused` of known episodes exceeds.
+    def pose(self, touches: Touches, labels: ArrayLike) -> Poses:
+        """Return place and angle of presses of known parts; see `PressPose.estimate`.
 
-        Learnt from left-out training touches; between the lengths that were
-        simulated it is interpolated, beyond them it stays.
+        Parameters
+        ----------
+        touches : Touches
+            Presses on the array that the poses were learnt on.
+        labels : array-like of shape (n_touches,)
+            What each is taken for.
+
+        Raises
+        ------
+        ValueError
+            If poses were not learnt, or a label was not among them.
         """
         self._check_fitted()
-        return self.unknown_scale_.threshold(n_touches, refused)
+        if self.pose_ is None:
+            raise ValueError(
+                "This recogniser has learnt no poses; call fit_pose, or learn with "
+                "--pitch-mm."
+            )
+        return self.pose_.estimate(touches.images, labels)
+
+    def learn_modality(
+        self,
+        name: str,
+        X: ArrayLike,
+        y: ArrayLike,
+        *,
+        groups: ArrayLike | None = None,
+        classifier: Any = None,
+    ) -> Self:
+        """Learn another sense of the same objects, such as photographs.
+
+        It enters a belief by `Belief.update_sense`; a belief without it is as before.
+
+        Parameters
+        ----------
+        name : str
+            What to call it, such as "sight".
+        X, y : array-like of shape (n_examples, n_features) and (n_examples,)
+            Examples and labels; objects without examples are neither favoured nor
+            ruled out.
+        groups : array-like of shape (n_examples,), optional
+            Examples that resemble each other are left out together to find how
+            their evidence adds up.
+        classifier : classifier with `predict_proba`, optional
+            See `Modality`.
+        """
+        self._check_fitted()
+        modality = Modality(classifier, random_state=self.random_state)
+        modality.fit(X, y, groups)
+        self.modalities_ = {**self.modalities_, _checked_name(name): modality}
+        return self
+
+    def remember_sensor(self, values: Mapping[str, Any] | None) -> Self:
+        """Keep what the sensor was like, as plain values; it travels with the model."""
+        self._check_fitted()
+        self.memory_ = replace(self.memory_, sensor=values)
+        return self
+
+    def summary(self) -> dict[str, Any]:
+        """Return what was learnt, as plain values for people and for JSON."""
+        self._check_fitted()
+        return {
+            "preset": self.preset,
+            "label": self.label,
+            "n_labels": len(self.classes_),
+            "n_train_touches": len(self.memory_),
+            "n_features": self.memory_.features.shape[1],
+            "labels": self._names(),
+            "chosen": self.chosen_,
+        }
 
     def save(self, path: str | Path) -> Path:
         """Write the recogniser to a `.palpate` file, all or nothing."""
         self._check_fitted()
-        return write_model(
-            path, self, {**KNOWN_CLASSES, type(self).__name__: type(self)}
-        )
+        return write_model(path, self)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -328,14 +471,87 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
         ModelFileError
             If the file is missing, damaged, of another version, or no recogniser.
         """
-        model = read_model(path, {**KNOWN_CLASSES, cls.__name__: cls})
+        model = read_model(path, also=cls)
         if not isinstance(model, cls):
             raise ModelFileError(f"{path} holds no object recogniser.")
         try:
-            try_one_touch(model)
+            model._check_parameters()
+            check_parts(model.judge(), model.encoder_.image_shape_, model.pose_)
+            blank = model.evidence(Touches(np.zeros((1, *model.encoder_.image_shape_))))
+            row = model.classifier_.log_likelihood(blank.features)
+            try_one_touch(model.start(), blank, row)
         except Exception as error:
             raise ModelFileError(f"{path} is damaged: {error}. Learn again.") from error
         return model
+
+    def _learnt(self, name: str, touches: Touches | TouchSource, least: int) -> Memory:
+        """Encode touches of one object, whatever they are labelled."""
+        given = touches if isinstance(touches, TouchSource) else as_touches(touches)
+        _checked_name(name)
+        if len(given) < least:
+            raise ValueError(
+                f"{name!r} must have at least {least} touches, got {len(given)}."
+            )
+        labels = np.full(len(given), name)
+        objects = labels if given.object is None else given.object
+        blocks = blocks_in_order(labels, given.order)
+        encoding = encoded(self.encoder_, self.contact_, given)
+        return memory_of(given, encoding, labels, objects, blocks)
+
+    def _relearn(self, memory: Memory) -> Self:
+        """Learn a memory with the encoding and the choices made; all or nothing."""
+        if len(memory.classes) < 2:
+            raise ValueError(
+                "At least two objects must remain, got only "
+                f"{memory.classes.tolist()}. Add another object first."
+            )
+        classifier = copy(self.classifier_).refit(
+            memory.features, memory.labels, groups=memory.blocks
+        )
+        self.classifier_ = classifier
+        self._calibrate(memory)
+        return self
+
+    def _calibrate(self, memory: Memory) -> None:
+        """Set memory, floor, sequence calibration and unknown scale."""
+        preset = find_preset(self.preset)
+        self.memory_, self.classes_ = memory, memory.classes
+        self.floor_ = preset.floor if self.floor is None else float(self.floor)
+        self.uses_no_contact_ = not preset.skips_no_contact or consists_of_nothing(
+            memory.labels, memory.nothing
+        )
+        left_out = left_out_log_likelihood(self.classifier_)
+        self.sequence_calibration_, self.unknown_scale_ = calibrate(
+            with_floor(self._used(left_out, memory.nothing), self.floor_),
+            memory.unexplained,
+            np.searchsorted(self.classes_, memory.labels),
+            draw_all(memory.objects, memory.blocks, self.random_state),
+            self._log_prior(memory),
+            calibrates_sequence=preset.calibrates_sequence,
+        )
+
+    def _evidence_of(self, touches: Touches) -> Evidence:
+        encoding = self.encoder_, self.contact_
+        features, new, flags = encoded_and_flagged(*encoding, touches)
+        nothing = np.array(flags) == NO_CONTACT
+        used = self._used(self.classifier_.log_likelihood(features), nothing)
+        return Evidence(features, used, flags, new)
+
+    def _used(self, log_likelihood: Floats, nothing: NDArray[np.bool_]) -> Floats:
+        """Let touches without contact say nothing, unless a label consists of them."""
+        if self.uses_no_contact_:
+            return log_likelihood
+        return np.where(nothing[:, np.newaxis], 0.0, log_likelihood)
+
+    def _log_prior(self, memory: Memory) -> Floats:
+        counts = np.unique(memory.labels, return_counts=True)[1]
+        if self.prior == "uniform":
+            return np.full(len(counts), -np.log(len(counts)))
+        log_shares: Floats = np.log(counts / counts.sum())
+        return log_shares
+
+    def _names(self) -> list[str]:
+        return [str(name) for name in self.classes_]
 
     def _check_parameters(self) -> Preset:
         check_option("label", self.label, ("object", "category"))
@@ -345,41 +561,20 @@ class ObjectRecogniser(BesideTouch, BaseEstimator):
         return find_preset(self.preset)
 
     def _check_fitted(self) -> None:
-        if not hasattr(self, "classes_"):
-            raise ValueError("This recogniser has learnt nothing yet; call fit first.")
+        if not hasattr(self, "memory_"):
+            raise NotFittedError(
+                "This recogniser has learnt nothing yet; call fit first."
+            )
 
-    def _learn(self, *, fresh: bool) -> None:
-        """Fit the classifier to the kept features; not fresh keeps its choices."""
-        fit = self.classifier_.fit
-        if not fresh and hasattr(self.classifier_, "refit"):
-            fit = self.classifier_.refit
-        if hasattr(self.classifier_, "left_out_log_likelihood"):
-            fit(self.features_, self.labels_, groups=self.blocks_)
-        else:
-            fit(self.features_, self.labels_)
-        self.classes_ = np.unique(self.labels_)
+    def __sklearn_tags__(self) -> Tags:
+        tags = super().__sklearn_tags__()
+        tags.input_tags.two_d_array = False
+        tags.input_tags.three_d_array = True
+        tags.input_tags.allow_nan = True
+        return tags
 
-    def _calibrate(self, preset: Preset) -> None:
-        """Set floor, sequence calibration and unknown scale by left-out touches."""
-        self.floor_ = preset.floor if self.floor is None else float(self.floor)
-        self.uses_no_contact_ = not preset.skips_no_contact or consists_of_nothing(
-            self.labels_, self.nothing_
-        )
-        log_likelihood = left_out_log_likelihood(
-            self.classifier_, self.features_, self.labels_, self.blocks_
-        )
-        floored = with_floor(self._used(log_likelihood, self.nothing_), self.floor_)
-        self.sequence_calibration_, self.unknown_scale_ = calibrate(
-            floored,
-            self.unexplained_,
-            np.searchsorted(self.classes_, self.labels_),
-            draw_all(self.objects_, self.blocks_, self.random_state),
-            self.log_prior(),
-            calibrates_sequence=preset.calibrates_sequence,
-        )
 
-    def _used(self, log_likelihood: Floats, nothing: NDArray) -> Floats:
-        """Let touches without contact say nothing, unless a label consists of them."""
-        if self.uses_no_contact_:
-            return log_likelihood
-        return np.where(nothing[:, np.newaxis], 0.0, log_likelihood)
+def _checked_name(name: object) -> str:
+    if not isinstance(name, str) or not name:
+        raise ValueError(f"name must be a text that is not empty, got {name!r}.")
+    return name

@@ -1,42 +1,48 @@
 """A model that was read is tried on a blank touch before anyone relies on it."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from .._checks import check_number, check_option
+from .._checks import check_number
+from .._types import Floats
 from ..images import PressPose
-from ..touches import Touches
+from ._belief import Belief, Judge
+from ._evidence import Evidence, SequenceCalibration
+from ._memory import Memory
 from ._modality import Modality
-from ._presets import find_preset
-from ._sequence import SequenceCalibration
 from ._unknown import UnknownScale
-
-if TYPE_CHECKING:
-    from ._recogniser import ObjectRecogniser
 
 MAX_PIXELS = 50_000_000
 
 
-def try_one_touch(recogniser: ObjectRecogniser) -> None:
-    """Recognise blank touches, so that a model that cannot work is found now."""
-    _check_kept(recogniser)
-    _check_trust(recogniser.sequence_calibration_)
-    _check_scale(recogniser.unknown_scale_, len(recogniser.classes_))
-    _check_others(recogniser)
-    blank = Touches(np.zeros((1, *recogniser.encoder_.image_shape_)))
-    evidence = recogniser.evidence(blank)
-    # A blank touch may count as no contact, whose row is zeros whatever the classifier.
-    row = recogniser.feature_log_likelihood(evidence.features)
-    if row.shape != (1, len(recogniser.classes_)) or not np.isfinite(row).all():
+def check_parts(judge: Judge, image_shape: tuple[int, int], pose: object) -> None:
+    """Refuse a model whose parts are of the wrong kind, or do not fit together."""
+    n_rows, n_cols = image_shape
+    if not 0 < n_rows * n_cols <= MAX_PIXELS:
+        raise ValueError(f"images of {n_rows} x {n_cols} are none")
+    _check_memory(judge.memory)
+    if not np.array_equal(judge.classes, judge.memory.classes.astype(str)):
+        raise ValueError("its objects are not those of its touches")
+    _check_calibration(judge.sequence_calibration)
+    _check_scale(judge.unknown_scale, len(judge.classes))
+    check_number("floor_", judge.floor, low=0, high=0.5)
+    if not isinstance(pose, PressPose | None):
+        raise TypeError(f"pose_ is a {type(pose).__name__}")
+    for name, sense in judge.senses.items():
+        if not isinstance(sense, Modality):
+            raise TypeError(f"{name} is a {type(sense).__name__}")
+        _check_calibration(sense.sequence_calibration_)
+
+
+def try_one_touch(belief: Belief, blank: Evidence, log_likelihood: Floats) -> None:
+    """Take in a blank touch twice, so that a model that cannot work is found now.
+
+    A blank touch may count as no contact, whose row is zeros whatever the classifier:
+    so `log_likelihood` (1, n_objects) is what the classifier itself says of it.
+    """
+    if not np.isfinite(log_likelihood).all():
         raise ValueError("its parts do not fit together")
-    belief = recogniser.start()
     for _ in range(2):
-        belief.update_from_log_likelihood(
-            row, features=evidence.features, novelty=evidence.novelty
-        )
+        belief.update(blank._replace(log_likelihood=log_likelihood))
     if abs(sum(belief.posterior.values()) - 1) > 1e-6:
         raise ValueError("its belief does not sum to one")
     if not 0 <= belief.unknown <= 1:
@@ -45,27 +51,21 @@ def try_one_touch(recogniser: ObjectRecogniser) -> None:
     belief.explain()
 
 
-def _check_kept(recogniser: ObjectRecogniser) -> None:
-    n_rows, n_cols = recogniser.encoder_.image_shape_
-    kept = (
-        recogniser.features_,
-        recogniser.labels_,
-        recogniser.objects_,
-        recogniser.nothing_,
-        recogniser.unexplained_,
-    )
-    rows = {len(array) for array in kept}
-    if not (0 < n_rows * n_cols <= MAX_PIXELS and rows == {len(recogniser.blocks_)}):
+def _check_memory(memory: object) -> None:
+    if not isinstance(memory, Memory):
+        raise TypeError(f"memory_ is a {type(memory).__name__}")
+    columns = [v for k, v in vars(memory).items() if k != "sensor"]
+    if {len(column) for column in columns} != {len(memory)} or not len(memory):
         raise ValueError("its sizes do not agree")
-    if not np.isfinite(recogniser.features_).all():
+    if not np.isfinite(memory.features).all():
         raise ValueError("its features hold NaN or infinity")
 
 
-def _check_trust(trust: object) -> None:
-    if not isinstance(trust, SequenceCalibration):
-        raise TypeError(f"trust is a {type(trust).__name__}")
-    check_number("strength", trust.strength, low=0, high=100)
-    check_number("correlation", trust.correlation, low=0, high=1)
+def _check_calibration(calibration: object) -> None:
+    if not isinstance(calibration, SequenceCalibration):
+        raise TypeError(f"a sequence calibration is a {type(calibration).__name__}")
+    check_number("strength", calibration.strength, low=0, high=100)
+    check_number("correlation", calibration.correlation, low=0, high=1)
 
 
 def _check_scale(scale: object, n_objects: int) -> None:
@@ -85,16 +85,3 @@ def _check_scale(scale: object, n_objects: int) -> None:
         values = getattr(scale, name)
         if values.shape != shape or not np.isfinite(values).all():
             raise ValueError(f"{name} of its unknown scale is no such table")
-
-
-def _check_others(recogniser: ObjectRecogniser) -> None:
-    find_preset(recogniser.preset)
-    check_option("label", recogniser.label, ("object", "category"))
-    check_option("prior", recogniser.prior, ("uniform", "counts"))
-    check_number("floor_", recogniser.floor_, low=0, high=0.5)
-    if not isinstance(recogniser.pose_, PressPose | None):
-        raise TypeError(f"pose_ is a {type(recogniser.pose_).__name__}")
-    for name, sense in recogniser.modalities_.items():
-        if not isinstance(sense, Modality):
-            raise TypeError(f"{name} is a {type(sense).__name__}")
-        _check_trust(sense.sequence_calibration_)

@@ -13,13 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logsumexp, ndtri
 
-from ._sequence import (
-    Floats,
-    SequenceCalibration,
-    doubts,
-    log_posteriors,
-    n_informative,
-)
+from .._types import Array, Floats
+from ._evidence import SequenceCalibration, doubts, is_informative, log_posteriors
 
 # Touches after which someone who asks after every one has stopped asking.
 MOST_ASKED = 20
@@ -94,18 +89,43 @@ class UnknownScale:
             Between 0 and 1, higher is less known; about 0.04 for a middling known
             episode and 0.5 for one in twenty. 0 before any touch said something.
         """
-        count = n_informative(floored)
-        doubt, misfit = _doubt_and_misfit(
-            log_posterior, floored, self.usual, self.spread
+        used = is_informative(floored)
+        given = np.where(used[..., np.newaxis], np.exp(floored), 0.0).cumsum(axis=-2)
+        new = None if novelty is None else _mean_novelty(novelty, used)
+        return self.score(
+            log_posterior, np.cumsum(used, axis=-1, dtype=np.intp), given, new
         )
-        fit = self._standard(doubt, count, 0) + self._standard(misfit, count, 1)
-        strange = fit / np.interp(count, self.lengths, self.together)
-        if novelty is not None:
-            new = self._standard(_mean_novelty(novelty, floored), count, 2) - _NO_SIGN
-            strange = np.fmax(strange, new)
-        return np.where(count > 0, expit(2 * (strange - _ONE_IN_TWENTY)), 0.0)
 
-    def _standard(self, values: Floats, count: Floats, column: int) -> Floats:
+    def score(
+        self,
+        log_posterior: Floats,
+        count: NDArray[np.intp],
+        given: Floats,
+        novelty: Floats | None,
+    ) -> Floats:
+        """Return `scores` from sums over the touches so far that said anything.
+
+        Parameters
+        ----------
+        log_posterior : ndarray of shape (..., n_objects)
+            The belief.
+        count : ndarray of int, shape (...,)
+            Number of those touches.
+        given : ndarray of shape (..., n_objects)
+            Sum of the probabilities that they give each object.
+        novelty : ndarray of shape (...,) or None
+            Mean of what they leave unexplained, NaN where none told it.
+        """
+        doubt = _doubt(log_posterior)
+        misfit = _misfit(log_posterior, count, given, self.usual, self.spread)
+        fit = self._standard(doubt, count, 0) + self._standard(misfit, count, 1)
+        unlike = fit / np.interp(count, self.lengths, self.together)
+        if novelty is not None:
+            new = self._standard(novelty, count, 2) - _NO_SIGN
+            unlike = np.fmax(unlike, new)
+        return np.where(count > 0, expit(2 * (unlike - _ONE_IN_TWENTY)), 0.0)
+
+    def _standard(self, values: Floats, count: NDArray[np.intp], column: int) -> Floats:
         mean = np.interp(count, self.lengths, self.mean[:, column])
         deviation = np.interp(count, self.lengths, self.deviation[:, column])
         standard: Floats = (values - mean) / deviation
@@ -133,35 +153,42 @@ class UnknownScale:
 def fit_unknown_scale(
     floored: Floats,
     novelty: Floats,
-    codes: NDArray,
-    episodes: Mapping[int, NDArray],
+    codes: Array,
+    episodes: Mapping[int, Array],
     log_prior: Floats,
-    trust: SequenceCalibration,
+    calibration: SequenceCalibration,
 ) -> UnknownScale:
     """Learn what known episodes look like.
 
     Parameters
     ----------
     floored : ndarray of shape (n_touches, n_objects)
-        Log-likelihoods of training touches, each with its stretch left out.
+        Log-likelihoods of training touches, each with its block left out.
     novelty : ndarray of shape (n_touches,)
-        How much of them is unexplained, with their stretch left out; may be NaN.
+        How much of them is unexplained, with their block left out; may be NaN.
     codes : ndarray of int, shape (n_touches,)
         Column of each touch's own object.
     episodes : mapping of int to ndarray
         Rows of touches per length, (n_episodes, length).
     log_prior : ndarray of shape (n_objects,)
-    trust : SequenceCalibration
+    calibration : SequenceCalibration
     """
     usual, spread = _own_touches(floored, codes)
     beliefs = {
-        k: log_posteriors(floored[rows], log_prior, trust)
+        k: log_posteriors(floored[rows], log_prior, calibration)
         for k, rows in episodes.items()
     }
     means, deviations, together = [], [], []
     for k, rows in episodes.items():
-        parts = _doubt_and_misfit(beliefs[k], floored[rows], usual, spread)
-        signs = [*parts, _mean_novelty(novelty[rows], floored[rows])]
+        used = is_informative(floored[rows])
+        given = np.where(used[..., np.newaxis], np.exp(floored[rows]), 0.0)
+        count = np.cumsum(used, axis=-1, dtype=np.intp)
+        given = np.cumsum(given, axis=-2)
+        signs = [
+            _doubt(beliefs[k]),
+            _misfit(beliefs[k], count, given, usual, spread),
+            _mean_novelty(novelty[rows], used),
+        ]
         ends = np.stack([sign[:, -1] for sign in signs], axis=1)
         # Episodes of which no touch said anything have no novelty.
         ends = np.where(np.isnan(ends), np.nanmean([0, *ends[:, -1]]), ends)
@@ -240,41 +267,46 @@ def _naming_limits(limits: Floats) -> Floats:
     return np.maximum(one_in_five, _LEAST_NAMING_LIMIT)
 
 
-def _own_touches(floored: Floats, codes: NDArray) -> tuple[Floats, Floats]:
+def _own_touches(floored: Floats, codes: Array) -> tuple[Floats, Floats]:
     """Mean and spread, per object, of the probability that its own touches give it."""
-    heard = floored.max(axis=1) > floored.min(axis=1)
+    used = is_informative(floored)
     own = np.exp(floored[np.arange(len(codes)), codes])
     usual, spread = np.empty(floored.shape[1]), np.empty(floored.shape[1])
     for code in range(floored.shape[1]):
-        mine = own[(codes == code) & heard]
+        mine = own[(codes == code) & used]
         mine = mine if len(mine) else own[codes == code]
         usual[code], spread[code] = mine.mean(), mine.std() + _LEAST_SPREAD
     return usual, spread
 
 
-def _doubt_and_misfit(
-    log_posterior: Floats, floored: Floats, usual: Floats, spread: Floats
-) -> tuple[Floats, Floats]:
-    """Log odds against the best object; how far its touches fall short of its own.
-
-    Each of shape (..., n_touches); the misfit in standard errors of a mean of
-    independent touches.
-    """
+def _doubt(log_posterior: Floats) -> Floats:
+    """Log odds against the best object, shape (...,)."""
     ranked = np.sort(log_posterior, axis=-1)
     odds = logsumexp(ranked[..., :-1], axis=-1) - ranked[..., -1]
-    doubt: Floats = np.clip(odds, -_MOST_DOUBT, _MOST_DOUBT)
+    return np.clip(odds, -_MOST_DOUBT, _MOST_DOUBT)
+
+
+def _misfit(
+    log_posterior: Floats,
+    count: NDArray[np.intp],
+    given: Floats,
+    usual: Floats,
+    spread: Floats,
+) -> Floats:
+    """How far the touches fall short of those of the best object, shape (...,).
+
+    In standard errors of a mean of independent touches; see `UnknownScale.score`.
+    """
     best = log_posterior.argmax(axis=-1)
-    says = floored.max(axis=-1, keepdims=True) > floored.min(axis=-1, keepdims=True)
-    summed = np.cumsum(np.where(says, np.exp(floored), 0.0), axis=-2)
-    given = np.take_along_axis(summed, best[..., np.newaxis], axis=-1)[..., 0]
-    count = np.maximum(n_informative(floored), 1)
-    misfit: Floats = (usual[best] - given / count) / spread[best] * np.sqrt(count)
-    return doubt, misfit
+    own = np.take_along_axis(given, best[..., np.newaxis], axis=-1)[..., 0]
+    n = np.maximum(count, 1)
+    misfit: Floats = (usual[best] - own / n) / spread[best] * np.sqrt(n)
+    return misfit
 
 
-def _mean_novelty(novelty: Floats, floored: Floats) -> Floats:
+def _mean_novelty(novelty: Floats, used: NDArray[np.bool_]) -> Floats:
     """Mean over the touches so far that said anything and told it; NaN for none."""
-    tells = (floored.max(axis=-1) > floored.min(axis=-1)) & ~np.isnan(novelty)
+    tells = used & ~np.isnan(novelty)
     count = np.cumsum(tells, axis=-1)
     total = np.cumsum(np.where(tells, novelty, 0.0), axis=-1)
     mean: Floats = np.where(count > 0, total / np.maximum(count, 1), np.nan)

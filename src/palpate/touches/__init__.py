@@ -10,11 +10,13 @@ from ._columns import GEOMETRIES
 from ._decode import decode_bytes
 from ._errors import TouchesError
 from ._folder import read_folder
+from ._source import TouchSource
 from ._touches import Episode, Touches
 
 __all__ = [
     "GEOMETRIES",
     "Episode",
+    "TouchSource",
     "Touches",
     "TouchesError",
     "decode_bytes",

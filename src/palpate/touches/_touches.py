@@ -216,6 +216,11 @@ class Touches:
         return self._columns.get("session")
 
     @property
+    def touch_id(self) -> NDArray[np.str_] | None:
+        """Where each touch lies in a library, shape (n_touches,), or None."""
+        return self._columns.get("touch_id")
+
+    @property
     def no_contact(self) -> NDArray[Any] | None:
         """Image of no contact, shape (n_rows, n_cols), or None."""
         return self._whole.get("no_contact")

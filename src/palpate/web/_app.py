@@ -1,18 +1,27 @@
-"""The application: one session, its API, its websocket and one page."""
+"""The application: one session, its API, its websocket and one page.
 
+What a session refuses becomes an answer here: 409 for what cannot be done now, 422
+for what was not asked well, 507 where the disk has no room.
+"""
+
+import errno
+import sqlite3
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
 from fastapi import FastAPI, Request, Response, WebSocket
-from fastapi.responses import FileResponse, RedirectResponse
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import FileResponse, JSONResponse, RedirectResponse
 from fastapi.staticfiles import StaticFiles
+from starlette.middleware.base import RequestResponseEndpoint
 
-from ._guard import COOKIE, Guard
-from ._hub import Hub
-from ._refusals import explain_refusals
-from ._routes import api
+from ..sensors import ContactError, SensorError
+from ._learning import LearningError
+from ._request_guard import COOKIE, RequestGuard
+from ._routes import router
 from ._session import LiveSession
+from ._websocket import Hub
 
 STATIC = Path(__file__).parent / "static"
 _RULES = (
@@ -26,6 +35,8 @@ _HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
 }
+_NOT_NOW = (ContactError, SensorError, LearningError)
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 
 def build_app(
@@ -48,17 +59,15 @@ def build_app(
         docs_url=None,
         redoc_url=None,
         lifespan=lifespan,
+        exception_handlers={
+            RequestValidationError: _malformed,
+            **dict.fromkeys((*_NOT_NOW, ValueError, TypeError, OSError), _refused),
+        },
     )
-    explain_refusals(app)
+    app.state.session = session
     hub = Hub(session)
-    app.include_router(api(session))
-
-    @app.middleware("http")
-    async def with_headers(request: Request, call_next):  # type: ignore[no-untyped-def]
-        response = await call_next(request)
-        for name, value in _HEADERS.items():
-            response.headers.setdefault(name, value)
-        return response
+    app.include_router(router)
+    app.middleware("http")(_with_headers)
 
     @app.get("/", include_in_schema=False)
     async def page(request: Request) -> Response:
@@ -73,5 +82,48 @@ def build_app(
         await hub.serve(socket)
 
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
-    app.add_middleware(Guard, token=token, max_body=max_body, rate_hz=rate_hz)
+    app.add_middleware(RequestGuard, token=token, max_body=max_body, rate_hz=rate_hz)
     return app
+
+
+async def _with_headers(
+    request: Request, call_next: RequestResponseEndpoint
+) -> Response:
+    response = await call_next(request)
+    for name, value in _HEADERS.items():
+        response.headers.setdefault(name, value)
+    return response
+
+
+async def _refused(request: Request, error: Exception) -> JSONResponse:
+    status, detail = 507 if _lacks_room(error) else 422, str(error)
+    if isinstance(error, _NOT_NOW):
+        status = 409
+    elif isinstance(error, OSError):
+        reason = error.strerror or error
+        status, detail = 507, f"The disk cannot be written to: {reason}. Free space."
+    return JSONResponse({"detail": detail}, status)
+
+
+async def _malformed(request: Request, error: Exception) -> JSONResponse:
+    """Say what is wrong with a request, in valid JSON and without repeating it."""
+    assert isinstance(error, RequestValidationError)
+    detail = [
+        {key: str(one[key]) for key in ("msg", "type")}
+        | {"loc": [*map(str, one["loc"])]}
+        for one in error.errors()[:10]
+    ]
+    return JSONResponse({"detail": detail}, 422)
+
+
+def _lacks_room(error: BaseException) -> bool:
+    """Whether something failed because the disk would not be written to."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in _NO_ROOM:
+            return True
+        if isinstance(cause, sqlite3.Error):
+            code = getattr(cause, "sqlite_errorcode", 0) & 0xFF
+            return code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR)
+        cause = cause.__cause__
+    return False

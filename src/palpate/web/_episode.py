@@ -1,14 +1,23 @@
-"""One episode as it goes: its touches, the belief after each, the decision."""
+"""One episode as it goes: touches, the belief after each, decision, report."""
 
+import base64
 import time
+from collections.abc import Collection
 from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+from string import Template
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .._types import Array, Floats
 from ..recognition import Belief, ObjectRecogniser
 from ..touches import Touches
+from ._images import thumbnail
+
+_SHOWN, _NEAREST = 5, 6
+_PAGE = Path(__file__).parent / "static" / "report.html"
 
 
 @dataclass(eq=False)
@@ -20,23 +29,56 @@ class LiveTouch:
     """
 
     number: int
-    image: NDArray[Any]
     time_s: float
     posterior: dict[str, float] = field(default_factory=dict)
     unknown: float | None = None
     limit: float | None = None
     latency_ms: float | None = None
 
-    def told(self) -> dict[str, Any]:
-        """Return it as plain values, without the image."""
-        return {
-            "number": self.number,
-            "time_s": self.time_s,
-            "posterior": self.posterior,
-            "unknown": self.unknown,
-            "limit": self.limit,
-            "latency_ms": self.latency_ms,
-        }
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        return dict(vars(self))
+
+
+class Neighbours:
+    """Nearest learnt touches, each feature measured in its own spread.
+
+    Parameters
+    ----------
+    recogniser : ObjectRecogniser
+        Fitted; learnt from a library, it knows the ids of its touches.
+    stored_ids : collection of str
+        Ids of the touches in the library at hand.
+    """
+
+    def __init__(
+        self, recogniser: ObjectRecogniser, stored_ids: Collection[str]
+    ) -> None:
+        memory = recogniser.memory_
+        features = memory.features
+        spread = features.std(axis=0)
+        self._scale = np.where(spread > 0, spread, 1.0)
+        self._features = features / self._scale
+        self._labels = memory.labels
+        stored, ids = set(stored_ids), memory.touch_ids.tolist()
+        self._ids = [key if key in stored else None for key in ids]
+
+    def of(self, features: Floats) -> list[dict[str, Any]]:
+        """Return the nearest touches of features (1, n_features), nearest first.
+
+        `id` is None where the touch is not in the library.
+        """
+        apart = self._features - features / self._scale
+        distance = np.sqrt(np.mean(apart**2, axis=1))
+        some = np.argsort(distance, kind="stable")[:_NEAREST]
+        return [
+            {
+                "id": self._ids[row],
+                "object": str(self._labels[row]),
+                "distance": float(distance[row]),
+            }
+            for row in some
+        ]
 
 
 class LiveEpisode:
@@ -50,37 +92,45 @@ class LiveEpisode:
         What recognises; None collects touches without a belief.
     error : float
         Accepted share of wrong decisions.
+    neighbours : Neighbours, optional
+        Finds the learnt touches that are most similar to the last one, `nearest`.
     """
 
     def __init__(
-        self, number: int, recogniser: ObjectRecogniser | None, error: float
+        self,
+        number: int,
+        recogniser: ObjectRecogniser | None,
+        error: float,
+        neighbours: Neighbours | None = None,
     ) -> None:
         self.number, self.error = number, error
-        self.recogniser = recogniser
+        self.recogniser, self.neighbours = recogniser, neighbours
+        self.nearest: list[dict[str, Any]] = []
         self.belief: Belief | None = None if recogniser is None else recogniser.start()
         self.touches: list[LiveTouch] = []
+        self.images: list[Array] = []
         self.open = True
 
-    def add(self, image: NDArray[Any]) -> tuple[LiveTouch, NDArray[np.float64] | None]:
-        """Take in a touch; return it and its features, None without a model.
+    def add(self, image: Array) -> LiveTouch:
+        """Take in a touch and return it.
 
         Raises
         ------
         ValueError
             The recogniser cannot take this image; the episode is unchanged.
         """
-        touch = LiveTouch(len(self.touches) + 1, image, time.time())
-        features = None
+        touch = LiveTouch(len(self.touches) + 1, time.time())
         if self.recogniser is not None and self.belief is not None:
-            one = Touches(image[np.newaxis])
-            evidence = self.recogniser.evidence(one)
-            features = evidence.features
+            evidence = self.recogniser.evidence(Touches(image[np.newaxis]))
             self.belief.update(evidence)
             touch.posterior = self.belief.posterior
             touch.unknown = self.belief.unknown
             touch.limit = self.belief.unknown_limit(self.error)
+            if self.neighbours is not None:
+                self.nearest = self.neighbours.of(evidence.features)
+        self.images.append(image)  # first, for those who read meanwhile
         self.touches.append(touch)
-        return touch, features
+        return touch
 
     @property
     def decision(self) -> str | None:
@@ -96,7 +146,7 @@ class LiveEpisode:
             return "No touch yet."
         return self.belief.reason(self.error)
 
-    def told(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, without images."""
         return {
             "number": self.number,
@@ -105,7 +155,7 @@ class LiveEpisode:
             "decision": self.decision,
             "best": None if not self.touches or not self.belief else self.belief.best,
             "reason": self.reason,
-            "touches": [touch.told() for touch in self.touches],
+            "touches": [touch.to_dict() for touch in self.touches],
         }
 
     def as_touches(self) -> Touches:
@@ -120,5 +170,54 @@ class LiveEpisode:
             raise ValueError("The episode has no touch yet; touch something first.")
         times = np.array([touch.time_s for touch in self.touches])
         episode = np.full(len(times), self.number)
-        images = np.stack([touch.image for touch in self.touches])
+        images = np.stack(self.images[: len(times)])
         return Touches(images, time_s=times, episode=episode)
+
+
+def episode_report(episode: LiveEpisode) -> str:
+    """Return one HTML page: the decision, and every touch with the belief after it.
+
+    Nothing is loaded from elsewhere when it is looked at.
+
+    Raises
+    ------
+    ValueError
+        The episode has no touch yet.
+    """
+    if not episode.touches:
+        raise ValueError("The episode has no touch yet; touch something first.")
+    began = time.localtime(episode.touches[0].time_s)
+    return Template(_PAGE.read_text(encoding="utf-8")).substitute(
+        number=episode.number,
+        decision=escape(episode.decision or "undecided"),
+        reason=escape(episode.reason),
+        when=time.strftime("%Y-%m-%d %H:%M", began),
+        count=len(episode.touches),
+        error=f"{episode.error:.1%}",
+        items="".join(map(_item, episode.touches, episode.images)),
+    )
+
+
+def _item(touch: LiveTouch, image: Array) -> str:
+    picture = base64.b64encode(thumbnail(image)).decode()
+    shown = sorted(touch.posterior.items(), key=lambda item: -item[1])[:_SHOWN]
+    rows = "".join(_row(name, share) for name, share in shown)
+    unknown = ""
+    if touch.unknown is not None and touch.limit is not None:
+        unknown = (
+            f"<p class=note>Unknown score {touch.unknown:.3f}; unknown above "
+            f"{touch.limit:.3f}.</p>"
+        )
+    return (
+        f"<li><img alt='touch {touch.number}' src='data:image/png;base64,{picture}'>"
+        f"<div><b>Touch {touch.number}</b><table>{rows}</table>{unknown}</div></li>"
+    )
+
+
+def _row(name: str, share: float) -> str:
+    width = f"{100 * share:.1f}%"
+    return (
+        f"<tr><th scope=row>{escape(name)}<div class=track>"
+        f"<div class=bar style='width:{width}'></div></div></th>"
+        f"<td>{width}</td></tr>"
+    )

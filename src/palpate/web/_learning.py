@@ -8,12 +8,21 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from .._types import Array
+from ..library import LibraryError, Selection, TouchLibrary
+from ..recognition import ObjectRecogniser
+from ..sensors import SensorMemory
+
 LEAST_OBJECTS, LEAST_TOUCHES = 2, 2
-_STAND_IN = "\ta name nobody can give"
+# So many touches, spread over all, show what a sensor answers, read so many at once.
+_ENOUGH, _AT_ONCE = 200, 16
 
 
 class LearningError(ValueError):
@@ -53,16 +62,10 @@ def learn_apart(
     LearningError
         Learning failed; says why.
     """
-    job = {
-        "library": str(library),
-        "output": str(output),
-        "base": None if base is None else str(base),
-        "drop": list(drop),
-        "image_shape": image_shape,
-    }
+    job = [library, output, base, list(drop), image_shape]
     done = subprocess.run(
         [sys.executable, "-c", "from palpate.web._learning import main; main()"],
-        input=json.dumps(job),
+        input=json.dumps(job, default=str),  # folders and files as text
         capture_output=True,
         text=True,
         check=False,
@@ -77,80 +80,97 @@ def learn_apart(
     return answer
 
 
-def learn_job(job: dict[str, Any]) -> dict[str, Any]:
-    """Do one job as `learn_apart` describes it, in this process."""
-    from ..library import TouchLibrary
-    from ..recognition import ObjectRecogniser
-    from ._origin import remember_sensor, set_touch_ids, touch_ids
+def of_size(image_shape: Sequence[int]) -> str:
+    """Return a filter of the touches whose images have (n_rows, n_cols)."""
+    return f"n_rows = {image_shape[0]} and n_cols = {image_shape[1]}"
 
-    with TouchLibrary.open(job["library"]) as library:
-        touches, ids = _taught(library, job.get("image_shape"))
-        base, kept = None, []
-        if job["base"] is not None and Path(job["base"]).is_file():
-            base = ObjectRecogniser.load(job["base"])
-            kept = _kept(base, library, job["drop"])
-        if len({*kept, *ids}) < LEAST_OBJECTS:
-            _refuse_to_empty(base, job.get("image_shape"))
+
+def learn_job(
+    library: str | Path,
+    output: str | Path,
+    base: str | Path | None = None,
+    drop: Sequence[str] = (),
+    image_shape: tuple[int, int] | None = None,
+) -> dict[str, Any]:
+    """Do what `learn_apart` does, in this process."""
+    with TouchLibrary.open(library) as opened:
+        touches = _taught(opened, image_shape)
+        model, kept = None, []
+        if base is not None and Path(base).is_file():
+            model = ObjectRecogniser.load(base)
+            kept = _kept(model, opened, drop)
+        names = set() if touches is None else set(touches.object.tolist())
+        if len({*kept, *names}) < LEAST_OBJECTS:
+            _refuse_to_empty(model, image_shape)
             return {"objects": [], "n_touches": 0, "kept": kept}
-        before = {} if base is None else touch_ids(base)
-        model = _learnt(base, kept, touches)
-        set_touch_ids(model, {**before, **ids})
+        model = _learnt(model, kept, touches)
         if touches is not None:
-            remember_sensor(model, library, touches)
-        model.taught_ = sorted(ids)
-        model.save(job["output"])
-    names = model.classes_.tolist()
-    return {"objects": names, "n_touches": len(model.labels_), "kept": kept}
+            remember_sensor(model, opened, touches)
+        model.save(output)
+    objects = model.classes_.tolist()
+    return {"objects": objects, "n_touches": len(model.memory_), "kept": kept}
 
 
-def _taught(library: Any, image_shape: Any) -> tuple[Any, dict[str, list[str]]]:
-    """Return the touches to learn, None for none, and the ids of each object's."""
-    import numpy as np
+def remember_library(
+    model: ObjectRecogniser, folder: str | Path, where: str | None
+) -> None:
+    """Keep in a model what the sensor was like whose touches it learnt.
 
-    from ._chosen import of_size
-    from ._origin import chosen_touches
+    `where` is the filter of those touches in the library `folder`.
+    """
+    with TouchLibrary.open(folder) as library:
+        remember_sensor(model, library, library.select(where))
 
+
+def remember_sensor(
+    model: ObjectRecogniser, library: TouchLibrary, touches: Selection
+) -> None:
+    """Keep what the sensor of these touches was like, where its baseline is known."""
+    baseline = _latest_baseline(library, touches)
+    if baseline is None:
+        return
+    rows = np.unique(np.linspace(0, len(touches) - 1, _ENOUGH).round().astype(int))
+    memory = SensorMemory.of(_images(touches, rows), baseline)
+    model.remember_sensor(memory.to_dict())
+
+
+def _taught(library: TouchLibrary, image_shape: Sequence[int] | None) -> Any:
+    """Return the touches to learn, None for none."""
     if image_shape is None:
-        (*_, newest) = library.list(limit=1, offset=max(0, len(library) - 1)) or [None]
-        if newest is None:
-            return None, {}
-        image_shape = newest.n_rows, newest.n_cols
+        newest = library.list(limit=1, offset=max(0, len(library) - 1))
+        if not newest:
+            return None
+        image_shape = newest[0].n_rows, newest[0].n_cols
     where = f"object is not null and {of_size(image_shape)}"
     if not library.list(where, limit=1):
-        return None, {}
-    chosen, ids = chosen_touches(library, where)
+        return None
+    chosen = library.select(where)
     labels = np.asarray(chosen.object)
-    names, at, counts = np.unique(labels, return_inverse=True, return_counts=True)
+    at, counts = np.unique(labels, return_inverse=True, return_counts=True)[1:]
     rows = np.flatnonzero(counts[at] >= LEAST_TOUCHES)
-    if not len(rows):
-        return None, {}
-    some, keys = chosen[rows], np.array(ids)[rows]
-    of = {str(n): keys[some.object == n].tolist() for n in names}
-    return some, {name: held for name, held in of.items() if held}
+    return chosen[rows] if len(rows) else None
 
 
-def _kept(base: Any, library: Any, drop: Sequence[str]) -> list[str]:
+def _kept(
+    base: ObjectRecogniser, library: TouchLibrary, drop: Sequence[str]
+) -> list[str]:
     """Return the objects of a model that do not come from this library.
 
     Those that do are what the library says now: renamed, forgotten or learnt anew.
     """
-    from ._origin import touch_ids
-
     stored = {row.id for row in library.list(limit=None, retracted=True)}
-    here = {name for name, ids in touch_ids(base).items() if stored.intersection(ids)}
-    taught = {*getattr(base, "taught_", []), *here, *drop}
-    return [name for name in base.classes_.tolist() if name not in taught]
+    here = np.isin(base.memory_.touch_ids, list(stored))
+    gone = {*map(str, base.memory_.labels[here]), *drop}
+    return [name for name in base.classes_.tolist() if name not in gone]
 
 
-def _learnt(base: Any, kept: Sequence[str], touches: Any) -> Any:
+def _learnt(base: ObjectRecogniser | None, kept: Sequence[str], touches: Any) -> Any:
     """Return a model of touches and of what is kept of the base model."""
-    from ..recognition import ObjectRecogniser
-
     if base is None or not kept:
         return ObjectRecogniser().fit(touches)
     if touches is not None:
         _refuse_other_size(base, kept, touches.touches([0]).images.shape[1:])
-    return _added_to(base, kept, touches)
+    return base.replace_objects(touches, forget={*base.classes_.tolist()} - {*kept})
 
 
 def _refuse_to_empty(base: Any, image_shape: Any) -> None:
@@ -178,36 +198,27 @@ def _refuse_other_size(
         )
 
 
-def _added_to(base: Any, kept: Sequence[str], touches: Any) -> Any:
-    """Return the base model with what was taught, in place of what it had of it.
-
-    A model cannot fall below two objects, so new ones come before old ones go.
-    """
-    import numpy as np
-
-    taught = {}
-    if touches is not None:
-        names = dict.fromkeys(touches.object.tolist())
-        taught = {n: touches[np.flatnonzero(touches.object == n)] for n in names}
-    again = [name for name in taught if name in base.classes_]
-    for name in set(taught) - set(again):
-        base.add_object(name, taught[name])
-    for name in set(base.classes_.tolist()) - {*kept, *taught}:
-        base.forget_object(name)
-    for name in again:
-        _replace(base, name, taught[name])
-    return base
+def _latest_baseline(library: TouchLibrary, touches: Selection) -> Array | None:
+    """Return the newest no-contact image that has the size of these touches."""
+    shape = touches.touches([len(touches) - 1]).images.shape[1:]
+    sessions: list[Any] = [None]
+    if touches.session is not None:
+        named = [s for s in touches.session.tolist()[::-1] if s not in ("", None)]
+        sessions = [*dict.fromkeys(named)] or sessions
+    for session in sessions:
+        try:
+            baseline = library.no_contact(session)
+        except LibraryError:  # damaged: `palpate library check` tells of it
+            continue
+        if baseline is not None and baseline.shape == shape:
+            return baseline
+    return None
 
 
-def _replace(base: Any, name: str, touches: Any) -> None:
-    """Learn an object anew; a stand-in keeps a model of two above its least size."""
-    stands_in = len(base.classes_) == LEAST_OBJECTS
-    if stands_in:
-        base.add_object(_STAND_IN, touches)
-    base.forget_object(name)
-    base.add_object(name, touches)
-    if stands_in:
-        base.forget_object(_STAND_IN)
+def _images(touches: Selection, rows: NDArray[np.intp]) -> Iterator[Array]:
+    """Read images in pieces, so that few are in memory at once."""
+    for start in range(0, len(rows), _AT_ONCE):
+        yield from touches.touches(rows[start : start + _AT_ONCE]).images
 
 
 def main() -> None:
@@ -215,7 +226,7 @@ def main() -> None:
     if hasattr(os, "nice"):
         os.nice(5)
     try:
-        answer = learn_job(json.load(sys.stdin))
+        answer = learn_job(*json.load(sys.stdin))
     except (ValueError, OSError, MemoryError) as error:
         answer = {"refused": str(error)}
     print(json.dumps(answer))

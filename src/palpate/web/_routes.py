@@ -1,38 +1,156 @@
-"""The API: the same actions for the page and for robots."""
+"""The API: the same actions for the page and for robots.
+
+First what goes in and out, as OpenAPI describes it, then the actions. Each runs in a
+thread of its own; what a session refuses becomes a clear answer in `_app`.
+"""
 
 import asyncio
-import io
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 from urllib.parse import quote
 
-import numpy as np
-from fastapi import APIRouter, HTTPException, Query, Request, Response
-from numpy.typing import NDArray
+from fastapi import APIRouter, Depends, HTTPException, Query, Request, Response
+from pydantic import BaseModel, ConfigDict, Field
 
+from .._types import Array
 from ..library import LibraryError
-from ..sensors import ContactError, SensorError
-from ..touches import Touches, TouchesError
-from . import _models as m
-from ._learning import LearningError
-from ._pictures import read_picture, thumbnail
-from ._refusals import lacks_room
-from ._report import episode_report
+from ..touches import Touches
+from ._episode import LiveTouch, episode_report
+from ._images import read_numbers, read_picture, thumbnail
 from ._session import LiveSession
+from ._teaching import Teacher
 
-MAX_PIXELS = 4_000_000
+Name = Annotated[
+    str, Field(min_length=1, max_length=80, description="Name of an object.")
+]
+
+
+class Answer(BaseModel):
+    """What was refused, and why."""
+
+    detail: str
+
+
+class Order(BaseModel):
+    """The body of a request; a field that is not known is refused."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class Image(Order):
+    """One frame of numbers."""
+
+    image: Annotated[
+        list[list[float | None]],
+        Field(
+            min_length=1,
+            max_length=4096,
+            description="Taxels, rows of equal length, in the sensor's unit; null for "
+            "a dead taxel.",
+        ),
+    ]
+
+
+class NamedImage(Image):
+    """One frame of numbers, of an object."""
+
+    object: Name
+
+
+class LessonOrder(Order):
+    """What to teach with the next touches of the sensor."""
+
+    object: Name
+    touches: Annotated[int, Field(ge=1, le=1000, description="How many.")] = 12
+
+
+class Renaming(Order):
+    """An object's name and its new one."""
+
+    object: Name
+    name: Name
+
+
+class OneObject(Order):
+    """An object."""
+
+    object: Name
+
+
+class Placing(Order):
+    """What lies before a replayed or simulated sensor; null for nothing."""
+
+    object: Name | None
+
+
+class BaselineOrder(Order):
+    """How to take the baseline, the frame of touching nothing."""
+
+    force: Annotated[
+        bool, Field(description="Take it although something seems to touch.")
+    ] = False
+
+
+class EpisodeState(BaseModel):
+    """An episode: its touches, the belief after each, the decision."""
+
+    number: int
+    open: bool
+    error: Annotated[float, Field(description="Accepted share of wrong decisions.")]
+    decision: Annotated[
+        str | None, Field(description='An object, "unknown", or null: undecided.')
+    ]
+    best: str | None
+    reason: str
+    touches: list[LiveTouch]
+
+
+class Stored(BaseModel):
+    """A touch that is on the disk."""
+
+    id: str
+
+
+class Done(BaseModel):
+    """What was done, for people."""
+
+    message: str
+
+
+class NearTouch(BaseModel):
+    """A stored touch and how far it is from the current one."""
+
+    id: str | None
+    object: str
+    distance: float
+
+
+class State(BaseModel):
+    """Everything the page shows but pictures."""
+
+    sensor: dict[str, Any] | None
+    model: dict[str, Any] | None
+    library: dict[str, Any] | None
+    lesson: dict[str, Any] | None
+    episode: EpisodeState
+    nearest: list[NearTouch]
+    learning: bool
+    learn_error: str
+    message: str
+    health: dict[str, Any]
+
+
 _REFUSALS: dict[int | str, dict[str, Any]] = {
-    400: {"model": m.Answer, "description": "A body that cannot be read."},
-    401: {"model": m.Answer, "description": "No token."},
-    403: {"model": m.Answer, "description": "Wrong token."},
-    404: {"model": m.Answer, "description": "There is no such thing."},
-    409: {"model": m.Answer, "description": "Not now, or not with this server."},
-    413: {"model": m.Answer, "description": "Too large."},
+    400: {"model": Answer, "description": "A body that cannot be read."},
+    401: {"model": Answer, "description": "No token."},
+    403: {"model": Answer, "description": "Wrong token."},
+    404: {"model": Answer, "description": "There is no such thing."},
+    409: {"model": Answer, "description": "Not now, or not with this server."},
+    413: {"model": Answer, "description": "Too large."},
     422: {"description": "Not what was asked for."},
-    429: {"model": m.Answer, "description": "Too many requests."},
-    507: {"model": m.Answer, "description": "The disk has no room."},
+    429: {"model": Answer, "description": "Too many requests."},
+    507: {"model": Answer, "description": "The disk has no room."},
 }
 _PICTURE = {
     "requestBody": {
@@ -43,237 +161,216 @@ _PICTURE = {
         },
     }
 }
-Name = Annotated[str, Query(alias="object", min_length=1, max_length=80)]
+router = APIRouter(prefix="/api", responses=_REFUSALS)
 
 
-def api(session: LiveSession) -> APIRouter:
-    """Return the API of a session."""
-    router = APIRouter(prefix="/api", responses=_REFUSALS)
-    _add_state(router, session)
-    _add_episode(router, session)
-    _add_downloads(router, session)
-    _add_teaching(router, session)
-    _add_library(router, session)
-    return router
+async def _session(request: Request) -> LiveSession:
+    session: LiveSession = request.app.state.session
+    return session
 
 
-def _add_state(router: APIRouter, session: LiveSession) -> None:
-    @router.get("/state", response_model=m.State, tags=["state"])
-    async def state() -> Any:
-        """Return everything the page shows but pictures."""
-        return await _done(session.state)
-
-    @router.get("/health", tags=["state"])
-    async def health() -> dict[str, Any]:
-        """Return frame rate (Hz), frames dropped, latencies (ms)."""
-        return session.health_state()
-
-    @router.post("/zero", response_model=m.Done, tags=["sensor"])
-    async def zero(order: m.ZeroOrder) -> Any:
-        """Take the frame of no contact; refused while something touches."""
-        await _done(lambda: session.take_zero(force=order.force))
-        return {"message": "The zero is taken."}
-
-    @router.post("/place", response_model=m.Done, tags=["sensor"])
-    async def place(order: m.Placing) -> Any:
-        """Put something else before a replayed or simulated sensor."""
-        await _done(lambda: session.place(order.object))
-        return {"message": f"{order.object or 'Nothing'} lies there now."}
+Session = Annotated[LiveSession, Depends(_session)]
 
 
-def _add_episode(router: APIRouter, session: LiveSession) -> None:
-    @router.get("/episode", response_model=m.EpisodeState, tags=["episode"])
-    async def episode() -> Any:
-        """Return the episode: its touches, the belief after each, the decision."""
-        return session.episode.told()
-
-    @router.post("/episode/start", response_model=m.EpisodeState, tags=["episode"])
-    async def start() -> Any:
-        """Begin a new episode."""
-        await _done(session.begin_episode)
-        return session.episode.told()
-
-    @router.post("/episode/end", response_model=m.EpisodeState, tags=["episode"])
-    async def end() -> Any:
-        """End the episode; the next touch begins a new one."""
-        return await _done(session.end_episode)
-
-    @router.post("/touch", response_model=m.EpisodeState, tags=["episode"])
-    async def touch(image: m.Image) -> Any:
-        """Take one touch, as numbers, into the episode; return the belief."""
-        levels = _levels(image)
-        return await _done(lambda: session.post_touch(levels))
-
-    @router.post(
-        "/touch/picture",
-        response_model=m.EpisodeState,
-        tags=["episode"],
-        openapi_extra=_PICTURE,
-    )
-    async def touch_picture(request: Request) -> Any:
-        """Take one touch, as PNG or JPEG, into the episode; return the belief."""
-        levels = await _picture(request)
-        return await _done(lambda: session.post_touch(levels))
-
-
-def _add_downloads(router: APIRouter, session: LiveSession) -> None:
-    @router.get("/episode/archive", tags=["episode"], response_class=Response)
-    async def archive() -> Response:
-        """Download the touches of the episode as a touch archive (.npz)."""
-        touches = await _done(session.episode.as_touches)
-        name = f"episode-{session.episode.number}.npz"
-        return await _done(lambda: _npz(touches, name))
-
-    @router.get("/episode/report", tags=["episode"], response_class=Response)
-    async def report() -> Response:
-        """Download a page that shows the episode by itself."""
-        page = await _done(lambda: episode_report(session.episode))
-        return _download(
-            page.encode(), "text/html", f"episode-{session.episode.number}.html"
-        )
-
-    @router.get(
-        "/episode/touches/{number}/picture", tags=["episode"], response_class=Response
-    )
-    async def episode_picture(number: int) -> Response:
-        """Return one touch of the episode as a small PNG."""
-        touches = session.episode.touches
-        if not 1 <= number <= len(touches):
-            raise HTTPException(404, f"The episode has no touch {number}.")
-        return await _shown(touches[number - 1].image)
-
-
-def _add_teaching(router: APIRouter, session: LiveSession) -> None:
-    @router.post("/teach", response_model=m.Done, tags=["teach"])
-    async def teach(order: m.LessonOrder) -> Any:
-        """Store the next touches of the sensor as touches of an object."""
-        await _done(lambda: session.teach(order.object, order.touches))
-        return {"message": f"Touch {order.object} {order.touches} times."}
-
-    @router.post("/teach/stop", response_model=m.Done, tags=["teach"])
-    async def stop() -> Any:
-        """End the lesson; what was stored stays."""
-        await _done(session.stop_teaching)
-        return {"message": "The lesson is over."}
-
-    @router.post("/teach/undo", response_model=m.Done, tags=["teach"])
-    async def undo() -> Any:
-        """Leave out the touch stored last."""
-        name = await _done(session.undo)
-        return {"message": f"The last touch of {name} is undone."}
-
-    @router.post("/teach/touch", response_model=m.Stored, tags=["teach"])
-    async def teach_touch(image: m.NamedImage) -> Any:
-        """Store one touch, as numbers, of an object; answered once on the disk."""
-        levels = _levels(image)
-        return {"id": await _done(lambda: session.post_lesson(image.object, levels))}
-
-    @router.post(
-        "/teach/touch/picture",
-        response_model=m.Stored,
-        tags=["teach"],
-        openapi_extra=_PICTURE,
-    )
-    async def teach_picture(request: Request, name: Name) -> Any:
-        """Store one touch, as PNG or JPEG, of an object."""
-        levels = await _picture(request)
-        return {"id": await _done(lambda: session.post_lesson(name, levels))}
-
-    @router.post("/learn", response_model=m.Done, status_code=202, tags=["teach"])
-    async def learn() -> Any:
-        """Learn what the library holds; `state` tells when it is done."""
-        await _done(session.learn)
-        return {"message": "Learning."}
-
-
-def _add_library(router: APIRouter, session: LiveSession) -> None:
-    @router.post("/objects/rename", response_model=m.Done, tags=["objects"])
-    async def rename(order: m.Renaming) -> Any:
-        """Give an object of the library another name."""
-        await _done(lambda: session.rename(order.object, order.name))
-        return {"message": f"{order.object} is called {order.name} now."}
-
-    @router.post("/objects/forget", response_model=m.Done, tags=["objects"])
-    async def forget(order: m.OneObject) -> Any:
-        """Leave all touches of an object out and learn without it."""
-        await _done(lambda: session.forget(order.object))
-        return {"message": f"{order.object} is forgotten."}
-
-    @router.get("/objects/archive", tags=["objects"], response_class=Response)
-    async def export(name: Name) -> Response:
-        """Download the touches of an object as a touch archive (.npz)."""
-        teacher = _teacher(session)
-        touches = await _done(lambda: teacher.touches(name))
-        return await _done(lambda: _npz(touches, f"{name}.npz"))
-
-    @router.get("/objects/touches", response_model=list[m.Stored], tags=["objects"])
-    async def stored(name: Name, limit: Annotated[int, Query(ge=1, le=200)] = 8) -> Any:
-        """Return the newest touches of an object, newest first."""
-        teacher = _teacher(session)
-        return [{"id": key} for key in await _done(lambda: teacher.ids(name, limit))]
-
-    @router.get("/touches/{key}/picture", tags=["objects"], response_class=Response)
-    async def picture(key: str) -> Response:
-        """Return a stored touch as a small PNG."""
-        teacher = _teacher(session)
-        try:
-            image = await asyncio.to_thread(teacher.library.image, key)
-        except LibraryError as error:
-            raise HTTPException(404, str(error)) from error
-        shown = await _shown(image)
-        shown.headers["Cache-Control"] = "private, max-age=86400, immutable"
-        return shown
-
-
-async def _done(work: Callable[[], Any]) -> Any:
-    """Do something in a thread; what goes wrong becomes a clear 4xx."""
-    try:
-        return await asyncio.to_thread(work)
-    except (ContactError, SensorError, LearningError) as error:
-        raise HTTPException(409, str(error)) from error
-    except (ValueError, TypeError) as error:  # TouchesError and LibraryError too
-        raise HTTPException(507 if lacks_room(error) else 422, str(error)) from error
-    except OSError as error:
-        told = f"The disk cannot be written to: {error.strerror or error}. Free space."
-        raise HTTPException(507, told) from error
-
-
-def _teacher(session: LiveSession) -> Any:
+async def _teacher(session: Session) -> Teacher:
     if session.teacher is None:
         raise HTTPException(409, "There is no library here; start with --library.")
     return session.teacher
 
 
-def _levels(image: m.Image) -> NDArray[np.float32]:
-    rows = [[np.nan if v is None else v for v in row] for row in image.image]
-    if len({len(row) for row in rows}) != 1 or not rows[0]:
-        raise HTTPException(422, "The image must have rows of one length, at least 1.")
-    with np.errstate(over="ignore"):
-        levels = np.array(rows, dtype=np.float32)
-    if np.isinf(levels).any():
-        raise HTTPException(422, "The image must be finite (null for a dead taxel).")
-    return levels
-
-
-async def _picture(request: Request) -> NDArray[Any]:
-    data = await request.body()
+async def _picture(request: Request) -> Array:
     kind = request.headers.get("content-type", "")
+    return await asyncio.to_thread(read_picture, await request.body(), kind)
+
+
+StoredTouches = Annotated[Teacher, Depends(_teacher)]
+Picture = Annotated[Array, Depends(_picture)]
+NameQuery = Annotated[str, Query(alias="object", min_length=1, max_length=80)]
+
+
+@router.get("/state", response_model=State, tags=["state"])
+def state(session: Session) -> Any:
+    """Return everything the page shows but pictures."""
+    return session.to_dict()
+
+
+@router.get("/health", tags=["state"])
+def health(session: Session) -> dict[str, Any]:
+    """Return frame rate (Hz), frames dropped, latencies (ms)."""
+    return session.health.to_dict()
+
+
+@router.post("/baseline", tags=["sensor"])
+def baseline(order: BaselineOrder, session: Session) -> Done:
+    """Take the baseline, the frame of touching nothing; refused in contact."""
+    session.take_baseline(force=order.force)
+    return Done(message="The baseline is taken.")
+
+
+@router.post("/zero", tags=["sensor"], deprecated=True)
+def zero(order: BaselineOrder, session: Session) -> Done:
+    """Use /api/baseline instead: this name goes with the next release."""
+    return baseline(order, session)
+
+
+@router.post("/place", tags=["sensor"])
+def place(order: Placing, session: Session) -> Done:
+    """Put something else before a replayed or simulated sensor."""
+    session.place(order.object)
+    return Done(message=f"{order.object or 'Nothing'} lies there now.")
+
+
+@router.get("/episode", response_model=EpisodeState, tags=["episode"])
+def episode(session: Session) -> Any:
+    """Return the episode: its touches, the belief after each, the decision."""
+    return session.episode.to_dict()
+
+
+@router.post("/episode/start", response_model=EpisodeState, tags=["episode"])
+def start(session: Session) -> Any:
+    """Begin a new episode."""
+    session.begin_episode()
+    return session.episode.to_dict()
+
+
+@router.post("/episode/end", response_model=EpisodeState, tags=["episode"])
+def end(session: Session) -> Any:
+    """End the episode; the next touch begins a new one."""
+    return session.end_episode()
+
+
+@router.post("/touch", response_model=EpisodeState, tags=["episode"])
+def touch(image: Image, session: Session) -> Any:
+    """Take one touch, as numbers, into the episode; return the belief."""
+    return session.post_touch(read_numbers(image.image))
+
+
+@router.post(
+    "/touch/picture",
+    response_model=EpisodeState,
+    tags=["episode"],
+    openapi_extra=_PICTURE,
+)
+def touch_picture(picture: Picture, session: Session) -> Any:
+    """Take one touch, as PNG or JPEG, into the episode; return the belief."""
+    return session.post_touch(picture)
+
+
+@router.get("/episode/archive", tags=["episode"], response_class=Response)
+def archive(session: Session) -> Response:
+    """Download the touches of the episode as a touch archive (.npz)."""
+    episode = session.episode
+    return _archive(episode.as_touches(), f"episode-{episode.number}.npz")
+
+
+@router.get("/episode/report", tags=["episode"], response_class=Response)
+def report(session: Session) -> Response:
+    """Download a page that shows the episode by itself."""
+    page = episode_report(session.episode).encode()
+    return _download(page, "text/html", f"episode-{session.episode.number}.html")
+
+
+@router.get(
+    "/episode/touches/{number}/picture", tags=["episode"], response_class=Response
+)
+def episode_picture(number: int, session: Session) -> Response:
+    """Return one touch of the episode as a small PNG."""
+    images = session.episode.images
+    if not 1 <= number <= len(images):
+        raise HTTPException(404, f"The episode has no touch {number}.")
+    return _shown(images[number - 1])
+
+
+@router.post("/teach", tags=["teach"])
+def teach(order: LessonOrder, session: Session) -> Done:
+    """Store the next touches of the sensor as touches of an object."""
+    session.teach(order.object, order.touches)
+    return Done(message=f"Touch {order.object} {order.touches} times.")
+
+
+@router.post("/teach/stop", tags=["teach"])
+def stop(session: Session) -> Done:
+    """End the lesson; what was stored stays."""
+    session.stop_teaching()
+    return Done(message="The lesson is over.")
+
+
+@router.post("/teach/undo", tags=["teach"])
+def undo(session: Session) -> Done:
+    """Leave out the touch stored last."""
+    return Done(message=f"The last touch of {session.undo()} is undone.")
+
+
+@router.post("/teach/touch", tags=["teach"])
+def teach_touch(image: NamedImage, session: Session) -> Stored:
+    """Store one touch, as numbers, of an object; answered once on the disk."""
+    return Stored(id=session.post_lesson(image.object, read_numbers(image.image)))
+
+
+@router.post("/teach/touch/picture", tags=["teach"], openapi_extra=_PICTURE)
+def teach_picture(picture: Picture, name: NameQuery, session: Session) -> Stored:
+    """Store one touch, as PNG or JPEG, of an object."""
+    return Stored(id=session.post_lesson(name, picture))
+
+
+@router.post("/learn", status_code=202, tags=["teach"])
+def learn(session: Session) -> Done:
+    """Learn what the library holds; `state` tells when it is done."""
+    session.learn()
+    return Done(message="Learning.")
+
+
+@router.post("/objects/rename", tags=["objects"])
+def rename(order: Renaming, session: Session) -> Done:
+    """Give an object of the library another name."""
+    session.rename(order.object, order.name)
+    return Done(message=f"{order.object} is called {order.name} now.")
+
+
+@router.post("/objects/forget", tags=["objects"])
+def forget(order: OneObject, session: Session) -> Done:
+    """Leave all touches of an object out and learn without it."""
+    session.forget(order.object)
+    return Done(message=f"{order.object} is forgotten.")
+
+
+@router.get("/objects/archive", tags=["objects"], response_class=Response)
+def export(name: NameQuery, teacher: StoredTouches) -> Response:
+    """Download the touches of an object as a touch archive (.npz)."""
+    return _archive(teacher.touches(name), f"{name}.npz")
+
+
+@router.get("/objects/touches", tags=["objects"])
+def stored(
+    name: NameQuery,
+    teacher: StoredTouches,
+    limit: Annotated[int, Query(ge=1, le=200)] = 8,
+) -> list[Stored]:
+    """Return the newest touches of an object, newest first."""
+    return [Stored(id=key) for key in teacher.ids(name, limit)]
+
+
+@router.get("/touches/{key}/picture", tags=["objects"], response_class=Response)
+def picture(key: str, teacher: StoredTouches) -> Response:
+    """Return a stored touch as a small PNG."""
     try:
-        return await asyncio.to_thread(read_picture, data, kind, MAX_PIXELS)
-    except TouchesError as error:
-        raise HTTPException(422, str(error)) from error
+        image = teacher.library.image(key)
+    except LibraryError as error:
+        raise HTTPException(404, str(error)) from error
+    shown = _shown(image)
+    shown.headers["Cache-Control"] = "private, max-age=86400, immutable"
+    return shown
 
 
-async def _shown(image: NDArray[Any]) -> Response:
-    content = await asyncio.to_thread(thumbnail, image)
-    return Response(content, media_type="image/png")
+def _shown(image: Array) -> Response:
+    return Response(thumbnail(image), media_type="image/png")
 
 
-def _npz(touches: Touches, name: str) -> Response:
+def _archive(touches: Touches, name: str) -> Response:
     with tempfile.TemporaryDirectory(prefix="palpate-") as folder:
         path = Path(folder) / "touches.npz"
         touches.save(path)
-        content = io.BytesIO(path.read_bytes()).getvalue()
+        content = path.read_bytes()
     return _download(content, "application/octet-stream", name)
 
 

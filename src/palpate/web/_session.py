@@ -2,23 +2,21 @@
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
-from numpy.typing import NDArray
-
 from .._checks import check_number
+from .._types import Array
 from ..recognition import ObjectRecogniser
-from ..sensors import LiveSensor, SensorError, SensorMemory, desk_of
-from ._episode import LiveEpisode
-from ._events import Event, Listeners
-from ._health import Health
+from ..sensors import LiveSensor, SensorError, desk_of
+from ._episode import LiveEpisode, Neighbours
+from ._events import Event, Health, Listeners
+from ._images import check_image
 from ._learning import LearningError, learn_apart
-from ._neighbours import Neighbours
-from ._suited import misfit, model_state, suited_to
+from ._sensor_watch import SensorWatch
 from ._teaching import Lesson, Teacher, checked_name
-from ._watch import SensorWatch
 
 LONGEST_EPISODE = 1000
 
@@ -43,9 +41,11 @@ class LiveSession:
     Attributes
     ----------
     listeners : Listeners
-        Told of "frame", "contact", "touch" and "state", from other threads.
+        Called with "frame", "contact", "touch" and "state", from other threads.
     episode : LiveEpisode
         The episode under way.
+    learning : bool
+        Whether it is learning now; `learn_error` says why it failed the last time.
     trouble : str
         Why the last touch of the sensor could not be taken; empty where it could.
 
@@ -69,7 +69,7 @@ class LiveSession:
         summary: str = "peak",
     ) -> None:
         self.error = check_number("error", error, low=1e-6, high=0.5)
-        self.listeners, self.health = Listeners(), Health()
+        self.listeners, self.health = Listeners(), Health(sensor)
         self.watch: SensorWatch | None = None
         if sensor is not None:
             self.watch = SensorWatch(
@@ -82,7 +82,6 @@ class LiveSession:
         self.episode = LiveEpisode(1, None, self.error)
         self.learning, self.learn_error = False, ""
         self.message = self.trouble = ""
-        self._nearest: list[dict[str, Any]] = []
         self._drop_next: list[str] | None = None
         self._lock, self._learn_lock = threading.RLock(), threading.Lock()
         self.model_path = None if model is None else Path(model)
@@ -99,12 +98,9 @@ class LiveSession:
         The library is made after the sensor is found, so that a missing sensor
         leaves none behind.
         """
-        told = misfit(
-            self.recogniser, None if self.watch is None else self.watch.sensor
-        )
-        if told and self.teacher is None:
-            raise ValueError(told)
         if self.watch is not None:
+            if self.watch.misfit and self.teacher is None:
+                raise ValueError(self.watch.misfit)
             self.watch.start()
         try:
             if self.teacher is not None:
@@ -131,11 +127,11 @@ class LiveSession:
         self.stop()
 
     @property
-    def zero(self) -> NDArray[Any] | None:
-        """The frame of no contact, where there is one."""
+    def baseline(self) -> Array | None:
+        """The frame of touching nothing, where there is one."""
         return None if self.watch is None else self.watch.detector.zero
 
-    def post_touch(self, image: NDArray[Any]) -> dict[str, Any]:
+    def post_touch(self, image: Array) -> dict[str, Any]:
         """Take one touch from outside into the episode; return the episode.
 
         Raises
@@ -143,53 +139,45 @@ class LiveSession:
         ValueError
             The image does not suit the sensor or the model.
         """
-        self._recognise(self._suited(image), time.monotonic())
-        return self.episode.told()
+        self._recognise(self._checked(image), time.monotonic())
+        return self.episode.to_dict()
 
-    def post_lesson(self, name: str, image: NDArray[Any]) -> str:
+    def post_lesson(self, name: str, image: Array) -> str:
         """Store one touch of an object from outside; return its id."""
-        with self._lock:
-            key = self._teacher().store(
-                checked_name(name), self._suited(image), self.zero
+        with self._changing():
+            return self._teacher().store(
+                checked_name(name), self._checked(image), self.baseline
             )
-        self._tell_state()
-        return key
 
     def begin_episode(self) -> None:
         """Put the touches of the episode aside; the next one begins a new one."""
-        with self._lock:
+        with self._changing():
             self._new_episode()
-        self._tell_state()
 
     def end_episode(self) -> dict[str, Any]:
         """End the episode and return it; the next touch begins a new one."""
-        with self._lock:
+        with self._changing():
             self.episode.open = False
-            told = self.episode.told()
-        self._tell_state()
-        return told
+            return self.episode.to_dict()
 
     def teach(self, name: str, wanted: int) -> None:
         """Store the next touches of the sensor as touches of an object."""
-        with self._lock:
+        with self._changing():
             self._teacher().begin(name, wanted)
             self.message = self.trouble = ""
             self._new_episode()
-        self._tell_state()
 
     def stop_teaching(self) -> None:
         """End the lesson; what was stored stays."""
-        with self._lock:
+        with self._changing():
             self._teacher().end()
-        self._tell_state()
 
     def undo(self) -> str:
         """Leave out the touch stored last in this session; return its object."""
-        with self._lock:
+        with self._changing():
             name = self._teacher().undo()
             self.message = f"The last touch of {name} is undone."
-        self._tell_state()
-        return name
+            return name
 
     def rename(self, old: str, new: str) -> None:
         """Give an object of the library another name, and learn it by that name."""
@@ -212,7 +200,7 @@ class LiveSession:
         self._learn_again([name])
 
     def learn(self, drop: Sequence[str] = (), *, wait: bool = False) -> None:
-        """Learn what the library holds, in another process; tells when it is done.
+        """Learn what the library holds, in another process; `learning` says it is on.
 
         Parameters
         ----------
@@ -230,19 +218,19 @@ class LiveSession:
         if not self._learn_lock.acquire(blocking=False):
             raise LearningError("It is learning already; wait until it has finished.")
         self.learning, self.learn_error = True, ""
-        self._tell_state()
+        self._notify_state()
         thread = threading.Thread(target=self._learn, args=(list(drop),), daemon=True)
         thread.start()
         if wait:
             thread.join()
 
-    def take_zero(self, *, force: bool = False) -> None:
-        """Take the frame of no contact; see `SensorWatch.take_zero`."""
+    def take_baseline(self, *, force: bool = False) -> None:
+        """Take the frame of touching nothing; see `SensorWatch.take_baseline`."""
         if self.watch is None:
-            raise SensorError("There is no sensor here to take a zero of.")
-        self.watch.take_zero(force=force)
-        self.message = "The zero is taken."
-        self._tell_state()
+            raise SensorError("There is no sensor here to take a baseline of.")
+        self.watch.take_baseline(force=force)
+        self.message = "The baseline is taken."
+        self._notify_state()
 
     def place(self, name: str | None) -> None:
         """Put something else before a replayed or simulated sensor, or nothing."""
@@ -250,31 +238,35 @@ class LiveSession:
         if desk is None:
             raise ValueError("What lies before a real sensor cannot be chosen here.")
         desk.place(name)
-        self._tell_state()
+        self._notify_state()
 
-    def state(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return everything but pictures, as plain values."""
         with self._lock:
             teacher = self.teacher
             lesson = None if teacher is None else teacher.lesson
             return {
-                "sensor": None if self.watch is None else self.watch.state(),
-                "model": model_state(self.recogniser, self.model_path),
-                "library": None if teacher is None else teacher.told(),
-                "lesson": None if lesson is None else lesson.told(),
-                "episode": self.episode.told(),
-                "nearest": list(self._nearest),
+                "sensor": None if self.watch is None else self.watch.to_dict(),
+                "model": self._model_to_dict(),
+                "library": None if teacher is None else teacher.to_dict(),
+                "lesson": None if lesson is None else lesson.to_dict(),
+                "episode": self.episode.to_dict(),
+                "nearest": self.episode.nearest,
                 "learning": self.learning,
                 "learn_error": self.learn_error,
                 "message": self.message,
-                "health": self.health_state(),
+                "health": self.health.to_dict(),
             }
 
-    def health_state(self) -> dict[str, Any]:
-        """Return frame rate (Hz), frames dropped, and latencies (ms)."""
-        if self.watch is not None:
-            return self.watch.health_state()
-        return {**self.health.told(), "n_dropped": 0}
+    def _model_to_dict(self) -> dict[str, Any] | None:
+        if self.recogniser is None:
+            return None
+        return {
+            "objects": self.recogniser.classes_.tolist(),
+            "n_touches": len(self.recogniser.memory_),
+            "encoding": str(self.recogniser.chosen_.get("encoding", "")),
+            "file": str(self.model_path),
+        }
 
     def _teacher(self) -> Teacher:
         if self.teacher is None:
@@ -284,32 +276,44 @@ class LiveSession:
             )
         return self.teacher
 
-    def _suited(self, image: NDArray[Any]) -> NDArray[Any]:
-        sensor = None if self.watch is None else self.watch.sensor
+    def _checked(self, image: Array) -> Array:
+        """Return an image as the sensor gives them, else as the newest stored touch is.
+
+        Raises
+        ------
+        ValueError
+            It has another size, or values that those cannot hold.
+        """
+        if self.watch is not None:
+            sensor = self.watch.sensor
+            return check_image(image, sensor.image_shape, sensor.dtype)
         stored = None if self.teacher is None else self.teacher.newest_type()
-        return suited_to(image, sensor, stored, self.recogniser)
+        if stored is not None:
+            return check_image(image, *stored)
+        if self.recogniser is not None:
+            return check_image(image, self.recogniser.encoder_.image_shape_, None)
+        return image
 
     def _knows(self, name: str) -> bool:
         return self.recogniser is not None and name in self.recogniser.classes_
 
     def _use(self, recogniser: ObjectRecogniser | None) -> None:
         """Recognise with another model from the next touch on."""
-        stored = getattr(recogniser, "sensor_", None)
-        memory = None if stored is None else SensorMemory.from_dict(stored)
         ids = set() if self.teacher is None else self.teacher.known_ids()
         neighbours = None if recogniser is None else Neighbours(recogniser, ids)
         with self._lock:
             self.recogniser, self._neighbours = recogniser, neighbours
             if self.watch is not None:
-                self.watch.remember(memory, misfit(recogniser, self.watch.sensor))
+                self.watch.compare_with(recogniser)
             self._new_episode()
 
     def _new_episode(self) -> None:
         number = self.episode.number + bool(self.episode.touches)
-        self.episode = LiveEpisode(number, self.recogniser, self.error)
-        self._nearest = []
+        self.episode = LiveEpisode(
+            number, self.recogniser, self.error, self._neighbours
+        )
 
-    def _taken(self, image: NDArray[Any], ended_s: float) -> None:
+    def _taken(self, image: Array, ended_s: float) -> None:
         """Take a touch of the sensor: into the lesson, else into the episode."""
         try:
             lesson = self._stored(image)
@@ -324,37 +328,35 @@ class LiveSession:
             self.trouble = ""
         except (ValueError, OSError, MemoryError) as error:
             self.message = self.trouble = str(error)
-        self._tell_state()
+        self._notify_state()
 
-    def _stored(self, image: NDArray[Any]) -> Lesson | None:
+    def _stored(self, image: Array) -> Lesson | None:
         with self._lock:
             if self.teacher is None or self.teacher.lesson is None:
                 return None
-            return self.teacher.take(image, self.zero)
+            return self.teacher.take(image, self.baseline)
 
-    def _recognise(self, image: NDArray[Any], ended_s: float) -> None:
+    def _recognise(self, image: Array, ended_s: float) -> None:
         with self._lock:
             if not self.episode.open or len(self.episode.touches) >= LONGEST_EPISODE:
                 self._new_episode()
-            touch, features = self.episode.add(image)
-            if features is not None and self._neighbours is not None:
-                self._nearest = self._neighbours.of(features)
+            touch = self.episode.add(image)
             touch.latency_ms = 1e3 * (time.monotonic() - ended_s)
             self.health.count_touch(touch.latency_ms)
-            episode = {**self.episode.told(), "touches": [touch.told()]}
-            values = {"episode": episode, "nearest": list(self._nearest)}
-        self.listeners.tell(Event("touch", values))
+            episode = {**self.episode.to_dict(), "touches": [touch.to_dict()]}
+            values = {"episode": episode, "nearest": self.episode.nearest}
+        self.listeners.notify(Event("touch", values))
 
     def _learn_again(self, drop: Sequence[str]) -> None:
         """Learn after a change, where there was a model; after learning under way."""
         if self.recogniser is None:
-            self._tell_state()
+            self._notify_state()
             return
         try:
             self.learn(drop)
         except LearningError:
             self._drop_next = [*(self._drop_next or ()), *drop]
-            self._tell_state()
+            self._notify_state()
 
     def _learn(self, drop: Sequence[str]) -> None:
         try:
@@ -364,7 +366,7 @@ class LiveSession:
         finally:
             self.learning = False
             self._learn_lock.release()
-            self._tell_state()
+            self._notify_state()
             if self._drop_next is not None:
                 drop, self._drop_next = self._drop_next, None
                 self._learn_again(drop)
@@ -387,6 +389,13 @@ class LiveSession:
             "Too little to learn: at least two objects with two touches each."
         )
 
-    def _tell_state(self) -> None:
+    @contextmanager
+    def _changing(self) -> Iterator[None]:
+        """Hold the lock while something changes; then send the state."""
+        with self._lock:
+            yield
+        self._notify_state()
+
+    def _notify_state(self) -> None:
         if len(self.listeners):
-            self.listeners.tell(Event("state", self.state()))
+            self.listeners.notify(Event("state", self.to_dict()))

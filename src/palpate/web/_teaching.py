@@ -2,20 +2,18 @@
 
 import threading
 import time
-from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._checks import check_count
-from ..library import LibraryError, SensorDescription, TouchLibrary
+from .._types import Array
+from ..library import LibraryError, SensorDescription, TouchLibrary, TouchRow
 from ..sensors import LiveSensor, SensorError
 from ..touches import Touches
-from ._chosen import of_object, of_size
-from ._learning import LEAST_TOUCHES
+from ._learning import LEAST_TOUCHES, of_size
 
 LONGEST_NAME = 80
 MOST_PER_LESSON = 1000
@@ -39,7 +37,7 @@ class Lesson:
     wanted: int
     ids: list[str] = field(default_factory=list)
 
-    def told(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
         return {"name": self.name, "wanted": self.wanted, "done": len(self.ids)}
 
@@ -110,13 +108,13 @@ class Teacher:
         """End the lesson; what was stored stays."""
         self.lesson = None
 
-    def store(self, name: str, image: NDArray[Any], zero: NDArray[Any] | None) -> str:
+    def store(self, name: str, image: Array, baseline: Array | None) -> str:
         """Store one touch of an object; return its id once it is on the disk."""
         touch = Touches(
             image[np.newaxis],
             object=[checked_name(name)],
             time_s=[time.time()],
-            no_contact=zero,
+            no_contact=baseline,
             geometry=None if self._sensor is None else self._sensor.geometry,
         )
         (key,) = self.library.add(
@@ -129,11 +127,11 @@ class Teacher:
         self._stored.append(key)
         return key
 
-    def take(self, image: NDArray[Any], zero: NDArray[Any] | None) -> Lesson:
+    def take(self, image: Array, baseline: Array | None) -> Lesson:
         """Store one touch of the lesson; return the lesson, over when it is full."""
         assert self.lesson is not None
         lesson = self.lesson
-        lesson.ids.append(self.store(lesson.name, image, zero))
+        lesson.ids.append(self.store(lesson.name, image, baseline))
         if len(lesson.ids) >= lesson.wanted:
             self.lesson = None
         return lesson
@@ -173,8 +171,9 @@ class Teacher:
             touches of it to learn it by its new name.
         """
         tidy = checked_name(new)
-        n_usable = self._usable().get(old, 0) if learnt else LEAST_TOUCHES
-        if n_usable < LEAST_TOUCHES and self._holds(old):
+        rows, size = self._rows(old), self.image_shape()
+        n_usable = sum((row.n_rows, row.n_cols) == size for row in rows)
+        if learnt and rows and n_usable < LEAST_TOUCHES:
             raise ValueError(
                 f"{old!r} must have at least {LEAST_TOUCHES} touches in the library to "
                 f"be learnt by another name, got {n_usable}. Teach it some more first."
@@ -190,34 +189,26 @@ class Teacher:
         ValueError
             It is not in the library, nor has the model learnt it.
         """
-        stored = self._holds(name)
+        stored = name in self._counts()
         if not stored and not learnt:
             raise ValueError(f"There is no object {name!r}.")
         if stored:
             self.library.retract(object=name, reason="forgotten on the page")
 
-    def told(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return what the library holds, as plain values."""
         return {
             "folder": str(self.folder.resolve()),
             "objects": [
-                {"name": row.name, "n_touches": row.n_touches}
-                for row in self.library.objects()
+                {"name": name, "n_touches": count}
+                for name, count in self._counts().items()
             ],
             "undoable": len(self._stored),
         }
 
     def ids(self, name: str, limit: int) -> list[str]:
         """Return the ids of the newest touches of an object, newest first."""
-        counts = {row.name: row.n_touches for row in self.library.objects()}
-        if name not in counts:
-            return []
-        where, exact = of_object(name)
-        if not exact:
-            rows = [r for r in self.library.list(where, limit=None) if r.object == name]
-        else:
-            rows = self.library.list(where, limit, max(0, counts[name] - limit))
-        return [row.id for row in rows[::-1][:limit]]
+        return [row.id for row in self._rows(name, limit)[::-1]]
 
     def touches(self, name: str) -> Touches:
         """Return the touches of an object.
@@ -230,20 +221,16 @@ class Teacher:
         LibraryError
             It has none.
         """
-        where, exact = of_object(name)
-        rows = [r for r in self.library.list(where, limit=None) if r.object == name]
+        rows = self._rows(name)
         if not rows:
             raise LibraryError(f"There is no object {name!r} in the library.")
-        sizes = {(row.n_rows, row.n_cols) for row in rows}
-        size = rows[-1].n_rows, rows[-1].n_cols
+        sizes = [(row.n_rows, row.n_cols) for row in rows]
+        size = sizes[-1]
         if self._sensor is not None and self._sensor.image_shape in sizes:
             size = self._sensor.image_shape
-        where = f"{where} and {of_size(size)}"
-        if exact:
-            return self.library.touches(where)
-        chosen = self.library.select(where)
-        assert chosen.object is not None
-        return chosen.touches(np.flatnonzero(chosen.object == name))
+        where, _ = _of_object(name)
+        chosen = self.library.select(f"{where} and {of_size(size)}")
+        return chosen.touches(np.flatnonzero(np.asarray(chosen.object) == name))
 
     def known_ids(self) -> set[str]:
         """Return the ids of all touches, also those left out; none before it opens."""
@@ -251,17 +238,6 @@ class Teacher:
             return set()
         rows = self._opened.list(limit=None, retracted=True)
         return {row.id for row in rows}
-
-    def _holds(self, name: str) -> bool:
-        return name in {row.name for row in self.library.objects()}
-
-    def _usable(self) -> dict[str, int]:
-        """Return how many touches each object has that learning could use."""
-        size = self.image_shape()
-        if size is None:
-            return {}
-        rows = self.library.list(f"object is not null and {of_size(size)}", limit=None)
-        return dict(Counter(str(row.object) for row in rows))
 
     def image_shape(self) -> tuple[int, int] | None:
         """Return the size of the images to learn: the sensor's, or the newest's."""
@@ -276,6 +252,22 @@ class Teacher:
         if not rows:
             return None
         return (rows[0].n_rows, rows[0].n_cols), np.dtype(rows[0].dtype)
+
+    def _counts(self) -> dict[str, int]:
+        """Return how many touches each object has, sorted by name."""
+        return {row.name: row.n_touches for row in self.library.objects()}
+
+    def _rows(self, name: str, limit: int | None = None) -> list[TouchRow]:
+        """Return the newest touches of an object, all without a limit, in order."""
+        count = self._counts().get(name, 0)
+        if not count:
+            return []
+        where, exact = _of_object(name)
+        if exact:
+            offset = 0 if limit is None else max(0, count - limit)
+            return self.library.list(where, limit, offset)
+        rows = [r for r in self.library.list(where, limit=None) if r.object == name]
+        return rows if limit is None else rows[-limit:]
 
 
 def checked_name(name: str) -> str:
@@ -298,3 +290,16 @@ def _described(sensor: LiveSensor | None) -> SensorDescription:
     if sensor is None:
         return SensorDescription("posted")
     return SensorDescription(sensor.name, unit=sensor.unit, geometry=sensor.geometry)
+
+
+def _of_object(name: str) -> tuple[str, bool]:
+    """Return a filter of one object's touches, and whether it finds no others.
+
+    A filter cannot quote a text that holds both kinds of quotation marks; such an
+    object is sought by the pieces of its name, and others may hold those too.
+    """
+    for mark in "'\"":
+        if mark not in name:
+            return f"object = {mark}{name}{mark}", True
+    pieces = [f"object contains '{piece}'" for piece in name.split("'") if piece]
+    return " and ".join(pieces), False

@@ -22,9 +22,9 @@ async function answered(ask) {
     return null;
   }
   // Null too where the answer was cut off, as when the page is left meanwhile.
-  const told = await answer.json().catch(() => null);
-  if (answer.ok) return told;
-  say(worded(told?.detail) || `Refused (${answer.status}).`);
+  const body = await answer.json().catch(() => null);
+  if (answer.ok) return body;
+  say(worded(body?.detail) || `Refused (${answer.status}).`);
   return null;
 }
 

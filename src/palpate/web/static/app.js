@@ -1,4 +1,4 @@
-// The page: what the server tells goes to the parts that show it.
+// The page: what the server sends goes to the parts that show it.
 
 import { addTouch, showEpisode, showNearest, startBelief } from "./belief.js";
 import { find, say, show } from "./dom.js";

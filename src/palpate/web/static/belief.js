@@ -1,4 +1,4 @@
-// The belief: bars, strangeness, its history over the episode, and the decision.
+// The belief: bars, unknown score, its history over the episode, and the decision.
 
 import { get, post } from "./api.js";
 import { find, make, percent, say, show, text } from "./dom.js";
@@ -48,7 +48,7 @@ function draw() {
   text(find("count"), n === 0 ? "no touch yet" : `${n} touch${n === 1 ? "" : "es"}${episode.open ? "" : ", ended"}`);
   drawDecision(n);
   drawBars(last?.posterior ?? {});
-  drawStrangeness(last);
+  drawUnknownScore(last);
   drawHistory();
 }
 
@@ -101,16 +101,16 @@ function bar() {
   return make("li", {}, make("span", { class: "name" }), track, make("span", { class: "value" }));
 }
 
-function drawStrangeness(last) {
+function drawUnknownScore(last) {
   const known = last !== undefined && last.unknown !== null;
-  show(find("strange"), known);
-  show(find("strange-hint"), known);
+  show(find("unknown"), known);
+  show(find("unknown-hint"), known);
   if (!known) return;
   const few = Object.keys(last.posterior).length < FEW;
-  text(find("strange-hint"), "Strangeness beyond the mark means: I do not know this one." +
+  text(find("unknown-hint"), "Right of the red line: none of the learnt objects." +
     (few ? " With so few objects learnt, a new one is easily taken for one of them." : ""));
-  const row = find("strange");
-  const meter = find("strange-meter");
+  const row = find("unknown");
+  const meter = find("unknown-meter");
   row.classList.toggle("over", last.unknown > last.limit);
   meter.firstElementChild.style.width = `${100 * last.unknown}%`;
   meter.lastElementChild.style.left = `${100 * Math.min(0.995, last.limit)}%`;
@@ -134,11 +134,11 @@ function drawColumns(chart, touches) {
   const slots = Math.max(8, touches.length);
   chart.setAttribute("viewBox", `0 0 ${slots} 1`);
   chart.replaceChildren(...touches.flatMap((touch, at) => column(touch, at, top)));
-  const told = touches.map((touch) => {
+  const described = touches.map((touch) => {
     const [[name, share]] = ranked(touch.posterior);
     return `touch ${touch.number}: ${name} ${percent(share)}`;
   });
-  chart.setAttribute("aria-label", `Belief after each touch. ${told.slice(-20).join("; ")}.`);
+  chart.setAttribute("aria-label", `Belief after each touch. ${described.slice(-20).join("; ")}.`);
 }
 
 function column(touch, at, top) {

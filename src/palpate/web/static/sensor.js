@@ -1,4 +1,4 @@
-// The live image, the contact indicator, the zero, and how the stream is doing.
+// The live image, the contact indicator, the baseline, frame rate and latency.
 
 import { post } from "./api.js";
 import { find, make, say, show, text } from "./dom.js";
@@ -8,7 +8,7 @@ let waiting = null;
 let insist = false;
 
 export function startSensor() {
-  find("zero").addEventListener("click", takeZero);
+  find("baseline").addEventListener("click", takeBaseline);
   find("placed").addEventListener("change", ({ target }) =>
     post("place", { object: target.value === "" ? null : target.value }));
 }
@@ -44,7 +44,7 @@ export function showSensor(sensor) {
   note(find("lost"), sensor.lost);
   note(find("offer"), sensor.offer);
   insist = sensor.offer !== "" && sensor.touching;
-  text(find("zero"), insist ? "Take zero anyway" : "Take zero");
+  text(find("baseline"), insist ? "Take baseline anyway" : "Take baseline");
   showWarnings(sensor.warnings);
   showDesk(sensor.desk);
 }
@@ -87,8 +87,8 @@ function note(element, words) {
 function showWarnings(warnings) {
   const list = find("warnings");
   show(list, warnings.length > 0);
-  if (list.dataset.told === warnings.join()) return;
-  list.dataset.told = warnings.join();
+  if (list.dataset.shown === warnings.join()) return;
+  list.dataset.shown = warnings.join();
   list.replaceChildren(...warnings.map((warning) => make("li", {}, warning)));
 }
 
@@ -105,7 +105,7 @@ function showDesk(desk) {
   if (document.activeElement !== select) select.value = desk.placed ?? "";
 }
 
-async function takeZero() {
-  const done = await post("zero", { force: insist });
+async function takeBaseline() {
+  const done = await post("baseline", { force: insist });
   if (done) say(done.message);
 }

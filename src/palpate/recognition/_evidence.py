@@ -1,29 +1,41 @@
-"""Touch by touch: how log-likelihoods add up to a belief.
+"""What touches tell, and how it adds up to a belief.
 
 Plain functions on arrays, shared by `Belief` (one touch at a time) and by the
 evaluation (thousands of episodes at once), so that both mean the same belief.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_softmax, logsumexp
 
 from .._checks import check_positive
+from .._types import Array, Floats
+from ..touches import Touches
 
-Floats = NDArray[np.float64]
 _LEAST_LOG_PRIOR = -27.7
 _RULED_OUT = -1e6
 
 
 class Evidence(NamedTuple):
-    """What touches tell, one row a touch.
+    """What touches tell of the object, one row a touch.
 
-    `novelty` is how much of a touch the encoding leaves unexplained, NaN where it
-    cannot tell.
+    Attributes
+    ----------
+    features : ndarray of shape (n_touches, n_features)
+        What the encoder made of them.
+    log_likelihood : ndarray of shape (n_touches, n_objects)
+        log p(touch | object) up to a constant per touch (nats).
+    flags : list of str
+        What is wrong with each touch, "" for most: "no contact", "saturated", "double
+        contact".
+    novelty : ndarray of shape (n_touches,)
+        How much of each touch the encoding leaves unexplained, NaN where it cannot say.
     """
 
     features: Floats
@@ -32,8 +44,8 @@ class Evidence(NamedTuple):
     novelty: Floats
 
     @classmethod
-    def together(cls, parts: Sequence["Evidence"]) -> "Evidence":
-        """Return what several sets of touches tell, one after the other."""
+    def together(cls, parts: Sequence[Evidence]) -> Evidence:
+        """Return the evidence of several sets of touches, one after the other."""
         return cls(
             np.concatenate([part.features for part in parts]),
             np.concatenate([part.log_likelihood for part in parts]),
@@ -41,8 +53,8 @@ class Evidence(NamedTuple):
             np.concatenate([part.novelty for part in parts]),
         )
 
-    def one(self, touch: int) -> "Evidence":
-        """Return what a single touch tells."""
+    def one(self, touch: int) -> Evidence:
+        """Return the evidence of a single touch."""
         row = slice(touch, touch + 1)
         return Evidence(
             self.features[row],
@@ -54,13 +66,13 @@ class Evidence(NamedTuple):
 
 @dataclass(frozen=True)
 class SequenceCalibration:
-    """How much the touches of one episode may be trusted together.
+    """How the evidence of the touches of one episode adds up.
 
     The log-likelihoods of k touches are summed and multiplied by
     strength / (1 + (k - 1) correlation): touches of one episode resemble each
     other, so k of them are worth fewer independent ones (the design effect of a
     sample of equally correlated readings). The most probable object under equal
-    priors is the same for every trust.
+    priors is the same for every calibration.
 
     Attributes
     ----------
@@ -79,7 +91,28 @@ class SequenceCalibration:
         return np.asarray(self.strength / (1 + others * self.correlation))
 
 
-def given_prior(prior: Mapping[str, float], classes: NDArray) -> Floats:
+def as_touches(given: Any) -> Touches:
+    """Return touches, one image or several images as `Touches`, or explain.
+
+    Parameters
+    ----------
+    given : Touches, sequence of Touches, or array-like
+        An image (n_rows, n_cols) or images (n_touches, n_rows, n_cols).
+    """
+    if isinstance(given, Touches):
+        return given
+    if isinstance(given, list) and given and isinstance(given[0], Touches):
+        return Touches.concatenate(given)
+    images = np.asarray(given)
+    if images.ndim not in (2, 3):
+        raise ValueError(
+            "touch must be Touches, one image (n_rows, n_cols) or images (n_touches, "
+            f"n_rows, n_cols), got an array of shape {images.shape}."
+        )
+    return Touches(images if images.ndim == 3 else images[np.newaxis])
+
+
+def given_prior(prior: Mapping[str, float], classes: Array) -> Floats:
     """Return log probabilities in the order of `classes`, brought to sum 1."""
     names = [str(name) for name in classes]
     if not isinstance(prior, Mapping):
@@ -124,7 +157,7 @@ def with_floor(log_likelihood: Floats, floor: float) -> Floats:
 
 
 def log_posteriors(
-    floored: Floats, log_prior: Floats, trust: SequenceCalibration
+    floored: Floats, log_prior: Floats, calibration: SequenceCalibration
 ) -> Floats:
     """Return the log posterior after each touch of an episode.
 
@@ -134,7 +167,7 @@ def log_posteriors(
         Log-likelihoods of the touches in order, from `with_floor`.
     log_prior : ndarray of shape (n_objects,)
         Log prior (nats).
-    trust : SequenceCalibration
+    calibration : SequenceCalibration
         How touches add up.
 
     Returns
@@ -142,24 +175,36 @@ def log_posteriors(
     ndarray of shape (..., n_touches, n_objects)
         Natural logarithms; each row sums to one after `exp`.
     """
-    heard = np.where(_is_informative(floored)[..., np.newaxis], floored, 0.0)
-    weight = trust.weight(n_informative(floored))[..., np.newaxis]
-    total = np.cumsum(heard, axis=-2) * weight + log_prior
-    result: Floats = log_softmax(total, axis=-1)
+    used = np.where(is_informative(floored)[..., np.newaxis], floored, 0.0)
+    total, count = np.cumsum(used, axis=-2), n_informative(floored)
+    return log_posterior(total, count[..., np.newaxis], log_prior, calibration)
+
+
+def log_posterior(
+    total: Floats,
+    n_touches: Floats | int,
+    log_prior: Floats,
+    calibration: SequenceCalibration,
+) -> Floats:
+    """Return the log posterior from the sum of `n_touches` log-likelihoods."""
+    result: Floats = log_softmax(
+        total * calibration.weight(n_touches) + log_prior, axis=-1
+    )
     return result
 
 
 def n_informative(floored: Floats) -> Floats:
-    """Return how many touches said anything so far, shape (..., n_touches).
+    """Return how many touches so far said anything, shape (..., n_touches).
 
     A touch without contact has one likelihood for all objects; it leaves the belief
     exactly where it was.
     """
-    count: Floats = np.cumsum(_is_informative(floored), axis=-1)
+    count: Floats = np.cumsum(is_informative(floored), axis=-1)
     return count
 
 
-def _is_informative(floored: Floats) -> NDArray[np.bool_]:
+def is_informative(floored: Floats) -> NDArray[np.bool_]:
+    """Return which touches tell objects apart, shape (..., n_touches)."""
     return np.asarray(floored.max(axis=-1) > floored.min(axis=-1))
 
 

@@ -5,17 +5,19 @@ recorded touches it may be anything that is known beforehand, such as a height a
 radius. Places of the object's own frame are called stations.
 """
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from __future__ import annotations
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._types import Floats
 from ..touches import Touches
 
-Floats = NDArray[np.float64]
 # Directions may have been written with a few digits.
 _LENGTH_TOLERANCE = 0.01
 
 
-def places_of(touches: Touches, places: ArrayLike | None, n_turns: int) -> Floats:
+def places_of(touches: object, places: ArrayLike | None, n_turns: int) -> Floats:
     """Return the places of touches, (n_touches, n_dimensions), or explain."""
     if not isinstance(touches, Touches):
         raise TypeError(

@@ -7,8 +7,9 @@ One that stops reading misses frames; when its queue is full it is let go.
 import asyncio
 import json
 from collections import deque
+from contextlib import suppress
 
-from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from ._events import Event
 from ._session import LiveSession
@@ -24,15 +25,12 @@ class Hub:
     Parameters
     ----------
     session : LiveSession
-        What to listen to.
+        Its events are sent on.
     """
 
     def __init__(self, session: LiveSession) -> None:
         self._session = session
         self._clients: set[_Client] = set()
-
-    def __len__(self) -> int:
-        return len(self._clients)
 
     async def serve(self, socket: WebSocket) -> None:
         """Send one client everything until it goes."""
@@ -42,8 +40,8 @@ class Hub:
         await socket.accept()
         client = _Client(socket, asyncio.get_running_loop())
         self._clients.add(client)
-        self._session.listeners.add(client.hear)
-        client.put(Event("state", self._session.state()))
+        self._session.listeners.add(client.receive)
+        client.put(Event("state", self._session.to_dict()))
         listening = asyncio.create_task(client.listen())
         sending = asyncio.create_task(client.send())
         try:
@@ -51,12 +49,14 @@ class Hub:
                 (listening, sending), return_when=asyncio.FIRST_COMPLETED
             )
         finally:
-            self._session.listeners.remove(client.hear)
+            self._session.listeners.discard(client.receive)
             self._clients.discard(client)
             for task in (listening, sending):
                 task.cancel()
             await asyncio.gather(listening, sending, return_exceptions=True)
-            await _closed(socket)
+            with suppress(RuntimeError, TimeoutError, WebSocketDisconnect):
+                async with asyncio.timeout(1.0):
+                    await socket.close()
 
 
 class _Client:
@@ -67,11 +67,12 @@ class _Client:
         self._some = asyncio.Event()
         self._full = False
 
-    def hear(self, event: Event) -> None:
+    def receive(self, event: Event) -> None:
         """Take an event from another thread."""
         self._loop.call_soon_threadsafe(self.put, event)
 
     def put(self, event: Event) -> None:
+        """Keep an event until it is sent; a newer frame takes the place of one."""
         if event.kind == "frame":
             self._frame = event
         elif len(self._waiting) < _LONGEST_QUEUE:
@@ -86,13 +87,13 @@ class _Client:
             await self._some.wait()
             self._some.clear()
             while self._waiting:
-                await self._say(self._waiting.popleft())
+                await self._send_one(self._waiting.popleft())
             frame, self._frame = self._frame, None
             if frame is not None:
-                await self._say(frame)
+                await self._send_one(frame)
 
     async def listen(self) -> None:
-        """Read until the client goes; all that it says is that it is there."""
+        """Read until the client goes; "ping" is answered, all else ignored."""
         while True:
             message = await self._socket.receive()
             if message["type"] == "websocket.disconnect":
@@ -100,23 +101,12 @@ class _Client:
             if message.get("text") == "ping":
                 self.put(Event("pong"))
 
-    async def _say(self, event: Event) -> None:
+    async def _send_one(self, event: Event) -> None:
         head = json.dumps({"kind": event.kind, **event.values}, default=str)
         async with asyncio.timeout(_PATIENCE_S):
-            if event.picture:
-                text = head.encode()
-                await self._socket.send_bytes(
-                    len(text).to_bytes(4, "big") + text + event.picture
-                )
-            else:
+            if not event.picture:
                 await self._socket.send_text(head)
-
-
-async def _closed(socket: WebSocket) -> None:
-    if socket.application_state is not WebSocketState.CONNECTED:
-        return
-    try:
-        async with asyncio.timeout(1.0):
-            await socket.close()
-    except (RuntimeError, TimeoutError, WebSocketDisconnect):
-        return
+                return
+            text = head.encode()
+            length = len(text).to_bytes(4, "big")
+            await self._socket.send_bytes(length + text + event.picture)

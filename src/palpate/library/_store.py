@@ -1,4 +1,4 @@
-"""The database of a library: its tables, its version, and safe transactions.
+"""A library's folder and its database: tables, version, safe transactions, errors.
 
 Write-ahead logging with `synchronous=FULL`: once a transaction has ended, it is on
 the disk. Readers never wait for writers; writers wait for one another.
@@ -12,18 +12,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ._errors import (
-    DatabaseBusy,
-    DatabaseDamaged,
-    DatabaseUnavailable,
-    LibraryError,
-    NewerLibrary,
-)
-from ._files import holds_files
-
 FILE_NAME = "library.sqlite"
+IMAGES, ARRAYS, CHANGES, FEATURES = "images", "arrays", "changes", "features"
 VERSION = 1
 PATIENCE_S = 60.0
+AT_ONCE = 512  # so many touches stand in one query, and in one task of a worker
 _APPLICATION = 0x70616C70  # "palp"
 
 _TABLES = """
@@ -68,15 +61,42 @@ CREATE INDEX touches_of_object ON touches (object, retraction, session, episode)
 """
 
 
-class Database:
-    """One connection, used by one thread at a time.
+class LibraryError(ValueError):
+    """A library cannot do what was asked; the message names what and the fix."""
+
+
+class DatabaseDamaged(LibraryError):
+    """The database is lost, empty, cut or overwritten: a repair makes it anew."""
+
+
+class DatabaseUnavailable(LibraryError):
+    """The disk is full, fails or may not be written to.
+
+    Nothing is known to be wrong with the library: no reason to repair it.
+    """
+
+
+class DatabaseBusy(DatabaseUnavailable):
+    """Another program has kept the database to itself for too long."""
+
+
+class NewerLibrary(LibraryError):
+    """A newer palpate made the library."""
+
+
+class Store:
+    """The folder of a library and the connection to its database.
+
+    One thread uses the connection at a time.
 
     Parameters
     ----------
-    path : Path
-        The database file.
-    create : bool
+    folder : Path
+        The library.
+    create : bool, default=False
         Make the tables where there are none.
+    name : str, default="library.sqlite"
+        The database, another one while a repair makes it anew.
 
     Raises
     ------
@@ -84,12 +104,14 @@ class Database:
         There is no library, it is damaged, or a newer palpate made it.
     """
 
-    def __init__(self, path: Path, *, create: bool) -> None:
-        self.path = path
+    def __init__(
+        self, folder: Path, *, create: bool = False, name: str = FILE_NAME
+    ) -> None:
+        self.folder, self.path = folder, folder / name
         self._lock = threading.RLock()
         self._process = os.getpid()
-        if not create and not path.is_file():
-            raise _missing(path)
+        if not create and not self.path.is_file():
+            raise _missing(self.path)
         try:
             self._open(create)
         except DatabaseBusy:
@@ -106,16 +128,29 @@ class Database:
 
     def rows(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
         """Return all rows of a query."""
-        with self._lock, self.explained():
+        with self._lock, self._explained():
             return self._connection.execute(sql, values).fetchall()
 
     def one(self, sql: str, values: Sequence[Any] = ()) -> tuple[Any, ...] | None:
         """Return the first row of a query, or None."""
-        with self._lock, self.explained():
-            row: tuple[Any, ...] | None = self._connection.execute(
-                sql, values
-            ).fetchone()
-            return row
+        return next(iter(self.rows(sql, values)), None)
+
+    def count(self, sql: str, values: Sequence[Any] = ()) -> int:
+        """Return the one number that a query gives."""
+        return int(self.rows(sql, values)[0][0])
+
+    def among(self, sql: str, keys: Sequence[Any]) -> list[tuple[Any, ...]]:
+        """Return the rows of a query in which `IN (?)` stands for any number of keys.
+
+        They are asked for `AT_ONCE` at a time, in their order.
+        """
+        found = []
+        for start in range(0, len(keys), AT_ONCE):
+            piece = keys[start : start + AT_ONCE]
+            found += self.rows(
+                sql.replace("IN (?)", f"IN {holders(len(piece))}"), piece
+            )
+        return found
 
     def run(self, sql: str, values: Sequence[Any] = ()) -> int:
         """Run one statement inside `writing` and return how many rows it changed."""
@@ -125,14 +160,15 @@ class Database:
         """Run one statement per entry of `values` inside `writing`."""
         return self._connection.executemany(sql, values).rowcount
 
-    def added(self, sql: str, values: Sequence[Any]) -> int:
+    def insert(self, table: str, values: dict[str, Any]) -> int:
         """Insert one row inside `writing` and return its key."""
-        return int(self._connection.execute(sql, values).lastrowid or 0)
+        sql = f"INSERT INTO {table} ({', '.join(values)}) VALUES {holders(len(values))}"
+        return int(self._connection.execute(sql, [*values.values()]).lastrowid or 0)
 
     @contextmanager
     def writing(self) -> Iterator[None]:
         """Run a transaction: when the block has ended, all of it is on the disk."""
-        with self._lock, self.explained():
+        with self._lock, self._explained():
             self._connection.execute("BEGIN IMMEDIATE")
             try:
                 yield
@@ -143,7 +179,7 @@ class Database:
                 raise
 
     @contextmanager
-    def explained(self) -> Iterator[None]:
+    def _explained(self) -> Iterator[None]:
         """Turn what SQLite stumbles over into one sentence with the fix."""
         if os.getpid() != self._process:
             raise LibraryError(
@@ -164,7 +200,7 @@ class Database:
         self, create: bool, *, mode: str = "rwc", locking: str = "NORMAL"
     ) -> None:
         place = f"{self.path.absolute().as_uri()}?mode={mode}"
-        with self.explained():
+        with self._explained():
             self._connection = sqlite3.connect(
                 place,
                 uri=True,
@@ -197,23 +233,24 @@ class Database:
                 raise error from None
 
     def _prepare(self, create: bool, locking: str) -> None:
-        with self.explained():
+        with self._explained():
             run = self._connection.execute
             run(f"PRAGMA busy_timeout = {int(PATIENCE_S * 1000)}")
             run(f"PRAGMA locking_mode = {locking}")
             run("PRAGMA synchronous = FULL")
             run("PRAGMA foreign_keys = ON")
             run("PRAGMA trusted_schema = OFF")
-            if self._version() == 0 and create:
+            if self.count("PRAGMA user_version") == 0 and create:
                 run("PRAGMA journal_mode = WAL")
                 self._make_tables()
-            version = self._version()
+            version = self.count("PRAGMA user_version")
+            application = self.count("PRAGMA application_id")
         if version > VERSION:
             raise NewerLibrary(
                 f"{self.path} has library format {version}, this palpate reads up to "
                 f"{VERSION}. Update palpate; the images beside it are plain .npy files."
             )
-        if version < 1 or self._application() != _APPLICATION:
+        if version < 1 or application != _APPLICATION:
             raise DatabaseDamaged(
                 f"{self.path} must be the database of a library of touches, got "
                 "another one, or an empty file. Give another folder, or rebuild it "
@@ -222,18 +259,39 @@ class Database:
 
     def _make_tables(self) -> None:
         with self.writing():
-            if self._connection.execute("SELECT 1 FROM sqlite_master").fetchone():
+            if self.one("SELECT 1 FROM sqlite_master"):
                 return  # another process was faster, or it is another database
             for statement in _TABLES.split(";"):
-                self._connection.execute(statement)
-            self._connection.execute(f"PRAGMA application_id = {_APPLICATION}")
-            self._connection.execute(f"PRAGMA user_version = {VERSION}")
+                self.run(statement)
+            self.run(f"PRAGMA application_id = {_APPLICATION}")
+            self.run(f"PRAGMA user_version = {VERSION}")
 
-    def _version(self) -> int:
-        return int(self._connection.execute("PRAGMA user_version").fetchone()[0])
 
-    def _application(self) -> int:
-        return int(self._connection.execute("PRAGMA application_id").fetchone()[0])
+def holders(n_values: int) -> str:
+    """Return question marks in brackets, one for each value."""
+    return f"({', '.join('?' * n_values)})"
+
+
+def is_unicode(text: str) -> bool:
+    """Tell whether UTF-8, and so the database, can hold a text."""
+    return not any("\ud800" <= letter <= "\udfff" for letter in text)
+
+
+def holds_files(library: Path) -> bool:
+    """Tell whether touches or changes have ever been stored in a library."""
+    kinds = (f"{IMAGES}/[0-9a-f][0-9a-f]/*.npy", f"{CHANGES}/*-*.json")
+    return any(next(library.glob(kind), None) is not None for kind in kinds)
+
+
+@contextmanager
+def room_for(what: str, place: Path, fix: str) -> Iterator[None]:
+    """Turn a full or failing disk into one sentence that ends with `fix`."""
+    try:
+        yield
+    except OSError as error:
+        raise LibraryError(
+            f"{place} must have room for {what}, got: {error.strerror or error}. {fix}"
+        ) from error
 
 
 def _missing(path: Path) -> LibraryError:
@@ -248,14 +306,10 @@ def _missing(path: Path) -> LibraryError:
     )
 
 
-_DAMAGE = ("SQLITE_CORRUPT", "SQLITE_NOTADB")
-_BUSY = ("SQLITE_BUSY", "SQLITE_LOCKED")
 _FIXES = {
     "SQLITE_FULL": "Free space on the disk and go on; what was acknowledged is kept.",
     "SQLITE_IOERR": "Free space on the disk, see that the disk is well, and try again; "
     "what was acknowledged is kept.",
-    "SQLITE_BUSY": "Another program has been writing for a minute; wait, or end it.",
-    "SQLITE_LOCKED": "Another program has been writing for a minute; wait, or end it.",
     "SQLITE_CANTOPEN": "Free space on the disk, and check that the folder may be "
     "written to.",
     "SQLITE_READONLY": "Check that the folder and the file may be written to.",
@@ -267,15 +321,18 @@ def _explained(path: Path, error: sqlite3.Error) -> LibraryError:
     """Return what SQLite stumbled over as one sentence with the fix."""
     name = "_".join(getattr(error, "sqlite_errorname", "").split("_")[:2])
     start = f"{path} must be a sound database, got: {error}. "
-    if name in _DAMAGE:
+    unusable = f"{path} must be readable and writable, got: {error}. "
+    if name in ("SQLITE_CORRUPT", "SQLITE_NOTADB"):
         return DatabaseDamaged(
             f"{start}It is damaged; `palpate library check --repair` rebuilds it from "
             "the image files."
         )
+    if name in ("SQLITE_BUSY", "SQLITE_LOCKED"):
+        return DatabaseBusy(
+            f"{unusable}Another program has been writing for a minute; wait, or end it."
+        )
     if name in _FIXES:
-        start = f"{path} must be readable and writable, got: {error}. "
-        kind = DatabaseBusy if name in _BUSY else DatabaseUnavailable
-        return kind(start + _FIXES[name])
+        return DatabaseUnavailable(unusable + _FIXES[name])
     if "closed" in str(error):
         return LibraryError(f"{start}The library was closed; open it again.")
     return LibraryError(

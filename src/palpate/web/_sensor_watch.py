@@ -1,4 +1,4 @@
-"""Following a sensor: frames to those who look, touches to whoever takes them.
+"""Following a sensor: its frames are shown, its touches found and handed on.
 
 One thread follows the frames and never waits for anything else; another hands on
 the touches it finds, one after the other.
@@ -11,8 +11,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .._types import Array
+from ..recognition import ObjectRecogniser
 from ..sensors import (
     DetectedTouch,
     Frame,
@@ -24,16 +25,15 @@ from ..sensors import (
     gain_warning,
     zero_warning,
 )
-from ._events import Event, Listeners
-from ._health import Health
-from ._pictures import FramePainter
+from ._events import Event, Health, Listeners
+from ._images import FramePainter
 
-_ZERO_FRAMES = 10
+_BASELINE_FRAMES = 10
 _SHOWN_HZ = 45.0
-_TOLD_S = 1.0
+_STATE_EVERY_S = 1.0
 _RECENT = 40
 
-TakeTouch = Callable[[NDArray[Any], float], None]
+TakeTouch = Callable[[Array, float], None]
 
 
 class SensorWatch:
@@ -47,11 +47,16 @@ class SensorWatch:
         Called with the image of each touch and the time its last frame was taken
         (`time.monotonic`), in a thread of its own.
     listeners : Listeners
-        Told of frames ("frame") and of what the sensor is like ("contact").
+        Sent frames ("frame") and what the sensor is like ("contact").
     health : Health
         Counts frames.
     summary : {"peak", "mean"}
         What stands for a touch, see `TouchDetector`.
+
+    Attributes
+    ----------
+    misfit : str
+        Why the model cannot recognise touches of this sensor; empty where it can.
     """
 
     def __init__(
@@ -67,10 +72,10 @@ class SensorWatch:
         self._take, self._listeners, self._health = take, listeners, health
         self._painter = FramePainter(sensor.image_shape)
         self._memory: SensorMemory | None = None
-        self._misfit = ""
-        self._recent: list[NDArray[Any]] = []
+        self.misfit = ""
+        self._recent: list[Array] = []
         self._warnings: list[str] = []
-        self._zeroing: list[NDArray[Any]] | None = None
+        self._resting: list[Array] | None = None
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._found: queue.Queue[tuple[DetectedTouch, float] | None] = queue.Queue()
@@ -94,8 +99,8 @@ class SensorWatch:
         for thread in self._threads:
             thread.join(timeout=5.0)
 
-    def take_zero(self, *, force: bool = False, timeout_s: float = 3.0) -> None:
-        """Take the frame of no contact from the next frames of the sensor.
+    def take_baseline(self, *, force: bool = False, timeout_s: float = 3.0) -> None:
+        """Take the baseline, the frame of touching nothing, from the next frames.
 
         Raises
         ------
@@ -104,32 +109,34 @@ class SensorWatch:
         SensorError
             Frames do not come.
         """
-        frames: list[NDArray[Any]] = []
+        frames: list[Array] = []
         if not self.detector.touching or force:
-            self._zeroing = frames
+            self._resting = frames
             deadline = time.monotonic() + timeout_s
-            while len(frames) < _ZERO_FRAMES and time.monotonic() < deadline:
+            while len(frames) < _BASELINE_FRAMES and time.monotonic() < deadline:
                 time.sleep(0.01)
-            self._zeroing = None
+            self._resting = None
         else:  # is refused with the reason
-            frames = [self.sensor.read_latest().image] * _ZERO_FRAMES
-        if len(frames) < _ZERO_FRAMES:
-            raise SensorError(f"{self.sensor.name} gave too few frames for a zero.")
+            frames = [self.sensor.read_latest().image] * _BASELINE_FRAMES
+        if len(frames) < _BASELINE_FRAMES:
+            raise SensorError(f"{self.sensor.name} gave too few frames for a baseline.")
         with self._lock:
             self.detector.step = self.sensor.step
             self.detector.take_zero(frames, force=force)
             self._recent = []
         self._compare()
 
-    def state(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return what the sensor is like now, as plain values."""
         sensor, desk = self.sensor, desk_of(self.sensor)
+        has_baseline = self.detector.zero is not None
         return {
             "name": sensor.name,
             "unit": sensor.unit,
             "shape": list(sensor.image_shape),
             "lost": sensor.lost,
-            "zero": self.detector.zero is not None,
+            "baseline": has_baseline,
+            "zero": has_baseline,  # the name before; goes with the next release
             "touching": self.detector.touching,
             "offer": self.detector.rezero_offer(time.monotonic()),
             "warnings": list(self._warnings),
@@ -138,32 +145,36 @@ class SensorWatch:
             else {"objects": list(desk.objects), "placed": desk.placed},
         }
 
-    def health_state(self) -> dict[str, Any]:
-        """Return frame rate (Hz), frames dropped, and latencies (ms)."""
-        return {**self._health.told(), "n_dropped": self.sensor.n_dropped}
-
-    def remember(self, memory: SensorMemory | None, misfit: str = "") -> None:
-        """Compare the sensor with what it was when a model learnt, from now on.
-
-        `misfit` says why the model is none of this sensor at all.
-        """
-        self._memory, self._misfit = memory, misfit
+    def compare_with(self, model: ObjectRecogniser | None) -> None:
+        """Compare the sensor with what it was when a model learnt, from now on."""
+        stored = None if model is None else model.memory_.sensor
+        self._memory = None if stored is None else SensorMemory.from_dict(stored)
+        learnt = None if model is None else tuple(model.encoder_.image_shape_)
+        given = tuple(self.sensor.image_shape)
+        self.misfit = ""
+        if learnt is not None and learnt != given:
+            self.misfit = (
+                f"The model must be of images of {given[0]} x {given[1]} taxels, which "
+                f"{self.sensor.name} gives, got one of {learnt[0]} x {learnt[1]}. "
+                "Learn from touches of this sensor, or start with the sensor that the "
+                "model learnt from."
+            )
         self._compare()
 
     def _compare(self) -> None:
         """Say what has left tolerance since the model learnt."""
-        zero, memory = self.detector.zero, self._memory
-        found = [self._misfit]
-        if not self._misfit and zero is not None and memory is not None:
-            found = [zero_warning(memory, zero.astype(np.float64))]
+        baseline, memory = self.detector.zero, self._memory
+        found = [self.misfit]
+        if not self.misfit and baseline is not None and memory is not None:
+            found = [zero_warning(memory, baseline.astype(np.float64))]
             recent = list(self._recent)
             if recent and memory.response.size and not found[0]:
-                now = SensorMemory.of(np.stack(recent), zero)
+                now = SensorMemory.of(np.stack(recent), baseline)
                 found.append(gain_warning(memory, now))
         self._warnings = [warning for warning in found if warning]
 
     def _follow(self) -> None:
-        shown_s = told_s = 0.0
+        shown_s = stated_s = 0.0
         touching = False
         while not self._stop.is_set():
             try:
@@ -176,16 +187,17 @@ class SensorWatch:
                 if now_s - shown_s >= 1 / _SHOWN_HZ:
                     shown_s = now_s
                     self._show(frame)
-            if touching != self.detector.touching or now_s - told_s > _TOLD_S:
-                touching, told_s = self.detector.touching, now_s
-                values = {"sensor": self.state(), "health": self.health_state()}
-                self._listeners.tell(Event("contact", values))
+            late = now_s - stated_s > _STATE_EVERY_S
+            if late or touching != self.detector.touching:
+                touching, stated_s = self.detector.touching, now_s
+                values = {"sensor": self.to_dict(), "health": self._health.to_dict()}
+                self._listeners.notify(Event("contact", values))
 
     def _step(self, frame: Frame) -> None:
         self._health.count_frame(frame.time_s)
-        zeroing = self._zeroing
-        if zeroing is not None:
-            zeroing.append(frame.image)
+        resting = self._resting
+        if resting is not None:
+            resting.append(frame.image)
             return
         with self._lock:
             self.detector.step = self.sensor.step
@@ -203,7 +215,7 @@ class SensorWatch:
             "number": frame.number,
             "touching": self.detector.touching,
         }
-        self._listeners.tell(Event("frame", values, picture))
+        self._listeners.notify(Event("frame", values, picture))
 
     def _hand_on(self) -> None:
         while (found := self._found.get()) is not None:

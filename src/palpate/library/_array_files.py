@@ -10,30 +10,22 @@ import hashlib
 import io
 import os
 import re
-import secrets
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from math import prod
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
-from numpy.typing import NDArray
 
-from ._errors import LibraryError
+from .._durable import flush_folder, write_bytes
+from .._types import Array
+from ._store import LibraryError
 
-IMAGES, ARRAYS, CHANGES = "images", "arrays", "changes"
-PARTIAL = ".partial-"
 _MAX_HEADER = 2**14
 _NAME = re.compile("[0-9a-f]{64}")
 _PLAIN_KINDS = "biufcSUMm"
-
-
-def holds_files(library: Path) -> bool:
-    """Tell whether touches or changes have ever been stored in a library."""
-    kinds = (f"{IMAGES}/[0-9a-f][0-9a-f]/*.npy", f"{CHANGES}/*-*.json")
-    return any(next(library.glob(kind), None) is not None for kind in kinds)
 
 
 def file_path(folder: Path, name: str) -> Path:
@@ -45,7 +37,7 @@ def file_path(folder: Path, name: str) -> Path:
     return folder / name[:2] / f"{name}.npy"
 
 
-def packed(arrays: Sequence[NDArray[Any]]) -> bytes:
+def packed(arrays: Sequence[Array]) -> bytes:
     """Return arrays as the bytes of one file."""
     stream = io.BytesIO()
     for array in arrays:
@@ -53,7 +45,7 @@ def packed(arrays: Sequence[NDArray[Any]]) -> bytes:
     return stream.getvalue()
 
 
-def header_size(array: NDArray[Any]) -> int:
+def header_size(array: Array) -> int:
     """Return how many bytes `packed` writes before the values of `array`."""
     return len(packed([array])) - array.nbytes
 
@@ -74,34 +66,14 @@ def publish(folder: Path, content: bytes) -> str:
     if not target.parent.is_dir():
         target.parent.mkdir(parents=True, exist_ok=True)
         flush_folder(folder)
-    partial = target.with_name(f"{PARTIAL}{secrets.token_hex(8)}")
-    try:
-        with partial.open("xb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(target)
-    finally:
-        with suppress(OSError):
-            partial.unlink()
-    flush_folder(target.parent)
+    write_bytes(target, content)
     return name
 
 
-def flush_folder(folder: Path) -> None:
-    """Make new names in `folder` durable, where folders can be opened."""
-    with suppress(PermissionError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-
-
 def read_values(
-    path: Path, offset: int, shape: tuple[int, ...], dtype: np.dtype[Any]
-) -> NDArray[Any]:
-    """Return values that stand at `offset` of a file; the caller checks them.
+    path: Path, start: int, shape: tuple[int, ...], dtype: np.dtype[Any]
+) -> Array:
+    """Return values that begin at a byte of a file; the caller checks them.
 
     Raises
     ------
@@ -109,20 +81,16 @@ def read_values(
         The file is missing or too short.
     """
     n_bytes = prod(shape) * dtype.itemsize
-    try:
-        with path.open("rb") as file:
-            room = os.fstat(file.fileno()).st_size - offset
-            file.seek(max(0, offset))
-            content = file.read(min(n_bytes, max(0, room)))
-    except OSError as error:
-        reason = error.strerror or error
-        raise LibraryError(f"{path} must be readable, got: {reason}.") from error
+    with _readable(path), path.open("rb") as file:
+        room = os.fstat(file.fileno()).st_size - start
+        file.seek(max(0, start))
+        content = file.read(min(n_bytes, max(0, room)))
     if len(content) != n_bytes or dtype.hasobject:
         raise LibraryError(f"{path} must be whole, got a file that is cut short.")
     return np.frombuffer(content, dtype=dtype).reshape(shape)
 
 
-def read_file(folder: Path, name: str) -> list[NDArray[Any]]:
+def read_file(folder: Path, name: str) -> list[Array]:
     """Return all arrays of a file, which must be what its name says.
 
     Raises
@@ -131,27 +99,28 @@ def read_file(folder: Path, name: str) -> list[NDArray[Any]]:
         It is missing, altered, or holds something else than plain arrays.
     """
     path = file_path(folder, name)
-    try:
+    with _readable(path):
         content = path.read_bytes()
-    except OSError as error:
-        reason = error.strerror or error
-        raise LibraryError(f"{path} must be readable, got: {reason}.") from error
     if hashlib.sha256(content).hexdigest() != name:
         raise LibraryError(f"{path} must be as it was written, got altered content.")
-    return unpacked(path, content)
-
-
-def unpacked(path: Path, content: bytes) -> list[NDArray[Any]]:
-    """Return the arrays in the bytes of a file; nothing is unpickled."""
-    arrays = []
-    start = 0
+    arrays, start = [], 0
     while start < len(content):
         array, start = _array_at(path, content, start)
         arrays.append(array)
     return arrays
 
 
-def _array_at(path: Path, content: bytes, start: int) -> tuple[NDArray[Any], int]:
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+        raise LibraryError(f"{path} must be readable, got: {reason}.") from error
+
+
+def _array_at(path: Path, content: bytes, start: int) -> tuple[Array, int]:
+    """Return the array that begins at a byte, and where it ends."""
     stream = io.BytesIO(content[start : start + _MAX_HEADER + 16])
     try:
         version = npy.read_magic(stream)

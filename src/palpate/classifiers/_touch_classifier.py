@@ -1,0 +1,215 @@
+"""What a belief asks of a classifier: `TouchClassifier`, and a wrapper that any keeps.
+
+Beside that, the checks that the classifiers of feature vectors share.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, Self, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import log_softmax
+from sklearn.base import BaseEstimator, ClassifierMixin, clone
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from .._checks import are_plain_vectors
+from .._types import Array, Floats
+
+_N_FOLDS = 5
+_LEAST_PROBABILITY = 1e-12
+
+
+@runtime_checkable
+class TouchClassifier(Protocol):
+    """A classifier of feature vectors that a belief can be built on.
+
+    Attributes
+    ----------
+    classes_ : ndarray of shape (n_objects,)
+        The labels, sorted; the columns of every log-likelihood.
+    """
+
+    classes_: Array
+
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> Self:
+        """Learn touches; those of one group are left out together."""
+        ...
+
+    def refit(
+        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None
+    ) -> Self:
+        """Learn other touches with the widths and weights that `fit` chose."""
+        ...
+
+    def log_likelihood(self, X: ArrayLike) -> Floats:
+        """Return log p(touch | object) up to a constant per touch (nats)."""
+        ...
+
+    def left_out_log_likelihood(self) -> Floats:
+        """Return `log_likelihood` of the training touches, their groups left out.
+
+        Shape (n_training_touches, n_objects), rows as given to `fit`; minus infinity
+        where no touch of an object is left.
+        """
+        ...
+
+
+class BayesRule(ClassifierMixin, BaseEstimator):
+    """Predictions of a classifier that has `classes_` and `log_likelihood`.
+
+    With the parameter `prior="counts"` and `counts_` (n_objects,), objects are as
+    probable before the touch as they were frequent in training; else equally probable.
+    """
+
+    classes_: Array
+    counts_: NDArray[np.intp]
+    prior = "uniform"
+
+    def log_likelihood(self, X: ArrayLike) -> Floats:
+        """Return log p(touch | object) up to a constant per touch (nats)."""
+        raise NotImplementedError
+
+    def predict_log_proba(self, X: ArrayLike) -> Floats:
+        """Return the log posterior of the objects, (n_touches, n_objects)."""
+        log_posterior: Floats = log_softmax(self._log_joint(X), axis=1)
+        return log_posterior
+
+    def predict_proba(self, X: ArrayLike) -> Floats:
+        """Return the posterior of the objects, (n_touches, n_objects)."""
+        return np.exp(self.predict_log_proba(X))
+
+    def predict(self, X: ArrayLike) -> Array:
+        """Return the most probable object of each touch, the first of equals."""
+        best = self._log_joint(X).argmax(axis=1)
+        return np.asarray(self.classes_[best])
+
+    def _log_joint(self, X: ArrayLike) -> Floats:
+        log_likelihood = self.log_likelihood(X)
+        if self.prior == "uniform":
+            return log_likelihood
+        return np.asarray(log_likelihood + np.log(self.counts_ / self.counts_.sum()))
+
+
+class FromProbabilities(BayesRule):
+    """Any classifier with `predict_proba` as a `TouchClassifier`.
+
+    Its posterior is taken as the one under equal priors, and kept above 1e-12. Left-out
+    touches are recognised by classifiers that learnt the other folds of each label.
+
+    Parameters
+    ----------
+    classifier : classifier
+        With `fit` and `predict_proba`, for feature vectors.
+
+    Attributes
+    ----------
+    classes_ : ndarray of shape (n_objects,)
+        The labels, sorted.
+    classifier_ : classifier
+        Learnt from all touches.
+    touches_, labels_, groups_ : ndarray of n_touches rows
+        The training touches, kept for `left_out_log_likelihood`.
+
+    Examples
+    --------
+    >>> from sklearn.naive_bayes import GaussianNB
+    >>> from palpate.classifiers import FromProbabilities
+    >>> model = FromProbabilities(GaussianNB())
+    >>> model.fit([[0], [1], [5], [6]], ["pen", "pen", "mug", "mug"]).predict([[4]])
+    array(['mug'], dtype='<U3')
+    """
+
+    def __init__(self, classifier: Any) -> None:
+        self.classifier = classifier
+
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> Self:
+        """Learn touches (n_touches, n_features); see `TouchClassifier.fit`.
+
+        Raises
+        ------
+        TypeError
+            The classifier has no `predict_proba`.
+        """
+        if not hasattr(self.classifier, "predict_proba"):
+            raise TypeError(
+                "classifier must have predict_proba, got "
+                f"{type(self.classifier).__name__}. Wrap it in CalibratedClassifierCV."
+            )
+        self.touches_, self.labels_ = validate_data(self, X, y, dtype=np.float64)
+        self.groups_ = as_groups(groups, len(self.touches_))
+        self.classifier_ = clone(self.classifier).fit(self.touches_, self.labels_)
+        self.classes_ = np.asarray(self.classifier_.classes_)
+        return self
+
+    def refit(
+        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None
+    ) -> Self:
+        """Learn other touches; what the classifier chooses it chooses again."""
+        return self.fit(X, y, groups)
+
+    def log_likelihood(self, X: ArrayLike) -> Floats:
+        """Return the logarithm of `predict_proba`, (n_touches, n_objects)."""
+        check_is_fitted(self)
+        return _log_probability(self.classifier_, as_touches(self, X))
+
+    def left_out_log_likelihood(self) -> Floats:
+        """Return `log_likelihood` of training touches with their folds left out."""
+        check_is_fitted(self)
+        result = np.full((len(self.touches_), len(self.classes_)), -np.inf)
+        # Group k of every label goes into fold k, so each fold keeps all labels.
+        fold_of = _rank_within(self.labels_, self.groups_) % _N_FOLDS
+        for fold in np.unique(fold_of):
+            train = np.flatnonzero(fold_of != fold)
+            test = np.flatnonzero(fold_of == fold)
+            if len(np.unique(self.labels_[train])) < 2:
+                continue
+            again = clone(self.classifier).fit(
+                self.touches_[train], self.labels_[train]
+            )
+            columns = np.searchsorted(self.classes_, again.classes_)
+            known = _log_probability(again, self.touches_[test])
+            result[np.ix_(test, columns)] = known
+        return result
+
+
+def as_touches(estimator: BaseEstimator, X: ArrayLike) -> Floats:
+    """Return `X` as touches like those of `fit`, (n_touches, n_features).
+
+    Raises what scikit-learn's `validate_data` raises.
+    """
+    n_features = getattr(estimator, "n_features_in_", -1)
+    named = hasattr(estimator, "feature_names_in_")
+    if not named and are_plain_vectors(X, n_features):
+        return np.asarray(X)
+    touches: Floats = validate_data(estimator, X, dtype=np.float64, reset=False)
+    return touches
+
+
+def as_groups(groups: ArrayLike | None, n_touches: int) -> NDArray[np.intp]:
+    """Return the number of each training touch's group; by default its own."""
+    if groups is None:
+        return np.arange(n_touches)
+    given = np.asarray(groups)
+    if given.shape != (n_touches,):
+        raise ValueError(
+            f"groups must have one entry per training touch ({n_touches}), "
+            f"got shape {given.shape}."
+        )
+    codes: NDArray[np.intp] = np.unique(given, return_inverse=True)[1]
+    return codes
+
+
+def _log_probability(classifier: Any, touches: Floats) -> Floats:
+    probability = np.clip(classifier.predict_proba(touches), _LEAST_PROBABILITY, None)
+    log_probability: Floats = np.log(probability)
+    return log_probability
+
+
+def _rank_within(labels: Array, group: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Number the groups of each label 0, 1, 2..., per touch."""
+    rank = np.empty(len(labels), dtype=np.intp)
+    for label in np.unique(labels):
+        rows = labels == label
+        rank[rows] = np.unique(group[rows], return_inverse=True)[1]
+    return rank

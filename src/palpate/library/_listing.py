@@ -1,0 +1,190 @@
+"""What is known of touches, objects and sensors, found without reading an image."""
+
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from .._checks import check_option, check_positive
+from ..touches import GEOMETRIES
+from ._rows import FROM, Numbers, StoredTouch, read_rows
+from ._store import ARRAYS, FEATURES, FILE_NAME, IMAGES, Store
+from ._where import Condition, parse_where
+
+
+class SensorDescription(NamedTuple):
+    """What is known of the sensor that took some touches.
+
+    Attributes
+    ----------
+    name : str
+        Tells this sensor from others, such as "camera:BathTip 2".
+    kind : str or None
+        Such as "camera", "array" or "simulated".
+    unit : str or None
+        Unit of the images, such as "kPa" or "grey level".
+    pitch_mm : float or None
+        Distance of neighbouring taxels in mm.
+    geometry : {"dome", "array", "plane", "none"} or None
+        How its taxels lie; None leaves it as the touches say.
+    """
+
+    name: str
+    kind: str | None = None
+    unit: str | None = None
+    pitch_mm: float | None = None
+    geometry: str | None = None
+
+    def checked(self) -> "SensorDescription":
+        """Return itself, or say what is wrong with it."""
+        if not isinstance(self.name, str) or not self.name.strip():
+            raise ValueError(f"sensor name must be a text, got {self.name!r}.")
+        if self.pitch_mm is not None:
+            check_positive("pitch_mm", self.pitch_mm)
+        check_option("geometry", self.geometry, (None, *GEOMETRIES))
+        return self
+
+
+class ObjectRow(NamedTuple):
+    """One object of a library; retracted touches do not count.
+
+    `n_episodes` counts different pairs of session and episode.
+    """
+
+    name: str
+    category: str | None
+    n_touches: int
+    n_episodes: int
+
+
+class TouchRow(NamedTuple):
+    """One touch of a library without its image.
+
+    `time_s` is the touch's own time, `added_s` when it was added (both seconds; the
+    latter since 1970), `force_n` in newtons; `reason` says why it is retracted.
+    """
+
+    id: str
+    object: str | None
+    category: str | None
+    session: str | int | float | None
+    episode: str | int | float | None
+    sensor: str | None
+    order: float | None
+    time_s: float | None
+    force_n: float | None
+    n_rows: int
+    n_cols: int
+    dtype: str
+    added_s: float
+    retracted: bool
+    reason: str | None
+
+
+class Stats(NamedTuple):
+    """How much a library holds; sizes in bytes."""
+
+    n_touches: int
+    n_retracted: int
+    n_objects: int
+    n_sessions: int
+    n_files: int
+    database_bytes: int
+    image_bytes: int
+    feature_bytes: int
+
+
+def condition(store: Store, where: str | None, *, retracted: bool = False) -> Condition:
+    """Return a filter as SQL; retracted touches are left out unless asked for."""
+    kept = "1" if retracted else "t.retraction IS NULL"
+    if where is not None and not isinstance(where, str):
+        raise TypeError(
+            f"where must be a filter or None, got {type(where).__name__}. Write for "
+            'example "object = mug".'
+        )
+    if where is None or not where.strip():
+        return Condition(kept, [])
+    rows = store.rows("SELECT columns FROM layouts")
+    extra = {c[0] for row in rows for c in json.loads(row[0]) if not c[3]}
+    parsed = parse_where(where, extra)
+    return Condition(f"{kept} AND {parsed.sql}", parsed.values)
+
+
+def numbers_of(store: Store, where: str | None) -> Numbers:
+    """Return the numbers of the touches that meet a filter, in the order added."""
+    sql, values = condition(store, where)
+    rows = store.rows(f"SELECT t.number {FROM} WHERE {sql} ORDER BY t.number", values)
+    return np.fromiter((row[0] for row in rows), dtype=np.int64, count=len(rows))
+
+
+def list_touches(
+    store: Store, where: str | None, limit: int | None, offset: int, retracted: bool
+) -> list[TouchRow]:
+    """Return what is known of touches, newest last, without reading an image."""
+    sql, values = condition(store, where, retracted=retracted)
+    some = [*values, -1 if limit is None else limit, offset]
+    found = read_rows(store, f"WHERE {sql} ORDER BY t.number LIMIT ? OFFSET ?", some)
+    return [_listed(touch) for touch in found]
+
+
+def _listed(touch: StoredTouch) -> TouchRow:
+    change = touch.retraction
+    return TouchRow(
+        touch.id.hex(),
+        touch.object,
+        touch.category,
+        touch.session,
+        touch.episode,
+        touch.recorded_by if touch.sensor is None else touch.sensor,
+        touch.order,
+        touch.time_s,
+        touch.force_n,
+        touch.n_rows,
+        touch.n_cols,
+        touch.dtype,
+        touch.added_s,
+        change is not None,
+        None if change is None else json.loads(change).get("reason"),
+    )
+
+
+def list_objects(store: Store) -> list[ObjectRow]:
+    """Return all objects with touches that are not retracted, sorted by name.
+
+    The category is the object's own, else that of one merged into it.
+    """
+    rows = store.rows(
+        "WITH given AS (SELECT object, session, episode, count(*) AS n FROM touches "
+        "WHERE retraction IS NULL GROUP BY object, session, episode), "
+        "visits AS (SELECT coalesce(o.merged_into, o.id) AS key, sum(n) AS n "
+        "FROM given JOIN objects o ON o.id = object GROUP BY key, session, episode) "
+        "SELECT o.name, (SELECT category FROM objects WHERE (id = o.id "
+        "OR merged_into = o.id) AND category IS NOT NULL "
+        "ORDER BY merged_into IS NOT NULL, id LIMIT 1), sum(n), count(*) "
+        "FROM visits JOIN objects o ON o.id = key GROUP BY o.id ORDER BY o.name"
+    )
+    return [ObjectRow(*row) for row in rows]
+
+
+def stats_of(store: Store) -> Stats:
+    """Return how much there is, in touches and in bytes."""
+    [row] = store.rows(
+        "SELECT count(*), count(retraction), (SELECT count(*) FROM files), "
+        "(SELECT count(*) FROM (SELECT DISTINCT session FROM touches)) FROM touches"
+    )
+    n_touches, n_retracted, n_files, n_sessions = row
+    return Stats(
+        n_touches - n_retracted,
+        n_retracted,
+        len(list_objects(store)),
+        n_sessions,
+        n_files,
+        sum(p.stat().st_size for p in store.folder.glob(f"{FILE_NAME}*")),
+        _bytes_below(store.folder / IMAGES) + _bytes_below(store.folder / ARRAYS),
+        _bytes_below(store.folder / FEATURES),
+    )
+
+
+def _bytes_below(folder: Path) -> int:
+    return sum(p.stat().st_size for p in folder.rglob("*") if p.is_file())

@@ -1,0 +1,229 @@
+"""The table of touches: one function writes its rows, one reads them."""
+
+import hashlib
+import json
+from collections.abc import Collection, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._array_files import header_size
+from ._sheet import CELLS, Column, Sheet, canonical
+from ._store import AT_ONCE, LibraryError, Store, holders
+
+Numbers = NDArray[np.int64]
+MISSING = "its image is missing or altered"
+# Retractions that a repair made, since it found no image.
+SET_ASIDE = (
+    f"SELECT id FROM changes WHERE json_extract(content, '$.reason') = '{MISSING}'"
+)
+FROM = (
+    "FROM touches t JOIN recordings r ON r.id = t.recording "
+    "LEFT JOIN objects given ON given.id = t.object "
+    "LEFT JOIN objects o ON o.id = coalesce(given.merged_into, given.id) "
+)
+_CELLS = ", ".join(f't."{name}"' for name in CELLS[1:])
+_SELECT = (
+    "SELECT t.id, f.name, f.offset, t.place, t.image, r.n_rows, r.n_cols, "
+    "r.dtype, t.layout, t.extra, t.added_s, r.sensor, c.content, o.name, "
+    f"{_CELLS} {FROM} "
+    "JOIN files f ON f.id = t.file LEFT JOIN changes c ON c.id = t.retraction "
+)
+_RECORDED = "sensor, kind, unit, pitch_mm, geometry, n_rows, n_cols, dtype"
+_INSERT = (
+    'INSERT INTO touches (id, object, category, session, episode, sensor, "order", '
+    "time_s, force_n, press, frame, source_path, extra, layout, recording, file, "
+    f"place, image, added_s) VALUES {holders(19)} ON CONFLICT (id) DO "
+)
+_HEAL = (
+    "UPDATE SET extra = excluded.extra, layout = excluded.layout, "
+    "file = excluded.file, place = excluded.place, "
+    f"retraction = iif(retraction IN ({SET_ASIDE}), NULL, retraction)"
+)
+
+
+class StoredTouch(NamedTuple):
+    """What the database knows of a touch: one row with what it refers to.
+
+    Its image is the one of this `number` in `file`, where images begin at `offset`;
+    `digest` is its SHA-256. `layout` is the key of its columns, `extra` the values of
+    those that are no cells, as JSON; `recorded_by` the sensor of its recording,
+    `retraction` the change that retracted it, as JSON. Cells follow, as `CELLS` names
+    them.
+    """
+
+    id: bytes
+    file: bytes
+    offset: int
+    number: int
+    digest: bytes
+    n_rows: int
+    n_cols: int
+    dtype: str
+    layout: int
+    extra: str | None
+    added_s: float
+    recorded_by: str | None
+    retraction: str | None
+    object: str | None
+    category: Any
+    session: Any
+    episode: Any
+    sensor: Any
+    order: Any
+    time_s: Any
+    force_n: Any
+    press: Any
+    frame: Any
+    source_path: Any
+
+    @property
+    def start(self) -> int:
+        """At which byte of its file the image begins."""
+        n_bytes = self.n_rows * self.n_cols * np.dtype(self.dtype).itemsize
+        return self.offset + self.number * n_bytes
+
+    def values(self) -> dict[str, Any]:
+        """Return all its plain values by the name of their column."""
+        values = dict(zip(CELLS, self[-len(CELLS) :], strict=True))
+        if self.extra is not None:
+            values.update(json.loads(self.extra))
+        return values
+
+
+def read_rows(store: Store, tail: str, values: Sequence[Any] = ()) -> list[StoredTouch]:
+    """Return rows of the table of touches.
+
+    Parameters
+    ----------
+    store : Store
+        The library.
+    tail : str
+        The query from WHERE on; `t` is the touch, `o` its object, `r` its recording.
+    values : sequence
+        What stands for the question marks.
+    """
+    return [StoredTouch._make(row) for row in store.rows(_SELECT + tail, values)]
+
+
+def rows_at(store: Store, numbers: Numbers) -> Iterator[list[StoredTouch]]:
+    """Return the rows of touches by their rising numbers, `AT_ONCE` at a time."""
+    for start in range(0, len(numbers), AT_ONCE):
+        piece = numbers[start : start + AT_ONCE].tolist()
+        where = f"WHERE t.number IN {holders(len(piece))} ORDER BY t.number"
+        yield read_rows(store, where, piece)
+
+
+def read_one(store: Store, key: str) -> StoredTouch:
+    """Return the row of the touch with this id, or say that there is none."""
+    found = read_rows(store, "WHERE t.id = ?", [id_bytes(key)])
+    if not found:
+        raise LibraryError(
+            f"id must be that of a touch in the library, got {key!r}. "
+            "See `palpate library list`."
+        )
+    return found[0]
+
+
+def layouts(store: Store) -> dict[int, list[Column]]:
+    """Return the columns of touches by the key of their layout."""
+    rows = store.rows("SELECT id, columns FROM layouts ORDER BY id")
+    return {key: Column.all_of(json.loads(text)) for key, text in rows}
+
+
+def distinct(store: Store, what: str, numbers: Numbers) -> list[tuple[Any, ...]]:
+    """Return the different values of `what` over touches, in the order met."""
+    sql = f"SELECT DISTINCT {what} {FROM} WHERE t.number IN (?)"
+    return list(dict.fromkeys(store.among(sql, numbers.tolist())))
+
+
+def id_bytes(key: str) -> bytes:
+    """Return an id as it stands in the database."""
+    try:
+        return bytes.fromhex(key)
+    except (ValueError, TypeError) as error:
+        raise LibraryError(
+            f"id must be 32 hexadecimal digits as `add` returns them, got {key!r}."
+        ) from error
+
+
+def write_rows(
+    store: Store, sheet: Sheet, name: str, healed: Collection[bytes] = ()
+) -> None:
+    """Enter touches inside a transaction; those in the library already stay.
+
+    Parameters
+    ----------
+    store : Store
+        The library.
+    sheet : Sheet
+        The touches.
+    name : str
+        Their file, which is in place.
+    healed : collection of bytes
+        Ids of touches whose file has been lost: they are found in this one from now
+        on.
+    """
+    rows = list(_rows(store, sheet, name))
+    store.run_many(_INSERT + "NOTHING", [r for r in rows if r[0] not in healed])
+    store.run_many(_INSERT + _HEAL, [r for r in rows if r[0] in healed])
+
+
+def _rows(store: Store, sheet: Sheet, name: str) -> Iterator[tuple[Any, ...]]:
+    """Return what `_INSERT` names of each touch."""
+    layout = {"columns": json.dumps([list(column) for column in sheet.layout])}
+    file = {
+        "name": bytes.fromhex(name),
+        "n_touches": len(sheet.ids),
+        "offset": header_size(sheet.images),
+    }
+    keys = (
+        _key(store, "layouts", layout, "columns"),
+        _recording_key(store, sheet.recording),
+        _key(store, "files", file, "name"),
+    )
+    scalar = {c.name for c in sheet.layout if c.shape == () and c.name in sheet.values}
+    blank = [None] * len(sheet.ids)
+    cells = [sheet.values[n] if n in scalar else blank for n in CELLS]
+    more = [n for n in sheet.values if n not in CELLS or n not in scalar]
+    objects = {
+        label: _object_key(store, label, category)
+        for label, category in dict(zip(*cells[:2], strict=True)).items()
+        if label is not None
+    }
+    for row, (key, label) in enumerate(zip(sheet.ids, cells[0], strict=True)):
+        extra = {n: sheet.values[n][row] for n in more}
+        yield (
+            key,
+            objects.get(label),
+            *(column[row] for column in cells[1:]),
+            canonical(extra) if extra else None,
+            *keys,
+            row,
+            sheet.digests[row],
+            sheet.added_s,
+        )
+
+
+def _object_key(store: Store, name: str, category: str | None) -> int:
+    """Return the key of an object; the first category given for it is kept."""
+    key = _key(store, "objects", {"name": name, "category": category}, "name")
+    store.run(
+        "UPDATE objects SET category = ? WHERE id = ? AND category IS NULL",
+        [category, key],
+    )
+    return key
+
+
+def _recording_key(store: Store, recording: dict[str, Any]) -> int:
+    values = {name: recording[name] for name in _RECORDED.split(", ")}
+    values["whole"] = canonical(recording["whole"])
+    values["digest"] = hashlib.sha256(canonical(recording).encode()).digest()
+    return _key(store, "recordings", values, "digest")
+
+
+def _key(store: Store, table: str, values: dict[str, Any], unique: str) -> int:
+    """Return the key of the row with this unique value, entering it where it lacks."""
+    found = store.one(f"SELECT id FROM {table} WHERE {unique} = ?", [values[unique]])
+    return store.insert(table, values) if found is None else int(found[0])

@@ -1,0 +1,203 @@
+"""What is kept of the training touches, and which of them belong together.
+
+A `Memory` never changes: learning more, forgetting and replacing make a new one, from
+which everything after the encoding is learnt again. Its rows are in the order of
+learning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._checks import check_label_kinds
+from .._types import Array, Floats
+from ..touches import Touches, TouchSource
+from ._evidence import as_touches
+
+N_BLOCKS = 5
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What is kept of the training touches, one row a touch.
+
+    Attributes
+    ----------
+    features : ndarray of shape (n_touches, n_features)
+        What the encoder made of them.
+    labels, objects : ndarray of shape (n_touches,)
+        What is recognised, and whose touches they are.
+    blocks : ndarray of int, shape (n_touches,)
+        Touches of one number are left out together.
+    sessions : ndarray of str, shape (n_touches,)
+        The mounting or day of each, "" where it is not told.
+    nothing : ndarray of bool, shape (n_touches,)
+        Which show no contact.
+    unexplained : ndarray of shape (n_touches,)
+        How much of each touch principal components that never met its block leave out;
+        NaN where the encoding has none.
+    touch_ids : ndarray of str, shape (n_touches,)
+        Where each lies in a library, "" for those of none.
+    sensor : mapping or None
+        What the sensor was like, as plain values; the first one that was told stays.
+    """
+
+    features: Floats
+    labels: Array
+    objects: Array
+    blocks: NDArray[np.intp]
+    sessions: NDArray[np.str_]
+    nothing: NDArray[np.bool_]
+    unexplained: Floats
+    touch_ids: NDArray[np.str_]
+    sensor: Mapping[str, Any] | None = None
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    @property
+    def classes(self) -> Array:
+        """The labels, sorted, shape (n_labels,)."""
+        return np.unique(self.labels)
+
+    def plus(self, other: Self) -> Self:
+        """Return both, the other one last, its blocks numbered after these."""
+        later = replace(other, blocks=other.blocks + self.blocks.max() + 1)
+        rows = {
+            name: np.concatenate([getattr(self, name), getattr(later, name)])
+            for name in _COLUMNS
+        }
+        return replace(self, **rows, sensor=self.sensor or other.sensor)
+
+    def without(self, labels: Iterable[object]) -> Self:
+        """Return what is left when some labels are forgotten."""
+        names = set(map(str, labels))
+        gone = np.array([str(label) in names for label in self.labels])
+        return replace(self, **{n: getattr(self, n)[~gone] for n in _COLUMNS})
+
+    def replaced(self, other: Self) -> Self:
+        """Return this with the other's touches in place of those of its labels."""
+        rest = self.without(other.classes.tolist())
+        return rest.plus(other) if len(rest) else other
+
+
+_COLUMNS = [field.name for field in fields(Memory) if field.name != "sensor"]
+
+
+def labelled(X: Any, y: ArrayLike | None, label: str) -> Touches | TouchSource:
+    """Return what is to be learnt as touches with labels, or explain."""
+    if isinstance(X, Touches | TouchSource) and y is None:
+        return X
+    if y is None:
+        raise TypeError(
+            f"touches must be Touches, got {type(X).__name__} without labels. "
+            "Write fit(Touches(images, object=labels)) or fit(images, labels)."
+        )
+    check_label_kinds(y)
+    touches, names = as_touches(X), np.asarray(y)
+    if names.shape != (len(touches),):
+        raise ValueError(
+            f"y must have one label for each of {len(touches)} touches, got shape "
+            f"{names.shape}."
+        )
+    return touches.with_columns(**{label: names.astype(str)})
+
+
+def given_groups(groups: ArrayLike | None, n_touches: int) -> NDArray[np.intp] | None:
+    """Return the number of each touch's group, None where none is given."""
+    if groups is None:
+        return None
+    given = np.asarray(groups)
+    if given.shape != (n_touches,):
+        raise ValueError(
+            f"groups must have one entry for each of {n_touches} touches, got shape "
+            f"{given.shape}."
+        )
+    codes: NDArray[np.intp] = np.unique(given, return_inverse=True)[1]
+    return codes
+
+
+def training_labels(touches: Touches | TouchSource, label: str) -> tuple[Array, Array]:
+    """Return the labels to learn and the objects they come from, one per touch.
+
+    Raises
+    ------
+    ValueError
+        If labels are missing, fewer than two, or one has a single touch.
+    """
+    labels = named_labels(touches, label)
+    names, counts = np.unique(labels, return_counts=True)
+    if len(names) < 2:
+        raise ValueError(
+            f"touches must hold at least two {label} labels, "
+            f"got only {str(names[0])!r}."
+        )
+    if counts.min() < 2:
+        raise ValueError(
+            f"Every {label} must have at least 2 touches, "
+            f"got 1 of {str(names[counts.argmin()])!r}."
+        )
+    objects = labels if touches.object is None else touches.object
+    return labels, objects
+
+
+def named_labels(touches: Touches | TouchSource, label: str) -> Array:
+    """Return the column `label`, "object" or "category", or say how to have one."""
+    labels = touches.object if label == "object" else touches.category
+    if labels is None:
+        raise ValueError(
+            f"touches must have a column {label!r} to learn from. Name "
+            "folders after objects, pass a name pattern, or add the column to the "
+            "archive."
+        )
+    return labels
+
+
+def left_out_groups(
+    touches: Touches | TouchSource, labels: Array, objects: Array, label: str
+) -> NDArray[np.intp]:
+    """Return which training touches are left out together.
+
+    Whole sessions where every object has several, else blocks of each recording; in
+    categories of several objects whole objects, since there the question is about
+    objects never touched.
+    """
+    if label == "category" and touches.object is not None:
+        groups = blocks_in_order(objects, touches.order)
+        for category in np.unique(labels):
+            rows = np.flatnonzero(labels == category)
+            if len(np.unique(objects[rows])) > 1:
+                codes = np.unique(objects[rows], return_inverse=True)[1]
+                groups[rows] = groups.max() + 1 + codes
+        return groups
+    if touches.session is not None:
+        visits = np.stack([objects.astype(str), touches.session.astype(str)], axis=1)
+        pairs, group = np.unique(visits, axis=0, return_inverse=True)
+        if np.unique(pairs[:, 0], return_counts=True)[1].min() > 1:
+            by_session: NDArray[np.intp] = group.ravel()
+            return by_session
+    return blocks_in_order(objects, touches.order)
+
+
+def blocks_in_order(objects: Array, order: Array | None = None) -> NDArray[np.intp]:
+    """Number the blocks of the recordings, shape (n_touches,).
+
+    Each object's touches, in the order in which they were made, are cut into
+    `N_BLOCKS` runs of nearly equal length: neighbours in time, which resemble
+    each other, fall into the same block.
+    """
+    group = np.empty(len(objects), dtype=np.intp)
+    next_group = 0
+    for name in np.unique(objects):
+        rows = np.flatnonzero(objects == name)
+        if order is not None:
+            rows = rows[np.argsort(order[rows], kind="stable")]
+        for part in np.array_split(rows, min(N_BLOCKS, len(rows))):
+            group[part] = next_group
+            next_group += 1
+    return group

@@ -1,0 +1,92 @@
+"""What a belief asks of every classifier: the same likelihoods, left out and not."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.naive_bayes import GaussianNB
+from sklearn.neighbors import KNeighborsClassifier
+from sklearn.svm import LinearSVC
+from sklearn.utils.estimator_checks import parametrize_with_checks
+
+from palpate.classifiers import (
+    FromProbabilities,
+    KernelDensityBayes,
+    KernelRidgeClassifier,
+    TouchClassifier,
+)
+
+CLASSIFIERS = [
+    KernelRidgeClassifier(),
+    KernelDensityBayes(),
+    FromProbabilities(GaussianNB()),
+]
+every = pytest.mark.parametrize("classifier", CLASSIFIERS, ids=repr)
+
+
+@pytest.fixture
+def separate(rng):
+    labels = np.repeat(["a", "b", "c"], 20)
+    features = rng.normal(size=(60, 5)) + 3 * np.repeat(np.eye(3, 5), 20, axis=0)
+    return features, labels, np.arange(60) // 4
+
+
+@parametrize_with_checks([FromProbabilities(GaussianNB())])
+def test_scikit_learn_contract(estimator, check):
+    check(estimator)
+
+
+@every
+def test_every_classifier_keeps_the_protocol(classifier, separate):
+    features, labels, groups = separate
+    model = classifier.fit(features, labels, groups=groups)
+    assert isinstance(model, TouchClassifier)
+    left_out = model.left_out_log_likelihood()
+    assert left_out.shape == model.log_likelihood(features).shape == (60, 3)
+    right = model.classes_[left_out.argmax(axis=1)] == labels
+    assert right.mean() > 0.8
+
+
+@every
+def test_learning_again_takes_other_touches(classifier, separate):
+    features, labels, groups = separate
+    model = classifier.fit(features, labels, groups=groups)
+    rest = labels != "b"
+    model.refit(features[rest], labels[rest], groups=groups[rest])
+    assert model.classes_.tolist() == ["a", "c"]
+    assert model.left_out_log_likelihood().shape == (40, 2)
+    assert_array_equal(model.predict(features[rest][[0, -1]]), ["a", "c"])
+
+
+@pytest.mark.parametrize("n_neighbors", [1, 3])
+def test_left_out_touches_have_not_met_themselves(separate, n_neighbors):
+    _, labels, groups = separate
+    # Had a touch met itself, its nearest neighbour would always be right.
+    noise = np.random.default_rng(1).normal(size=(60, 5))
+    machine = FromProbabilities(KNeighborsClassifier(n_neighbors))
+    left_out = machine.fit(noise, labels, groups=groups).left_out_log_likelihood()
+    assert np.isfinite(left_out).all()
+    right = machine.classes_[left_out.argmax(axis=1)] == labels
+    assert right.mean() < 0.7
+
+
+def test_probabilities_are_logarithms_above_a_floor(separate):
+    features, labels, _ = separate
+    model = FromProbabilities(GaussianNB()).fit(features, labels)
+    own = GaussianNB().fit(features, labels).predict_proba(features)
+    assert_allclose(model.log_likelihood(features), np.log(np.maximum(own, 1e-12)))
+
+
+def test_a_label_of_one_group_is_impossible_where_that_is_left_out():
+    X = np.arange(12.0)[:, np.newaxis]
+    labels, groups = ["a"] * 6 + ["b"] * 3 + ["c"] * 3, [0, 0, 0, 1, 1, 1] + [2] * 6
+    left_out = FromProbabilities(GaussianNB()).fit(X, labels, groups)
+    missing = np.isneginf(left_out.left_out_log_likelihood())
+    assert missing[:3, 1:].all()
+    assert not missing[3:6].any()
+
+
+def test_classifiers_without_probabilities_are_refused():
+    with pytest.raises(TypeError, match="predict_proba, got LinearSVC"):
+        FromProbabilities(LinearSVC()).fit([[0.0], [1.0]], ["a", "b"])
+    with pytest.raises(ValueError, match=r"one entry per training touch \(2\)"):
+        FromProbabilities(GaussianNB()).fit([[0.0], [1.0]], ["a", "b"], groups=[1])

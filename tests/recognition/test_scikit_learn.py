@@ -1,0 +1,133 @@
+"""The recogniser as scikit-learn's own functions use it: images in, labels out."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.base import clone
+from sklearn.exceptions import NotFittedError
+from sklearn.model_selection import (
+    GridSearchCV,
+    GroupKFold,
+    cross_val_predict,
+    cross_val_score,
+)
+from sklearn.pipeline import Pipeline, make_pipeline
+from sklearn.preprocessing import FunctionTransformer
+
+from palpate import Touches
+from palpate.recognition import ObjectRecogniser
+
+
+@pytest.fixture(scope="module")
+def images_and_labels():
+    rng = np.random.default_rng(0)
+    patterns = rng.normal(size=(3, 3, 24))
+    labels = np.tile(["ball", "mug", "pen"], 16)
+    codes = np.tile([0, 1, 2], 16)
+    return patterns[codes] + 0.6 * rng.normal(size=(48, 3, 24)), labels
+
+
+def test_images_with_labels_are_learnt_as_touches(images_and_labels):
+    images, labels = images_and_labels
+    plain = ObjectRecogniser().fit(images, labels)
+    named = ObjectRecogniser().fit(Touches(images, object=labels))
+    assert_array_equal(plain.predict_proba(images), named.predict_proba(images))
+
+
+def test_single_touches_are_what_a_belief_says_after_one(images_and_labels):
+    images, labels = images_and_labels
+    learnt = ObjectRecogniser().fit(images, labels)
+    proba = learnt.predict_proba(images[:5])
+    assert_allclose(proba.sum(axis=1), 1)
+    for image, row in zip(images, proba, strict=False):
+        posterior = learnt.start().update(image).posterior
+        assert_allclose(row, list(posterior.values()), rtol=1e-9)
+    assert_allclose(learnt.predict_log_proba(images[:5]), np.log(proba))
+    assert learnt.score(images, labels) == (learnt.predict(images) == labels).mean()
+    assert learnt.score(Touches(images, object=labels)) == learnt.score(images, labels)
+
+
+def test_labels_keep_their_kind(images_and_labels):
+    images, labels = images_and_labels
+    numbers = np.unique(labels, return_inverse=True)[1] + 10
+    learnt = ObjectRecogniser().fit(images, numbers)
+    assert learnt.classes_.tolist() == [10, 11, 12]
+    assert learnt.predict(images[:1]).dtype.kind == "i"
+    assert learnt.start().update(images[0]).best in {"10", "11", "12"}
+    assert learnt.forget_object("11").classes_.tolist() == [10, 12]
+
+
+def test_cross_validation(images_and_labels):
+    images, labels = images_and_labels
+    groups = np.arange(48) // 6
+    scores = cross_val_score(
+        ObjectRecogniser(), images, labels, cv=GroupKFold(3), groups=groups
+    )
+    assert scores.shape == (3,)
+    assert scores.mean() > 0.8
+    touches = Touches(images, object=labels)
+    assert_array_equal(
+        cross_val_score(
+            ObjectRecogniser(), touches, labels, cv=GroupKFold(3), groups=groups
+        ),
+        scores,
+    )
+    proba = cross_val_predict(
+        ObjectRecogniser(), images, labels, method="predict_proba", cv=3
+    )
+    assert proba.shape == (48, 3)
+
+
+def test_grid_search_over_parameters(images_and_labels):
+    search = GridSearchCV(
+        ObjectRecogniser(), {"floor": [0.0, 0.2], "prior": ["uniform", "counts"]}, cv=2
+    )
+    search.fit(*images_and_labels)
+    assert search.best_score_ > 0.7
+    assert set(search.best_params_) == {"floor", "prior"}
+
+
+def test_pipeline(images_and_labels):
+    images, labels = images_and_labels
+    halved = FunctionTransformer(lambda X: X[:, :, ::2])
+    chain = make_pipeline(halved, ObjectRecogniser()).fit(images, labels)
+    assert chain.score(images, labels) > 0.8
+    inner = Pipeline([("recogniser", ObjectRecogniser())])
+    search = GridSearchCV(inner, {"recogniser__floor": [0.01, 0.1]}, cv=2)
+    assert search.fit(images, labels).best_score_ > 0.7
+
+
+def test_clone_has_learnt_nothing(images_and_labels):
+    learnt = ObjectRecogniser(floor=0.1, random_state=4).fit(*images_and_labels)
+    fresh = clone(learnt)
+    assert fresh.get_params() == learnt.get_params()
+    for use in (
+        fresh.start,
+        lambda: fresh.predict(images_and_labels[0]),
+        lambda: fresh.save("m.palpate"),
+        lambda: fresh.add_object("cup", images_and_labels[0]),
+        fresh.summary,
+    ):
+        with pytest.raises(NotFittedError, match="learnt nothing yet; call fit"):
+            use()
+
+
+def test_groups_are_left_out_together(images_and_labels):
+    images, labels = images_and_labels
+    groups = np.arange(48) // 12
+    learnt = ObjectRecogniser().fit(images, labels, groups=groups)
+    assert_array_equal(learnt.memory_.blocks, groups)
+
+
+def test_bad_input_is_refused(images_and_labels):
+    images, labels = images_and_labels
+    with pytest.raises(ValueError, match=r"one label for each of 48 touches, got"):
+        ObjectRecogniser().fit(images, labels[:-1])
+    with pytest.raises(ValueError, match="one entry for each of 48 touches, got"):
+        ObjectRecogniser().fit(images, labels, groups=[1, 2])
+    with pytest.raises(TypeError, match="labels of one kind, got text and numbers"):
+        ObjectRecogniser().fit(images, [*labels[:-1], 3])
+    with pytest.raises(TypeError, match="got ndarray without labels"):
+        ObjectRecogniser().fit(images)
+    with pytest.raises(ValueError, match="got an array of shape"):
+        ObjectRecogniser().fit(images.reshape(48, -1, 1, 1), labels)
