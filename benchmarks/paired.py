@@ -156,12 +156,12 @@ def latency(model: str) -> dict[str, float]:
 
 
 def kernels(_: str) -> dict[str, float]:
-    """Learn 50 vectors of 30 features of each of 5 classes with `MKLSVC`."""
+    """Learn 30 vectors of 20 features of each of 3 classes with `MKLSVC`."""
     from palpate.classifiers import MKLSVC
 
     rng = np.random.default_rng(0)
-    labels = np.repeat(np.arange(5), 50)
-    features = rng.normal(size=(250, 30)) + rng.normal(size=(5, 30))[labels] * 0.7
+    labels = np.repeat(np.arange(3), 30)
+    features = rng.normal(size=(90, 20)) + rng.normal(size=(3, 20))[labels] * 0.7
     return clocked(lambda: MKLSVC().fit(features, labels))
 
 
