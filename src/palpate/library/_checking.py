@@ -11,7 +11,7 @@ from .._progress import Progress
 from ._array_files import file_path, read_file
 from ._changes import change_files, file_fault, known_changes, read_change
 from ._reading import read_images
-from ._rows import SET_ASIDE, StoredTouch, layouts, read_rows
+from ._rows import SET_ASIDE, StoredTouch, layouts, stored_touches
 from ._store import (
     ARRAYS,
     CHANGES,
@@ -162,7 +162,7 @@ def image_problem(
 
 def touches_in(store: Store, file: int, state: str) -> list[StoredTouch]:
     """Return what a file should hold: touches in this state."""
-    return read_rows(store, f"WHERE t.file = ? AND {state}", [file])
+    return stored_touches(store, f"WHERE t.file = ? AND {state}", [file])
 
 
 def _fault(store: Store, kind: str, name: str) -> Problem | None:
@@ -188,7 +188,7 @@ def _unreadable(store: Store, rows: list[StoredTouch]) -> list[str]:
     wide = {
         key for key, columns in layouts(store).items() if any(c.wide for c in columns)
     }
-    return [r.id.hex() for r in rows if r.layout in wide or not _is_whole(store, r)]
+    return [r.key.hex() for r in rows if r.layout in wide or not _is_whole(store, r)]
 
 
 def _is_whole(store: Store, row: StoredTouch) -> bool:

@@ -215,7 +215,7 @@ def _lost_and_found(store: Store, progress: bool | None) -> tuple[list[str], lis
             lost += [] if bad is None else bad.touches
             rows = checking.touches_in(store, key, f"t.retraction IN ({SET_ASIDE})")
             if rows and _sheet_in(store, name.hex()) is not None:
-                found += [row.id.hex() for row in rows]
+                found += [row.key.hex() for row in rows]
             bar.advance(1)
     return lost, found
 

@@ -16,7 +16,7 @@ from ._sheet import CELLS
 from ._store import LibraryError, holders, is_unicode
 
 _RECORDED = ("kind", "unit", "pitch_mm", "geometry", "n_rows", "n_cols")
-_COLUMNS = {
+COLUMNS = {
     **{name: f't."{name}"' for name in CELLS},
     "object": "o.name",
     "sensor": "coalesce(t.sensor, r.sensor)",
@@ -163,11 +163,11 @@ class _Parser:
 
     def _column(self) -> tuple[str, list[Any]]:
         token = self._plain("the name of a column")
-        if token.text in _COLUMNS:
-            return _COLUMNS[token.text], []
+        if token.text in COLUMNS:
+            return COLUMNS[token.text], []
         if token.text in self._extra:
             return "json_extract(t.extra, ?)", [f'$."{token.text}"']
-        names = ", ".join([*_COLUMNS, *sorted(self._extra)])
+        names = ", ".join([*COLUMNS, *sorted(self._extra)])
         raise LibraryError(
             f"--where must name columns of the library ({names}), got {token.text!r}."
         )
