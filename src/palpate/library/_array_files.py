@@ -51,13 +51,7 @@ def header_size(array: Array) -> int:
 
 
 def publish(folder: Path, content: bytes) -> str:
-    """Put a file in place and return its name; afterwards it is on the disk.
-
-    Raises
-    ------
-    OSError
-        The disk is full, or the folder may not be written to. Nothing is left.
-    """
+    """Put a file in place and return its name; afterwards it is on the disk."""
     name = hashlib.sha256(content).hexdigest()
     target = file_path(folder, name)
     if target.is_file() and target.read_bytes() == content:
@@ -73,13 +67,7 @@ def publish(folder: Path, content: bytes) -> str:
 def read_values(
     path: Path, start: int, shape: tuple[int, ...], dtype: np.dtype[Any]
 ) -> Array:
-    """Return values that begin at a byte of a file; the caller checks them.
-
-    Raises
-    ------
-    LibraryError
-        The file is missing or too short.
-    """
+    """Return values that begin at a byte of a file; the caller checks them."""
     n_bytes = prod(shape) * dtype.itemsize
     with _readable(path), path.open("rb") as file:
         room = os.fstat(file.fileno()).st_size - start
@@ -91,13 +79,7 @@ def read_values(
 
 
 def read_file(folder: Path, name: str) -> list[Array]:
-    """Return all arrays of a file, which must be what its name says.
-
-    Raises
-    ------
-    LibraryError
-        It is missing, altered, or holds something else than plain arrays.
-    """
+    """Return all arrays of a file, which must be what its name says."""
     path = file_path(folder, name)
     with _readable(path):
         content = path.read_bytes()

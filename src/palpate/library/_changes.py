@@ -54,13 +54,7 @@ def enter_change(store: Store, name: str, content: dict[str, Any]) -> int:
 
 
 def read_change(path: Path) -> dict[str, Any]:
-    """Return the change in a file.
-
-    Raises
-    ------
-    OSError, ValueError
-        The file is missing, is none, or is not as it was written.
-    """
+    """Return the change in a file; OSError or ValueError where it is none."""
     content = json.loads(path.read_text("utf-8"))
     if not isinstance(content, dict) or str(content.get("action")) not in _ACTIONS:
         raise ValueError("no change")
@@ -101,15 +95,12 @@ def write_again(store: Store, name: str) -> None:
     """
     brief = known_changes(store)[name]
     content = {n: v for n, v in brief.items() if n != "digest"}
-    found = {
-        "retract": "c.name = ?",
-        "restore": "t.retraction IS NULL AND ? IS NOT NULL",
-    }.get(brief["action"])
-    if found is not None:
+    if brief["action"] in ("retract", "restore"):
+        mine = name if brief["action"] == "retract" else None
         rows = store.rows(
             "SELECT lower(hex(t.id)) FROM touches t "
-            f"LEFT JOIN changes c ON c.id = t.retraction WHERE {found}",
-            [name],
+            "LEFT JOIN changes c ON c.id = t.retraction WHERE c.name IS ?",
+            [mine],
         )
         content["ids"] = [row[0] for row in rows]
     content["digest"] = _digest(content)
@@ -157,15 +148,7 @@ def known_object(store: Store, name: str) -> tuple[int, str]:
 def chosen_ids(
     store: Store, ids: str | Iterable[str] | None, name: str | None, state: str
 ) -> list[str]:
-    """Return the ids of given touches, or of an object's touches in this state.
-
-    Raises
-    ------
-    ValueError
-        Both are given, or neither.
-    LibraryError
-        One is not in the library.
-    """
+    """Return the ids of given touches, or of an object's touches in this state."""
     if (ids is None) == (name is None):
         raise ValueError("Give either ids or object, got both or neither.")
     if name is not None:

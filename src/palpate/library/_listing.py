@@ -1,6 +1,5 @@
 """What is known of touches, objects and sensors, found without reading an image."""
 
-import json
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,7 +7,7 @@ import numpy as np
 
 from .._checks import check_option, check_positive
 from ..touches import GEOMETRIES
-from ._rows import FROM, Numbers, read_rows
+from ._rows import FROM, Numbers, layouts, read_rows
 from ._store import ARRAYS, FEATURES, FILE_NAME, IMAGES, Store
 from ._where import Condition, parse_where
 
@@ -105,8 +104,7 @@ def condition(store: Store, where: str | None, *, retracted: bool = False) -> Co
         )
     if where is None or not where.strip():
         return Condition(kept, [])
-    rows = store.rows("SELECT columns FROM layouts")
-    extra = {c[0] for row in rows for c in json.loads(row[0]) if not c[3]}
+    extra = {c.name for known in layouts(store).values() for c in known if not c.wide}
     parsed = parse_where(where, extra)
     return Condition(f"{kept} AND {parsed.sql}", parsed.values)
 
