@@ -170,7 +170,7 @@ class LiveSession:
     def stop_teaching(self) -> None:
         """End the lesson; what was stored stays."""
         with self._changing():
-            self._teacher().end()
+            self._teacher().lesson = None
 
     def undo(self) -> str:
         """Leave out the touch stored last in this session; return its object."""
@@ -352,11 +352,12 @@ class LiveSession:
         if self.recogniser is None:
             self._notify_state()
             return
-        try:
-            self.learn(drop)
-        except LearningError:
-            self._drop_next = [*(self._drop_next or ()), *drop]
-            self._notify_state()
+        with self._lock:
+            try:
+                self.learn(drop)
+            except LearningError:
+                self._drop_next = [*(self._drop_next or ()), *drop]
+                self._notify_state()
 
     def _learn(self, drop: Sequence[str]) -> None:
         try:
@@ -364,12 +365,13 @@ class LiveSession:
         except (ValueError, OSError) as error:
             self.learn_error = str(error)
         finally:
-            self.learning = False
-            self._learn_lock.release()
+            with self._lock:
+                self.learning = False
+                self._learn_lock.release()
+                waiting, self._drop_next = self._drop_next, None
             self._notify_state()
-            if self._drop_next is not None:
-                drop, self._drop_next = self._drop_next, None
-                self._learn_again(drop)
+            if waiting is not None:
+                self._learn_again(waiting)
 
     def _learn_apart(self, drop: Sequence[str]) -> None:
         assert self.teacher is not None
