@@ -169,7 +169,7 @@ class Teacher:
         return [row.id for row in self._rows(name, limit)[::-1]]
 
     def touches(self, name: str) -> Touches:
-        """Return the touches of an object that have the sensor's size, or the last's."""
+        """Return an object's touches of the sensor's size, or else of the newest's."""
         rows = self._rows(name)
         if not rows:
             raise LibraryError(f"There is no object {name!r} in the library.")
