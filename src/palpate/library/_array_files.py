@@ -24,6 +24,7 @@ from .._types import Array
 from ._store import LibraryError
 
 _MAX_HEADER = 2**14
+_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 _NAME = re.compile("[0-9a-f]{64}")
 _PLAIN_KINDS = "biufcSUMm"
 
@@ -105,13 +106,8 @@ def _array_at(path: Path, content: bytes, start: int) -> tuple[Array, int]:
     """Return the array that begins at a byte, and where it ends."""
     stream = io.BytesIO(content[start : start + _MAX_HEADER + 16])
     try:
-        version = npy.read_magic(stream)
-        read = npy.read_array_header_1_0
-        if version == (2, 0):
-            read = npy.read_array_header_2_0
-        elif version != (1, 0):
-            raise ValueError(f"version {version}")
-        shape, fortran, dtype = read(stream, max_header_size=_MAX_HEADER)
+        read_header = _HEADERS[npy.read_magic(stream)]
+        shape, fortran, dtype = read_header(stream, max_header_size=_MAX_HEADER)
     except Exception as error:  # the header is a literal: it fails in many ways
         raise _no_array(path, str(error)[:80]) from error
     if dtype.hasobject or dtype.kind not in _PLAIN_KINDS or fortran:

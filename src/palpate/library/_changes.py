@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from .._durable import write_text
-from ._rows import id_bytes
+from ._rows import id_bytes, read_rows
 from ._sheet import canonical
 from ._store import CHANGES, LibraryError, Store, is_unicode, room_for
 
@@ -96,12 +96,8 @@ def write_again(store: Store, name: str) -> None:
     brief = known_changes(store)[name]
     content = {n: v for n, v in brief.items() if n != "digest"}
     if brief["action"] in ("retract", "restore"):
-        mine = name if brief["action"] == "retract" else None
-        rows = store.rows(
-            "SELECT lower(hex(t.id)) FROM touches t "
-            "LEFT JOIN changes c ON c.id = t.retraction WHERE c.name IS ?",
-            [mine],
-        )
+        left_out_by = name if brief["action"] == "retract" else None
+        rows = read_rows(store, ("id",), "WHERE c.name IS ?", [left_out_by])
         content["ids"] = [row[0] for row in rows]
     content["digest"] = _digest(content)
     with store.writing():

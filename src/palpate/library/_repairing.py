@@ -93,10 +93,8 @@ def _is_damaged(folder: Path) -> bool:
             return bool(checking.database_problems(store))
     except (NewerLibrary, DatabaseUnavailable):
         raise
-    except DatabaseDamaged:
-        return True
-    except LibraryError:
-        if not holds_files(folder):
+    except LibraryError as error:
+        if not isinstance(error, DatabaseDamaged) and not holds_files(folder):
             raise
         return True
 

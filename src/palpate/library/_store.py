@@ -101,10 +101,8 @@ class Store:
             raise _missing(self.path)
         try:
             self._open(create)
-        except DatabaseBusy:
-            raise
         except DatabaseUnavailable as error:
-            if create:
+            if create or isinstance(error, DatabaseBusy):
                 raise
             self._open_alone(error)
 

@@ -16,7 +16,7 @@ from ._events import Event, Health, Listeners
 from ._images import check_image
 from ._learning import LearningError, learn_apart
 from ._sensor_watch import SensorWatch
-from ._teaching import Lesson, Teacher, checked_name
+from ._teaching import Teacher, checked_name
 
 LONGEST_EPISODE = 1000
 
@@ -316,25 +316,17 @@ class LiveSession:
     def _taken(self, image: Array, ended_s: float) -> None:
         """Take a touch of the sensor: into the lesson, else into the episode."""
         try:
-            lesson = self._stored(image)
-            if lesson is None:
+            with self._lock:
+                teaching = self.teacher is not None and self.teacher.lesson is not None
+                if teaching:
+                    self.message = self._teacher().take(image, self.baseline)
+            if not teaching:
                 self._recognise(image, ended_s)
-                self.trouble = ""
-                return
-            count = f"{len(lesson.ids)} of {lesson.wanted}"
-            self.message = f"Touch {count} of {lesson.name} is stored."
-            if len(lesson.ids) >= lesson.wanted:
-                self.message += " Learn to recognise it."
             self.trouble = ""
         except (ValueError, OSError, MemoryError) as error:
             self.message = self.trouble = str(error)
-        self._notify_state()
-
-    def _stored(self, image: Array) -> Lesson | None:
-        with self._lock:
-            if self.teacher is None or self.teacher.lesson is None:
-                return None
-            return self.teacher.take(image, self.baseline)
+        if teaching or self.trouble:
+            self._notify_state()
 
     def _recognise(self, image: Array, ended_s: float) -> None:
         with self._lock:

@@ -99,14 +99,17 @@ class Teacher:
         self._stored.append(key)
         return key
 
-    def take(self, image: Array, baseline: Array | None) -> Lesson:
-        """Store one touch of the lesson; return the lesson, over when it is full."""
+    def take(self, image: Array, baseline: Array | None) -> str:
+        """Store one touch of the lesson, which ends when full; return what to say."""
         assert self.lesson is not None
         lesson = self.lesson
         lesson.ids.append(self.store(lesson.name, image, baseline))
-        if len(lesson.ids) >= lesson.wanted:
-            self.lesson = None
-        return lesson
+        count = f"{len(lesson.ids)} of {lesson.wanted}"
+        said = f"Touch {count} of {lesson.name} is stored."
+        if len(lesson.ids) < lesson.wanted:
+            return said
+        self.lesson = None
+        return f"{said} Learn to recognise it."
 
     def undo(self) -> str:
         """Leave the touch stored last by this teacher out; return its object.
