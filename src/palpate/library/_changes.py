@@ -190,25 +190,19 @@ def _merge(store: Store, change: int, content: dict[str, Any]) -> int:
     )
 
 
-def _retract(store: Store, change: int, content: dict[str, Any]) -> int:
+def _leave_out(store: Store, change: int | None, ids: list[str]) -> int:
+    """Retract touches by a change; take retracted ones back in where it is None."""
     return store.run_many(
-        "UPDATE touches SET retraction = ? WHERE id = ? AND retraction IS NULL",
-        [(change, bytes.fromhex(key)) for key in content["ids"]],
-    )
-
-
-def _restore(store: Store, change: int, content: dict[str, Any]) -> int:
-    return store.run_many(
-        "UPDATE touches SET retraction = NULL WHERE id = ? AND retraction IS NOT NULL",
-        [(bytes.fromhex(key),) for key in content["ids"]],
+        "UPDATE touches SET retraction = ? WHERE id = ? AND (retraction IS NULL) = ?",
+        [(change, bytes.fromhex(key), change is not None) for key in ids],
     )
 
 
 _ACTIONS: dict[str, Callable[[Store, int, dict[str, Any]], int]] = {
     "rename": _rename,
     "merge": _merge,
-    "retract": _retract,
-    "restore": _restore,
+    "retract": lambda store, change, content: _leave_out(store, change, content["ids"]),
+    "restore": lambda store, change, content: _leave_out(store, None, content["ids"]),
     # Arrays of whole recordings are lost: only noted, reading still tries them.
     "leave_out": lambda store, change, content: len(content["arrays"]),
 }

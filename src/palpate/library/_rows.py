@@ -62,7 +62,7 @@ class StoredTouch(NamedTuple):
 
     Its image is the one of this `number` in `file`, where images begin at `offset`;
     `digest` is its SHA-256. `layout` is the key of its columns, `extra` the values of
-    those that are no cells, as JSON. Cells follow, in the order of `CELLS`.
+    those that are no cells, as JSON; `cells` stand in the order of `CELLS`.
     """
 
     key: bytes
@@ -75,30 +75,24 @@ class StoredTouch(NamedTuple):
     dtype: str
     layout: int
     extra: str | None
-    object: str | None
-    category: Any
-    session: Any
-    episode: Any
-    own_sensor: Any
-    order: Any
-    time_s: Any
-    force_n: Any
-    press: Any
-    frame: Any
-    source_path: Any
+    cells: tuple[Any, ...]
+
+
+_NAMED = StoredTouch._fields[:-1]
+_CELLS = tuple("own_sensor" if name == "sensor" else name for name in CELLS)
 
 
 def plain_values(rows: Sequence[StoredTouch]) -> list[dict[str, Any]]:
     """Return all plain values of each touch by the name of their column."""
     extras = json.loads(f"[{','.join(row.extra or '{}' for row in rows)}]")
     return [
-        dict(zip(CELLS, row[-len(CELLS) :], strict=True)) | extra
+        dict(zip(CELLS, row.cells, strict=True)) | extra
         for row, extra in zip(rows, extras, strict=True)
     ]
 
 
 def read_rows(
-    store: Store, fields: tuple[str, ...], tail: str, values: Sequence[Any] = ()
+    store: Store, fields: tuple[str, ...], tail: str, values: Sequence[Any]
 ) -> list[tuple[Any, ...]]:
     """Return fields of touches; `tail` is the query from WHERE on."""
     return store.rows(f"{_select(fields)} {tail}", values)
@@ -109,12 +103,11 @@ def _select(fields: tuple[str, ...]) -> str:
     return f"SELECT {', '.join(_FIELDS[name] for name in fields)} {_JOINED}"
 
 
-def stored_touches(
-    store: Store, tail: str, values: Sequence[Any] = ()
-) -> list[StoredTouch]:
+def stored_touches(store: Store, tail: str, values: Sequence[Any]) -> list[StoredTouch]:
     """Return the rows of touches; `tail` is the query from WHERE on."""
-    rows = read_rows(store, StoredTouch._fields, tail, values)
-    return [*map(StoredTouch._make, rows)]
+    rows = read_rows(store, _NAMED + _CELLS, tail, values)
+    n = len(_NAMED)
+    return [StoredTouch._make((*row[:n], row[n:])) for row in rows]
 
 
 def rows_at(store: Store, numbers: Numbers) -> Iterator[list[StoredTouch]]:

@@ -42,7 +42,11 @@ class Teacher:
         self.folder = Path(folder)
         self._opened: TouchLibrary | None = None
         self._opening = threading.Lock()
-        self._sensor = sensor
+        self._sensor, self._described = sensor, SensorDescription("posted")
+        if sensor is not None:
+            self._described = SensorDescription(
+                sensor.name, unit=sensor.unit, geometry=sensor.geometry
+            )
         self._session = time.strftime("%Y-%m-%d %H:%M:%S")
         self._lessons = 0
         self._stored: list[str] = []
@@ -87,13 +91,13 @@ class Teacher:
             object=[checked_name(name)],
             time_s=[time.time()],
             no_contact=baseline,
-            geometry=None if self._sensor is None else self._sensor.geometry,
+            geometry=self._described.geometry,
         )
         (key,) = self.library.add(
             touches=touch,
             session=self._session,
             episode=f"lesson {self._lessons}",
-            sensor=_described(self._sensor),
+            sensor=self._described,
             progress=False,
         )
         self._stored.append(key)
@@ -186,8 +190,7 @@ class Teacher:
         """Return the ids of all touches, also those left out; none before it opens."""
         if self._opened is None:
             return set()
-        rows = self._opened.list(limit=None, retracted=True)
-        return {row.id for row in rows}
+        return {row.id for row in self._opened.list(limit=None, retracted=True)}
 
     def image_shape(self) -> tuple[int, int] | None:
         """Return the size of the images to learn: the sensor's, or the newest's."""
@@ -230,9 +233,3 @@ def checked_name(name: str) -> str:
             "of objects it has not learnt."
         )
     return tidy
-
-
-def _described(sensor: LiveSensor | None) -> SensorDescription:
-    if sensor is None:
-        return SensorDescription("posted")
-    return SensorDescription(sensor.name, unit=sensor.unit, geometry=sensor.geometry)
