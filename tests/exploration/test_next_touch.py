@@ -13,18 +13,21 @@ from scipy.special import logsumexp
 from palpate import Touches
 from palpate.exploration import (
     Hemisphere,
-    InformativeRecorded,
     InformativeTouch,
     PlacedBelief,
-    RandomRecorded,
-    RasterRecorded,
+    Stations,
     TouchMap,
     TouchRecord,
+    freshness,
+    most_promising,
+)
+from palpate.recognition import ObjectRecogniser, SequenceCalibration
+from recorded_choice import (
+    InformativeRecorded,
+    RandomRecorded,
+    RasterRecorded,
     look_at_recorded,
 )
-from palpate.exploration._informative import Stations, most_promising
-from palpate.exploration._place_geometry import freshness
-from palpate.recognition import ObjectRecogniser, SequenceCalibration
 
 N_TURNS = 12
 STEP = 2 * np.pi / N_TURNS

@@ -26,7 +26,6 @@ from ._record import TouchRecord
 
 if TYPE_CHECKING:
     from ..recognition import Belief
-    from ._placed_belief import PlacedBelief
 
 _CLEAR_MM = 1.0
 
@@ -113,7 +112,7 @@ class Strategy(Protocol):
     def hemisphere(self) -> Hemisphere: ...
 
     def next_pose(
-        self, belief: Belief | PlacedBelief | None, history: Sequence[TouchRecord]
+        self, belief: Belief | None, history: Sequence[TouchRecord]
     ) -> SensorPose:
         """Return a pose on the hemisphere from which to move in.
 
