@@ -111,7 +111,6 @@ def explore(
     """
     check_count("max_attempts", max_attempts)
     check_count("max_faults", max_faults)
-    guard = guard or Guard()
     with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
         n_before, belief = len(log.history), recogniser.start()
         log.history = [_taken_in(belief, record) for record in log.history]
@@ -120,7 +119,11 @@ def explore(
             _come_out(robot, strategy)
         while end is None:
             touch = _attempt(robot, sensor, strategy, belief, log, guard, clock)
-            record = _kept(belief, touch, log)
+            record = touch
+            try:
+                record = _taken_in(belief, touch)
+            finally:  # It is recorded even if the program is interrupted.
+                log.append(record)
             if on_attempt is not None:
                 on_attempt(record, belief)
             gave_up = _gave_up(log.history[n_before:], max_faults)
@@ -155,7 +158,6 @@ def gather(
     """
     check_count("n_touches", n_touches)
     check_count("max_faults", max_faults)
-    guard = guard or Guard()
     with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
         _refuse_other_size(log, sensor)
         n_before, wanted = len(log.history), n_touches - _n_touched(log.history)
@@ -173,7 +175,7 @@ def _attempt(
     strategy: Strategy,
     belief: Belief | None,
     log: EpisodeLog,
-    guard: Guard,
+    guard: Guard | None,
     clock: Clock,
 ) -> TouchRecord:
     """Choose, go there, touch; whatever goes wrong is in the record."""
@@ -192,16 +194,6 @@ def _come_out(robot: Robot, strategy: Strategy) -> None:
     way_mm = strategy.hemisphere.way_out_mm(robot.read_pose())
     if way_mm > 0:
         robot.retract(way_mm)
-
-
-def _kept(belief: Belief, touch: TouchRecord, log: EpisodeLog) -> TouchRecord:
-    """Take in an attempt and record it, even if the program is interrupted."""
-    record = touch
-    try:
-        record = _taken_in(belief, touch)
-    finally:
-        log.append(record)
-    return record
 
 
 def _taken_in(belief: Belief, record: TouchRecord) -> TouchRecord:

@@ -89,8 +89,8 @@ class Stations:
         if floor == 0:
             return relative
         least = np.float32(np.log(floor / (self._map.n_objects * self._map.n_turns)))
-        floored: Floats32 = np.logaddexp(np.float32(np.log1p(-floor)) + relative, least)
-        return floored
+        kept = np.float32(np.log1p(-floor)) + relative
+        return np.asarray(np.logaddexp(kept, least))
 
 
 class InformativeTouch:

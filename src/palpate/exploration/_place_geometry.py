@@ -79,8 +79,7 @@ def turned_back(places: Floats, n_turns: int) -> Floats:
 def squared_distances(one: Floats, other: Floats) -> Floats:
     """Return squared distances, (n_one, n_other)."""
     squared = (one**2).sum(axis=1)[:, None] + (other**2).sum(axis=1) - 2 * one @ other.T
-    positive: Floats = np.maximum(squared, 0.0)
-    return positive
+    return np.asarray(np.maximum(squared, 0.0))
 
 
 def freshness(candidates: Floats, touched: Floats, width: float) -> Floats:
@@ -91,5 +90,4 @@ def freshness(candidates: Floats, touched: Floats, width: float) -> Floats:
     if not len(touched):
         return np.ones(len(candidates))
     squared = squared_distances(candidates, touched)
-    fresh: Floats = (1 - np.exp(squared / (-2 * width**2))).prod(axis=1)
-    return fresh
+    return np.asarray((1 - np.exp(squared / (-2 * width**2))).prod(axis=1))

@@ -5,7 +5,7 @@ The contract is `Robot`, all of it on this screen. World: millimetres, z up. A p
 that way. Forces are newtons along that way, positive when something pushes back.
 """
 
-from collections.abc import Container, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Protocol, runtime_checkable
 
@@ -162,12 +162,11 @@ class SimulatedRobot:
     def read_force(self) -> float:
         """Return the force with offset and noise (N)."""
         self._seconds += 1e-3
+        fault = self._faults.get(self._attempt)
         touching = self._bench.force_n > 0
-        if self._fails("stuck force") or (
-            touching and self._fails("stuck force in contact")
-        ):
+        if fault == "stuck force" or (touching and fault == "stuck force in contact"):
             return self._reading_n
-        if touching and self._fails("no force"):
+        if touching and fault == "no force":
             return float("nan")
         noise = self._noise_n * self._rng.standard_normal()
         self._reading_n = float(self._bench.force_n + self._offset_n + noise)
@@ -221,16 +220,11 @@ class SimulatedRobot:
 class MissingFrames:
     """Numbers of the frames that do not arrive, for a `SimulatedSensor`.
 
-    Parameters
-    ----------
-    robot : SimulatedRobot
-        Whose fault "no frame" loses the frames of an attempt.
-    numbers : container of int, default=()
-        Further frames, counted from 0.
+    All frames of an attempt whose fault is "no frame".
     """
 
-    def __init__(self, robot: SimulatedRobot, numbers: Container[int] = ()) -> None:
-        self._robot, self._numbers = robot, numbers
+    def __init__(self, robot: SimulatedRobot) -> None:
+        self._robot = robot
 
     def __contains__(self, number: object) -> bool:
-        return number in self._numbers or self._robot.loses_frame()
+        return self._robot.loses_frame()

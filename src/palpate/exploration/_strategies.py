@@ -187,14 +187,8 @@ class Raster:
 
 def outward(azimuth_rad: float, elevation_rad: float) -> Floats:
     """Return the unit vector at an azimuth and an elevation, (3,)."""
-    flat = np.cos(elevation_rad)
-    return np.array(
-        [
-            flat * np.cos(azimuth_rad),
-            flat * np.sin(azimuth_rad),
-            np.sin(elevation_rad),
-        ]
-    )
+    flat, height = np.cos(elevation_rad), np.sin(elevation_rad)
+    return np.array([flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), height])
 
 
 def _between(first: Floats, last: Floats, angle: float, share: float) -> Floats:
@@ -207,5 +201,4 @@ def _between(first: Floats, last: Floats, angle: float, share: float) -> Floats:
     if angle < 1e-9:
         return first
     ends = np.sin((1 - share) * angle) * first + np.sin(share * angle) * last
-    out: Floats = ends / np.linalg.norm(ends)
-    return out
+    return np.asarray(ends / np.linalg.norm(ends))

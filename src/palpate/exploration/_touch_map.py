@@ -133,7 +133,7 @@ class TouchMap:
         kernels, then the weights, with the least log loss of the object win. How the
         object is turned is unknown in these episodes as it is in real ones.
         """
-        episodes = _episodes(self, self.random_state)
+        episodes = _episodes(self)
         losses = {}
         for width, share in product(WIDTHS, BANDWIDTHS):
             self.set_kernels(width, share)
@@ -262,8 +262,7 @@ class TouchMap:
     def _nearness(self, squared: Floats) -> Floats:
         """N of features but for a factor per touch, at most 1."""
         least = squared.min(axis=1, keepdims=True)
-        result: Floats = np.exp((squared - least) / (-2 * self.bandwidth_**2))
-        return result
+        return np.asarray(np.exp((squared - least) / (-2 * self.bandwidth_**2)))
 
 
 class PlacedBelief(Belief):
@@ -342,8 +341,7 @@ def _all_pairs(closeness: Floats, touches: Floats) -> Floats:
 
 def _row_by_row(closeness: Floats, touches: Floats) -> Floats:
     """Sums over training touches, of station i for touch i."""
-    total: Floats = (closeness * touches).sum(axis=1)
-    return total
+    return np.asarray((closeness * touches).sum(axis=1))
 
 
 def _refuse_others(recogniser: ObjectRecogniser, touches: Touches) -> None:
@@ -355,9 +353,9 @@ def _refuse_others(recogniser: ObjectRecogniser, touches: Touches) -> None:
         )
 
 
-def _episodes(touch_map: TouchMap, random_state: int) -> Episodes:
+def _episodes(touch_map: TouchMap) -> Episodes:
     """Draw episodes of each length, (n_episodes, n_touches) training touches."""
-    rng = np.random.default_rng(random_state)
+    rng = np.random.default_rng(touch_map.random_state)
     drawn = []
     for length in LENGTHS:
         rows = [
@@ -384,11 +382,8 @@ def _best_weights(
         return _loss(touch_map, ratio, episodes, weights(raw))
 
     start = np.array([-0.3, -1.0, -1.0])
-    options: Any = {
-        "initial_simplex": start + np.vstack([np.zeros(3), np.eye(3)]),
-        "maxfev": 60,
-        "xatol": 0.02,
-    }
+    simplex = start + np.vstack([np.zeros(3), np.eye(3)])
+    options: Any = {"initial_simplex": simplex, "maxfev": 60, "xatol": 0.02}
     found = minimize(loss, start, method="Nelder-Mead", options=options)
     return float(found.fun), weights(found.x)
 
