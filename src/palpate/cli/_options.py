@@ -127,9 +127,7 @@ class Reading:
     where: Where = None
     name_pattern: NamePattern = None
     no_contact: NoContact = None
-    max_megapixels: Annotated[
-        float, option("--max-megapixels", "Larger pictures are refused unread.")
-    ] = 50
+    max_megapixels: Annotated[float, option("Larger pictures are refused unread.")] = 50
 
     def touches(self, path: Path) -> "Touches":
         """Read touches, all of them at once."""
@@ -187,17 +185,13 @@ class Working:
 
     workers: Annotated[
         int | None,
-        option(
-            "--workers",
-            "Processes on this machine; -1 is one per core. Results do not change.",
-        ),
+        option("Processes on this machine; -1 is one per core. Results do not change."),
     ] = None
     cluster: Annotated[
         str | None,
         option(
-            "--cluster",
             "Address of a Dask scheduler, such as tcp://lab:8786; needs "
-            + install("distributed"),
+            + install("distributed")
         ),
     ] = None
 

@@ -22,35 +22,26 @@ from ._output import percent, print_json, stages, table
 
 @grouped
 def evaluate(
-    train: Annotated[Path, option("--train", "Training touches.")],
+    train: Annotated[Path, option("Training touches.")],
     *,
-    test: Annotated[
-        Path | None, option("--test", "Test touches; or give --split.")
-    ] = None,
+    test: Annotated[Path | None, option("Test touches; or give --split.")] = None,
     split: Annotated[
-        str | None,
-        option("--split", "Split --train itself: between, last or unseen-objects."),
+        str | None, option("Split --train itself: between, last or unseen-objects.")
     ] = None,
     label: Label = "object",
     preset: Preset = "default",
     touches: Annotated[
-        str, option("--touches", "Give figures after so many touches.")
+        str, option("Give figures after so many touches.")
     ] = "1,5,15,30",
     train_touches: Annotated[
-        int | None, option("--train-touches", "Draw so many per object to train.")
+        int | None, option("Draw so many per object to train.")
     ] = None,
-    orders: Annotated[
-        int, option("--orders", "Random orders of each object's touches.")
-    ] = 20,
+    orders: Annotated[int, option("Random orders of each object's touches.")] = 20,
     unknown: Annotated[
-        Path | None, option("--unknown", "Touches of objects that are not trained on.")
+        Path | None, option("Touches of objects that are not trained on.")
     ] = None,
-    test_where: Annotated[
-        str | None, option("--test-where", "The same for --test.")
-    ] = None,
-    unknown_where: Annotated[
-        str | None, option("--unknown-where", "The same for --unknown.")
-    ] = None,
+    test_where: Annotated[str | None, option("The same for --test.")] = None,
+    unknown_where: Annotated[str | None, option("The same for --unknown.")] = None,
     error: ErrorRate = 0.01,
     report: Report = None,
     floor: Floor = None,

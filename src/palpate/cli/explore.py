@@ -20,13 +20,7 @@ from ._output import answer, belief_line, stages
 from .simulate import Objects, Rows, Unit, Workers, find_objects
 
 if TYPE_CHECKING:
-    from ..exploration import (
-        Exploration,
-        Stand,
-        Strategy,
-        TouchMap,
-        TouchRecord,
-    )
+    from ..exploration import Exploration, Stand, Strategy, TouchMap, TouchRecord
     from ..recognition import ObjectRecogniser
     from ..simulation import SimObject
 
@@ -49,10 +43,8 @@ Folder = Annotated[
 def learn(
     output: ModelOutput,
     objects: Objects = None,
-    touches: Annotated[int, option("--touches", "Touches of each object.")] = 60,
-    sessions: Annotated[
-        int, option("--sessions", "How often each object is put down anew.")
-    ] = 3,
+    touches: Annotated[int, option("Touches of each object.")] = 60,
+    sessions: Annotated[int, option("How often each object is put down anew.")] = 3,
     preset: Preset = "default",
     rows: Rows = 120,
     folder: Folder = None,
@@ -107,34 +99,27 @@ def learn(
 def recognise(
     model: ModelPath,
     thing: Annotated[str, argument("OBJECT", "A built-in object or a mesh file.")],
-    strategy: Annotated[
-        str, option("--strategy", "informative, random or raster.")
-    ] = "informative",
+    strategy: Annotated[str, option("informative, random or raster.")] = "informative",
     taught: Annotated[
         Path | None,
         option(
-            "--taught",
             "The touches MODEL learnt, with their directions. Default: the .npz "
-            "of MODEL's name, where there is one.",
+            "of MODEL's name, where there is one."
         ),
     ] = None,
     most: Annotated[int, option("--max-touches", "Budget of attempts.")] = 30,
     error: ErrorRate = 0.01,
     folder: Folder = None,
     yaw: Annotated[
-        float | None,
-        option("--yaw", "Turn about the vertical, degrees. Default: drawn."),
+        float | None, option("Turn about the vertical, degrees. Default: drawn.")
     ] = None,
-    face: Annotated[
-        int, option("--face", "Which face it rests on; 0 is the usual one.")
-    ] = 0,
+    face: Annotated[int, option("Which face it rests on; 0 is the usual one.")] = 0,
     fault: Annotated[
         list[str] | None,
         option(
-            "--fault",
             "Let something fail, as '2=no force': in attempt 2, counted from 0. "
             "Repeatable. stuck force, stuck force in contact, no force, overshoot, "
-            "driver error, slow, retract error, arm stuck, no frame, out of reach.",
+            "driver error, slow, retract error, arm stuck, no frame, out of reach."
         ),
     ] = None,
     unit: Unit = "mm",

@@ -37,17 +37,15 @@ def learn(
     pitch_mm: Annotated[
         float | None,
         option(
-            "--pitch-mm",
             "Distance of neighbouring taxels: learn also where and at what angle "
-            "parts lie on a pressure array. Default: what the archive says.",
+            "parts lie on a pressure array. Default: what the archive says."
         ),
     ] = None,
     extend: Annotated[
         Path | None,
         option(
-            "--extend",
             "Add the objects of TOUCHES that this model does not know to it, or, where "
-            "it knows them all, their new touches; its encoding stays as it is.",
+            "it knows them all, their new touches; its encoding stays as it is."
         ),
     ] = None,
     working: Working,

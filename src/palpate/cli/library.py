@@ -25,22 +25,16 @@ def add(
     folder: LibraryPath,
     touches: TouchesPath,
     *,
-    session: Annotated[
-        str | None, option("--session", "Name of the recording session.")
-    ] = None,
-    episode: Annotated[str | None, option("--episode", "Name of the episode.")] = None,
-    sensor: Annotated[str | None, option("--sensor", "Name of the sensor.")] = None,
-    kind: Annotated[
-        str | None, option("--kind", "Kind of sensor: camera, array...")
-    ] = None,
-    unit: Annotated[
-        str | None, option("--unit", "Unit of the images, such as kPa.")
-    ] = None,
+    session: Annotated[str | None, option("Name of the recording session.")] = None,
+    episode: Annotated[str | None, option("Name of the episode.")] = None,
+    sensor: Annotated[str | None, option("Name of the sensor.")] = None,
+    kind: Annotated[str | None, option("Kind of sensor: camera, array...")] = None,
+    unit: Annotated[str | None, option("Unit of the images, such as kPa.")] = None,
     pitch_mm: Annotated[
-        float | None, option("--pitch-mm", "Distance of neighbouring taxels in mm.")
+        float | None, option("Distance of neighbouring taxels in mm.")
     ] = None,
     topic: Annotated[
-        str | None, option("--topic", "Of a bag (ROS 2, MCAP): the topic to read.")
+        str | None, option("Of a bag (ROS 2, MCAP): the topic to read.")
     ] = None,
     object_name: Annotated[
         str | None, option("--object", "Of a bag: what is touched in all of it.")
@@ -79,8 +73,8 @@ def add(
 def list_touches(
     folder: LibraryPath,
     where: Where = None,
-    limit: Annotated[int, option("--limit", "At most so many.")] = 50,
-    offset: Annotated[int, option("--offset", "After so many.")] = 0,
+    limit: Annotated[int, option("At most so many.")] = 50,
+    offset: Annotated[int, option("After so many.")] = 0,
     retracted: Annotated[
         bool, option("--retracted", "Show retracted touches too.")
     ] = False,
@@ -228,7 +222,7 @@ def merge(
 def retract(
     folder: LibraryPath,
     where: Annotated[str, argument("A filter, as for --where.")],
-    reason: Annotated[str, option("--reason", "Why.")],
+    reason: Annotated[str, option("Why.")],
 ) -> None:
     """Leave touches out from now on; they are kept and can be restored."""
     with _opened(folder) as opened:

@@ -25,9 +25,7 @@ def live(
     touches: Annotated[
         int, option("-n", "--touches", "Most touches of an episode.")
     ] = 30,
-    episodes: Annotated[
-        int, option("--episodes", "How many episodes; 0 goes on until Ctrl-C.")
-    ] = 1,
+    episodes: Annotated[int, option("How many episodes; 0 goes on until Ctrl-C.")] = 1,
     timeout: Patience = 120.0,
     error: ErrorRate = 0.01,
     summary: Summary = "peak",

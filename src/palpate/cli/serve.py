@@ -16,30 +16,22 @@ HERE = "127.0.0.1"
 def serve(
     *,
     sensor: Annotated[
-        str | None,
-        option(
-            "--sensor", f"{ADDRESS} Without one touches come through the API alone."
-        ),
+        str | None, option(f"{ADDRESS} Without one touches come through the API alone.")
     ] = None,
     model: Annotated[
         Path | None,
         option(
-            "--model",
             "Model file to start from; learning writes it. Default: "
-            "model.palpate in the library.",
+            "model.palpate in the library."
         ),
     ] = None,
     library: Annotated[
-        Path | None,
-        option("--library", "Folder that keeps what is taught; made if missing."),
+        Path | None, option("Folder that keeps what is taught; made if missing.")
     ] = None,
     host: Annotated[
-        str,
-        option("--host", "Address to listen on; other than 127.0.0.1 is the network."),
+        str, option("Address to listen on; other than 127.0.0.1 is the network.")
     ] = HERE,
-    port: Annotated[
-        int, option("--port", "Port to listen on; 0 takes a free one.")
-    ] = 8765,
+    port: Annotated[int, option("Port to listen on; 0 takes a free one.")] = 8765,
     error: ErrorRate = 0.01,
     summary: Summary = "peak",
     options: SensorOptions,

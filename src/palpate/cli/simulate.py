@@ -45,19 +45,16 @@ class DomeTouches:
 
     output: Output
     objects: Objects = None
-    touches: Annotated[int, option("--touches", "Touches of each object.")] = 60
+    touches: Annotated[int, option("Touches of each object.")] = 60
     sessions: Annotated[
         int,
-        option(
-            "--sessions",
-            "Recordings: in each the object is turned anew and the camera drifts.",
-        ),
+        option("Recordings: in each the object is turned anew and the camera drifts."),
     ] = 1
     any_pose: Annotated[
         bool, option("--any-pose", "Let objects rest on any of their faces.")
     ] = False
     aim_sd: Annotated[
-        float, option("--aim-sd", "Presses face the centre to within this sd, mm.")
+        float, option("Presses face the centre to within this sd, mm.")
     ] = 5.0
     no_drift: Annotated[
         bool, option("--no-drift", "Keep exposure and place in all sessions.")
@@ -105,45 +102,24 @@ def array(
             "PART", "Names (bar10, disc13-hole8...) or numbers, 1 to 12. Default: all."
         ),
     ] = None,
-    presses: Annotated[int, option("--presses", "Presses of each.")] = 20,
-    rows: Annotated[int, option("--rows", "Taxels down.")] = 10,
-    cols: Annotated[int, option("--cols", "Taxels across.")] = 10,
-    pitch: Annotated[float, option("--pitch", "Distance of taxels, mm.")] = 2.0,
+    presses: Annotated[int, option("Presses of each.")] = 20,
+    rows: Annotated[int, option("Taxels down.")] = 10,
+    cols: Annotated[int, option("Taxels across.")] = 10,
+    pitch: Annotated[float, option("Distance of taxels, mm.")] = 2.0,
     sensing: Annotated[
-        float | None,
-        option("--sensing", "Side of what a taxel senses, mm. [0.65 pitch]"),
+        float | None, option("Side of what a taxel senses, mm. [0.65 pitch]")
     ] = None,
-    load: Annotated[
-        str, option("--load", "Load in kgf, or a range such as 1:5.")
-    ] = "4",
-    cover: Annotated[float, option("--cover", "Thickness of the cover, mm.")] = 0.9,
-    shift: Annotated[
-        float, option("--shift", "Parts lie off the middle by up to, mm.")
-    ] = 1.0,
-    turn: Annotated[
-        float, option("--turn", "Parts are turned by up to, degrees.")
-    ] = 180.0,
-    tilt: Annotated[
-        float, option("--tilt", "Standard deviation of tilt, degrees.")
-    ] = 0.1,
-    roughness: Annotated[
-        float, option("--roughness", "Unevenness of the faces, µm.")
-    ] = 10.0,
-    gain_spread: Annotated[
-        float, option("--gain-spread", "Spread of the taxels' gains.")
-    ] = 0.1,
-    dead_zone: Annotated[
-        float, option("--dead-zone", "Less than this reads 0, kPa.")
-    ] = 69.0,
-    full_scale: Annotated[
-        float, option("--full-scale", "Stress that reads 255, kPa.")
-    ] = 4000.0,
-    noise: Annotated[
-        float, option("--noise", "Standard deviation of a reading, kPa.")
-    ] = 8.0,
-    device: Annotated[
-        int, option("--device", "Which array: seed of its taxels' gains.")
-    ] = 0,
+    load: Annotated[str, option("Load in kgf, or a range such as 1:5.")] = "4",
+    cover: Annotated[float, option("Thickness of the cover, mm.")] = 0.9,
+    shift: Annotated[float, option("Parts lie off the middle by up to, mm.")] = 1.0,
+    turn: Annotated[float, option("Parts are turned by up to, degrees.")] = 180.0,
+    tilt: Annotated[float, option("Standard deviation of tilt, degrees.")] = 0.1,
+    roughness: Annotated[float, option("Unevenness of the faces, µm.")] = 10.0,
+    gain_spread: Annotated[float, option("Spread of the taxels' gains.")] = 0.1,
+    dead_zone: Annotated[float, option("Less than this reads 0, kPa.")] = 69.0,
+    full_scale: Annotated[float, option("Stress that reads 255, kPa.")] = 4000.0,
+    noise: Annotated[float, option("Standard deviation of a reading, kPa.")] = 8.0,
+    device: Annotated[int, option("Which array: seed of its taxels' gains.")] = 0,
     workers: Workers = 1,
     seed: Seed = 0,
     as_json: AsJson = False,
@@ -188,17 +164,11 @@ def dome(
     rows: Rows = 120,
     cols: Cols = 120,
     force: Force = 0.735,
-    youngs: Annotated[
-        float, option("--youngs", "Young's modulus of the rubber, MPa.")
-    ] = 0.11,
-    thickness: Annotated[
-        float, option("--thickness", "Thickness of the rubber, mm.")
-    ] = 1.5,
-    leds: Annotated[int, option("--leds", "Number of LEDs.")] = 8,
-    gain: Annotated[float, option("--gain", "Exposure.")] = 1.0,
-    noise: Annotated[
-        float, option("--noise", "Noise of a picture, grey levels.")
-    ] = 3.6,
+    youngs: Annotated[float, option("Young's modulus of the rubber, MPa.")] = 0.11,
+    thickness: Annotated[float, option("Thickness of the rubber, mm.")] = 1.5,
+    leds: Annotated[int, option("Number of LEDs.")] = 8,
+    gain: Annotated[float, option("Exposure.")] = 1.0,
+    noise: Annotated[float, option("Noise of a picture, grey levels.")] = 3.6,
     way: DomeTouches,
 ) -> None:
     """Touch objects with a rubber dome and the camera behind it."""
@@ -224,7 +194,7 @@ def pins(
     rows: Rows = 300,
     cols: Cols = 300,
     force: Force = 0.735,
-    rings: Annotated[int, option("--rings", "Rings of pins.")] = 6,
+    rings: Annotated[int, option("Rings of pins.")] = 6,
     way: DomeTouches,
 ) -> None:
     """Touch objects with a dome whose inside carries pins, as a TacTip's does."""

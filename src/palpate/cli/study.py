@@ -22,8 +22,7 @@ def study(
     *,
     name: Annotated[str, argument("Which study; see --list.")] = "",
     data: Annotated[
-        Path | None,
-        option("--data", "Folder of recorded touches. Default: PALPATE_DATA."),
+        Path | None, option("Folder of recorded touches. Default: PALPATE_DATA.")
     ] = None,
     quick: Annotated[
         bool, option("--quick", "A first look, few runs and small grids.")
@@ -31,9 +30,8 @@ def study(
     protocol: Annotated[
         str | None,
         option(
-            "--protocol",
             "liu2014: nested (parameters chosen inside the training half) or "
-            "paper (on the runs reported). Default: both.",
+            "paper (on the runs reported). Default: both."
         ),
     ] = None,
     working: Working,

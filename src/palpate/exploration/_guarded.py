@@ -266,7 +266,7 @@ class _Approach:
         if abs(moved_n) > self.guard.contact_n:
             raise _Fault(
                 f"The offset moved by {moved_n:.3f} N during the touch, more than "
-                f"contact_n = {self.guard.contact_n:g}: what was pressed is not known.",
+                f"contact_n = {self.guard.contact_n:g}: what was pressed is not known."
             )
 
     def record(self) -> TouchRecord:
@@ -326,7 +326,7 @@ class _Approach:
         if self.force_n >= self.guard.force_n:
             raise _Fault(
                 f"Still {self.force_n:.3f} N where it was air before: the force sensor "
-                "is stuck or lags, or something holds on to the sensor.",
+                "is stuck or lags, or something holds on to the sensor."
             )
 
     def _measure(self) -> None:
@@ -336,7 +336,7 @@ class _Approach:
         if self.force_n < -self.guard.contact_n:
             raise _Fault(
                 f"{self.force_n:.3f} N: a force of the wrong sign. read_force must be "
-                "positive when something pushes back; if it is, the offset drifts.",
+                "positive when something pushes back; if it is, the offset drifts."
             )
 
     def _most_of_readings(self) -> float:
@@ -371,14 +371,14 @@ class _Approach:
         if pressed > guard.max_press_mm:
             raise _Fault(
                 f"Still {self.force_n:.3f} N {guard.max_press_mm:g} mm "
-                "beyond the first contact.",
+                "beyond the first contact."
             )
         recent = [n for mm, n in self._in_contact if mm >= here - guard.flat_mm - 1e-9]
         if pressed >= guard.flat_mm - 1e-9 and max(recent) - min(recent) < self._flat_n:
             raise _Fault(
                 f"{self.force_n:.3f} N for {guard.flat_mm:g} mm in contact, without "
                 "a change: the force sensor is stuck. If the object is that soft or "
-                "the sensor that coarse, raise flat_mm.",
+                "the sensor that coarse, raise flat_mm."
             )
 
     def _look(self) -> None:
@@ -391,7 +391,7 @@ class _Approach:
         if not change < limit:
             raise _Fault(
                 f"The tactile image changed by {change:.3g}, as in contact, but the "
-                f"force sensor reads {self.force_n:.3f} N. Is it connected?",
+                f"force sensor reads {self.force_n:.3f} N. Is it connected?"
             )
 
     def _refuse_load(self) -> None:
@@ -415,7 +415,7 @@ class _Approach:
         if self.guard.stuck_after and self._n_equal >= self.guard.stuck_after:
             raise _Fault(
                 f"The force sensor is stuck at {force:.4f} N for {self._n_equal} "
-                "readings. If it is that coarse, set stuck_after.",
+                "readings. If it is that coarse, set stuck_after."
             )
         return force
 

@@ -289,9 +289,7 @@ class PlacedBelief(Belief):
         self._weigh()
 
     def update(
-        self,
-        touch: Touches | Array | Evidence,
-        places: ArrayLike | None = None,
+        self, touch: Touches | Array | Evidence, places: ArrayLike | None = None
     ) -> Self:
         """Take in touches, in order, and return this belief.
 

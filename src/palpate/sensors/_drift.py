@@ -76,10 +76,7 @@ class SensorMemory:
 
 
 def baseline_warning(
-    memory: SensorMemory,
-    no_contact: Array,
-    *,
-    tolerance: float = _BASELINE_TOLERANCE,
+    memory: SensorMemory, no_contact: Array, *, tolerance: float = _BASELINE_TOLERANCE
 ) -> str:
     """Return a sentence if the baseline has left tolerance, else nothing.
 
