@@ -47,7 +47,8 @@ def checked_workers(workers: int | None) -> int | None:
 def option(*names_and_help: str, **more: Any) -> Any:
     """Return an option of the command line: its names, then what it does, as text.
 
-    Square brackets in the text, as in `palpate[plot]`, are no markup.
+    Without names it is called as its parameter: `aim_sd` is `--aim-sd`. Square brackets
+    in the text, as in `palpate[plot]`, are no markup.
     """
     *names, text = names_and_help
     return typer.Option(*names, help=_no_markup(text), **more)
@@ -153,15 +154,18 @@ class Reading:
 
         if not TouchLibrary.is_library(path):
             return None
-        given = {"--name-pattern": self.name_pattern, "--no-contact": self.no_contact}
-        for option, value in given.items():
-            if value is not None:
-                raise ValueError(
-                    f"{option} must be left out for a library, got {value} with "
-                    f"{path}. Give it to `palpate library add`, which keeps what it "
-                    "finds."
-                )
+        fix = "Give it to `palpate library add`, which keeps what it finds."
+        self.refuse(f"for a library such as {path}", fix, "name_pattern", "no_contact")
         return TouchLibrary.open(path)
+
+    def refuse(self, where: str, fix: str, *names: str) -> None:
+        """Refuse options of these names, which say nothing here."""
+        for name in names:
+            if (value := getattr(self, name)) is not None:
+                option = f"--{name.replace('_', '-')}"
+                raise ValueError(
+                    f"{option} must be left out {where}, got {str(value)!r}. {fix}"
+                )
 
     def _recording(self, path: Path) -> "Touches":
         from ..touches import Touches
@@ -201,15 +205,6 @@ class Working:
 
         Yields the number of jobs to ask for: `workers`, where neither option is given
         `usual`, or -1 (all) on a cluster.
-
-        Raises
-        ------
-        ValueError
-            Both are given, or `workers` is no number of processes.
-        ImportError
-            Dask is missing; the message names the extra.
-        OSError
-            No scheduler answers at the address.
         """
         from joblib import parallel_config
 
@@ -257,9 +252,8 @@ def grouped(verb: Callable[..., None]) -> Callable[..., None]:
 
 def _parameter(field: Any) -> Parameter:
     default = Parameter.empty if field.default is MISSING else field.default
-    return Parameter(
-        field.name, Parameter.KEYWORD_ONLY, default=default, annotation=field.type
-    )
+    kind = Parameter.KEYWORD_ONLY
+    return Parameter(field.name, kind, default=default, annotation=field.type)
 
 
 def calibrated(touches: "Touches", calibration: Path | None) -> "Touches":

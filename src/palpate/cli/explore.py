@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 STRATEGIES = ("informative", "random", "raster")
 _LEAST_SIDE = 16
+_KEPT = ("outcome", "message", "position_mm", "direction", "force_n", "retracted")
 
 explore = typer.Typer(
     no_args_is_help=True, help="Let a simulated arm touch objects: learn, recognise."
@@ -58,7 +59,7 @@ def learn(
     Writes the model, and beside it (.npz) its touches with the directions that
     choosing touches needs.
     """
-    from ..exploration import RobotError, explore_to_learn
+    from ..exploration import explore_to_learn
     from ..recognition import ObjectRecogniser, check_model_path
     from ..simulation import DomeCamera
 
@@ -66,23 +67,20 @@ def learn(
     things = find_objects(objects, unit)
     if len(things) < 2:
         raise ValueError("OBJECT must name at least 2 objects to learn. Add another.")
-    try:
-        taught = explore_to_learn(
-            things,
-            touches,
-            DomeCamera(image_shape=(rows, rows)),
-            n_sessions=sessions,
-            folder=folder,
-            random_state=seed,
-            n_jobs=workers,
-            progress=None,
-        )
-    except RobotError as error:
-        raise ValueError(str(error)) from error
+    taught = explore_to_learn(
+        things,
+        touches,
+        DomeCamera(image_shape=(rows, rows)),
+        n_sessions=sessions,
+        folder=folder,
+        random_state=seed,
+        n_jobs=workers,
+        progress=None,
+    )
     with stages() as stage:
         stage(f"learning from {len(taught)} touches")
         recogniser = ObjectRecogniser(preset, random_state=seed).fit(taught)
-    archive = taught_path(output)
+    archive = output.with_suffix(".npz")
     taught.save(archive)
     written = recogniser.save(output)
     learnt = recogniser.summary()
@@ -131,7 +129,7 @@ def recognise(
     from ..exploration import explore as explore_object
     from ..recognition import ObjectRecogniser
 
-    found = one_object(thing, unit)
+    found = _one_object(thing, unit)
     recogniser = ObjectRecogniser.load(model)
     stand = put_down(
         found,
@@ -162,21 +160,15 @@ def recognise(
     answer(as_json, {**about, **exploration_to_dict(knower, end)}, f"  {end.reason}")
 
 
-def one_object(name: str, unit: str = "mm") -> "SimObject":
+def _one_object(name: str, unit: str) -> "SimObject":
     """Return one object by its name or mesh file; a set of objects is refused."""
     things = find_objects([name], unit)
     if len(things) != 1:
+        names = ", ".join(thing.name for thing in things)
         raise ValueError(
-            f"OBJECT must be one object, got the set {name!r}. Name one of: "
-            + ", ".join(thing.name for thing in things)
-            + "."
+            f"OBJECT must be one object, got the set {name!r}. Name one of: {names}."
         )
     return things[0]
-
-
-def taught_path(model: Path) -> Path:
-    """Return where the touches of an explored model are kept."""
-    return model.with_suffix(".npz")
 
 
 def print_attempt(record: "TouchRecord", belief: Any) -> None:
@@ -200,14 +192,10 @@ def exploration_to_dict(
         if record.touched:
             belief.update(as_touches([record]))
             touched.append(number)
+        plain = record.to_dict()
         attempts.append(
             {
-                "outcome": record.outcome,
-                "message": record.message,
-                "position_mm": list(record.position_mm),
-                "direction": record.direction.tolist(),
-                "force_n": record.force_n,
-                "retracted": record.retracted,
+                **{name: plain[name] for name in _KEPT},
                 "flag": belief.flags[-1] if record.touched else None,
                 "posterior": belief.posterior,
                 "unknown": belief.unknown,
@@ -240,7 +228,7 @@ def _touch_map(
     from ..touches import Touches
 
     check_option("strategy", strategy, STRATEGIES)
-    archive = taught_path(model) if taught is None else taught
+    archive = model.with_suffix(".npz") if taught is None else taught
     if taught is None and not archive.exists():
         if strategy != "informative":
             return None

@@ -54,7 +54,11 @@ def add(
     else:
         from ..library import read_bag
 
-        _refuse_with_topic(reading)
+        fix = (
+            "All messages of a bag's topic are read; choose afterwards with "
+            "`palpate library retract`."
+        )
+        reading.refuse("with --topic", fix, "where", "name_pattern", "no_contact")
         found = read_bag(touches, topic, object=object_name)
     described = sensor and SensorDescription(sensor, kind, unit, pitch_mm)
     with _opened(folder, create=True) as opened:
@@ -188,9 +192,8 @@ def stats(folder: LibraryPath, as_json: AsJson = False) -> None:
         sensors = [sensor._asdict() for sensor in opened.sensors()]
     lines = [f"{name:15s} {value:,}" for name, value in found.items()]
     for sensor in sensors:
-        lines.append(
-            "sensor          " + ", ".join(str(v) for v in sensor.values() if v)
-        )
+        known = ", ".join(str(value) for value in sensor.values() if value)
+        lines.append(f"{'sensor':15s} {known}")
     answer(as_json, {**found, "sensors": sensors}, *lines)
 
 
@@ -250,18 +253,6 @@ def _opened(folder: Path, *, create: bool = False) -> "TouchLibrary":
     from ..library import TouchLibrary
 
     return TouchLibrary.open(folder, create=create)
-
-
-def _refuse_with_topic(reading: Reading) -> None:
-    """Refuse what says nothing of a bag."""
-    options = {"--where": reading.where, "--name-pattern": reading.name_pattern}
-    for name, value in {**options, "--no-contact": reading.no_contact}.items():
-        if value is not None:
-            raise ValueError(
-                f"{name} must be left out with --topic, got {str(value)!r}. All "
-                "messages of a bag's topic are read; choose afterwards with "
-                "`palpate library retract`."
-            )
 
 
 def _one_touch(opened: "TouchLibrary", start: str) -> "TouchRow":

@@ -36,15 +36,15 @@ def live(
     from ..web import LiveSession
 
     done: list[Episode] = []
-    session = LiveSession(
-        options.open(sensor), model=model, error=error, summary=summary
-    )
+    chosen = options.open(sensor)
+    session = LiveSession(chosen, model=model, error=error, summary=summary)
     found: queue.Queue[dict[str, Any]] = queue.Queue()
-    session.listeners.add(
-        lambda event: (
-            found.put(event.values) if event.kind in ("touch", "state") else None
-        )
-    )
+
+    def listen(event: Any) -> None:
+        if event.kind in ("touch", "state"):
+            found.put(event.values)
+
+    session.listeners.add(listen)
     with session:
         need_baseline(session)
         try:

@@ -89,8 +89,7 @@ class DomeTouches:
             random_state=self.seed,
             progress=None,
         )
-        names = [thing.name for thing in things]
-        _write(made, self.output, "Touched", "objects", names, self.as_json)
+        _write(made, self.output, "Touched {} objects", self.as_json)
 
 
 @simulate.command()
@@ -125,8 +124,6 @@ def array(
     as_json: AsJson = False,
 ) -> None:
     """Press flat parts on a pressure array, each time laid down anew."""
-    import numpy as np
-
     from ..simulation import PressureArray, simulate_presses
 
     check_output(output)
@@ -153,8 +150,7 @@ def array(
         random_state=seed,
         n_jobs=workers,
     )
-    names = list(dict.fromkeys(np.asarray(made.object).tolist()))
-    _write(made, output, "Pressed", "parts", names, as_json)
+    _write(made, output, "Pressed {} parts", as_json)
 
 
 @simulate.command()
@@ -205,20 +201,13 @@ def pins(
     way.make(replace(usual, dome=seen, n_rings=rings))
 
 
-def _write(
-    made: "Touches",
-    output: Path,
-    done: str,
-    things: str,
-    names: list[str],
-    as_json: bool,
-) -> None:
-    """Write the archive and tell what is in it."""
+def _write(made: "Touches", output: Path, done: str, as_json: bool) -> None:
+    """Write the archive and say what is in it."""
     made.save(output)
+    names = [] if made.object is None else list(dict.fromkeys(made.object.tolist()))
     values = {"touches": str(output), "n_touches": len(made), "objects": names}
-    answer(
-        as_json, values, f"{done} {len(names)} {things}, {len(made)} touches.", output
-    )
+    line = f"{done.format(len(names))}, {len(made)} touches."
+    answer(as_json, values, line, output)
 
 
 def _parts(names: list[str] | None) -> list[str | int]:
@@ -251,14 +240,7 @@ def check_output(path: Path) -> None:
 
 
 def find_objects(names: list[str] | None, unit: str) -> "list[SimObject]":
-    """Return the objects that names, sets and mesh files stand for.
-
-    Raises
-    ------
-    ValueError
-        There is no such object, or two of them have one name: their touches would
-        be those of one.
-    """
+    """Return the objects that names, sets and mesh files stand for, each once."""
     from ..simulation import (
         BASIC_SHAPES,
         HOUSEHOLD,

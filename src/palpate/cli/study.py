@@ -48,24 +48,16 @@ def study(
         for known, one in STUDIES.items():
             print(f"{known:12s} {one.summary}")
         return
-    check_option("study", name, STUDIES)
+    one = STUDIES[check_option("study", name, STUDIES)]
     options: dict[str, Any] = {"data": data, "quick": quick, "seed": seed}
     if protocol is not None:
         options["protocol"] = protocol
-    with working.started(usual=-1) as n:
-        _run(name, {**options, "workers": n}, report, as_json)
-
-
-def _run(
-    name: str, options: dict[str, Any], report: Path | None, as_json: bool
-) -> None:
-    from ..evaluation import check_report_path
-    from ..studies import STUDIES
-
-    one = STUDIES[name]
     if report is not None:
+        from ..evaluation import check_report_path
+
         check_report_path(report)
-    result = one.run(**options)
+    with working.started(usual=-1) as n:
+        result = one.run(**{**options, "workers": n})
     for sentence in result["skipped"]:
         print(sentence, file=sys.stderr)
     if report is not None:

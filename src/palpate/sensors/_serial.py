@@ -11,7 +11,7 @@ from .._checks import check_count, check_option
 from .._extras import needed
 from .._types import Array
 from ._contract import LiveSensor, SensorError
-from ._framing import BinaryFraming, Framing, LineFraming
+from ._framing import BinaryFraming, LineFraming
 
 FRAMINGS = ("line", "binary")
 _WAIT_S = 0.1
@@ -76,7 +76,7 @@ class SerialArraySensor(LiveSensor):
         self._lost_before = 0
         self._serial: Any = None
 
-    def _new_framing(self) -> Framing:
+    def _new_framing(self) -> LineFraming | BinaryFraming:
         if self.framing == "line":
             return LineFraming(self.image_shape, self.checksum)
         return BinaryFraming(self.image_shape, self.dtype)
@@ -119,8 +119,7 @@ class SerialArraySensor(LiveSensor):
 
 
 def _cannot_open(port: str, error: Exception) -> str:
-    number = getattr(error, "errno", None)
-    fix = _FIXES.get(number or 0)
+    fix = _FIXES.get(getattr(error, "errno", None) or 0)
     if fix is None:
         from serial.tools.list_ports import comports
 
