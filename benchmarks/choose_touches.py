@@ -66,7 +66,7 @@ Hits = dict[str, Any]
 
 
 def taught(teaching: int, preset: str) -> TouchMap:
-    """Touch every object in its usual pose, learn them and where they feel how."""
+    """Touch every object in its usual pose and learn what is met where."""
     touches = explore_to_learn(
         camera=CAMERA,
         n_sessions=N_SESSIONS,

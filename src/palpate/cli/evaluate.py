@@ -84,9 +84,9 @@ def evaluate(
             write_report(report, figures, trials)
     if as_json:
         print_json(figures)
-    else:
-        _print_figures(figures)
-    if report is not None and not as_json:
+        return
+    _print_figures(figures)
+    if report is not None:
         print(report)
 
 

@@ -17,6 +17,7 @@ library = typer.Typer(
 )
 
 LibraryPath = Annotated[Path, argument("LIBRARY", "The folder of the library.")]
+Filter = Annotated[str, argument("A filter, as for --where.")]
 
 
 @library.command()
@@ -223,9 +224,7 @@ def merge(
 
 @library.command()
 def retract(
-    folder: LibraryPath,
-    where: Annotated[str, argument("A filter, as for --where.")],
-    reason: Annotated[str, option("Why.")],
+    folder: LibraryPath, where: Filter, reason: Annotated[str, option("Why.")]
 ) -> None:
     """Leave touches out from now on; they are kept and can be restored."""
     with _opened(folder) as opened:
@@ -235,9 +234,7 @@ def retract(
 
 
 @library.command()
-def restore(
-    folder: LibraryPath, where: Annotated[str, argument("A filter, as for --where.")]
-) -> None:
+def restore(folder: LibraryPath, where: Filter) -> None:
     """Take retracted touches back in."""
     with _opened(folder) as opened:
         rows = opened.list(where, limit=None, retracted=True)

@@ -63,7 +63,8 @@ def serve(
 
 def _say_where(host: str, port: int, token: str, *, as_json: bool) -> None:
     """Print the address, and what it means to listen to the network."""
-    address = f"http://{_in_url(host)}:{port}/"
+    shown = HERE if host in ("0.0.0.0", "::") else host
+    address = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/"
     if host not in (HERE, "localhost", "::1"):
         print(
             f"palpate: listening on {host}: everybody on that network who knows the "
@@ -76,8 +77,3 @@ def _say_where(host: str, port: int, token: str, *, as_json: bool) -> None:
     else:
         print(f"Open {address}?token={token}", flush=True)
         print("End with Ctrl-C. What is taught is kept at once.", flush=True)
-
-
-def _in_url(host: str) -> str:
-    shown = HERE if host in ("0.0.0.0", "::") else host
-    return f"[{shown}]" if ":" in shown else shown

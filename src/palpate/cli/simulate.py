@@ -213,9 +213,8 @@ def _write(made: "Touches", output: Path, done: str, as_json: bool) -> None:
 def _parts(names: list[str] | None) -> list[str | int]:
     from ..simulation import PARTS
 
-    if not names:
-        return [part.name for part in PARTS]
-    return [int(name) if name.isdecimal() else name for name in names]
+    given = names or [part.name for part in PARTS]
+    return [int(name) if name.isdecimal() else name for name in given]
 
 
 def _load(text: str) -> float | tuple[float, float]:

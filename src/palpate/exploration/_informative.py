@@ -187,10 +187,8 @@ class InformativeTouch:
 
 
 def most_promising(gain: Floats, fresh: Floats) -> int:
-    """Return the candidate with the largest gain that is still to be had.
-
-    Gains below zero are not made better by having been there.
-    """
+    """Return the candidate with the largest gain that is still to be had."""
+    # Gains below zero are not made better by having been there.
     promise = np.where(gain > 0, gain * fresh, gain)
     if promise.max() < _LEAST_PROMISE:
         return int(fresh.argmax())

@@ -238,7 +238,12 @@ class EpisodeLog:
         path = folder / "episode.json"
         wanted = json.loads(json.dumps({"format": _FORMAT, "settings": self.settings}))
         if not path.exists():
-            _refuse_other_files(folder)
+            others = sorted(p.name for p in folder.iterdir() if p.name != _LOCK)
+            if others:
+                raise EpisodeError(
+                    f"{folder} must be empty or an episode, got {others[0]!r} in it. "
+                    "Use another folder."
+                )
             write_text(path, json.dumps(wanted, indent=1))
             return
         try:
@@ -299,16 +304,6 @@ def _make_folder(folder: Path) -> None:
             f"folder must be a folder or a new name, got the file {str(file)!r}. Use "
             "another folder."
         ) from error
-
-
-def _refuse_other_files(folder: Path) -> None:
-    """Begin an episode only where nothing else is."""
-    others = sorted(p.name for p in folder.iterdir() if p.name != _LOCK)
-    if others:
-        raise EpisodeError(
-            f"{folder} must be empty or an episode, got {others[0]!r} in it. "
-            "Use another folder."
-        )
 
 
 def _locked(folder: Path) -> IO[bytes]:

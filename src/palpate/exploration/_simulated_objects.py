@@ -115,23 +115,18 @@ def put_down(
     seeds = [int(seed) for seed in rng.integers(2**31, size=3)]
     bench = SimulatedBench(moved, camera, random_state=seeds[0])
     hemisphere = Hemisphere((float(x), float(y), float(z)))
-    _refuse_outside(placed, hemisphere)
+    reach = float(np.linalg.norm(np.ptp(placed.bounds_mm, axis=0))) / 2
+    if reach >= hemisphere.radius_mm:  # the arm would begin inside it
+        raise ValueError(
+            f"thing must fit into a hemisphere of {hemisphere.radius_mm:g} mm, got "
+            f"{thing.name!r}, which reaches {reach:.0f} mm from its middle. Is its "
+            "unit right?"
+        )
     home = hemisphere.pose(0.0, np.pi / 2)
     robot = SimulatedRobot(bench, home, random_state=seeds[1], faults=faults)
     lost = MissingFrames(robot)
     sensor = SimulatedSensor(bench, random_state=seeds[2], missing=lost)
     return Stand(thing, hemisphere, robot, sensor)
-
-
-def _refuse_outside(placed: PlacedObject, hemisphere: Hemisphere) -> None:
-    """Refuse what reaches out of the hemisphere: the arm would begin inside it."""
-    reach = float(np.linalg.norm(np.ptp(placed.bounds_mm, axis=0))) / 2
-    if reach >= hemisphere.radius_mm:
-        raise ValueError(
-            f"thing must fit into a hemisphere of {hemisphere.radius_mm:g} mm, got "
-            f"{placed.thing.name!r}, which reaches {reach:.0f} mm from its middle. Is "
-            "its unit right?"
-        )
 
 
 def explore_to_learn(

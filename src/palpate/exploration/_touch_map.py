@@ -111,7 +111,12 @@ class TouchMap:
             The touches are not those, or they have no places.
         """
         check_count("n_turns", self.n_turns)
-        _refuse_others(recogniser, touches)
+        labels = touches.object if recogniser.label == "object" else touches.category
+        if labels is None or not np.array_equal(labels, recogniser.memory_.labels):
+            raise ValueError(
+                "touches must be those that the recogniser learnt, in the same order, "
+                f"got {touches!r}. Fit both on the same touches."
+            )
         self.recogniser = recogniser
         self.places_ = places_of(touches, places, self.n_turns)
         self.features_ = recogniser.memory_.features
@@ -126,12 +131,10 @@ class TouchMap:
         return self
 
     def _choose(self) -> None:
-        """Set kernels and weights by the log loss of left-out episodes.
+        """Set the kernels, then the weights, with the least log loss of episodes.
 
-        Episodes are drawn from the training touches of each object; each touch is
-        judged by a map without its block of the recording (or its session). The
-        kernels, then the weights, with the least log loss of the object win. How the
-        object is turned is unknown in these episodes as it is in real ones.
+        Each touch of theirs is judged by a map without its block (or session). How the
+        object is turned is unknown in them as it is in real ones.
         """
         episodes = _episodes(self)
         losses = {}
@@ -147,10 +150,7 @@ class TouchMap:
         self.log_loss_ = {"touch": by_touch, "placed": by_place}
 
     def _left_out_ratio(self) -> Floats:
-        """Return log r of training touches at their own places, turned every way.
-
-        Shape (n_touches, n_objects, n_turns); the first turn is the true one.
-        """
+        """Return log r of training touches at their places, turned every way."""
         left_out, ratios = self.left_out(), []
         for stations in turned_back(self.places_, self.n_turns).swapaxes(0, 1):
             ratios.append(self._ratio(*left_out, self.closeness(stations), _row_by_row))
@@ -180,11 +180,9 @@ class TouchMap:
         return SequenceCalibration(1.0, self.correlation_)
 
     def evidence_at(self, evidence: Evidence, places: Floats) -> Floats:
-        """Return the evidence of touches at places, (n_touches, n_objects, n_turns).
-
-        Places of touches that say nothing say nothing either.
-        """
+        """Return the evidence of touches at places, (n_touches, n_objects, n_turns)."""
         ratio = self.placed_ratio(evidence.features, places)
+        # Places of touches that say nothing say nothing either.
         ratio[~evidence.log_likelihood.any(axis=1)] = 0.0
         return self.weighed(log_softmax(evidence.log_likelihood, axis=1), ratio)
 
@@ -340,15 +338,6 @@ def _all_pairs(closeness: Floats, touches: Floats) -> Floats:
 def _row_by_row(closeness: Floats, touches: Floats) -> Floats:
     """Sums over training touches, of station i for touch i."""
     return np.asarray((closeness * touches).sum(axis=1))
-
-
-def _refuse_others(recogniser: ObjectRecogniser, touches: Touches) -> None:
-    labels = touches.object if recogniser.label == "object" else touches.category
-    if labels is None or not np.array_equal(labels, recogniser.memory_.labels):
-        raise ValueError(
-            "touches must be those that the recogniser learnt, in the same order, got "
-            f"{touches!r}. Fit both on the same touches."
-        )
 
 
 def _episodes(touch_map: TouchMap) -> Episodes:

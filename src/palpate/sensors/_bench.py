@@ -130,12 +130,23 @@ class SimulatedBench:
         slid *= min(1.0, self._slide_mm / max(np.hypot(*slid), 1e-9))
         turned = self._turned + self._rng.uniform(-0.5, 0.5) * self._turn_rad
         turned = float(np.clip(turned, -self._turn_rad, self._turn_rad))
-        target = _shifted(self._first, slid, turned, self.centre_mm)
+        target = self._shifted(slid, turned)
         line = _Line(self.camera, target, self._line.base)
         force = self._force(line)
         if force <= self.force_n:
             self._slid, self._turned = slid, turned
             self.target, self._line, self.force_n = target, line, force
+
+    def _shifted(self, slid_mm: Floats, turned_rad: float) -> PlacedObject:
+        """Turn the object about the vertical through its middle, then slide it."""
+        first, cos, sin = self._first, np.cos(turned_rad), np.sin(turned_rad)
+        arm = np.asarray(first.position_mm) - self.centre_mm
+        place = self.centre_mm + arm
+        turn = np.array([[cos, -sin], [sin, cos]])
+        place[:2] = self.centre_mm[:2] + turn @ arm[:2] + slid_mm
+        return PlacedObject(
+            first.thing, first.rotation, first.yaw_rad + turned_rad, place
+        )
 
 
 class SimulatedSensor:
@@ -180,19 +191,6 @@ class SimulatedSensor:
     def no_contact(self) -> Array:
         """Return the frame of touching nothing, without noise."""
         return self._bench.camera.no_contact()
-
-
-def _shifted(
-    placed: PlacedObject, slid_mm: Floats, turned_rad: float, centre_mm: Floats
-) -> PlacedObject:
-    """Turn an object about the vertical through `centre_mm`, then slide it."""
-    cos, sin = np.cos(turned_rad), np.sin(turned_rad)
-    arm = np.asarray(placed.position_mm) - centre_mm
-    turn = np.array([[cos, -sin], [sin, cos]])
-    place = centre_mm + arm
-    place[:2] = centre_mm[:2] + turn @ arm[:2] + slid_mm
-    yaw = placed.yaw_rad + turned_rad
-    return PlacedObject(placed.thing, placed.rotation, yaw, place)
 
 
 class _Line:

@@ -180,14 +180,11 @@ class BinaryFraming:
         taxels = np.frombuffer(body, self._type, offset=_HEAD.size)
         if self._type.kind == "f" and np.isinf(taxels).any():
             return None
-        self._count(_HEAD.unpack_from(body)[3])
-        return taxels.reshape(self.image_shape)
-
-    def _count(self, number: int) -> None:
-        if self._last is not None:
-            gap = (number - self._last - 1) % 65536
-            self.n_missed += gap if gap < _MANY_MISSED else 0
+        number = _HEAD.unpack_from(body)[3]
+        gap = 0 if self._last is None else (number - self._last - 1) % 65536
+        self.n_missed += gap if gap < _MANY_MISSED else 0
         self._last = number
+        return taxels.reshape(self.image_shape)
 
 
 def write_line(image: Array) -> bytes:

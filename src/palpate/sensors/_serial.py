@@ -73,7 +73,6 @@ class SerialArraySensor(LiveSensor):
         self.baud = check_count("baud", baud)
         self.checksum = checksum
         self._framing = self._new_framing()
-        self._lost_before = 0
         self._serial: Any = None
 
     def _new_framing(self) -> LineFraming | BinaryFraming:
@@ -97,7 +96,6 @@ class SerialArraySensor(LiveSensor):
         except (serial.SerialException, ValueError, OSError) as error:
             raise SensorError(_cannot_open(self.port, error)) from error
         self._framing = self._new_framing()
-        self._lost_before = 0
 
     def _grab(self) -> Sequence[Array]:
         try:
@@ -106,10 +104,10 @@ class SerialArraySensor(LiveSensor):
             raise SensorError(
                 f"{self.port} went away. Plug the array in again."
             ) from error
+        before = self._framing.n_damaged + self._framing.n_missed
         frames = self._framing.feed(data)
-        lost = self._framing.n_damaged + self._framing.n_missed
-        self._count_missed(lost - self._lost_before)
-        self._lost_before = lost
+        after = self._framing.n_damaged + self._framing.n_missed
+        self._count_missed(after - before)
         return frames
 
     def _close(self) -> None:
