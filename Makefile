@@ -3,11 +3,18 @@
 PYTHON ?= python3
 VENV ?= .venv
 BENCH_VENV ?= .venv-bench
+OLDEST_VENV ?= .venv-oldest
+BARE_VENV ?= .venv-bare
+DIST_VENV ?= .venv-dist
+# The oldest Python that pyproject.toml promises.
+OLDEST_PYTHON ?= python3.11
 BIN := $(VENV)/bin
 # One thread per process: tests and benchmarks run side by side.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: demo test test-all check format bench clean
+PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
+
+.PHONY: demo test test-all test-oldest test-bare check format bench dist clean
 
 demo: $(VENV)/.demo-installed
 	@$(BIN)/palpate demo $(if $(PALPATE_DATA),--real)
@@ -16,7 +23,18 @@ test: check
 	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 -m "not slow"
 
 test-all: check
-	$(ONE_THREAD) $(BIN)/python -m pytest -n 2
+	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --cov --cov-report=term
+
+# The oldest versions that pyproject.toml promises; old packages beside new ones warn
+# about each other.
+test-oldest: $(OLDEST_VENV)/.installed
+	$(ONE_THREAD) $(OLDEST_VENV)/bin/python -m pytest -n 2 -m "not slow" \
+		-W ignore::DeprecationWarning -W ignore::PendingDeprecationWarning
+
+# No extra at all: what needs one is skipped by its name, and everything else works.
+test-bare: $(BARE_VENV)/.installed
+	PALPATE_BARE=1 $(ONE_THREAD) $(BARE_VENV)/bin/python -m pytest -n 2 \
+		-m "not slow" --doctest-ignore-import-errors
 
 check: $(VENV)/.test-installed
 	$(BIN)/ruff check .
@@ -30,26 +48,52 @@ format: $(VENV)/.test-installed
 bench: $(BENCH_VENV)/.installed
 	$(ONE_THREAD) $(BENCH_VENV)/bin/python benchmarks/run.py
 
+# Wheel and source archive, checked: their page, and the wheel in an empty environment.
+dist: $(VENV)/.dev-installed
+	rm -rf build dist $(DIST_VENV)
+	$(BIN)/python -m build
+	$(BIN)/twine check --strict dist/*
+	$(PYTHON) -m venv $(DIST_VENV)
+	$(DIST_VENV)/bin/python $(PIP_INSTALL) dist/*.whl
+	$(ONE_THREAD) $(DIST_VENV)/bin/python -I .ci/check_wheel.py dist/*.whl
+
 clean:
-	rm -rf $(VENV) $(BENCH_VENV) .pytest_cache .mypy_cache .ruff_cache build dist
+	rm -rf $(VENV) $(BENCH_VENV) $(OLDEST_VENV) $(BARE_VENV) $(DIST_VENV)
+	rm -rf .coverage .coverage.* .pytest_cache .mypy_cache .ruff_cache build dist
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.demo-installed: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@echo "Installing palpate into $(VENV) (once, about a minute)..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[plot,sim]"
+	@$(BIN)/python $(PIP_INSTALL) -c constraints.txt -e ".[plot,sim]"
 	@touch $@
 
 $(VENV)/.test-installed: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@echo "Installing palpate and its test tools into $(VENV) (once, about two minutes)..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test]"
+	@$(BIN)/python $(PIP_INSTALL) -c constraints.txt -e ".[test]"
+	@touch $@
+
+$(VENV)/.dev-installed: pyproject.toml constraints.txt | $(VENV)/bin/python
+	@$(BIN)/python $(PIP_INSTALL) -c constraints.txt -e ".[dev]"
+	@touch $@
+
+$(OLDEST_VENV)/.installed: pyproject.toml .ci/lower_bounds.py
+	$(OLDEST_PYTHON) -m venv --clear $(OLDEST_VENV)
+	$(OLDEST_VENV)/bin/python .ci/lower_bounds.py > $(OLDEST_VENV)/requirements.txt
+	$(OLDEST_VENV)/bin/python $(PIP_INSTALL) --only-binary :all: -r $(OLDEST_VENV)/requirements.txt
+	$(OLDEST_VENV)/bin/python $(PIP_INSTALL) --no-deps -e .
+	@touch $@
+
+$(BARE_VENV)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv --clear $(BARE_VENV)
+	$(BARE_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e . pytest pytest-xdist hypothesis httpx
 	@touch $@
 
 # MKLpy (GPL-3) is a yardstick, never a dependency: it has an environment of its own,
 # and its row says why where it cannot be installed.
 $(BENCH_VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(BENCH_VENV)
-	$(BENCH_VENV)/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test]"
-	-$(BENCH_VENV)/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch==2.13.0 MKLpy==0.6
+	$(BENCH_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e ".[test]"
+	-$(BENCH_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt torch==2.13.0 MKLpy==0.6
 	@touch $@

@@ -4,7 +4,7 @@
     python benchmarks/choose_touches.py --pool DATA/bathtip/bathtip50.npz
 
 In simulation the ten household objects are taught in one pose, 60 touches each in
-three recordings with the object put down anew (5 mm aside along x and y), then felt
+three recordings with the object put down anew (5 mm aside along x and y), then touched
 in an episode of their own: in the training pose, turned about the vertical by an
 unknown angle, or on another resting face. Everything goes through the simulated arm:
 noisy force, contact that shifts the object by up to 5 % of its size, approaches that
@@ -17,7 +17,7 @@ their contact heights and radii. One object of each category is drawn per seed; 
 test touches are 25 of each, drawn at random ("between") or the last recorded ("last").
 
 "by touch" names the most probable object by the images alone (`Belief`), "by place" by
-images and the side they were felt on (`PlacedBelief`).
+images and the side they were touched on (`PlacedBelief`).
 """
 
 import argparse
@@ -32,6 +32,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from palpate import Touches
+from palpate.evaluation import spread
 from palpate.exploration import (
     QUICK_GUARD,
     InformativeRecorded,
@@ -166,7 +167,7 @@ def summary(found: list[Hits]) -> list[dict[str, Any]]:
                     "belief": belief,
                     "n_seeds": len(curves),
                     "accuracy": curves.mean(axis=0).round(4).tolist(),
-                    "accuracy_sd": curves.std(axis=0).round(4).tolist(),
+                    "accuracy_sd": spread(curves).round(4).tolist(),
                     "touches_for_95": _needed(curves.mean(axis=0)),
                     "touches_for_95_range": _needed_range(curves),
                     "touches_to_stay": _needed_to_stay(curves.mean(axis=0)),
@@ -225,7 +226,7 @@ def _until_right(
         per_seed.append(float(np.mean(last)) + 1)
     return {
         "touches_until_right": round(float(np.mean(per_seed)), 2),
-        "touches_until_right_sd": round(float(np.std(per_seed)), 2),
+        "touches_until_right_sd": round(float(spread(per_seed)), 2),
     }
 
 

@@ -64,7 +64,7 @@ def _device(rows: Rows) -> str:
         ]
         for row in rows
     ]
-    return _table(["felt with", "before", "after"], cells)
+    return _table(["touched with", "before", "after"], cells)
 
 
 def _real(rows: Rows) -> str:

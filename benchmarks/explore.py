@@ -23,7 +23,7 @@ import numpy as np
 from exploration_pictures import draw
 from exploration_tables import fill
 from palpate import Touches
-from palpate.evaluation import outcome, run_episodes, single_touches
+from palpate.evaluation import run_episodes, scores, single_touches, spread
 from palpate.recognition import ObjectRecogniser, adapt
 from palpate.simulation import HOUSEHOLD, UNSEEN, DomeCamera, simulate_touches
 
@@ -92,9 +92,9 @@ def device(data: Path | None, preset: str, n_seeds: int) -> list[Row]:
             "n_seeds": n_seeds,
             "touches": list(LENGTHS),
             "before": np.mean(values, axis=0)[0].round(3).tolist(),
-            "before_sd": np.std(values, axis=0)[0].round(3).tolist(),
+            "before_sd": spread(values)[0].round(3).tolist(),
             "after": np.mean(values, axis=0)[1].round(3).tolist(),
-            "after_sd": np.std(values, axis=0)[1].round(3).tolist(),
+            "after_sd": spread(values)[1].round(3).tolist(),
         }
         for name, values in found.items()
     ]
@@ -142,7 +142,7 @@ def real(data: Path | None, preset: str, n_seeds: int) -> list[Row]:
         "those 18 real touches alone",
         "simulated, tested on simulated",
     )
-    mean, sd = np.mean(found, axis=0), np.std(found, axis=0)
+    mean, sd = np.mean(found, axis=0), spread(found)
     return [
         {
             "learnt on": title,
@@ -183,7 +183,7 @@ def _accuracy(recogniser: ObjectRecogniser, touches: Touches) -> list[float]:
     many = run_episodes(recogniser, log_likelihood, objects, truth, 20, 0)
     one = single_touches(recogniser, log_likelihood, many, objects)
     return [
-        float(outcome(*(one if k == 1 else many).after(k)).accuracy.mean())
+        float(scores(*(one if k == 1 else many).after(k)).accuracy.mean())
         for k in LENGTHS
     ]
 

@@ -15,7 +15,6 @@ from sklearn.exceptions import NotFittedError
 from palpate.encodings import (
     CentroidMoments,
     EncodingUnion,
-    FirstFeatures,
     FourierDescriptors,
     HuMoments,
     OrientedPCA,
@@ -43,7 +42,6 @@ ENCODERS = [
     EncodingUnion([ShapeGeometry(), ZernikeMoments(order=4)], balanced=True),
     ZernikeMoments(),
     ZernikeMoments(output="noll", method="sample"),
-    FirstFeatures(ZernikeMoments(order=4), 5),
     HuMoments(),
     HuMoments(levels="raw", log=True),
     OrientedPCA(),

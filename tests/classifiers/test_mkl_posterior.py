@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from palpate.classifiers._mkl_posterior import (
+from palpate.classifiers.mkl._posterior import (
     all_pairs,
     couple,
     fit_sigmoids,

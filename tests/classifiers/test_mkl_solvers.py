@@ -1,5 +1,7 @@
 """Multiple kernel learning against independent optima and closed cases.
 
+Then its parts: kernels against scikit-learn's, landmarks against whole matrices.
+
 The weights of the optimum need not be unique, so J, the gap and decisions are
 compared, never weights, unless the case says what they must be.
 """
@@ -12,11 +14,24 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.svm import SVC
 
-from palpate.classifiers import GaussianKernel, LinearKernel, PolynomialKernel
-from palpate.classifiers._kernels import kernel_stack, paper_kernels
-from palpate.classifiers._mkl_interior import solve_interior
-from palpate.classifiers._mkl_systems import DenseKernels
-from palpate.classifiers._simplemkl import solve_simplemkl
+from palpate.classifiers import (
+    MKLSVC,
+    GaussianKernel,
+    LinearKernel,
+    PolynomialKernel,
+)
+from palpate.classifiers.mkl import (
+    _landmarks,
+    _svc,
+    kernel_diagonals,
+    paper_kernels,
+)
+from palpate.classifiers.mkl._dense import DenseKernels
+from palpate.classifiers.mkl._interior import solve_interior
+from palpate.classifiers.mkl._kernels import FeatureBank, kernel_stack
+from palpate.classifiers.mkl._landmarks import LowRankKernels, NystroemBank
+from palpate.classifiers.mkl._problem import Point, Task
+from palpate.classifiers.mkl._simplemkl import solve_simplemkl
 
 # Seed, touches, price of errors, and whether kernels are of trace 1 or n.
 PROBLEMS = [
@@ -325,3 +340,150 @@ def test_more_than_a_few_hundred_touches_go_one_by_one_through_cholesky():
     right = np.sign(decisions + big.bias) == task.labels
     # The machine of all kernels fits its touches about as well as the best alone.
     assert right.mean() >= -theirs - 0.05
+
+
+def stack_of(kernels, left, right=None):
+    mean = left.mean(axis=0)
+    centred = left - mean
+    other = centred if right is None else right - mean
+    return kernel_stack(kernels, centred, other, mean)
+
+
+def test_every_kernel_agrees_with_scikit_learn(vectors, rng, reference):
+    others = rng.normal(size=(7, 4))
+    kernels = [*paper_kernels(), LinearKernel(), PolynomialKernel(3, 0.5)]
+    stack = stack_of(kernels, vectors, others)
+    assert stack.shape == (24, 15, 7)
+    for kernel, ours in zip(kernels, stack, strict=True):
+        theirs = reference(kernel, vectors, others)
+        # Two fourth powers in a row multiply the rounding of exp by 16, and narrow
+        # Gaussians multiply that of distances by up to 2^10 d^2 / 2.
+        assert_allclose(ours, theirs, rtol=1e-9, atol=1e-200)
+
+
+def test_a_batch_of_sets_is_each_set(vectors):
+    kernels = paper_kernels()
+    mean = vectors.mean(axis=0)
+    index = np.array([[0, 3, 4], [7, 8, 2]])
+    batch = (vectors - mean)[index]
+    stacks = kernel_stack(kernels, batch, batch, mean)
+    whole = stack_of(kernels, vectors)
+    for row, stack in zip(index, stacks, strict=True):
+        # Products of small and of whole matrices round differently.
+        assert_allclose(stack, whole[:, row[:, None], row], rtol=1e-9, atol=1e-200)
+
+
+def test_distances_far_from_the_origin_keep_their_digits():
+    near = np.array([[0.0], [1e-3], [3e-3]])
+    (there,) = stack_of([GaussianKernel(1e-3)], near + 1e6)
+    (here,) = stack_of([GaussianKernel(1e-3)], near)
+    # 1e6 + 1e-3 itself is rounded to 1e-10, a ten-millionth of the distance.
+    assert_allclose(there, here, rtol=1e-5)
+
+
+def test_diagonals_are_those_of_the_matrices(vectors):
+    kernels = [*paper_kernels(), LinearKernel()]
+    mean = vectors.mean(axis=0)
+    diagonals = kernel_diagonals(kernels, vectors - mean, mean)
+    whole = np.einsum("kii->ki", stack_of(kernels, vectors))
+    assert_allclose(diagonals, whole, rtol=1e-12)
+
+
+def bank_of(X, n_landmarks, normalize="trace"):
+    random = np.random.RandomState(0)
+    return NystroemBank(SOME, X, normalize, n_landmarks, random)
+
+
+def test_features_of_all_touches_are_the_kernels(draw):
+    X, _ = draw(40)
+    bank = bank_of(X, 40, normalize="variance")
+    exact = FeatureBank(SOME, X, "variance")
+    # Directions below 1e-10 of the largest are dropped.
+    assert_allclose(bank.scales, exact.scales, rtol=1e-6)
+    features = bank.features(bank.centred)
+    blocks = exact.blocks(np.arange(40)[None])[0]
+    ends = np.cumsum(bank.features.ranks)
+    for kernel, part in zip(blocks, np.split(features, ends[:-1], axis=1), strict=True):
+        assert_allclose(part @ part.T, kernel, atol=1e-8 * np.abs(kernel).max())
+
+
+def same_problem_twice(rng, draw):
+    """Kernels of features, and the same kernels as matrices."""
+    X, codes = draw(90)
+    bank = bank_of(X, 12)
+    labels = np.where(codes, 1.0, -1.0)[None]
+    labels[0, ::7] = 0
+    low = bank.system(np.arange(90)[None], labels)
+    features = bank.features(bank.centred)
+    features -= features.mean(axis=0)
+    parts = np.split(features, np.cumsum(bank.features.ranks)[:-1], axis=1)
+    stack = np.stack([part @ part.T for part in parts])
+    assert isinstance(low, LowRankKernels)
+    return low, DenseKernels(stack[None], labels)
+
+
+@pytest.mark.parametrize("norm", [1.0, 2.5])
+def test_newtons_step_is_that_of_the_whole_matrices(rng, norm, draw):
+    low, dense = same_problem_twice(rng, draw)
+    alpha, bound = rng.uniform(0.1, 0.9, (1, 90)), 1.0
+    left = np.concatenate([alpha, bound - alpha, rng.uniform(0.1, 1, (1, 4))], axis=1)
+    right, target = rng.uniform(0.1, 1, (2, 1, 184))
+    free = rng.normal(size=(1, 2)) ** 2
+    steps = []
+    for system in (low, dense):
+        pulls = system.pulls(alpha)
+        point = Point(left, right, np.concatenate([free, pulls], axis=1), 90)
+        task = Task(system, bound, norm)
+        newton = system.newton(task, point, system.view(task, point))
+        steps.append(newton.direction(target))
+    # The same linear system, eliminated in two orders.
+    for name in ("left", "right", "bias", "level"):
+        ours, reference = (getattr(step, name) for step in steps)
+        assert_allclose(ours, reference, rtol=1e-8, atol=1e-10)
+
+
+@pytest.mark.parametrize("norm", [1, 3])
+@pytest.mark.parametrize("C", [0.1, 10, 1e5])
+def test_both_interior_points_reach_the_same_optimum(rng, C, norm, draw):
+    low, dense = same_problem_twice(rng, draw)
+    ours = solve_interior(low, C, norm=norm)
+    reference = solve_interior(dense, C, norm=norm)
+    assert max(ours.gap[0], reference.gap[0]) <= 1e-6
+    # Either is within its gap of 1e-6.
+    assert_allclose(ours.objective, reference.objective, rtol=2e-6)
+    # A gap g of J moves decisions by up to sqrt(2 g J k(x, x)).
+    wide = np.sqrt(4e-6 * ours.objective[0] * dense.kernels.max())
+    decisions = low.decisions(ours), dense.decisions(reference)
+    assert_allclose(*decisions, atol=2 * wide)
+
+
+def test_features_computed_again_are_those_kept(monkeypatch, draw, landmarks):
+    X, codes = draw(300)
+    kept = landmarks(30).fit(X, codes)
+    monkeypatch.setattr(_landmarks, "_KEPT_BYTES", 0)
+    again = landmarks(30).fit(X, codes)
+    assert_allclose(again.predict_proba(X), kept.predict_proba(X), rtol=1e-9)
+
+
+def test_auto_takes_landmarks_when_a_pair_is_too_large(monkeypatch, draw):
+    monkeypatch.setattr(_svc, "_MOST_TOUCHES", 100)
+    X, codes = draw(120)
+    machine = MKLSVC(kernels=SOME, n_landmarks=20, random_state=0)
+    assert len(machine.fit(X, codes).feature_maps_) == 4
+    assert len(machine.fit(X[:90], codes[:90]).feature_maps_) == 0
+    # Many touches, but no pair of classes has more than 100.
+    assert len(machine.fit(X, np.arange(120) % 3).feature_maps_) == 0
+
+
+def test_a_low_rank_system_holds_one_problem(rng, draw):
+    low, _ = same_problem_twice(rng, draw)
+    with pytest.raises(IndexError, match="one problem"):
+        low.take(np.array([False]))
+
+
+def test_few_touches_of_many_landmarks_are_solved_by_their_matrices(draw):
+    X, _ = draw(120)
+    bank = bank_of(X, 100)
+    pair = bank.system(np.arange(10)[None], np.ones((1, 10)))
+    assert isinstance(pair, DenseKernels)
+    assert pair.kernels.shape == (1, 4, 10, 10)

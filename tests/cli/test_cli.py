@@ -1,31 +1,40 @@
 """The command line from outside: JSON, exit codes, and one sentence per failure."""
 
 import json
+import os
+import re
 import subprocess
 import sys
+import tomllib
+from importlib import metadata
+from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
+import palpate as package
 from palpate import Touches
+from palpate.cli import app
+from palpate.library import TouchLibrary
 from palpate.recognition import ObjectRecogniser
 
 NAMES = ("ball", "mug", "pen")
-VERBS = (
-    "learn",
-    "recognise",
-    "evaluate",
-    "simulate",
-    "study",
-    "explore",
-    "library",
-    "serve",
-    "record",
-    "live",
-    "demo",
-    "bench",
-    "doctor",
-)
+ROOT = Path(__file__).parents[2]
+
+
+def commands():
+    """Every command there is, as the words to type, with what Typer knows of it."""
+    waiting = [((), typer.main.get_command(app))]
+    while waiting:
+        words, command = waiting.pop()
+        below = getattr(command, "commands", {})
+        waiting += [((*words, name), inner) for name, inner in below.items()]
+        if not below:
+            yield words, command
+
+
+COMMANDS = sorted(words for words, _ in commands())
 
 
 @pytest.fixture(scope="module")
@@ -95,26 +104,63 @@ def test_evaluate_prints_json_and_writes_the_report(palpate, archive, tmp_path):
     assert done.stderr == ""
 
 
-def test_every_verb_has_help(palpate):
-    listed = palpate("--help").stdout
-    for verb in VERBS:
-        assert verb in listed
-        assert palpate(verb, "--help").returncode == 0
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_every_command_has_help_and_stands_in_the_docs(palpate, words):
+    command = dict(commands())[words]
+    assert command.help
+    assert all(parameter.help for parameter in command.params)
+    asked = palpate(*words, "--help")
+    assert asked.returncode == 0
+    assert palpate(*words, "-h").stdout == asked.stdout
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    wanted = re.compile(rf"palpate {' '.join(words)}\b")
+    assert any(wanted.search(page.read_text(encoding="utf-8")) for page in pages)
+
+
+def test_the_first_help_lists_every_verb(palpate):
+    listed = palpate("-h").stdout
+    assert palpate("--help").stdout == listed
+    for verb, *_ in COMMANDS:
+        assert f" {verb} " in listed
 
 
 def test_help_loads_nothing_heavy():
     code = (
-        "import sys; sys.argv = ['palpate', '--help']\n"
+        "import sys\n"
         "from palpate.cli import main\n"
-        "try: main()\n"
-        "except SystemExit: pass\n"
-        "heavy = {'sklearn', 'cv2', 'matplotlib', 'scipy'} & set(sys.modules)\n"
-        "assert not heavy, heavy"
+        f"for words in {[*map(list, COMMANDS), []]}:\n"
+        "    for wish in ['--help'] + ['--version'] * (not words):\n"
+        "        sys.argv = ['palpate', *words, wish]\n"
+        "        try: main()\n"
+        "        except SystemExit as end: assert not end.code\n"
+        "heavy = {'numpy', 'sklearn', 'cv2', 'matplotlib', 'scipy', 'joblib'}\n"
+        "assert not heavy & {*sys.modules}, heavy & {*sys.modules}"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, check=False
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_the_version_stands_in_one_place(palpate):
+    assert palpate("--version").stdout == f"palpate {package.__version__}\n"
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert "version" not in project["project"]
+    dynamic = project["tool"]["setuptools"]["dynamic"]
+    assert dynamic["version"] == {"attr": "palpate.__version__"}
+
+
+def test_a_shell_completes_verbs():
+    asked = {"COMP_WORDS": "palpate rec", "COMP_CWORD": "1"}
+    code = "import sys; sys.argv = ['palpate']; import palpate.cli as c; c.main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, **asked, "_PALPATE_COMPLETE": "complete_bash"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stdout.split() == ["recognise", "record"], done.stderr
 
 
 @pytest.mark.parametrize(
@@ -157,6 +203,58 @@ def test_doctor_knows_this_installation(palpate):
     found = json.loads(done.stdout)
     assert found["healthy"]
     assert {"numpy", "matplotlib"} <= {check["name"] for check in found["checks"]}
+
+
+def test_doctor_asks_for_what_the_package_is_made_with(palpate):
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    lists = [project["dependencies"]]
+    for extra, lines in project["optional-dependencies"].items():
+        lists += [lines] * (extra not in ("test", "dev"))
+    wanted = {re.split(r"[>=<\[]", line)[0] for lines in lists for line in lines}
+    found = json.loads(palpate("doctor", "--json").stdout)["checks"]
+    assert {check["name"] for check in found} == wanted | {"Python", "PALPATE_DATA"}
+
+
+@pytest.mark.parametrize(
+    ("name", "command", "code"),
+    [
+        ("matplotlib", 'pip install "palpate[plot]"', 0),
+        ("faiss-cpu", 'pip install "palpate[index]"', 0),
+        ("rich", "pip install rich", 1),
+    ],
+)
+def test_doctor_says_what_to_type(palpate, monkeypatch, name, command, code):
+    known = metadata.version
+
+    def version(asked):
+        if asked == name:
+            raise metadata.PackageNotFoundError(name)
+        return known(asked)
+
+    monkeypatch.setattr(metadata, "version", version)
+    done = palpate("doctor")
+    assert done.returncode == code
+    (line,) = (line for line in done.stdout.splitlines() if f" {name} " in line)
+    cells = [cell.strip() for cell in line.strip("│┃").split("│")]
+    assert cells == [name, "missing", command]
+
+
+def test_square_brackets_are_no_markup(palpate, monkeypatch, tmp_path):
+    monkeypatch.setenv("COLUMNS", "200")
+    words = " ".join(palpate("learn", "--help").stdout.replace("│", " ").split())
+    assert 'needs pip install "palpate[distributed]"' in words
+    shown = palpate("simulate", "array", "--help").stdout
+    assert "senses, mm. [0.65 pitch]" in " ".join(shown.replace("│", " ").split())
+    names = ["[bold]mug[/bold]", ":cat: [/]"]
+    with TouchLibrary.open(tmp_path / "[red]lab", create=True) as library:
+        library.add(Touches(np.zeros((2, 3, 3)), object=names))
+    shown = palpate("library", "list", tmp_path / "[red]lab", "--objects").stdout
+    assert all(name in shown for name in names)
+    assert "[red]lab" in shown.replace("\n", "")
+    refused = palpate("bench", "[plot]")
+    assert "[plot]" in refused.stderr
+    refused = palpate("live", "m.palpate", "--sensor", "[plot]")
+    assert "[plot]" in refused.stderr
 
 
 def test_bench_lists_its_names(palpate):

@@ -51,10 +51,10 @@ def test_it_explores_shows_beliefs_and_controls_and_ends_with_the_report(
 def test_its_json_is_one_object_with_everything(palpate, small, tmp_path):
     done = palpate("demo", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert {"accuracy", "controls", "unknown_auroc", "episodes", "report"} <= set(told)
-    assert [e["object"] for e in told["episodes"]] == ["mug", "plastic card"]
-    assert Path(told["report"]).is_file()
+    found = json.loads(done.stdout)
+    assert {"accuracy", "controls", "unknown_auroc", "episodes", "report"} <= set(found)
+    assert [e["object"] for e in found["episodes"]] == ["mug", "plastic card"]
+    assert Path(found["report"]).is_file()
 
 
 @pytest.fixture
@@ -79,12 +79,12 @@ def test_with_recorded_pictures_two_objects_are_unknown(palpate, recorded, tmp_p
     done = palpate("demo", "--real", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Learnt 2 objects from 24 touches" in done.stdout
-    strange = re.search(r"Now (\w+) and (\w+), recorded .* left out", done.stdout)
-    assert strange is not None
-    assert set(strange.groups()) < set(RECORDED)
+    unknown = re.search(r"Now (\w+) and (\w+), recorded .* left out", done.stdout)
+    assert unknown is not None
+    assert set(unknown.groups()) < set(RECORDED)
     before, after = done.stdout.split("Now ")
     for name in RECORDED:
-        assert f"Touches of {name}:" in (after if name in strange.groups() else before)
+        assert f"Touches of {name}:" in (after if name in unknown.groups() else before)
     heads, *rows = done.stdout.splitlines()[-7:-2]
     assert heads.endswith("known from unknown  unknown found %")
     # Patterns that share nothing, in little noise.
@@ -97,7 +97,7 @@ def test_with_recorded_pictures_two_objects_are_unknown(palpate, recorded, tmp_p
 def test_real_pictures_leave_two_objects_unknown(palpate, data_folder, tmp_path):
     done = palpate("demo", "--real", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told["n_labels"] == 8
-    assert len(told["episodes"]) == 10
-    assert told["unknown_auroc"]["10"] > 0.8
+    found = json.loads(done.stdout)
+    assert found["n_labels"] == 8
+    assert len(found["episodes"]) == 10
+    assert found["unknown_auroc"]["10"] > 0.8

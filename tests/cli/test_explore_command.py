@@ -38,12 +38,12 @@ def test_learning_writes_a_model_and_its_touches_and_goes_on(palpate, tmp_path):
     )  # fmt: skip
     done = palpate(*wish, "-o", "m.palpate", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told["labels"] == ["ball", "pen"]
-    made = Touches.load(tmp_path / told["touches"])
+    found = json.loads(done.stdout)
+    assert found["labels"] == ["ball", "pen"]
+    made = Touches.load(tmp_path / found["touches"])
     assert made.object.tolist() == ["pen"] * 4 + ["ball"] * 4
     assert made.columns["direction"].shape == (8, 3)
-    assert ObjectRecogniser.load(tmp_path / told["model"]).classes_.size == 2
+    assert ObjectRecogniser.load(tmp_path / found["model"]).classes_.size == 2
     # What was recorded is not touched again: its files keep their times.
     files = sorted((tmp_path / "kept").rglob("touch_*.npz"))
     times = [file.stat().st_mtime_ns for file in files]
@@ -60,17 +60,17 @@ def test_every_strategy_comes_to_an_end(palpate, model, strategy):
         "--max-touches", 6, "--json",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told["strategy"] == strategy
-    assert told["ended_by"] in ENDS
-    assert told["n_attempts"] == len(told["attempts"]) <= 6
-    for attempt in told["attempts"]:
+    found = json.loads(done.stdout)
+    assert found["strategy"] == strategy
+    assert found["ended_by"] in ENDS
+    assert found["n_attempts"] == len(found["attempts"]) <= 6
+    for attempt in found["attempts"]:
         assert set(attempt["posterior"]) == {"ball", "box", "pen"}
         # Probabilities in doubles: rounding of three terms.
         assert abs(sum(attempt["posterior"].values()) - 1) < 1e-9
 
 
-def test_the_belief_is_drawn_and_faults_are_told(palpate, model, tmp_path):
+def test_the_belief_is_drawn_and_faults_are_shown(palpate, model, tmp_path):
     done = palpate(
         "explore", "recognise", model, "box", "--strategy", "raster", "--error", 1e-6,
         "--max-touches", 3, "--fault", "1=no force", "--folder", "kept", cwd=tmp_path,
@@ -83,20 +83,20 @@ def test_the_belief_is_drawn_and_faults_are_told(palpate, model, tmp_path):
     assert outcomes[:2] == ["touched", "force sensor"]
 
 
-def test_marks_faults_and_what_moved_the_belief_are_told(palpate, model):
+def test_flags_faults_and_what_moved_the_belief_are_given(palpate, model):
     done = palpate(
         "explore", "recognise", model, "box", "--error", 1e-6, "--max-touches", 4,
         "--fault", "0=no frame", "--fault", "2=out of reach", "--json",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    outcomes = [attempt["outcome"] for attempt in told["attempts"]]
+    found = json.loads(done.stdout)
+    outcomes = [attempt["outcome"] for attempt in found["attempts"]]
     assert outcomes == ["no frame", "touched", "nothing", "touched"]
-    marks = [attempt["flag"] for attempt in told["attempts"]]
-    assert [mark is None for mark in marks] == [True, False, True, False]
-    assert {moved["attempt"] for moved in told["explanation"]} == {1, 3}
-    for moved in told["explanation"]:
-        assert moved["flag"] == marks[moved["attempt"]]
+    flags = [attempt["flag"] for attempt in found["attempts"]]
+    assert [flag is None for flag in flags] == [True, False, True, False]
+    assert {moved["attempt"] for moved in found["explanation"]} == {1, 3}
+    for moved in found["explanation"]:
+        assert moved["flag"] == flags[moved["attempt"]]
         assert {near["object"] for near in moved["nearest"]} <= {"ball", "box", "pen"}
 
 
@@ -171,8 +171,8 @@ def test_killed_while_learning_nothing_recorded_is_lost(tmp_path):
     assert program.returncode == 0, errors
     made = Touches.load(tmp_path / "m.npz")
     assert made.object.tolist() == ["pen"] * 8 + ["ball"] * 8
-    felt = [image for image in images if image is not None]
-    assert all(map(np.array_equal, made.images, felt))
+    kept_images = [image for image in images if image is not None]
+    assert all(map(np.array_equal, made.images, kept_images))
 
 
 @pytest.mark.parametrize(

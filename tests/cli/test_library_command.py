@@ -1,6 +1,7 @@
 """`palpate library`, and every verb that takes touches taking a library."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,18 +10,6 @@ from palpate import Touches
 from palpate.library import TouchLibrary
 
 NAMES = ("ball", "mug", "pen")
-VERBS = (
-    "add",
-    "list",
-    "show",
-    "export",
-    "check",
-    "stats",
-    "rename",
-    "merge",
-    "retract",
-    "restore",
-)
 
 
 def _touches(seed, names=NAMES, n_each=20):
@@ -45,13 +34,6 @@ def folder(tmp_path, archive, palpate):
     done = palpate("library", "add", folder, archive, "--session", "monday", "--json")
     assert json.loads(done.stdout)["added"] == 60
     return folder
-
-
-def test_every_verb_has_help(palpate):
-    listed = palpate("library", "--help").stdout
-    for verb in VERBS:
-        assert verb in listed
-        assert "Usage" in palpate("library", verb, "--help").stdout
 
 
 def test_adding_twice_adds_once(palpate, folder, archive):
@@ -157,12 +139,18 @@ def test_a_model_is_extended_from_new_episodes(palpate, folder, tmp_path):
         *("--extend", old, "-o", new, "--json"),
     )
     assert json.loads(done.stdout)["n_labels"] == 4
+    with TouchLibrary.open(folder) as library:
+        library.add(_touches(2, ("mug",), 7), episode="more")
+    done = palpate("learn", folder, "--extend", new, "-o", new, "--json")
+    learnt = json.loads(done.stdout)
+    assert (learnt["n_labels"], learnt["n_train_touches"]) == (4, 87)
 
 
-def test_a_cluster_that_is_not_there_is_told(palpate, folder, tmp_path, monkeypatch):
-    import palpate.cli._workers as workers
+def test_a_cluster_that_is_not_there_is_named(palpate, folder, tmp_path, monkeypatch):
+    import distributed
 
-    monkeypatch.setattr(workers, "CONNECT_S", 0.2)
+    soon = partial(distributed.Client, timeout=0.2)
+    monkeypatch.setattr(distributed, "Client", lambda address, timeout: soon(address))
     model = tmp_path / "m.palpate"
     refused = palpate("learn", folder, "-o", model, "--cluster", "nowhere:1")
     assert refused.returncode == 1

@@ -14,7 +14,6 @@ from palpate.library import TouchLibrary
 from palpate.recognition import ObjectRecogniser
 from palpate.sensors import ReplaySensor, SensorMemory
 from palpate.web import LiveSession
-from palpate.web._teaching import Teacher
 
 
 @pytest.fixture(scope="module")
@@ -43,11 +42,11 @@ def replay(recording):
 
 def test_record_keeps_touches_in_a_library_and_an_archive(palpate, replay, tmp_path):
     library, archive = tmp_path / "library", tmp_path / "bar.npz"
-    told = palpate(
+    done = palpate(
         *["record", "bar", *replay, "--gap", "3", "--place", "bar", "-n", "4"],
         *["--library", str(library), "-o", str(archive), "--json"],
     )
-    assert json.loads(told.stdout) == {
+    assert json.loads(done.stdout) == {
         "object": "bar",
         "touches": 4,
         "library": str(library),
@@ -56,16 +55,24 @@ def test_record_keeps_touches_in_a_library_and_an_archive(palpate, replay, tmp_p
     touches = Touches.load(archive)
     assert touches.object.tolist() == ["bar"] * 4
     assert touches.no_contact.shape == (12, 12)
-    assert "touch 4 of 4" in told.stderr
+    assert "touch 4 of 4" in done.stderr
+
+
+def test_an_address_may_say_what_options_say(palpate, recording, tmp_path):
+    address = f"replay:{recording}?rate=200&hold=3&gap=3&place=bar"
+    words = ["record", "bar", "--sensor", address, "-n", "3", "--rate", "200"]
+    done = palpate(*words, "--library", tmp_path / "l", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["touches"] == 3
 
 
 def test_record_gives_up_where_no_touch_comes(palpate, replay, tmp_path):
-    told = palpate(
+    done = palpate(
         *["record", "bar", "--sensor", "sim:bar10", "--rate", "50", "--gap", "10000"],
         *["--library", str(tmp_path / "l"), "--timeout", "0.3"],
     )
-    assert told.returncode == 1
-    assert "No touch in 0.3 s" in told.stderr
+    assert done.returncode == 1
+    assert "No touch in 0.3 s" in done.stderr
 
 
 def test_live_follows_an_episode_to_its_decision(palpate, replay, recording, tmp_path):
@@ -76,11 +83,11 @@ def test_live_follows_an_episode_to_its_decision(palpate, replay, recording, tmp
     )
     assert said.returncode == 0
     assert "touch   1" in said.stdout
-    told = palpate(
+    done = palpate(
         *["live", str(model), *replay, "--gap", "3", "--place", "disc", "-n", "5"],
         *["--episodes", "2", "--json"],
     )
-    episodes = json.loads(told.stdout)["episodes"]
+    episodes = json.loads(done.stdout)["episodes"]
     assert [episode["number"] for episode in episodes] == [1, 2]
     for episode in episodes:
         assert episode["best"] == "disc"
@@ -97,6 +104,11 @@ def test_live_follows_an_episode_to_its_decision(palpate, replay, recording, tmp
         (["--sensor", "camera:/dev/nowhere"], "no camera at"),
         (["--sensor", "sim:mug", "--baud", "9600"], "says nothing to a sim sensor"),
         (["--sensor", "sim:mug", "--shape", "big"], "rows x columns"),
+        (["--sensor", "sim:mug?speed=3"], "'speed' is no option"),
+        (["--sensor", "sim:mug?rate=3&rate=3"], "rate must be given once"),
+        (["--sensor", "sim:mug?rate=3", "--rate", "4"], "rate=3.0 in 'sim:mug?rate=3'"),
+        (["--sensor", "sim:mug?rate=3", "--rate", "4"], "--rate 4.0 contradict"),
+        (["--sensor", "serial:x?checksum=no", "--checksum"], "checksum=no in"),
         (["--sensor", "telepathy"], "camera:NAME"),
     ],
 )
@@ -115,17 +127,17 @@ def test_serve_prints_an_address_that_opens_and_ends_when_told():
         stderr=subprocess.PIPE,
         text=True,
     )
-    told = json.loads(process.stdout.readline())
-    assert told["address"].startswith("http://127.0.0.1:")
-    assert httpx.get(told["address"]).status_code == 401
+    done = json.loads(process.stdout.readline())
+    assert done["address"].startswith("http://127.0.0.1:")
+    assert httpx.get(done["address"]).status_code == 401
     answer = httpx.get(
-        told["address"], params={"token": told["token"]}, follow_redirects=True
+        done["address"], params={"token": done["token"]}, follow_redirects=True
     )
     assert "<title>palpate" in answer.text
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=20)
     assert out == ""
-    assert told["token"] not in err
+    assert done["token"] not in err
 
 
 @pytest.mark.parametrize(
@@ -154,10 +166,10 @@ def test_serve_says_what_is_wrong_before_it_gives_an_address(
 def test_live_says_why_a_model_does_not_suit_the_sensor(palpate, recording, tmp_path):
     model = tmp_path / "model.palpate"
     ObjectRecogniser().fit(Touches.load(recording)).save(model)
-    told = palpate("live", model, "--sensor", "sim:mug", "--timeout", "4")
-    assert told.returncode == 1
-    assert "120 x 120 taxels" in told.stderr
-    assert "got one of 12 x 12" in told.stderr
+    done = palpate("live", model, "--sensor", "sim:mug", "--timeout", "4")
+    assert done.returncode == 1
+    assert "120 x 120 taxels" in done.stderr
+    assert "got one of 12 x 12" in done.stderr
 
 
 def test_live_says_why_a_touch_was_not_taken(
@@ -169,32 +181,32 @@ def test_live_says_why_a_touch_was_not_taken(
     model = tmp_path / "model.palpate"
     ObjectRecogniser().fit(Touches.load(recording)).save(model)
     monkeypatch.setattr("palpate.web.LiveSession._recognise", refuse)
-    told = palpate("live", model, *replay, "--gap", "3", "--timeout", "20")
-    assert told.returncode == 1
-    assert told.stderr.endswith("palpate: The touch is none.\n")
+    done = palpate("live", model, *replay, "--gap", "3", "--timeout", "20")
+    assert done.returncode == 1
+    assert done.stderr.endswith("palpate: The touch is none.\n")
 
 
 def test_record_says_that_the_disk_is_full(palpate, replay, tmp_path, monkeypatch):
-    stored, plain = [], Teacher.store
+    stored, plain = [], TouchLibrary.add
 
-    def store(self, name, image, zero):
+    def add(self, *touches, **where):
         if len(stored) == 2:
             raise OSError("No space left on device")
-        stored.append(plain(self, name, image, zero))
+        stored.append(plain(self, *touches, **where))
         return stored[-1]
 
-    monkeypatch.setattr(Teacher, "store", store)
+    monkeypatch.setattr(TouchLibrary, "add", add)
     words = ["record", "bar", *replay, "--gap", "3", "--timeout", "20"]
-    told = palpate(*words, "--library", tmp_path / "l", "-n", "5")
-    assert told.returncode == 1
-    assert "palpate: No space left on device" in told.stderr
-    assert "2 touches of bar are in" in told.stdout
+    done = palpate(*words, "--library", tmp_path / "l", "-n", "5")
+    assert done.returncode == 1
+    assert "palpate: No space left on device" in done.stderr
+    assert "2 touches of bar are in" in done.stdout
 
 
 def test_a_name_with_blanks_is_recorded_and_written(palpate, replay, tmp_path):
     words = ["record", " tea  cup", *replay, "--gap", "3", "--place", "bar", "-n", "2"]
-    told = palpate(*words, "--library", tmp_path / "l", "-o", tmp_path / "cup.npz")
-    assert told.returncode == 0
+    done = palpate(*words, "--library", tmp_path / "l", "-o", tmp_path / "cup.npz")
+    assert done.returncode == 0
     assert Touches.load(tmp_path / "cup.npz").object.tolist() == ["tea cup"] * 2
 
 

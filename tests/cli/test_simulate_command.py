@@ -7,25 +7,27 @@ import sys
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from typer.testing import CliRunner
 
 from palpate import Touches
-from palpate.cli._app import app
 from palpate.simulation import simulate_presses
 
 
-def simulate(*arguments):
-    return CliRunner().invoke(app, ["simulate", "array", *map(str, arguments)])
+@pytest.fixture
+def simulate(palpate):
+    def run(*arguments):
+        return palpate("simulate", "array", *arguments)
+
+    return run
 
 
-def test_all_parts_as_the_library_presses_them(tmp_path):
+def test_all_parts_as_the_library_presses_them(simulate, tmp_path):
     path = tmp_path / "t.npz"
     done = simulate("-o", path, "--presses", 2, "--seed", 5, "--json")
-    assert done.exit_code == 0, done.output
-    told = json.loads(done.stdout)
-    assert told["touches"] == str(path)
-    assert told["n_touches"] == 24
-    assert len(told["objects"]) == 12
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["touches"] == str(path)
+    assert found["n_touches"] == 24
+    assert len(found["objects"]) == 12
     touches = Touches.load(path)
     expected = simulate_presses(n_presses=2, random_state=5)
     assert_array_equal(touches.images, expected.images)
@@ -33,7 +35,7 @@ def test_all_parts_as_the_library_presses_them(tmp_path):
     assert touches.geometry == "array"
 
 
-def test_every_option_reaches_the_press(tmp_path):
+def test_every_option_reaches_the_press(simulate, tmp_path):
     path = tmp_path / "t.npz"
     options = {
         "--presses": 4, "--rows": 12, "--cols": 16, "--pitch": 1.5, "--load": "1:5",
@@ -42,7 +44,7 @@ def test_every_option_reaches_the_press(tmp_path):
     }  # fmt: skip
     pairs = [part for pair in options.items() for part in pair]
     done = simulate("disc13", 8, "-o", path, *pairs)
-    assert done.exit_code == 0, done.output
+    assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == str(path)
     touches = Touches.load(path)
     assert touches.images.shape == (8, 12, 16)
@@ -73,16 +75,16 @@ def test_every_option_reaches_the_press(tmp_path):
     ],
     ids=lambda changes: changes[0],
 )
-def test_each_option_changes_the_images(changes, tmp_path):
+def test_each_option_changes_the_images(simulate, changes, tmp_path):
     images = []
     for name, more in {"a.npz": (), "b.npz": changes}.items():
         done = simulate("square13-hole8", "-o", tmp_path / name, "--presses", 3, *more)
-        assert done.exit_code == 0, done.output
+        assert done.returncode == 0, done.stderr
         images.append(Touches.load(tmp_path / name).images)
     assert (images[0] != images[1]).any()
 
 
-def test_the_same_seed_writes_the_same_touches_with_any_workers(tmp_path):
+def test_the_same_seed_writes_the_same_touches_with_any_workers(simulate, tmp_path):
     one, two = tmp_path / "1.npz", tmp_path / "2.npz"
     simulate("bar10", 12, "-o", one, "--presses", 30, "--seed", 3)
     simulate("bar10", 12, "-o", two, "--presses", 30, "--seed", 3, "--workers", 2)

@@ -56,12 +56,20 @@ def test_same_seed_same_touches(simulate, tmp_path):
 def test_inches_are_read_as_the_help_says(simulate, tmp_path):
     import trimesh
 
-    from palpate.cli.simulate_dome import find_objects
-
     assert "mm, cm, m or in" in simulate("dome", "--help", cwd=tmp_path).stdout
     trimesh.creation.box((1, 2, 3)).export(tmp_path / "brick.stl")
-    (brick,) = find_objects([str(tmp_path / "brick.stl")], "in")
-    assert np.allclose(brick.size_mm, [25.4, 50.8, 76.2])
+    trimesh.creation.box((25.4, 50.8, 76.2)).export(tmp_path / "same.stl")
+    made = []
+    for name, unit in (("brick", "in"), ("same", "mm"), ("same", "cm")):
+        done = simulate(
+            "dome", "-o", "t.npz", f"{name}.stl", "--unit", unit, "--touches", 2,
+            "--rows", 32, "--cols", 32, "--workers", 1, cwd=tmp_path,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        made.append(Touches.load(tmp_path / "t.npz").images.astype(float))
+    # Corners in inches times 25.4 round otherwise in the last bit of a float32.
+    assert np.abs(made[0] - made[1]).max() <= 1
+    assert np.abs(made[0] - made[2]).max() > 1
 
 
 def test_a_mesh_of_a_known_name_is_refused(simulate, tmp_path):

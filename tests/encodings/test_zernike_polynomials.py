@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from palpate.encodings._zernike_polynomials import (
-    legendre_weights,
-    noll_degrees,
-    zernike_degrees,
-    zernike_values,
-)
+from palpate.encodings import ZernikeMoments, zernike_degrees, zernike_values
 
 
 @pytest.mark.parametrize(
@@ -66,14 +61,23 @@ def test_polynomials_of_high_order_keep_their_digits(m):
     assert abs(found - float(radial)) < 1e-13
 
 
-def test_legendre_weights_are_exact():
-    # x^2 + y^2 has degree 2: V(2, 0) = 2 r^2 - 1 = (4 P2(x) + 4 P2(y) + 1) / 3.
-    weights = legendre_weights(2)[zernike_degrees(2).index((2, 0))]
-    assert_array_equal(weights.real, [[1 / 3, 0, 4 / 3], [0, 0, 0], [4 / 3, 0, 0]])
-    assert_array_equal(weights.imag, np.zeros((3, 3)))
+@pytest.mark.parametrize("order", [2, 15, 20])
+def test_one_taxel_has_the_value_of_the_polynomial_at_its_centre(order):
+    # To order 20 values come from sums of Legendre products.
+    images = np.eye(81).reshape(-1, 9, 9)
+    row, col = np.indices((9, 9)).reshape(2, -1)
+    encoder = ZernikeMoments(
+        order, method="sample", output="complex", weight="none", radius=6.0
+    )
+    x, y = (col - 4) / 6, (row - 4) / 6
+    values = np.stack(list(zernike_values(order, x, y)), axis=1) / 36
+    # Two digits are lost by order 10, three more by order 20.
+    atol = 1e-15 if order == 2 else 1e-11
+    assert_allclose(encoder.fit_transform(images).conj(), values, rtol=0, atol=atol)
 
 
 def test_noll_list_is_table_1_of_corradi_2014():
     n = [0, 1, 1, 2, 2, 2, 3, 3, 3, 3]
     m = [0, 1, -1, 0, -2, 2, -1, 1, -3, 3]
-    assert noll_degrees(3) == list(zip(n, m, strict=True))
+    listed = ZernikeMoments(3, output="noll").fit(np.ones((1, 9, 9))).indices_
+    assert_array_equal(listed, np.column_stack([n, m]))

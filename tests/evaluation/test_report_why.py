@@ -8,8 +8,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate import Touches
-from palpate.evaluation import Plan, decide_episodes, evaluate, plots, write_report
-from palpate.evaluation._report_why import EPISODES, SIDE, explained_episodes
+from palpate.evaluation import (
+    Plan,
+    decide_episodes,
+    evaluate,
+    explained_episodes,
+    plots,
+    write_report,
+)
 
 NAMES = ("bowl", "key", "mug", "pen")
 PLAN = Plan(touches=(1, 3), orders=6, error=0.2, seed=3)
@@ -45,13 +51,13 @@ def result(request):
 
 
 def section(page):
-    return page[page.index("<h2>Why") : page.index("<h2>What the sensor feels")]
+    return page[page.index("<h2>Why") : page.index("<h2>Touches of each")]
 
 
 def test_wrong_decisions_come_first_and_right_ones_follow(result):
     figures, trials = result
     shown = explained_episodes(figures, trials)
-    assert 1 < len(shown) <= EPISODES
+    assert 1 < len(shown) <= 6
     rights = [one.right for one in shown]
     assert rights == sorted(rights)
     end = decide_episodes(trials[0].recogniser, trials[0].episodes, PLAN.error)
@@ -108,4 +114,4 @@ def test_the_page_shows_touches_beside_their_nearest(result, tmp_path):
     assert near.object[0] == step["nearest"][0]["object"]
     for touch in (felt, near):
         (cleaned,) = recogniser.encoder_.clean(touch)
-        assert plots.picture(cleaned, side=SIDE) in page
+        assert plots.picture(cleaned, side=72) in page

@@ -177,4 +177,4 @@ def test_without_gymnasium_the_refusal_names_the_extra():
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
-    assert "pip install palpate[sim]" in done.stdout
+    assert 'pip install "palpate[sim]"' in done.stdout

@@ -41,7 +41,7 @@ def test_records_come_back_as_they_were(tmp_path):
         for record in records:
             log.append(record)
     for one, two in zip(records, read_episode(log.folder), strict=True):
-        assert one.as_plain() == two.as_plain()
+        assert one.to_dict() == two.to_dict()
         assert_array_equal(one.start.position_mm, two.start.position_mm)
         if one.image is None:
             assert two.image is None

@@ -187,7 +187,7 @@ def test_what_the_recogniser_cannot_take_is_no_frame_and_it_goes_on(
     assert "cannot take this frame: ValueError: too bright" in fault.message
     # On the disk as told, with the frame that was refused.
     for one, two in zip(read_episode(tmp_path), end.history, strict=True):
-        assert one.as_plain() == two.as_plain()
+        assert one.to_dict() == two.to_dict()
         assert np.array_equal(one.image, two.image)
 
 

@@ -8,6 +8,7 @@ from palpate.exploration import (
     FAULTS,
     Guard,
     Hemisphere,
+    MissingFrames,
     RandomHemisphere,
     Robot,
     SimulatedRobot,
@@ -16,7 +17,6 @@ from palpate.exploration import (
     guarded_touch,
     read_episode,
 )
-from palpate.exploration._simulated_robot import MissingFrames
 from palpate.sensors import SimulatedBench, SimulatedSensor
 from palpate.simulation import DomeCamera, PlacedObject, find_object
 

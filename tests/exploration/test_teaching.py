@@ -11,7 +11,7 @@ from palpate.exploration import (
     put_down,
     read_episode,
 )
-from palpate.simulation import DomeCamera, find_object
+from palpate.simulation import DomeCamera, SimObject, find_object
 
 CAMERA = DomeCamera(image_shape=(24, 24), n_nodes=20)
 BOX, PEN = find_object("box"), find_object("pen")
@@ -124,3 +124,10 @@ def test_an_object_is_put_down_near_the_middle_turned_and_on_a_face():
 def test_a_face_that_is_none_is_refused():
     with pytest.raises(ValueError, match=r"face must be below 1.*'pen'"):
         put_down(PEN, CAMERA, face=1)
+
+
+def test_what_does_not_fit_into_the_hemisphere_is_refused():
+    ball = find_object("ball")
+    huge = SimObject("huge", "huge", lambda: ball.build().apply_scale(10))
+    with pytest.raises(ValueError, match=r"fit into a hemisphere of 300 mm.*its unit"):
+        put_down(huge, CAMERA)

@@ -14,9 +14,9 @@ from palpate.images import (
     DomeCrop,
     Rims,
     crop_discs,
-    disc_mask,
     find_rim,
     find_rims,
+    inscribed_mask,
     standardise_discs,
 )
 
@@ -61,7 +61,7 @@ def slow_average(image, row, col, radius, size):
 def test_cells_are_area_averages(rng, size, dtype):
     image = rng.integers(0, 256, (12, 14)).astype(dtype)
     disc = crop_discs(image[np.newaxis], about(5.3, 6.6), 5.2, size)[0]
-    wanted = slow_average(image, 5.3, 6.6, 5.2, size) * disc_mask(size)
+    wanted = slow_average(image, 5.3, 6.6, 5.2, size) * inscribed_mask(size, size)
     # Single precision keeps seven digits of levels up to 255.
     np.testing.assert_allclose(disc, wanted, atol=3e-5)
 
@@ -71,13 +71,13 @@ def test_inscribed_disc_of_its_own_size_keeps_the_pixels(rng):
     rims = Rims.of([Circle.inscribed((20, 20))] * 3)
     discs = crop_discs(images, rims, 10, 20)
     # Levels up to 255 in single precision.
-    np.testing.assert_allclose(discs, images * disc_mask(20), atol=3e-5)
+    np.testing.assert_allclose(discs, images * inscribed_mask(20, 20), atol=3e-5)
 
 
 def test_halving_averages_two_by_two(rng):
     images = rng.random((2, 20, 20))
     discs = crop_discs(images, Rims.of([Circle.inscribed((20, 20))] * 2), 10, 10)
-    wanted = images.reshape(2, 10, 2, 10, 2).mean(axis=(2, 4)) * disc_mask(10)
+    wanted = images.reshape(2, 10, 2, 10, 2).mean(axis=(2, 4)) * inscribed_mask(10, 10)
     # Single precision of levels up to 1.
     np.testing.assert_allclose(discs, wanted, atol=1e-6)
 
@@ -96,12 +96,12 @@ def test_far_levels_keep_their_digits(rng):
     near = crop_discs(images, about(19.2, 20.4), 12.3, 9)
     far = crop_discs(images + 1000, about(19.2, 20.4), 12.3, 9)
     # A thousand in single precision is good to 6e-5.
-    np.testing.assert_allclose(far - 1000 * disc_mask(9), near, atol=1e-4)
+    np.testing.assert_allclose(far - 1000 * inscribed_mask(9, 9), near, atol=1e-4)
 
 
 @pytest.mark.parametrize("size", [1, 2, 7, 64, 129])
 def test_mask_is_symmetric_and_has_the_discs_area(size):
-    mask = disc_mask(size)
+    mask = inscribed_mask(size, size)
     np.testing.assert_array_equal(mask, mask[::-1])
     np.testing.assert_array_equal(mask, mask.T)
     # Gauss's circle problem: the count is off by less than the rim's pixels.
@@ -110,7 +110,7 @@ def test_mask_is_symmetric_and_has_the_discs_area(size):
 
 def test_standard_discs_have_mean_zero_and_variance_one(rng):
     discs = standardise_discs(rng.gamma(2, 30, size=(4, 31, 31)))
-    mask = disc_mask(31)
+    mask = inscribed_mask(31, 31)
     # Single precision, averaged over hundreds of pixels.
     np.testing.assert_allclose(discs[:, mask].mean(axis=1), 0, atol=1e-6)
     np.testing.assert_allclose(discs[:, mask].var(axis=1), 1, atol=1e-5)
@@ -120,7 +120,7 @@ def test_standard_discs_have_mean_zero_and_variance_one(rng):
 
 def test_standard_discs_ignore_gain_offset_and_surround(rng):
     discs = rng.random((3, 21, 21))
-    other = 40 * discs + 7 + 500 * ~disc_mask(21)
+    other = 40 * discs + 7 + 500 * ~inscribed_mask(21, 21)
     # Rounding of single precision alone.
     np.testing.assert_allclose(
         standardise_discs(other), standardise_discs(discs), atol=1e-6

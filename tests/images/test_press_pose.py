@@ -6,7 +6,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.exceptions import NotFittedError
 
 from palpate.images import PressPose, press_pose, repose
-from palpate.images._outline_pose import outline_centres, outlines
 from palpate.simulation import simulate_presses
 
 PITCH = 2.0
@@ -327,8 +326,9 @@ def test_misuse_is_refused(fitted, drawn):
 
 def test_outline_of_a_light_background_is_the_part_s(rng):
     image = draw(SHAPES["square"][0], 0, 0, 0) + 0.1 * rng.random((10, 10))
-    centre = outline_centres(outlines(image[np.newaxis], 2, 0.65))
-    assert_allclose(centre, [[0, 0]], atol=0.1)
+    pose = press_pose(image[np.newaxis], 1.0)
+    # In taxels.
+    assert_allclose([pose.x_mm[0], pose.y_mm[0]], [0, 0], atol=0.1)
 
 
 @pytest.mark.slow

@@ -1,13 +1,20 @@
 """A camera without a camera: a capture object that does what drivers do."""
 
+import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from palpate.sensors import CameraSensor, SensorError, check_sensor
-from palpate.sensors._camera import find_camera
+from palpate.sensors import (
+    CameraSensor,
+    SensorError,
+    camera_names,
+    check_sensor,
+    find_camera,
+)
 
 AUTO_EXPOSURE, EXPOSURE, WIDTH, HEIGHT = 21, 15, 3, 4  # OpenCV's numbers
 
@@ -118,8 +125,13 @@ def test_what_is_wrong_is_one_sentence_with_the_fix(capture, message):
 
 
 def test_names_choose_one_camera(monkeypatch):
-    listed = [("Dome cam", "/dev/video0"), ("Desk cam", "/dev/video2")]
-    monkeypatch.setattr("palpate.sensors._camera.camera_names", lambda: listed)
+    listed = [
+        SimpleNamespace(name="Dome cam", path="/dev/video0", index=0),
+        SimpleNamespace(name="Desk cam", path="/dev/video2", index=2),
+    ]
+    package = SimpleNamespace(enumerate_cameras=lambda: listed)
+    monkeypatch.setitem(sys.modules, "cv2_enumerate_cameras", package)
+    assert camera_names() == [("Dome cam", "/dev/video0"), ("Desk cam", "/dev/video2")]
     assert find_camera("dome") == "/dev/video0"
     assert find_camera("3") == "3"
     with pytest.raises(SensorError, match=r"2 cameras have 'cam' .*'Dome cam'"):
@@ -128,3 +140,12 @@ def test_names_choose_one_camera(monkeypatch):
         find_camera("hall")
     with pytest.raises(SensorError, match="no camera at /dev/nowhere"):
         find_camera("/dev/nowhere")
+
+
+def test_without_the_package_names_are_refused_and_paths_are_not(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "cv2_enumerate_cameras", None)
+    with pytest.raises(ImportError, match=r'pip install "palpate\[camera\]"'):
+        camera_names()
+    path = tmp_path / "video0"
+    path.touch()
+    assert find_camera(str(path)) == str(path)

@@ -1,24 +1,26 @@
 """The contract, on every sensor that needs no hardware, and on ones that break it."""
 
 import time
+from urllib.parse import quote
 
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from PIL import Image
 
 from palpate import Touches
 from palpate.sensors import (
+    LiveSensor,
     ReplaySensor,
     SensorError,
     SimulatedStream,
-    StreamingSensor,
     TouchSensor,
     check_sensor,
     open_sensor,
 )
 
 
-class Counting(StreamingSensor):
+class Counting(LiveSensor):
     """Gives frames that hold their own number; fails where it is told to."""
 
     def __init__(self, fails=(), period_s=0.001):
@@ -70,13 +72,13 @@ def test_the_contract_is_kept(sensor):
         ({"read_next": lambda self, t=2.0: self.read_latest(t)}, "numbers must rise"),
     ],
 )
-def test_a_broken_driver_is_told_what_it_breaks(change, message):
+def test_the_check_says_what_a_driver_breaks(change, message):
     broken = type("Broken", (Counting,), change)()
-    if "unit" in change:
-        broken.unit = ""
+    for name in {"unit", "geometry"} & set(change):
+        setattr(broken, name, change[name])
     with pytest.raises((AssertionError, SensorError), match=message):
         check_sensor(broken)
-    StreamingSensor.disconnect(broken)
+    LiveSensor.disconnect(broken)
 
 
 def test_frames_come_in_order_and_those_never_read_are_counted():
@@ -138,9 +140,9 @@ def test_a_frame_that_is_none_is_an_error_of_the_device():
 
 def test_a_silent_device_says_why():
     sensor = Counting(fails=range(10_000))
-    sensor.retry_s = 0.01
+    sensor.retry_s = 60.0  # it stays lost while it is asked
     with sensor, pytest.raises(SensorError, match="counting is lost: the plug fell"):
-        sensor.read_next(0.1)
+        sensor.read_next(0.5)
     with pytest.raises(SensorError, match="not connected; call connect"):
         sensor.read_latest()
 
@@ -209,18 +211,113 @@ def test_a_shape_that_the_sensor_does_not_have_is_refused(tmp_path):
             open_sensor(spec, image_shape=(8, 8))
 
 
+def test_an_address_says_what_is_to_be_set(tmp_path):
+    camera = open_sensor("camera:USB Camera?shape=480x640&rate=15&exposure=3")
+    assert (camera.camera, camera.image_shape) == ("USB Camera", (480, 640))
+    assert (camera.rate_hz, camera.exposure) == (15, 3)
+    array = open_sensor(
+        "serial:/dev/ttyUSB0?shape=16x8&baud=9600&framing=binary&checksum=no"
+        "&dtype=int16&unit=kPa"
+    )
+    assert (array.port, array.image_shape) == ("/dev/ttyUSB0", (16, 8))
+    assert (array.baud, array.framing, array.checksum) == (9600, "binary", False)
+    assert (array.dtype, array.unit) == (np.int16, "kPa")
+    recording().save(tmp_path / "touches.npz")
+    replay = open_sensor(f"replay:{tmp_path}/touches.npz?rate=50&place=pen&shape=4x5")
+    assert (replay.rate_hz, replay.placed) == (50, "pen")
+    # Without options `?` may end an address, and options may be none.
+    assert open_sensor("sim:bar10?").image_shape == (10, 10)
+
+
+def test_an_address_reaches_the_frames(tmp_path):
+    recording().save(tmp_path / "touches.npz")
+    address = f"replay:{tmp_path}/touches.npz?rate=1000&hold=2&gap=1"
+    with open_sensor(address) as sensor:
+        levels = [int(sensor.read_next().image[0, 0]) for _ in range(5)]
+    assert levels == [0, 10, 10, 0, 20]
+    one, two, other = (
+        open_sensor(f"sim:mug?shape=24x24&seed={seed}") for seed in (1, 1, 2)
+    )
+    images = []
+    for sensor in (one, two, other):
+        with sensor:
+            images.append(sensor.read_next().image)
+    assert_array_equal(images[0], images[1])
+    assert not np.array_equal(images[0], images[2])
+
+
+def test_values_may_be_percent_encoded(tmp_path):
+    pattern = r"(?P<object>\w+)&(?P<order>\d+)"
+    for number, name in enumerate(("cup&0", "cup&1", "pen&0")):
+        picture = Image.fromarray(np.full((4, 5), 40 * number + 40, np.uint8))
+        picture.save(tmp_path / f"{name}.png")
+    for written in (quote(pattern), pattern.replace("&", "%26")):
+        sensor = open_sensor(f"replay:{tmp_path}?name-pattern={written}&place=pen")
+        assert sensor.objects == ("cup", "pen")
+    assert open_sensor("camera:what%3F?rate=9").camera == "what?"
+    # A name is a path, and paths of downloads hold percent signs.
+    assert open_sensor("camera:/dev/my%20camera").camera == "/dev/my%20camera"
+
+
+def test_an_option_beside_the_address_must_agree_with_it():
+    array = open_sensor("serial:/dev/x?shape=16x8", baud=9600, image_shape="16x8")
+    assert (array.image_shape, array.baud) == ((16, 8), 9600)
+    assert open_sensor("camera:0?rate=15", rate_hz=15).rate_hz == 15
+    for options, message in (
+        ({"image_shape": (8, 8)}, "shape=16x8 in .* and --shape 8x8 contradict"),
+        ({"checksum": True}, "checksum=no in .* and --checksum yes contradict"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            open_sensor("serial:/dev/x?shape=16x8&checksum=no", **options)
+
+
 @pytest.mark.parametrize(
-    ("spec", "message"),
+    ("address", "message"),
     [
         ("mug", "camera:NAME, serial:PORT, replay:PATH or sim:OBJECT, got 'mug'"),
+        ("mug?rate=3", "must be camera:NAME"),
         ("sim:", "must be camera:NAME"),
+        ("sim:?rate=3", "must be camera:NAME"),
         ("sim:unicorn", "name must be one of .*'mug'"),
+        ("sim:mug?place=unicorn", "name must be one of .*'mug'"),
         ("serial:/dev/ttyUSB0", "--shape 16x16"),
+        ("camera:0?baud=9", "'baud' is no option .* are shape, rate, exposure"),
+        ("camera:0?image_shape=4x4", "'image_shape' is no option"),
+        ("camera:0?=4", "'' is no option"),
+        ("camera:0?rate=3&rate=4", "rate must be given once.*shape, rate, exposure"),
+        ("camera:0?rate=3&rate=3", "rate must be given once"),
+        ("camera:0?rate", "rate must be a number .*, got ''.* shape, rate"),
+        ("camera:0?rate=fast", "got 'fast' .*are shape, rate, exposure"),
+        ("camera:0?rate=nan", "rate_hz must be positive and finite, got nan"),
+        ("camera:0?rate=-1", "rate_hz must be positive and finite, got -1"),
+        ("camera:0?shape=big", "shape must be rows x columns such as 16x16, got 'big'"),
+        ("camera:0?shape=0x9", "n_rows must be at least 1, got 0"),
+        ("serial:x?shape=4x4&framing=post", "framing must be line or binary"),
+        ("serial:x?shape=4x4&checksum=1", "checksum must be yes or no, got '1'"),
+        ("serial:x?shape=4x4&dtype=O", "uint8 or uint16 or int16 or float32, got 'O'"),
+        ("serial:x?shape=4x4&baud=9.6", "baud must be a whole number"),
+        ("sim:mug?hold=0", "hold must be at least 1, got 0"),
+        ("sim:mug?seed=%20", "seed must be a whole number, got ' '"),
     ],
 )
-def test_a_text_that_names_no_sensor_is_refused(spec, message):
+def test_an_address_that_is_none_is_refused_in_one_sentence(address, message):
     with pytest.raises(ValueError, match=message):
-        open_sensor(spec)
+        open_sensor(address)
+
+
+@pytest.mark.parametrize(
+    ("address", "options"),
+    [
+        ("sim:mug", {"baud": 9600}),
+        ("serial:x?shape=4x4", {"rate_hz": 30}),
+        ("camera:0", {"place": "mug"}),
+        ("camera:0", {"hold": 3}),
+    ],
+)
+def test_an_option_of_another_kind_of_sensor_is_refused(address, options):
+    kind = address.partition(":")[0]
+    with pytest.raises(ValueError, match=f"says nothing to a {kind} sensor"):
+        open_sensor(address, **options)
 
 
 def test_a_recording_that_is_not_there_is_refused(tmp_path):

@@ -1,10 +1,10 @@
-"""A sensor that stays, one whose zero moves, one whose taxel fades."""
+"""A sensor that stays, one whose baseline moves, one whose taxel fades."""
 
 import numpy as np
 import pytest
 
 from palpate.recognition import ObjectRecogniser
-from palpate.sensors import SensorMemory, gain_warning, zero_warning
+from palpate.sensors import SensorMemory, baseline_warning, gain_warning
 from palpate.touches import Touches
 
 
@@ -18,7 +18,7 @@ def test_the_same_sensor_is_not_accused(presses):
     before = SensorMemory.of(presses[:30], np.zeros((6, 6)))
     after = SensorMemory.of(presses[30:], np.zeros((6, 6)))
     assert gain_warning(before, after) == ""
-    assert zero_warning(before, np.zeros((6, 6))) == ""
+    assert baseline_warning(before, np.zeros((6, 6))) == ""
 
 
 def test_pressing_harder_is_no_drift(presses):
@@ -43,13 +43,15 @@ def test_a_few_touches_accuse_nobody(presses):
     assert gain_warning(before, SensorMemory.of(few, np.zeros((6, 6)))) == ""
 
 
-def test_a_zero_is_judged_by_what_touches_change(presses):
+def test_a_baseline_is_judged_by_what_touches_change(presses):
     memory = SensorMemory.of(presses, np.zeros((6, 6)))
     rms = np.median(np.sqrt((presses**2).mean((1, 2))))
     assert memory.touch_change == pytest.approx(rms)
-    assert zero_warning(memory, np.full((6, 6), 0.24 * rms)) == ""
-    assert "by 26% of what" in zero_warning(memory, np.full((6, 6), 0.26 * rms))
-    assert "6 x 6 taxels, this one has 5 x 5" in zero_warning(memory, np.zeros((5, 5)))
+    assert baseline_warning(memory, np.full((6, 6), 0.24 * rms)) == ""
+    assert "by 26% of what" in baseline_warning(memory, np.full((6, 6), 0.26 * rms))
+    assert "6 x 6 taxels, this one has 5 x 5" in baseline_warning(
+        memory, np.zeros((5, 5))
+    )
 
 
 def test_a_model_file_remembers_its_sensor(presses, tmp_path):

@@ -132,11 +132,12 @@ def test_a_port_that_is_not_there_or_busy_is_refused(terminal):
         SerialArraySensor(terminal.port, (2, 2)).connect()
 
 
-def test_an_array_tells_the_step_of_its_numbers():
-    array = SerialArraySensor("/dev/nowhere", (4, 4))
-    assert array.step == 1
+def test_an_array_tells_the_step_of_its_numbers(terminal):
+    with SerialArraySensor(terminal.port, (4, 4)) as array:
+        assert array.step == 1
+        os.write(terminal.master, write_line(np.full((4, 4), 0.5)))
+        array.read_next()
+        assert array.step == 0.1
     assert SerialArraySensor("/dev/nowhere", (4, 4), framing="binary").step == 1
     pressed = {"framing": "binary", "dtype": np.float32}
     assert SerialArraySensor("/dev/nowhere", (4, 4), **pressed).step == 0
-    array._framing.feed(write_line(np.full((4, 4), 0.5)))
-    assert array.step == 0.1

@@ -8,39 +8,39 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate.sensors import ContactError, Frame, TouchDetector
 
-ZERO = np.full((4, 4), 100, np.uint8)
+REST = np.full((4, 4), 100, np.uint8)
 
 
-def frames(levels, zero=ZERO, rate_hz=10.0):
-    """One frame per level, each `level` above the zero everywhere."""
+def frames(levels, zero=REST, rate_hz=10.0):
+    """One frame per level, each `level` above the baseline everywhere."""
     for number, level in enumerate(levels):
         image = (zero.astype(float) + level).astype(zero.dtype)
         yield Frame(image, number / rate_hz, number)
 
 
-def touches_of(detector, levels, zero=ZERO):
+def touches_of(detector, levels, zero=REST):
     found = (detector.update(frame) for frame in frames(levels, zero))
     return [touch for touch in found if touch is not None]
 
 
 def test_one_touch_is_its_frame_of_greatest_change():
-    (touch,) = touches_of(TouchDetector(ZERO), [0, 0, 10, 40, 30, 10, 0, 0])
-    assert_array_equal(touch.image, ZERO + 40)
+    (touch,) = touches_of(TouchDetector(REST), [0, 0, 10, 40, 30, 10, 0, 0])
+    assert_array_equal(touch.image, REST + 40)
     assert touch.change == 40
     assert (touch.began_s, touch.ended_s, touch.n_frames) == (0.2, 0.6, 4)
 
 
 def test_or_the_mean_over_the_hold():
-    detector = TouchDetector(ZERO, summary="mean")
+    detector = TouchDetector(REST, summary="mean")
     (touch,) = touches_of(detector, [0, 10, 40, 34, 40, 34, 10, 0])
     # The hold is what reaches 0.8 of 40: four frames, their mean 37.
-    assert_array_equal(touch.image, ZERO + 37)
+    assert_array_equal(touch.image, REST + 37)
 
 
 def test_a_change_that_wavers_about_the_limit_is_one_touch():
-    detector = TouchDetector(ZERO, begin=10, end=4)
+    detector = TouchDetector(REST, begin=10, end=4)
     assert len(touches_of(detector, [0, 12, 6, 12, 5, 11, 9, 12, 0])) == 1
-    flat = TouchDetector(ZERO, begin=10, end=10)
+    flat = TouchDetector(REST, begin=10, end=10)
     assert len(touches_of(flat, [0, 12, 12, 6, 12, 12, 6, 12, 12, 0])) == 3
 
 
@@ -56,27 +56,27 @@ def test_one_count_is_no_touch_where_the_step_is_known():
     still = [np.zeros((16, 16), np.float32)] * 10
     detector = TouchDetector()
     detector.step = 1.0
-    detector.take_zero(still)
+    detector.take_baseline(still)
     assert detector.begin == 2.0
     assert [t for t in map(detector.update, flickers()) if t] == []
     fine = TouchDetector()
     fine.step = 0.01
-    fine.take_zero(still)
+    fine.take_baseline(still)
     # One taxel of 256 by one count is a change of 1/16: over 2 steps of 0.01.
     assert len([t for t in map(fine.update, flickers()) if t]) >= 4
     # Nor does one count more in the second half count as coming down.
     coming = [frame.image for frame in flickers(count=4)]
-    detector.take_zero(coming)
+    detector.take_baseline(coming)
 
 
 def test_pulling_counts_like_pressing():
-    (touch,) = touches_of(TouchDetector(ZERO), [0, -20, -50, -20, 0])
+    (touch,) = touches_of(TouchDetector(REST), [0, -20, -50, -20, 0])
     assert touch.change == 50
 
 
 def test_a_flash_of_one_frame_is_no_touch():
-    assert touches_of(TouchDetector(ZERO), [0, 50, 0, 0, 50, 0]) == []
-    assert len(touches_of(TouchDetector(ZERO, min_frames=1), [0, 50, 0, 50, 0])) == 2
+    assert touches_of(TouchDetector(REST), [0, 50, 0, 0, 50, 0]) == []
+    assert len(touches_of(TouchDetector(REST, min_frames=1), [0, 50, 0, 50, 0])) == 2
 
 
 def test_dead_taxels_do_not_hide_touches():
@@ -86,57 +86,57 @@ def test_dead_taxels_do_not_hide_touches():
     assert_allclose(touch.change, 2)
 
 
-def test_without_a_zero_nothing_is_detected():
+def test_without_a_baseline_nothing_is_detected():
     detector = TouchDetector()
     assert touches_of(detector, [0, 50, 50, 0]) == []
-    assert "No zero yet" in detector.rezero_offer(0.0)
+    assert "No baseline yet" in detector.baseline_offer(0.0)
 
 
-def test_the_zero_is_the_mean_and_sets_the_limits(rng):
+def test_the_baseline_is_the_mean_and_sets_the_limits(rng):
     noisy = rng.normal(scale=3.0, size=(20, 40, 40)) + 100
     detector = TouchDetector()
-    detector.take_zero(list(noisy))
+    detector.take_baseline(list(noisy))
     # Mean of 20: its own noise is 3 / sqrt(20) = 0.7; four of those bound it.
-    assert_allclose(detector.zero, 100, atol=4 * 0.7 * 1.5)
+    assert_allclose(detector.baseline, 100, atol=4 * 0.7 * 1.5)
     # The frames' noise about their mean is 3 sqrt(1 - 1/20).
     assert_allclose(detector.begin, 6 * 3 * np.sqrt(0.95), rtol=0.05)
     assert_allclose(detector.end, detector.begin / 2)
 
 
-def test_the_zero_is_refused_while_touching_unless_insisted_on():
-    detector = TouchDetector(ZERO)
+def test_the_baseline_is_refused_while_touching_unless_insisted_on():
+    detector = TouchDetector(REST)
     touches_of(detector, [0, 50, 50])
     with pytest.raises(ContactError, match="Something touches the sensor"):
-        detector.take_zero([ZERO + 50] * 3)
+        detector.take_baseline([REST + 50] * 3)
     assert detector.touching
-    detector.take_zero([ZERO + 50] * 3, force=True)
+    detector.take_baseline([REST + 50] * 3, force=True)
     assert not detector.touching
-    assert_array_equal(detector.zero, ZERO + 50)
+    assert_array_equal(detector.baseline, REST + 50)
 
 
-def test_the_zero_is_refused_while_something_comes_down():
-    coming = [ZERO + 5 * step for step in range(10)]
+def test_the_baseline_is_refused_while_something_comes_down():
+    coming = [REST + 5 * step for step in range(10)]
     with pytest.raises(ContactError, match="still changing"):
-        TouchDetector(ZERO).take_zero(coming)
+        TouchDetector(REST).take_baseline(coming)
     with pytest.raises(ValueError, match="number of frames must be at least 3"):
-        TouchDetector(ZERO).take_zero([ZERO])
+        TouchDetector(REST).take_baseline([REST])
 
 
-def test_a_new_zero_is_offered_when_rest_has_moved():
-    detector = TouchDetector(ZERO, begin=10, end=4)
+def test_a_new_baseline_is_offered_when_rest_has_moved():
+    detector = TouchDetector(REST, begin=10, end=4)
     touches_of(detector, [0] * 60)
-    assert detector.rezero_offer(6.0) == ""
+    assert detector.baseline_offer(6.0) == ""
     touches_of(detector, [6] * 100)
-    assert "take it again" in detector.rezero_offer(10.0)
+    assert "take it again" in detector.baseline_offer(10.0)
 
 
 def test_a_contact_without_end_is_questioned():
-    detector = TouchDetector(ZERO)
+    detector = TouchDetector(REST)
     touches_of(detector, [50] * 250)
-    assert "insist on a new zero" in detector.rezero_offer(25.0)
-    moving = TouchDetector(ZERO)
+    assert "insist on a new baseline" in detector.baseline_offer(25.0)
+    moving = TouchDetector(REST)
     touches_of(moving, [50, 90] * 125)
-    assert moving.rezero_offer(25.0) == ""
+    assert moving.baseline_offer(25.0) == ""
 
 
 @settings(max_examples=50, deadline=None)
@@ -150,7 +150,7 @@ def test_as_many_touches_come_out_as_went_in(presses):
     levels = [0]
     for hold, rest, level in presses:
         levels += [level] * hold + [0] * rest
-    found = touches_of(TouchDetector(ZERO), levels)
+    found = touches_of(TouchDetector(REST), levels)
     assert [touch.change for touch in found] == [level for _, _, level in presses]
 
 

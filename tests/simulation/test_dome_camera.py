@@ -6,6 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate.simulation import (
@@ -13,6 +14,7 @@ from palpate.simulation import (
     Lighting,
     PlacedObject,
     SensorPose,
+    SimObject,
     find_object,
     shade,
 )
@@ -187,10 +189,9 @@ def test_image_axes():
 
 
 def load_post():
-    from palpate.simulation import SimObject
-    from palpate.simulation._shapes import rounded_box
-
-    return SimObject("post", "post", lambda: rounded_box((8, 8, 20), 1))
+    box = trimesh.creation.box((8, 8, 20))
+    box.apply_translation((0, 0, 10))
+    return SimObject("post", "post", lambda: box)
 
 
 def test_press_ends_at_the_greatest_depth():

@@ -1,5 +1,6 @@
 """Mesh files: read alike from every format; refused with a reason when unusable."""
 
+import os
 import struct
 
 import numpy as np
@@ -8,7 +9,6 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from palpate.simulation import MeshError, load_mesh
-from palpate.simulation import _mesh as mesh_module
 
 
 @pytest.fixture
@@ -140,11 +140,14 @@ def test_hopeless_size_is_refused(saved, block):
 
 def test_too_many_bytes_and_triangles_are_refused(saved, monkeypatch):
     path = saved("b.stl")
-    monkeypatch.setattr(mesh_module, "MAX_MESH_FACES", 11)
-    with pytest.raises(MeshError, match="at most 11 triangles, got 12"):
-        load_mesh(path)
-    monkeypatch.setattr(mesh_module, "MAX_MESH_BYTES", 100)
-    with pytest.raises(MeshError, match=r"at most 100 bytes.*Simplify"):
+    many = trimesh.creation.box()
+    many.faces = np.zeros((5_000_001, 3), dtype=np.int64)
+    with monkeypatch.context() as patched:
+        patched.setattr(trimesh, "load_mesh", lambda *args, **kwargs: many)
+        with pytest.raises(MeshError, match="at most 5000000 triangles, got 5000001"):
+            load_mesh(path)
+    os.truncate(path, 200_000_001)  # sparse: takes no room
+    with pytest.raises(MeshError, match=r"at most 200000000 bytes.*Simplify"):
         load_mesh(path)
 
 

@@ -4,22 +4,22 @@ import pickle
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate.simulation import (
     BASIC_SHAPES,
     HOUSEHOLD,
-    STRANGE,
+    UNLIKE_OTHERS,
     UNSEEN,
     PlacedObject,
     SensorPose,
     SimObject,
     find_object,
+    load_mesh,
 )
-from palpate.simulation._objects import stable_rotations
-from palpate.simulation._shapes import revolved, rounded_box, turned
 
-EVERYTHING = HOUSEHOLD + UNSEEN + STRANGE + BASIC_SHAPES
+EVERYTHING = HOUSEHOLD + UNSEEN + UNLIKE_OTHERS + BASIC_SHAPES
 solid = pytest.mark.parametrize(
     "thing", [o for o in EVERYTHING if o.name != "nothing"], ids=lambda o: o.name
 )
@@ -100,18 +100,29 @@ def test_resting_poses_rest(thing):
         assert (centre[:2] - 0.5 <= high).all()
 
 
-def test_stable_rotations_of_a_block_are_its_faces():
-    rotations = stable_rotations(rounded_box((30, 20, 10), 0.5))
+@pytest.fixture
+def rests(tmp_path):
+    """Return the poses that are found for a mesh, but the one it is built in."""
+
+    def found(mesh):
+        mesh.export(tmp_path / "mesh.ply")
+        return load_mesh(tmp_path / "mesh.ply").resting_rotations[1:]
+
+    return found
+
+
+def test_stable_rotations_of_a_block_are_its_faces(rests):
+    rotations = rests(trimesh.creation.box((30, 20, 10)))
     down = np.array([rotation.T @ (0, 0, -1) for rotation in rotations])
     assert len(rotations) == 6
     assert_allclose(np.abs(down).max(axis=1), 1, atol=1e-6)
     assert_allclose(np.abs(down[:2, 2]), 1, atol=1e-6)  # the largest face first
 
 
-def test_stable_rotations_leave_out_what_topples():
-    leaning = rounded_box((10, 10, 100), 0.1)
+def test_stable_rotations_leave_out_what_topples(rests):
+    leaning = trimesh.creation.box((10, 10, 100))
     leaning.vertices += leaning.vertices[:, [2]] * (0.5, 0, 0)  # centre beyond base
-    down = [rotation.T @ (0, 0, -1) for rotation in stable_rotations(leaning)]
+    down = [rotation.T @ (0, 0, -1) for rotation in rests(leaning)]
     assert all(abs(way[2]) < 0.99 for way in down)
 
 
@@ -123,10 +134,10 @@ def test_resting_puts_the_middle_over_the_origin():
 
 
 def test_rays_meet_a_cylinder_where_geometry_says():
-    rod = SimObject(
-        "rod", "rod", lambda: revolved([(0, 0), (10, 0), (10, 50), (0, 50)])
-    )
-    placed = PlacedObject(rod, rotation=turned((0, 1, 0), 90), position_mm=(0, 0, 5))
+    cylinder = trimesh.creation.cylinder(10, height=50, sections=96)
+    rod = SimObject("rod", "rod", lambda: cylinder)
+    lying = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    placed = PlacedObject(rod, rotation=lying, position_mm=(25, 0, 5))
     y = np.array([0.0, 4.0, 8.0, 10.5])
     origins = np.column_stack([np.full(4, 25.0), y, np.full(4, 105.0)])
     distance = placed.distance_mm(origins, (0, 0, -1))
@@ -181,5 +192,5 @@ def test_missing_package_names_the_extra(monkeypatch):
 
     monkeypatch.setitem(sys.modules, "trimesh", None)
     fresh = SimObject("box", "box", find_object("box").build)
-    with pytest.raises(ImportError, match=r"pip install palpate\[sim\]"):
+    with pytest.raises(ImportError, match=r'pip install "palpate\[sim\]"'):
         _ = fresh.mesh

@@ -1,5 +1,7 @@
 """Sets of simulated presses: what they say, what fixes them, what is refused."""
 
+import itertools
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -56,8 +58,10 @@ def test_loads_can_be_drawn_from_a_range():
     assert 4 < loads.max() / 9.80665 <= 5
 
 
-def test_progress_goes_to_standard_error_only(capsys):
-    simulate_presses(1, 2, random_state=0, progress=True)
+def test_progress_goes_to_standard_error_only(capsys, monkeypatch):
+    clock = itertools.count(0, 10)  # ten seconds between any two looks at it
+    monkeypatch.setattr("time.monotonic", lambda: next(clock))
+    simulate_presses(1, 120, random_state=0, progress=True)
     captured = capsys.readouterr()
     assert captured.out == ""
     assert "Pressing" in captured.err

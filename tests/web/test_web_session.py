@@ -11,10 +11,10 @@ from palpate.library import TouchLibrary
 from palpate.recognition import ModelFileError, ObjectRecogniser
 from palpate.sensors import (
     ContactError,
+    LiveSensor,
     ReplaySensor,
     SensorError,
     SensorMemory,
-    StreamingSensor,
 )
 from palpate.web import LearningError, LiveSession
 
@@ -94,7 +94,7 @@ def test_a_sensor_that_has_changed_since_learning_is_told_of(model, drawn):
 
 
 def test_a_sensor_that_is_lost_is_told_of_and_comes_back():
-    class Plugged(StreamingSensor):
+    class Plugged(LiveSensor):
         plugged = True
         retry_s = 0.02
 
@@ -124,7 +124,7 @@ def test_a_sensor_that_is_lost_is_told_of_and_comes_back():
 
 
 def test_a_taxel_that_flickers_by_one_count_is_not_stored(tmp_path):
-    class Flickering(StreamingSensor):
+    class Flickering(LiveSensor):
         step = 1.0
 
         def __init__(self):
@@ -163,7 +163,7 @@ def test_a_model_of_another_sensor_is_refused_where_nothing_can_be_learnt(model,
 
 
 def test_a_missing_sensor_leaves_no_library_behind(tmp_path):
-    class Missing(StreamingSensor):
+    class Missing(LiveSensor):
         def __init__(self):
             super().__init__("plug", "count", (4, 4), np.uint8)
 

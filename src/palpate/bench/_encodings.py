@@ -21,8 +21,13 @@ from numpy.typing import NDArray
 
 from .._extras import missing
 from .._types import Array, Floats
-from ..encodings import ENCODINGS, ZernikeMoments, encoder_named
-from ..encodings._zernike_polynomials import zernike_degrees, zernike_values
+from ..encodings import (
+    ENCODINGS,
+    ZernikeMoments,
+    encoder_named,
+    zernike_degrees,
+    zernike_values,
+)
 from ..images import DomeCrop, crop_discs, standardise_discs
 from ._timing import (
     Picture,
@@ -51,7 +56,7 @@ def bench_encodings(
     """Time each stage on its own, then each encoding.
 
     Of real touches a few of `bathtip/originals` are read. Encodings are those called
-    `names`, by default all of `palpate.encodings.ENCODINGS`; their rows hold `ours_ms`
+    `names`, by default all that `encoder_named` knows; their rows hold `ours_ms`
     of the encoding alone; `touch_ms` from decoded array to vector without finding the
     rim (crop, standardise, encode); `share_decode`, `share_rim`, `share_crop` and
     `share_encode`, of everything in per cent. `peer` is another package that encodes

@@ -22,9 +22,14 @@ from sklearn.metrics.pairwise import polynomial_kernel, rbf_kernel
 from sklearn.svm import SVC
 
 from .._types import Array, Floats
-from ..classifiers import MKLSVC, PolynomialKernel
-from ..classifiers._kernels import kernel_diagonals, paper_kernels
-from ..classifiers._simplemkl import Answer, reduced_gradient_walk
+from ..classifiers.mkl import (
+    MKLSVC,
+    Answer,
+    PolynomialKernel,
+    kernel_diagonals,
+    paper_kernels,
+    reduced_gradient_walk,
+)
 from ..encodings import KernelPCA
 from ._timing import Row, cpu_ms, measured_apart, one_thread, row
 

@@ -4,10 +4,9 @@ from ._kernel_density import KernelDensityBayes
 from ._kernel_density_index import IndexQuality, KernelDensityIndex
 from ._kernel_density_naive import KernelDensityNaiveBayes
 from ._kernel_ridge import KernelRidgeClassifier
-from ._kernels import GaussianKernel, LinearKernel, PolynomialKernel
-from ._mkl_svc import MKLSVC
 from ._one_per_label import OnePerLabelSVC
 from ._touch_classifier import FromProbabilities, TouchClassifier
+from .mkl import MKLSVC, GaussianKernel, LinearKernel, PolynomialKernel
 
 __all__ = [
     "MKLSVC",

@@ -6,10 +6,12 @@ that `palpate --help` answers at once.
 
 import os
 import sys
+from typing import Annotated
 
 import typer
 
-from . import simulate_dome  # noqa: F401, registers `dome` and `pins`
+from .. import __version__
+from ._options import option
 from .bench import bench
 from .demo import demo
 from .doctor import doctor
@@ -26,22 +28,38 @@ from .study import study
 
 app = typer.Typer(
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
     help="Recognise things by touch: learn objects from touches, recognise them "
     "touch by touch, and say when something is unknown.",
 )
-for verb in (learn, recognise, evaluate, demo, study, bench, doctor):
+VERBS = (learn, recognise, evaluate, demo, study, bench, doctor, serve, record, live)
+for verb in VERBS:
     app.command()(verb)
-for live_verb in (serve, record, live):
-    app.command()(live_verb)
 app.add_typer(simulate, name="simulate")
 app.add_typer(library, name="library")
 app.add_typer(explore, name="explore")
 
+# What a verb may fail with; anything else is a fault of palpate and shows where.
+FAILURES = (ValueError, TypeError, OSError, RuntimeError, ImportError, MemoryError)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"palpate {__version__}")
+        raise typer.Exit
+
 
 @app.callback()
-def _root() -> None:
+def _root(
+    version: Annotated[
+        bool,
+        option(
+            "--version", "Print the version.", callback=_print_version, is_eager=True
+        ),
+    ] = False,
+) -> None:
     """Take the verbs as they are."""
 
 
@@ -52,14 +70,7 @@ def main() -> None:
     """
     try:
         app()
-    except (
-        ValueError,
-        TypeError,
-        OSError,
-        RuntimeError,
-        ImportError,
-        MemoryError,
-    ) as error:
+    except FAILURES as error:
         if os.environ.get("PALPATE_DEBUG"):
             raise
         print(f"palpate: {error}", file=sys.stderr)

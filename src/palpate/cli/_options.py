@@ -1,27 +1,28 @@
-"""Options that several verbs share, and reading what they name."""
+"""Options that several verbs share, and reading and working as they say.
 
-from collections.abc import Iterator
+An option is a type (`Seed`). Options that belong together are a dataclass (`Reading`):
+a verb takes one parameter of it, and `grouped` puts its fields on the command line.
+"""
+
+import re
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import wraps
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .._extras import install, needed
+
 if TYPE_CHECKING:
-    from ..library import Selection
+    from ..library import Selection, TouchLibrary
     from ..touches import Touches
 
-TouchesPath = Annotated[
-    Path,
-    typer.Argument(
-        metavar="TOUCHES",
-        help="A touch archive (.npz), a folder of JPEG/PNG images, or a library.",
-    ),
-]
-ModelPath = Annotated[
-    Path, typer.Argument(metavar="MODEL", help="A model file (.palpate).")
-]
 MOST_SEED = 2**32 - 1
+CONNECT_S = 20.0
 
 
 def checked_seed(seed: int) -> int:
@@ -34,87 +35,236 @@ def checked_seed(seed: int) -> int:
     return seed
 
 
-AsJson = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object and nothing else.")
+def checked_workers(workers: int | None) -> int | None:
+    """Return a number of processes, or say what --workers should be."""
+    if workers is not None and workers < 1 and workers != -1:
+        raise ValueError(
+            f"--workers must be at least 1, or -1 for all cores, got {workers}."
+        )
+    return workers
+
+
+def option(*names_and_help: str, **more: Any) -> Any:
+    """Return an option of the command line: its names, then what it does, as text.
+
+    Square brackets in the text, as in `palpate[plot]`, are no markup.
+    """
+    *names, text = names_and_help
+    return typer.Option(*names, help=_no_markup(text), **more)
+
+
+def argument(*name_and_help: str) -> Any:
+    """Return an argument of the command line: its name, if it has one, and its help."""
+    *name, text = name_and_help
+    return typer.Argument(metavar=name[0] if name else None, help=_no_markup(text))
+
+
+def _no_markup(text: str) -> str:
+    return re.sub(r"(?=\[[a-z#/@])", r"\\", text)  # what Rich would take for a tag
+
+
+TouchesPath = Annotated[
+    Path,
+    argument(
+        "TOUCHES", "A touch archive (.npz), a folder of JPEG/PNG images, or a library."
+    ),
 ]
+ModelPath = Annotated[Path, argument("MODEL", "A model file (.palpate).")]
+ModelOutput = Annotated[
+    Path, option("-o", "--output", "The model file to write (.palpate).")
+]
+AsJson = Annotated[bool, option("--json", "Print one JSON object and nothing else.")]
 Seed = Annotated[
-    int,
-    typer.Option("--seed", help="Seed of everything random.", callback=checked_seed),
+    int, option("--seed", "Seed of everything random.", callback=checked_seed)
 ]
-Preset = Annotated[
-    str, typer.Option("--preset", help='"default", "corradi2015" or "liu2014".')
-]
-Label = Annotated[
-    str, typer.Option("--label", help='What to recognise: "object" or "category".')
-]
+Preset = Annotated[str, option("--preset", '"default", "corradi2015" or "liu2014".')]
+Label = Annotated[str, option("--label", 'What to recognise: "object" or "category".')]
+ErrorRate = Annotated[float, option("--error", "Accepted share of wrong decisions.")]
+Report = Annotated[Path | None, option("--report", "Write one self-contained .html.")]
+ListNames = Annotated[bool, option("--list", "List them.")]
 Floor = Annotated[
     float | None,
-    typer.Option(
+    option(
         "--floor",
-        help="Least probability one touch leaves to all objects; 0 lets one touch "
+        "Least probability one touch leaves to all objects; 0 lets one touch "
         "rule an object out. Default: the preset's.",
     ),
 ]
 NamePattern = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--name-pattern",
-        help="Regular expression for image names with named groups, such as "
+        "Regular expression for image names with named groups, such as "
         r"'(?P<object>\w+)_(?P<order>\d+)'. Without it folders name the objects.",
     ),
 ]
 NoContact = Annotated[
-    Path | None,
-    typer.Option("--no-contact", help="The image of the sensor touching nothing."),
+    Path | None, option("--no-contact", "The image of the sensor touching nothing.")
 ]
 Where = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--where",
-        help="Of a library, the touches that meet this filter alone, such as "
+        "Of a library, the touches that meet this filter alone, such as "
         '"object = mug and force_n > 0.5". Comparisons: = != < <= > >= in contains, '
         "is null; joined by and, or, not.",
     ),
 ]
 Calibration = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--calibration",
-        help="A `TaxelCalibration` (JSON) of a pressure array: readings become kPa "
+        "A `TaxelCalibration` (JSON) of a pressure array: readings become kPa "
         "before anything else. Give the same to `learn` and `recognise`.",
     ),
 ]
-MaxMegapixels = Annotated[
-    float,
-    typer.Option("--max-megapixels", help="Larger pictures are refused unread."),
-]
 
 
-def read_touches(
-    path: Path,
-    name_pattern: str | None,
-    no_contact: Path | None,
-    max_megapixels: float,
-    where: str | None = None,
-) -> "Touches":
-    """Read an archive, a folder or a library as the shared options say."""
-    from ..library import TouchLibrary
-    from ..touches import Touches
+@dataclass(frozen=True)
+class Reading:
+    """How touches are read from an archive, a folder or a library."""
 
-    if TouchLibrary.is_library(path):
-        _refuse_picture_options(path, name_pattern, no_contact)
-        with TouchLibrary.open(path) as library:
-            return library.touches(where)
-    if where is not None:
-        raise ValueError(
-            f"--where must be given with a library of touches, got {where!r} with "
-            f"{path}. Make a library with `palpate library add`."
+    where: Where = None
+    name_pattern: NamePattern = None
+    no_contact: NoContact = None
+    max_megapixels: Annotated[
+        float, option("--max-megapixels", "Larger pictures are refused unread.")
+    ] = 50
+
+    def touches(self, path: Path) -> "Touches":
+        """Read touches, all of them at once."""
+        opened = self._library(path)
+        if opened is None:
+            return self._recording(path)
+        with opened as library:
+            return library.touches(self.where)
+
+    @contextmanager
+    def selection(self, path: Path) -> "Iterator[Touches | Selection]":
+        """Read touches to learn from; those of a library as they are needed."""
+        opened = self._library(path)
+        if opened is None:
+            yield self._recording(path)
+            return
+        with opened as library:
+            yield library.select(self.where)
+
+    def _library(self, path: Path) -> "TouchLibrary | None":
+        """Return the library at `path`, if one is there; refuse what is for others."""
+        from ..library import TouchLibrary
+
+        if not TouchLibrary.is_library(path):
+            return None
+        given = {"--name-pattern": self.name_pattern, "--no-contact": self.no_contact}
+        for option, value in given.items():
+            if value is not None:
+                raise ValueError(
+                    f"{option} must be left out for a library, got {value} with "
+                    f"{path}. Give it to `palpate library add`, which keeps what it "
+                    "finds."
+                )
+        return TouchLibrary.open(path)
+
+    def _recording(self, path: Path) -> "Touches":
+        from ..touches import Touches
+
+        if self.where is not None:
+            raise ValueError(
+                f"--where must be given with a library of touches, got {self.where!r} "
+                f"with {path}. Make a library with `palpate library add`."
+            )
+        return Touches.load(
+            path,
+            name_pattern=self.name_pattern,
+            no_contact=self.no_contact,
+            max_pixels=int(self.max_megapixels * 1e6),
         )
-    return Touches.load(
-        path,
-        name_pattern=name_pattern,
-        no_contact=no_contact,
-        max_pixels=int(max_megapixels * 1e6),
+
+
+@dataclass(frozen=True)
+class Working:
+    """Where parallel work runs: this machine's processes or a Dask cluster."""
+
+    workers: Annotated[
+        int | None,
+        option(
+            "--workers",
+            "Processes on this machine; -1 is one per core. Results do not change.",
+        ),
+    ] = None
+    cluster: Annotated[
+        str | None,
+        option(
+            "--cluster",
+            "Address of a Dask scheduler, such as tcp://lab:8786; needs "
+            + install("distributed"),
+        ),
+    ] = None
+
+    @contextmanager
+    def started(self, usual: int | None = None) -> Iterator[int | None]:
+        """Let joblib run its tasks where the options say.
+
+        Yields the number of jobs to ask for: `workers`, where neither option is given
+        `usual`, or -1 (all) on a cluster.
+
+        Raises
+        ------
+        ValueError
+            Both are given, or `workers` is no number of processes.
+        ImportError
+            Dask is missing; the message names the extra.
+        OSError
+            No scheduler answers at the address.
+        """
+        from joblib import parallel_config
+
+        if self.cluster is None:
+            workers = usual if self.workers is None else checked_workers(self.workers)
+            with parallel_config("loky", n_jobs=workers):
+                yield workers
+            return
+        if self.workers is not None:
+            raise ValueError(
+                "Give either --workers or --cluster, got both; a cluster has its own."
+            )
+        with _connected(self.cluster), parallel_config("dask"):
+            yield -1
+
+
+def grouped(verb: Callable[..., None]) -> Callable[..., None]:
+    """Put the fields of a verb's groups of options on the command line.
+
+    A parameter whose type is a dataclass stands for the dataclass's fields, each an
+    option of its own; the verb gets them together again.
+    """
+    taken = signature(verb).parameters
+    groups: dict[str, Any] = {
+        n: p.annotation for n, p in taken.items() if is_dataclass(p.annotation)
+    }
+    flat: list[Parameter] = []
+    for name, parameter in taken.items():
+        if name in groups:
+            flat += map(_parameter, fields(groups[name]))
+        else:
+            flat.append(parameter.replace(kind=Parameter.KEYWORD_ONLY))
+
+    @wraps(verb)
+    def run(**given: Any) -> None:
+        for name, group in groups.items():
+            parts = {field.name: given.pop(field.name) for field in fields(group)}
+            given[name] = group(**parts)
+        verb(**given)
+
+    run.__annotations__ = {p.name: p.annotation for p in flat}
+    vars(run)["__signature__"] = Signature(flat)  # what Typer reads
+    return run
+
+
+def _parameter(field: Any) -> Parameter:
+    default = Parameter.empty if field.default is MISSING else field.default
+    return Parameter(
+        field.name, Parameter.KEYWORD_ONLY, default=default, annotation=field.type
     )
 
 
@@ -133,31 +283,20 @@ def calibrated(touches: "Touches", calibration: Path | None) -> "Touches":
 
 
 @contextmanager
-def training_touches(
-    path: Path,
-    name_pattern: str | None,
-    no_contact: Path | None,
-    max_megapixels: float,
-    where: str | None,
-) -> "Iterator[Touches | Selection]":
-    """Read touches to learn from; those of a library are read as they are needed."""
-    from ..library import TouchLibrary
-
-    if not TouchLibrary.is_library(path):
-        yield read_touches(path, name_pattern, no_contact, max_megapixels, where)
-        return
-    _refuse_picture_options(path, name_pattern, no_contact)
-    with TouchLibrary.open(path) as library:
-        yield library.select(where)
-
-
-def _refuse_picture_options(
-    path: Path, name_pattern: str | None, no_contact: Path | None
-) -> None:
-    given = {"--name-pattern": name_pattern, "--no-contact": no_contact}
-    for option, value in given.items():
-        if value is not None:
-            raise ValueError(
-                f"{option} must be left out for a library, got {value} with {path}. "
-                "Give it to `palpate library add`, which keeps what it finds."
+def _connected(address: str) -> Iterator[None]:
+    distributed = needed("distributed", "distributed", "--cluster")
+    try:
+        client = distributed.Client(address, timeout=CONNECT_S)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise OSError(
+            f"--cluster must be the address of a Dask scheduler, got {address}: "
+            f"{error or 'no answer'}. Start one with `dask scheduler`, workers with "
+            "`dask worker ADDRESS`."
+        ) from error
+    with client:
+        if not client.scheduler_info()["workers"]:
+            raise OSError(
+                f"The scheduler at {address} must have workers, got none. Start some "
+                f"with `dask worker {address}`."
             )
+        yield

@@ -1,7 +1,13 @@
-"""What the verbs print: JSON for machines, tables and bars for people."""
+"""What the verbs print: JSON for machines, tables and bars for people.
+
+Text is printed as it is: square brackets, as in `palpate[plot]`, are no markup.
+"""
 
 import json
 import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 BAR_WIDTH = 24
@@ -11,6 +17,15 @@ SHOWN = 3
 def print_json(value: dict[str, Any]) -> None:
     """Print one JSON object; numbers that are not finite become null."""
     print(json.dumps(_plain(value), allow_nan=False))
+
+
+def answer(as_json: bool, values: dict[str, Any], *lines: object) -> None:
+    """Print values as one JSON object, or lines for people."""
+    if as_json:
+        print_json(values)
+        return
+    for line in lines:
+        print(line)
 
 
 def belief_line(touch: int, posterior: dict[str, float]) -> str:
@@ -32,12 +47,32 @@ def table(title: str, columns: list[str], rows: list[list[str]]) -> None:
         drawn.add_column(column, justify="left" if number == 0 else "right")
     for row in rows:
         drawn.add_row(*row)
-    Console().print(drawn)
+    Console(markup=False, emoji=False).print(drawn)
 
 
 def percent(value: float | None) -> str:
     """Return a share as per cent, or a dash."""
     return "-" if value is None else f"{100 * value:.1f}"
+
+
+@contextmanager
+def stages() -> Iterator[Callable[[str], None]]:
+    """Show the present stage of long work with a running clock, on standard error.
+
+    Yields what is to be called with the name of each stage. Draws nothing where
+    standard error is no terminal, so that logs stay readable.
+    """
+    if not sys.stderr.isatty():
+        yield lambda stage: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    text = TextColumn("{task.description}", markup=False)
+    columns = SpinnerColumn(), text, TimeElapsedColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda stage: bar.update(task, description=stage)
 
 
 def _plain(value: Any) -> Any:

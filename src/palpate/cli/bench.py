@@ -2,26 +2,23 @@
 
 from typing import Annotated, Any
 
-import typer
-
-from ._options import AsJson
-from ._output import print_json, table
+from ._options import AsJson, ListNames, argument
+from ._output import print_json, stages, table
 
 
 def bench(
-    name: Annotated[str, typer.Argument(help="Which benchmark; see --list.")] = "",
-    list_names: Annotated[bool, typer.Option("--list", help="List them.")] = False,
+    name: Annotated[str, argument("Which benchmark; see --list.")] = "",
+    list_names: ListNames = False,
     as_json: AsJson = False,
 ) -> None:
     """Measure speed beside peers: CPU time, one thread, ratios within one run."""
     from ..bench import BENCHES, run_bench
-    from ._stages import Stages
 
     if list_names or not name:
         for known, (_, what) in BENCHES.items():
             print(f"{known:12s} {what}")
         return
-    with Stages() as stage:
+    with stages() as stage:
         stage(f"measuring {name}")
         rows = run_bench(name)
     if as_json:

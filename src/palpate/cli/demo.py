@@ -1,15 +1,13 @@
 """`palpate demo`: explore and learn ten objects, recognise them, meet unknown ones."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from ._options import AsJson, Seed
-from ._output import percent, print_json
-from ._stages import Stages
-from .explore import print_attempt, told
+from ._options import AsJson, Seed, option
+from ._output import percent, print_json, stages
+from .explore import exploration_to_dict, print_attempt
 from .recognise import print_episode, recognise_episodes
 
 if TYPE_CHECKING:
@@ -33,14 +31,15 @@ ERROR = 0.1
 MOST_ATTEMPTS = 16
 
 Sets = tuple["Touches", "Touches", "Touches"]
+Stage = Callable[[str], None]
 
 
 def demo(
     real: Annotated[
-        bool, typer.Option("--real", help="Use the recorded touches in PALPATE_DATA.")
+        bool, option("--real", "Use the recorded touches in PALPATE_DATA.")
     ] = False,
     folder: Annotated[
-        Path, typer.Option("--output", help="Where to write the model and the report.")
+        Path, option("--output", "Where to write the model and the report.")
     ] = Path("demo"),
     seed: Seed = 0,
     as_json: AsJson = False,
@@ -56,7 +55,7 @@ def demo(
 
     folder.mkdir(parents=True, exist_ok=True)
     report = check_report_path(folder / "report.html")
-    with Stages() as stage:
+    with stages() as stage:
         sets = _read(pictures, seed, stage) if pictures else _explored(seed)
         train, test, unknown = sets
         plan = Plan(touches=(1, 3, 5, 10), seed=seed)
@@ -156,7 +155,7 @@ def _recognise_by_exploring(
         )
         if not quiet:
             print(f"  {end.reason}\n")
-        episodes.append({"object": name, **told(recogniser, end)})
+        episodes.append({"object": name, **exploration_to_dict(recogniser, end)})
     return episodes
 
 
@@ -170,22 +169,22 @@ def _recognise_recorded(
     recogniser: "ObjectRecogniser", test: "Touches", unknown: "Touches", *, quiet: bool
 ) -> list[dict[str, Any]]:
     known = recognise_episodes(recogniser, test, error=ERROR)
-    strange = recognise_episodes(recogniser, unknown, error=ERROR)
+    others = recognise_episodes(recogniser, unknown, error=ERROR)
     if not quiet:
         print(f"Recognising the other {len(test)} touches, one by one:\n")
         for episode in known:
             print_episode(episode)
-        names = " and ".join(str(episode["object"]) for episode in strange)
+        names = " and ".join(str(episode["object"]) for episode in others)
         print(
             f"Now {names}, recorded like the others but left out of learning, so that "
             "there is something unknown:\n"
         )
-        for episode in strange:
+        for episode in others:
             print_episode(episode)
-    return known + strange
+    return known + others
 
 
-def _read(pictures: Path, seed: int, stage: Stages) -> Sets:
+def _read(pictures: Path, seed: int, stage: Stage) -> Sets:
     """Read the recorded pictures; some objects, drawn by lot, are the unknown ones."""
     import numpy as np
 
@@ -200,8 +199,8 @@ def _read(pictures: Path, seed: int, stage: Stages) -> Sets:
     )
     names = np.unique(np.asarray(touches.object))
     drawn = np.random.default_rng(seed).permutation(names)[:UNKNOWN_RECORDED]
-    strange = np.isin(np.asarray(touches.object), drawn)
-    return *split_by_count(touches[~strange], TRAIN_TOUCHES, seed), touches[strange]
+    unknown = np.isin(np.asarray(touches.object), drawn)
+    return *split_by_count(touches[~unknown], TRAIN_TOUCHES, seed), touches[unknown]
 
 
 def _print_figures(figures: dict[str, Any], trial: "Trial") -> None:

@@ -2,48 +2,25 @@
 
 import os
 import platform
+import re
 import sys
-from importlib.metadata import PackageNotFoundError, version
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import typer
 
+from .._extras import install
 from ._options import AsJson
 from ._output import print_json, table
 
-CORE = (
-    "numpy",
-    "scipy",
-    "scikit-learn",
-    "opencv-python-headless",
-    "pillow",
-    "joblib",
-    "threadpoolctl",
-    "safetensors",
-    "typer",
-    "rich",
-)
-EXTRAS = {
-    "plot": ("matplotlib",),
-    "sim": ("trimesh", "embreex", "shapely", "gymnasium"),
-    "camera": ("cv2-enumerate-cameras",),
-    "serial": ("pyserial",),
-    "web": ("fastapi", "uvicorn", "websockets", "python-multipart"),
-    "distributed": ("dask", "distributed"),
-    "index": ("faiss-cpu",),
-    "ros": ("rosbags",),
-    "parquet": ("pyarrow",),
-    "bench": ("mahotas", "centrosome"),
-}
+# Extras of those who change palpate, not of those who use it.
+FOR_AUTHORS = ("test", "dev")
 
 
 def doctor(as_json: AsJson = False) -> None:
     """Check this installation; exit 1 when something that palpate needs is missing."""
-    checks = [_python(), *(_package(name, None) for name in CORE)]
-    for extra, names in EXTRAS.items():
-        checks += [_package(name, extra) for name in names]
-    checks.append(_data())
+    checks = [_python(), *map(_package, *zip(*_packages(), strict=True)), _data()]
     healthy = all(check["ok"] or not check["needed"] for check in checks)
     if as_json:
         print_json({"healthy": healthy, "cores": os.cpu_count(), "checks": checks})
@@ -55,6 +32,20 @@ def doctor(as_json: AsJson = False) -> None:
         )
     if not healthy:
         raise typer.Exit(1)
+
+
+def _packages() -> list[tuple[str, str | None]]:
+    """Return what palpate was packaged to need: names, and the extra of each."""
+    found: list[tuple[str, str | None]] = []
+    try:
+        lines = metadata.requires("palpate") or []
+    except metadata.PackageNotFoundError:
+        return [("palpate", None)]
+    for line in lines:
+        name, extra = re.match(r"[\w.-]+", line), re.search(r"extra == .(\w+)", line)
+        if name and name[0] != "palpate" and not (extra and extra[1] in FOR_AUTHORS):
+            found.append((name[0], extra[1] if extra else None))
+    return found
 
 
 def _check(
@@ -71,11 +62,11 @@ def _python() -> dict[str, Any]:
 
 def _package(name: str, extra: str | None) -> dict[str, Any]:
     try:
-        return _check(name, version(name), "", ok=True, needed=extra is None)
-    except PackageNotFoundError:
-        target = "palpate" if extra is None else f"palpate[{extra}]"
-        fix = f"pip install {target}"
+        found = metadata.version(name)
+    except metadata.PackageNotFoundError:
+        fix = f"pip install {name}" if extra is None else install(extra)
         return _check(name, "missing", fix, ok=False, needed=extra is None)
+    return _check(name, found, "", ok=True, needed=extra is None)
 
 
 def _data() -> dict[str, Any]:

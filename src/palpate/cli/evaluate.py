@@ -1,79 +1,67 @@
 """`palpate evaluate`: accuracy against touches, calibration, controls, report."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from ._options import (
     AsJson,
+    ErrorRate,
     Floor,
     Label,
-    MaxMegapixels,
-    NamePattern,
-    NoContact,
     Preset,
+    Reading,
+    Report,
     Seed,
-    Where,
-    read_touches,
+    Working,
+    grouped,
+    option,
 )
-from ._output import percent, print_json, table
-from ._workers import Cluster, Workers, working
+from ._output import percent, print_json, stages, table
 
 
+@grouped
 def evaluate(
-    train: Annotated[Path, typer.Option("--train", help="Training touches.")],
+    train: Annotated[Path, option("--train", "Training touches.")],
+    *,
     test: Annotated[
-        Path | None, typer.Option("--test", help="Test touches; or give --split.")
+        Path | None, option("--test", "Test touches; or give --split.")
     ] = None,
     split: Annotated[
         str | None,
-        typer.Option(
-            "--split", help="Split --train itself: between, last or unseen-objects."
-        ),
+        option("--split", "Split --train itself: between, last or unseen-objects."),
     ] = None,
     label: Label = "object",
     preset: Preset = "default",
     touches: Annotated[
-        str, typer.Option("--touches", help="Give figures after so many touches.")
+        str, option("--touches", "Give figures after so many touches.")
     ] = "1,5,15,30",
     train_touches: Annotated[
-        int | None,
-        typer.Option("--train-touches", help="Draw so many per object to train."),
+        int | None, option("--train-touches", "Draw so many per object to train.")
     ] = None,
     orders: Annotated[
-        int, typer.Option("--orders", help="Random orders of each object's touches.")
+        int, option("--orders", "Random orders of each object's touches.")
     ] = 20,
     unknown: Annotated[
-        Path | None,
-        typer.Option("--unknown", help="Touches of objects that are not trained on."),
+        Path | None, option("--unknown", "Touches of objects that are not trained on.")
     ] = None,
-    where: Where = None,
     test_where: Annotated[
-        str | None, typer.Option("--test-where", help="The same for --test.")
+        str | None, option("--test-where", "The same for --test.")
     ] = None,
     unknown_where: Annotated[
-        str | None, typer.Option("--unknown-where", help="The same for --unknown.")
+        str | None, option("--unknown-where", "The same for --unknown.")
     ] = None,
-    error: Annotated[
-        float, typer.Option("--error", help="Accepted share of wrong decisions.")
-    ] = 0.01,
-    report: Annotated[
-        Path | None, typer.Option("--report", help="Write one self-contained .html.")
-    ] = None,
+    error: ErrorRate = 0.01,
+    report: Report = None,
     floor: Floor = None,
-    name_pattern: NamePattern = None,
-    no_contact: NoContact = None,
-    max_megapixels: MaxMegapixels = 50,
-    workers: Workers = None,
-    cluster: Cluster = None,
+    reading: Reading,
+    working: Working,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
     """Learn, recognise and score, with spread, calibration and nuisance controls."""
     from ..evaluation import Plan, check_report_path, write_report
     from ..evaluation import evaluate as run
-    from ._stages import Stages
 
     plan = Plan(
         preset=preset,
@@ -92,13 +80,13 @@ def evaluate(
         if path is None:
             return None
         stage(f"reading {path}")
-        return read_touches(path, name_pattern, no_contact, max_megapixels, where)
+        return replace(reading, where=where).touches(path)
 
-    with Stages() as stage, working(workers, cluster):
-        training, testing = read(train, where), read(test, test_where)
-        strange = read(unknown, unknown_where)
+    with stages() as stage, working.started():
+        training, testing = read(train, reading.where), read(test, test_where)
+        others = read(unknown, unknown_where)
         figures, trials = run(
-            training, testing, split=split, unknown=strange, plan=plan, progress=stage
+            training, testing, split=split, unknown=others, plan=plan, progress=stage
         )
         if report is not None:
             stage(f"writing {report}")
@@ -133,20 +121,13 @@ def _print_figures(figures: dict[str, Any]) -> None:
     ]
     for name, curve in figures["controls"].items():
         values = [percent((curve or {}).get(k)) for k in keys]
-        rows.append(
-            [
-                f"{name} alone, %"
-                if name != "no contact"
-                else "touches without contact, %",
-                *values,
-            ]
-        )
+        bare = name == "no contact"
+        label = "touches without contact, %" if bare else f"{name} alone, %"
+        rows.append([label, *values])
     if "unknown_auroc" in figures:
-        for name, key in (("unknown, ROC area", "unknown_auroc"),):
-            rows.append(
-                [name, *(f"{figures[key].get(k, float('nan')):.3f}" for k in keys)]
-            )
-        refused = figures["unknown_refused"]
+        area, refused = figures["unknown_auroc"], figures["unknown_refused"]
+        areas = (f"{area.get(k, float('nan')):.3f}" for k in keys)
+        rows.append(["unknown, ROC area", *areas])
         rows.append(["unknown refused, %", *(percent(refused.get(k)) for k in keys)])
     title = (
         f"{figures['preset']}: {figures['n_labels']} {figures['label']} labels, "

@@ -6,21 +6,28 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._options import AsJson, ModelPath, Preset, Seed
-from ._output import belief_line, print_json
-from .simulate import Workers
-from .simulate_dome import Objects, Rows, Unit, find_objects
+from ._options import (
+    AsJson,
+    ErrorRate,
+    ModelOutput,
+    ModelPath,
+    Preset,
+    Seed,
+    argument,
+    option,
+)
+from ._output import answer, belief_line, stages
+from .simulate import Objects, Rows, Unit, Workers, find_objects
 
 if TYPE_CHECKING:
     from ..exploration import (
         Exploration,
-        PlacedBelief,
         Stand,
         Strategy,
         TouchMap,
         TouchRecord,
     )
-    from ..recognition import Belief, ObjectRecogniser
+    from ..recognition import ObjectRecogniser
     from ..simulation import SimObject
 
 STRATEGIES = ("informative", "random", "raster")
@@ -31,24 +38,20 @@ explore = typer.Typer(
 )
 Folder = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--folder",
-        help="Keep every attempt here as it is made; the same command goes on there.",
+        "Keep every attempt here as it is made; the same command goes on there.",
     ),
 ]
 
 
 @explore.command()
 def learn(
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="The model file to write (.palpate).")
-    ],
+    output: ModelOutput,
     objects: Objects = None,
-    touches: Annotated[
-        int, typer.Option("--touches", help="Touches of each object.")
-    ] = 60,
+    touches: Annotated[int, option("--touches", "Touches of each object.")] = 60,
     sessions: Annotated[
-        int, typer.Option("--sessions", help="How often each object is put down anew.")
+        int, option("--sessions", "How often each object is put down anew.")
     ] = 3,
     preset: Preset = "default",
     rows: Rows = 120,
@@ -66,7 +69,6 @@ def learn(
     from ..exploration import RobotError, explore_to_learn
     from ..recognition import ObjectRecogniser, check_model_path
     from ..simulation import DomeCamera
-    from ._stages import Stages
 
     check_model_path(output)
     things = find_objects(objects, unit)
@@ -85,58 +87,52 @@ def learn(
         )
     except RobotError as error:
         raise ValueError(str(error)) from error
-    with Stages() as stage:
+    with stages() as stage:
         stage(f"learning from {len(taught)} touches")
         recogniser = ObjectRecogniser(preset, random_state=seed).fit(taught)
     archive = taught_path(output)
     taught.save(archive)
     written = recogniser.save(output)
     learnt = recogniser.summary()
-    if as_json:
-        print_json({"model": str(written), "touches": str(archive), **learnt})
-        return
-    print(f"Explored {len(things)} objects with {len(taught)} touches.")
-    print(archive)
-    print(written)
+    answer(
+        as_json,
+        {"model": str(written), "touches": str(archive), **learnt},
+        f"Explored {len(things)} objects with {len(taught)} touches.",
+        archive,
+        written,
+    )
 
 
 @explore.command()
 def recognise(
     model: ModelPath,
-    thing: Annotated[
-        str,
-        typer.Argument(metavar="OBJECT", help="A built-in object or a mesh file."),
-    ],
+    thing: Annotated[str, argument("OBJECT", "A built-in object or a mesh file.")],
     strategy: Annotated[
-        str, typer.Option("--strategy", help="informative, random or raster.")
+        str, option("--strategy", "informative, random or raster.")
     ] = "informative",
     taught: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--taught",
-            help="The touches MODEL learnt, with their directions. Default: the .npz "
+            "The touches MODEL learnt, with their directions. Default: the .npz "
             "of MODEL's name, where there is one.",
         ),
     ] = None,
-    most: Annotated[
-        int, typer.Option("--max-touches", help="Budget of attempts.")
-    ] = 30,
-    error: Annotated[
-        float, typer.Option("--error", help="Accepted share of wrong decisions.")
-    ] = 0.01,
+    most: Annotated[int, option("--max-touches", "Budget of attempts.")] = 30,
+    error: ErrorRate = 0.01,
     folder: Folder = None,
     yaw: Annotated[
         float | None,
-        typer.Option("--yaw", help="Turn about the vertical, degrees. Default: drawn."),
+        option("--yaw", "Turn about the vertical, degrees. Default: drawn."),
     ] = None,
     face: Annotated[
-        int, typer.Option("--face", help="Which face it rests on; 0 is the usual one.")
+        int, option("--face", "Which face it rests on; 0 is the usual one.")
     ] = 0,
     fault: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--fault",
-            help="Let something fail, as '2=no force': in attempt 2, counted from 0. "
+            "Let something fail, as '2=no force': in attempt 2, counted from 0. "
             "Repeatable. stuck force, stuck force in contact, no force, overshoot, "
             "driver error, slow, retract error, arm stuck, no frame, out of reach.",
         ),
@@ -177,11 +173,8 @@ def recognise(
         clock=stand.robot.clock,
         on_attempt=None if as_json else print_attempt,
     )
-    if as_json:
-        about = {"object": found.name, "strategy": strategy}
-        print_json({**about, **told(knower, end)})
-        return
-    print(f"  {end.reason}")
+    about = {"object": found.name, "strategy": strategy}
+    answer(as_json, {**about, **exploration_to_dict(knower, end)}, f"  {end.reason}")
 
 
 def one_object(name: str, unit: str = "mm") -> "SimObject":
@@ -209,15 +202,19 @@ def print_attempt(record: "TouchRecord", belief: Any) -> None:
         print(f"  {record.outcome}. {record.message}".rstrip())
 
 
-def told(knower: "ObjectRecogniser | TouchMap", end: "Exploration") -> dict[str, Any]:
+def exploration_to_dict(
+    knower: "ObjectRecogniser | TouchMap", end: "Exploration"
+) -> dict[str, Any]:
     """Return an exploration as plain values, with the belief after every attempt."""
     from ..exploration import as_touches
 
     belief = knower.start()
-    attempts = []
-    for record in end.history:
+    attempts: list[dict[str, Any]] = []
+    touched = []  # the number of the attempt of each touch
+    for number, record in enumerate(end.history):
         if record.touched:
             belief.update(as_touches([record]))
+            touched.append(number)
         attempts.append(
             {
                 "outcome": record.outcome,
@@ -235,21 +232,14 @@ def told(knower: "ObjectRecogniser | TouchMap", end: "Exploration") -> dict[str,
         "decision": end.decision,
         "ended_by": end.ended_by,
         "reasons": [end.reason],
-        "explanation": _explanation(belief, end.history),
+        "explanation": [
+            {**moved, "attempt": touched[moved["touch"] - 1]}
+            for moved in belief.explain()
+        ],
         "touches_used": end.n_touches,
         "n_attempts": len(end.history),
         "attempts": attempts,
     }
-
-
-def _explanation(
-    belief: "Belief | PlacedBelief", history: "Sequence[TouchRecord]"
-) -> list[dict[str, Any]]:
-    """Return what moved the belief, with the number of the attempt of each touch."""
-    touched = [number for number, record in enumerate(history) if record.touched]
-    return [
-        {**moved, "attempt": touched[moved["touch"] - 1]} for moved in belief.explain()
-    ]
 
 
 def _touch_map(
@@ -263,7 +253,6 @@ def _touch_map(
     from .._checks import check_option
     from ..exploration import TouchMap
     from ..touches import Touches
-    from ._stages import Stages
 
     check_option("strategy", strategy, STRATEGIES)
     archive = taught_path(model) if taught is None else taught
@@ -275,7 +264,7 @@ def _touch_map(
             f"directions, got no {archive}. Name them with --taught, or take "
             "--strategy random."
         )
-    with Stages() as stage:
+    with stages() as stage:
         stage("learning where touches were made")
         return TouchMap(random_state=seed).fit(recogniser, Touches.load(archive))
 

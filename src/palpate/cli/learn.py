@@ -3,25 +3,22 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from ._options import (
     AsJson,
     Calibration,
     Floor,
     Label,
-    MaxMegapixels,
-    NamePattern,
-    NoContact,
+    ModelOutput,
     Preset,
+    Reading,
     Seed,
     TouchesPath,
-    Where,
+    Working,
     calibrated,
-    training_touches,
+    grouped,
+    option,
 )
-from ._output import print_json
-from ._workers import Cluster, Workers, working
+from ._output import answer, stages
 
 if TYPE_CHECKING:
     from ..library import Selection
@@ -29,50 +26,44 @@ if TYPE_CHECKING:
     from ..touches import Touches
 
 
+@grouped
 def learn(
     touches: TouchesPath,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="The model file to write (.palpate).")
-    ],
-    where: Where = None,
+    output: ModelOutput,
+    *,
     preset: Preset = "default",
     label: Label = "object",
     floor: Floor = None,
     pitch_mm: Annotated[
         float | None,
-        typer.Option(
+        option(
             "--pitch-mm",
-            help="Distance of neighbouring taxels: learn also where and at what angle "
+            "Distance of neighbouring taxels: learn also where and at what angle "
             "parts lie on a pressure array. Default: what the archive says.",
         ),
     ] = None,
     extend: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--extend",
-            help="Add the objects of TOUCHES that this model does not know to it; its "
-            "encoding and what it knows stay as they are.",
+            "Add the objects of TOUCHES that this model does not know to it, or, where "
+            "it knows them all, their new touches; its encoding stays as it is.",
         ),
     ] = None,
-    workers: Workers = None,
-    cluster: Cluster = None,
-    name_pattern: NamePattern = None,
-    no_contact: NoContact = None,
+    working: Working,
+    reading: Reading,
     calibration: Calibration = None,
-    max_megapixels: MaxMegapixels = 50,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
     """Learn objects from labelled touches and write a model file."""
     from ..library import TouchLibrary
     from ..recognition import ObjectRecogniser, check_model_path
-    from ._stages import Stages
 
     check_model_path(output)
-    read = (touches, name_pattern, no_contact, max_megapixels, where)
-    with Stages() as stage, working(workers, cluster):
+    with stages() as stage, working.started():
         stage(f"reading {touches}")
-        with training_touches(*read) as found:
+        with reading.selection(touches) as found:
             training = found
             if calibration is not None:
                 training = calibrated(_held(found), calibration)
@@ -89,18 +80,17 @@ def learn(
         if TouchLibrary.is_library(touches) and calibration is None and extend is None:
             from ..web import remember_library
 
-            remember_library(recogniser, touches, where)
+            remember_library(recogniser, touches, reading.where)
         written = recogniser.save(output)
     learnt = recogniser.summary()
-    if as_json:
-        print_json({"model": str(written), **learnt})
-        return
-    print(
+    poses = " Poses on the array are learnt too." if recogniser.pose_ else ""
+    answer(
+        as_json,
+        {"model": str(written), **learnt},
         f"Learnt {learnt['n_labels']} {learnt['label']} labels from "
-        f"{learnt['n_train_touches']} touches ({learnt['chosen']['encoding']})."
-        + (" Poses on the array are learnt too." if recogniser.pose_ else "")
+        f"{learnt['n_train_touches']} touches ({learnt['chosen']['encoding']}).{poses}",
+        written,
     )
-    print(written)
 
 
 def _extended(model: Path, training: "Touches | Selection") -> "ObjectRecogniser":

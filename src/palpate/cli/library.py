@@ -5,16 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._options import (
-    AsJson,
-    MaxMegapixels,
-    NamePattern,
-    NoContact,
-    TouchesPath,
-    Where,
-    read_touches,
-)
-from ._output import print_json, table
+from ._options import AsJson, Reading, TouchesPath, Where, argument, grouped, option
+from ._output import answer, print_json, table
 
 if TYPE_CHECKING:
     from ..library import TouchLibrary, TouchRow
@@ -24,95 +16,81 @@ library = typer.Typer(
     help="Keep touches in a library: a folder that never loses one.",
 )
 
-LibraryPath = Annotated[
-    Path, typer.Argument(metavar="LIBRARY", help="The folder of the library.")
-]
+LibraryPath = Annotated[Path, argument("LIBRARY", "The folder of the library.")]
 
 
 @library.command()
+@grouped
 def add(
     folder: LibraryPath,
     touches: TouchesPath,
-    where: Where = None,
+    *,
     session: Annotated[
-        str | None, typer.Option("--session", help="Name of the recording session.")
+        str | None, option("--session", "Name of the recording session.")
     ] = None,
-    episode: Annotated[
-        str | None, typer.Option("--episode", help="Name of the episode.")
-    ] = None,
-    sensor: Annotated[
-        str | None, typer.Option("--sensor", help="Name of the sensor.")
-    ] = None,
+    episode: Annotated[str | None, option("--episode", "Name of the episode.")] = None,
+    sensor: Annotated[str | None, option("--sensor", "Name of the sensor.")] = None,
     kind: Annotated[
-        str | None, typer.Option("--kind", help="Kind of sensor: camera, array...")
+        str | None, option("--kind", "Kind of sensor: camera, array...")
     ] = None,
     unit: Annotated[
-        str | None, typer.Option("--unit", help="Unit of the images, such as kPa.")
+        str | None, option("--unit", "Unit of the images, such as kPa.")
     ] = None,
     pitch_mm: Annotated[
-        float | None,
-        typer.Option("--pitch-mm", help="Distance of neighbouring taxels in mm."),
+        float | None, option("--pitch-mm", "Distance of neighbouring taxels in mm.")
     ] = None,
     topic: Annotated[
-        str | None,
-        typer.Option("--topic", help="Of a bag (ROS 2, MCAP): the topic to read."),
+        str | None, option("--topic", "Of a bag (ROS 2, MCAP): the topic to read.")
     ] = None,
     object_name: Annotated[
-        str | None,
-        typer.Option("--object", help="Of a bag: what is touched in all of it."),
+        str | None, option("--object", "Of a bag: what is touched in all of it.")
     ] = None,
-    name_pattern: NamePattern = None,
-    no_contact: NoContact = None,
-    max_megapixels: MaxMegapixels = 50,
+    reading: Reading,
     as_json: AsJson = False,
 ) -> None:
     """Add touches; LIBRARY is made where there is none. Adding twice adds once."""
-    from ..library import SensorDescription, TouchLibrary
+    from ..library import SensorDescription
 
     if sensor is None and (kind, unit, pitch_mm) != (None, None, None):
         raise ValueError("--kind, --unit and --pitch-mm must come with --sensor NAME.")
     if topic is None:
         if object_name is not None:
             raise ValueError("--object must come with a bag and --topic.")
-        found = read_touches(touches, name_pattern, no_contact, max_megapixels, where)
+        found = reading.touches(touches)
     else:
         from ..library import read_bag
 
-        _refuse_with_topic(
-            {"--where": where, "--name-pattern": name_pattern}
-            | {"--no-contact": no_contact}
-        )
+        _refuse_with_topic(reading)
         found = read_bag(touches, topic, object=object_name)
     described = sensor and SensorDescription(sensor, kind, unit, pitch_mm)
-    with TouchLibrary.open(folder, create=True) as opened:
+    with _opened(folder, create=True) as opened:
         before = opened.stats()
         opened.add(found, session=session, episode=episode, sensor=described or None)
         after = opened.stats()
     n_new = sum(after[:2]) - sum(before[:2])
-    if as_json:
-        print_json({"library": str(folder), "given": len(found), "added": n_new})
-        return
-    print(f"{n_new} of {len(found)} touches are new; {after.n_touches} in {folder}.")
+    answer(
+        as_json,
+        {"library": str(folder), "given": len(found), "added": n_new},
+        f"{n_new} of {len(found)} touches are new; {after.n_touches} in {folder}.",
+    )
 
 
 @library.command("list")
 def list_touches(
     folder: LibraryPath,
     where: Where = None,
-    limit: Annotated[int, typer.Option("--limit", help="At most so many.")] = 50,
-    offset: Annotated[int, typer.Option("--offset", help="After so many.")] = 0,
+    limit: Annotated[int, option("--limit", "At most so many.")] = 50,
+    offset: Annotated[int, option("--offset", "After so many.")] = 0,
     retracted: Annotated[
-        bool, typer.Option("--retracted", help="Show retracted touches too.")
+        bool, option("--retracted", "Show retracted touches too.")
     ] = False,
     objects: Annotated[
-        bool, typer.Option("--objects", help="List objects instead of touches.")
+        bool, option("--objects", "List objects instead of touches.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
     """List touches (or objects) in the order in which they were added."""
-    from ..library import TouchLibrary
-
-    with TouchLibrary.open(folder) as opened:
+    with _opened(folder) as opened:
         rows: list[Any] = (
             opened.objects()
             if objects
@@ -132,34 +110,26 @@ def list_touches(
 @library.command()
 def show(
     folder: LibraryPath,
-    touch: Annotated[
-        str, typer.Argument(help="Id of a touch, or how it begins, as listed.")
-    ],
+    touch: Annotated[str, argument("Id of a touch, or how it begins, as listed.")],
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="Write the image to this .npy file."),
+        Path | None, option("-o", "--output", "Write the image to this .npy file.")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Show what is known of one touch; write its image with -o."""
     import numpy as np
 
-    from ..library import TouchLibrary
-
     if output is not None and output.suffix != ".npy":
         raise ValueError(f"--output must end in .npy, got {output.name!r}.")
-    with TouchLibrary.open(folder) as opened:
+    with _opened(folder) as opened:
         row = _one_touch(opened, touch)
         image = opened.image(row.id)
     known = row._asdict()
     known |= {"least": image.min().item(), "largest": image.max().item()}
     if output is not None:
         np.save(output, image, allow_pickle=False)
-    if as_json:
-        print_json(known)
-        return
-    for name, value in known.items():
-        print(f"{name:10s} {_shown(value)}")
+    lines = (f"{name:10s} {_shown(value)}" for name, value in known.items())
+    answer(as_json, known, *lines)
 
 
 @library.command()
@@ -167,10 +137,10 @@ def export(
     folder: LibraryPath,
     output: Annotated[
         Path,
-        typer.Option(
+        option(
             "-o",
             "--output",
-            help="An archive (.npz), a Parquet file (.parquet), or a new folder "
+            "An archive (.npz), a Parquet file (.parquet), or a new folder "
             "for a LeRobotDataset.",
         ),
     ],
@@ -178,21 +148,17 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """Write touches to an archive, a Parquet file or a LeRobotDataset."""
-    from ..library import TouchLibrary
-
-    with TouchLibrary.open(folder) as opened:
+    with _opened(folder) as opened:
         n_touches = opened.export(output, where)
-    if as_json:
-        print_json({"written": str(output), "n_touches": n_touches})
-        return
-    print(f"{n_touches} touches are in {output}.")
+    written = {"written": str(output), "n_touches": n_touches}
+    answer(as_json, written, f"{n_touches} touches are in {output}.")
 
 
 @library.command()
 def check(
     folder: LibraryPath,
     repair: Annotated[
-        bool, typer.Option("--repair", help="Set aside what is damaged, keep the rest.")
+        bool, option("--repair", "Set aside what is damaged, keep the rest.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -223,30 +189,25 @@ def check(
 @library.command()
 def stats(folder: LibraryPath, as_json: AsJson = False) -> None:
     """Show how much the library holds."""
-    from ..library import TouchLibrary
-
-    with TouchLibrary.open(folder) as opened:
+    with _opened(folder) as opened:
         found = opened.stats()._asdict()
         sensors = [sensor._asdict() for sensor in opened.sensors()]
-    if as_json:
-        print_json({**found, "sensors": sensors})
-        return
-    for name, value in found.items():
-        print(f"{name:15s} {value:,}")
+    lines = [f"{name:15s} {value:,}" for name, value in found.items()]
     for sensor in sensors:
-        print("sensor         ", ", ".join(str(v) for v in sensor.values() if v))
+        lines.append(
+            "sensor          " + ", ".join(str(v) for v in sensor.values() if v)
+        )
+    answer(as_json, {**found, "sensors": sensors}, *lines)
 
 
 @library.command()
 def rename(
     folder: LibraryPath,
-    old: Annotated[str, typer.Argument(help="An object.")],
-    new: Annotated[str, typer.Argument(help="Its new name.")],
+    old: Annotated[str, argument("An object.")],
+    new: Annotated[str, argument("Its new name.")],
 ) -> None:
     """Give an object another name."""
-    from ..library import TouchLibrary
-
-    with TouchLibrary.open(folder) as opened:
+    with _opened(folder) as opened:
         opened.rename_object(old, new)
     print(f"{old} is now {new}.")
 
@@ -254,13 +215,11 @@ def rename(
 @library.command()
 def merge(
     folder: LibraryPath,
-    source: Annotated[str, typer.Argument(help="An object.")],
-    into: Annotated[str, typer.Argument(help="What it really is.")],
+    source: Annotated[str, argument("An object.")],
+    into: Annotated[str, argument("What it really is.")],
 ) -> None:
     """Make two objects one."""
-    from ..library import TouchLibrary
-
-    with TouchLibrary.open(folder) as opened:
+    with _opened(folder) as opened:
         opened.merge_objects(source, into)
     print(f"{source} is now part of {into}.")
 
@@ -268,13 +227,11 @@ def merge(
 @library.command()
 def retract(
     folder: LibraryPath,
-    where: Annotated[str, typer.Argument(help="A filter, as for --where.")],
-    reason: Annotated[str, typer.Option("--reason", help="Why.")],
+    where: Annotated[str, argument("A filter, as for --where.")],
+    reason: Annotated[str, option("--reason", "Why.")],
 ) -> None:
     """Leave touches out from now on; they are kept and can be restored."""
-    from ..library import TouchLibrary
-
-    with TouchLibrary.open(folder) as opened:
+    with _opened(folder) as opened:
         ids = [row.id for row in opened.list(where, limit=None)]
         n_retracted = opened.retract(ids, reason=reason)
     print(f"{n_retracted} touches are retracted.")
@@ -282,13 +239,10 @@ def retract(
 
 @library.command()
 def restore(
-    folder: LibraryPath,
-    where: Annotated[str, typer.Argument(help="A filter, as for --where.")],
+    folder: LibraryPath, where: Annotated[str, argument("A filter, as for --where.")]
 ) -> None:
     """Take retracted touches back in."""
-    from ..library import TouchLibrary
-
-    with TouchLibrary.open(folder) as opened:
+    with _opened(folder) as opened:
         rows = opened.list(where, limit=None, retracted=True)
         n_restored = opened.restore([row.id for row in rows if row.retracted])
     print(f"{n_restored} touches are back.")
@@ -298,9 +252,16 @@ _ID_SHOWN = 12
 _SHOWN = ("id", "object", "session", "episode", "order", "force_n", "retracted")
 
 
-def _refuse_with_topic(options: dict[str, object]) -> None:
+def _opened(folder: Path, *, create: bool = False) -> "TouchLibrary":
+    from ..library import TouchLibrary
+
+    return TouchLibrary.open(folder, create=create)
+
+
+def _refuse_with_topic(reading: Reading) -> None:
     """Refuse what says nothing of a bag."""
-    for name, value in options.items():
+    options = {"--where": reading.where, "--name-pattern": reading.name_pattern}
+    for name, value in {**options, "--no-contact": reading.no_contact}.items():
         if value is not None:
             raise ValueError(
                 f"{name} must be left out with --topic, got {str(value)!r}. All "

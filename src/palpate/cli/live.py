@@ -7,72 +7,40 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._live_options import (
-    Baud,
-    Checksum,
-    ErrorRate,
-    FramingName,
-    Gap,
-    Hold,
-    Place,
-    RateHz,
-    SensorSpec,
-    Shape,
-    Summary,
-    chosen_sensor,
-)
-from ._options import AsJson, ModelPath, NamePattern, NoContact
+from ._options import AsJson, ErrorRate, ModelPath, grouped, option
 from ._output import belief_line, print_json
+from ._sensor import Patience, SensorAddress, SensorOptions, Summary, need_baseline
 
 if TYPE_CHECKING:
     from ..web import LiveSession
 
+Episode = dict[str, Any]
 
+
+@grouped
 def live(
     model: ModelPath,
-    sensor: SensorSpec,
+    sensor: SensorAddress,
+    *,
     touches: Annotated[
-        int, typer.Option("-n", "--touches", help="Most touches of an episode.")
+        int, option("-n", "--touches", "Most touches of an episode.")
     ] = 30,
     episodes: Annotated[
-        int,
-        typer.Option("--episodes", help="How many episodes; 0 goes on until Ctrl-C."),
+        int, option("--episodes", "How many episodes; 0 goes on until Ctrl-C.")
     ] = 1,
-    timeout: Annotated[
-        float, typer.Option("--timeout", help="Give up after so long without a touch.")
-    ] = 120.0,
+    timeout: Patience = 120.0,
     error: ErrorRate = 0.01,
     summary: Summary = "peak",
-    shape: Shape = None,
-    rate: RateHz = None,
-    baud: Baud = None,
-    framing: FramingName = None,
-    checksum: Checksum = True,
-    hold: Hold = None,
-    gap: Gap = None,
-    place: Place = None,
-    name_pattern: NamePattern = None,
-    no_contact: NoContact = None,
+    options: SensorOptions,
     as_json: AsJson = False,
 ) -> None:
     """Recognise touch by touch, live: an episode ends when the object is decided."""
     from ..web import LiveSession
 
-    chosen = chosen_sensor(
-        sensor,
-        shape=shape,
-        rate=rate,
-        baud=baud,
-        framing=framing,
-        checksum=checksum,
-        hold=hold,
-        gap=gap,
-        no_contact=no_contact,
-        name_pattern=name_pattern,
-        place=place,
+    done: list[Episode] = []
+    session = LiveSession(
+        options.open(sensor), model=model, error=error, summary=summary
     )
-    done: list[dict[str, Any]] = []
-    session = LiveSession(chosen, model=model, error=error, summary=summary)
     found: queue.Queue[dict[str, Any]] = queue.Queue()
     session.listeners.add(
         lambda event: (
@@ -80,15 +48,13 @@ def live(
         )
     )
     with session:
-        if session.baseline is None:
-            print("Leave the sensor alone: taking its baseline.", file=sys.stderr)
-            session.take_baseline()
+        need_baseline(session)
         try:
             while episodes == 0 or len(done) < episodes:
-                told = _episode(session, found, touches, timeout, quiet=as_json)
-                if told is None:
+                episode = _episode(session, found, touches, timeout, quiet=as_json)
+                if episode is None:
                     break
-                done.append(told)
+                done.append(episode)
         except KeyboardInterrupt:
             print("Ended.", file=sys.stderr)
     if as_json:
@@ -104,36 +70,34 @@ def _episode(
     timeout_s: float,
     *,
     quiet: bool,
-) -> dict[str, Any] | None:
+) -> Episode | None:
     """Follow one episode to its decision; None where no touch comes."""
     if not quiet:
         print("Touch an object.")
-    while True:
-        told = _next_touch(session, found, timeout_s)
-        if told is None:
-            return None
-        touch = told["touches"][-1]
+    while (episode := _next_touch(session, found, timeout_s)) is not None:
+        touch = episode["touches"][-1]
         if not quiet:
             print(belief_line(touch["number"], touch["posterior"]), flush=True)
-        if told["decision"] is not None or touch["number"] >= most:
+        if episode["decision"] is not None or touch["number"] >= most:
             if not quiet:
-                print(f"  {told['reason']}\n", flush=True)
+                print(f"  {episode['reason']}\n", flush=True)
             return session.end_episode()
+    return None
 
 
 def _next_touch(
     session: "LiveSession", found: "queue.Queue[dict[str, Any]]", timeout_s: float
-) -> dict[str, Any] | None:
+) -> Episode | None:
     """Wait for a touch and return the episode; None, and why, where none is taken."""
     end_s = time.monotonic() + timeout_s
     while True:
         try:
-            told = found.get(timeout=max(0.0, end_s - time.monotonic()))
+            event = found.get(timeout=max(0.0, end_s - time.monotonic()))
         except queue.Empty:
             print(f"No touch in {timeout_s:g} s: ended.", file=sys.stderr)
             return None
-        if "lesson" not in told:
-            episode: dict[str, Any] = told["episode"]
+        if "lesson" not in event:
+            episode: Episode = event["episode"]
             return episode
         if session.trouble:
             print(f"palpate: {session.trouble}", file=sys.stderr)

@@ -1,24 +1,20 @@
 """`palpate recognise`: model and touches -> a belief after each touch."""
 
 from math import isfinite
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from ._options import (
     AsJson,
     Calibration,
-    MaxMegapixels,
+    ErrorRate,
     ModelPath,
-    NamePattern,
-    NoContact,
+    Reading,
     TouchesPath,
-    Where,
+    Working,
     calibrated,
-    read_touches,
+    grouped,
 )
-from ._output import belief_line, print_json
-from ._workers import Cluster, Workers, working
+from ._output import belief_line, print_json, stages
 
 if TYPE_CHECKING:
     from ..recognition import ObjectRecogniser
@@ -29,31 +25,25 @@ SHOWN_ALL = 5
 SHOWN_LATER = (8, 12, 20, 30, 50, 100)
 
 
+@grouped
 def recognise(
     model: ModelPath,
     touches: TouchesPath,
-    error: Annotated[
-        float, typer.Option("--error", help="Accepted share of wrong decisions.")
-    ] = 0.01,
-    where: Where = None,
-    name_pattern: NamePattern = None,
-    no_contact: NoContact = None,
+    *,
+    error: ErrorRate = 0.01,
+    reading: Reading,
     calibration: Calibration = None,
-    max_megapixels: MaxMegapixels = 50,
-    workers: Workers = None,
-    cluster: Cluster = None,
+    working: Working,
     as_json: AsJson = False,
 ) -> None:
     """Recognise touch by touch: one episode per object (and session) of TOUCHES."""
     from ..recognition import ObjectRecogniser
-    from ._stages import Stages
 
-    with Stages() as stage, working(workers, cluster):
+    with stages() as stage, working.started():
         stage(f"reading {model}")
         recogniser = ObjectRecogniser.load(model)
         stage(f"reading {touches}")
-        tested = read_touches(touches, name_pattern, no_contact, max_megapixels, where)
-        tested = calibrated(tested, calibration)
+        tested = calibrated(reading.touches(touches), calibration)
         stage(f"recognising {len(tested)} touches")
         episodes = recognise_episodes(recogniser, tested, error)
     if as_json:

@@ -5,71 +5,44 @@ from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from ._live_options import (
-    Baud,
-    Checksum,
-    ErrorRate,
-    FramingName,
-    Gap,
-    Hold,
-    Place,
-    RateHz,
-    Shape,
-    Summary,
-    chosen_sensor,
-)
-from ._options import AsJson, NamePattern, NoContact
+from ._options import AsJson, ErrorRate, grouped, option
 from ._output import print_json
+from ._sensor import ADDRESS, SensorOptions, Summary
 
 HERE = "127.0.0.1"
 
 
+@grouped
 def serve(
+    *,
     sensor: Annotated[
         str | None,
-        typer.Option(
-            "--sensor",
-            help="camera:NAME, serial:PORT, replay:PATH or sim:OBJECT. Without one "
-            "touches come through the API alone.",
+        option(
+            "--sensor", f"{ADDRESS} Without one touches come through the API alone."
         ),
     ] = None,
     model: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--model",
-            help="Model file to start from; learning writes it. Default: "
+            "Model file to start from; learning writes it. Default: "
             "model.palpate in the library.",
         ),
     ] = None,
     library: Annotated[
         Path | None,
-        typer.Option(
-            "--library", help="Folder that keeps what is taught; made if missing."
-        ),
+        option("--library", "Folder that keeps what is taught; made if missing."),
     ] = None,
     host: Annotated[
         str,
-        typer.Option(
-            "--host", help="Address to listen on; other than 127.0.0.1 is the network."
-        ),
+        option("--host", "Address to listen on; other than 127.0.0.1 is the network."),
     ] = HERE,
     port: Annotated[
-        int, typer.Option("--port", help="Port to listen on; 0 takes a free one.")
+        int, option("--port", "Port to listen on; 0 takes a free one.")
     ] = 8765,
     error: ErrorRate = 0.01,
     summary: Summary = "peak",
-    shape: Shape = None,
-    rate: RateHz = None,
-    baud: Baud = None,
-    framing: FramingName = None,
-    checksum: Checksum = True,
-    hold: Hold = None,
-    gap: Gap = None,
-    place: Place = None,
-    name_pattern: NamePattern = None,
-    no_contact: NoContact = None,
+    options: SensorOptions,
     as_json: AsJson = False,
 ) -> None:
     """Serve the page and the API of one sensor, to whoever has the printed address."""
@@ -83,21 +56,7 @@ def serve(
     )
 
     require_web()
-    chosen = None
-    if sensor is not None:
-        chosen = chosen_sensor(
-            sensor,
-            shape=shape,
-            rate=rate,
-            baud=baud,
-            framing=framing,
-            checksum=checksum,
-            hold=hold,
-            gap=gap,
-            no_contact=no_contact,
-            name_pattern=name_pattern,
-            place=place,
-        )
+    chosen = None if sensor is None else options.open(sensor)
     token = new_token()
     with (
         closing(open_socket(host, port)) as socket,

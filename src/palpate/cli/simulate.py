@@ -1,14 +1,19 @@
 """`palpate simulate`: touches of a sensor that is not there, as a touch archive."""
 
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._options import AsJson, Seed
-from ._output import print_json
-from ._workers import checked_workers
+from ._options import AsJson, Seed, argument, checked_workers, grouped, option
+from ._output import answer
 
+if TYPE_CHECKING:
+    from ..simulation import DomeCamera, SimObject, TacTipPins
+    from ..touches import Touches
+
+SETS = ("household", "unseen", "shapes")
 # Share of the pitch that senses, where --sensing is not given (the paper's 1.3 / 2).
 SENSING_SHARE = 0.65
 
@@ -16,17 +21,79 @@ simulate = typer.Typer(
     no_args_is_help=True, help="Make touches with a simulated sensor."
 )
 
-Output = Annotated[
-    Path, typer.Option("-o", "--output", help="The touch archive to write (.npz).")
-]
-
-
+Output = Annotated[Path, option("-o", "--output", "The touch archive to write (.npz).")]
 Workers = Annotated[
-    int,
-    typer.Option(
-        "--workers", help="Processes; -1 for all cores.", callback=checked_workers
+    int, option("--workers", "Processes; -1 for all cores.", callback=checked_workers)
+]
+Objects = Annotated[
+    list[str] | None,
+    argument(
+        "OBJECT",
+        "Names (mug, 'porridge pot'...), the sets household, unseen or shapes, or "
+        "mesh files (.stl .obj .ply). Default: household.",
     ),
 ]
+Rows = Annotated[int, option("--rows", "Rows of the picture.")]
+Cols = Annotated[int, option("--cols", "Columns of the picture.")]
+Unit = Annotated[str, option("--unit", "Unit of mesh files: mm, cm, m or in.")]
+Force = Annotated[float, option("--force", "A press ends at so many N.")]
+
+
+@dataclass(frozen=True)
+class DomeTouches:
+    """How objects are touched by a dome, and where the touches go."""
+
+    output: Output
+    objects: Objects = None
+    touches: Annotated[int, option("--touches", "Touches of each object.")] = 60
+    sessions: Annotated[
+        int,
+        option(
+            "--sessions",
+            "Recordings: in each the object is turned anew and the camera drifts.",
+        ),
+    ] = 1
+    any_pose: Annotated[
+        bool, option("--any-pose", "Let objects rest on any of their faces.")
+    ] = False
+    aim_sd: Annotated[
+        float, option("--aim-sd", "Presses face the centre to within this sd, mm.")
+    ] = 5.0
+    no_drift: Annotated[
+        bool, option("--no-drift", "Keep exposure and place in all sessions.")
+    ] = False
+    unit: Unit = "mm"
+    workers: Workers = -1
+    seed: Seed = 0
+    as_json: AsJson = False
+
+    def make(self, camera: "DomeCamera | TacTipPins") -> None:
+        """Touch the objects and write the archive."""
+        from ..simulation import BASIC_SHAPES, simulate_touches
+
+        things = find_objects(self.objects, self.unit)
+        check_output(self.output)
+        shapes = [thing in BASIC_SHAPES for thing in things]
+        if any(shapes) and not all(shapes):
+            raise ValueError(
+                "The basic shapes are touched from above, other objects from all "
+                "sides; simulate them into archives of their own."
+            )
+        made = simulate_touches(
+            things,
+            self.touches,
+            camera,
+            "above" if all(shapes) else "hemisphere",
+            pose="any" if self.any_pose else "usual",
+            aim_sd_mm=self.aim_sd,
+            drift=not self.no_drift,
+            n_sessions=self.sessions,
+            n_jobs=self.workers,
+            random_state=self.seed,
+            progress=None,
+        )
+        names = [thing.name for thing in things]
+        _write(made, self.output, "Touched", "objects", names, self.as_json)
 
 
 @simulate.command()
@@ -34,59 +101,56 @@ def array(
     output: Output,
     parts: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[PART]...",
-            help="Names (bar10, disc13-hole8...) or numbers, 1 to 12. Default: all.",
+        argument(
+            "PART", "Names (bar10, disc13-hole8...) or numbers, 1 to 12. Default: all."
         ),
     ] = None,
-    presses: Annotated[int, typer.Option("--presses", help="Presses of each.")] = 20,
-    rows: Annotated[int, typer.Option("--rows", help="Taxels down.")] = 10,
-    cols: Annotated[int, typer.Option("--cols", help="Taxels across.")] = 10,
-    pitch: Annotated[
-        float, typer.Option("--pitch", help="Distance of taxels, mm.")
-    ] = 2.0,
+    presses: Annotated[int, option("--presses", "Presses of each.")] = 20,
+    rows: Annotated[int, option("--rows", "Taxels down.")] = 10,
+    cols: Annotated[int, option("--cols", "Taxels across.")] = 10,
+    pitch: Annotated[float, option("--pitch", "Distance of taxels, mm.")] = 2.0,
     sensing: Annotated[
         float | None,
-        typer.Option("--sensing", help="Side of what a taxel senses, mm. [0.65 pitch]"),
+        option("--sensing", "Side of what a taxel senses, mm. [0.65 pitch]"),
     ] = None,
     load: Annotated[
-        str, typer.Option("--load", help="Load in kgf, or a range such as 1:5.")
+        str, option("--load", "Load in kgf, or a range such as 1:5.")
     ] = "4",
-    cover: Annotated[
-        float, typer.Option("--cover", help="Thickness of the cover, mm.")
-    ] = 0.9,
+    cover: Annotated[float, option("--cover", "Thickness of the cover, mm.")] = 0.9,
     shift: Annotated[
-        float, typer.Option("--shift", help="Parts lie off the middle by up to, mm.")
+        float, option("--shift", "Parts lie off the middle by up to, mm.")
     ] = 1.0,
     turn: Annotated[
-        float, typer.Option("--turn", help="Parts are turned by up to, degrees.")
+        float, option("--turn", "Parts are turned by up to, degrees.")
     ] = 180.0,
     tilt: Annotated[
-        float, typer.Option("--tilt", help="Standard deviation of tilt, degrees.")
+        float, option("--tilt", "Standard deviation of tilt, degrees.")
     ] = 0.1,
     roughness: Annotated[
-        float, typer.Option("--roughness", help="Unevenness of the faces, µm.")
+        float, option("--roughness", "Unevenness of the faces, µm.")
     ] = 10.0,
     gain_spread: Annotated[
-        float, typer.Option("--gain-spread", help="Spread of the taxels' gains.")
+        float, option("--gain-spread", "Spread of the taxels' gains.")
     ] = 0.1,
     dead_zone: Annotated[
-        float, typer.Option("--dead-zone", help="Less than this is not felt, kPa.")
+        float, option("--dead-zone", "Less than this reads 0, kPa.")
     ] = 69.0,
     full_scale: Annotated[
-        float, typer.Option("--full-scale", help="Stress that reads 255, kPa.")
+        float, option("--full-scale", "Stress that reads 255, kPa.")
     ] = 4000.0,
     noise: Annotated[
-        float, typer.Option("--noise", help="Standard deviation of a reading, kPa.")
+        float, option("--noise", "Standard deviation of a reading, kPa.")
     ] = 8.0,
     device: Annotated[
-        int, typer.Option("--device", help="Which array: seed of its taxels' gains.")
+        int, option("--device", "Which array: seed of its taxels' gains.")
     ] = 0,
     workers: Workers = 1,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
     """Press flat parts on a pressure array, each time laid down anew."""
+    import numpy as np
+
     from ..simulation import PressureArray, simulate_presses
 
     check_output(output)
@@ -113,13 +177,78 @@ def array(
         random_state=seed,
         n_jobs=workers,
     )
+    names = list(dict.fromkeys(np.asarray(made.object).tolist()))
+    _write(made, output, "Pressed", "parts", names, as_json)
+
+
+@simulate.command()
+@grouped
+def dome(
+    *,
+    rows: Rows = 120,
+    cols: Cols = 120,
+    force: Force = 0.735,
+    youngs: Annotated[
+        float, option("--youngs", "Young's modulus of the rubber, MPa.")
+    ] = 0.11,
+    thickness: Annotated[
+        float, option("--thickness", "Thickness of the rubber, mm.")
+    ] = 1.5,
+    leds: Annotated[int, option("--leds", "Number of LEDs.")] = 8,
+    gain: Annotated[float, option("--gain", "Exposure.")] = 1.0,
+    noise: Annotated[
+        float, option("--noise", "Noise of a picture, grey levels.")
+    ] = 3.6,
+    way: DomeTouches,
+) -> None:
+    """Touch objects with a rubber dome and the camera behind it."""
+    from ..simulation import DomeCamera
+
+    way.make(
+        DomeCamera(
+            image_shape=(rows, cols),
+            force_n=force,
+            youngs_mpa=youngs,
+            thickness_mm=thickness,
+            n_leds=leds,
+            gain=gain,
+            noise_sd=noise,
+        )
+    )
+
+
+@simulate.command()
+@grouped
+def pins(
+    *,
+    rows: Rows = 300,
+    cols: Cols = 300,
+    force: Force = 0.735,
+    rings: Annotated[int, option("--rings", "Rings of pins.")] = 6,
+    way: DomeTouches,
+) -> None:
+    """Touch objects with a dome whose inside carries pins, as a TacTip's does."""
+    from ..simulation import TacTipPins
+
+    usual = TacTipPins()
+    seen = replace(usual.dome, image_shape=(rows, cols), force_n=force)
+    way.make(replace(usual, dome=seen, n_rings=rings))
+
+
+def _write(
+    made: "Touches",
+    output: Path,
+    done: str,
+    things: str,
+    names: list[str],
+    as_json: bool,
+) -> None:
+    """Write the archive and tell what is in it."""
     made.save(output)
-    names = list(dict.fromkeys(map(str, made.object)))  # type: ignore[arg-type]
-    if as_json:
-        print_json({"touches": str(output), "n_touches": len(made), "objects": names})
-        return
-    print(f"Pressed {len(names)} parts, {len(made)} touches.")
-    print(output)
+    values = {"touches": str(output), "n_touches": len(made), "objects": names}
+    answer(
+        as_json, values, f"{done} {len(names)} {things}, {len(made)} touches.", output
+    )
 
 
 def _parts(names: list[str] | None) -> list[str | int]:
@@ -149,3 +278,43 @@ def check_output(path: Path) -> None:
         raise ValueError(f"--output must end in .npz, got {path.name!r}.")
     if not path.parent.is_dir():
         raise ValueError(f"There is no folder {path.parent} to write to; make it.")
+
+
+def find_objects(names: list[str] | None, unit: str) -> "list[SimObject]":
+    """Return the objects that names, sets and mesh files stand for.
+
+    Raises
+    ------
+    ValueError
+        There is no such object, or two of them have one name: their touches would
+        be those of one.
+    """
+    from ..simulation import (
+        BASIC_SHAPES,
+        HOUSEHOLD,
+        MESH_SUFFIXES,
+        UNSEEN,
+        find_object,
+        load_mesh,
+    )
+
+    sets = dict(zip(SETS, (HOUSEHOLD, UNSEEN, BASIC_SHAPES), strict=True))
+    given_as: dict[str, str] = {}
+    found: list[SimObject] = []
+    for name in names or ["household"]:
+        if name in sets:
+            things = sets[name]
+        elif Path(name).suffix.lower() in MESH_SUFFIXES:
+            things = (load_mesh(name, unit=unit),)
+        else:
+            things = (find_object(name),)
+        for thing in things:
+            if thing.name in given_as:
+                raise ValueError(
+                    f"OBJECT must name each object once, got {thing.name!r} as "
+                    f"{given_as[thing.name]!r} and {name!r}. Leave one out; a mesh "
+                    "file is called as its object, so rename it."
+                )
+            given_as[thing.name] = name
+        found += things
+    return found

@@ -4,38 +4,41 @@ import sys
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
-from ._options import AsJson, Seed
+from ._options import (
+    AsJson,
+    ListNames,
+    Report,
+    Seed,
+    Working,
+    argument,
+    grouped,
+    option,
+)
 from ._output import print_json, table
-from ._workers import Cluster, Workers, working
 
 
+@grouped
 def study(
-    name: Annotated[str, typer.Argument(help="Which study; see --list.")] = "",
+    *,
+    name: Annotated[str, argument("Which study; see --list.")] = "",
     data: Annotated[
         Path | None,
-        typer.Option(
-            "--data", help="Folder of recorded touches. Default: PALPATE_DATA."
-        ),
+        option("--data", "Folder of recorded touches. Default: PALPATE_DATA."),
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="A first look, few runs and small grids.")
+        bool, option("--quick", "A first look, few runs and small grids.")
     ] = False,
     protocol: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--protocol",
-            help="liu2014: nested (parameters chosen inside the training half) or "
+            "liu2014: nested (parameters chosen inside the training half) or "
             "paper (on the runs reported). Default: both.",
         ),
     ] = None,
-    workers: Workers = None,
-    cluster: Cluster = None,
-    report: Annotated[
-        Path | None, typer.Option("--report", help="Write one self-contained .html.")
-    ] = None,
-    list_names: Annotated[bool, typer.Option("--list", help="List them.")] = False,
+    working: Working,
+    report: Report = None,
+    list_names: ListNames = False,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
@@ -51,7 +54,7 @@ def study(
     options: dict[str, Any] = {"data": data, "quick": quick, "seed": seed}
     if protocol is not None:
         options["protocol"] = protocol
-    with working(-1 if workers is None and cluster is None else workers, cluster) as n:
+    with working.started(usual=-1) as n:
         _run(name, {**options, "workers": n}, report, as_json)
 
 

@@ -1,28 +1,23 @@
-"""Image -> vector: one estimator per file, and what puts features on one scale."""
+"""Image -> vector: encoders of images, and what puts features on one scale."""
 
-from ._first_features import FirstFeatures
-from ._fourier import FourierDescriptors
-from ._geometry import ShapeGeometry
 from ._hu import HuMoments
 from ._kernel_pca import KernelPCA
-from ._moments import CentroidMoments, sorted_taxels
-from ._names import ENCODINGS, Encoding, encoder_named
-from ._oriented_pca import OrientedPCA
+from ._moments import CentroidMoments
+from ._moments import sorted_taxels as sorted_taxels
+from ._named import ENCODINGS as ENCODINGS
+from ._named import encoder_named
+from ._pixels import ScaledPixels, TaxelVector
 from ._polar_gradients import PolarGradients
-from ._principal_share import PrincipalShare
-from ._root import RootScaler
-from ._scaled_pixels import ScaledPixels
-from ._taxel_vector import TaxelVector
-from ._union import EncodingUnion
+from ._principal import OrientedPCA, PrincipalShare, ZernikePCA
+from ._shape import FourierDescriptors, ShapeGeometry
+from ._union import EncodingUnion, RootScaler
 from ._zernike import ZernikeMoments
-from ._zernike_pca import ZernikePCA
+from ._zernike_polynomials import zernike_degrees as zernike_degrees
+from ._zernike_polynomials import zernike_values as zernike_values
 
 __all__ = [
-    "ENCODINGS",
     "CentroidMoments",
-    "Encoding",
     "EncodingUnion",
-    "FirstFeatures",
     "FourierDescriptors",
     "HuMoments",
     "KernelPCA",
@@ -36,5 +31,4 @@ __all__ = [
     "ZernikeMoments",
     "ZernikePCA",
     "encoder_named",
-    "sorted_taxels",
 ]

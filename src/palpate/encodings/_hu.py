@@ -1,17 +1,16 @@
 """Hu's seven moments: what a shape keeps when it is moved, turned and scaled."""
 
-from typing import Self
+from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, TransformerMixin
-from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_count, check_images, check_option
+from .._checks import check_count, check_option
+from .._image_estimator import ImageEstimator
+from .._types import Array, Floats
 from ..images import CentralMoments, above_least, central_moments, inscribed_mask
 
-Floats = NDArray[np.float64]
 N_MOMENTS = 7
 LEVELS = ("above-least", "raw")
 REGIONS = ("disc", "frame")
@@ -19,7 +18,7 @@ REGIONS = ("disc", "frame")
 _SMALLEST = 1e-12
 
 
-class HuMoments(TransformerMixin, BaseEstimator):
+class HuMoments(ImageEstimator):
     """Encode tactile images by Hu's moment invariants.
 
     Parameters
@@ -36,11 +35,6 @@ class HuMoments(TransformerMixin, BaseEstimator):
     log : bool, default=False
         Replace h by sign(h) log10(1 + |h| / 1e-12): the seven differ by many orders
         of magnitude.
-
-    Attributes
-    ----------
-    image_shape_ : tuple of int
-        (n_rows, n_cols) of the images seen by `fit`.
 
     Notes
     -----
@@ -72,13 +66,10 @@ class HuMoments(TransformerMixin, BaseEstimator):
         log: bool = False,
     ) -> None:
         self.n_components = n_components
-        self.region = region
-        self.levels = levels
+        self.region, self.levels = region, levels
         self.log = log
 
-    def fit(self, X: ArrayLike, y: object = None) -> Self:
-        """Learn the image size; `y` is ignored."""
-        images = check_images(X)
+    def _learn(self, images: Array) -> None:
         if check_count("n_components", self.n_components) > N_MOMENTS:
             raise ValueError(
                 f"n_components must be at most 7, got {self.n_components}. "
@@ -86,13 +77,10 @@ class HuMoments(TransformerMixin, BaseEstimator):
             )
         check_option("region", self.region, REGIONS)
         check_option("levels", self.levels, LEVELS)
-        self.image_shape_ = (images.shape[1], images.shape[2])
-        return self
 
     def transform(self, X: ArrayLike) -> Floats:
         """Return the moments, shape (n_touches, n_components)."""
-        check_is_fitted(self)
-        images = check_images(X, shape=self.image_shape_)
+        images = self._images(X)
         mask = np.ones(self.image_shape_, dtype=bool)
         if self.region == "disc":
             mask = inscribed_mask(*self.image_shape_)
@@ -101,16 +89,10 @@ class HuMoments(TransformerMixin, BaseEstimator):
         invariants = _hu(central_moments(seen))[:, : self.n_components]
         return _signed_log(invariants) if self.log else invariants
 
-    def get_feature_names_out(self, input_features: object = None) -> NDArray:
+    def get_feature_names_out(self, input_features: object = None) -> Array:
         """Return "hu1" to "hu7"."""
         check_is_fitted(self)
         return np.array([f"hu{i + 1}" for i in range(self.n_components)], dtype=object)
-
-    def __sklearn_tags__(self) -> Tags:
-        tags = super().__sklearn_tags__()
-        tags.input_tags.two_d_array = False
-        tags.input_tags.three_d_array = True
-        return tags
 
 
 def _relative(images: Floats, mask: NDArray[np.bool_]) -> Floats:

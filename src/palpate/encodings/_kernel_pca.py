@@ -5,11 +5,12 @@ the leading principal directions of its feature space. New touches are centred b
 the training touches, never by each other.
 """
 
-from numbers import Integral
+from __future__ import annotations
+
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import eigh
 from scipy.spatial.distance import pdist
 from sklearn.base import (
@@ -20,12 +21,12 @@ from sklearn.base import (
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from .._checks import (
-    check_count,
-    check_number,
     check_option,
     check_squarable,
     check_width,
 )
+from .._types import Floats
+from ._principal import Components, check_components
 
 # Eigenvalues below this share of the largest are rounding noise.
 _RANK_TOLERANCE = 1e-12
@@ -91,7 +92,7 @@ class KernelPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator
 
     def __init__(
         self,
-        n_components: int | float | None = None,
+        n_components: Components = None,
         *,
         sigma: float | None = None,
         scaling: str = "unit",
@@ -105,36 +106,38 @@ class KernelPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator
         self._fit(X)
         return self
 
-    def fit_transform(
-        self, X: ArrayLike, y: object = None, **params: object
-    ) -> NDArray[np.float64]:
+    def fit_transform(self, X: ArrayLike, y: object = None, **params: object) -> Floats:
         """Learn the directions of `X` and return its scores."""
-        return self._fit(X) @ self.coefficients_ - self.offset_
+        return self._scores(self._fit(X))
 
-    def transform(self, X: ArrayLike) -> NDArray[np.float64]:
+    def transform(self, X: ArrayLike) -> Floats:
         """Return the scores of `X`, shape (n_touches, n_components_)."""
         check_is_fitted(self)
         touches = validate_data(self, X, dtype=np.float64, reset=False)
         check_squarable("X", touches)
         kernel = _kernel(touches - self.mean_, self.touches_, self.sigma_)
-        return kernel @ self.coefficients_ - self.offset_
+        return self._scores(kernel)
 
     @property
     def _n_features_out(self) -> int:
         return self.n_components_
 
-    def _fit(self, X: ArrayLike) -> NDArray[np.float64]:
+    def _fit(self, X: ArrayLike) -> Floats:
         """Fit, and return the kernel of the training touches."""
         touches = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
         check_squarable("X", touches)
         check_option("scaling", self.scaling, ("unit", "paper"))
-        wanted = _check_components(self.n_components)
+        wanted = check_components(self.n_components, whole=True)
         self.mean_ = touches.mean(axis=0)
         self.touches_ = touches - self.mean_
         self.sigma_ = self._choose_sigma()
         kernel = _kernel(self.touches_, self.touches_, self.sigma_)
         self._learn(kernel, wanted)
         return kernel
+
+    def _scores(self, kernel: Floats) -> Floats:
+        scores: Floats = kernel @ self.coefficients_ - self.offset_
+        return scores
 
     def _choose_sigma(self) -> float:
         if self.sigma is not None:
@@ -148,7 +151,7 @@ class KernelPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator
             )
         return float(np.median(apart))
 
-    def _learn(self, kernel: NDArray[np.float64], wanted: int | float | None) -> None:
+    def _learn(self, kernel: Floats, wanted: Components) -> None:
         column_mean = kernel.mean(axis=0)
         centred = kernel - column_mean
         centred -= centred.mean(axis=1, keepdims=True)
@@ -173,23 +176,7 @@ class KernelPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator
         self.offset_ = column_mean @ self.coefficients_
 
 
-def _check_components(value: object) -> int | float | None:
-    if value is None:
-        return None
-    if isinstance(value, Integral):
-        return check_count("n_components", value)
-    share = check_number("n_components", value, low=0, high=1)
-    if share == 0:
-        raise ValueError(
-            "n_components must be a count or a share of variance above 0, got 0.0. "
-            "Pass an integer for a count."
-        )
-    return share
-
-
-def _kernel(
-    left: NDArray[np.float64], right: NDArray[np.float64], sigma: float
-) -> NDArray[np.float64]:
+def _kernel(left: Floats, right: Floats, sigma: float) -> Floats:
     """Gaussian kernel less 1, which centring removes: wide kernels keep digits."""
     norms = (left**2).sum(axis=1)[:, None] + (right**2).sum(axis=1)
     squared = norms - 2 * left @ right.T
@@ -198,12 +185,11 @@ def _kernel(
     # Touches many widths apart are infinitely so: their kernel is 0.
     with np.errstate(over="ignore"):
         exponent = squared / (-2 * sigma**2)
-    return np.expm1(exponent)
+    kernel: Floats = np.expm1(exponent)
+    return kernel
 
 
-def _leading(
-    centred: NDArray[np.float64], wanted: int | float | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _leading(centred: Floats, wanted: Components) -> tuple[Floats, Floats]:
     """Eigenvalues (falling, above rounding) and eigenvectors with fixed signs."""
     n = len(centred)
     subset = None
@@ -223,9 +209,7 @@ def _leading(
     return values, vectors * np.sign(vectors[pivot, np.arange(len(values))])
 
 
-def _count_kept(
-    values: NDArray[np.float64], total: float, wanted: int | float | None
-) -> int:
+def _count_kept(values: Floats, total: float, wanted: Components) -> int:
     if isinstance(wanted, float):
         share = np.cumsum(values) / total
         return min(int(np.searchsorted(share, wanted - 1e-12)) + 1, len(values))

@@ -6,23 +6,24 @@ a press only turns the phase of its complex moments, so their magnitudes stay.
 `sorted_taxels` is the control: what can be told without any geometry.
 """
 
+from __future__ import annotations
+
 from math import comb, factorial, sqrt
-from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, TransformerMixin
-from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_images, check_option, check_positive
+from .._image_estimator import ImageEstimator
+from .._types import Array, Floats
 
 _NORMALISATIONS = ("energy", "total", None)
 # Powers of the coordinates lose all digits to cancellation beyond this order.
 _HIGHEST_ORDER = 20
 
 
-class CentroidMoments(TransformerMixin, BaseEstimator):
+class CentroidMoments(ImageEstimator):
     """Encode presses by moments that do not depend on place, angle and gain.
 
     Parameters
@@ -77,29 +78,22 @@ class CentroidMoments(TransformerMixin, BaseEstimator):
         normalise: str | None = "energy",
         centre_power: float = 2.0,
     ) -> None:
-        self.order = order
-        self.width = width
-        self.normalise = normalise
-        self.centre_power = centre_power
+        self.order, self.width = order, width
+        self.normalise, self.centre_power = normalise, centre_power
 
-    def fit(self, X: ArrayLike, y: object = None) -> Self:
-        """Build the patterns for images of the size of `X`; `y` is ignored."""
-        images = check_images(X)
+    def _learn(self, images: Array) -> None:
         order = check_count("order", self.order, at_least=0)
         if order > _HIGHEST_ORDER:
             raise ValueError(f"order must be at most {_HIGHEST_ORDER}, got {order}.")
         check_positive("width", self.width)
         check_option("normalise", self.normalise, _NORMALISATIONS)
         check_positive("centre_power", self.centre_power)
-        self.image_shape_ = (images.shape[1], images.shape[2])
         degrees = [(n, m) for n in range(order + 1) for m in range(n % 2, n + 1, 2)]
         self.degrees_ = np.array(degrees)
         self.patterns_ = np.stack([_pattern(n, m, order) for n, m in degrees])
-        return self
 
-    def transform(self, X: ArrayLike) -> NDArray[np.float64]:
+    def transform(self, X: ArrayLike) -> Floats:
         """Return the invariant moments, shape (n_touches, n_moments)."""
-        check_is_fitted(self)
         moments = self.complex_moments(X)
         waves = self.degrees_[:, 1] > 0
         return np.where(waves, np.abs(moments), moments.real)
@@ -110,8 +104,7 @@ class CentroidMoments(TransformerMixin, BaseEstimator):
         A press turned by an angle a from the column axis towards the row axis has
         its moments multiplied by exp(-i m a).
         """
-        check_is_fitted(self)
-        images = check_images(X, shape=self.image_shape_)
+        images = self._images(X)
         scale = self.width * min(self.image_shape_) / 2
         levels = images / _size(images, self.normalise)[:, None, None]
         row, col = _centroid(levels, self.centre_power)
@@ -123,19 +116,13 @@ class CentroidMoments(TransformerMixin, BaseEstimator):
         # Conjugated, as moments are integrals against the pattern's conjugate.
         return flat @ self.patterns_.conj().reshape(len(self.patterns_), -1).T
 
-    def get_feature_names_out(self, input_features: object = None) -> NDArray:
+    def get_feature_names_out(self, input_features: object = None) -> Array:
         """Return "moment<n>,<m>" for each moment."""
         check_is_fitted(self)
         return np.array([f"moment{n},{m}" for n, m in self.degrees_], dtype=object)
 
-    def __sklearn_tags__(self) -> Tags:
-        tags = super().__sklearn_tags__()
-        tags.input_tags.two_d_array = False
-        tags.input_tags.three_d_array = True
-        return tags
 
-
-def sorted_taxels(images: ArrayLike, *, normalise: bool = False) -> NDArray[np.float64]:
+def sorted_taxels(images: ArrayLike, *, normalise: bool = False) -> Floats:
     """Return each image's levels, largest first: all that is left without geometry.
 
     What a recogniser reaches on these is what it does not owe to shape.
@@ -156,7 +143,7 @@ def sorted_taxels(images: ArrayLike, *, normalise: bool = False) -> NDArray[np.f
     return np.sort(checked.reshape(len(checked), -1), axis=1)[:, ::-1]
 
 
-def _size(images: NDArray[np.float64], normalise: str | None) -> NDArray[np.float64]:
+def _size(images: Floats, normalise: str | None) -> Floats:
     """What each image is divided by, 1 where that would be 0."""
     if normalise is None:
         return np.ones(len(images))
@@ -171,9 +158,7 @@ def _size(images: NDArray[np.float64], normalise: str | None) -> NDArray[np.floa
     return top * np.where(size > 0, size, 1.0)
 
 
-def _centroid(
-    images: NDArray[np.float64], power: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _centroid(images: Floats, power: float) -> tuple[Floats, Floats]:
     """Row and column of each image's centroid; the middle of an empty image."""
     _, n_rows, n_cols = images.shape
     top = np.abs(images).max(axis=(1, 2), keepdims=True)
@@ -186,8 +171,8 @@ def _centroid(
 
 
 def _windowed_powers(
-    n: int, centre: NDArray[np.float64], scale: float, power: NDArray[np.intp]
-) -> NDArray[np.float64]:
+    n: int, centre: Floats, scale: float, power: NDArray[np.intp]
+) -> Floats:
     """exp(-x^2 / 2) x^power along one side, (n_touches, n_powers, n)."""
     x = (np.arange(n) - centre[:, None]) / scale
     return np.exp(-(x**2) / 2)[:, None] * x[:, None] ** power[:, None]

@@ -6,18 +6,15 @@ and by its curvature. Turning the image shifts each ring of such values along it
 so the sizes of their Fourier coefficients along the ring stay as they are.
 """
 
-from typing import Self
+from __future__ import annotations
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, TransformerMixin
-from sklearn.utils import Tags
-from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_images, check_levels, check_number
-
-Floats = NDArray[np.float64]
+from .._image_estimator import ImageEstimator
+from .._types import Array, Floats
 
 CHANNELS = ("radial", "tangential", "strength", "along", "oblique", "curvature")
 # Rings between these shares of the radius: nearer the centre a ring has no angles,
@@ -25,9 +22,11 @@ CHANNELS = ("radial", "tangential", "strength", "along", "oblique", "curvature")
 _INNER, _OUTER = 0.06, 0.93
 _SURROUNDINGS = 1.5
 _LEAST_STRENGTH = 1e-2
+_PLACES = 48
+_ANGLES = 2 * np.pi * np.arange(_PLACES) / _PLACES
 
 
-class PolarGradients(TransformerMixin, BaseEstimator):
+class PolarGradients(ImageEstimator):
     """Encode images by sizes of the harmonics of their gradients along rings.
 
     Parameters
@@ -79,32 +78,28 @@ class PolarGradients(TransformerMixin, BaseEstimator):
         self.n_harmonics = n_harmonics
         self.smoothing = smoothing
 
-    def fit(self, X: ArrayLike, y: object = None) -> Self:
-        """Learn how strong each channel is in the touches `X`; `y` is ignored."""
-        self._check()
-        images = check_levels(check_images(X))
-        self.image_shape_ = images.shape[1:]
+    def _learn(self, images: Array) -> None:
+        """Learn how strong each channel is."""
+        check_count("n_rings", self.n_rings)
+        check_count("n_harmonics", self.n_harmonics)
+        check_number("n_harmonics", self.n_harmonics, high=_PLACES // 2 - 1)
+        check_number("smoothing", self.smoothing, low=1e-3, high=0.5)
         raw = self._harmonics(images)
         spread = raw.copy()
         spread[..., 0] -= raw[..., 0].mean(axis=0)
         power = (np.abs(spread) ** 2).sum(axis=(2, 3)).mean(axis=0)
         self.scale_ = np.where(power > 1e-24, np.sqrt(power), 1.0)
-        return self
 
     def transform(self, X: ArrayLike) -> Floats:
         """Return the sizes, (n_touches, 6 * n_rings * (n_harmonics + 1))."""
-        check_is_fitted(self)
-        images = check_levels(check_images(X, shape=self.image_shape_))
+        images = self._images(X)
         sizes = np.abs(self._harmonics(images))
         sizes /= self.scale_[:, np.newaxis, np.newaxis]
         result: Floats = sizes.reshape(len(images), -1)
         return result
 
-    def _check(self) -> None:
-        check_count("n_rings", self.n_rings)
-        check_count("n_harmonics", self.n_harmonics)
-        check_number("n_harmonics", self.n_harmonics, high=_PLACES // 2 - 1)
-        check_number("smoothing", self.smoothing, low=1e-3, high=0.5)
+    def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
+        return check_levels(check_images(X, shape=shape))
 
     def _harmonics(self, images: Floats) -> NDArray[np.complex128]:
         """Fourier coefficients, (n_touches, 6, n_rings, n_harmonics + 1)."""
@@ -119,16 +114,6 @@ class PolarGradients(TransformerMixin, BaseEstimator):
         # A coefficient stands for itself and its conjugate; the mean has none.
         found[..., 0] /= np.sqrt(2)
         return found
-
-    def __sklearn_tags__(self) -> Tags:
-        tags = super().__sklearn_tags__()
-        tags.input_tags.two_d_array = False
-        tags.input_tags.three_d_array = True
-        return tags
-
-
-_PLACES = 48
-_ANGLES = 2 * np.pi * np.arange(_PLACES) / _PLACES
 
 
 def _grid(
@@ -168,7 +153,7 @@ def _channels(
 
 
 def _turned(
-    first: NDArray, second: NDArray, cos: Floats, sin: Floats
-) -> tuple[NDArray, NDArray]:
+    first: Array, second: Array, cos: Floats, sin: Floats
+) -> tuple[Array, Array]:
     """Components relative to the direction with this cosine and sine."""
     return first * cos + second * sin, second * cos - first * sin

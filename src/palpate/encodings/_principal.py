@@ -1,97 +1,298 @@
-"""Principal components shared by the encodings that end in them."""
+"""Principal components: of moments, of turned images, and of features already there.
+
+`ZernikePCA` and `OrientedPCA` are encodings of Corradi et al. 2014 [1]_: an encoder of
+images, then scikit-learn's principal components of what it gives.
+
+References
+----------
+.. [1] T. Corradi, P. Hall, P. Iravani, "Tactile features: recognising touch
+   sensations with a novel and inexpensive tactile sensor", TAROS 2014, LNCS 8717.
+   doi:10.1007/978-3-319-10401-0
+"""
+
+from __future__ import annotations
 
 from numbers import Integral
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, TransformerMixin
+from numpy.typing import ArrayLike
+from sklearn.base import (
+    BaseEstimator,
+    ClassNamePrefixFeaturesOutMixin,
+    TransformerMixin,
+)
 from sklearn.decomposition import PCA
-from sklearn.utils import Tags
-from sklearn.utils.validation import check_is_fitted
+from sklearn.utils.validation import check_is_fitted, validate_data
 
-from .._checks import check_count, check_images, check_number
+from .._checks import are_plain_vectors, check_count, check_number, check_option
+from .._image_estimator import ImageEstimator
+from .._types import Array, Floats
+from ._pixels import ScaledPixels
+from ._zernike import ZernikeMoments
 
 Components = int | float | None
+_REAL_OUTPUTS = ("abs", "noll", "noll_abs")
+_FOLDS = 5
+_LEARNT_FROM = 600
 
 
-class PrincipalEncoder(TransformerMixin, BaseEstimator):
-    """An encoder of images, then the principal components of what it gives.
+class PrincipalEncoder(ImageEstimator):
+    """Encode images by the principal components of another encoding.
 
     Subclasses have a parameter `n_components` and say in `_first` which encoder.
+
+    Attributes
+    ----------
+    first_ : estimator
+        What encodes the images.
+    components_ : ndarray of shape (n_components_, n_features)
+        The directions, by falling variance.
+    mean_ : ndarray of shape (n_features,)
+        Mean of the training touches.
+    explained_variance_ratio_ : ndarray of shape (n_components_,)
+        Share of the variance along each direction.
+    n_components_ : int
+    image_shape_ : tuple of int
+        (n_rows, n_cols) of the images seen by `fit`.
     """
 
     n_components: Components
 
-    def fit(self, X: ArrayLike, y: object = None) -> Self:
-        """Learn the principal components of the touches `X`; `y` is ignored."""
-        images = check_images(X)
-        self.first_ = self._first()
-        features = self.first_.fit_transform(images)
-        found = principal_components(features, self.n_components)
-        self.components_, self.mean_ = found.components_, found.mean_
-        self.explained_variance_ratio_ = found.explained_variance_ratio_
-        self.n_components_ = len(self.components_)
-        self.image_shape_ = (images.shape[1], images.shape[2])
-        return self
-
-    def transform(self, X: ArrayLike) -> NDArray[np.float64]:
+    def transform(self, X: ArrayLike) -> Floats:
         """Return the scores, shape (n_touches, n_components_)."""
         check_is_fitted(self)
         features = self.first_.transform(X) - self.mean_
-        scores: NDArray[np.float64] = features @ self.components_.T
+        scores: Floats = features @ self.components_.T
         return scores
+
+    def _learn(self, images: Array) -> None:
+        self.first_ = self._first()
+        features = self.first_.fit_transform(images)
+        wanted = check_components(self.n_components)
+        if _are_alike(features):
+            raise ValueError(
+                "X must hold touches that differ, got "
+                f"{len(features)} with the same features. Learn from more touches."
+            )
+        if isinstance(wanted, int):
+            wanted = min(wanted, *features.shape)
+        # Exactly, to sizes around 1: squares of very small or large ones overflow.
+        _, exponent = np.frexp(np.abs(features).max())
+        found = _fitted(np.ldexp(features, -exponent), wanted)
+        self.components_ = found.components_
+        self.mean_ = np.ldexp(found.mean_, exponent)
+        self.explained_variance_ratio_ = found.explained_variance_ratio_
+        self.n_components_ = len(self.components_)
 
     def _first(self) -> Any:
         raise NotImplementedError
 
-    def __sklearn_tags__(self) -> Tags:
-        tags = super().__sklearn_tags__()
-        tags.input_tags.two_d_array = False
-        tags.input_tags.three_d_array = True
-        return tags
 
+class ZernikePCA(PrincipalEncoder):
+    """Encode images by the principal components of their Zernike moments.
 
-def principal_components(
-    features: NDArray[np.float64], n_components: Components
-) -> PCA:
-    """Return a PCA of that many components, or as many as there are.
-
-    Its `components_`, `mean_` and shares of the variance are those of `features`.
+    What is learnt has the names of `PrincipalEncoder`: `first_`, `components_`,
+    `mean_`, `explained_variance_ratio_`, `n_components_` and `image_shape_`.
 
     Parameters
     ----------
-    features : ndarray of shape (n_touches, n_features)
-    n_components : int, float or None
-        A count; a share of the variance between 0 and 1; None for all.
+    n_components : int, float or None, default=0.95
+        How many components: a count, the share of the training touches' variance
+        that they hold, or None for all.
+    order : int, default=15
+        Highest order of the moments.
+    output, weight, drop_constant, repeat_negative
+        As in `ZernikeMoments`; `output` must be a real one. What the weights are
+        decides which moments vary most and so what is kept.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate.encodings import ZernikePCA
+    >>> touches = np.random.default_rng(0).normal(size=(5, 10, 10))
+    >>> ZernikePCA(2).fit_transform(touches).shape
+    (5, 2)
     """
-    wanted = check_components(n_components)
-    if len(features) < 2 or not (features != features[0]).any():
-        raise ValueError(
-            "X must hold touches that differ, got "
-            f"{len(features)} with the same features. Learn from more touches."
-        )
-    most = min(features.shape)
-    kept = min(wanted, most) if isinstance(wanted, int) else wanted
-    # More touches than features: their covariance is smaller than they are.
-    solver = "full" if features.shape[0] <= features.shape[1] else "covariance_eigh"
-    # Exactly, to sizes around 1: squares of very small or large ones leave the range.
-    _, exponent = np.frexp(np.abs(features).max())
-    found = PCA(kept, svd_solver=solver).fit(np.ldexp(features, -exponent))
-    found.mean_ = np.ldexp(found.mean_, exponent)
-    return found
+
+    def __init__(
+        self,
+        n_components: Components = 0.95,
+        *,
+        order: int = 15,
+        output: str = "abs",
+        weight: str = "n+1",
+        drop_constant: bool = True,
+        repeat_negative: bool = False,
+    ) -> None:
+        self.n_components, self.order = n_components, order
+        self.output, self.weight = output, weight
+        self.drop_constant, self.repeat_negative = drop_constant, repeat_negative
+
+    def _first(self) -> ZernikeMoments:
+        check_option("output", self.output, _REAL_OUTPUTS)
+        options = self.get_params(deep=False)
+        del options["n_components"]
+        return ZernikeMoments(**options)
 
 
-def check_components(value: object) -> Components:
-    """Return a valid number of components, or explain."""
+class OrientedPCA(PrincipalEncoder):
+    """Encode images, turned along their long axis, by principal components.
+
+    What is learnt has the names of `PrincipalEncoder`; each component is a small
+    image, row by row.
+
+    Parameters
+    ----------
+    n_components : int, float or None, default=0.95
+        As in `ZernikePCA`.
+    side : int, default=32
+        The turned image is averaged to at most so many rows and columns first:
+        the shading of a dome is smooth, and what is finer is noise.
+    min_anisotropy : float or None, default=0.02
+        As in `ScaledPixels`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate.encodings import OrientedPCA
+    >>> touches = np.random.default_rng(0).normal(size=(5, 10, 10))
+    >>> OrientedPCA(2).fit_transform(touches).shape
+    (5, 2)
+    """
+
+    def __init__(
+        self,
+        n_components: Components = 0.95,
+        *,
+        side: int = 32,
+        min_anisotropy: float | None = 0.02,
+    ) -> None:
+        self.n_components = n_components
+        self.side = side
+        self.min_anisotropy = min_anisotropy
+
+    def _first(self) -> ScaledPixels:
+        return ScaledPixels(self.side, min_anisotropy=self.min_anisotropy)
+
+
+class PrincipalShare(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
+    """Keep the principal components that hold a share of the variance.
+
+    Unlike `sklearn.decomposition.PCA` it takes touches that are all alike, of which
+    it makes one feature that is always 0.
+
+    Parameters
+    ----------
+    share : float, default=0.9
+        Share of the variance, above 0 and below 1.
+
+    Attributes
+    ----------
+    mean_ : ndarray of shape (n_features,)
+        Mean of the training touches.
+    components_ : ndarray of shape (n_kept, n_features)
+        Orthonormal directions, by falling variance.
+    variance_ : float
+        Variance of the training touches, summed over features; 1 if it is 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate.encodings import PrincipalShare
+    >>> X = np.array([[0.0, 0.0], [2.0, 0.1], [4.0, 0.0]])
+    >>> PrincipalShare().fit_transform(X).shape
+    (3, 1)
+    """
+
+    def __init__(self, share: float = 0.9) -> None:
+        self.share = share
+
+    def fit(self, X: ArrayLike, y: object = None) -> Self:
+        """Learn mean and directions; `y` is ignored."""
+        share = check_number("share", self.share, low=1e-6, high=1 - 1e-6)
+        features = validate_data(self, X, dtype=np.float64)
+        self.mean_ = features.mean(axis=0)
+        self.variance_ = float(features.var(axis=0).sum()) or 1.0
+        if _are_alike(features):
+            self.components_ = np.zeros((1, features.shape[1]))
+        else:
+            self.components_ = _fitted(features, share).components_
+        self._n_features_out = len(self.components_)
+        return self
+
+    def transform(self, X: ArrayLike) -> Floats:
+        """Return the scores, shape (n_touches, n_kept)."""
+        check_is_fitted(self)
+        if are_plain_vectors(X, len(self.mean_)):
+            features = np.asarray(X)
+        else:
+            features = validate_data(self, X, dtype=np.float64, reset=False)
+        scores: Floats = (features - self.mean_) @ self.components_.T
+        return scores
+
+    def unexplained(self, X: Floats, scores: Floats) -> Floats:
+        """Return how much of each touch the kept components leave out.
+
+        Parameters
+        ----------
+        X : ndarray of shape (n_touches, n_features)
+        scores : ndarray of shape (n_touches, n_kept)
+            What `transform` made of them.
+
+        Returns
+        -------
+        ndarray of shape (n_touches,)
+            Squared length of what is left out, over the training touches' variance.
+        """
+        whole = ((X - self.mean_) ** 2).sum(axis=1)
+        left = np.maximum(whole - (scores**2).sum(axis=1), 0)
+        return np.asarray(left / self.variance_)
+
+    def left_out_unexplained(self, X: Floats, groups: Array) -> Floats:
+        """Return `unexplained` of touches whose group was left out of the components.
+
+        Five folds of groups; of many touches an evenly spaced part is learnt from.
+
+        Parameters
+        ----------
+        X : ndarray of shape (n_touches, n_features)
+        groups : ndarray of int, shape (n_touches,)
+        """
+        result = np.zeros(len(X))
+        fold = np.unique(groups, return_inverse=True)[1] % _FOLDS
+        for k in np.unique(fold):
+            others, mine = np.flatnonzero(fold != k), fold == k
+            if len(others):
+                n = min(len(others), _LEARNT_FROM)
+                some = others[np.linspace(0, len(others) - 1, n).astype(int)]
+                part = PrincipalShare(self.share).fit(X[some])
+                result[mine] = part.unexplained(X[mine], part.transform(X[mine]))
+        return result
+
+
+def check_components(value: object, *, whole: bool = False) -> Components:
+    """Return a valid number of components, or explain; 1.0 is valid if `whole`."""
     if value is None:
         return None
     if isinstance(value, Integral):
         return check_count("n_components", value)
     share = check_number("n_components", value, low=0, high=1)
-    if not 0 < share < 1:
+    if share == 0 or (share == 1 and not whole):
+        below = "" if whole else " and below 1"
         raise ValueError(
-            "n_components must be a count, or a share of the variance above 0 and "
-            f"below 1, got {share}. Pass an integer for a count."
+            f"n_components must be a count or a share of the variance above 0{below}, "
+            f"got {share}. Pass an integer for a count."
         )
     return share
+
+
+def _are_alike(features: Floats) -> bool:
+    return len(features) < 2 or bool((features == features[0]).all())
+
+
+def _fitted(features: Floats, n_components: Components) -> PCA:
+    """Principal components by way of the smaller of touches and covariance."""
+    few = features.shape[0] <= features.shape[1]
+    solver = "full" if few else "covariance_eigh"
+    return PCA(n_components, svd_solver=solver).fit(features)

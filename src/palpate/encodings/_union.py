@@ -1,20 +1,26 @@
-"""Several encodings of the same image, side by side."""
+"""Several encodings of the same image side by side, and the scale they share."""
+
+from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, TransformerMixin, clone
-from sklearn.utils import Tags
-from sklearn.utils.validation import check_is_fitted
+from numpy.typing import ArrayLike
+from sklearn.base import (
+    BaseEstimator,
+    OneToOneFeatureMixin,
+    TransformerMixin,
+    clone,
+)
+from sklearn.utils.validation import check_is_fitted, validate_data
 
 from .._checks import check_image_shape, check_option
-from ._first_features import check_encoder
-from ._root import RootScaler
+from .._image_estimator import ImageEstimator
+from .._types import Array, Floats
 
 
-class EncodingUnion(TransformerMixin, BaseEstimator):
+class EncodingUnion(ImageEstimator):
     """Encode images by several encoders and join the vectors.
 
     Parameters
@@ -51,9 +57,8 @@ class EncodingUnion(TransformerMixin, BaseEstimator):
 
     def fit(self, X: ArrayLike, y: object = None) -> Self:
         """Fit every encoder to the images; `y` is passed on."""
-        images = check_image_shape(X)
+        images = self._checked(X)
         encoders = _check_encoders(self.encoders)
-        self.image_shape_ = (images.shape[1], images.shape[2])
         check_option("balanced", self.balanced, (False, True))
         self.encoders_ = [clone(encoder).fit(images, y) for encoder in encoders]
         for encoder in self.encoders_:
@@ -62,23 +67,21 @@ class EncodingUnion(TransformerMixin, BaseEstimator):
         if self.balanced:
             parts = [encoder.transform(images) for encoder in self.encoders_]
             self.scalers_ = [RootScaler().fit(part) for part in parts]
+        self.image_shape_ = (images.shape[1], images.shape[2])
         return self
 
-    def transform(self, X: ArrayLike) -> NDArray[np.float64]:
+    def transform(self, X: ArrayLike) -> Floats:
         """Return the joined vectors, shape (n_touches, n_features)."""
-        check_is_fitted(self)
-        images = check_image_shape(X, shape=self.image_shape_)
+        images = self._images(X)
         parts = [encoder.transform(images) for encoder in self.encoders_]
         if self.scalers_:
             scaled = zip(self.scalers_, parts, strict=True)
             parts = [scaler.scale(part) for scaler, part in scaled]
         return np.hstack(parts)
 
-    def __sklearn_tags__(self) -> Tags:
-        tags = super().__sklearn_tags__()
-        tags.input_tags.two_d_array = False
-        tags.input_tags.three_d_array = True
-        return tags
+    def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
+        # Each encoder looks for NaN itself.
+        return check_image_shape(X, shape=shape)
 
 
 def _check_encoders(encoders: object) -> list[Any]:
@@ -90,14 +93,67 @@ def _check_encoders(encoders: object) -> list[Any]:
     listed = list(encoders)
     if not listed:
         raise ValueError("encoders must hold at least one encoder, got none.")
+    methods = ("fit", "transform", "get_params")
     for encoder in listed:
-        check_encoder("encoders", encoder)
+        if isinstance(encoder, type) or not all(hasattr(encoder, m) for m in methods):
+            raise TypeError(
+                f"encoders must be made of encoders of images, got {encoder!r}. Pass "
+                "one such as HuMoments(), or make it by encoder_named('hu')."
+            )
     return listed
 
 
-def _refuse_complex(encoder: Any, images: NDArray) -> None:
+def _refuse_complex(encoder: Any, images: Array) -> None:
     if np.iscomplexobj(encoder.transform(images)):
         raise ValueError(
             f"encoders must give real features, got complex ones of {encoder!r}. "
             "Choose a real output, such as 'abs' or 'noll'."
         )
+
+
+class RootScaler(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
+    """Signed square root of each feature, then mean 0 and total variance 1.
+
+    Moments of a press differ by orders of magnitude between faint and strong
+    contacts; the root brings them closer before a distance is taken. All
+    features have equal variance afterwards, and the sum over features is one, so
+    that blocks of features of different length weigh the same side by side.
+    Features that never change in training become 0.
+
+    Attributes
+    ----------
+    mean_, scale_ : ndarray of shape (n_features,)
+        Mean and divisor of each feature's root.
+
+    Examples
+    --------
+    >>> from palpate.encodings import RootScaler
+    >>> RootScaler().fit_transform([[0.0, 1.0], [4.0, 1.0]])
+    array([[-0.70710678,  0.        ],
+           [ 0.70710678,  0.        ]])
+    """
+
+    def fit(self, X: ArrayLike, y: object = None) -> Self:
+        """Learn mean and spread of the roots; `y` is ignored."""
+        roots = _root(validate_data(self, X, dtype=np.float64))
+        self.mean_ = roots.mean(axis=0)
+        spread = roots.std(axis=0)
+        constant = spread <= 1e-9 * np.abs(roots).max(axis=0)
+        root_of_count = np.sqrt(roots.shape[1])
+        self.scale_ = np.where(constant, np.inf, spread * root_of_count)
+        return self
+
+    def transform(self, X: ArrayLike) -> Floats:
+        """Return the scaled roots, shape (n_touches, n_features)."""
+        check_is_fitted(self)
+        features = validate_data(self, X, dtype=np.float64, reset=False)
+        return self.scale(features)
+
+    def scale(self, features: Floats) -> Floats:
+        """Do what `transform` does, without its checks."""
+        scaled: Floats = (_root(features) - self.mean_) / self.scale_
+        return scaled
+
+
+def _root(features: Floats) -> Floats:
+    return np.sign(features) * np.sqrt(np.abs(features))

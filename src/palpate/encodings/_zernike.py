@@ -8,14 +8,14 @@ x points along the columns, y along the rows (downwards in a picture), and the a
 turns from x towards y.
 """
 
+from __future__ import annotations
+
 from functools import lru_cache
 from math import hypot, pi
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, TransformerMixin
-from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import (
@@ -26,6 +26,8 @@ from .._checks import (
     check_option,
     check_positive,
 )
+from .._image_estimator import ImageEstimator
+from .._types import Array, Floats
 from ._zernike_disc import Disc
 from ._zernike_polynomials import noll_degrees, signed_degrees, zernike_degrees
 from ._zernike_tables import Grid, zernike_moments
@@ -34,7 +36,7 @@ from ._zernike_tables import Grid, zernike_moments
 _HIGHEST_ORDER = 100
 
 
-class ZernikeMoments(TransformerMixin, BaseEstimator):
+class ZernikeMoments(ImageEstimator):
     """Encode tactile images by their Zernike moments.
 
     Parameters
@@ -130,42 +132,18 @@ class ZernikeMoments(TransformerMixin, BaseEstimator):
         repeat_negative: bool = False,
         precision: str = "double",
     ) -> None:
-        self.order = order
-        self.method = method
-        self.output = output
-        self.weight = weight
-        self.disc = disc
-        self.centre = centre
-        self.radius = radius
-        self.drop_constant = drop_constant
-        self.repeat_negative = repeat_negative
+        self.order, self.method = order, method
+        self.output, self.weight = output, weight
+        self.disc, self.centre, self.radius = disc, centre, radius
+        self.drop_constant, self.repeat_negative = drop_constant, repeat_negative
         self.precision = precision
 
-    def fit(self, X: ArrayLike, y: object = None) -> Self:
-        """Place the disc in images of the size of `X`; `y` is ignored.
-
-        Raises
-        ------
-        ValueError
-            If an image has NaN or infinity, a parameter is not one of those listed,
-            or the disc holds no taxel of the frame.
-        """
-        images = check_image_shape(X)
-        self._check_options()
-        if not all(np.isfinite(image).all() for image in images):
-            check_images(images)
-        self._place_disc(images.shape[1], images.shape[2])
-        self.image_shape_ = (images.shape[1], images.shape[2])
-        self.indices_ = self._layout().degrees.copy()
-        return self
-
-    def transform(self, X: ArrayLike) -> NDArray:
+    def transform(self, X: ArrayLike) -> Array:
         """Return the moments, shape (n_touches, n_features).
 
         NaN or infinity anywhere in an image is refused, inside the disc or not.
         """
-        check_is_fitted(self, "image_shape_")
-        images = check_image_shape(X, shape=self.image_shape_)
+        images = self._images(X)
         disc = Disc(*self.image_shape_, *self.centre_, self.radius_)
         exact, single = self.method == "exact", self.precision == "single"
         moments = zernike_moments(images, Grid(disc, int(self.order), exact, single))
@@ -177,16 +155,22 @@ class ZernikeMoments(TransformerMixin, BaseEstimator):
             )
         return self._present(moments)
 
-    def get_feature_names_out(self, input_features: object = None) -> NDArray:
+    def get_feature_names_out(self, input_features: object = None) -> Array:
         """Return "zernike<n>,<m>" for each column."""
         check_is_fitted(self, "image_shape_")
         return np.array([f"zernike{n},{m}" for n, m in self.indices_], dtype=object)
 
-    def __sklearn_tags__(self) -> Tags:
-        tags = super().__sklearn_tags__()
-        tags.input_tags.two_d_array = False
-        tags.input_tags.three_d_array = True
-        return tags
+    def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
+        # NaN shows in the moments, which are sooner looked through than the images.
+        return check_image_shape(X, shape=shape)
+
+    def _learn(self, images: Array) -> None:
+        """Place the disc in images of this size."""
+        self._check_options()
+        if not all(np.isfinite(image).all() for image in images):
+            check_images(images)
+        self._place_disc(images.shape[1], images.shape[2])
+        self.indices_ = self._layout().degrees.copy()
 
     def _check_options(self) -> None:
         least = 1 if self.drop_constant else 0
@@ -221,7 +205,7 @@ class ZernikeMoments(TransformerMixin, BaseEstimator):
             )
         self.centre_, self.radius_ = (row, col), radius
 
-    def _layout(self) -> "_Layout":
+    def _layout(self) -> _Layout:
         return _layout(
             int(self.order),
             self.output in ("noll", "noll_abs"),
@@ -230,7 +214,7 @@ class ZernikeMoments(TransformerMixin, BaseEstimator):
             bool(self.repeat_negative),
         )
 
-    def _present(self, moments: NDArray[np.complex128]) -> NDArray:
+    def _present(self, moments: NDArray[np.complex128]) -> Array:
         """Weigh the moments of m >= 0 and lay them out as columns."""
         layout = self._layout()
         if self.output == "abs":
@@ -248,7 +232,7 @@ class _Layout(NamedTuple):
 
     degrees: NDArray[np.intp]
     columns: NDArray[np.intp]
-    weights: NDArray[np.float64]
+    weights: Floats
 
 
 @lru_cache(maxsize=32)

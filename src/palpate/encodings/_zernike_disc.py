@@ -11,7 +11,9 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
-Nodes = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+from .._types import Floats
+
+Nodes = tuple[Floats, Floats, Floats]
 
 
 class Disc(NamedTuple):
@@ -29,12 +31,12 @@ class Disc(NamedTuple):
         return 1 / self.radius
 
     @property
-    def x(self) -> NDArray[np.float64]:
+    def x(self) -> Floats:
         """Taxel centres along the columns, in radii."""
         return (np.arange(self.n_cols, dtype=np.float64) - self.col) / self.radius
 
     @property
-    def y(self) -> NDArray[np.float64]:
+    def y(self) -> Floats:
         """Taxel centres along the rows, in radii."""
         return (np.arange(self.n_rows, dtype=np.float64) - self.row) / self.radius
 
@@ -89,10 +91,10 @@ class Chords(NamedTuple):
     part. All arrays have shape (n_taxels, n_lines).
     """
 
-    y: NDArray[np.float64]
-    left: NDArray[np.float64]
-    right: NDArray[np.float64]
-    weight: NDArray[np.float64]
+    y: Floats
+    left: Floats
+    right: Floats
+    weight: Floats
 
 
 def cut_chords(disc: Disc, taxels: NDArray[np.intp], order: int) -> Chords:

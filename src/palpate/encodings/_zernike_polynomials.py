@@ -15,7 +15,9 @@ from math import lcm
 import numpy as np
 from numpy.typing import NDArray
 
-Times = Callable[[NDArray], NDArray]
+from .._types import Array, Floats
+
+Times = Callable[[Array], Array]
 
 
 def zernike_degrees(order: int) -> list[tuple[int, int]]:
@@ -43,7 +45,7 @@ def noll_degrees(order: int) -> list[tuple[int, int]]:
 
 
 def zernike_values(
-    order: int, x: NDArray[np.float64], y: NDArray[np.float64]
+    order: int, x: Floats, y: Floats
 ) -> Iterator[NDArray[np.complex128]]:
     """Yield V(n, m) at the points (x, y), in the order of `zernike_degrees`."""
     z = x + 1j * y
@@ -71,7 +73,8 @@ def legendre_weights(order: int) -> NDArray[np.complex128]:
         whole = part.astype(np.int64).astype(object)
         both = np.matmul(to_legendre.T, np.matmul(whole, to_legendre))
         parts.append((both / scale**2).astype(np.float64))
-    return parts[0] + 1j * parts[1]
+    weights: NDArray[np.complex128] = parts[0] + 1j * parts[1]
+    return weights
 
 
 def _monomial_weights(order: int) -> Iterator[NDArray[np.complex128]]:
@@ -80,7 +83,7 @@ def _monomial_weights(order: int) -> Iterator[NDArray[np.complex128]]:
     To order 20 none needs more than 53 bits, so floating point is exact.
     """
 
-    def times(a: NDArray, sign: int) -> NDArray:
+    def times(a: Array, sign: int) -> Array:
         product = np.zeros_like(a)
         product[1:] += a[:-1]
         product[:, 1:] += sign * 1j * a[:, :-1]
@@ -92,10 +95,10 @@ def _monomial_weights(order: int) -> Iterator[NDArray[np.complex128]]:
 
 
 def _recurrence(
-    order: int, one: NDArray, times_z: Times, times_conjugate: Times
-) -> Iterator[NDArray]:
+    order: int, one: Array, times_z: Times, times_conjugate: Times
+) -> Iterator[Array]:
     """Yield V(0, 0), V(1, 1), V(2, 0), ... from the four-term recurrence."""
-    before: dict[int, NDArray] = {}
+    before: dict[int, Array] = {}
     last = {0: one}
     yield one
     for n in range(1, order + 1):
@@ -111,7 +114,7 @@ def _recurrence(
         before, last = last, new
 
 
-def _powers_as_legendre(order: int) -> tuple[NDArray, int]:
+def _powers_as_legendre(order: int) -> tuple[Array, int]:
     """Whole numbers w and a scale with x^a = sum over i of w[a, i] P_i(x) / scale."""
     rows = [[Fraction(1)] + [Fraction(0)] * order]
     for _ in range(order):

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
 from numpy.typing import DTypeLike, NDArray
 
+from .._types import Array, Floats
 from ._zernike_disc import Disc, cut_chords, cut_nodes, whole_nodes
-from ._zernike_folded import Quarter, can_fold, fold_basis, folded_moments
 from ._zernike_polynomials import legendre_weights, zernike_degrees, zernike_values
 
 HIGHEST_SEPARABLE_ORDER = 20
@@ -25,6 +25,9 @@ _TAXELS_IN_CACHE = 2**17
 # Numbers in one buffer of features, and in one block of a dense basis: 8 and 16 MB.
 _FEATURES_AT_ONCE = 2**20
 _BASIS_AT_ONCE = 2**21
+# Numbers in the folded tables of one grid: 256 MB.
+_MOST_FOLDED = 2**25
+_IMAGES_AT_ONCE = 64
 
 
 class Grid(NamedTuple):
@@ -36,7 +39,7 @@ class Grid(NamedTuple):
     single: bool = False
 
 
-def zernike_moments(images: NDArray, grid: Grid) -> NDArray[np.complex128]:
+def zernike_moments(images: Array, grid: Grid) -> NDArray[np.complex128]:
     """Integrate images times conj(V(n, m)) over the disc, m >= 0, without weights.
 
     Parameters
@@ -55,7 +58,7 @@ def zernike_moments(images: NDArray, grid: Grid) -> NDArray[np.complex128]:
     method = dense_moments
     if grid.order <= HIGHEST_SEPARABLE_ORDER:
         method = separable_moments
-    elif can_fold(grid.disc, grid.order):
+    elif _can_fold(grid.disc, grid.order):
         method = quartered_moments
     with np.errstate(invalid="ignore", over="ignore"):
         parts = method(images, grid)
@@ -66,7 +69,7 @@ def zernike_moments(images: NDArray, grid: Grid) -> NDArray[np.complex128]:
     return moments
 
 
-def separable_moments(images: NDArray, grid: Grid) -> NDArray[np.float64]:
+def separable_moments(images: Array, grid: Grid) -> Floats:
     """Cosine then sine parts of all moments, through Legendre products."""
     table = _table(grid)
     n_features = len(table.weights)
@@ -80,7 +83,7 @@ def separable_moments(images: NDArray, grid: Grid) -> NDArray[np.float64]:
     return parts
 
 
-def dense_moments(images: NDArray, grid: Grid) -> NDArray[np.float64]:
+def dense_moments(images: Array, grid: Grid) -> Floats:
     """Cosine then sine parts of all moments, through the basis itself."""
     taxels = _dense_taxels(grid)
     n_parts = 2 * len(zernike_degrees(grid.order))
@@ -92,29 +95,42 @@ def dense_moments(images: NDArray, grid: Grid) -> NDArray[np.float64]:
             block = images[i : i + 64].reshape(len(images[i : i + 64]), -1)
             levels = block[:, taxels[start : start + step]].astype(np.float64)
             parts[i : i + 64] += levels @ basis
-    finite = [bool(np.isfinite(image).all()) for image in images]
-    parts[np.logical_not(finite)] = np.nan
-    return parts
+    return _lost_where_not_finite(parts, images)
 
 
-def quartered_moments(images: NDArray, grid: Grid) -> NDArray[np.float64]:
-    """Cosine then sine parts of all moments, through a quarter of the basis."""
-    return folded_moments(images, *_quarters(grid))
+def quartered_moments(images: Array, grid: Grid) -> Floats:
+    """Cosine then sine parts of all moments, through a quarter of the basis.
+
+    About the centre of a frame every cosine or sine part of a polynomial is even or
+    odd from left to right and from top to bottom. So an image is folded into four
+    quarters, one for each kind of symmetry, and a part of the basis is multiplied
+    with one of them.
+    """
+    quarters, taxels = _quarters(grid)
+    n_parts = sum(len(quarter.columns) for quarter in quarters)
+    parts = np.empty((len(images), n_parts))
+    for start in range(0, len(images), _IMAGES_AT_ONCE):
+        block = images[start : start + _IMAGES_AT_ONCE]
+        block = block.astype(quarters[0].basis.dtype)
+        for quarter in quarters:
+            folded = _fold(_fold(block, 1, quarter.down), 2, quarter.across)
+            levels = folded.reshape(len(block), -1)[:, taxels]
+            rows = slice(start, start + len(block))
+            parts[rows, quarter.columns] = levels @ quarter.basis
+    return _lost_where_not_finite(parts, images)
 
 
 class _Table(NamedTuple):
     """Tables of the separable method; `down` holds its polynomials in two halves."""
 
-    down: NDArray[np.float64]
-    across: NDArray[np.float64]
+    down: Floats
+    across: Floats
     products: NDArray[np.intp]
     cut: NDArray[np.intp]
-    weights: NDArray[np.float64]
+    weights: Floats
 
 
-def _fill_features(
-    images: NDArray, table: _Table, grid: Grid, features: NDArray[np.float64]
-) -> None:
+def _fill_features(images: Array, table: _Table, grid: Grid, features: Floats) -> None:
     """Sums of image times P_i(x) P_j(y), then the levels of the cut taxels."""
     n_products = len(table.products)
     mask = _mask(grid, np.dtype(np.float64))
@@ -137,7 +153,7 @@ def _fill_features(
 
 
 @lru_cache(maxsize=64)
-def _mask(grid: Grid, dtype: DTypeLike) -> NDArray:
+def _mask(grid: Grid, dtype: DTypeLike) -> Array:
     """1 at the taxels that are summed as they are, 0 elsewhere, in the image's type."""
     disc = grid.disc
     inside = disc.holds_whole() if grid.exact else disc.holds_centre()
@@ -164,13 +180,11 @@ def _table(grid: Grid) -> _Table:
     )
 
 
-def _parts(values: NDArray[np.complex128]) -> NDArray[np.float64]:
+def _parts(values: NDArray[np.complex128]) -> Floats:
     return np.concatenate([values.real, values.imag], axis=1)
 
 
-def _legendre_sums(
-    centres: NDArray[np.float64], step: float, order: int, exact: bool
-) -> NDArray[np.float64]:
+def _legendre_sums(centres: Floats, step: float, order: int, exact: bool) -> Floats:
     """P_i integrated over each taxel's side, or at its centre times the side.
 
     Taxels beyond the disc are moved to its edge, lest their values overflow before
@@ -178,12 +192,11 @@ def _legendre_sums(
     """
     node, weight = leggauss(order // 2 + 1) if exact else (np.zeros(1), np.full(1, 2.0))
     points = np.clip(centres[:, None] + step / 2 * node, -1, 1)
-    return np.einsum("tgi,g->ti", legvander(points, order), weight * step / 2)
+    sums: Floats = np.einsum("tgi,g->ti", legvander(points, order), weight * step / 2)
+    return sums
 
 
-def _cut_integrals(
-    disc: Disc, taxels: NDArray[np.intp], order: int
-) -> NDArray[np.float64]:
+def _cut_integrals(disc: Disc, taxels: NDArray[np.intp], order: int) -> Floats:
     """P_i(x) P_j(y) over the parts inside, (n_taxels, order + 1, order + 1)."""
     chords = cut_chords(disc, taxels, order)
     along = _legendre_antiderivatives(chords.right, order)
@@ -192,9 +205,7 @@ def _cut_integrals(
     return along.transpose(0, 2, 1) @ legvander(chords.y, order)
 
 
-def _legendre_antiderivatives(
-    x: NDArray[np.float64], order: int
-) -> NDArray[np.float64]:
+def _legendre_antiderivatives(x: Floats, order: int) -> Floats:
     values = legvander(x, order + 1)
     primitives = np.empty((*x.shape, order + 1))
     primitives[..., 0] = x
@@ -210,7 +221,7 @@ def _dense_taxels(grid: Grid) -> NDArray[np.intp]:
 
 
 @lru_cache(maxsize=16)
-def _dense_basis(grid: Grid, start: int, stop: int) -> NDArray[np.float64]:
+def _dense_basis(grid: Grid, start: int, stop: int) -> Floats:
     """Integrals of cosine and sine parts over taxels `start` to `stop` of the disc.
 
     Returns
@@ -220,16 +231,7 @@ def _dense_basis(grid: Grid, start: int, stop: int) -> NDArray[np.float64]:
     return _basis_of(grid, _dense_taxels(grid)[start:stop])
 
 
-@lru_cache(maxsize=4)
-def _quarters(grid: Grid) -> tuple[list[Quarter], NDArray[np.intp]]:
-    def basis_of(taxels: NDArray[np.intp]) -> NDArray[np.float64]:
-        return _basis_of(grid, taxels)
-
-    dtype = np.float32 if grid.single else np.float64
-    return fold_basis(grid.disc, grid.order, _dense_taxels(grid), basis_of, dtype)
-
-
-def _basis_of(grid: Grid, taxels: NDArray[np.intp]) -> NDArray[np.float64]:
+def _basis_of(grid: Grid, taxels: NDArray[np.intp]) -> Floats:
     disc, order = grid.disc, grid.order
     if not grid.exact:
         row, col = np.divmod(taxels, disc.n_cols)
@@ -247,10 +249,71 @@ def _basis_of(grid: Grid, taxels: NDArray[np.intp]) -> NDArray[np.float64]:
 
 def _integrate(
     order: int,
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    weight: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    x: Floats,
+    y: Floats,
+    weight: Floats,
+) -> Floats:
     """Weighted sums of V(n, m) over each row of points, (n_rows, 2 * n_degrees)."""
     sums = [np.einsum("tk,tk->t", weight, v) for v in zernike_values(order, x, y)]
     return _parts(np.stack(sums, axis=1))
+
+
+class _Quarter(NamedTuple):
+    """One kind of symmetry: signs of the fold, columns of the basis, and its values."""
+
+    down: int
+    across: int
+    columns: NDArray[np.intp]
+    basis: Array
+
+
+def _can_fold(disc: Disc, order: int) -> bool:
+    """Whether the disc sits in the middle of the frame, and the tables are small."""
+    in_middle = (disc.row, disc.col) == ((disc.n_rows - 1) / 2, (disc.n_cols - 1) / 2)
+    n_parts = 2 * len(zernike_degrees(order))
+    return in_middle and disc.n_rows * disc.n_cols // 4 * n_parts <= _MOST_FOLDED
+
+
+@lru_cache(maxsize=4)
+def _quarters(grid: Grid) -> tuple[list[_Quarter], NDArray[np.intp]]:
+    """Return the four parts of the basis, and the taxels of a quarter that count."""
+    disc, taxels = grid.disc, _dense_taxels(grid)
+    # Single precision halves the time: reading the basis is what takes it.
+    dtype = np.float32 if grid.single else np.float64
+    row, col = np.divmod(taxels, disc.n_cols)
+    top, left = disc.n_rows // 2, disc.n_cols // 2
+    mine = (row >= top) & (col >= left)
+    row, col = row[mine], col[mine]
+    # A row or column in the very middle is folded onto itself and counts twice.
+    twice = (disc.n_rows % 2) * (row == top), (disc.n_cols % 2) * (col == left)
+    share = 0.5 ** (twice[0].astype(float) + twice[1])
+    basis = _basis_of(grid, taxels[mine]) * share[:, np.newaxis]
+    m = np.array([m for _, m in zernike_degrees(grid.order)])
+    sign = np.where(m % 2 == 0, 1, -1)
+    # cos(m phi) keeps its sign from top to bottom, sin(m phi) changes it.
+    down = np.concatenate([np.ones_like(m), -np.ones_like(m)])
+    across = np.concatenate([sign, -sign])
+    quarters = []
+    for vertical in (1, -1):
+        for horizontal in (1, -1):
+            columns = np.flatnonzero((down == vertical) & (across == horizontal))
+            part = np.ascontiguousarray(basis[:, columns], dtype)
+            quarters.append(_Quarter(vertical, horizontal, columns, part))
+    width = disc.n_cols - left
+    return quarters, (row - top) * width + (col - left)
+
+
+def _fold(images: Array, axis: int, sign: int) -> Array:
+    """Add the mirrored first half of an axis, times `sign`, to its second half."""
+    n = images.shape[axis]
+    turned = np.flip(images, axis)
+    second = [slice(None)] * 3
+    second[axis] = slice(n // 2, n)
+    kept, mirrored = images[tuple(second)], turned[tuple(second)]
+    return kept + mirrored if sign > 0 else kept - mirrored
+
+
+def _lost_where_not_finite(parts: Floats, images: Array) -> Floats:
+    finite = [bool(np.isfinite(image).all()) for image in images]
+    parts[np.logical_not(finite)] = np.nan
+    return parts

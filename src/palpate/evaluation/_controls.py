@@ -5,15 +5,17 @@ Each control learns and tests on the same touches as the recogniser, with the sa
 classifier, from nothing but its own values.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
+from .._types import Array, Floats
 from ..classifiers import KernelRidgeClassifier
 from ..images import fill_dead_taxels, find_rims
 from ..recognition import find_geometry
 from ..touches import Touches
 
-Floats = NDArray[np.float64]
 NO_CONTACT_CORRELATION = 0.98
 N_QUANTILES = 64
 BLOCK = 256
@@ -31,10 +33,8 @@ def disc_centres(touches: Touches) -> Floats | None:
 
 def brightness(touches: Touches) -> Floats:
     """Return mean and standard deviation of each image, (n_touches, 2)."""
-    rows = []
-    for start in range(0, len(touches), BLOCK):
-        block = _flat(touches.images[start : start + BLOCK])
-        rows.append([np.nanmean(block, axis=1), np.nanstd(block, axis=1)])
+    blocks = _blocks(touches.images)
+    rows = [[np.nanmean(b, axis=1), np.nanstd(b, axis=1)] for b in blocks]
     return np.concatenate(rows, axis=1).T
 
 
@@ -50,8 +50,7 @@ def sorted_pixels(touches: Touches) -> Floats:
     n_pixels = images[0].size
     levels = np.linspace(0, 1, min(N_QUANTILES, n_pixels))
     rows = []
-    for start in range(0, len(touches), BLOCK):
-        block = _flat(images[start : start + BLOCK])
+    for block in _blocks(images):
         values = np.nanquantile(block, levels, axis=1).T
         total = np.nansum(np.abs(block), axis=1, keepdims=True)
         rows.append(values / np.where(total > 0, total, 1) * n_pixels)
@@ -68,18 +67,17 @@ def without_contact(touches: Touches) -> NDArray[np.bool_] | None:
         return None
     reference = np.nan_to_num(np.asarray(frame, dtype=np.float64)).ravel()
     reference = reference - reference.mean()
-    result = np.empty(len(touches), dtype=bool)
-    for start in range(0, len(touches), BLOCK):
-        block = np.nan_to_num(_flat(touches.images[start : start + BLOCK]))
+    alike = []
+    for block in map(np.nan_to_num, _blocks(touches.images)):
         block -= block.mean(axis=1, keepdims=True)
         norms = np.linalg.norm(block, axis=1) * np.linalg.norm(reference)
         correlation = block @ reference / np.where(norms > 0, norms, 1)
-        result[start : start + BLOCK] = correlation > NO_CONTACT_CORRELATION
-    return result
+        alike.append(correlation > NO_CONTACT_CORRELATION)
+    return np.concatenate(alike)
 
 
 def control_log_likelihood(
-    train: Floats, labels: NDArray, groups: NDArray, test: Floats
+    train: Floats, labels: Array, groups: Array, test: Floats
 ) -> Floats:
     """Learn labels from nuisance values; return log-likelihoods of test touches."""
     centre, spread = train.mean(axis=0), train.std(axis=0)
@@ -89,5 +87,8 @@ def control_log_likelihood(
     return classifier.log_likelihood((test - centre) / spread)
 
 
-def _flat(images: NDArray) -> Floats:
-    return images.reshape(len(images), -1).astype(np.float64)
+def _blocks(images: Array) -> Iterator[Floats]:
+    """Yield some images at a time, (n_touches, n_taxels)."""
+    for start in range(0, len(images), BLOCK):
+        some = images[start : start + BLOCK]
+        yield some.reshape(len(some), -1).astype(np.float64)

@@ -1,4 +1,4 @@
-"""How well a recogniser recognises: one protocol, from touches to figures."""
+"""Learning, recognising and scoring touches: one protocol, from touches to figures."""
 
 import time
 from collections.abc import Callable
@@ -6,8 +6,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .._parallel import in_parallel
+from .._types import Array, Floats
 from ..recognition import Evidence, ObjectRecogniser, left_out_groups
 from ..touches import Touches
 from ._controls import (
@@ -17,13 +18,16 @@ from ._controls import (
     sorted_pixels,
     without_contact,
 )
-from ._episodes import outcome, run_episodes, single_touches
-from ._figures import figures_of
+from ._episodes import Episodes, run_episodes, scores, single_touches
 from ._splits import Fold, draw_touches, split_touches
-from ._trial import Plan, Trial
+from ._trial import Plan, Trial, figures_of
 
 Progress = Callable[[str], None]
 N_TIMED = 100
+
+
+def silent(stage: str) -> None:
+    """Show no stage: without `progress`, and in other processes."""
 
 
 def evaluate(
@@ -33,7 +37,7 @@ def evaluate(
     split: str | None = None,
     unknown: Touches | None = None,
     plan: Plan | None = None,
-    progress: Progress = lambda stage: None,
+    progress: Progress = silent,
 ) -> tuple[dict[str, Any], list[Trial]]:
     """Learn, recognise and score.
 
@@ -48,9 +52,10 @@ def evaluate(
     unknown : Touches, optional
         Touches of objects that are not among the training objects.
     plan : Plan, optional
-        Preset, label, numbers of touches, orders, seed.
+        Preset, label, numbers of touches, orders, seed; `Plan()` by default.
     progress : callable, optional
-        Called with the name of each stage.
+        Called with the name of each stage. Several folds run one after the other, or
+        where `joblib.parallel_config` says, and name no stages of their own.
 
     Returns
     -------
@@ -58,13 +63,35 @@ def evaluate(
         Plain values, ready for JSON. `accuracy_sd` is the spread over objects,
         over folds where there are several.
     trials : list of Trial
-        One per fold, for the report.
+        One per fold, for `write_report`.
+
+    Raises
+    ------
+    ValueError
+        Both or neither of `test` and `split` are given; labels are missing, were not
+        learnt, or are among the unknown ones; no object has as many test touches as
+        the plan asks for.
+
+    Examples
+    --------
+    >>> from palpate.evaluation import Plan, evaluate
+    >>> from palpate.simulation import simulate_presses
+    >>> touches = simulate_presses(["bar10", "disc13"], 12, random_state=0)
+    >>> plan = Plan(preset="liu2014", touches=(1,), orders=2)
+    >>> figures, trials = evaluate(touches, split="between", plan=plan)
+    >>> figures["accuracy"]
+    {'1': 1.0}
     """
     plan = plan or Plan()
     folds = _folds(train, test, split)
     if split == "unseen-objects":
         plan = replace(plan, label="category")
-    trials = _run_all(folds, unknown, plan, progress)
+    if len(folds) == 1:
+        trials = [_run(folds[0], unknown, plan, progress)]
+    else:
+        progress(f"{len(folds)} folds")
+        tasks = [(fold, unknown, plan, silent) for fold in folds]
+        trials = in_parallel(_run, tasks, "Folds", show=False)
     return figures_of(trials, plan, split), trials
 
 
@@ -81,24 +108,6 @@ def _folds(train: Touches, test: Touches | None, split: str | None) -> list[Fold
     return [Fold("test", train, test)]
 
 
-def _run_all(
-    folds: list[Fold], unknown: Touches | None, plan: Plan, progress: Progress
-) -> list[Trial]:
-    """Run folds one after the other, or where `joblib.parallel_config` says."""
-    if len(folds) == 1:
-        return [_run(folds[0], unknown, plan, progress)]
-    from joblib import Parallel, delayed
-
-    progress(f"{len(folds)} folds")
-    jobs = (delayed(_run)(fold, unknown, plan, _silent) for fold in folds)
-    trials: list[Trial] = Parallel()(jobs)
-    return trials
-
-
-def _silent(stage: str) -> None:
-    """Tell nothing: another process has no screen."""
-
-
 def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) -> Trial:
     train, test = fold.train, fold.test
     if plan.train_touches is not None:
@@ -113,31 +122,39 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     progress(f"{fold.name}: recognising {len(test)} touches")
     evidence, timing = _timed(recogniser, test)
     labels = _test_labels(test, plan.label, recogniser)
-    objects = _objects(test, labels)
+    objects = labels if test.object is None else test.object
     _check_lengths(objects, plan)
-    learnt = (recogniser, evidence.log_likelihood)
-    episodes = run_episodes(
-        *learnt, objects, labels, plan.orders, plan.seed, evidence.novelty
-    )
-    singles = single_touches(*learnt, episodes, objects, evidence.novelty)
     trial = Trial(
         Fold(fold.name, train, test),
-        *learnt,
-        singles,
-        episodes,
-        None,
-        None,
-        {**seconds, **timing},
+        recogniser,
+        evidence.log_likelihood,
+        *_met(recogniser, evidence, objects, labels, plan.orders, plan.seed),
+        seconds={**seconds, **timing},
     )
     if unknown is not None:
         progress(f"{fold.name}: meeting {len(unknown)} unknown touches")
-        _meet_unknown(trial, unknown, plan)
+        met = _meet_unknown(recogniser, unknown, plan)
+        trial.unknown_singles, trial.unknown_episodes = met
     progress(f"{fold.name}: nuisance controls")
     trial.controls = _controls(trial, labels, objects, plan)
     return trial
 
 
-def _check_lengths(objects: NDArray, plan: Plan) -> None:
+def _met(
+    recogniser: ObjectRecogniser,
+    evidence: Evidence,
+    objects: Array,
+    labels: Array | None,
+    orders: int,
+    seed: int,
+) -> tuple[Episodes, Episodes]:
+    """Return episodes of one touch each, and of many orders of all touches."""
+    rows, novelty = evidence.log_likelihood, evidence.novelty
+    many = run_episodes(recogniser, rows, objects, labels, orders, seed, novelty)
+    return single_touches(recogniser, rows, many, objects, novelty), many
+
+
+def _check_lengths(objects: Array, plan: Plan) -> None:
     longest = int(np.unique(objects, return_counts=True)[1].max())
     if min(plan.touches) > longest:
         raise ValueError(
@@ -161,28 +178,24 @@ def _timed(
     }
 
 
-def _test_labels(test: Touches, label: str, recogniser: ObjectRecogniser) -> NDArray:
+def _test_labels(test: Touches, label: str, recogniser: ObjectRecogniser) -> Array:
     labels = test.object if label == "object" else test.category
     if labels is None:
         raise ValueError(
             f"test touches must have a column {label!r} to be scored against."
         )
-    strange = np.setdiff1d(labels, recogniser.classes_)
-    if len(strange):
+    new = np.setdiff1d(labels, recogniser.classes_)
+    if len(new):
         raise ValueError(
-            f"test touches hold {label} {str(strange[0])!r}, which was not learnt "
-            f"({len(strange)} such labels). Leave them out, or pass them as --unknown."
+            f"test touches hold {label} {str(new[0])!r}, which was not learnt "
+            f"({len(new)} such labels). Leave them out, or pass them as --unknown."
         )
     return labels
 
 
-def _objects(touches: Touches, labels: NDArray) -> NDArray:
-    """Return what makes one episode: the object, or the label where none is told."""
-    return labels if touches.object is None else touches.object
-
-
-def _meet_unknown(trial: Trial, unknown: Touches, plan: Plan) -> None:
-    recogniser = trial.recogniser
+def _meet_unknown(
+    recogniser: ObjectRecogniser, unknown: Touches, plan: Plan
+) -> tuple[Episodes, Episodes]:
     column = unknown.object if unknown.object is not None else unknown.category
     objects = np.full(len(unknown), "unknown") if column is None else column
     memory = recogniser.memory_
@@ -193,21 +206,16 @@ def _meet_unknown(trial: Trial, unknown: Touches, plan: Plan) -> None:
             f"{str(known[0])!r}. Leave those out."
         )
     evidence = recogniser.evidence(unknown)
-    learnt = (recogniser, evidence.log_likelihood)
-    episodes = run_episodes(
-        *learnt, objects, None, plan.orders, plan.seed + 1, evidence.novelty
-    )
-    trial.unknown_episodes = episodes
-    trial.unknown_singles = single_touches(*learnt, episodes, objects, evidence.novelty)
+    return _met(recogniser, evidence, objects, None, plan.orders, plan.seed + 1)
 
 
 def _controls(
-    trial: Trial, labels: NDArray, objects: NDArray, plan: Plan
+    trial: Trial, labels: Array, objects: Array, plan: Plan
 ) -> dict[str, dict[str, float] | None]:
     train, test = trial.fold.train, trial.fold.test
     recogniser = trial.recogniser
     result: dict[str, dict[str, float] | None] = {}
-    measures = {
+    measures: dict[str, Callable[[Touches], Floats | None]] = {
         "disc centre": disc_centres,
         "brightness": brightness,
         "sorted pixels": sorted_pixels,
@@ -215,10 +223,8 @@ def _controls(
     memory = recogniser.memory_
     groups = left_out_groups(train, memory.labels, memory.objects, plan.label)
     for name, measure in measures.items():
-        of_train = measure(train)
-        of_test = None if of_train is None else measure(test)
-        if of_train is None or of_test is None:
-            result[name] = None
+        result[name] = None
+        if (of_train := measure(train)) is None or (of_test := measure(test)) is None:
             continue
         values = control_log_likelihood(of_train, memory.labels, groups, of_test)
         result[name] = _curve(recogniser, values, objects, labels, plan)
@@ -233,9 +239,9 @@ def _controls(
 
 def _curve(
     recogniser: ObjectRecogniser,
-    log_likelihood: NDArray,
-    objects: NDArray,
-    labels: NDArray,
+    log_likelihood: Array,
+    objects: Array,
+    labels: Array,
     plan: Plan,
 ) -> dict[str, float]:
     episodes = run_episodes(
@@ -246,5 +252,5 @@ def _curve(
     for k in plan.touches:
         truth, beliefs = (singles if k == 1 else episodes).after(k)
         if truth:
-            result[str(k)] = float(outcome(truth, beliefs).accuracy.mean())
+            result[str(k)] = float(scores(truth, beliefs).accuracy.mean())
     return result

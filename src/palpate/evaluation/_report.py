@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .._durable import write_text
+from .._types import Array, Floats
 from . import plots
-from ._episodes import outcome
-from ._metrics import calibration_bins
+from ._episodes import scores
+from ._metrics import calibration_bins, spread
 from ._report_why import explanations
 from ._trial import Trial
 
@@ -71,15 +72,18 @@ def write_report(
         _examples(trials),
     ]
     title = f"palpate: {figures['n_labels']} {figures['label']} labels"
-    page = (
+    write_text(target, report_page(title, sections))
+    return target
+
+
+def report_page(title: str, sections: Sequence[str]) -> str:
+    """Return sections of HTML as one page in the style of reports."""
+    return (
         "<!doctype html><html lang=en><meta charset=utf-8>"
         "<meta name=viewport content='width=device-width,initial-scale=1'>"
         f"<title>{escape(title)}</title><style>{PAGE_STYLE}</style><body>"
-        + "".join(sections)
-        + "</body></html>"
+        f"{''.join(sections)}</body></html>"
     )
-    target.write_text(page, encoding="utf-8")
-    return target
 
 
 def _head(figures: dict[str, Any]) -> str:
@@ -99,11 +103,10 @@ def _head(figures: dict[str, Any]) -> str:
 
 
 def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
-    curve, spread = _curve(trials)
-    plot = plots.accuracy_curve(figures, curve, spread)
+    plot = plots.accuracy_curve(figures, *_curve(trials))
     bins = {}
     for k in map(int, figures["accuracy"]):
-        scored = [outcome(*t.after(k)) for t in trials if t.after(k)[0]]
+        scored = [one for t in trials if (one := t.scores(k)) is not None]
         bins[str(k)] = calibration_bins(
             np.concatenate([s.confidence for s in scored]),
             np.concatenate([s.hit for s in scored]),
@@ -120,10 +123,12 @@ def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
 
 def _table(figures: dict[str, Any]) -> str:
     keys = list(figures["accuracy"])
-    rows = [("right, %", figures["accuracy"], 100, 1)]
-    rows.append(("standard deviation, %", figures["accuracy_sd"], 100, 1))
-    rows.append(("log loss, nats", figures["log_loss"], 1, 2))
-    rows.append(("calibration error", figures["ece"], 1, 3))
+    rows = [
+        ("right, %", figures["accuracy"], 100, 1),
+        ("standard deviation, %", figures["accuracy_sd"], 100, 1),
+        ("log loss, nats", figures["log_loss"], 1, 2),
+        ("calibration error", figures["ece"], 1, 3),
+    ]
     for name, control in figures["controls"].items():
         rows.append((f"control: {name}, %", control or {}, 100, 1))
     if "unknown_auroc" in figures:
@@ -144,8 +149,8 @@ def _table(figures: dict[str, Any]) -> str:
 def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     k = [int(key) for key in figures["accuracy"]][min(1, len(figures["accuracy"]) - 1)]
     names = [str(name) for name in trials[0].recogniser.classes_]
-    parts = [outcome(*t.after(k)).confusion for t in trials if t.after(k)[0]]
-    confusion = np.mean(parts, axis=0)
+    scored = [one for t in trials if (one := t.scores(k)) is not None]
+    confusion = np.mean([one.confusion for one in scored], axis=0)
     pairs = _confused_pairs(confusion)
     shown = "".join(
         _pair(names, row, column, confusion, trials) for row, column in pairs
@@ -159,7 +164,7 @@ def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     )
 
 
-def _confused_pairs(confusion: NDArray) -> list[tuple[int, int]]:
+def _confused_pairs(confusion: Array) -> list[tuple[int, int]]:
     off = confusion.copy()
     np.fill_diagonal(off, 0)
     order = np.argsort(off, axis=None)[::-1][:PAIRS]
@@ -170,7 +175,7 @@ def _confused_pairs(confusion: NDArray) -> list[tuple[int, int]]:
 
 
 def _pair(
-    names: list[str], row: int, column: int, confusion: NDArray, trials: Sequence[Trial]
+    names: list[str], row: int, column: int, confusion: Array, trials: Sequence[Trial]
 ) -> str:
     share = f"{100 * confusion[row, column]:.0f} %"
     cells = "".join(
@@ -190,7 +195,7 @@ def _examples(trials: Sequence[Trial]) -> str:
         f"<div class=touches>{_pictures(trials, name, EXAMPLES)}</div></div>"
         for name in names
     )
-    return f"<h2>What the sensor feels</h2>{lines}"
+    return f"<h2>Touches of each label</h2>{lines}"
 
 
 def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:
@@ -205,16 +210,16 @@ def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:
     )
 
 
-def _curve(trials: Sequence[Trial]) -> tuple[NDArray, NDArray]:
+def _curve(trials: Sequence[Trial]) -> tuple[Floats, Floats]:
     """Return mean and spread of accuracy after 1, 2, 3... touches.
 
     As far as every object has that many touches.
     """
     shortest = min(b.shape[1] for trial in trials for b in trial.episodes.beliefs)
-    mean, spread = np.empty(shortest), np.empty(shortest)
-    for k in range(1, shortest + 1):
-        accuracy = [outcome(*t.after(k)).accuracy for t in trials]
-        per_fold = np.array([a.mean() for a in accuracy])
-        mean[k - 1] = per_fold.mean()
-        spread[k - 1] = accuracy[0].std() if len(trials) == 1 else per_fold.std()
-    return mean, spread
+    each = [
+        [scores(*trial.after(k)).accuracy for trial in trials]
+        for k in range(1, shortest + 1)
+    ]
+    per_fold = np.array([[over.mean() for over in folds] for folds in each])
+    over = [folds[0] for folds in each] if len(trials) == 1 else per_fold
+    return per_fold.mean(axis=1), np.array([float(spread(one)) for one in over])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..touches import Touches
 from . import plots
-from ._decisions import Decisions, decide_episodes
+from ._episodes import Decisions, decide_episodes
 from ._trial import Trial
 
 EPISODES = 6

@@ -94,7 +94,7 @@ def _drawn_rows(touches: Touches, n_touches: int, seed: int) -> NDArray[np.intp]
     if touches.object is None:
         raise ValueError("touches must have a column 'object' to draw from each.")
     rng = np.random.default_rng(seed)
-    rows: list[NDArray] = []
+    rows: list[NDArray[np.intp]] = []
     for name in np.unique(touches.object):
         of_object = np.flatnonzero(touches.object == name)
         rows.append(rng.permutation(of_object)[:n_touches])

@@ -1,13 +1,19 @@
-"""What is asked of an evaluation, and what one fold of it holds."""
+"""What is asked of an evaluation, what one fold of it holds, and the figures of all."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
-from numpy.typing import NDArray
+import numpy as np
 
 from .._checks import check_count, check_number, check_option
+from .._types import Floats
 from ..recognition import PRESETS, ObjectRecogniser
-from ._episodes import Episodes, Floats
+from ._episodes import Decisions, Episodes, Scores, decide_episodes, scores
+from ._metrics import calibration_error, roc_area, spread
 from ._splits import Fold
+
+REFUSED = 0.05
 
 
 @dataclass(frozen=True)
@@ -53,16 +59,34 @@ class Plan:
 
 @dataclass
 class Trial:
-    """One fold, learnt and tested: what the figures and the report are made of."""
+    """One fold, learnt and tested: what the figures and the report are made of.
+
+    Attributes
+    ----------
+    fold : Fold
+        The touches that taught and those that were asked.
+    recogniser : ObjectRecogniser
+        Learnt from `fold.train`.
+    log_likelihood : ndarray of shape (n_test_touches, n_labels)
+        Of each test touch by itself.
+    singles, episodes : Episodes
+        Every test touch alone; many orders of each object's touches.
+    seconds : dict
+        To learn; per touch to encode and to recognise.
+    unknown_singles, unknown_episodes : Episodes or None
+        The same of unknown objects, where there are any.
+    controls : dict
+        Accuracy after k touches of each nuisance control; None where it has no cause.
+    """
 
     fold: Fold
     recogniser: ObjectRecogniser
-    log_likelihood: NDArray
+    log_likelihood: Floats
     singles: Episodes
     episodes: Episodes
-    unknown_singles: Episodes | None
-    unknown_episodes: Episodes | None
     seconds: dict[str, float]
+    unknown_singles: Episodes | None = None
+    unknown_episodes: Episodes | None = None
     controls: dict[str, dict[str, float] | None] = field(default_factory=dict)
 
     def after(self, k: int, *, unknown: bool = False) -> tuple[list[int], list[Floats]]:
@@ -72,6 +96,11 @@ class Trial:
         of unknown objects.
         """
         return self._episodes(k, unknown=unknown).after(k)
+
+    def scores(self, k: int) -> Scores | None:
+        """Return how the episodes ended after `k` touches; None without any."""
+        truth, beliefs = self.after(k)
+        return scores(truth, beliefs) if truth else None
 
     def unknown_after(self, k: int, *, unknown: bool = False) -> Floats:
         """Return the unknown scores after `k` touches, of all episodes."""
@@ -83,3 +112,81 @@ class Trial:
         assert singles is not None
         assert episodes is not None
         return singles if k == 1 else episodes
+
+
+def figures_of(
+    trials: Sequence[Trial], plan: Plan, split: str | None
+) -> dict[str, Any]:
+    """Return the figures of all folds together; see `evaluate`."""
+    first = trials[0].recogniser
+    figures: dict[str, Any] = {
+        **{k: v for k, v in first.summary().items() if k != "labels"},
+        "split": split,
+        "n_folds": len(trials),
+        "n_train_touches": sum(len(t.fold.train) for t in trials) // len(trials),
+        "n_test_touches": sum(len(t.fold.test) for t in trials),
+        "chance": 1 / len(first.classes_),
+        "orders": plan.orders,
+        "seed": plan.seed,
+    }
+    for name in ("accuracy", "accuracy_sd", "n_objects", "log_loss", "ece"):
+        figures[name] = {}
+    for k in plan.touches:
+        _figures_after(k, trials, figures)
+    if trials[0].unknown_episodes is not None:
+        figures["unknown_auroc"], figures["unknown_refused"] = _unknown(trials, plan)
+    decisions = [decide_episodes(t.recogniser, t.episodes, plan.error) for t in trials]
+    figures["decision"] = Decisions.pooled(decisions).to_dict(plan.error)
+    figures["controls"] = _mean_controls(trials)
+    figures["seconds"] = {
+        name: float(np.mean([t.seconds[name] for t in trials]))
+        for name in trials[0].seconds
+    }
+    return figures
+
+
+def _figures_after(k: int, trials: Sequence[Trial], figures: dict[str, Any]) -> None:
+    scored = [one for trial in trials if (one := trial.scores(k)) is not None]
+    if not scored:
+        return
+    per_fold = [one.accuracy.mean() for one in scored]
+    names = ("accuracy", "confidence", "hit", "log_loss")
+    over_objects, confidence, hit, log_loss = (
+        np.concatenate([getattr(one, name) for one in scored]) for name in names
+    )
+    key = str(k)
+    figures["accuracy"][key] = float(np.mean(per_fold))
+    over = over_objects if len(scored) == 1 else per_fold
+    figures["accuracy_sd"][key] = float(spread(over))
+    figures["n_objects"][key] = len(over_objects)
+    figures["log_loss"][key] = float(np.mean(log_loss))
+    figures["ece"][key] = calibration_error(confidence, hit)
+
+
+def _unknown(
+    trials: Sequence[Trial], plan: Plan
+) -> tuple[dict[str, float], dict[str, float]]:
+    area, refused = {}, {}
+    for k in plan.touches:
+        areas, shares = [], []
+        for trial in trials:
+            below, above = (trial.unknown_after(k, unknown=u) for u in (False, True))
+            if not len(below) or not len(above):
+                continue
+            areas.append(roc_area(below, above))
+            limit = trial.recogniser.unknown_scale_.threshold(k, REFUSED)
+            shares.append(float((above > limit).mean()))
+        if areas:
+            area[str(k)] = float(np.mean(areas))
+            refused[str(k)] = float(np.mean(shares))
+    return area, refused
+
+
+def _mean_controls(trials: Sequence[Trial]) -> dict[str, dict[str, float] | None]:
+    result: dict[str, dict[str, float] | None] = {}
+    for name in trials[0].controls:
+        curves = [c for t in trials if (c := t.controls[name]) is not None]
+        keys = dict.fromkeys(k for curve in curves for k in curve)
+        mean = {k: float(np.mean([c[k] for c in curves if k in c])) for k in keys}
+        result[name] = mean if curves else None
+    return result

@@ -3,13 +3,15 @@
 matplotlib is the extra `plot`, imported where it is used.
 """
 
-import base64
 import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from .._extras import needed
+from .._types import Array
+from ..touches import png_address
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,15 +23,10 @@ CONTROLS = ("#b8572a", "#8a6d0b", "#6b4e9b", "#5a6572")
 
 def require_matplotlib() -> None:
     """Refuse clearly where the extra is missing."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        raise ImportError(
-            "Reports need matplotlib: pip install palpate[plot]."
-        ) from None
+    needed("matplotlib", "plot", "A report")
 
 
-def accuracy_curve(figures: dict[str, Any], curve: NDArray, spread: NDArray) -> str:
+def accuracy_curve(figures: dict[str, Any], curve: Array, spread: Array) -> str:
     """Return accuracy against touches with its spread, chance and the controls.
 
     `curve` and `spread` hold mean and standard deviation after 1, 2, 3... touches.
@@ -44,10 +41,8 @@ def accuracy_curve(figures: dict[str, Any], curve: NDArray, spread: NDArray) -> 
     ):
         if control:
             label = "without contact" if name == "no contact" else f"{name} alone"
-            points = [(int(k), 100 * v) for k, v in control.items()]
-            axes.plot(
-                *zip(*points, strict=True), "o--", color=colour, ms=4, lw=1, label=label
-            )
+            after, right = map(int, control), (100 * v for v in control.values())
+            axes.plot([*after], [*right], "o--", color=colour, ms=4, lw=1, label=label)
     axes.axhline(100 * figures["chance"], color=INK, lw=0.8, ls=":", label="chance")
     axes.set(
         xlabel="touches", ylabel="right, %", ylim=(0, 101), xlim=(1, max(2, len(curve)))
@@ -56,33 +51,21 @@ def accuracy_curve(figures: dict[str, Any], curve: NDArray, spread: NDArray) -> 
     return _svg(figure)
 
 
-def calibration_plot(bins: dict[str, tuple[NDArray, NDArray, NDArray]]) -> str:
+def calibration_plot(bins: dict[str, tuple[Array, Array, Array]]) -> str:
     """Return share right against belief, one line per number of touches."""
     figure, axes = _figure(3.9, 3.7)
     axes.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
     shades = np.linspace(0.35, 1.0, max(1, len(bins)))
     for shade, (name, (means, shares, _)) in zip(shades, bins.items(), strict=True):
-        axes.plot(
-            means,
-            shares,
-            "o-",
-            color=OURS,
-            alpha=float(shade),
-            ms=4,
-            lw=1.4,
-            label=f"after {name}",
-        )
-    axes.set(
-        xlabel="belief in the best",
-        ylabel="share right",
-        xlim=(0, 1.01),
-        ylim=(0, 1.01),
-    )
+        style = {"color": OURS, "alpha": float(shade), "ms": 4, "lw": 1.4}
+        axes.plot(means, shares, "o-", label=f"after {name}", **style)
+    axes.set(xlabel="belief in the best", xlim=(0, 1.01))
+    axes.set(ylabel="share right", ylim=(0, 1.01))
     axes.legend(frameon=False, fontsize=8)
     return _svg(figure)
 
 
-def confusion_plot(confusion: NDArray, names: Sequence[str]) -> str:
+def confusion_plot(confusion: Array, names: Sequence[str]) -> str:
     """Return the share of answers (columns) per true label (rows)."""
     size = min(11.0, 2.6 + 0.33 * len(names))
     figure, axes = _figure(size + 0.8, size)
@@ -95,31 +78,15 @@ def confusion_plot(confusion: NDArray, names: Sequence[str]) -> str:
     if len(names) <= 20:
         for row, column in np.argwhere(confusion >= 0.005):
             share = confusion[row, column]
-            axes.text(
-                column,
-                row,
-                f"{100 * share:.0f}",
-                ha="center",
-                va="center",
-                fontsize=small - 1,
-                color="white" if share > 0.6 else INK,
-            )
+            style = {"fontsize": small - 1, "color": "white" if share > 0.6 else INK}
+            text = f"{100 * share:.0f}"
+            axes.text(column, row, text, ha="center", va="center", **style)
     return _svg(figure)
 
 
-def picture(image: NDArray, *, side: int = 120) -> str:
+def picture(image: Array, *, side: int = 120) -> str:
     """Return one tactile image as a PNG data address, contrast stretched."""
-    import cv2
-
-    levels = np.nan_to_num(np.asarray(image, dtype=np.float64))
-    low, high = np.percentile(levels, [0.5, 99.5])
-    grey = np.clip((levels - low) / max(high - low, 1e-12), 0, 1) * 255
-    scale = side / max(grey.shape)
-    size = (max(1, round(grey.shape[1] * scale)), max(1, round(grey.shape[0] * scale)))
-    how = cv2.INTER_AREA if scale < 1 else cv2.INTER_NEAREST
-    small = cv2.resize(grey.astype(np.uint8), size, interpolation=how)
-    data = cv2.imencode(".png", small)[1].tobytes()
-    return "data:image/png;base64," + base64.b64encode(data).decode()
+    return png_address(image, side)
 
 
 def _figure(width: float, height: float) -> tuple["Figure", Any]:

@@ -4,55 +4,46 @@ A strategy chooses where, `guarded_touch` goes there and comes back whatever hap
 `explore` repeats it until the object is recognised and keeps every attempt.
 """
 
-from ._episode import Exploration, explore, gather
+from ._episode import Exploration, explore
+from ._episode import gather as gather
 from ._guarded import Guard, guarded_touch
-from ._hemisphere import Hemisphere
 from ._informative import InformativeTouch
-from ._log import EpisodeError, EpisodeLog, read_episode
 from ._placed_belief import PlacedBelief
-from ._record import OUTCOMES, TouchRecord, as_touches
-from ._recorded import (
-    InformativeRecorded,
-    RandomRecorded,
-    RasterRecorded,
-    look_at_recorded,
-)
-from ._robot import Robot, RobotError
-from ._simulated_robot import FAULTS, SimulatedRobot
-from ._stand import QUICK_GUARD, Stand, put_down
-from ._strategies import RandomHemisphere, Raster, Strategy
-from ._teaching import explore_to_learn
+from ._record import OUTCOMES as OUTCOMES
+from ._record import EpisodeError as EpisodeError
+from ._record import EpisodeLog, TouchRecord, read_episode
+from ._record import as_touches as as_touches
+from ._recorded import InformativeRecorded as InformativeRecorded
+from ._recorded import RandomRecorded as RandomRecorded
+from ._recorded import RasterRecorded as RasterRecorded
+from ._recorded import look_at_recorded as look_at_recorded
+from ._robot import FAULTS as FAULTS
+from ._robot import MissingFrames as MissingFrames
+from ._robot import Robot, RobotError, SimulatedRobot
+from ._simulated_objects import QUICK_GUARD as QUICK_GUARD
+from ._simulated_objects import Stand as Stand
+from ._simulated_objects import explore_to_learn, put_down
+from ._strategies import Hemisphere, RandomHemisphere, Raster, Strategy
 from ._touch_map import TouchMap
 
 __all__ = [
-    "FAULTS",
-    "OUTCOMES",
-    "QUICK_GUARD",
-    "EpisodeError",
     "EpisodeLog",
     "Exploration",
     "Guard",
     "Hemisphere",
-    "InformativeRecorded",
     "InformativeTouch",
     "PlacedBelief",
     "RandomHemisphere",
-    "RandomRecorded",
     "Raster",
-    "RasterRecorded",
     "Robot",
     "RobotError",
     "SimulatedRobot",
-    "Stand",
     "Strategy",
     "TouchMap",
     "TouchRecord",
-    "as_touches",
     "explore",
     "explore_to_learn",
-    "gather",
     "guarded_touch",
-    "look_at_recorded",
     "put_down",
     "read_episode",
 ]

@@ -13,8 +13,7 @@ import numpy as np
 from .._checks import check_count
 from ..sensors import TouchSensor
 from ._guarded import Clock, Guard, guarded_touch
-from ._log import EpisodeError, EpisodeLog
-from ._record import TouchRecord, as_touches, tip_mm
+from ._record import EpisodeError, EpisodeLog, TouchRecord, as_touches, tip_mm
 from ._robot import Robot, RobotError
 from ._strategies import Strategy
 
@@ -75,7 +74,7 @@ def explore(
     Parameters
     ----------
     robot, sensor : Robot, TouchSensor
-        What moves and what feels.
+        The arm, and the tactile sensor that it carries.
     recogniser : ObjectRecogniser or TouchMap
         Knows the objects; made for this sensor. A `TouchMap` also uses from where
         each touch was made.
@@ -212,8 +211,8 @@ def _taken_in(belief: Belief, record: TouchRecord) -> TouchRecord:
     try:
         belief.update(as_touches([record]))
     except Exception as error:
-        told = f"The recogniser cannot take this frame: {type(error).__name__}: {error}"
-        message = f"{record.message} {told}".strip()
+        why = f"The recogniser cannot take this frame: {type(error).__name__}: {error}"
+        message = f"{record.message} {why}".strip()
         return replace(record, outcome="no frame", message=message)
     return record
 

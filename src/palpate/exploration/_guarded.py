@@ -3,24 +3,36 @@
 The arm starts clear of everything, learns what its force sensor reads in the air,
 and moves in along a straight line. It ends with a touch, with nothing at the end of
 the line, or with a fault; in each case the arm is pulled back and a record returned.
+
+What bounds the true force: before every step inward all readings were taken after the
+last step, each of them was within the limit by its magnitude, and once one of them had
+reached the force to stop at, a second set was read before it was decided. So a sensor
+that reads s times the force, with an offset that moves by at most D during the touch,
+allows (force_n + D) / s and what one further step adds; a sensor that sticks is found
+by repeating itself, by not changing over `flat_mm` of contact, or by the pictures.
 """
 
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._checks import check_count, check_number, check_positive
+from .._types import Array, Floats
 from ..sensors import SensorError, TouchSensor
 from ..simulation import SensorPose
 from ._record import TouchRecord, tip_mm
 from ._robot import Robot
 
 Clock = Callable[[], float]
+
+
+# A force sensor in contact that changes by less than this, over `flat_mm`, does not
+# follow the contact; nor one that changes by less than six times its noise.
+_FLAT_N = 0.01
+_FLAT_NOISES = 6.0
 
 
 @dataclass(frozen=True)
@@ -32,12 +44,17 @@ class Guard:
     force_n : float, default=0.735
         Force at which the frame is taken: 75 gf, as in Corradi 2015.
     limit_n : float, default=3.0
-        A single reading above it ends the touch as a fault.
+        A single reading beyond it, of either sign, with or without its offset, ends
+        the touch as a fault before any further step.
     air_step_mm, contact_step_mm : float, default=1.0, 0.25
-        Steps before and after `contact_n` is felt. A step in the air that lands
-        beyond `force_n` is taken back and made again in small ones.
+        Steps before and after `contact_n` is read. A step in the air that lands
+        beyond `force_n` is taken back and made again in small ones. The force may pass
+        `limit_n` by what one step adds: choose steps below `limit_n` divided by the
+        stiffness (N/mm) of the stiffest thing that may be met.
     contact_n : float, default=0.1
-        Force that counts as contact; above the noise of the force sensor.
+        Force that counts as contact, until it falls below half of it; above the noise
+        of the force sensor. The mean of a step's readings below minus this is a force
+        of the wrong sign, a fault.
     max_travel_mm : float, default=315.0
         Length of the approach after which there is nothing: from a hemisphere of
         300 mm to its centre, and the depth of a dome.
@@ -45,16 +62,28 @@ class Guard:
         Way from the first contact after which something must be wrong.
     timeout_s : float, default=60.0
         Longest approach.
-    n_readings : int, default=3
-        Readings per step, averaged against noise.
+    n_readings : int, default=4
+        Readings per step, averaged against noise. Must be more than the readings by
+        which the force sensor lags behind the arm.
     n_tare : int, default=12
-        Readings in the air, whose mean is the offset.
+        Readings in the air, whose mean is the offset; read again afterwards.
     max_offset_n : float, default=1.0
         Largest offset of a force sensor that touches nothing.
     stuck_after : int or None, default=12
         So many equal readings in a row mean that the force sensor is stuck; None
-        for one so coarse or so quiet that it repeats itself. 12 readings are four
-        steps, 1 mm in contact.
+        for one so coarse or so quiet that it repeats itself. 12 readings are three
+        steps, 0.75 mm in contact.
+    flat_mm : float, default=2.0
+        Way into contact over which the force must change, by more than its noise.
+    max_miss_mm : float, default=0.5
+        How far from where it was sent the arm may say that it is.
+    frame_change : float or None, default=None
+        Change of the tactile image, root mean square in the sensor's unit, that is a
+        contact: found while the force reads as in the air, it is a fault. Without it a
+        force sensor that is dead but noisy cannot be told from air, and the arm moves
+        on to `max_travel_mm`. Half of what a light touch changes is a good choice.
+    frame_every_mm : float, default=2.0
+        How often that is looked at, on the way.
     """
 
     force_n: float = 0.735
@@ -65,25 +94,40 @@ class Guard:
     max_travel_mm: float = 315.0
     max_press_mm: float = 20.0
     timeout_s: float = 60.0
-    n_readings: int = 3
+    n_readings: int = 4
     n_tare: int = 12
     max_offset_n: float = 1.0
     stuck_after: int | None = 12
+    flat_mm: float = 2.0
+    max_miss_mm: float = 0.5
+    frame_change: float | None = None
+    frame_every_mm: float = 2.0
 
     def __post_init__(self) -> None:
-        for name in ("force_n", "air_step_mm", "contact_step_mm", "contact_n"):
-            check_positive(name, getattr(self, name))
-        for name in ("max_travel_mm", "max_press_mm", "timeout_s", "max_offset_n"):
-            check_positive(name, getattr(self, name))
-        check_count("n_readings", self.n_readings)
-        check_count("n_tare", self.n_tare)
-        if self.stuck_after is not None:
-            check_count("stuck_after", self.stuck_after, at_least=3)
+        counts = {"n_readings", "n_tare"}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in counts:
+                check_count(field.name, value)
+            elif field.name == "stuck_after" and value is not None:
+                check_count(field.name, value, at_least=3)
+            elif value is not None or field.name not in ("stuck_after", "frame_change"):
+                check_positive(field.name, value)
         check_number("contact_n", self.contact_n, high=self.force_n)
         if not self.limit_n > self.force_n:
             raise ValueError(
                 f"limit_n must be above force_n ({self.force_n}), got {self.limit_n}. "
                 "The limit is for what should never happen."
+            )
+        if self.contact_step_mm > self.air_step_mm:
+            raise ValueError(
+                f"contact_step_mm must be at most air_step_mm ({self.air_step_mm}), "
+                f"got {self.contact_step_mm}. Contact needs the smaller steps."
+            )
+        if self.flat_mm < self.contact_step_mm:
+            raise ValueError(
+                f"flat_mm must be at least contact_step_mm ({self.contact_step_mm}), "
+                f"got {self.flat_mm}. Two steps are compared."
             )
 
 
@@ -100,7 +144,7 @@ def guarded_touch(
     Parameters
     ----------
     robot, sensor : Robot, TouchSensor
-        What moves and what feels.
+        The arm, and the tactile sensor that it carries.
     start : SensorPose
         Where the approach begins; the arm moves there in a straight line.
     guard : Guard, optional
@@ -112,7 +156,9 @@ def guarded_touch(
     -------
     TouchRecord
         Whatever happened, the arm was pulled back by as much as it had moved in;
-        where even that failed it was stopped, and `retracted` is False.
+        where even that failed it was stopped, and `retracted` is False. "nothing"
+        says that no contact was read on the whole way, and that the offset was the
+        same afterwards.
 
     Raises
     ------
@@ -122,21 +168,17 @@ def guarded_touch(
     """
     approach = _Approach(robot, sensor, start, guard or Guard(), clock)
     try:
-        approach.run()
-    except _Fault as fault:
-        approach.outcome, approach.message = fault.outcome, str(fault)
-    except Exception as error:
-        approach.outcome = "robot error"
-        approach.message = f"{type(error).__name__}: {error}"
+        approach.attempt(approach.run)
     finally:
         approach.pull_back()
+    approach.attempt(approach.check_offset)
     return approach.record()
 
 
 class _Fault(Exception):
     """The end of an approach that should not have ended so."""
 
-    def __init__(self, outcome: str, message: str) -> None:
+    def __init__(self, message: str, outcome: str = "force sensor") -> None:
         super().__init__(message)
         self.outcome = outcome
 
@@ -157,30 +199,53 @@ class _Approach:
         self.outcome, self.message = "nothing", ""
         self.travel_mm = self.farthest_mm = 0.0
         self.force_n = self.peak_force_n = 0.0
-        self.image: NDArray[Any] | None = None
+        self.image: Array | None = None
         self.retracted = True
-        self._offset_n = 0.0
-        self._contact_mm: float | None = None
-        self._fine_until_mm = 0.0
+        self._offset_n, self._flat_n = 0.0, _FLAT_N
+        self._in_contact: list[tuple[float, float]] = []
+        self._most_n = self._missed_mm = 0.0
+        self._fine_until_mm = self._look_at_mm = 0.0
+        self._air_frame: Floats | None = None
         self._last, self._n_equal = math.nan, 0
         self._began = clock()
 
+    def attempt(self, part: Callable[[], None]) -> None:
+        """Do a part of the touch; what goes wrong in it is the outcome."""
+        try:
+            part()
+        except _Fault as fault:
+            self.outcome = fault.outcome
+            self._note(str(fault))
+        except Exception as error:
+            self.outcome = "robot error"
+            self._note(f"{type(error).__name__}: {error}")
+
     def run(self) -> None:
         """Move in until the force, the end of the line, or a fault."""
-        self.robot.move_to(self.start)
+        guard = self.guard
+        self._move(0.0)
+        self._refuse_miss()
         self._tare()
-        while self.travel_mm < self.guard.max_travel_mm:
-            fine = self._contact_mm is not None or self.travel_mm < self._fine_until_mm
-            step = self.guard.contact_step_mm if fine else self.guard.air_step_mm
-            self._advance(min(self.travel_mm + step, self.guard.max_travel_mm))
-            if self.force_n < self.guard.force_n:
+        if guard.frame_change is not None:
+            self._air_frame = self._frame().astype(np.float64)
+        while self.travel_mm < guard.max_travel_mm:
+            before = self.travel_mm
+            fine = bool(self._in_contact) or before < self._fine_until_mm
+            step = guard.contact_step_mm if fine else guard.air_step_mm
+            self._advance(min(before + step, guard.max_travel_mm))
+            if before == 0 and self.force_n >= guard.contact_n:
+                raise _Fault(
+                    f"{self.force_n:.3f} N after the first {step:g} mm: the offset may "
+                    "hold a load. Start further away, clear of everything.",
+                )
+            if self.force_n < guard.force_n:
                 self._watch_contact()
             elif fine:
-                self._take_frame()
+                self.image, self.outcome = self._frame(), "touched"
                 return
             else:
-                self._fine_until_mm = self.travel_mm
-                self._advance(self.travel_mm - step)
+                self._take_back(before)
+        self._refuse_load()
 
     def pull_back(self) -> None:
         """Retract as far as the arm may have come; if it will not, stop it."""
@@ -197,6 +262,19 @@ class _Approach:
             self.robot.stop()
         except Exception as error:
             self._note(f"Stopping failed: {error}")
+
+    def check_offset(self) -> None:
+        """Read the air once more: an offset that moved hides a load, or feigns one."""
+        if not self.retracted or self.outcome not in ("touched", "nothing"):
+            return
+        for _ in range(self.guard.n_readings):
+            self._read()  # May still be of the contact.
+        moved_n = float(np.mean(self._read_in_air())) - self._offset_n
+        if abs(moved_n) > self.guard.contact_n:
+            raise _Fault(
+                f"The offset moved by {moved_n:.3f} N during the touch, more than "
+                f"contact_n = {self.guard.contact_n:g}: what was pressed is not known.",
+            )
 
     def record(self) -> TouchRecord:
         """Return what is kept of this approach."""
@@ -215,85 +293,174 @@ class _Approach:
 
     def _tare(self) -> None:
         """Learn the offset of the force sensor in the air; refuse a bad one."""
-        readings = [self._read() for _ in range(self.guard.n_tare)]
-        offset = float(np.mean(readings))
-        if abs(offset) > self.guard.max_offset_n:
+        readings = self._read_in_air()
+        self._offset_n = offset = float(np.mean(readings))
+        most = min(self.guard.max_offset_n, self.guard.limit_n - self.guard.force_n)
+        if abs(offset) > most:
             raise _Fault(
-                "force sensor",
-                f"{offset:.3f} N in the air, more than {self.guard.max_offset_n:g}: "
-                "the sensor touches something or has drifted.",
+                f"{offset:.3f} N in the air, more than {most:g}: the sensor touches "
+                "something or has drifted. Clear it, or set it to zero.",
             )
-        self._offset_n = offset
+        noise = float(np.std(readings)) / math.sqrt(self.guard.n_readings)
+        self._flat_n = max(_FLAT_N, _FLAT_NOISES * noise)
 
-    def _advance(self, travel_mm: float) -> None:
+    def _read_in_air(self) -> list[float]:
+        return [self._read() for _ in range(self.guard.n_tare)]
+
+    def _move(self, travel_mm: float) -> None:
+        """Move along the line, and learn by how much the arm says that it missed."""
         # The arm may have moved although the driver raises: pull back that far too.
         self.farthest_mm = max(self.farthest_mm, travel_mm)
-        self.robot.move_to(self.start.advanced(travel_mm))
+        pose = self.start.advanced(travel_mm) if travel_mm else self.start
+        self.robot.move_to(pose)
         self.travel_mm = travel_mm
-        forces = []
-        for _ in range(self.guard.n_readings):
-            forces.append(self._read() - self._offset_n)
-            self.peak_force_n = max(self.peak_force_n, forces[-1])
-            self.force_n = sum(forces) / len(forces)
-            self._refuse_too_hard(forces[-1])
+        here = np.asarray(self.robot.read_pose().position_mm)
+        self._missed_mm = float(np.linalg.norm(here - np.asarray(pose.position_mm)))
+        if self._missed_mm > self.guard.max_miss_mm:
+            way = here - np.asarray(self.start.position_mm)
+            reached = min(float(way @ self.start.direction), self.guard.max_travel_mm)
+            self.farthest_mm = max(self.farthest_mm, reached)
+
+    def _advance(self, travel_mm: float) -> None:
+        """Move, then read the force there; refuse all that must not be moved on."""
+        self._move(travel_mm)
+        self._measure()
+        self._refuse_miss()
         if self.clock() - self._began > self.guard.timeout_s:
-            raise _Fault("timed out", f"No end after {self.guard.timeout_s:g} s.")
+            raise _Fault(f"No end after {self.guard.timeout_s:g} s.", "timed out")
+
+    def _take_back(self, before_mm: float) -> None:
+        """Undo a step that landed beyond the force, to make it again in small ones."""
+        self._fine_until_mm = self.travel_mm
+        self._advance(before_mm)
+        if self.force_n >= self.guard.force_n:
+            raise _Fault(
+                f"Still {self.force_n:.3f} N where it was air before: the force sensor "
+                "is stuck or lags, or something holds on to the sensor.",
+            )
+
+    def _measure(self) -> None:
+        """Read the force; once a reading has reached `force_n`, wait and read again."""
+        if self._most_of_readings() >= self.guard.force_n:
+            self._most_of_readings()
+        if self.force_n < -self.guard.contact_n:
+            raise _Fault(
+                f"{self.force_n:.3f} N: a force of the wrong sign. read_force must be "
+                "positive when something pushes back; if it is, the offset drifts.",
+            )
+
+    def _most_of_readings(self) -> float:
+        """Read as often as is averaged, and return the magnitude of the largest."""
+        forces: list[float] = []
+        for _ in range(self.guard.n_readings):
+            reading = self._read()
+            forces.append(reading - self._offset_n)
+            self.force_n = sum(forces) / len(forces)
+            self.peak_force_n = max(self.peak_force_n, abs(forces[-1]))
+            self._refuse_too_hard(reading, forces[-1])
+        return max(map(abs, forces))
 
     def _watch_contact(self) -> None:
-        """Note where contact began; refuse to go on pushing without a force."""
-        if self.force_n < self.guard.contact_n:
-            self._contact_mm = None
-        elif self._contact_mm is None:
-            self._contact_mm = self.travel_mm
-        elif self.travel_mm - self._contact_mm > self.guard.max_press_mm:
+        """Note where contact began; refuse to go on pressing without a rising force."""
+        guard, here = self.guard, self.travel_mm
+        if self.force_n < guard.contact_n / (2 if self._in_contact else 1):
+            self._in_contact.clear()
+            self._look()
+            return
+        self._in_contact.append((here, self.force_n))
+        self._most_n = max(self._most_n, self.force_n)
+        pressed = here - self._in_contact[0][0]
+        if pressed > guard.max_press_mm:
             raise _Fault(
-                "force sensor",
-                f"Still {self.force_n:.3f} N {self.guard.max_press_mm:g} mm "
+                f"Still {self.force_n:.3f} N {guard.max_press_mm:g} mm "
                 "beyond the first contact.",
+            )
+        recent = [n for mm, n in self._in_contact if mm >= here - guard.flat_mm - 1e-9]
+        if pressed >= guard.flat_mm - 1e-9 and max(recent) - min(recent) < self._flat_n:
+            raise _Fault(
+                f"{self.force_n:.3f} N for {guard.flat_mm:g} mm in contact, without "
+                "a change: the force sensor is stuck. If the object is that soft or "
+                "the sensor that coarse, raise flat_mm.",
+            )
+
+    def _look(self) -> None:
+        """Refuse a tactile image of contact while the force reads as in the air."""
+        if self._air_frame is None or self.travel_mm < self._look_at_mm:
+            return
+        self._look_at_mm = self.travel_mm + self.guard.frame_every_mm
+        change = np.sqrt(np.nanmean((self._frame() - self._air_frame) ** 2))
+        assert self.guard.frame_change is not None
+        if not change < self.guard.frame_change:
+            raise _Fault(
+                f"The tactile image changed by {change:.3g}, as in contact, but the "
+                f"force sensor reads {self.force_n:.3f} N. Is it connected?",
+            )
+
+    def _refuse_load(self) -> None:
+        """At the end of the line there is nothing only if nothing was met."""
+        self._measure()  # The last readings may still be of the step before.
+        self._look_at_mm = self.travel_mm
+        self._watch_contact()
+        if self._most_n:
+            raise _Fault(
+                f"{self._most_n:.3f} N at most on {self.travel_mm:g} mm, and no touch "
+                f"of {self.guard.force_n:g}. Raise max_travel_mm, or start nearer.",
+                "force not reached",
             )
 
     def _read(self) -> float:
         force = float(self.robot.read_force())
         if not math.isfinite(force):
-            raise _Fault("force sensor", f"The force sensor reads {force}.")
+            raise _Fault(f"The force sensor reads {force}.")
         self._n_equal = self._n_equal + 1 if force == self._last else 1
         self._last = force
         if self.guard.stuck_after and self._n_equal >= self.guard.stuck_after:
             raise _Fault(
-                "force sensor",
                 f"The force sensor is stuck at {force:.4f} N for {self._n_equal} "
                 "readings. If it is that coarse, set stuck_after.",
             )
         return force
 
-    def _refuse_too_hard(self, force_n: float) -> None:
-        if force_n > self.guard.limit_n:
+    def _refuse_too_hard(self, reading_n: float, force_n: float) -> None:
+        limit = self.guard.limit_n
+        if max(abs(reading_n), abs(force_n)) > limit:
+            sign = " read_force must be positive when something pushes back."
             raise _Fault(
+                f"{force_n:.3f} N ({reading_n:.3f} with its offset), above the limit "
+                f"of {limit:g}.{sign if force_n < 0 else ''}",
                 "limit exceeded",
-                f"{force_n:.3f} N, above the limit of {self.guard.limit_n:g}.",
             )
 
-    def _take_frame(self) -> None:
+    def _refuse_miss(self) -> None:
+        if not self._missed_mm <= self.guard.max_miss_mm:
+            raise _Fault(
+                f"The arm is {self._missed_mm:.2f} mm from where it was sent, more "
+                f"than max_miss_mm = {self.guard.max_miss_mm:g}.",
+                "robot error",
+            )
+
+    def _frame(self) -> Array:
+        """Return a frame that is one, or say what is wrong with it."""
         try:
             frame = np.asarray(self.sensor.read())
         except SensorError as error:
-            raise _Fault("no frame", str(error)) from error
+            raise _Fault(str(error), "no frame") from error
         if (
             frame.shape != tuple(self.sensor.image_shape)
             or frame.dtype.kind not in "biuf"
         ):
             raise _Fault(
-                "no frame",
                 f"A frame of shape {frame.shape} and type {frame.dtype} arrived, not "
                 f"{self.sensor.image_shape}.",
+                "no frame",
             )
         if np.isinf(frame).any() or np.isnan(frame).all():
             raise _Fault(
-                "no frame",
                 "A frame must be finite but for dead taxels (NaN), got one with "
                 "infinity or of NaN alone. Look at the sensor.",
+                "no frame",
             )
-        self.image, self.outcome = frame.copy(), "touched"
+        return frame.copy()
 
     def _note(self, text: str) -> None:
         self.message = f"{self.message} {text}".strip()

@@ -1,16 +1,16 @@
 """Where to touch next: where the answer is expected to tell most.
 
 For a candidate place and every object and turn that is still possible, the training
-touches near that place, on that object turned so, are what may be felt there. Each
+touches near that place, on that object turned so, are what may be read there. Each
 would change the belief; the expected gain of the candidate is how much more probable
-(in nats) the truth becomes, averaged over what may be true and what may be felt:
+(in nats) the truth becomes, averaged over what may be true and what may be read:
 
     I(c) = sum_(o, a) b(o, a) sum_i K_i(c turned back by a) [log b'(o | f_i) - log b(o)]
 
 the mutual information of the object and the touch, under the map. Training touches
 are weighed by what they would say had their block of the recording never been
 learnt, so a place where the recogniser errs is worth little, or less than nothing. A
-place near one that was touched before feels the same again: its gain is scaled by
+place near one that was touched before reads the same again: its gain is scaled by
 1 - exp(-d^2 / 2 w^2). Where nothing promises anything, the freshest place is next.
 """
 
@@ -26,10 +26,10 @@ from scipy.special import logsumexp
 from .._checks import check_count
 from .._types import Floats
 from ..simulation import SensorPose
-from ._hemisphere import Hemisphere, outward
 from ._place_geometry import freshness
 from ._placed_belief import PlacedBelief
 from ._record import TouchRecord, as_touches
+from ._strategies import Hemisphere, outward
 from ._touch_map import TouchMap
 
 if TYPE_CHECKING:

@@ -79,7 +79,8 @@ def turned_back(places: Floats, n_turns: int) -> Floats:
 def squared_distances(one: Floats, other: Floats) -> Floats:
     """Return squared distances, (n_one, n_other)."""
     squared = (one**2).sum(axis=1)[:, None] + (other**2).sum(axis=1) - 2 * one @ other.T
-    return np.maximum(squared, 0.0)
+    positive: Floats = np.maximum(squared, 0.0)
+    return positive
 
 
 def freshness(candidates: Floats, touched: Floats, width: float) -> Floats:

@@ -1,19 +1,34 @@
-"""What is kept of one attempt to touch, whatever came of it."""
+"""What is kept of each attempt to touch, and the folder that keeps an episode.
 
-from collections.abc import Sequence
+In the folder `episode.json` says with which settings it was begun; `touch_00000.npz`
+and so on hold one attempt each, written once and never changed: `record` (JSON) and,
+where a frame was taken, `image`. A file gets its name only when all of it is on the
+disk, so a program or a machine that dies at any moment leaves every recorded attempt
+whole; what it had not named yet is swept away when the episode goes on.
+"""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from pathlib import Path
+from typing import IO, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._checks import check_option
+from .._durable import PARTIAL, replacing, write_text
+from .._types import Array, Floats
 from ..simulation import SensorPose
 from ..touches import Touches
 
+_FORMAT = 1
+_TOUCH = re.compile(r"touch_(\d{5,})\.npz")
+_LOCK = ".lock"
 OUTCOMES = (
     "touched",
     "nothing",
+    "force not reached",
     "force sensor",
     "limit exceeded",
     "timed out",
@@ -31,7 +46,8 @@ class TouchRecord:
     ----------
     outcome : str
         "touched": the force was reached and a frame taken. "nothing": nothing was
-        met. Any other of `OUTCOMES` is a fault, told in `message`.
+        met on the whole way. Any other of `OUTCOMES` is a fault, said in `message`;
+        "force not reached" where the line ended in too light a contact.
     start : SensorPose
         Where the approach began.
     position_mm : tuple of float
@@ -39,7 +55,7 @@ class TouchRecord:
     force_n : float
         Force there, offset removed; of the last readings that were taken.
     peak_force_n : float
-        Greatest single reading of the approach, offset removed.
+        Magnitude of the greatest single reading of the approach, offset removed.
     travel_mm : float
         Length of the approach.
     duration_s : float
@@ -59,7 +75,7 @@ class TouchRecord:
     peak_force_n: float = 0.0
     travel_mm: float = 0.0
     duration_s: float = 0.0
-    image: NDArray[Any] | None = None
+    image: Array | None = None
     message: str = ""
     retracted: bool = True
 
@@ -74,11 +90,11 @@ class TouchRecord:
         return self.outcome not in ("touched", "nothing")
 
     @property
-    def direction(self) -> NDArray[np.float64]:
+    def direction(self) -> Floats:
         """Way in which the sensor was pushed, of length 1, (3,)."""
         return np.asarray(self.start.direction)
 
-    def as_plain(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return everything but the image as plain values for JSON."""
         plain: dict[str, Any] = {name: getattr(self, name) for name in _NUMBERS}
         return {
@@ -93,8 +109,8 @@ class TouchRecord:
         }
 
     @classmethod
-    def from_plain(cls, plain: dict[str, Any], image: NDArray[Any] | None) -> Self:
-        """Rebuild a record from `as_plain` and its image."""
+    def from_dict(cls, plain: dict[str, Any], image: Array | None) -> Self:
+        """Rebuild a record from `to_dict` and its image."""
         start = SensorPose(plain["start_mm"], plain["direction"], plain["roll_rad"])
         return cls(
             outcome=check_option("outcome", plain["outcome"], OUTCOMES),
@@ -119,7 +135,7 @@ def as_touches(
     object: str | None = None,
     category: str | None = None,
     geometry: str | None = None,
-    no_contact: NDArray[Any] | None = None,
+    no_contact: Array | None = None,
 ) -> Touches:
     """Return the records that are touches, ready to be learnt or recognised.
 
@@ -131,20 +147,194 @@ def as_touches(
     ValueError
         None of the records is a touch.
     """
-    felt = [(order, record) for order, record in enumerate(history) if record.touched]
-    if not felt:
+    touched = [
+        (order, record) for order, record in enumerate(history) if record.touched
+    ]
+    if not touched:
         raise ValueError(
             f"history must hold a touch, got {len(history)} attempts without one. "
             "Look at their outcomes and messages."
         )
     labels = {"object": object, "category": category}
     return Touches(
-        np.stack([np.asarray(record.image) for _, record in felt]),
-        position_mm=[record.position_mm for _, record in felt],
-        direction=np.stack([record.direction for _, record in felt]),
-        force_n=[record.force_n for _, record in felt],
-        order=[order for order, _ in felt],
+        np.stack([np.asarray(record.image) for _, record in touched]),
+        position_mm=[record.position_mm for _, record in touched],
+        direction=np.stack([record.direction for _, record in touched]),
+        force_n=[record.force_n for _, record in touched],
+        order=[order for order, _ in touched],
         geometry=geometry,
         no_contact=no_contact,
-        **{name: [word] * len(felt) for name, word in labels.items() if word},
+        **{name: [word] * len(touched) for name, word in labels.items() if word},
     )
+
+
+class EpisodeError(ValueError):
+    """A folder that is no episode, is damaged, or belongs to another one."""
+
+
+class EpisodeLog:
+    """An episode on disk, open for adding attempts.
+
+    Used as a context manager, so that one program at a time adds to it.
+
+    Parameters
+    ----------
+    folder : path or None
+        Made where there is none; an episode that was begun there goes on. None
+        keeps the attempts in memory alone.
+    settings : mapping, default={}
+        Plain values that must be the same when the episode goes on.
+
+    Attributes
+    ----------
+    history : list of TouchRecord
+        All attempts so far, in order.
+
+    Raises
+    ------
+    EpisodeError
+        On entering: the folder is a file, holds an episode with other settings, a
+        damaged attempt, gaps, or another program is adding to it.
+    """
+
+    def __init__(
+        self, folder: str | Path | None, settings: Mapping[str, Any] | None = None
+    ) -> None:
+        self.folder = None if folder is None else Path(folder)
+        self.settings = dict(settings or {})
+        self.history: list[TouchRecord] = []
+        self._lock: IO[bytes] | None = None
+
+    def __enter__(self) -> Self:
+        if self.folder is None:
+            return self
+        _make_folder(self.folder)
+        self._lock = _locked(self.folder)
+        try:
+            for partial in self.folder.glob(f"{PARTIAL}*"):
+                partial.unlink()
+            self._begin_or_compare(self.folder)
+            self.history = read_episode(self.folder)
+        except BaseException:
+            self._lock.close()
+            raise
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+    def append(self, record: TouchRecord) -> None:
+        """Add one attempt; it is on the disk when this returns."""
+        if self.folder is not None:
+            if self._lock is None:
+                raise EpisodeError(
+                    f"{self.folder} is not open. Use `with EpisodeLog(...)`."
+                )
+            arrays: dict[str, Any] = {"record": np.array(json.dumps(record.to_dict()))}
+            if record.image is not None:
+                arrays["image"] = record.image
+            path = self.folder / f"touch_{len(self.history):05d}.npz"
+            with replacing(path) as file:
+                np.savez(file, **arrays)
+        self.history.append(record)
+
+    def _begin_or_compare(self, folder: Path) -> None:
+        path = folder / "episode.json"
+        wanted = json.loads(json.dumps({"format": _FORMAT, "settings": self.settings}))
+        if not path.exists():
+            _refuse_other_files(folder)
+            write_text(path, json.dumps(wanted, indent=1))
+            return
+        found = _read_settings(path)
+        if found != wanted:
+            raise EpisodeError(
+                f"{folder} holds an episode that was begun with {found}, got "
+                f"{wanted}. Go on with the same settings, or use another folder."
+            )
+
+
+def read_episode(folder: str | Path) -> list[TouchRecord]:
+    """Return all recorded attempts of an episode, in order.
+
+    Raises
+    ------
+    EpisodeError
+        There is no episode, an attempt is missing, or a file is damaged.
+    """
+    path = Path(folder)
+    if not (path / "episode.json").is_file():
+        raise EpisodeError(f"{path} must be the folder of an episode, got none there.")
+    numbered = {
+        int(match[1]): file
+        for file in path.iterdir()
+        if (match := _TOUCH.fullmatch(file.name))
+    }
+    missing = set(range(len(numbered))) - set(numbered)
+    if missing:
+        raise EpisodeError(
+            f"{path} must hold every attempt from 0 on, got no "
+            f"touch_{min(missing):05d}. Bring the file back."
+        )
+    return [_read_record(numbered[number]) for number in sorted(numbered)]
+
+
+def _read_record(path: Path) -> TouchRecord:
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            plain = json.loads(str(arrays["record"]))
+            image = arrays.get("image")
+            return TouchRecord.from_dict(plain, image)
+    except Exception as error:
+        raise EpisodeError(
+            f"{path} is damaged: {type(error).__name__}: {error}. Take the attempts "
+            "before it into a new folder, or bring the file back."
+        ) from error
+
+
+def _read_settings(path: Path) -> Any:
+    try:
+        return json.loads(path.read_bytes())
+    except ValueError as error:
+        raise EpisodeError(f"{path} is damaged: {error}. Bring it back.") from error
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        upward = (folder, *folder.parents)
+        file = next(path for path in upward if path.exists() and not path.is_dir())
+        raise EpisodeError(
+            f"folder must be a folder or a new name, got the file {str(file)!r}. Use "
+            "another folder."
+        ) from error
+
+
+def _refuse_other_files(folder: Path) -> None:
+    """Begin an episode only where nothing else is."""
+    others = sorted(p.name for p in folder.iterdir() if p.name != _LOCK)
+    if others:
+        raise EpisodeError(
+            f"{folder} must be empty or an episode, got {others[0]!r} in it. "
+            "Use another folder."
+        )
+
+
+def _locked(folder: Path) -> IO[bytes]:
+    """Open the lock of a folder; the system gives it back when a program dies."""
+    lock = (folder / _LOCK).open("ab")
+    try:
+        import fcntl
+    except ImportError:  # Windows: nothing keeps two programs apart.
+        return lock
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        lock.close()
+        raise EpisodeError(
+            f"{folder} is in use: another program adds to this episode. Wait for it "
+            "or use another folder."
+        ) from error
+    return lock

@@ -33,19 +33,25 @@ class Chooser(Protocol):
         ...
 
 
-class RandomRecorded:
-    """Looks at recorded touches in a random order."""
+class _Ordered:
+    """Looks at recorded touches in an order that is fixed beforehand."""
 
-    def __init__(self, n_touches: int, random_state: int = 0) -> None:
-        rng = np.random.default_rng(random_state)
-        self._order = rng.permutation(check_count("n_touches", n_touches))
+    _order: NDArray[np.intp]
 
     def next_touch(self, belief: Any, used: Sequence[int]) -> int:
         """Return the next touch of the order."""
         return int(self._order[len(used)])
 
 
-class RasterRecorded:
+class RandomRecorded(_Ordered):
+    """Looks at recorded touches in a random order."""
+
+    def __init__(self, n_touches: int, random_state: int = 0) -> None:
+        rng = np.random.default_rng(random_state)
+        self._order = rng.permutation(check_count("n_touches", n_touches))
+
+
+class RasterRecorded(_Ordered):
     """Looks at recorded touches row after row, from the lowest place up.
 
     Parameters
@@ -61,10 +67,6 @@ class RasterRecorded:
         row = np.round(array[:, 0] / row_height)
         along = np.where(row % 2 == 0, array[:, -1], -array[:, -1])
         self._order = np.lexsort((along, row))
-
-    def next_touch(self, belief: Any, used: Sequence[int]) -> int:
-        """Return the next touch of the raster."""
-        return int(self._order[len(used)])
 
 
 class InformativeRecorded:

@@ -1,17 +1,39 @@
-"""The contract of a robot arm that carries the sensor: all of it on this screen.
+"""The contract of a robot arm that carries the sensor, and a simulated arm.
 
-World: millimetres, z up. A pose (`SensorPose`) is the place of the sensor's tip, the
-way it looks and its roll about that way. Forces are newtons along that way, positive
-when something pushes back.
+The contract is `Robot`, all of it on this screen. World: millimetres, z up. A pose
+(`SensorPose`) is the place of the sensor's tip, the way it looks and its roll about
+that way. Forces are newtons along that way, positive when something pushes back.
 """
 
+from collections.abc import Container, Mapping
+from types import MappingProxyType
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+
+from .._checks import check_number, check_option, check_positive
+from ..sensors import SimulatedBench
 from ..simulation import SensorPose
+
+FAULTS = (
+    "stuck force",
+    "stuck force in contact",
+    "no force",
+    "overshoot",
+    "driver error",
+    "slow",
+    "retract error",
+    "arm stuck",
+    "no frame",
+    "out of reach",
+)
+_OVERSHOOT_MM = 14.0
+_SLOW_S = 1e4
+_AWAY_MM = 1e5
 
 
 class RobotError(RuntimeError):
-    """The arm did not do what it was asked to, or cannot say what it feels."""
+    """The arm did not do what it was asked to, or cannot read its force."""
 
 
 @runtime_checkable
@@ -27,11 +49,17 @@ class Robot(Protocol):
         ...
 
     def read_pose(self) -> SensorPose:
-        """Return where the tip is now."""
+        """Return where the tip is now, as measured and not as it was sent.
+
+        A touch ends as a fault where the two differ, see `Guard.max_miss_mm`.
+        """
         ...
 
     def read_force(self) -> float:
-        """Return a fresh reading of the force sensor (N), its offset included."""
+        """Return a fresh reading of the force sensor (N), its offset included.
+
+        Positive when something pushes back.
+        """
         ...
 
     def retract(self, way_mm: float) -> None:
@@ -44,3 +72,165 @@ class Robot(Protocol):
     def stop(self) -> None:
         """Halt at once and stay; the last resort, allowed at any time."""
         ...
+
+
+class SimulatedRobot:
+    """An arm over a `SimulatedBench`, as a `Robot`.
+
+    Parameters
+    ----------
+    bench : SimulatedBench
+        Where it moves the dome.
+    home : SensorPose
+        Where the tip is at first, clear of the object.
+    noise_n : float, default=0.01
+        Standard deviation of one reading of the force sensor. Guess.
+    offset_n : float, default=0.05
+        What it reads in the air. Guess.
+    speed_mm_s : float, default=100.0
+        Speed of all moves, on the simulated clock alone.
+    random_state : int, default=0
+        Seed of the noise.
+    faults : mapping of int to str, default={}
+        Number of an attempt, which begins with the first move after a retract and
+        is counted from 0, to what fails in it, one of `FAULTS`:
+
+        - "stuck force": the force sensor repeats its last reading;
+        - "stuck force in contact": the same, from the first contact on;
+        - "no force": it reads NaN in contact;
+        - "overshoot": one step in contact goes 14 mm too far;
+        - "driver error": a move in contact raises after it was made;
+        - "slow": a move in contact takes hours;
+        - "retract error": the first retract raises before it moves;
+        - "arm stuck": every retract raises, and the arm stays where it is;
+        - "no frame": the frame does not arrive, where the sensor is asked through
+          `MissingFrames` as that of `put_down` is;
+        - "out of reach": the object is out of reach, so that nothing is met.
+
+    Attributes
+    ----------
+    n_retracts : int
+        Retracts that were made.
+    stopped : bool
+        Whether `stop` was called; the arm then refuses to move.
+    """
+
+    def __init__(
+        self,
+        bench: SimulatedBench,
+        home: SensorPose,
+        *,
+        noise_n: float = 0.01,
+        offset_n: float = 0.05,
+        speed_mm_s: float = 100.0,
+        random_state: int = 0,
+        faults: Mapping[int, str] = MappingProxyType({}),
+    ) -> None:
+        self._bench = bench
+        self._noise_n = check_number("noise_n", noise_n, low=0.0)
+        self._offset_n = check_number("offset_n", offset_n)
+        self._speed = check_positive("speed_mm_s", speed_mm_s)
+        self._rng = np.random.default_rng(random_state)
+        for fault in faults.values():
+            check_option("faults", fault, FAULTS)
+        self._faults = dict(faults)
+        self._spent: set[tuple[int, str]] = set()
+        self._reading_n = self._offset_n
+        self._seconds = 0.0
+        self.n_retracts = self._attempt = 0
+        self.stopped = False
+        self._pose = home
+        bench.move_to(home)
+
+    def move_to(self, pose: SensorPose) -> None:
+        """Move the tip to a pose in a straight line."""
+        self._attempt = self.n_retracts
+        self._move(pose)
+        if self._bench.force_n == 0:
+            return
+        if self._fails_once("overshoot"):
+            self._move(pose.advanced(_OVERSHOOT_MM))
+        if self._fails_once("slow"):
+            self._seconds += _SLOW_S
+        if self._fails_once("driver error"):
+            raise RobotError("The driver lost the arm.")
+
+    def read_pose(self) -> SensorPose:
+        """Return where the tip is."""
+        return self._pose
+
+    def read_force(self) -> float:
+        """Return the force with offset and noise (N)."""
+        self._seconds += 1e-3
+        touching = self._bench.force_n > 0
+        if self._fails("stuck force") or (
+            touching and self._fails("stuck force in contact")
+        ):
+            return self._reading_n
+        if touching and self._fails("no force"):
+            return float("nan")
+        noise = self._noise_n * self._rng.standard_normal()
+        self._reading_n = float(self._bench.force_n + self._offset_n + noise)
+        return self._reading_n
+
+    def retract(self, way_mm: float) -> None:
+        """Pull the tip straight back."""
+        check_number("way_mm", way_mm, low=0.0)
+        if self._fails("arm stuck"):
+            raise RobotError("The brakes do not open.")
+        if self._fails_once("retract error"):
+            raise RobotError("The command to retract was lost.")
+        self._move(self.read_pose().advanced(-way_mm))
+        self.n_retracts += 1
+
+    def stop(self) -> None:
+        """Halt for good."""
+        self.stopped = True
+
+    def loses_frame(self) -> bool:
+        """Whether the frame of this attempt is to be lost."""
+        return self._fails("no frame")
+
+    def clock(self) -> float:
+        """Return the simulated time (s)."""
+        return self._seconds
+
+    def _move(self, pose: SensorPose) -> None:
+        if self.stopped:
+            raise RobotError("The arm was stopped.")
+        here = np.asarray(self.read_pose().position_mm)
+        way = np.linalg.norm(np.asarray(pose.position_mm) - here)
+        self._seconds += float(way) / self._speed
+        self._pose = pose
+        if self._fails("out of reach"):
+            x, y, z = np.asarray(pose.position_mm)
+            pose = SensorPose((x, y, z + _AWAY_MM), pose.direction, pose.roll_rad)
+        self._bench.move_to(pose)
+
+    def _fails(self, fault: str) -> bool:
+        return self._faults.get(self._attempt) == fault
+
+    def _fails_once(self, fault: str) -> bool:
+        key = (self._attempt, fault)
+        if not self._fails(fault) or key in self._spent:
+            return False
+        self._spent.add(key)
+        return True
+
+
+class MissingFrames:
+    """Numbers of the frames that do not arrive, for a `SimulatedSensor`.
+
+    Parameters
+    ----------
+    robot : SimulatedRobot
+        Whose fault "no frame" loses the frames of an attempt.
+    numbers : container of int, default=()
+        Further frames, counted from 0.
+    """
+
+    def __init__(self, robot: SimulatedRobot, numbers: Container[int] = ()) -> None:
+        self._robot, self._numbers = robot, numbers
+
+    def __contains__(self, number: object) -> bool:
+        return number in self._numbers or self._robot.loses_frame()

@@ -5,7 +5,7 @@
 In every step the agent says where to touch and what it believes so far, and is
 rewarded for the belief: actions are {"action": where, "prediction": logits}, and
 `info["prediction"]` holds the target and the loss, as the tasks of ap_gym do [1]_. The
-prediction of a step is made before its touch is felt.
+prediction of a step is made before its touch.
 
 References
 ----------
@@ -17,27 +17,25 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_softmax
 
 from .._checks import check_count, check_number, check_option
+from .._extras import missing
+from .._types import Array, Floats
 from ..simulation import HOUSEHOLD, DomeCamera, find_object, refuse_same_names
 from ._guarded import Guard
-from ._hemisphere import Hemisphere
 from ._record import TouchRecord
-from ._stand import Stand, put_down
+from ._simulated_objects import Stand, put_down
+from ._strategies import Hemisphere
 
 try:
     import gymnasium
     from gymnasium import spaces
 except ImportError as error:
-    raise ImportError(
-        "The environment needs gymnasium, which is not installed. Install it with: "
-        "pip install palpate[sim]"
-    ) from error
+    raise ImportError(missing("gymnasium", "sim", "The environment")) from error
 
 ID = "palpate/Touch-v0"
-Observation = dict[str, NDArray[Any]]
+Observation = dict[str, Array]
 _MOST = float(np.finfo(np.float32).max)
 
 
@@ -130,7 +128,7 @@ class TouchEnv(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Put another object down and return what is felt before the first touch."""
+        """Put another object down and return what is known before the first touch."""
         super().reset(seed=seed)
         names = [thing.name for thing in self._things]
         wanted = options or {}
@@ -144,7 +142,7 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         return self._observation(None), {"object": name}
 
     def step(
-        self, action: dict[str, NDArray[Any]]
+        self, action: dict[str, Array]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Judge the prediction, then touch where the action says.
 
@@ -174,7 +172,7 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         over = len(self.history) >= self.max_touches
         return self._observation(record), -loss, False, over, info
 
-    def _touch(self, stand: Stand, out: NDArray[np.float64]) -> TouchRecord:
+    def _touch(self, stand: Stand, out: Floats) -> TouchRecord:
         out = np.array([out[0], out[1], abs(out[2])])
         if np.linalg.norm(out) < 1e-6:
             out = np.array([0.0, 0.0, 1.0])
@@ -205,7 +203,7 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         }
 
 
-def _numbers(action: Any, name: str, count: int) -> NDArray[np.float64]:
+def _numbers(action: Any, name: str, count: int) -> Floats:
     """Return one part of an action as finite numbers, or explain."""
     if not isinstance(action, Mapping) or name not in action:
         found = sorted(action) if isinstance(action, Mapping) else action

@@ -1,29 +1,40 @@
-"""Cleaning images of a pressure array, as layer 1 of Liu et al. (2014).
+"""Cleaning images of a pressure array, as layer 1 of Liu et al. 2014.
 
 Dead taxels are filled, the image is enlarged, gamma raises the low grey levels, a
 filter removes what is far below the mean, and Otsu's threshold, partition by
 partition, makes the image binary. Each step is a function; `ArrayCleanUp` is the
 chain. Arrays of any shape are accepted, 10 x 10 taxels to 33 x 33 pixels being the
-paper's.
+paper's (doi:10.1155/2014/497275).
 """
 
-from collections.abc import Iterable
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import islice
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, TransformerMixin, clone
+from sklearn.base import clone
 from sklearn.utils import Tags
-from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_count, check_images, check_option, check_positive
+from .._checks import (
+    check_count,
+    check_images,
+    check_number,
+    check_option,
+    check_positive,
+)
+from .._image_estimator import ImageEstimator
+from .._types import Array, Floats
 from ._dead_taxels import fill_dead_taxels
-from ._otsu import binarise
 
 _OUTPUTS = ("resized", "gamma", "filtered", "binary")
+# Interpolation leaves rounding of this relative size in what should be constant.
+_ROUNDING = 1e-12
 
 
-class ArrayCleanUp(TransformerMixin, BaseEstimator):
+class ArrayCleanUp(ImageEstimator):
     """Turn images of a pressure array into binary images of the pressed shape.
 
     Nothing is learnt from the pressures; fitting fixes the image size.
@@ -46,21 +57,9 @@ class ArrayCleanUp(TransformerMixin, BaseEstimator):
     output : {"binary", "filtered", "gamma", "resized"}, default="binary"
         The last step that is done.
 
-    Attributes
-    ----------
-    image_shape_ : tuple of int
-        (n_rows, n_cols) of the images seen by `fit`.
-
     See Also
     --------
     stage_pictures : every step of the chain as a picture.
-
-    References
-    ----------
-    .. [1] Y.-H. Liu et al., "Low-resolution tactile image recognition for automated
-       robotic assembly using kernel PCA-based feature fusion and multiple kernel
-       learning-based support vector machine", Math. Probl. Eng., 2014.
-       doi:10.1155/2014/497275
 
     Examples
     --------
@@ -84,52 +83,57 @@ class ArrayCleanUp(TransformerMixin, BaseEstimator):
         output: str = "binary",
     ) -> None:
         self.shape = shape
-        self.gamma = gamma
-        self.n_sd = n_sd
-        self.n_partitions = n_partitions
-        self.min_contrast = min_contrast
-        self.dead = dead
-        self.output = output
+        self.gamma, self.n_sd = gamma, n_sd
+        self.n_partitions, self.min_contrast = n_partitions, min_contrast
+        self.dead, self.output = dead, output
 
     def fit(
         self, X: ArrayLike, y: object = None, *, no_contact: ArrayLike | None = None
     ) -> Self:
         """Check the parameters and note the size of the images; the rest is ignored."""
-        images = check_images(X, allow_nan=True)
-        check_option("output", self.output, _OUTPUTS)
-        self._clean(images[:1])
-        self.image_shape_ = (images.shape[1], images.shape[2])
-        return self
+        return super().fit(X, y)
 
     def moved(self, X: ArrayLike, no_contact: ArrayLike | None = None) -> Self:
         """Return this clean-up for another array of the same kind."""
-        return clone(self).fit(X, no_contact=no_contact)
+        other: Self = clone(self).fit(X, no_contact=no_contact)
+        return other
 
-    def transform(self, X: ArrayLike) -> NDArray:
+    def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
+        return check_images(X, shape=shape, allow_nan=True)
+
+    def _learn(self, images: Array) -> None:
+        self._clean(images[:1])
+
+    def transform(self, X: ArrayLike) -> Array:
         """Return cleaned images of shape (n_touches, *shape), bool when binary."""
-        check_is_fitted(self)
-        return self._clean(check_images(X, shape=self.image_shape_, allow_nan=True))
+        return self._clean(self._images(X))
 
-    def _clean(self, images: NDArray[np.float64]) -> NDArray:
-        last = _OUTPUTS.index(self.output)
-        cleaned = resize(fill_dead_taxels(images, dead=self.dead), self.shape)
-        if last >= 1:
-            cleaned = correct_gamma(cleaned, self.gamma)
-        if last >= 2:
-            cleaned = filter_noise(cleaned, self.n_sd)
-        if last < 3:
-            return cleaned
-        return binarise(cleaned, self.n_partitions, min_contrast=self.min_contrast)
+    def _clean(self, images: Floats) -> Array:
+        wanted = check_option("output", self.output, _OUTPUTS)
+        return next(made for step, made in self._steps(images) if step == wanted)
+
+    def _steps(self, images: Floats) -> Iterator[tuple[str, Array]]:
+        """Yield each step's name and what it makes of the images."""
+        filled = fill_dead_taxels(images, dead=self.dead)
+        yield "filled", filled
+        resized = resize(filled, self.shape)
+        yield "resized", resized
+        corrected = correct_gamma(resized, self.gamma)
+        yield "gamma", corrected
+        filtered = filter_noise(corrected, self.n_sd)
+        yield "filtered", filtered
+        yield (
+            "binary",
+            binarise(filtered, self.n_partitions, min_contrast=self.min_contrast),
+        )
 
     def __sklearn_tags__(self) -> Tags:
         tags = super().__sklearn_tags__()
-        tags.input_tags.two_d_array = False
-        tags.input_tags.three_d_array = True
         tags.input_tags.allow_nan = self.dead == "fill"
         return tags
 
 
-def resize(images: ArrayLike, shape: tuple[int, int] = (33, 33)) -> NDArray[np.float64]:
+def resize(images: ArrayLike, shape: tuple[int, int] = (33, 33)) -> Floats:
     """Resize images by linear interpolation between taxel centres.
 
     Pixels are squares that tile the same field as the taxels; beyond the outermost
@@ -155,7 +159,7 @@ def resize(images: ArrayLike, shape: tuple[int, int] = (33, 33)) -> NDArray[np.f
 
 def correct_gamma(
     images: ArrayLike, gamma: float = 0.5, *, white: float | None = None
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return white x (image / white) ** gamma; negative levels become 0.
 
     Parameters
@@ -179,7 +183,7 @@ def correct_gamma(
         top = np.full((1, 1, 1), check_positive("white", white))
     top = np.where(top > 0, top, 1.0)
     with np.errstate(over="ignore"):
-        corrected: NDArray[np.float64] = top * (checked / top) ** exponent
+        corrected: Floats = top * (checked / top) ** exponent
     if not np.isfinite(corrected).all():
         raise ValueError(
             "white must leave the corrected levels finite, got "
@@ -189,7 +193,7 @@ def correct_gamma(
     return corrected
 
 
-def filter_noise(images: ArrayLike, n_sd: float = 2.0) -> NDArray[np.float64]:
+def filter_noise(images: ArrayLike, n_sd: float = 2.0) -> Floats:
     """Return the images with levels below mean - n_sd x standard deviation set to 0.
 
     The threshold is often negative on tactile images, most of which is empty: the
@@ -211,9 +215,82 @@ def filter_noise(images: ArrayLike, n_sd: float = 2.0) -> NDArray[np.float64]:
     return np.where(checked < mean - width * spread, 0.0, checked)
 
 
+def otsu_threshold(images: ArrayLike) -> Floats:
+    """Return the threshold of each image that splits its grey levels best.
+
+    The split maximises the variance between the two classes, over every gap
+    between neighbouring grey levels; no histogram is made, so any scale will do.
+
+    Parameters
+    ----------
+    images : array-like of shape (n_touches, n_rows, n_cols)
+
+    Returns
+    -------
+    thresholds : ndarray of shape (n_touches,)
+        The middle of the best gap (the lowest, where several are equally good);
+        NaN where the image is constant and so has no threshold.
+
+    References
+    ----------
+    .. [1] N. Otsu, "A threshold selection method from gray-level histograms", IEEE
+       Trans. Syst. Man Cybern. 9(1), 1979. doi:10.1109/TSMC.1979.4310076
+
+    Examples
+    --------
+    >>> from palpate.images import otsu_threshold
+    >>> otsu_threshold([[[0, 0, 1], [0, 9, 9]]])
+    array([5.])
+    """
+    checked = check_images(images)
+    return _threshold_rows(checked.reshape(len(checked), -1))
+
+
+def binarise(
+    images: ArrayLike, n_partitions: int = 2, *, min_contrast: float = 0.0
+) -> NDArray[np.bool_]:
+    """Threshold each of n x n partitions of each image by its own Otsu threshold.
+
+    A constant partition has no threshold: it is background, unless its level is
+    above the threshold of the whole image. Without that rule a part that covers a
+    whole partition would vanish there.
+
+    Parameters
+    ----------
+    images : array-like of shape (n_touches, n_rows, n_cols)
+    n_partitions : int, default=2
+        Partitions along each side. Where the side does not divide, the first
+        partitions are one pixel longer: 33 pixels make 17 and 16.
+    min_contrast : float, default=0.0
+        Partitions whose grey levels span at most this share of the span of the
+        whole image count as constant, at their mean level. With 0, as in the
+        paper, half of a partition of noise alone becomes foreground.
+
+    Returns
+    -------
+    binary : ndarray of bool of shape (n_touches, n_rows, n_cols)
+    """
+    checked = check_images(images)
+    n_parts = check_count("n_partitions", n_partitions)
+    contrast = check_number("min_contrast", min_contrast, low=0, high=1)
+    if n_parts > min(checked.shape[1:]):
+        raise ValueError(
+            f"n_partitions must be at most {min(checked.shape[1:])}, the shorter side "
+            f"of the images, got {n_parts}. Upsample the images first."
+        )
+    whole = otsu_threshold(checked)
+    span = np.ptp(checked, axis=(1, 2))
+    binary = np.empty(checked.shape, dtype=bool)
+    for rows in np.array_split(np.arange(checked.shape[1]), n_parts):
+        for cols in np.array_split(np.arange(checked.shape[2]), n_parts):
+            block = np.s_[:, rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+            binary[block] = _binarise_block(checked[block], whole, contrast * span)
+    return binary
+
+
 def stage_pictures(
     image: ArrayLike, clean_up: ArrayCleanUp | None = None
-) -> dict[str, NDArray]:
+) -> dict[str, Array]:
     """Return every stage of the clean-up of one image, as the paper's Fig. 10.
 
     Parameters
@@ -232,13 +309,7 @@ def stage_pictures(
     """
     chain = ArrayCleanUp() if clean_up is None else clean_up
     raw = check_images(np.asarray(image)[np.newaxis], allow_nan=True)
-    stages: dict[str, NDArray] = {
-        "raw": raw,
-        "filled": fill_dead_taxels(raw, dead=chain.dead),
-    }
-    stages["resized"] = resize(stages["filled"], chain.shape)
-    stages["gamma"] = correct_gamma(stages["resized"], chain.gamma)
-    stages["filtered"] = filter_noise(stages["gamma"], chain.n_sd)
+    stages: dict[str, Array] = {"raw": raw, **dict(islice(chain._steps(raw), 4))}
     for n in sorted({1, 2, 3, chain.n_partitions}):
         stages[f"binary {n} x {n}"] = binarise(
             stages["filtered"], n, min_contrast=chain.min_contrast
@@ -253,7 +324,7 @@ def _check_shape(shape: object) -> tuple[int, int]:
     return check_count("shape[0]", sides[0]), check_count("shape[1]", sides[1])
 
 
-def _resize_matrix(n_in: int, n_out: int) -> NDArray[np.float64]:
+def _resize_matrix(n_in: int, n_out: int) -> Floats:
     """Weights (n_out, n_in) of the old pixels in each new one, along one side."""
     scale = n_in / n_out
     centre = (np.arange(n_out) + 0.5) * scale - 0.5
@@ -261,4 +332,39 @@ def _resize_matrix(n_in: int, n_out: int) -> NDArray[np.float64]:
         centre = centre.clip(0, n_in - 1)
     distance = np.abs(centre[:, None] - np.arange(n_in)) / max(scale, 1.0)
     weight = np.maximum(1 - distance, 0)
-    return weight / weight.sum(axis=1, keepdims=True)
+    weights: Floats = weight / weight.sum(axis=1, keepdims=True)
+    return weights
+
+
+def _binarise_block(
+    block: Floats, whole: Floats, least_span: Floats
+) -> NDArray[np.bool_]:
+    flat = block.reshape(len(block), -1)
+    threshold = _threshold_rows(flat)
+    constant = np.isnan(threshold) | (np.ptp(flat, axis=1) <= least_span)
+    # Comparisons with NaN are false: an image without a threshold is background.
+    level_is_high = flat.mean(axis=1) > whole
+    foreground = np.where(
+        constant[:, None], level_is_high[:, None], flat > threshold[:, None]
+    )
+    return foreground.reshape(block.shape)
+
+
+def _threshold_rows(levels: Floats) -> Floats:
+    """Otsu's threshold of each row of `levels`, NaN for constant rows."""
+    ordered = np.sort(levels, axis=1)
+    n_rows, n_levels = ordered.shape
+    if n_levels < 2:
+        return np.full(n_rows, np.nan)
+    below = np.arange(1, n_levels)
+    total = np.cumsum(ordered - ordered.mean(axis=1, keepdims=True), axis=1)[:, :-1]
+    # Between-class variance, up to a factor, for a cut after each sorted level.
+    between = total**2 / (below * (n_levels - below))
+    gap = np.diff(ordered, axis=1)
+    size = np.abs(ordered[:, [0, -1]]).max(axis=1, keepdims=True)
+    between[gap <= _ROUNDING * size] = -1.0
+    best = between.max(axis=1, keepdims=True)
+    cut = (between >= best * (1 - _ROUNDING)).argmax(axis=1)
+    row = np.arange(n_rows)
+    threshold = (ordered[row, cut] + ordered[row, cut + 1]) / 2
+    return np.where(best[:, 0] < 0, np.nan, threshold)

@@ -6,23 +6,29 @@ are learnt for every taxel from frames under known uniform loads, as of a pressu
 chamber; a taxel that does not follow its load is dead, and reads NaN.
 """
 
+from __future__ import annotations
+
+import json
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_images, check_number, check_option
+from .._image_estimator import ImageEstimator
+from .._types import Array, Floats
 from ._calibration_fit import fit_taxels
-from ._calibration_json import LEARNT, read_calibration, write_calibration
 
+_FORMAT, _VERSION = "palpate taxel calibration", 1
+_NUMBERS = ("gain", "offset", "noise", "dead_zone_kpa", "saturation_kpa")
+_LEARNT = (*_NUMBERS, "dead", "image_shape", "highest_load_kpa")
 KPA_PER_UNIT = {"kPa": 1.0, "psi": 6.894757293168361, "Pa": 1e-3, "bar": 100.0}
 
 
-class TaxelCalibration(TransformerMixin, BaseEstimator):
+class TaxelCalibration(ImageEstimator):
     """Per-taxel gain, offset, dead zone and saturation, from uniform loads.
 
     Parameters
@@ -87,7 +93,7 @@ class TaxelCalibration(TransformerMixin, BaseEstimator):
         self.quantity = quantity
         self.least_gain = least_gain
 
-    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+    def fit(self, X: ArrayLike, y: Any = None) -> Self:
         """Learn every taxel's line from frames `X` under uniform loads `y`.
 
         Parameters
@@ -103,7 +109,7 @@ class TaxelCalibration(TransformerMixin, BaseEstimator):
             For fewer than three different loads, loads that are negative or do not
             match the frames, or an array in which no taxel follows the load.
         """
-        conductance = self._conductance(check_images(X, allow_nan=True))
+        conductance = self._conductance(self._checked(X))
         loads = self._check_loads(y, len(conductance))
         least_gain = check_number("least_gain", self.least_gain, low=0, high=1)
         n_frames, n_rows, n_cols = conductance.shape
@@ -120,7 +126,7 @@ class TaxelCalibration(TransformerMixin, BaseEstimator):
         self.highest_load_kpa_ = float(loads.max())
         return self
 
-    def transform(self, X: ArrayLike) -> NDArray[np.float64]:
+    def transform(self, X: ArrayLike) -> Floats:
         """Return pressure in kPa, (n_touches, n_rows, n_cols); NaN for dead taxels.
 
         Readings in the dead zone give 0, saturated ones the pressure at which the
@@ -144,13 +150,21 @@ class TaxelCalibration(TransformerMixin, BaseEstimator):
         highest = np.minimum(self.saturation_kpa_, self.highest_load_kpa_)
         # The highest load itself is within range, whatever rounding says.
         above = pressure > highest * (1 + 1e-9)
-        return above.astype(np.int8) - (pressure < self.dead_zone_kpa_)
+        flags: NDArray[np.int8] = above.astype(np.int8)
+        flags -= pressure < self.dead_zone_kpa_
+        return flags
 
     def save(self, path: str | Path) -> None:
         """Write the calibration to a JSON file."""
         check_is_fitted(self)
-        learnt = {name: getattr(self, f"{name}_") for name in LEARNT}
-        write_calibration(path, self.get_params(), learnt)
+        content: dict[str, Any] = {"format": _FORMAT, "version": _VERSION}
+        content["params"] = self.get_params()
+        for name in _LEARNT:
+            value = getattr(self, f"{name}_")
+            content[name] = _to_lists(value) if name in _NUMBERS else value
+        content["dead"] = self.dead_.tolist()
+        text = json.dumps(content, indent=1, allow_nan=False)
+        Path(path).write_text(text + "\n", encoding="utf-8")
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -161,19 +175,20 @@ class TaxelCalibration(TransformerMixin, BaseEstimator):
         ValueError
             When the file is no calibration, or of another version, or damaged.
         """
-        params, learnt = read_calibration(path)
+        params, learnt = _read_calibration(path)
         calibration = cls(**params)
         for name, value in learnt.items():
             setattr(calibration, f"{name}_", value)
         return calibration
 
-    def _on_the_line(self, X: ArrayLike) -> NDArray[np.float64]:
-        check_is_fitted(self)
-        frames = check_images(X, shape=self.image_shape_, allow_nan=True)
-        line = (self._conductance(frames) - self.offset_) / self.gain_
+    def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
+        return check_images(X, shape=shape, allow_nan=True)
+
+    def _on_the_line(self, X: ArrayLike) -> Floats:
+        line = (self._conductance(self._images(X)) - self.offset_) / self.gain_
         return np.where(self.dead_, np.nan, line)
 
-    def _conductance(self, frames: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _conductance(self, frames: Floats) -> Floats:
         check_option("quantity", self.quantity, ("conductance", "resistance"))
         if self.quantity == "conductance":
             return frames
@@ -184,7 +199,7 @@ class TaxelCalibration(TransformerMixin, BaseEstimator):
             )
         return 1 / frames
 
-    def _check_loads(self, y: ArrayLike, n_frames: int) -> NDArray[np.float64]:
+    def _check_loads(self, y: ArrayLike, n_frames: int) -> Floats:
         check_option("load_unit", self.load_unit, KPA_PER_UNIT)
         loads = np.asarray(y, dtype=np.float64)
         if loads.shape != (n_frames,):
@@ -206,8 +221,69 @@ class TaxelCalibration(TransformerMixin, BaseEstimator):
 
     def __sklearn_tags__(self) -> Tags:
         tags = super().__sklearn_tags__()
-        tags.input_tags.two_d_array = False
-        tags.input_tags.three_d_array = True
         tags.input_tags.allow_nan = True
         tags.target_tags.required = True
         return tags
+
+
+def _read_calibration(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Read parameters and learnt values, or say what is wrong with the file."""
+    content = _read(Path(path))
+    try:
+        params = dict(content["params"])
+        learnt: dict[str, Any] = {n: np.array(content[n], float) for n in _NUMBERS}
+        learnt["dead"] = np.array(content["dead"], dtype=bool)
+        learnt["image_shape"] = tuple(int(side) for side in content["image_shape"])
+        learnt["highest_load_kpa"] = float(content["highest_load_kpa"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise _bad(path, f"{error!r} while reading it") from error
+    _check(path, learnt)
+    return params, learnt
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise type(error)(
+            f"path must name a calibration that save() wrote, got {path}: "
+            f"{error.strerror}. Check the path, or calibrate the array."
+        ) from error
+    except ValueError as error:
+        raise _bad(path, "it is not JSON") from error
+    if not isinstance(content, dict) or content.get("format") != _FORMAT:
+        raise _bad(path, f'its "format" is not "{_FORMAT}"')
+    if content.get("version") != _VERSION:
+        raise _bad(
+            path, f"its version is {content.get('version')!r}, known is {_VERSION}"
+        )
+    return content
+
+
+def _check(path: str | Path, learnt: dict[str, Any]) -> None:
+    dead = learnt["dead"]
+    for name in (*_NUMBERS, "dead"):
+        if learnt[name].shape != learnt["image_shape"]:
+            raise _bad(path, f"{name} is not of shape {learnt['image_shape']}")
+    # Infinity, "no saturation was seen", is written as null too.
+    missing = np.isnan(learnt["saturation_kpa"]) & ~dead
+    learnt["saturation_kpa"][missing] = np.inf
+    for name in _NUMBERS:
+        if np.isnan(learnt[name][~dead]).any():
+            raise _bad(path, f"{name} lacks values of taxels that are not dead")
+    if not (learnt["gain"][~dead] > 0).all():
+        raise _bad(path, "gain must be positive for taxels that are not dead")
+
+
+def _bad(path: str | Path, reason: str) -> ValueError:
+    return ValueError(
+        f"path must be a calibration that save() wrote, got {path}: {reason}. "
+        "Calibrate the array again."
+    )
+
+
+def _to_lists(values: Floats) -> list[Any]:
+    objects = values.astype(object)
+    objects[~np.isfinite(values)] = None
+    lists: list[Any] = objects.tolist()
+    return lists

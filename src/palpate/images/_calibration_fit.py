@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from .._types import Floats
 
 # More loads than this (a slow ramp) are summarised in groups of neighbours.
 _MOST_LOADS = 25
@@ -109,7 +109,8 @@ def _mean_error(
         fitted[:i] = np.median(levels[:i], axis=0)
     if j < len(loads) - 1:
         fitted[j + 1 :] = np.median(levels[j + 1 :], axis=0)
-    return np.abs(levels - fitted).mean(axis=0)
+    error: Floats = np.abs(levels - fitted).mean(axis=0)
+    return error
 
 
 def _ends(

@@ -3,6 +3,8 @@
 x points along the columns, y along the rows (downwards); lengths are in pixels.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -11,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import pascal
 
 from .._checks import check_images
+from .._types import Floats
 
-Floats = NDArray[np.float64]
 ORDER = 3
 
 

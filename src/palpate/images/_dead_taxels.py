@@ -1,14 +1,17 @@
 """Dead taxels: NaN in an image, filled from the neighbours or refused."""
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import spsolve
 
 from .._checks import check_images, check_option
+from .._types import Array, Floats
 
 
-def fill_dead_taxels(images: ArrayLike, *, dead: str = "fill") -> NDArray[np.float64]:
+def fill_dead_taxels(images: ArrayLike, *, dead: str = "fill") -> Floats:
     """Return the images without NaN.
 
     A dead taxel takes the mean of its up, down, left and right neighbours; where
@@ -57,7 +60,7 @@ def fill_dead_taxels(images: ArrayLike, *, dead: str = "fill") -> NDArray[np.flo
     return filled
 
 
-def _refuse(images: NDArray[np.float64], is_dead: NDArray[np.bool_], dead: str) -> None:
+def _refuse(images: Floats, is_dead: NDArray[np.bool_], dead: str) -> None:
     count = is_dead.sum(axis=(1, 2))
     if dead == "refuse":
         touch = int(np.flatnonzero(count)[0])
@@ -73,14 +76,12 @@ def _refuse(images: NDArray[np.float64], is_dead: NDArray[np.bool_], dead: str) 
         )
 
 
-def _solve(
-    images: NDArray[np.float64], is_dead: NDArray[np.bool_]
-) -> NDArray[np.float64]:
+def _solve(images: Floats, is_dead: NDArray[np.bool_]) -> Floats:
     """Solve for the taxels of `is_dead`, the same in each of `images`."""
     number = np.where(is_dead, np.cumsum(is_dead).reshape(is_dead.shape) - 1, -1)
     n_dead = int(is_dead.sum())
     diagonal, known = np.zeros(n_dead), np.zeros((n_dead, len(images)))
-    pairs: list[NDArray] = []
+    pairs: list[Array] = []
     for here, there in _neighbours():
         unknown = number[here][is_dead[here]]
         neighbour = number[there][is_dead[here]]

@@ -1,4 +1,4 @@
-"""Cut the disc that a dome camera sees, centred on each image's own rim.
+"""Cut the disc that a dome camera sees, standardise it, and see how steep it is.
 
 A cell of the canvas is the mean of the area it covers in the image, at any fraction
 of a pixel: read from an integral image [1]_, whose bilinear interpolation is exact
@@ -10,16 +10,25 @@ References
    doi:10.1145/800031.808600
 """
 
+from __future__ import annotations
+
 from typing import Self
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, TransformerMixin, clone
-from sklearn.utils import Tags
+from sklearn.base import clone
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_count, check_number, check_option, check_positive
+from .._checks import (
+    check_count,
+    check_number,
+    check_option,
+    check_positive,
+)
+from .._image_estimator import ImageEstimator
+from .._types import Array, Floats
+from ._central_moments import inscribed_mask
 from ._rim import Circle, Rims, as_images, find_rims, typical_rim
 
 N_SAFE = 512
@@ -27,7 +36,7 @@ SAFE_SHARE = 0.02
 FLAT = 1e-6
 
 
-class DomeCrop(TransformerMixin, BaseEstimator):
+class DomeCrop(ImageEstimator):
     """Centre each image on its own rim, cut the largest safe disc, standardise it.
 
     Parameters
@@ -83,10 +92,8 @@ class DomeCrop(TransformerMixin, BaseEstimator):
         output: str = "standardised",
         margin: float = 0.02,
     ) -> None:
-        self.size = size
-        self.missing = missing
-        self.output = output
-        self.margin = margin
+        self.size, self.missing = size, missing
+        self.output, self.margin = output, margin
 
     def fit(
         self, X: ArrayLike, y: object = None, *, no_contact: ArrayLike | None = None
@@ -148,7 +155,7 @@ class DomeCrop(TransformerMixin, BaseEstimator):
         The rim is found in its images `X`; the disc keeps its share of the rim and its
         size in pixels.
         """
-        other = clone(self).fit(X, no_contact=no_contact)
+        other: Self = clone(self).fit(X, no_contact=no_contact)
         if other.has_rim_ and self.has_rim_:
             share = self.disc_radius_ / self.rim_radius_
             other.disc_radius_ = share * other.rim_radius_
@@ -159,7 +166,7 @@ class DomeCrop(TransformerMixin, BaseEstimator):
         """Return the circle about which each touch is cut, and which were seen."""
         return self._rims(X)[1]
 
-    def _rims(self, X: ArrayLike) -> tuple[NDArray, Rims]:
+    def _rims(self, X: ArrayLike) -> tuple[Array, Rims]:
         check_is_fitted(self)
         images = as_images(X, shape=tuple(self.frame_shape_))
         near = Circle(self.rim_row_, self.rim_col_, self.rim_radius_, self.has_rim_)
@@ -167,7 +174,7 @@ class DomeCrop(TransformerMixin, BaseEstimator):
             return images, find_rims(images, near=near)
         return images, Rims.of([Circle.inscribed(self.frame_shape_)] * len(images))
 
-    def _safe_radius(self, images: NDArray) -> float:
+    def _safe_radius(self, images: Array) -> float:
         n = len(images)
         which = np.unique(np.linspace(0, n - 1, min(n, N_SAFE)).round().astype(int))
         near = Circle(self.rim_row_, self.rim_col_, self.rim_radius_)
@@ -179,28 +186,59 @@ class DomeCrop(TransformerMixin, BaseEstimator):
         safe = float(np.quantile(reach, SAFE_SHARE))
         return max(safe, 0.5 * self.rim_radius_) * (1 - self.margin)
 
-    def __sklearn_tags__(self) -> Tags:
-        tags = super().__sklearn_tags__()
-        tags.input_tags.two_d_array = False
-        tags.input_tags.three_d_array = True
-        return tags
 
+class DerivativeMagnitude(ImageEstimator):
+    """Replace images by the magnitude of their discrete derivative.
 
-def disc_mask(size: int) -> NDArray[np.bool_]:
-    """Return which pixel centres lie in the disc inscribed in `size` x `size`.
+    Where a dome's membrane is bent sharply its shading changes fast, whatever the
+    light's brightness; Corradi et al. 2014 (doi:10.1007/978-3-319-10401-0) encode
+    this beside the image itself.
+
+    Parameters
+    ----------
+    region : {"disc", "frame"}, default="disc"
+        "disc" for images cut to a disc: what lies outside the inscribed disc of the
+        smaller result is zero, and no difference reaches across the rim. "frame"
+        keeps all of the interior.
+
+    Notes
+    -----
+    The root of (I[i-1, j] - I[i+1, j])^2 + (I[i, j-1] - I[i, j+1])^2. Eq. 1 of
+    Corradi et al. prints a plus in the second bracket, where a derivative has a minus.
 
     Examples
     --------
-    >>> disc_mask(4).astype(int)
-    array([[0, 1, 1, 0],
-           [1, 1, 1, 1],
-           [1, 1, 1, 1],
-           [0, 1, 1, 0]])
+    >>> import numpy as np
+    >>> from palpate.images import DerivativeMagnitude
+    >>> slope = np.tile(np.arange(4.0), (1, 4, 1))
+    >>> DerivativeMagnitude().fit_transform(slope)
+    array([[[2., 2.],
+            [2., 2.]]])
     """
-    from_centre = np.arange(check_count("size", size)) - (size - 1) / 2
-    squared = from_centre[:, np.newaxis] ** 2 + from_centre**2
-    inside: NDArray[np.bool_] = squared <= (size / 2) ** 2
-    return inside
+
+    def __init__(self, region: str = "disc") -> None:
+        self.region = region
+
+    def _learn(self, images: Array) -> None:
+        check_option("region", self.region, ("frame", "disc"))
+        if min(images.shape[1:]) < 3:
+            raise ValueError(
+                "Images must have at least 3 x 3 pixels to be differentiated, got "
+                f"{images.shape[1]} x {images.shape[2]}. Encode the images themselves."
+            )
+
+    def transform(self, X: ArrayLike) -> Floats:
+        """Return the magnitudes, shape (n_touches, n_rows - 2, n_cols - 2).
+
+        They are of central differences: grey levels per two pixels.
+        """
+        images = self._images(X)
+        down = images[:, 2:, 1:-1] - images[:, :-2, 1:-1]
+        across = images[:, 1:-1, 2:] - images[:, 1:-1, :-2]
+        magnitude: Floats = np.hypot(down, across)
+        if self.region == "disc":
+            magnitude *= inscribed_mask(*magnitude.shape[1:])
+        return magnitude
 
 
 def crop_discs(
@@ -231,11 +269,12 @@ def crop_discs(
             f"rims must be as many as images, got {len(rims)} for {len(checked)}. "
             "Use the rims found in these very images."
         )
-    radius, mask = check_positive("radius", radius), disc_mask(size)
+    radius, side = check_positive("radius", radius), check_count("size", size)
     discs = np.empty((len(checked), size, size), np.float32)
     for disc, image, row, col in zip(discs, checked, rims.row, rims.col, strict=True):
         disc[:] = _mean_over_cells(image, (row, col), radius, size)
-    return discs * mask
+    discs *= inscribed_mask(side, side)
+    return discs
 
 
 def standardise_discs(discs: ArrayLike) -> NDArray[np.float32]:
@@ -252,7 +291,7 @@ def standardise_discs(discs: ArrayLike) -> NDArray[np.float32]:
     rows, cols = images.shape[1:]
     if rows != cols:
         raise ValueError(f"discs must be square, got {rows} x {cols}. Crop them first.")
-    mask = disc_mask(rows)
+    mask = inscribed_mask(rows, rows)
     standard = np.zeros(images.shape, np.float32)
     for result, image in zip(standard, images, strict=True):
         levels = image[mask].astype(np.float64)
@@ -266,8 +305,8 @@ def standardise_discs(discs: ArrayLike) -> NDArray[np.float32]:
 
 
 def _mean_over_cells(
-    image: NDArray, centre: tuple[float, float], radius: float, size: int
-) -> NDArray[np.float64]:
+    image: Array, centre: tuple[float, float], radius: float, size: int
+) -> Floats:
     """Average `image` over a grid of `size` x `size` square cells about `centre`."""
     border = radius * (2 * np.arange(size + 1) / size - 1) + 0.5
     top, row = _from_whole_pixel(border + centre[0])
@@ -281,16 +320,16 @@ def _mean_over_cells(
     upper = upper[:, j] + (upper[:, j + 1] - upper[:, j]) * (col - j)
     lower = lower[:, j] + (lower[:, j + 1] - lower[:, j]) * (col - j)
     corner = upper + (lower - upper) * (row - i)[:, np.newaxis]
-    sums: NDArray[np.float64] = np.diff(np.diff(corner, axis=0), axis=1)
+    sums: Floats = np.diff(np.diff(corner, axis=0), axis=1)
     return sums / (2 * radius / size) ** 2 + level
 
 
-def _from_whole_pixel(border: NDArray) -> tuple[int, NDArray]:
+def _from_whole_pixel(border: Array) -> tuple[int, Array]:
     first = int(np.floor(border[0]))
     return first, border - first
 
 
-def _part(image: NDArray, top: int, height: int, left: int, width: int) -> NDArray:
+def _part(image: Array, top: int, height: int, left: int, width: int) -> Array:
     """Cut a rectangle; outside the frame its edge is repeated."""
     rows, cols = image.shape
     if min(top, left) >= 0 and top + height <= rows and left + width <= cols:
@@ -300,6 +339,6 @@ def _part(image: NDArray, top: int, height: int, left: int, width: int) -> NDArr
     return image[row[:, np.newaxis], col]
 
 
-def _integral(part: NDArray) -> NDArray:
+def _integral(part: Array) -> Array:
     fits = part.dtype == np.uint8 and part.size < 2**31 // 255
     return np.asarray(cv2.integral(part, sdepth=cv2.CV_32S if fits else cv2.CV_64F))

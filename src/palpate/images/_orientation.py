@@ -3,20 +3,19 @@
 An angle is in degrees from the columns towards the rows: clockwise as displayed.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, TransformerMixin
-from sklearn.utils import Tags
-from sklearn.utils.validation import check_is_fitted
+from numpy.typing import ArrayLike
 
 from .._checks import check_images, check_number
+from .._image_estimator import ImageEstimator
+from .._types import Array, Floats
 from ._central_moments import above_least, central_moments, inscribed_mask
 from ._repose import repose
 
-Floats = NDArray[np.float64]
 MIN_ANISOTROPY = 0.02
 # Rounding of the second moments, as a share of their sum.
 _ROUNDING = 1e-9
@@ -39,7 +38,7 @@ class Orientations:
     anisotropy: Floats
 
 
-class OrientationRegulariser(TransformerMixin, BaseEstimator):
+class OrientationRegulariser(ImageEstimator):
     """Turn each image so that its long axis lies along the columns.
 
     Encodings that depend on the angle of the sensor (pixels, their principal
@@ -49,11 +48,6 @@ class OrientationRegulariser(TransformerMixin, BaseEstimator):
     ----------
     min_anisotropy : float, default=0.02
         Images less elongated than this have no direction but noise: they stay.
-
-    Attributes
-    ----------
-    image_shape_ : tuple of int
-        (n_rows, n_cols) of the images seen by `fit`.
 
     Notes
     -----
@@ -73,28 +67,17 @@ class OrientationRegulariser(TransformerMixin, BaseEstimator):
     def __init__(self, min_anisotropy: float = MIN_ANISOTROPY) -> None:
         self.min_anisotropy = min_anisotropy
 
-    def fit(self, X: ArrayLike, y: object = None) -> Self:
-        """Learn the image size; `y` is ignored."""
-        images = check_images(X)
+    def _learn(self, images: Array) -> None:
         check_number("min_anisotropy", self.min_anisotropy, low=0, high=1)
-        self.image_shape_ = (images.shape[1], images.shape[2])
-        return self
 
     def transform(self, X: ArrayLike) -> Floats:
         """Return the turned images, shape (n_touches, n_rows, n_cols)."""
-        check_is_fitted(self)
-        images = check_images(X, shape=self.image_shape_)
+        images = self._images(X)
         found = orientations(images)
         angle = np.where(found.anisotropy >= self.min_anisotropy, found.angle_deg, 0.0)
         turned = repose(images, -angle, edges="nearest")
         turned *= inscribed_mask(*self.image_shape_)
         return turned
-
-    def __sklearn_tags__(self) -> Tags:
-        tags = super().__sklearn_tags__()
-        tags.input_tags.two_d_array = False
-        tags.input_tags.three_d_array = True
-        return tags
 
 
 def orientations(images: ArrayLike) -> Orientations:

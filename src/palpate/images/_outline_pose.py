@@ -4,6 +4,8 @@ Positions are in mm from the middle of the array, x along columns and y along ro
 (downwards); angles turn x towards y, clockwise as displayed.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from itertools import product
 
@@ -12,11 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import binary_erosion, generate_binary_structure
 
 from .._checks import check_count, check_images, check_positive
-from ._array import correct_gamma, resize
+from .._types import Array, Floats
+from ._array import binarise, correct_gamma, otsu_threshold, resize
 from ._dead_taxels import fill_dead_taxels
-from ._otsu import binarise, otsu_threshold
 
-Floats = NDArray[np.float64]
 Waves = NDArray[np.complex128]
 
 # The first of each is the answer; the others tell how much hangs on the choice.
@@ -142,7 +143,7 @@ def outline_centres(shapes: NDArray[np.bool_]) -> Floats:
     return np.column_stack([by_col @ x / count, by_row @ y / count])
 
 
-def outline_wave(shapes: NDArray, centres: Floats, order: int) -> Waves:
+def outline_wave(shapes: Array, centres: Floats, order: int) -> Waves:
     """Sum of r^2 exp(i order phi) over each shape, about its centre."""
     y, x = _grid(shapes.shape[1:])
     u = (x - centres[:, [0]])[:, None, :] + 1j * (y - centres[:, [1]])[:, :, None]

@@ -1,18 +1,30 @@
-"""Learning what a part looks like, and how symmetric it is, from presses alone.
+"""Learning what a part looks like from presses alone, and registering presses on it.
 
-The presses' poses are unknown, so template and poses are improved in turn. How many
-turns look the same is settled on presses that the template has not seen.
+A pose is (angle, x, y): radians from the column axis towards the row axis, and the
+template's origin in taxels from the middle of the image, x along columns and y along
+rows. Templates are square, `OVERSAMPLING` pixels per taxel, origin in the middle.
+
+A press is modelled as its template times a plane, since a hand presses unevenly.
+The plane is solved for in closed form, so only the pose is searched. Where the
+presses' poses are unknown, template and poses are improved in turn; how many turns
+look the same is settled on presses that the template has not seen.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from ._pose_register import OVERSAMPLING, fit_planes, refine, register, render
+from .._types import Floats
 from ._repose import interpolate, repose
 
-Floats = NDArray[np.float64]
-
+OVERSAMPLING = 2
+# Penalty on the plane's rise over `_PLANE_TAXELS`, so that tilt is not unlimited.
+_PLANE_PRECISION, _PLANE_TAXELS = 0.3, 3.0
+_SEARCH_DEG = 10.0
+_FEWEST_STEPS, _MOST_STEPS, _SMALL_GAIN = 2, 8, 1e-4
+_DIFFERENCE = np.array([0.02, 0.05, 0.05])  # for derivatives: radians, taxels
+_LONGEST_STEP = 0.3
+_LEAST_NOISE = 1e-4
 SYMMETRIES = (0, 8, 6, 5, 4, 3, 2, 1)
 _N_ROUNDS = 4
 # How much worse than others, on unseen presses, a symmetry may fit and still be
@@ -178,3 +190,187 @@ def _unseen_error(
     template = improve(images[seen], poses, symmetry)
     _, errors = register(images[~seen], template, centres[~seen], symmetry)
     return float(errors.sum())
+
+
+def register(
+    images: Floats, template: Floats, centres: Floats, symmetry: int
+) -> tuple[Floats, Floats]:
+    """Find the pose of each press.
+
+    Parameters
+    ----------
+    images : ndarray of shape (n_touches, n_rows, n_cols)
+    template : ndarray of shape (size, size)
+    centres : ndarray of shape (n_touches, 2)
+        First guess of (x, y).
+    symmetry : int
+        Turns in which the template looks the same; 0 for all, the angle is then 0.
+
+    Returns
+    -------
+    poses : ndarray of shape (n_touches, 3)
+    errors : ndarray of shape (n_touches,)
+        Sum of squared residuals.
+    """
+    start = _search(images, template, centres, symmetry)
+    return refine(images, template, start, symmetry)
+
+
+def refine(
+    images: Floats, template: Floats, start: Floats, symmetry: int
+) -> tuple[Floats, Floats]:
+    """Improve poses by damped Gauss-Newton steps; returns as `register` does."""
+    free = _free(symmetry)
+    poses, damping = start.copy(), np.full((len(start), 1), 1e-3)
+    residual = _residuals(images, template, poses)
+    error = (residual**2).sum(axis=1)
+    for done in range(1, _MOST_STEPS + 1):
+        slopes = _slopes(images, template, poses, free)
+        normal = slopes @ slopes.transpose(0, 2, 1)
+        normal += _diagonal(damping * np.einsum("nii->ni", normal) + 1e-12)
+        step = np.linalg.solve(normal, -slopes @ residual[:, :, None])[:, :, 0]
+        trial = poses.copy()
+        trial[:, free] += step.clip(-_LONGEST_STEP, _LONGEST_STEP)
+        new = _residuals(images, template, trial)
+        new_error = (new**2).sum(axis=1)
+        better = new_error < error
+        poses[better], residual[better] = trial[better], new[better]
+        gain = (error - new_error)[better].sum()
+        error = np.where(better, new_error, error)
+        factor = np.where(better, 0.3, 10.0)[:, None]
+        damping = (damping * factor).clip(1e-6, 1e6)
+        if done >= _FEWEST_STEPS and gain < _SMALL_GAIN * error.sum():
+            break
+    return poses, error
+
+
+def pose_variances(
+    images: Floats, template: Floats, poses: Floats, symmetry: int
+) -> Floats:
+    """Return the variances of angle, x and y, (n_touches, 3), infinite for a disc.
+
+    Errors may differ from taxel to taxel and hang together within blocks of 2 x 2,
+    as those of a part's edge do (a cluster-robust covariance). However well a press
+    fits, a ten-thousandth of its energy counts as noise of all taxels.
+    """
+    free = _free(symmetry)
+    slopes = _slopes(images, template, poses, free)
+    normal = slopes @ slopes.transpose(0, 2, 1)
+    ridge = 1e-9 * normal.max(axis=(1, 2))[:, None] + 1e-12
+    inverse = np.linalg.inv(normal + _diagonal(np.repeat(ridge, len(free), axis=1)))
+    scores = slopes * _residuals(images, template, poses)[:, np.newaxis]
+    clustered = _sum_blocks(scores, images.shape[1:])
+    spread = inverse @ clustered @ clustered.transpose(0, 2, 1) @ inverse
+    variances = np.full((len(poses), 3), np.inf)
+    least = _LEAST_NOISE * (images**2).sum(axis=(1, 2)) / images[0].size
+    spread += inverse * least[:, np.newaxis, np.newaxis]
+    variances[:, free] = np.einsum("nii->ni", spread)
+    return variances
+
+
+def render(template: Floats, poses: Floats, shape: tuple[int, ...]) -> Floats:
+    """Draw the template at each pose, (n_poses, n_rows, n_cols)."""
+    x, y = _offsets(poses, shape)
+    cos, sin = np.cos(poses[:, 0])[:, None, None], np.sin(poses[:, 0])[:, None, None]
+    where = np.stack([cos * y - sin * x, cos * x + sin * y])
+    where = OVERSAMPLING * where + (len(template) - 1) / 2
+    return interpolate(template[np.newaxis], where, "zero", "cubic")
+
+
+def fit_planes(images: Floats, drawn: Floats, poses: Floats) -> Floats:
+    """Return the plane that multiplies each drawn template to fit its image."""
+    weights, _ = _solve_planes(images, drawn, poses)
+    return _plane(weights, poses, images.shape[1:])
+
+
+def _search(images: Floats, template: Floats, centres: Floats, symmetry: int) -> Floats:
+    """Best of angles a few degrees apart, at the first guess of the place."""
+    n_angles = max(8, int(360 / _SEARCH_DEG / symmetry)) if symmetry else 1
+    angles = np.arange(n_angles) * (2 * np.pi / max(symmetry, 1) / n_angles)
+    poses = np.zeros((n_angles, len(images), 3))
+    poses[:, :, 0], poses[:, :, 1:] = angles[:, None], centres
+    residuals = _residuals_at(images, template, poses)
+    best = (residuals**2).sum(axis=2).argmin(axis=0)
+    found: Floats = poses[best, np.arange(len(images))]
+    return found
+
+
+def _free(symmetry: int) -> NDArray[np.intp]:
+    """Which of angle, x and y can be found."""
+    return np.array([0, 1, 2] if symmetry else [1, 2])
+
+
+def _slopes(
+    images: Floats, template: Floats, poses: Floats, free: NDArray[np.intp]
+) -> Floats:
+    """Derivatives of the residuals, (n_touches, n_free, n_residuals)."""
+    steps = np.diag(_DIFFERENCE)[free]
+    ahead_and_behind = poses + np.concatenate([steps, -steps])[:, np.newaxis]
+    residuals = _residuals_at(images, template, ahead_and_behind)
+    ahead, behind = residuals[: len(free)], residuals[len(free) :]
+    slopes: Floats = (ahead - behind) / (2 * _DIFFERENCE[free])[:, None, None]
+    return slopes.transpose(1, 0, 2)
+
+
+def _residuals_at(images: Floats, template: Floats, poses: Floats) -> Floats:
+    """Residuals of every image at several poses each, (n_poses, n_touches, ...)."""
+    n_poses, n_touches, _ = poses.shape
+    many = np.tile(images, (n_poses, 1, 1))
+    residuals = _residuals(many, template, poses.reshape(-1, 3))
+    return residuals.reshape(n_poses, n_touches, -1)
+
+
+def _residuals(images: Floats, template: Floats, poses: Floats) -> Floats:
+    """Residuals of all taxels, then the penalties of the plane's two slopes."""
+    drawn = render(template, poses, images.shape[1:])
+    weights, size = _solve_planes(images, drawn, poses)
+    misfit = images - _plane(weights, poses, images.shape[1:]) * drawn
+    penalty = np.sqrt(_PLANE_PRECISION * size)[:, None] * weights[:, 1:]
+    return np.concatenate([misfit.reshape(len(images), -1), penalty], axis=1)
+
+
+def _solve_planes(
+    images: Floats, drawn: Floats, poses: Floats
+) -> tuple[Floats, Floats]:
+    """Plane of each image by penalised least squares, and the template's square."""
+    x, y = _offsets(poses, images.shape[1:])
+    parts = np.stack([drawn, drawn * x / _PLANE_TAXELS, drawn * y / _PLANE_TAXELS])
+    parts = parts.reshape(3, len(images), -1).transpose(1, 0, 2)
+    normal = parts @ parts.transpose(0, 2, 1)
+    size = normal[:, 0, 0].copy()
+    precision = np.array([0, _PLANE_PRECISION, _PLANE_PRECISION])
+    normal += _diagonal(precision * size[:, None] + 1e-9)
+    target = parts @ images.reshape(len(images), -1, 1)
+    return np.linalg.solve(normal, target)[:, :, 0], size
+
+
+def _plane(weights: Floats, poses: Floats, shape: tuple[int, ...]) -> Floats:
+    x, y = _offsets(poses, shape)
+    level, along_x, along_y = weights.T[:, :, None, None]
+    plane: Floats = level + (along_x * x + along_y * y) / _PLANE_TAXELS
+    return plane
+
+
+def _sum_blocks(values: Floats, shape: tuple[int, ...]) -> Floats:
+    """Sum taxels over blocks of 2 x 2; what follows the taxels is kept as it is."""
+    n, k, _ = values.shape
+    n_taxels = shape[0] * shape[1]
+    taxels = values[:, :, :n_taxels].reshape(n, k, *shape)
+    padded = np.pad(taxels, ((0, 0), (0, 0), (0, shape[0] % 2), (0, shape[1] % 2)))
+    rows, cols = padded.shape[2] // 2, padded.shape[3] // 2
+    blocks = padded.reshape(n, k, rows, 2, cols, 2).sum(axis=(3, 5))
+    rest = values[:, :, n_taxels:]
+    return np.concatenate([blocks.reshape(n, k, -1), rest], axis=2)
+
+
+def _offsets(poses: Floats, shape: tuple[int, ...]) -> tuple[Floats, Floats]:
+    """X and y of the taxels from each pose's origin, (n, 1, cols) and (n, rows, 1)."""
+    rows = np.arange(shape[0]) - (shape[0] - 1) / 2
+    cols = np.arange(shape[1]) - (shape[1] - 1) / 2
+    x = cols[None, None, :] - poses[:, 1, None, None]
+    y = rows[None, :, None] - poses[:, 2, None, None]
+    return x, y
+
+
+def _diagonal(values: Floats) -> Floats:
+    return values[:, :, None] * np.eye(values.shape[1])

@@ -5,6 +5,8 @@ of each part, finds out how symmetric it is, and registers new presses on it.
 Conventions of place and angle are those of `palpate.images.Poses`.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from typing import Self
 
@@ -14,6 +16,7 @@ from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_images, check_label_kinds, check_positive
+from .._types import Array, Floats
 from ._dead_taxels import fill_dead_taxels
 from ._outline_pose import (
     Poses,
@@ -22,10 +25,13 @@ from ._outline_pose import (
     outlines,
     within_period,
 )
-from ._pose_register import pose_variances, register
-from ._pose_template import find_symmetry, learn_template, template_angle
-
-Floats = NDArray[np.float64]
+from ._pose_template import (
+    find_symmetry,
+    learn_template,
+    pose_variances,
+    register,
+    template_angle,
+)
 
 # The outline that registration starts from: one threshold, which a background over
 # the whole array does not disturb.
@@ -244,7 +250,7 @@ def _spread(indices: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     return indices[np.arange(most) * len(indices) // most]
 
 
-def _check_labels(y: ArrayLike, n_touches: int) -> NDArray:
+def _check_labels(y: ArrayLike, n_touches: int) -> Array:
     check_label_kinds(y)
     labels = np.asarray(y)
     if labels.shape != (n_touches,):

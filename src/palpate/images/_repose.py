@@ -4,12 +4,15 @@ Positions are in pixels from the image's centre, rows downwards. A positive angl
 turns the image from the column axis towards the row axis: clockwise as displayed.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_count, check_images, check_option
+from .._types import Floats
 
 # Pixels of output worked on at a time; bounds the memory of the coordinates.
 _BLOCK = 1 << 18
@@ -24,7 +27,7 @@ def repose(
     shape: tuple[int, int] | None = None,
     edges: str = "zero",
     interpolation: str = "linear",
-) -> NDArray[np.float64]:
+) -> Floats:
     """Turn images about their centre, then shift them, then multiply them.
 
     Parameters
@@ -79,9 +82,7 @@ def repose(
     return reposed
 
 
-def _per_touch(
-    name: str, value: ArrayLike, shape: tuple[int, ...]
-) -> NDArray[np.float64]:
+def _per_touch(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
     given = np.asarray(value, dtype=np.float64)
     if given.shape not in (shape, shape[1:]):
         one = "a number" if len(shape) == 1 else f"of shape {shape[1:]}"
@@ -93,7 +94,7 @@ def _per_touch(
     return np.broadcast_to(given, shape)
 
 
-def _centred_grid(n_rows: int, n_cols: int) -> NDArray[np.float64]:
+def _centred_grid(n_rows: int, n_cols: int) -> Floats:
     """(row, column) of each pixel from the image's centre, (2, n_rows, n_cols)."""
     grid = np.indices((n_rows, n_cols), dtype=np.float64)
     grid[0] -= (n_rows - 1) / 2
@@ -108,11 +109,11 @@ def _blocks(n_touches: int, n_pixels: int) -> Iterator[slice]:
 
 
 def _source(
-    grid: NDArray[np.float64],
-    angle: NDArray[np.float64],
-    shift: NDArray[np.float64],
+    grid: Floats,
+    angle: Floats,
+    shift: Floats,
     shape: tuple[int, int],
-) -> NDArray[np.float64]:
+) -> Floats:
     """(row, column) in the old image of each pixel of the new, (2, n, rows, cols)."""
     row, col = grid[:, None] - shift.T[:, :, None, None]
     cos, sin = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
@@ -121,11 +122,11 @@ def _source(
 
 
 def interpolate(
-    images: NDArray[np.float64],
-    where: NDArray[np.float64],
+    images: Floats,
+    where: Floats,
     edges: str = "zero",
     interpolation: str = "linear",
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return image levels at positions between pixels.
 
     Parameters
@@ -167,11 +168,11 @@ def interpolate(
 
 def _tap(
     index: NDArray[np.intp],
-    weight: NDArray[np.float64],
-    images: NDArray[np.float64],
+    weight: Floats,
+    images: Floats,
     axis: int,
     edges: str,
-) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+) -> tuple[NDArray[np.intp], Floats]:
     """Indices moved inside the image, and the weights of those that were outside."""
     inside = index.clip(0, images.shape[axis] - 1)
     if edges == "zero":
@@ -179,11 +180,11 @@ def _tap(
     return inside, weight
 
 
-def _linear(t: NDArray[np.float64]) -> NDArray[np.float64]:
+def _linear(t: Floats) -> Floats:
     return np.stack([1 - t, t])
 
 
-def _cubic(t: NDArray[np.float64]) -> NDArray[np.float64]:
+def _cubic(t: Floats) -> Floats:
     """Keys' weights, with a = -1/2, of the pixels at -1, 0, 1 and 2."""
     return np.stack(
         [

@@ -11,6 +11,8 @@ Rows grow downwards; pixel centres are at whole numbers, so that an image of n r
 reaches from -0.5 to n - 0.5.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from typing import Any, overload
@@ -19,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_image_shape, check_images, check_levels, check_positive
+from .._types import Array, Floats
 from . import _rim_fit
 from ._rim_fit import Fit
 
@@ -45,7 +48,7 @@ class Circle:
     score: float = 1.0
 
     @classmethod
-    def inscribed(cls, shape: tuple[int, int]) -> "Circle":
+    def inscribed(cls, shape: tuple[int, int]) -> Circle:
         """The largest disc in a frame of `shape`; not a visible rim."""
         rows, cols = shape
         return cls((rows - 1) / 2, (cols - 1) / 2, min(rows, cols) / 2, False, 0.0)
@@ -65,14 +68,14 @@ class Rims:
         Share of the circle inside the frame that shows a sharp edge, 0 to 1.
     """
 
-    row: NDArray[np.float64]
-    col: NDArray[np.float64]
-    radius: NDArray[np.float64]
+    row: Floats
+    col: Floats
+    radius: Floats
     visible: NDArray[np.bool_]
-    score: NDArray[np.float64]
+    score: Floats
 
     @classmethod
-    def of(cls, circles: Iterable[Circle]) -> "Rims":
+    def of(cls, circles: Iterable[Circle]) -> Rims:
         """Gather circles, one a touch."""
         each = list(circles)
         columns = {f.name: [getattr(c, f.name) for c in each] for f in fields(cls)}
@@ -88,8 +91,8 @@ class Rims:
     @overload
     def __getitem__(self, key: int | np.integer) -> Circle: ...
     @overload
-    def __getitem__(self, key: slice | NDArray[Any]) -> "Rims": ...
-    def __getitem__(self, key: Any) -> "Circle | Rims":
+    def __getitem__(self, key: slice | NDArray[Any]) -> Rims: ...
+    def __getitem__(self, key: Any) -> Circle | Rims:
         picked = {f.name: getattr(self, f.name)[key] for f in fields(self)}
         if np.ndim(picked["row"]):
             return Rims(**picked)
@@ -192,7 +195,7 @@ def typical_rim(
     return Circle(row, col, radius, True, float(np.median(seen.score)))
 
 
-def as_images(X: ArrayLike, *, shape: tuple[int, int] | None = None) -> NDArray:
+def as_images(X: ArrayLike, *, shape: tuple[int, int] | None = None) -> Array:
     """Return `X` as finite images; 8-bit ones stay so, to save memory and time."""
     images = check_image_shape(X, shape=shape)
     if images.dtype == np.uint8:
@@ -206,7 +209,7 @@ def _checked(near: Circle | None) -> Circle | None:
     return near
 
 
-def _find(image: NDArray, near: Circle | None) -> Circle:
+def _find(image: Array, near: Circle | None) -> Circle:
     shape = image.shape
     missing = Circle.inscribed(shape)
     if near is not None:
@@ -229,15 +232,16 @@ def _find(image: NDArray, near: Circle | None) -> Circle:
     return Circle(*best.circle, True, best.support)
 
 
-def _as_grey(image: NDArray) -> NDArray:
+def _as_grey(image: Array) -> Array:
     """8-bit as it is, anything else stretched to 0..1 in single precision."""
     if image.dtype == np.uint8:
         return np.ascontiguousarray(image)
     low, high = image.min(), image.max()
-    return ((image / 2 - low / 2) / (high / 2 - low / 2)).astype(np.float32)
+    grey: NDArray[np.float32] = (image / 2 - low / 2) / (high / 2 - low / 2)
+    return grey.astype(np.float32)
 
 
-def _candidates(grey: NDArray, near: Circle | None) -> Iterator[Fit]:
+def _candidates(grey: Array, near: Circle | None) -> Iterator[Fit]:
     """Fit the circles that the most edge points agree on."""
     small, block = _rim_fit.reduce(grey)
     centre = (block - 1) / 2

@@ -26,6 +26,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from .._types import Array
+
 Triple = tuple[float, float, float]
 
 REDUCED_SIDE = 120
@@ -59,10 +61,10 @@ class Fit(NamedTuple):
     @property
     def evidence(self) -> float:
         """What to choose among circles by: the rim encloses all that touches it."""
-        return self.support * self.arc**0.5 * self.circle[2]
+        return float(self.support * self.arc**0.5 * self.circle[2])
 
 
-def reduce(image: NDArray) -> tuple[NDArray[np.uint8], int]:
+def reduce(image: Array) -> tuple[NDArray[np.uint8], int]:
     """Average whole blocks of pixels and stretch to 0..255; also the block's side."""
     rows, cols = image.shape
     block = max(1, min(rows, cols) // REDUCED_SIDE)
@@ -107,7 +109,7 @@ def vote(
 
 
 def refine(
-    image: NDArray, start: Triple, sign: int, *, radius: float | None = None
+    image: Array, start: Triple, sign: int, *, radius: float | None = None
 ) -> Fit | None:
     """Fit the circle near `start` to sub-pixel edges; None where there are too few.
 
@@ -181,7 +183,7 @@ def _accumulate(
 class _Rays:
     """Slopes of the grey level along rays from the centre of a first circle."""
 
-    def __init__(self, image: NDArray, start: Triple, sign: int) -> None:
+    def __init__(self, image: Array, start: Triple, sign: int) -> None:
         """Sample `image` on both sides of `start`, as far as it lies in the frame."""
         self.row, self.col, self.radius = start
         self.bottom, self.right = image.shape[0] - 1, image.shape[1] - 1
@@ -202,23 +204,22 @@ class _Rays:
     def __len__(self) -> int:
         return len(self.sin)
 
-    def _differentiate(
-        self, image: NDArray, y: NDArray, x: NDArray, inside: NDArray
-    ) -> None:
+    def _differentiate(self, image: Array, y: Array, x: Array, inside: Array) -> None:
         grey = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         kernel = self.sign * _slope_kernel(max(1.0, 1.2 / self.cell))
         slope = cv2.filter2D(grey, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE)
         self.slope = slope * inside
         self.typical = np.abs(self.slope).sum(axis=1) / np.count_nonzero(inside, axis=1)
 
-    def predict(self, circle: NDArray) -> NDArray:
+    def predict(self, circle: Array) -> Array:
         """Where `circle` crosses each ray, as an offset from the start's radius."""
         down, right = circle[0] - self.row, circle[1] - self.col
         along = self.sin * down + self.cos * right
         inner = circle[2] ** 2 - (down * down + right * right) + along * along
-        return along + np.sqrt(np.maximum(inner, 0)) - self.radius
+        offset: Array = along + np.sqrt(np.maximum(inner, 0)) - self.radius
+        return offset
 
-    def edges(self, circle: NDArray, width: float) -> NDArray:
+    def edges(self, circle: Array, width: float) -> Array:
         """Each ray's steepest edge near `circle`: row, col, slope, usual slope, ray.
 
         Nearness weighs with a parabola that ends at 2.5 times `width` of the band.
@@ -236,7 +237,7 @@ class _Rays:
         row, col = self.row + self.sin[ray] * reach, self.col + self.cos[ray] * reach
         return np.stack([row, col, top, self.typical[ray], ray])[:, top > 0]
 
-    def judge(self, circle: NDArray, edges: NDArray) -> Fit:
+    def judge(self, circle: Array, edges: Array) -> Fit:
         """Weigh the evidence for `circle`."""
         offset = self.predict(circle)
         y = self.row + self.sin * (self.radius + offset)
@@ -256,7 +257,7 @@ class _Rays:
         return Fit((row, col, radius), self.sign, support, arc, balance)
 
 
-def _step(circle: NDArray, edges: NDArray, radius: float | None) -> NDArray:
+def _step(circle: Array, edges: Array, radius: float | None) -> Array:
     """One reweighted Gauss-Newton step of (row, col, radius)."""
     residual, outward = _residuals(circle, edges)
     weight, scale = _weights(residual, edges)
@@ -271,7 +272,7 @@ def _step(circle: NDArray, edges: NDArray, radius: float | None) -> NDArray:
     return np.linalg.solve(normal, pull)
 
 
-def _residuals(circle: NDArray, edges: NDArray) -> tuple[NDArray, NDArray]:
+def _residuals(circle: Array, edges: Array) -> tuple[Array, Array]:
     """Distance of each edge beyond `circle`, and its slopes by row, col, radius."""
     outward = np.ones((3, edges.shape[1]))
     y, x = edges[0] - circle[0], edges[1] - circle[1]
@@ -280,7 +281,7 @@ def _residuals(circle: NDArray, edges: NDArray) -> tuple[NDArray, NDArray]:
     return distance - circle[2], outward
 
 
-def _weights(residual: NDArray, edges: NDArray) -> tuple[NDArray, float]:
+def _weights(residual: Array, edges: Array) -> tuple[Array, float]:
     """Tukey's biweight times the edge's strength, and the residuals' scale."""
     size = np.abs(residual)
     middle = len(size) // 2
@@ -295,4 +296,5 @@ def _slope_kernel(spread: float) -> NDArray[np.float32]:
     reach = int(np.ceil(2.5 * spread))
     t = np.arange(-reach, reach + 1, dtype=np.float32)
     kernel = t * np.exp(-(t**2) / (2 * spread**2))
-    return (kernel / np.abs(kernel).sum())[None]
+    row: NDArray[np.float32] = (kernel / np.abs(kernel).sum())[None]
+    return row

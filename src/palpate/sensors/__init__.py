@@ -3,48 +3,44 @@
 `TouchSensor` is what touching needs; `LiveSensor` adds what a sensor on a desk does:
 it is connected, streams frames, counts what is lost, is disconnected. `check_sensor`
 drives a driver through the contract. `TouchDetector` finds touches in the stream.
+`open_sensor` opens any of them by a text.
 """
 
-from ._bench import SimulatedBench
+from ._address import AddressError as AddressError
+from ._address import desk_of as desk_of
+from ._address import open_sensor
+from ._bench import SimulatedBench, SimulatedSensor
 from ._camera import CameraSensor, camera_names
+from ._camera import find_camera as find_camera
 from ._check import check_sensor
-from ._contract import Frame, LiveSensor, SensorError, TouchSensor
-from ._detector import ContactError, DetectedTouch, TouchDetector
-from ._drift import SensorMemory, gain_warning, zero_warning
-from ._framing import BinaryFraming, LineFraming, write_binary, write_line
-from ._open import desk_of, open_sensor
-from ._played import PlayedSensor
-from ._replay import ReplaySensor
+from ._contract import Frame as Frame
+from ._contract import LiveSensor, SensorError, TouchSensor
+from ._detector import ContactError as ContactError
+from ._detector import DetectedTouch as DetectedTouch
+from ._detector import TouchDetector
+from ._drift import SensorMemory as SensorMemory
+from ._drift import baseline_warning as baseline_warning
+from ._drift import gain_warning as gain_warning
+from ._framing import BinaryFraming, LineFraming
+from ._framing import write_binary as write_binary
+from ._framing import write_line as write_line
+from ._played import ReplaySensor
 from ._serial import SerialArraySensor
-from ._simulated import SimulatedSensor
-from ._simulated_stream import SimulatedStream
-from ._streaming import StreamingSensor
+from ._simulated_stream import SimulatedStream as SimulatedStream
 
 __all__ = [
     "BinaryFraming",
     "CameraSensor",
-    "ContactError",
-    "DetectedTouch",
-    "Frame",
     "LineFraming",
     "LiveSensor",
-    "PlayedSensor",
     "ReplaySensor",
     "SensorError",
-    "SensorMemory",
     "SerialArraySensor",
     "SimulatedBench",
     "SimulatedSensor",
-    "SimulatedStream",
-    "StreamingSensor",
     "TouchDetector",
     "TouchSensor",
     "camera_names",
     "check_sensor",
-    "desk_of",
-    "gain_warning",
     "open_sensor",
-    "write_binary",
-    "write_line",
-    "zero_warning",
 ]

@@ -1,15 +1,16 @@
-"""A simulated bench: one object, one dome, and what happens between them.
+"""A simulated bench: one object, one dome, what happens between them, what it sees.
 
 The simulated arm moves the dome and reads its force here, the simulated sensor sees
 it here. World: millimetres, z up; forces in newtons along the axis of the dome.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import check_number
+from .._types import Array, Floats
 from ..simulation import (
     Contact,
     DomeCamera,
@@ -20,8 +21,8 @@ from ..simulation import (
     sleeve_gap,
     solve_contact,
 )
+from ._contract import SensorError
 
-Floats = NDArray[np.float64]
 _SAME_LINE_MM = 1e-6
 # Forces at which contact is solved; between them it is interpolated in logarithms.
 _FORCES_N = 0.03 * 2.5 ** np.arange(7)
@@ -135,6 +136,50 @@ class SimulatedBench:
         if force <= self.force_n:
             self._slid, self._turned = slid, turned
             self.target, self._line, self.force_n = target, line, force
+
+
+class SimulatedSensor:
+    """The dome camera of a `SimulatedBench`, as a `TouchSensor`.
+
+    Parameters
+    ----------
+    bench : SimulatedBench
+        Where the dome is and what it touches.
+    random_state : int, default=0
+        Seed of the noise of the frames.
+    missing : container of int, default=()
+        Numbers of the frames, counted from 0, that do not arrive.
+    """
+
+    geometry = "dome"
+
+    def __init__(
+        self,
+        bench: SimulatedBench,
+        *,
+        random_state: int = 0,
+        missing: Container[int] = (),
+    ) -> None:
+        self._bench = bench
+        self._rng = np.random.default_rng(random_state)
+        self._missing = missing
+        self.n_asked = 0
+
+    @property
+    def image_shape(self) -> tuple[int, int]:
+        """(n_rows, n_cols) of every frame."""
+        return self._bench.camera.image_shape
+
+    def read(self) -> Array:
+        """Return the frame of this moment, or raise `SensorError`."""
+        number, self.n_asked = self.n_asked, self.n_asked + 1
+        if number in self._missing:
+            raise SensorError(f"Frame {number} did not arrive.")
+        return self._bench.frame(self._rng)
+
+    def no_contact(self) -> Array:
+        """Return the frame of touching nothing, without noise."""
+        return self._bench.camera.no_contact()
 
 
 def _shifted(

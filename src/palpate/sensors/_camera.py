@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._checks import check_number, check_positive
-from ._contract import SensorError
-from ._streaming import StreamingSensor
+from .._extras import needed
+from .._types import Array
+from ._contract import LiveSensor, SensorError
 
 # What the Linux driver (V4L2) means by exposure set by hand; others use 0.25 or 0.
 _BY_HAND = 1
@@ -23,7 +23,7 @@ _WARM_UP = 5
 OpenCapture = Callable[[str], Any]
 
 
-class CameraSensor(StreamingSensor):
+class CameraSensor(LiveSensor):
     """Frames of a camera in grey levels, the newest first.
 
     Parameters
@@ -124,13 +124,17 @@ class CameraSensor(StreamingSensor):
             "focus": bool(capture.set(cv2.CAP_PROP_AUTOFOCUS, 0)),
         }
 
-    def _grab(self) -> Sequence[NDArray[Any]]:
+    def _grab(self) -> Sequence[Array]:
         arrived, picture = self._capture.read()
         if not arrived:
             raise SensorError(
                 f"the camera {self.camera!r} stopped giving pictures. Plug it in again."
             )
-        return [_grey(picture)]
+        if picture.ndim == 3:
+            import cv2
+
+            picture = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+        return [picture]
 
     def _close(self) -> None:
         if self._capture is not None:
@@ -146,14 +150,9 @@ def camera_names() -> list[tuple[str, str]]:
     ImportError
         The package that knows names is missing; the message names the extra.
     """
-    try:
-        from cv2_enumerate_cameras import enumerate_cameras
-    except ImportError as error:
-        raise ImportError(
-            "Choosing a camera by name needs cv2-enumerate-cameras: "
-            "pip install palpate[camera]. A path such as /dev/video0 needs nothing."
-        ) from error
-    found = {str(info.path or info.index): info.name for info in enumerate_cameras()}
+    what = "Choosing a camera by its name (a path such as /dev/video0 needs nothing)"
+    listed = needed("cv2_enumerate_cameras", "camera", what).enumerate_cameras()
+    found = {str(info.path or info.index): info.name for info in listed}
     return [(name, path) for path, name in found.items()]
 
 
@@ -194,11 +193,3 @@ def _open_video(camera: str) -> Any:
 
     place = find_camera(camera)
     return cv2.VideoCapture(int(place) if place.isdigit() else place)
-
-
-def _grey(picture: NDArray[Any]) -> NDArray[np.uint8]:
-    if picture.ndim == 2:
-        return picture
-    import cv2
-
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)

@@ -3,17 +3,25 @@
 `TouchSensor` is all that exploration asks for: one frame, now. `LiveSensor` is the
 same contract for a sensor that runs by itself: it is connected, gives frame after
 frame with the time each was taken, counts what was lost, and is disconnected. Every
-`LiveSensor` is a `TouchSensor`.
+`LiveSensor` is a `TouchSensor`. A driver says how to open its device, how to wait a
+moment for frames and how to close it again; everything that the contract promises is
+kept here, by a capture thread, a queue of frames, and looking for a lost device.
 """
 
+import threading
 import time
-from abc import abstractmethod
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike
+
+from .._checks import check_count
+from .._types import Array, Floats
 
 
 class SensorError(RuntimeError):
@@ -34,7 +42,7 @@ class Frame:
         Its number since the sensor was connected, from 0; a gap is a frame lost.
     """
 
-    image: NDArray[Any]
+    image: Array
     time_s: float
     number: int
 
@@ -57,7 +65,7 @@ class TouchSensor(Protocol):
     @property
     def geometry(self) -> str | None: ...
 
-    def read(self) -> NDArray[Any]:
+    def read(self) -> Array:
         """Return a frame taken after this call, shape `image_shape`.
 
         Raises
@@ -67,36 +75,69 @@ class TouchSensor(Protocol):
         """
         ...
 
-    def no_contact(self) -> NDArray[Any] | None:
+    def no_contact(self) -> Array | None:
         """Return the frame of touching nothing, or None where it is not known."""
         ...
 
 
-class LiveSensor(TouchSensor):
-    """A tactile sensor that runs by itself once it is connected.
+class LiveSensor(ABC):
+    """Base of sensors that run by themselves; a driver writes three methods.
 
-    Everything but frames is known before connecting. Used as a context manager it
-    connects and disconnects itself.
+    A driver writes `_open`, `_grab` and `_close`. Everything but frames is known
+    before connecting. Used as a context manager it connects and disconnects itself.
 
-    Attributes
+    Parameters
     ----------
     name : str
         What it is called, for people.
-    image_shape : tuple of int
-        (n_rows, n_cols) of every frame.
-    dtype : numpy.dtype
-        Type of every frame.
     unit : str
         What its numbers count, such as "grey level" or "kPa".
-    geometry : str or None
+    image_shape : (int, int)
+        (n_rows, n_cols) of every frame.
+    dtype : dtype
+        Type of every frame.
+    geometry : str, optional
         How its taxels lie, see `Touches`.
-    step : float
-        The smallest difference that its numbers can show; 0 where not known.
+
+    Attributes
+    ----------
+    lost : str
+        Why no frames come at present, for people; empty while they do.
+    n_frames : int
+        Frames taken since it was connected.
+    n_dropped : int
+        Frames lost since it was connected: damaged, missed, or never read.
+    queue_length : int
+        A frame that nobody has read when so many newer ones wait is dropped and
+        counted.
+    retry_s : float
+        When the device fails, it is opened again after so many seconds, over and
+        over, until it is back or the sensor is disconnected.
     """
 
-    name: str
-    unit: str
-    dtype: np.dtype[Any]
+    queue_length: ClassVar[int] = 2
+    retry_s: float = 0.5
+
+    def __init__(
+        self,
+        name: str,
+        unit: str,
+        image_shape: tuple[int, int],
+        dtype: DTypeLike,
+        geometry: str | None = None,
+    ) -> None:
+        n_rows, n_cols = image_shape
+        self.name, self.unit = name, unit
+        self.image_shape = check_count("n_rows", n_rows), check_count("n_cols", n_cols)
+        self.dtype = np.dtype(dtype)
+        self.geometry = geometry
+        self.lost, self.n_frames, self.n_dropped = "", 0, 0
+        self._queue: deque[Frame] = deque()
+        self._arrived = threading.Condition()
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._latest: Frame | None = None
+        self._number = 0
 
     @property
     def step(self) -> float:
@@ -104,26 +145,14 @@ class LiveSensor(TouchSensor):
         return 0.0
 
     @property
-    @abstractmethod
     def connected(self) -> bool:
         """Whether it runs; True also while it tries to find a lost device again."""
+        return self._thread is not None
 
-    @property
-    @abstractmethod
-    def lost(self) -> str:
-        """Why no frames come at present, for people; empty while they do."""
+    def no_contact(self) -> Array | None:
+        """Return the frame of touching nothing, or None where it is not known."""
+        return None
 
-    @property
-    @abstractmethod
-    def n_frames(self) -> int:
-        """Frames taken since it was connected."""
-
-    @property
-    @abstractmethod
-    def n_dropped(self) -> int:
-        """Frames lost since it was connected: damaged, missed, or never read."""
-
-    @abstractmethod
     def connect(self) -> Self:
         """Start frames; nothing happens where they run already.
 
@@ -132,12 +161,30 @@ class LiveSensor(TouchSensor):
         SensorError
             The device is missing, busy, or not what was promised; says the fix.
         """
+        if self._thread is not None:
+            return self
+        self._queue.clear()
+        self._latest, self.lost = None, ""
+        self.n_frames = self.n_dropped = self._number = 0
+        self._stop.clear()
+        self._open()
+        self._thread = threading.Thread(
+            target=self._run, name=f"palpate {self.name}", daemon=True
+        )
+        self._thread.start()
+        return self
 
-    @abstractmethod
     def disconnect(self) -> None:
         """Stop frames and free the device; nothing happens where none run."""
+        thread, self._thread = self._thread, None
+        if thread is None:
+            return
+        self._stop.set()
+        with self._arrived:
+            self._arrived.notify_all()
+        thread.join(timeout=5.0)
+        self._close()
 
-    @abstractmethod
     def read_next(self, timeout_s: float = 2.0) -> Frame:
         """Return the oldest frame not returned by this method yet, waiting for it.
 
@@ -146,8 +193,10 @@ class LiveSensor(TouchSensor):
         SensorError
             It is not connected, or no frame arrived in `timeout_s` seconds.
         """
+        with self._arrived:
+            self._wait(lambda: bool(self._queue), timeout_s)
+            return self._queue.popleft()
 
-    @abstractmethod
     def read_latest(self, timeout_s: float = 2.0) -> Frame:
         """Return the newest frame there is, waiting only for the very first.
 
@@ -156,9 +205,15 @@ class LiveSensor(TouchSensor):
         SensorError
             It is not connected, or has given no frame for `timeout_s` seconds.
         """
+        with self._arrived:
+            self._wait(lambda: self._latest is not None, timeout_s)
+            assert self._latest is not None
+            if time.monotonic() - self._latest.time_s > timeout_s:
+                raise self._silent(timeout_s)
+            return self._latest
 
-    def read(self) -> NDArray[Any]:
-        """Return a frame taken after this call."""
+    def read(self) -> Array:
+        """Return a frame taken after this call, shape `image_shape`."""
         asked_s = time.monotonic()
         while True:
             frame = self.read_next()
@@ -168,10 +223,95 @@ class LiveSensor(TouchSensor):
     def __enter__(self) -> Self:
         return self.connect()
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.disconnect()
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Open the device, or raise `SensorError` with the fix."""
+
+    @abstractmethod
+    def _grab(self) -> Sequence[Array]:
+        """Wait a moment, return the frames that came; raise where the device is gone.
+
+        Must return at least every half second, if with nothing.
+        """
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Free the device; must bear being called twice."""
+
+    def _count_missed(self, n_missed: int) -> None:
+        """Count frames that the device took but that never came through."""
+        self.n_dropped += n_missed
+        self._number += n_missed
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            try:
+                for image in self._grab():
+                    self._put(image)
+            except Exception as error:  # a driver's bug must not end the stream unseen
+                self._recover(error)
+
+    def _recover(self, error: Exception) -> None:
+        """Try to open the device again until it is back."""
+        self.lost = _in_words(error)
+        self._free()
+        while not self._stop.wait(self.retry_s):
+            try:
+                self._open()
+            except Exception as still:  # as in `_run`: whatever it is, try again
+                self.lost = _in_words(still)
+                self._free()
+            else:
+                self.lost = ""
+                return
+
+    def _free(self) -> None:
+        """Close a device that failed; that it cannot even be closed is no news."""
+        with suppress(Exception):
+            self._close()
+
+    def _put(self, image: Array) -> None:
+        taken_s = time.monotonic()
+        kept = np.ascontiguousarray(image, dtype=self.dtype)
+        if kept.shape != self.image_shape:
+            self._count_missed(1)
+            return
+        kept.flags.writeable = False
+        with self._arrived:
+            self._latest = Frame(kept, taken_s, self._number)
+            self._number += 1
+            self.n_frames += 1
+            if len(self._queue) >= self.queue_length:
+                self._queue.popleft()
+                self.n_dropped += 1
+            self._queue.append(self._latest)
+            self._arrived.notify_all()
+
+    def _wait(self, ready: Callable[[], bool], timeout_s: float) -> None:
+        if self._thread is None:
+            raise SensorError(f"{self.name} is not connected; call connect() first.")
+        self._arrived.wait_for(lambda: ready() or self._stop.is_set(), timeout_s)
+        if not ready():
+            raise self._silent(timeout_s)
+
+    def _silent(self, timeout_s: float) -> SensorError:
+        if self._thread is None:
+            return SensorError(f"{self.name} was disconnected.")
+        if self.lost:
+            return SensorError(f"{self.name} is lost: {self.lost}")
+        return SensorError(
+            f"{self.name} gave no frame in {timeout_s:g} s. "
+            "Check its cable and that it is switched on."
+        )
+
+
+def _in_words(error: Exception) -> str:
+    return str(error) if isinstance(error, SensorError) else repr(error)
+
+
+def as_kind(image: Floats, dtype: np.dtype[Any]) -> Array:
+    """Return an image in a sensor's type of numbers, rounded where those are whole."""
+    return (np.rint(image) if dtype.kind in "iu" else image).astype(dtype)

@@ -1,6 +1,6 @@
 """Where a touch begins and ends in a stream of frames.
 
-A frame is compared with the frame of no contact (the zero). Its change is the root
+A frame is compared with the frame of no contact (the baseline). Its change is the root
 mean square of the difference over the taxels that work, in the sensor's unit. A
 touch begins where the change rises above one limit and ends where it falls below a
 lower one, so that a change near a limit does not make many touches of one.
@@ -9,13 +9,12 @@ lower one, so that a change near a limit does not make many touches of one.
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._checks import check_count, check_option, check_positive
-from ._contract import Frame
+from .._types import Array, Floats
+from ._contract import Frame, as_kind
 
 SUMMARIES = ("peak", "mean")
 # Limits in units of the noise, and never below so many of the numbers' steps.
@@ -29,7 +28,7 @@ _STEADY_NOISES = 3.0
 
 
 class ContactError(ValueError):
-    """A zero that was asked for while something touches the sensor."""
+    """A baseline that was asked for while something touches the sensor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +47,7 @@ class DetectedTouch:
         Frames from beginning to end.
     """
 
-    image: NDArray[Any]
+    image: Array
     began_s: float
     ended_s: float
     change: float
@@ -61,20 +60,20 @@ class TouchDetector:
     Parameters
     ----------
     no_contact : ndarray of shape (n_rows, n_cols), optional
-        The zero, where the sensor knows it; else call `take_zero`.
+        The baseline, where the sensor knows it; else call `take_baseline`.
     summary : {"peak", "mean"}, default="peak"
         What stands for a touch: the frame of greatest change, or the mean of the
         frames that change by at least 0.8 of the greatest (of the last 64).
     begin, end : float, optional
         Limits of the change (sensor's unit). By default a touch begins at 6 times
-        the noise of the frames that the zero was taken from (at 2 steps at least),
-        and ends at half of that.
+        the noise of the frames that the baseline was taken from (at 2 steps at
+        least), and ends at half of that.
     min_frames : int, default=2
         Contact that lasts fewer frames is no touch.
 
     Attributes
     ----------
-    zero : ndarray of shape (n_rows, n_cols) or None
+    baseline : ndarray of shape (n_rows, n_cols) or None
         The frame of no contact; without one nothing is detected.
     touching : bool
         Whether something touches the sensor now.
@@ -87,7 +86,7 @@ class TouchDetector:
 
     def __init__(
         self,
-        no_contact: NDArray[Any] | None = None,
+        no_contact: Array | None = None,
         *,
         summary: str = "peak",
         begin: float | None = None,
@@ -100,23 +99,23 @@ class TouchDetector:
         self._min_frames = check_count("min_frames", min_frames)
         self.noise = self.change = self.step = 0.0
         self.touching = False
-        self.zero: NDArray[Any] | None = None
-        self._recent: deque[tuple[float, NDArray[Any]]] = deque(maxlen=_LONGEST_HOLD)
-        self._set_zero(no_contact)
+        self.baseline: Array | None = None
+        self._recent: deque[tuple[float, Array]] = deque(maxlen=_LONGEST_HOLD)
+        self._set_baseline(no_contact)
 
     @property
     def begin(self) -> float:
         """The change at which a touch begins (sensor's unit)."""
         if self._begin is not None:
             return self._begin
-        return max(_BEGIN_NOISES * self.noise, self._least(self.zero))
+        return max(_BEGIN_NOISES * self.noise, self._least(self.baseline))
 
     @property
     def end(self) -> float:
         """The change at which a touch ends (sensor's unit)."""
         return _END_SHARE * self.begin if self._end is None else self._end
 
-    def take_zero(self, frames: Sequence[NDArray[Any]], *, force: bool = False) -> None:
+    def take_baseline(self, frames: Sequence[Array], *, force: bool = False) -> None:
         """Take the frame of no contact: the mean of frames of touching nothing.
 
         Parameters
@@ -135,24 +134,23 @@ class TouchDetector:
         check_count("the number of frames", len(frames), at_least=3)
         if self.touching and not force:
             raise ContactError(
-                "Something touches the sensor. Lift it and take the zero again; if "
-                "nothing touches it, insist (force)."
+                "Something touches the sensor. Lift it and take the baseline again; "
+                "if nothing touches it, insist (force)."
             )
         stack = np.stack(frames).astype(np.float64)
         if not force and _moving(stack, self._least(frames[0])):
             raise ContactError(
                 "The frames were still changing, so something may touch the sensor. "
-                "Leave it alone for a second and take the zero again."
+                "Leave it alone for a second and take the baseline again."
             )
         mean = stack.mean(axis=0)
         levels = [_rms(frame - mean) for frame in stack]
-        kind = np.asarray(frames[0]).dtype
         self.noise = float(np.median(levels))
-        self._set_zero((np.rint(mean) if kind.kind in "iu" else mean).astype(kind))
+        self._set_baseline(as_kind(mean, np.asarray(frames[0]).dtype))
 
     def update(self, frame: Frame) -> DetectedTouch | None:
         """Take in the next frame; return the touch that ended with it, if any."""
-        if self.zero is None:
+        if self.baseline is None:
             return None
         self.change = self._change(frame.image)
         now_s = frame.time_s
@@ -169,50 +167,49 @@ class TouchDetector:
         self._hold(frame)
         return None
 
-    def rezero_offer(self, now_s: float) -> str:
-        """Return why the zero should be taken again, or nothing.
+    def baseline_offer(self, now_s: float) -> str:
+        """Return why the baseline should be taken again, or nothing.
 
         Parameters
         ----------
         now_s : float
             On the clock of the frames.
         """
-        if self.zero is None:
-            return "No zero yet: leave the sensor alone and take it."
+        if self.baseline is None:
+            return "No baseline yet: leave the sensor alone and take it."
         if self.touching:
-            stuck = now_s - self._calm_since_s > _STUCK_S
-            return (
-                "The same contact for over 20 s: if nothing touches the sensor, "
-                "insist on a new zero."
-                if stuck
-                else ""
-            )
-        idle_s = now_s - self._idle_since_s
-        if idle_s > _IDLE_S and self._idle_change > self.end:
-            return "The sensor at rest no longer reads its zero: take it again."
+            if now_s - self._calm_since_s > _STUCK_S:
+                return (
+                    "The same contact for over 20 s: if nothing touches the sensor, "
+                    "insist on a new baseline."
+                )
+        elif now_s - self._idle_since_s > _IDLE_S and self._idle_change > self.end:
+            return "The sensor at rest no longer reads its baseline: take it again."
         return ""
 
-    def _set_zero(self, zero: NDArray[Any] | None) -> None:
-        self.zero = None if zero is None else np.array(zero)
-        self._small_zero = np.empty(0) if zero is None else _small(np.asarray(zero))
+    def _set_baseline(self, baseline: Array | None) -> None:
+        self.baseline = None if baseline is None else np.array(baseline)
+        self._small_baseline = (
+            np.empty(0) if self.baseline is None else _small(self.baseline)
+        )
         self.touching, self.change = False, 0.0
         self._n_frames, self._peak, self._began_s = 0, -1.0, 0.0
-        self._peak_image: NDArray[Any] | None = None
+        self._peak_image: Array | None = None
         self._recent.clear()
         self._idle_since_s, self._idle_change = float("inf"), 0.0
         self._calm_since_s, self._calm_change = 0.0, 0.0
 
-    def _least(self, image: NDArray[Any] | None) -> float:
+    def _least(self, image: Array | None) -> float:
         """Return the least change that counts in images of a type."""
         whole = image is not None and image.dtype.kind in "iu"
         step = max(self.step, 1.0) if whole else self.step
         return max(_LEAST_STEPS * step, float(np.finfo(np.float32).tiny))
 
-    def _change(self, image: NDArray[Any]) -> float:
-        return _rms(_small(image) - self._small_zero)
+    def _change(self, image: Array) -> float:
+        return _rms(_small(image) - self._small_baseline)
 
     def _rest(self, now_s: float) -> None:
-        """Follow how far rest is from the zero, over about half a second."""
+        """Follow how far rest is from the baseline, over about half a second."""
         if self._idle_since_s > now_s:
             self._idle_since_s, self._idle_change = now_s, self.change
         self._idle_change += 0.1 * (self.change - self._idle_change)
@@ -236,11 +233,13 @@ class TouchDetector:
             return None
         if self.summary == "mean":
             held = [i for change, i in recent if change >= _HOLD_SHARE * self._peak]
-            image = _mean(held or [image])
+            stack = np.stack(held or [image])
+            mean: Floats = np.asarray(np.mean(stack, axis=0, dtype=np.float64))
+            image = as_kind(mean, image.dtype)
         return DetectedTouch(image, self._began_s, now_s, self._peak, self._n_frames)
 
 
-def _moving(stack: NDArray[np.float64], least: float) -> bool:
+def _moving(stack: Floats, least: float) -> bool:
     """Tell whether frames go somewhere, by more than their noise.
 
     Noise is what second differences show (for noise alone their variance is six
@@ -250,22 +249,16 @@ def _moving(stack: NDArray[np.float64], least: float) -> bool:
     noise = float(np.median([_rms(bend) for bend in bends])) / np.sqrt(6)
     first, second = np.array_split(stack, 2)
     moved = _rms(second.mean(axis=0) - first.mean(axis=0))
-    return moved > max(_STEADY_NOISES * noise, least)
+    return bool(moved > max(_STEADY_NOISES * noise, least))
 
 
-def _mean(images: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    kind = images[0].dtype
-    mean = np.mean(np.stack(images), axis=0, dtype=np.float64)
-    return (np.rint(mean) if kind.kind in "iu" else mean).astype(kind)
-
-
-def _small(image: NDArray[Any]) -> NDArray[np.float64]:
+def _small(image: Array) -> Floats:
     """Return an image at most some 160 taxels a side: every second, third, ... one."""
     step = max(1, -(-max(image.shape) // _LARGEST_SIDE))
     return image[::step, ::step].astype(np.float64)
 
 
-def _rms(difference: NDArray[np.float64]) -> float:
+def _rms(difference: Floats) -> float:
     """Root mean square over taxels that are not NaN; 0 where all are."""
     alive = difference[~np.isnan(difference)]
     return float(np.sqrt(np.mean(np.square(alive)))) if alive.size else 0.0

@@ -10,13 +10,12 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from .._types import Array, Floats
 
 MOST_TAXELS = 4096
 _ENOUGH_TOUCHES = 10
-_ZERO_TOLERANCE = 0.25
+_BASELINE_TOLERANCE = 0.25
 _GAIN_TOLERANCE = 2.0
 _SURE_SD = 4.0
 _NAMED = 3
@@ -29,9 +28,10 @@ class SensorMemory:
     Attributes
     ----------
     no_contact : ndarray of shape (n_rows, n_cols)
-        Its zero when they were made.
+        Its baseline when they were made.
     touch_change : float
-        Median over touches of their root mean square difference from the zero.
+        Median over touches of their root mean square difference from the
+        baseline.
     response, response_var : ndarray of shape (n_rows, n_cols) or (0, 0)
         Mean over touches, and the variance of that mean, of the share that each
         taxel has in a touch's change; empty for sensors of over 4096 taxels.
@@ -46,67 +46,57 @@ class SensorMemory:
     n_touches: int
 
     @classmethod
-    def of(cls, images: Iterable[NDArray[Any]], no_contact: NDArray[Any]) -> Self:
+    def of(cls, images: Iterable[Array], no_contact: Array) -> Self:
         """Remember the sensor that made these touches, each (n_rows, n_cols)."""
-        zero = np.asarray(no_contact, dtype=np.float64)
+        baseline = np.asarray(no_contact, dtype=np.float64)
         changes, shares = [], []
         for image in images:
-            size = np.abs(image - zero)
+            size = np.abs(image - baseline)
             changes.append(float(np.sqrt(np.nanmean(size**2))))
             shares.append(size / max(float(np.nansum(size)), np.finfo(float).tiny))
-            if zero.size > MOST_TAXELS:
+            if baseline.size > MOST_TAXELS:
                 shares.clear()
         response = np.mean(shares, axis=0) if shares else np.empty((0, 0))
         spread = np.var(shares, axis=0) / len(shares) if shares else np.empty((0, 0))
-        return cls(zero, float(np.median(changes)), response, spread, len(changes))
+        return cls(baseline, float(np.median(changes)), response, spread, len(changes))
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> Self:
         """Return what `to_dict` gave."""
-        return cls(
-            np.asarray(stored["no_contact"], dtype=np.float64),
-            float(stored["touch_change"]),
-            np.asarray(stored["response"], dtype=np.float64),
-            np.asarray(stored["response_var"], dtype=np.float64),
-            int(stored["n_touches"]),
+        no_contact, response, response_var = (
+            np.asarray(stored[name], dtype=np.float64)
+            for name in ("no_contact", "response", "response_var")
         )
+        change, n_touches = float(stored["touch_change"]), int(stored["n_touches"])
+        return cls(no_contact, change, response, response_var, n_touches)
 
     def to_dict(self) -> dict[str, Any]:
         """Return arrays and plain values, for a model file."""
-        return {
-            "no_contact": self.no_contact,
-            "touch_change": self.touch_change,
-            "response": self.response,
-            "response_var": self.response_var,
-            "n_touches": self.n_touches,
-        }
+        return dict(vars(self))
 
 
-def zero_warning(
+def baseline_warning(
     memory: SensorMemory,
-    no_contact: NDArray[Any],
+    no_contact: Array,
     *,
-    tolerance: float = _ZERO_TOLERANCE,
+    tolerance: float = _BASELINE_TOLERANCE,
 ) -> str:
-    """Return a sentence if the zero has left tolerance, else nothing.
+    """Return a sentence if the baseline has left tolerance, else nothing.
 
     Parameters
     ----------
     memory : SensorMemory
         Of the sensor that the model learnt from.
     no_contact : ndarray of shape (n_rows, n_cols)
-        The present zero.
+        The present baseline.
     tolerance : float, default=0.25
         Accepted root mean square difference, as a share of what a touch changes.
     """
-    if memory.no_contact.shape != no_contact.shape:
-        old, new = (
-            f"{shape[0]} x {shape[1]}"
-            for shape in (memory.no_contact.shape, no_contact.shape)
-        )
+    known, found = memory.no_contact.shape, no_contact.shape
+    if known != found:
         return (
-            f"The model learnt from a sensor of {old} taxels, this one has {new}. "
-            "Learn again with this sensor."
+            f"The model learnt from a sensor of {known[0]} x {known[1]} taxels, this "
+            f"one has {found[0]} x {found[1]}. Learn again with this sensor."
         )
     off = float(np.sqrt(np.nanmean((no_contact - memory.no_contact) ** 2)))
     if off <= tolerance * memory.touch_change:

@@ -26,16 +26,23 @@ the way, the next whole frame is read.
 import binascii
 import struct
 from math import isfinite
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import check_option
+from .._types import Array
 
 SYNC = b"\xa5\x5a"
 _HEAD = struct.Struct("<BBBH")
-_TYPES = {1: "<u1", 2: "<u2", 3: "<i2", 4: "<f4"}
+# Of each type of taxel its code in a frame, and how its bytes lie.
+_TYPES = {
+    "uint8": (1, "<u1"),
+    "uint16": (2, "<u2"),
+    "int16": (3, "<i2"),
+    "float32": (4, "<f4"),
+}
 _LONGEST_NUMBER = 32
 _MANY_MISSED = 1000
 _LARGEST_WHOLE = 2**53
@@ -55,7 +62,7 @@ class Framing(Protocol):
     n_damaged: int
     n_missed: int
 
-    def feed(self, data: bytes) -> list[NDArray[Any]]:
+    def feed(self, data: bytes) -> list[Array]:
         """Take in what arrived; return the frames that are whole now."""
         ...
 
@@ -139,8 +146,7 @@ class BinaryFraming:
     def __init__(
         self, image_shape: tuple[int, int], dtype: np.typing.DTypeLike = np.uint16
     ) -> None:
-        names = {np.dtype(t).name: code for code, t in _TYPES.items()}
-        name = check_option("dtype", np.dtype(dtype).name, names)
+        code, kind = _TYPES[check_option("dtype", np.dtype(dtype).name, _TYPES)]
         n_rows, n_cols = image_shape
         if max(image_shape) > 255:
             raise ValueError(
@@ -149,18 +155,18 @@ class BinaryFraming:
             )
         self.image_shape = image_shape
         self.n_damaged = self.n_missed = 0
-        self._type = np.dtype(_TYPES[names[name]])
-        self._expected = bytes((names[name], n_rows, n_cols))
+        self._type = np.dtype(kind)
+        self._expected = bytes((code, n_rows, n_cols))
         n_bytes = n_rows * n_cols * self._type.itemsize
         self._length = len(SYNC) + _HEAD.size + n_bytes + 2
         self._buffer = bytearray()
         self._last: int | None = None
         self._astray = False
 
-    def feed(self, data: bytes) -> list[NDArray[Any]]:
+    def feed(self, data: bytes) -> list[Array]:
         """Take in what arrived; return the frames that are whole now."""
         self._buffer += data
-        frames: list[NDArray[Any]] = []
+        frames: list[Array] = []
         while (start := self._buffer.find(SYNC)) >= 0:
             if start:
                 self._skip(start)
@@ -178,14 +184,14 @@ class BinaryFraming:
         return frames
 
     def _skip(self, n_bytes: int) -> None:
-        """Drop bytes that begin no frame; a stretch of them counts as one frame."""
+        """Drop bytes that begin no frame; a run of them counts as one frame."""
         if n_bytes <= 0:
             return
         del self._buffer[:n_bytes]
         self.n_damaged += not self._astray
         self._astray = True
 
-    def _frame(self, packet: bytes) -> NDArray[Any] | None:
+    def _frame(self, packet: bytes) -> Array | None:
         body, check = packet[2:-2], packet[-2:]
         if binascii.crc_hqx(body, 0xFFFF).to_bytes(2, "little") != check:
             return None
@@ -202,7 +208,7 @@ class BinaryFraming:
         self._last = number
 
 
-def write_line(image: NDArray[Any]) -> bytes:
+def write_line(image: Array) -> bytes:
     """Return a frame as one line with its checksum."""
     values = ",".join(map(_digits, np.asarray(image).ravel().tolist())).encode()
     return b"$" + values + f"*{_exclusive_or(values):02X}\n".encode()
@@ -214,13 +220,12 @@ def _digits(value: float) -> str:
     return str(int(value)) if whole else f"{value:.9g}"
 
 
-def write_binary(image: NDArray[Any], number: int = 0) -> bytes:
+def write_binary(image: Array, number: int = 0) -> bytes:
     """Return a frame as bytes; `number` counts frames."""
     image = np.asarray(image)
-    codes = {np.dtype(t).name: code for code, t in _TYPES.items()}
-    code = codes[check_option("image.dtype", image.dtype.name, codes)]
+    code, kind = _TYPES[check_option("image.dtype", image.dtype.name, _TYPES)]
     body = _HEAD.pack(code, *image.shape, number % 65536)
-    body += image.astype(_TYPES[code]).tobytes()
+    body += image.astype(kind).tobytes()
     return SYNC + body + binascii.crc_hqx(body, 0xFFFF).to_bytes(2, "little")
 
 

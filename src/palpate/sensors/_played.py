@@ -9,25 +9,28 @@ import time
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Sequence
-from typing import Any
+from os import PathLike
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
 from .._checks import check_count, check_option, check_positive
-from ._streaming import StreamingSensor
+from .._types import Array
+from ..touches import Touches, TouchesError
+from ._contract import LiveSensor, SensorError, as_kind
 
-Image = NDArray[Any]
 _LONGEST_WAIT_S = 0.2
+_UNLABELLED = "recording"
+_ARRAY_SIDE = 48
 
 
-class PlayedSensor(StreamingSensor):
+class PlayedSensor(LiveSensor):
     """Base of sensors that play touches of what is placed on the desk.
 
     Parameters
     ----------
     name, unit, image_shape, dtype, geometry
-        See `StreamingSensor`.
+        See `LiveSensor`.
     objects : sequence of str
         What can be placed.
     rate_hz : float
@@ -60,7 +63,7 @@ class PlayedSensor(StreamingSensor):
         self._gap = check_count("gap", gap, at_least=0)
         self._ramp = check_count("ramp", ramp, at_least=0)
         self._placed: str | None = self.objects[0] if self.objects else None
-        self._frames: deque[Image] = deque()
+        self._frames: deque[Array] = deque()
         self._lock = threading.Lock()
         self._due_s = 0.0
 
@@ -87,10 +90,10 @@ class PlayedSensor(StreamingSensor):
                 self._frames.extend([rest] * max(self._gap, 2))
 
     @abstractmethod
-    def _next_touch(self, name: str) -> Image | None:
+    def _next_touch(self, name: str) -> Array | None:
         """Return the next touch of an object, or None while it is being made."""
 
-    def _with_noise(self, image: Image) -> Image:
+    def _with_noise(self, image: Array) -> Array:
         """Return a frame as the sensor would give it."""
         return image
 
@@ -100,7 +103,7 @@ class PlayedSensor(StreamingSensor):
     def _close(self) -> None:
         pass
 
-    def _grab(self) -> list[Image]:
+    def _grab(self) -> list[Array]:
         self._due_s += 1 / self.rate_hz
         late_s = time.monotonic() - self._due_s
         if late_s > 1.0:  # the machine slept: go on from now, at the same rate
@@ -111,13 +114,10 @@ class PlayedSensor(StreamingSensor):
         with self._lock:
             if not self._frames:
                 self._frames.extend(self._cycle())
-            image = self._frames.popleft() if self._frames else self._rest()
+            image = self._frames.popleft() if self._frames else self.no_contact()
         return [] if image is None else [self._with_noise(image)]
 
-    def _rest(self) -> Image | None:
-        return self.no_contact()
-
-    def _cycle(self) -> list[Image]:
+    def _cycle(self) -> list[Array]:
         """Return the frames of one touch, from nothing to nothing."""
         touch = None if self._placed is None else self._next_touch(self._placed)
         if touch is None:
@@ -130,9 +130,119 @@ class PlayedSensor(StreamingSensor):
         held = [touch] * self._hold
         return [rest] * self._gap + way_in + held + way_in[::-1]
 
-    def _between(self, rest: Image, touch: Image, share: float) -> Image:
+    def _between(self, rest: Array, touch: Array, share: float) -> Array:
         """Return a picture of part of the way in; a blend, not physics."""
-        blend = rest + share * (touch.astype(np.float64) - rest)
-        if self.dtype.kind in "iu":
-            blend = np.rint(blend)
-        return blend.astype(self.dtype)
+        return as_kind(rest + share * (touch.astype(np.float64) - rest), self.dtype)
+
+
+class ReplaySensor(PlayedSensor):
+    """Plays recorded touches as if somebody touched things on the desk.
+
+    Parameters
+    ----------
+    touches : Touches or path
+        The recording: touches, an archive (`.npz`) or a folder of pictures.
+    rate_hz : float, default=25
+        Frames per second.
+    hold, gap : int, default=8, 8
+        Frames that each touch is held, and frames of nothing between two; 1 and 0
+        play the pictures as they are, one after the other.
+    no_contact : ndarray or path, optional
+        The frame of touching nothing, where the recording has none. A pressure
+        array (at most 48 taxels a side) is taken to read 0 then; other recordings
+        are played without frames of nothing.
+    name_pattern : str, optional
+        For folders: see `Touches.load`.
+
+    Attributes
+    ----------
+    objects : tuple of str
+        What was recorded; `place` chooses among them. Every object's touches are
+        played in the order of the recording, and again from the first when they
+        are over; an object that is put back goes on where it was.
+
+    Raises
+    ------
+    SensorError
+        The recording cannot be read.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate import Touches
+    >>> from palpate.sensors import ReplaySensor
+    >>> recorded = Touches(np.ones((3, 4, 4)), object=["cup"] * 3)
+    >>> with ReplaySensor(recorded, rate_hz=1000, hold=1, gap=1) as sensor:
+    ...     [float(sensor.read_next().image.max()) for _ in range(4)]
+    [0.0, 1.0, 0.0, 1.0]
+    """
+
+    def __init__(
+        self,
+        touches: Touches | str | PathLike[str],
+        *,
+        rate_hz: float = 25.0,
+        hold: int = 8,
+        gap: int = 8,
+        no_contact: Array | str | PathLike[str] | None = None,
+        name_pattern: str | None = None,
+    ) -> None:
+        recorded, source = _recorded(touches, no_contact, name_pattern)
+        labels = recorded.object
+        if labels is None:
+            labels = np.full(len(recorded), _UNLABELLED)
+        self._images = recorded.images
+        self._rows = {str(n): np.flatnonzero(labels == n) for n in np.unique(labels)}
+        self._at = dict.fromkeys(self._rows, 0)
+        self._no_contact = _rest_frame(recorded)
+        super().__init__(
+            f"replay of {source}",
+            "grey level" if recorded.images.dtype.kind == "u" else "as recorded",
+            recorded.images.shape[1:],
+            recorded.images.dtype,
+            recorded.geometry,
+            objects=[str(name) for name in dict.fromkeys(labels.tolist())],
+            rate_hz=rate_hz,
+            hold=hold,
+            gap=gap,
+        )
+
+    def no_contact(self) -> Array | None:
+        """Return the frame of touching nothing, or None where it is not known."""
+        return self._no_contact
+
+    def _next_touch(self, name: str) -> Array:
+        rows = self._rows[name]
+        touch: Array = self._images[rows[self._at[name] % len(rows)]]
+        self._at[name] += 1
+        return touch
+
+
+def _recorded(
+    touches: Touches | str | PathLike[str],
+    no_contact: Array | str | PathLike[str] | None,
+    name_pattern: str | None,
+) -> tuple[Touches, str]:
+    """Return the recording and what to call it."""
+    frame = no_contact if isinstance(no_contact, np.ndarray) else None
+    try:
+        if isinstance(touches, Touches):
+            recorded, source = touches, "touches"
+        else:
+            path = None if isinstance(no_contact, np.ndarray) else no_contact
+            recorded = Touches.load(touches, name_pattern=name_pattern, no_contact=path)
+            source = str(touches)
+        if frame is not None:
+            recorded = recorded.with_columns(no_contact=frame)
+    except TouchesError as error:
+        raise SensorError(f"The recording cannot be replayed: {error}") from error
+    return recorded, source
+
+
+def _rest_frame(recorded: Touches) -> Array | None:
+    if recorded.no_contact is not None:
+        return recorded.no_contact.astype(recorded.images.dtype)
+    shape = recorded.images.shape[1:]
+    if max(shape) > _ARRAY_SIDE:
+        return None
+    return np.zeros(shape, dtype=recorded.images.dtype)

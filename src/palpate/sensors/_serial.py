@@ -5,12 +5,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
 from .._checks import check_count, check_option
-from ._contract import SensorError
+from .._extras import needed
+from .._types import Array
+from ._contract import LiveSensor, SensorError
 from ._framing import BinaryFraming, Framing, LineFraming
-from ._streaming import StreamingSensor
 
 FRAMINGS = ("line", "binary")
 _WAIT_S = 0.1
@@ -21,7 +22,7 @@ _FIXES = {
 }
 
 
-class SerialArraySensor(StreamingSensor):
+class SerialArraySensor(LiveSensor):
     """Frames of a pressure array that writes on a serial port.
 
     Parameters
@@ -88,7 +89,7 @@ class SerialArraySensor(StreamingSensor):
         return 1.0 if self.dtype.kind in "iu" else 0.0
 
     def _open(self) -> None:
-        serial = _pyserial()
+        serial = needed("serial", "serial", "A sensor on a serial port")
         try:
             self._serial = serial.Serial(
                 self.port, self.baud, timeout=_WAIT_S, exclusive=True
@@ -98,7 +99,7 @@ class SerialArraySensor(StreamingSensor):
         self._framing = self._new_framing()
         self._lost_before = 0
 
-    def _grab(self) -> Sequence[NDArray[Any]]:
+    def _grab(self) -> Sequence[Array]:
         try:
             data = self._serial.read(max(1, self._serial.in_waiting))
         except (OSError, TypeError) as error:  # TypeError: closed while it waited
@@ -115,16 +116,6 @@ class SerialArraySensor(StreamingSensor):
         if self._serial is not None:
             self._serial.close()
         self._serial = None
-
-
-def _pyserial() -> Any:
-    try:
-        import serial
-    except ImportError as error:
-        raise ImportError(
-            "A sensor on a serial port needs pyserial: pip install palpate[serial]."
-        ) from error
-    return serial
 
 
 def _cannot_open(port: str, error: Exception) -> str:

@@ -1,16 +1,15 @@
 """A simulated sensor on the desk: a dome camera or a pressure array that runs live."""
 
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._checks import check_option
+from .._types import Array
 from ..simulation import (
     HOUSEHOLD,
     PARTS,
-    STRANGE,
+    UNLIKE_OTHERS,
     UNSEEN,
     DomeCamera,
     PressureArray,
@@ -20,7 +19,7 @@ from ..simulation import (
 from ._played import PlayedSensor
 
 _NOISE_FRAMES = 8
-_NOISE_LEVELS = {"dome": 1.0, "array": 0.5}
+_DOME_NOISE, _ARRAY_NOISE = 1.0, 0.5
 
 
 class SimulatedStream(PlayedSensor):
@@ -68,16 +67,26 @@ class SimulatedStream(PlayedSensor):
         ramp: int = 3,
         random_state: int = 0,
     ) -> None:
-        solids = [thing.name for thing in (*HOUSEHOLD, *UNSEEN, *STRANGE)]
+        solids = [thing.name for thing in (*HOUSEHOLD, *UNSEEN, *UNLIKE_OTHERS)]
         parts = [part.name for part in PARTS]
         check_option("name", name, [*solids, *parts])
         dome = name in solids
-        self._device: DomeCamera | PressureArray
-        self._device, self._rest_image = _dome(image_shape) if dome else _array()
         self._rng = np.random.default_rng(random_state)
-        self._noise = _noise(self._rest_image, "dome" if dome else "array", self._rng)
+        self._device: DomeCamera | PressureArray
+        if dome:
+            self._device = DomeCamera(image_shape=image_shape or (120, 120))
+            self._rest_image = self._device.no_contact()
+        else:
+            self._device = PressureArray()
+            shape = self._device.rows, self._device.cols
+            self._rest_image = np.zeros(shape, dtype=np.uint8)
+        # Fields of noise, (n_frames, n_rows, n_cols), that are played round.
+        size = _NOISE_FRAMES, *self._rest_image.shape
+        level = _DOME_NOISE if dome else _ARRAY_NOISE
+        noise = self._rng.normal(scale=level, size=size)
+        self._noise = np.rint(noise).astype(np.int16)
         self._pool: ThreadPoolExecutor | None = None
-        self._made: tuple[str, Future[NDArray[Any]]] | None = None
+        self._made: tuple[str, Future[Array]] | None = None
         super().__init__(
             f"simulated {'dome camera' if dome else 'pressure array'}",
             "grey level",
@@ -92,7 +101,7 @@ class SimulatedStream(PlayedSensor):
         )
         self._placed = name
 
-    def no_contact(self) -> NDArray[Any]:
+    def no_contact(self) -> Array:
         """Return the frame of touching nothing, without noise."""
         return self._rest_image
 
@@ -105,7 +114,7 @@ class SimulatedStream(PlayedSensor):
             self._pool.shutdown(wait=False, cancel_futures=True)
         self._pool = self._made = None
 
-    def _next_touch(self, name: str) -> NDArray[Any] | None:
+    def _next_touch(self, name: str) -> Array | None:
         assert self._pool is not None
         if self._made is None or self._made[0] != name:
             self._made = name, self._pool.submit(self._touched, name)
@@ -115,7 +124,7 @@ class SimulatedStream(PlayedSensor):
         self._made = name, self._pool.submit(self._touched, name)
         return future.result()
 
-    def _touched(self, name: str) -> NDArray[Any]:
+    def _touched(self, name: str) -> Array:
         seed = int(self._rng.integers(2**31))
         if isinstance(self._device, DomeCamera):
             touches = simulate_touches(
@@ -123,28 +132,10 @@ class SimulatedStream(PlayedSensor):
             )
         else:
             touches = simulate_presses(name, 1, array=self._device, random_state=seed)
-        image: NDArray[Any] = touches.images[0]
+        image: Array = touches.images[0]
         return image
 
-    def _with_noise(self, image: NDArray[Any]) -> NDArray[Any]:
+    def _with_noise(self, image: Array) -> Array:
         noise = self._noise[self._number % _NOISE_FRAMES]
-        noisy: NDArray[Any] = (image + noise).clip(0, 255).astype(np.uint8)
+        noisy: Array = (image + noise).clip(0, 255).astype(np.uint8)
         return noisy
-
-
-def _dome(shape: tuple[int, int] | None) -> tuple[DomeCamera, NDArray[np.uint8]]:
-    camera = DomeCamera(image_shape=(120, 120) if shape is None else shape)
-    return camera, camera.no_contact()
-
-
-def _array() -> tuple[PressureArray, NDArray[np.uint8]]:
-    array = PressureArray()
-    return array, np.zeros((array.rows, array.cols), dtype=np.uint8)
-
-
-def _noise(
-    rest: NDArray[np.uint8], kind: str, rng: np.random.Generator
-) -> NDArray[np.int16]:
-    """Return fields of noise, (n_frames, n_rows, n_cols), that are played round."""
-    drawn = rng.normal(scale=_NOISE_LEVELS[kind], size=(_NOISE_FRAMES, *rest.shape))
-    return np.rint(drawn).astype(np.int16)

@@ -3,57 +3,48 @@
 `PressureArray` presses flat parts on an array of pressure sensors; each parameter
 is published, from a handbook, or marked as a guess. `DomeCamera` presses a rubber
 dome with a camera in it on solid objects, `TacTipPins` one with pins; both take the
-objects built in here and mesh files (`pip install palpate[sim]`).
+objects built in here and mesh files (`pip install "palpate[sim]"`).
 """
 
-from ._array import Press, PressureArray
-from ._dome import DomeCamera, DomePress
-from ._exploring import simulate_touches
-from ._membrane import Contact, Membrane, solve_contact
-from ._mesh import MESH_SUFFIXES, MeshError, load_mesh
-from ._objects import (
-    BASIC_SHAPES,
-    HOUSEHOLD,
-    STRANGE,
-    UNSEEN,
-    SimObject,
-    find_object,
-    refuse_same_names,
-)
-from ._parts import PARTS, Part, find_parts
+from ._array import Press as Press
+from ._array import PressureArray
+from ._dome import DomeCamera
+from ._dome import DomePress as DomePress
+from ._membrane import Contact as Contact
+from ._membrane import Membrane
+from ._membrane import solve_contact as solve_contact
+from ._mesh import MESH_SUFFIXES as MESH_SUFFIXES
+from ._mesh import MeshError, load_mesh
+from ._objects import BASIC_SHAPES as BASIC_SHAPES
+from ._objects import HOUSEHOLD as HOUSEHOLD
+from ._objects import UNLIKE_OTHERS as UNLIKE_OTHERS
+from ._objects import UNSEEN as UNSEEN
+from ._objects import find_object
+from ._objects import refuse_same_names as refuse_same_names
+from ._optics import Lighting
+from ._optics import shade as shade
+from ._parts import PARTS as PARTS
+from ._parts import Part, find_parts
 from ._pins import TacTipPins
-from ._placed import PlacedObject, SensorPose, gap_map, sleeve_gap
-from ._presses import simulate_presses
-from ._shading import Lighting, shade
+from ._placed import PlacedObject, SensorPose, SimObject
+from ._placed import gap_map as gap_map
+from ._placed import sleeve_gap as sleeve_gap
+from ._simulate import simulate_presses, simulate_touches
 
 __all__ = [
-    "BASIC_SHAPES",
-    "HOUSEHOLD",
-    "MESH_SUFFIXES",
-    "PARTS",
-    "STRANGE",
-    "UNSEEN",
-    "Contact",
     "DomeCamera",
-    "DomePress",
     "Lighting",
     "Membrane",
     "MeshError",
     "Part",
     "PlacedObject",
-    "Press",
     "PressureArray",
     "SensorPose",
     "SimObject",
     "TacTipPins",
     "find_object",
     "find_parts",
-    "gap_map",
     "load_mesh",
-    "refuse_same_names",
-    "shade",
     "simulate_presses",
     "simulate_touches",
-    "sleeve_gap",
-    "solve_contact",
 ]

@@ -15,6 +15,8 @@ Positions are (x, y) in mm from the middle of the array, x along its columns and
 along its rows (downwards); angles turn x towards y, clockwise as displayed.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil
@@ -24,6 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_count, check_number, check_positive
+from .._types import Floats
 from ._contact import contact_pressure, footprint, unevenness, window_weights
 from ._parts import Part, find_parts
 
@@ -105,7 +108,7 @@ class PressureArray:
         piezoresistive cells commonly differ by about 10 %.
     dead_zone_kpa : float, default=69.0
         Below this a taxel reads nothing. The published calibration starts here, at
-        10 psi; that less is not felt is a guess.
+        10 psi; that less is not read is a guess.
     full_scale_kpa : float, default=4000.0
         Stress that reads 255; more saturates. The published calibration ends here,
         at 580 psi; that it fills the scale is a guess.
@@ -187,7 +190,7 @@ class PressureArray:
         return max(2, ceil(self.pitch_mm / self.grid_mm - 1e-9))
 
     @cached_property
-    def gains(self) -> NDArray[np.float64]:
+    def gains(self) -> Floats:
         """Gain of each taxel, shape (rows, cols), with mean 1 over devices."""
         normal = np.random.default_rng(self.random_state).standard_normal(
             (self.rows, self.cols)
@@ -226,11 +229,11 @@ class PressureArray:
                 f"stress_kpa must be finite and of shape {(self.rows, self.cols)}, "
                 f"got {stress.shape}. Make it with `stress_kpa`."
             )
-        felt = stress * self.gains
-        felt[felt < self.dead_zone_kpa] = 0
+        sensed = stress * self.gains
+        sensed[sensed < self.dead_zone_kpa] = 0
         rng = np.random.default_rng(random_state)
-        felt += self.noise_kpa * rng.standard_normal(felt.shape)
-        levels = np.rint(felt * (255 / self.full_scale_kpa))
+        sensed += self.noise_kpa * rng.standard_normal(sensed.shape)
+        levels = np.rint(sensed * (255 / self.full_scale_kpa))
         return np.clip(levels, 0, 255).astype(np.uint8)
 
     def stress_kpa(
@@ -238,7 +241,7 @@ class PressureArray:
         part: Part | str | int,
         press: Press | None = None,
         random_state: Any = None,
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         """Return the mean stress in kPa over each sensing window, (rows, cols)."""
         pressure, row, col = self._contact(part, press or Press(), random_state)
         n_rows, n_cols = pressure.shape
@@ -254,7 +257,7 @@ class PressureArray:
         part: Part | str | int,
         press: Press | None = None,
         random_state: Any = None,
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         """Return the pressure in kPa on the cover's surface, on the contact grid.
 
         Its shape is (rows, cols) times `cells_per_pitch`.
@@ -267,7 +270,7 @@ class PressureArray:
         return whole
 
     @property
-    def _weights(self) -> tuple[NDArray[np.float64], ...]:
+    def _weights(self) -> tuple[Floats, ...]:
         """Scale (rank,) and factors (rank, n_taxels, n_cells) along rows, columns."""
         scale, factors = window_weights(
             max(self.rows, self.cols),
@@ -282,7 +285,7 @@ class PressureArray:
 
     def _contact(
         self, part: Part | str | int, press: Press, random_state: Any
-    ) -> tuple[NDArray[np.float64], int, int]:
+    ) -> tuple[Floats, int, int]:
         """Return pressure about the part, and the row and column it starts at."""
         (found,) = find_parts(part)
         inside, row, col = self._footprint(found, press)

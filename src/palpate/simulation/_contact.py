@@ -1,4 +1,4 @@
-"""A flat face on a thin soft sheet: where it touches, and what is felt below.
+"""A flat face on a thin soft sheet: where it touches, and the stress below.
 
 Grids have square cells; positions on them are in cells, (column, row) for corners
 of loops and (row, column) for arrays. Pressures are in kPa.
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-Array = NDArray[np.float64]
+from .._types import Floats
 
 # Length over which a machined face's unevenness stays alike; a guess: a quarter of
 # the parts' size.
@@ -21,7 +21,7 @@ _RANK_TOLERANCE = 1e-8
 
 
 def footprint(
-    loops: list[Array], n_rows: int, n_cols: int
+    loops: list[Floats], n_rows: int, n_cols: int
 ) -> tuple[NDArray[np.bool_], int, int]:
     """Tell which cells' centres lie inside an odd number of closed loops.
 
@@ -60,7 +60,7 @@ def footprint(
 
 def unevenness(
     shape: tuple[int, int], step_mm: float, rng: np.random.Generator
-) -> Array:
+) -> Floats:
     """Draw a smooth random surface of mean 0 and standard deviation 1.
 
     White noise on coarse knots is smoothed by a Gaussian, so that heights are alike
@@ -72,8 +72,8 @@ def unevenness(
 
 
 def contact_pressure(
-    inside: NDArray[np.bool_], gap_mm: Array, stiffness: float, total: float
-) -> Array:
+    inside: NDArray[np.bool_], gap_mm: Floats, stiffness: float, total: float
+) -> Floats:
     """Solve for the pressure of a rigid face on a bed of springs.
 
     pressure = stiffness max(0, depth - gap), with the depth at which the pressures
@@ -113,7 +113,7 @@ def contact_pressure(
 @lru_cache(maxsize=8)
 def window_weights(
     n_taxels: int, cells: int, pitch_mm: float, sensing_mm: float, depth_mm: float
-) -> tuple[Array, Array]:
+) -> tuple[Floats, Floats]:
     """Factor the map from pressure on a grid to mean stress over square windows.
 
     The stress in taxel (t, u) is the sum over k, i, j of
@@ -153,8 +153,8 @@ def window_weights(
 
 
 def window_influence(
-    x_mm: Array, y_mm: Array, sensing_mm: float, depth_mm: float
-) -> Array:
+    x_mm: Floats, y_mm: Floats, sensing_mm: float, depth_mm: float
+) -> Floats:
     """Return the mean vertical stress over a window due to a unit force, in 1/mm².
 
     The force acts on the surface at (x, y) from above the middle of a square window
@@ -172,7 +172,7 @@ def window_influence(
     return corners / sensing_mm**2
 
 
-def _below_corner(a: Array, b: Array, z: float) -> Array:
+def _below_corner(a: Floats, b: Floats, z: float) -> Floats:
     """Vertical stress at depth z below a corner of a x b under unit pressure."""
     to_a, to_b, to_far = a**2 + z**2, b**2 + z**2, np.sqrt(a**2 + b**2 + z**2)
     shear = a * b * z / to_far * (1 / to_a + 1 / to_b)
@@ -180,11 +180,12 @@ def _below_corner(a: Array, b: Array, z: float) -> Array:
 
 
 @lru_cache(maxsize=512)
-def _smoothing(n_cells: int, step_mm: float) -> Array:
+def _smoothing(n_cells: int, step_mm: float) -> Floats:
     """Weights (n_cells, n_knots) of knots on cells, each row of unit length."""
     width = UNEVENNESS_LENGTH_MM / np.sqrt(2)
     where = step_mm * np.arange(n_cells)
     n_knots = int(np.ceil((where[-1] + 6 * width) / width)) + 1
     knots = width * (np.arange(n_knots) - 3)
     weights = np.exp(-((where[:, np.newaxis] - knots) ** 2) / (2 * width**2))
-    return weights / np.sqrt((weights**2).sum(axis=1, keepdims=True))
+    lengths = np.sqrt((weights**2).sum(axis=1, keepdims=True))
+    return np.asarray(weights / lengths)

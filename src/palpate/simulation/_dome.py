@@ -5,6 +5,7 @@ force, eight LEDs and a camera the picture. Lengths are millimetres, forces newt
 pictures grey levels 0 to 255 with the first row at the top.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, Self
@@ -13,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import check_count, check_number, check_positive
+from .._types import Floats
 from ._membrane import Contact, Membrane, solve_contact
-from ._objects import SimObject
-from ._optics import SURROUND_GREY, Optics, View, check_picture
-from ._placed import PlacedObject, SensorPose, gap_map, sleeve_gap
-from ._shading import Lighting, Plane
+from ._optics import SURROUND_GREY, Lighting, Optics, Plane, View, check_picture
+from ._placed import PlacedObject, SensorPose, SimObject, gap_map, sleeve_gap
 
 Frame = NDArray[np.uint8]
 
@@ -54,7 +54,7 @@ class DomePress:
     force_n: float
     area_mm2: float
     contact: Contact
-    gap_mm: NDArray[np.float64]
+    gap_mm: Floats
 
     @property
     def touched(self) -> bool:
@@ -62,8 +62,79 @@ class DomePress:
         return self.stopped_by != "nothing"
 
 
+class DomeSensor(ABC):
+    """What sensors with a dome have in common."""
+
+    @abstractmethod
+    def _dome(self) -> "DomeCamera":
+        """Return the membrane, its camera and its force."""
+
+    @abstractmethod
+    def image(
+        self, press: DomePress | None = None, rng: np.random.Generator | None = None
+    ) -> Frame:
+        """Return the picture of a press, (n_rows, n_cols), by default of none."""
+
+    def press(
+        self,
+        target: SimObject | PlacedObject,
+        pose: SensorPose,
+        *,
+        force_n: float | None = None,
+        depth_mm: float | None = None,
+        reach_mm: float = np.inf,
+    ) -> DomePress:
+        """Move in from a pose until a force is reached.
+
+        Parameters
+        ----------
+        target : SimObject or PlacedObject
+            What to touch; an object that is not placed is where it was built.
+        pose : SensorPose
+            Where to start, clear of the object.
+        force_n : float, optional
+            Force to stop at, default the dome's own; `max_depth_mm` may come first.
+        depth_mm : float, optional
+            Instead, stop this far after first touching, at most `max_depth_mm`.
+        reach_mm : float, default=inf
+            Longest way to the first touch; beyond it nothing is touched.
+
+        Raises
+        ------
+        ValueError
+            The dome overlaps the object at the start.
+        """
+        dome = self._dome()
+        placed = target if isinstance(target, PlacedObject) else PlacedObject(target)
+        gap = gap_map(placed, pose, dome.membrane)
+        first = float(gap.min())
+        if not first <= reach_mm or np.isinf(first):
+            return dome._untouched()
+        if first < 0:
+            raise ValueError(
+                f"pose must be clear of the object, got one {-first:.3g} mm inside "
+                f"{placed.thing.name!r}. Start further back."
+            )
+        sleeve = sleeve_gap(placed, pose, dome.membrane_radius_mm, dome.sleeve_mm)
+        return dome._ended(gap - first, first, sleeve - first, force_n, depth_mm)
+
+    def no_contact(self) -> Frame:
+        """Return the picture of the dome touching nothing, without noise."""
+        return self.image()
+
+    def touch(
+        self,
+        target: SimObject | PlacedObject,
+        pose: SensorPose,
+        force_n: float | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> Frame:
+        """Press from a pose until a force and return the picture."""
+        return self.image(self.press(target, pose, force_n=force_n), rng)
+
+
 @dataclass(frozen=True)
-class DomeCamera:
+class DomeCamera(DomeSensor):
     """Simulated dome camera.
 
     Parameters
@@ -157,9 +228,9 @@ class DomeCamera:
         for name in ("image_shape", "camera_offset_mm", "disc_centre"):
             object.__setattr__(self, name, _pair(name, getattr(self, name)))
         check_picture(self.image_shape)
-        for name in _POSITIVE:
+        for name in _POSITIVE.split():
             check_positive(name, getattr(self, name))
-        for name in _NOT_NEGATIVE:
+        for name in _NOT_NEGATIVE.split():
             check_number(name, getattr(self, name), low=0.0)
         check_count("n_leds", self.n_leds)
         check_count("texture_seed", self.texture_seed, at_least=0)
@@ -169,6 +240,9 @@ class DomeCamera:
                 f"got {self.camera_distance_mm}. The camera stands behind the rim."
             )
         self.membrane  # noqa: B018  refuses what is no membrane
+
+    def _dome(self) -> "DomeCamera":
+        return self
 
     @cached_property
     def membrane(self) -> Membrane:
@@ -181,51 +255,7 @@ class DomeCamera:
             n_nodes=self.n_nodes,
         )
 
-    def press(
-        self,
-        target: SimObject | PlacedObject,
-        pose: SensorPose,
-        *,
-        force_n: float | None = None,
-        depth_mm: float | None = None,
-        reach_mm: float = np.inf,
-    ) -> DomePress:
-        """Move in from a pose until a force is reached.
-
-        Parameters
-        ----------
-        target : SimObject or PlacedObject
-            What to touch; an object that is not placed is where it was built.
-        pose : SensorPose
-            Where to start, clear of the object.
-        force_n : float, optional
-            Force to stop at, default `self.force_n`; `max_depth_mm` may come first.
-        depth_mm : float, optional
-            Instead, stop this far after first touching, at most `max_depth_mm`.
-        reach_mm : float, default=inf
-            Longest way to the first touch; beyond it nothing is touched.
-
-        Raises
-        ------
-        ValueError
-            The dome overlaps the object at the start.
-        """
-        placed = target if isinstance(target, PlacedObject) else PlacedObject(target)
-        gap = gap_map(placed, pose, self.membrane)
-        first = float(gap.min())
-        if not first <= reach_mm or np.isinf(first):
-            return self._untouched()
-        if first < 0:
-            raise ValueError(
-                f"pose must be clear of the object, got one {-first:.3g} mm inside "
-                f"{placed.thing.name!r}. Start further back."
-            )
-        sleeve = sleeve_gap(placed, pose, self.membrane_radius_mm, self.sleeve_mm)
-        return self._ended(gap - first, first, sleeve - first, force_n, depth_mm)
-
-    def force_curve(
-        self, press: DomePress, depths_mm: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def force_curve(self, press: DomePress, depths_mm: Floats) -> Floats:
         """Return the force (N) at each depth after first touching, (n_depths,)."""
         depths = np.asarray(depths_mm, dtype=np.float64)
         if not press.touched:
@@ -250,20 +280,6 @@ class DomeCamera:
             grey += self._noise(rng)
         return np.clip(grey + np.float32(0.5), 0, 255).astype(np.uint8)
 
-    def no_contact(self) -> Frame:
-        """Return the picture of the dome touching nothing, without noise."""
-        return self.image()
-
-    def touch(
-        self,
-        target: SimObject | PlacedObject,
-        pose: SensorPose,
-        force_n: float | None = None,
-        rng: np.random.Generator | None = None,
-    ) -> Frame:
-        """Press from a pose until a force and return the picture."""
-        return self.image(self.press(target, pose, force_n=force_n), rng)
-
     def drifted(self, rng: np.random.Generator) -> Self:
         """Return this camera as another recording would find it."""
         row, col = self.disc_centre + self.centre_drift_sd * rng.standard_normal(2)
@@ -272,7 +288,7 @@ class DomeCamera:
 
     def _ended(
         self,
-        gap: NDArray[np.float64],
+        gap: Floats,
         first: float,
         sleeve: float,
         force_n: float | None,
@@ -348,21 +364,11 @@ class DomeCamera:
         return cv2.resize(noise, (n_cols, n_rows), interpolation=cv2.INTER_NEAREST)
 
 
-_POSITIVE: tuple[str, ...] = (
-    "force_n",
-    "max_depth_mm",
-    "camera_distance_mm",
-    "disc_radius",
+_POSITIVE = "force_n max_depth_mm camera_distance_mm disc_radius shininess gain gamma"
+_NOT_NEGATIVE = (
+    "sleeve_mm led_ring_radius_mm diffuse specular ambient noise_sd texture_sd "
+    "exposure_drift_sd centre_drift_sd"
 )
-_POSITIVE += ("shininess", "gain", "gamma")
-_NOT_NEGATIVE: tuple[str, ...] = (
-    "led_ring_radius_mm",
-    "diffuse",
-    "specular",
-    "ambient",
-    "noise_sd",
-)
-_NOT_NEGATIVE += ("sleeve_mm", "texture_sd", "exposure_drift_sd", "centre_drift_sd")
 
 
 def _pair(name: str, value: Any) -> tuple[Any, Any]:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from .._checks import check_count, check_number, check_positive
+from .._types import Floats
 
 Grid = NDArray[np.float32]
 # Nodes closer to the rim than this share of the radius carry no contact: there the
@@ -87,7 +88,7 @@ class Membrane:
     @property
     def reach_mm(self) -> float:
         """Length (D / (E t / R^2))^(1/4) over which a dent dies away (mm)."""
-        return (self.bending_n_mm / self.stiffness_n_mm3) ** 0.25
+        return float((self.bending_n_mm / self.stiffness_n_mm3) ** 0.25)
 
     @property
     def pitch_mm(self) -> float:
@@ -95,13 +96,13 @@ class Membrane:
         return 2 * _USED_RADIUS * self.radius_mm / self.n_nodes
 
     @cached_property
-    def node_mm(self) -> NDArray[np.float64]:
+    def node_mm(self) -> Floats:
         """Places of the nodes along one side, (n_nodes,), 0 at the axis."""
         index = np.arange(self.n_nodes, dtype=np.float64)
         return (index + 0.5 - self.n_nodes / 2) * self.pitch_mm
 
     @cached_property
-    def drop_mm(self) -> NDArray[np.float64]:
+    def drop_mm(self) -> Floats:
         """How far each node lies behind the tip (mm); infinity beyond the dome."""
         squared = self.node_mm[:, None] ** 2 + self.node_mm**2
         inside = squared < (_USED_RADIUS * self.radius_mm) ** 2
@@ -286,7 +287,7 @@ class _Problem:
 
     def _springs(self, depth_mm: float) -> Grid:
         """Node forces of such springs, where to start from."""
-        return np.maximum(np.float32(depth_mm) - self.gap, 0) * self._spring
+        return np.asarray(np.maximum(np.float32(depth_mm) - self.gap, 0) * self._spring)
 
     def _even_depth(self, force_n: float) -> float:
         """Depth at which such springs add up to a force."""

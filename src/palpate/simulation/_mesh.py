@@ -5,17 +5,16 @@ where they are. What cannot be touched is refused, and the message says how to m
 it.
 """
 
-from dataclasses import dataclass
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import check_option
-from ._objects import SimObject, stable_rotations
+from .._types import Floats
+from ._placed import SimObject, turned
 from ._shapes import Mesh, trimesh
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply")
@@ -23,6 +22,7 @@ MAX_MESH_BYTES = 200_000_000
 MAX_MESH_FACES = 5_000_000
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "inch": 25.4}
 LEAST_SIZE_MM, MOST_SIZE_MM = 1.0, 5000.0
+_MOST_POSES = 6
 # Units to suggest, likeliest first.
 _LIKELY = {"m": "metres", "mm": "millimetres", "in": "inches", "cm": "centimetres"}
 
@@ -71,20 +71,10 @@ def load_mesh(
     mesh.apply_translation([*(-(low + high)[:2] / 2), -low[2]])
     label = name or file.stem
     kind = category or label
-    return SimObject(label, kind, _Made(mesh), stable_rotations(mesh))
+    return SimObject(label, kind, mesh.copy, _stable_rotations(mesh))
 
 
-@dataclass(frozen=True, eq=False)
-class _Made:
-    """A builder that has already built."""
-
-    mesh: Any
-
-    def __call__(self) -> Mesh:
-        return self.mesh
-
-
-def _read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _read(file: Path) -> tuple[Floats, NDArray[np.int64]]:
     """Return vertices and triangles as the file has them."""
     kind = file.suffix.lower()
     if kind not in MESH_SUFFIXES:
@@ -125,7 +115,7 @@ def _read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 
 def _closed_surface(
-    file: Path, vertices: NDArray[np.float64], faces: NDArray[np.int64], unit: str
+    file: Path, vertices: Floats, faces: NDArray[np.int64], unit: str
 ) -> Mesh:
     """Return the surface when one can press on it, else say why not."""
     if not len(faces) or not len(vertices):
@@ -149,7 +139,7 @@ def _closed_surface(
     return mesh
 
 
-def _refuse_size(file: Path, extent_mm: NDArray[np.float64], unit: str) -> None:
+def _refuse_size(file: Path, extent_mm: Floats, unit: str) -> None:
     largest = float(extent_mm.max())
     if LEAST_SIZE_MM <= largest <= MOST_SIZE_MM:
         if extent_mm.min() <= 1e-6 * largest:
@@ -182,3 +172,54 @@ def _refuse_open(file: Path, mesh: Mesh) -> None:
         np.prod(mesh.extents)
     ):
         raise MeshError(f"{file.name} must be solid, got a body without volume.")
+
+
+def _stable_rotations(mesh: Mesh, most: int = _MOST_POSES) -> tuple[Floats, ...]:
+    """Return rotations in which a mesh rests on the ground, largest base first.
+
+    A face of the convex hull is a base when the centre of mass is above its inside;
+    of bases within 10 degrees of each other the largest counts.
+    """
+    hull = mesh.convex_hull
+    centre = hull.center_mass
+    found: list[Floats] = []
+    for facet in _facets_by_area(hull):
+        down = hull.face_normals[facet[0]]
+        if any(down @ other > np.cos(np.deg2rad(10)) for other in found):
+            continue
+        if _is_above(hull, facet, down, centre):
+            found.append(down)
+        if len(found) == most:
+            break
+    return tuple(_to_ground(down) for down in found)
+
+
+def _facets_by_area(hull: Mesh) -> list[NDArray[np.intp]]:
+    """Groups of coplanar faces and single faces, largest first."""
+    groups = [np.asarray(facet) for facet in hull.facets]
+    grouped = np.concatenate(groups) if groups else np.zeros(0, int)
+    single = np.setdiff1d(np.arange(len(hull.faces)), grouped)
+    groups += [np.array([face]) for face in single]
+    return sorted(groups, key=lambda facet: -hull.area_faces[facet].sum())
+
+
+def _is_above(
+    hull: Mesh,
+    facet: NDArray[np.intp],
+    down: Floats,
+    centre: Floats,
+) -> bool:
+    """Whether the centre, moved along `down` onto the facet, lies in a face of it."""
+    corners = hull.triangles[facet]
+    onto = centre + down * ((corners[0, 0] - centre) @ down)
+    ahead = np.roll(corners, -1, axis=1)
+    side = np.cross(ahead - corners, onto - corners) @ down
+    return bool((side >= -1e-9 * hull.scale**2).all(axis=1).any())
+
+
+def _to_ground(down: Floats) -> Floats:
+    """Rotation that turns the direction `down` into -z."""
+    axis = np.cross(down, (0.0, 0.0, -1.0))
+    if np.linalg.norm(axis) < 1e-9:
+        return np.eye(3) if down[2] < 0 else turned((1, 0, 0), 180)
+    return turned(axis, float(np.degrees(np.arccos(np.clip(-down[2], -1, 1)))))

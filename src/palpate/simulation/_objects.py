@@ -1,75 +1,36 @@
-"""Solid objects to touch, and the sets of them that the papers used.
+"""Objects to touch, built in code, and the sets of them that the papers used.
 
 `HOUSEHOLD` are the ten objects of Corradi 2015 (doi:10.1109/ICRA.2015.7139744),
 `UNSEEN` its five variants never touched in training, `BASIC_SHAPES` the seven
-shapes of Corradi 2014 (TAROS, Birmingham). `STRANGE` is unlike all of these. Sizes
-are in millimetres, z points up. Household objects stand on z = 0; basic shapes have
-their feature at the origin, facing up, so that they are pressed from above there.
+shapes of Corradi 2014 (TAROS, Birmingham); `UNLIKE_OTHERS` resembles none of them.
+Corradi 2015 shows photographs without sizes: these are ordinary objects of each kind,
+every size a guess within what shops sell. Sizes are in millimetres, z points up.
+Household objects stand on z = 0 about the origin, the way they usually stand or lie;
+basic shapes have their feature at the origin, facing up, to be pressed from above.
 """
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from collections.abc import Iterable
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
-from . import _household as household
-from ._shapes import Mesh, moved, revolved, rounded_box, trimesh, turned
-
-_MANY_POSES = 6
-
-
-@dataclass(frozen=True, eq=False)
-class SimObject:
-    """A rigid object to touch.
-
-    Parameters
-    ----------
-    name : str
-        What it is called in touches.
-    category : str
-        The kind of thing it is.
-    build : callable returning trimesh.Trimesh
-        Makes its surface, in mm, z up. Called once, when `mesh` is first read.
-    resting : tuple of ndarray of shape (3, 3), default=()
-        Rotations that put it into further poses in which it rests; the pose it is
-        built in always comes first.
-
-    Examples
-    --------
-    >>> from palpate.simulation import find_object
-    >>> [round(float(side)) for side in find_object("box").size_mm]
-    [160, 110, 60]
-    """
-
-    name: str
-    category: str
-    build: Callable[[], Mesh]
-    resting: tuple[NDArray[np.float64], ...] = ()
-
-    @cached_property
-    def mesh(self) -> Mesh:
-        """The surface (trimesh.Trimesh), in mm; without faces for "nothing"."""
-        return self.build()
-
-    @property
-    def resting_rotations(self) -> NDArray[np.float64]:
-        """Poses in which it rests, (n_poses, 3, 3), the usual one first."""
-        return np.stack([np.eye(3), *self.resting])
-
-    @property
-    def size_mm(self) -> NDArray[np.float64]:
-        """Extent along x, y and z, (3,)."""
-        if not len(self.mesh.faces):
-            return np.zeros(3)
-        return np.asarray(self.mesh.extents, dtype=np.float64)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave the built surface behind: it is rebuilt on the other side."""
-        names = ("name", "category", "build", "resting")
-        return {name: getattr(self, name) for name in names}
+from .._types import Floats
+from ._placed import SimObject, turned
+from ._shapes import (
+    Mesh,
+    ball_points,
+    ellipses,
+    hull,
+    joined,
+    lofted,
+    moved,
+    revolved,
+    rounded_box,
+    rounded_hull,
+    trimesh,
+    tube,
+)
 
 
 def find_object(name: str) -> SimObject:
@@ -80,7 +41,9 @@ def find_object(name: str) -> SimObject:
     ValueError
         There is none; the message lists the names.
     """
-    known = {thing.name: thing for thing in HOUSEHOLD + UNSEEN + STRANGE + BASIC_SHAPES}
+    known = {
+        thing.name: thing for thing in HOUSEHOLD + UNSEEN + UNLIKE_OTHERS + BASIC_SHAPES
+    }
     if name not in known:
         listed = ", ".join(known)
         raise ValueError(
@@ -108,57 +71,168 @@ def refuse_same_names(things: Iterable[SimObject]) -> None:
         seen.add(thing.name)
 
 
-def stable_rotations(
-    mesh: Mesh, most: int = _MANY_POSES
-) -> tuple[NDArray[np.float64], ...]:
-    """Return rotations in which a mesh rests on the ground, largest base first.
-
-    A face of the convex hull is a base when the centre of mass is above its inside;
-    of bases within 10 degrees of each other the largest counts.
-    """
-    hull = mesh.convex_hull
-    centre = hull.center_mass
-    found: list[NDArray[np.float64]] = []
-    for facet in _facets_by_area(hull):
-        down = hull.face_normals[facet[0]]
-        if any(down @ other > np.cos(np.deg2rad(10)) for other in found):
-            continue
-        if _is_above(hull, facet, down, centre):
-            found.append(down)
-        if len(found) == most:
-            break
-    return tuple(_to_ground(down) for down in found)
+def stapler() -> Mesh:
+    """Desk stapler, 140 x 32 x 52: base, arm sloping up to its head, anvil."""
+    base = rounded_box((140, 32, 7), 2.5)
+    anvil = moved(rounded_box((16, 12, 3), 0.8), x=-58, z=6)
+    hinge = moved(rounded_box((26, 24, 34), 3), x=52)
+    low = [(x, y, z) for x, z in ((-62, 30), (58, 20)) for y in (-9, 9)]
+    high = [(x, y, z) for x, z in ((-58, 46), (56, 34)) for y in (-6, 6)]
+    arm = rounded_hull(low + high, 4)
+    magazine = rounded_hull(
+        [(x, y, z) for x, z in ((-66, 24), (50, 15)) for y in (-5, 5)], 3
+    )
+    return joined(base, anvil, hinge, arm, magazine)
 
 
-def _facets_by_area(hull: Mesh) -> list[NDArray[np.intp]]:
-    """Groups of coplanar faces and single faces, largest first."""
-    groups = [np.asarray(facet) for facet in hull.facets]
-    grouped = np.concatenate(groups) if groups else np.zeros(0, int)
-    single = np.setdiff1d(np.arange(len(hull.faces)), grouped)
-    groups += [np.array([face]) for face in single]
-    return sorted(groups, key=lambda facet: -hull.area_faces[facet].sum())
+def toothbrush() -> Mesh:
+    """Toothbrush lying bristles up, 190 long: waisted handle, neck, 40 tufts."""
+    spots = [(-95, 6), (-70, 7), (-35, 5.5), (-5, 7), (25, 6.6), (50, 3.5), (68, 3)]
+    centres = [((x, 0.0, 7.0), r) for x, r in spots]
+    parts = [_cone(a, ra, b, rb) for (a, ra), (b, rb) in pairwise(centres)]
+    head = moved(rounded_box((28, 12, 5), 2), x=81, z=5)
+    tuft = revolved([(0, 0), (0.85, 0), (0.85, 10), (0.5, 10.6), (0, 10.8)], 12)
+    tufts = [
+        moved(tuft, x=81 + 2.6 * column, y=2.6 * row, z=9)
+        for column in np.arange(10) - 4.5
+        for row in np.arange(4) - 1.5
+    ]
+    return joined(*parts, head, *tufts)
 
 
-def _is_above(
-    hull: Mesh,
-    facet: NDArray[np.intp],
-    down: NDArray[np.float64],
-    centre: NDArray[np.float64],
-) -> bool:
-    """Whether the centre, moved along `down` onto the facet, lies in a face of it."""
-    corners = hull.triangles[facet]
-    onto = centre + down * ((corners[0, 0] - centre) @ down)
-    ahead = np.roll(corners, -1, axis=1)
-    side = np.cross(ahead - corners, onto - corners) @ down
-    return bool((side >= -1e-9 * hull.scale**2).all(axis=1).any())
+def porridge_pot() -> Mesh:
+    """Cardboard porridge pot, 90 wide at its rolled rim, 100 high, lid sunk by 3."""
+    rim = _arc(43.5, 98.2, 1.8, -90, 200, 12)
+    profile = [(0, 2), (32, 2), (32, 0), (34, 0), (43, 96.4), *rim, (41.5, 97), (0, 97)]
+    return revolved(profile)
 
 
-def _to_ground(down: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation that turns the direction `down` into -z."""
-    axis = np.cross(down, (0.0, 0.0, -1.0))
-    if np.linalg.norm(axis) < 1e-9:
-        return np.eye(3) if down[2] < 0 else turned((1, 0, 0), 180)
-    return turned(axis, float(np.degrees(np.arccos(np.clip(-down[2], -1, 1)))))
+def mug() -> Mesh:
+    """Mug, 82 wide, 95 high, wall 4, with a round handle."""
+    return joined(_cup(82, 82, 95, 4), _handle(38.5, 48, 26, 30, 5.5))
+
+
+def shampoo_bottle() -> Mesh:
+    """Shampoo bottle, 74 x 44 x 190: flat oval body, shoulders, snap cap."""
+    z = np.array([0, 2, 5, 60, 120, 140, 150, 156, 158], float)
+    half_x = np.array([30, 34, 36, 37, 35, 30, 22, 13, 12], float)
+    half_y = np.array([16, 19, 21, 22, 21, 18, 15, 12.5, 12], float)
+    body = lofted(ellipses(half_x, half_y, z, power=2.4))
+    cap = revolved([(0, 155), (14, 155), (14, 186), (12.5, 189), (10, 190), (0, 190)])
+    return joined(body, cap)
+
+
+def box() -> Mesh:
+    """Carton, 160 x 110 x 60, edges rounded by 0.7."""
+    return rounded_box((160, 110, 60), 0.7)
+
+
+def pen() -> Mesh:
+    """Ball-point pen lying, 146 long, 9 thick, with point, button and clip."""
+    profile = [(0, 0), (0.5, 0), (0.7, 1), (1.2, 3.5), (1.6, 4), (4.2, 18), (4.5, 22)]
+    profile += [(4.5, 60), (4.3, 61), (4.5, 62), (4.5, 128), (3.8, 131), (2.2, 132)]
+    profile += [(2.2, 143), (1.6, 145), (0, 146)]
+    clip = rounded_hull([(5.8, y, z) for y in (-1.2, 1.2) for z in (88, 127)], 0.8)
+    bridge = rounded_hull([(x, 0, 127) for x in (3, 5.8)], 1.2)
+    return _lying(joined(revolved(profile, 48), clip, bridge), 146, 4.5)
+
+
+def massage_ball() -> Mesh:
+    """Massage ball, 79 across: 60 knobs, 4.4 wide and 6 high, evenly spread."""
+    k = np.arange(60) + 0.5
+    polar, turn = np.arccos(1 - k / 30), np.pi * (1 + np.sqrt(5)) * k
+    x, y = np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar)
+    middle = np.array([0.0, 0.0, 40.0])
+    knobs = [
+        rounded_hull([middle + 34 * out, middle + 38 * out], 2.2, 10)
+        for out in np.stack([x, y, np.cos(polar)], axis=1)
+    ]
+    return joined(hull(ball_points(middle, 34, 32)), *knobs)
+
+
+def ball() -> Mesh:
+    """Ball, 72 across, with a moulding seam 1.2 wide and 0.4 deep round it."""
+    angle = np.linspace(-90, 90, 121)
+    radius = 36 - 0.4 * np.clip(1 - np.abs(angle) * 36 * np.pi / 180 / 1.2, 0, None)
+    r, z = radius * np.cos(np.deg2rad(angle)), radius * np.sin(np.deg2rad(angle))
+    r[[0, -1]] = 0
+    return revolved(np.column_stack([r, z + 36]))
+
+
+def textbook() -> Mesh:
+    """Hard-back textbook lying, 240 x 170 x 32: boards overhang the pages by 4."""
+    board = rounded_box((240, 170, 3), 1)
+    pages = moved(rounded_box((232, 164, 27), 0.6), y=1, z=2.5)
+    spine = rounded_hull(
+        [(x, -83.5, z) for x in (-118.5, 118.5) for z in (1.5, 30.5)], 1.5
+    )
+    return joined(board, moved(board, z=29), pages, spine)
+
+
+def water_bottle() -> Mesh:
+    """Water bottle, 65 wide, 225 high: five ribs, shoulder, ridged cap."""
+    ribs = [(r, 40 + 14 * k + dz) for k in range(5) for r, dz in _RIB]
+    body = [(0, 4), (22, 4), (26, 0), (30, 1), (32.5, 6), (32.5, 30), *ribs]
+    body += [(32.5, 130), (31, 150), (26, 172), (18, 190), (13.5, 200), (13, 206)]
+    body += [(16, 207), (16, 209), (13, 210), (13, 214), (0, 214)]
+    angles = np.arange(144) * (2 * np.pi / 144)
+    ridge = 14.2 + 0.5 * np.sign(np.sin(36 * angles))
+    wheel = np.stack([ridge * np.cos(angles), ridge * np.sin(angles)], -1)
+    z = np.array([211.0, 224.0, 225.0])[:, None, None]
+    shrink = np.array([1.0, 1.0, 0.93])[:, None, None]
+    cap = np.concatenate([wheel * shrink, np.broadcast_to(z, (3, 144, 1))], -1)
+    return joined(revolved(body), lofted(cap))
+
+
+def plastic_card() -> Mesh:
+    """Bank card lying, 85.6 x 54 x 0.76 with corners of 3.2 (ISO/IEC 7810)."""
+    angles = np.deg2rad(np.arange(0, 360, 10) + 5.0)
+    corner = 3.2 * np.column_stack([np.cos(angles), np.sin(angles)])
+    centre = np.sign(corner) * (42.8 - 3.2, 27 - 3.2)
+    flat = corner + centre
+    levels = [np.column_stack([flat, np.full(len(flat), z)]) for z in (0, 0.76)]
+    return hull(np.concatenate(levels))
+
+
+def other_mug() -> Mesh:
+    """Wider mug, 72 to 94 across, 104 high, wall 3.5, with a larger handle."""
+    return joined(_cup(72, 94, 104, 3.5), _handle(38.5, 52, 30, 36, 5))
+
+
+def other_pen() -> Mesh:
+    """Six-sided pencil-like pen lying, 138 long, 8.4 across, capped."""
+    angles = np.arange(6) * np.pi / 3
+    z = np.array([0, 1, 6, 20, 100], float)
+    radius = np.array([0.4, 0.8, 1.5, 4.2, 4.2])
+    wheel = np.stack([np.cos(angles), np.sin(angles)], -1)
+    flat = radius[:, None, None] * wheel
+    heights = np.broadcast_to(z[:, None, None], (5, 6, 1))
+    body = lofted(np.concatenate([flat, heights], -1))
+    outline = [(0, 92), (4.5, 92), (4.7, 94), (4.4, 134), (3.5, 138), (0, 138)]
+    cap = revolved(outline, 48)
+    clip = rounded_hull([(5.9, y, z) for y in (-1.5, 1.5) for z in (100, 132)], 1.2)
+    return _lying(joined(body, cap, clip), 138, 4.7)
+
+
+def smaller_ball() -> Mesh:
+    """Ball, 46 across, smooth."""
+    angle = np.deg2rad(np.linspace(-90, 90, 91))
+    r = 23 * np.cos(angle)
+    r[[0, -1]] = 0
+    return revolved(np.column_stack([r, 23 + 23 * np.sin(angle)]))
+
+
+def soft_textbook() -> Mesh:
+    """Soft-back textbook lying, 234 x 156 x 22, its cover bulging by 1.5."""
+    x = 117.0 * np.cos(np.linspace(0, np.pi, 41))
+    top = 20.5 + 1.5 * np.cos(np.linspace(-np.pi / 2, np.pi / 2, 41))
+    points = [
+        (a, y, z)
+        for a, high in zip(x, top, strict=True)
+        for y, cut in ((-78, 2.0), (-76, 0.0), (78, 0.0))
+        for z in (cut, high - cut)
+    ]
+    return hull(points)
 
 
 def _corner() -> Mesh:
@@ -202,7 +276,7 @@ def _point() -> Mesh:
     return revolved([(0, base[1]), base, *tip], 64)
 
 
-def _top_at_zero(mesh: Mesh, rotation: NDArray[np.float64]) -> Mesh:
+def _top_at_zero(mesh: Mesh, rotation: Floats) -> Mesh:
     """Turn a mesh, put its highest point at z = 0 and its middle on the axis."""
     turn = np.eye(4)
     turn[:3, :3] = rotation
@@ -212,8 +286,51 @@ def _top_at_zero(mesh: Mesh, rotation: NDArray[np.float64]) -> Mesh:
     return moved(copy, -(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -high[2])
 
 
-def _turns(*about: tuple[tuple[int, int, int], float]) -> tuple[NDArray, ...]:
+def _turns(*about: tuple[tuple[int, int, int], float]) -> tuple[Floats, ...]:
     return tuple(turned(axis, angle) for axis, angle in about)
+
+
+_RIB = ((32.5, 0.0), (31.3, 2.0), (30.9, 4.0), (31.3, 6.0), (32.5, 8.0))
+
+
+def _cone(a: ArrayLike, ra: float, b: ArrayLike, rb: float) -> Mesh:
+    """Hull of two balls of different radii."""
+    return hull(np.concatenate([ball_points(a, ra, 20), ball_points(b, rb, 20)]))
+
+
+def _arc(
+    r: float, z: float, radius: float, start_deg: float, stop_deg: float, n: int
+) -> list[tuple[float, float]]:
+    """Points of a profile on a circle, from one angle to another."""
+    angle = np.deg2rad(np.linspace(start_deg, stop_deg, n))
+    return list(
+        zip(r + radius * np.cos(angle), z + radius * np.sin(angle), strict=True)
+    )
+
+
+def _cup(bottom: float, top: float, height: float, wall: float) -> Mesh:
+    """Open cup with a round lip and a foot ring."""
+    foot, lip = bottom / 2, top / 2
+    rim = _arc(lip - wall / 2, height - wall / 2, wall / 2, 0, 180, 9)
+    profile = [(0, 2.5), (foot - 9, 2.5), (foot - 7, 0), (foot - 3, 0), (foot, 3)]
+    profile += [*rim, (foot - wall, wall + 6), (foot - wall - 6, wall + 2)]
+    return revolved([*profile, (0, wall + 2)])
+
+
+def _handle(x: float, z: float, out: float, up: float, radius: float) -> Mesh:
+    """Half an ellipse of tube, its ends inside the wall at x."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, 33)
+    path = np.column_stack([x + out * np.cos(angle), 0 * angle, z + up * np.sin(angle)])
+    return tube(path, radius)
+
+
+def _lying(mesh: Mesh, length: float, radius: float) -> Mesh:
+    """Lay a body that stands on z = 0 along x, centred, on z = 0."""
+    laid = mesh.copy()
+    laid.vertices = mesh.vertices[:, [2, 1, 0]]
+    laid.apply_translation((-length / 2, 0, radius))
+    laid.invert()
+    return laid
 
 
 _UPSIDE = ((1, 0, 0), 180.0)
@@ -221,26 +338,26 @@ _ON_SIDE = ((1, 0, 0), 90.0)
 _ON_END = ((0, 1, 0), 90.0)
 
 HOUSEHOLD = (
-    SimObject("stapler", "stapler", household.stapler),
-    SimObject("toothbrush", "toothbrush", household.toothbrush),
-    SimObject("porridge pot", "pot", household.porridge_pot, _turns(_UPSIDE)),
-    SimObject("mug", "mug", household.mug, _turns(_UPSIDE)),
-    SimObject("shampoo bottle", "bottle", household.shampoo_bottle, _turns(_UPSIDE)),
-    SimObject("box", "box", household.box, _turns(_ON_SIDE, _ON_END)),
-    SimObject("pen", "pen", household.pen),
-    SimObject("ball", "ball", household.ball, _turns(_ON_SIDE)),
-    SimObject("textbook", "book", household.textbook, _turns(_UPSIDE)),
-    SimObject("water bottle", "bottle", household.water_bottle),
+    SimObject("stapler", "stapler", stapler),
+    SimObject("toothbrush", "toothbrush", toothbrush),
+    SimObject("porridge pot", "pot", porridge_pot, _turns(_UPSIDE)),
+    SimObject("mug", "mug", mug, _turns(_UPSIDE)),
+    SimObject("shampoo bottle", "bottle", shampoo_bottle, _turns(_UPSIDE)),
+    SimObject("box", "box", box, _turns(_ON_SIDE, _ON_END)),
+    SimObject("pen", "pen", pen),
+    SimObject("ball", "ball", ball, _turns(_ON_SIDE)),
+    SimObject("textbook", "book", textbook, _turns(_UPSIDE)),
+    SimObject("water bottle", "bottle", water_bottle),
 )
 
-STRANGE = (SimObject("massage ball", "massage ball", household.massage_ball),)
+UNLIKE_OTHERS = (SimObject("massage ball", "massage ball", massage_ball),)
 
 UNSEEN = (
-    SimObject("plastic card", "card", household.plastic_card, _turns(_UPSIDE)),
-    SimObject("other mug", "mug", household.other_mug, _turns(_UPSIDE)),
-    SimObject("other pen", "pen", household.other_pen),
-    SimObject("smaller ball", "ball", household.smaller_ball),
-    SimObject("soft textbook", "book", household.soft_textbook),
+    SimObject("plastic card", "card", plastic_card, _turns(_UPSIDE)),
+    SimObject("other mug", "mug", other_mug, _turns(_UPSIDE)),
+    SimObject("other pen", "pen", other_pen),
+    SimObject("smaller ball", "ball", smaller_ball),
+    SimObject("soft textbook", "book", soft_textbook),
 )
 
 BASIC_SHAPES = (

@@ -9,14 +9,17 @@ Coordinates are (x, y): x along the columns of the image, y along its rows
 side along x; angles turn x towards y, clockwise as displayed.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._checks import check_count
+from .._types import Array, Floats
 
 BAR_WIDTH_MM = 4.0
 _CIRCLE_VERTICES = 96
@@ -50,8 +53,8 @@ class Part:
     """
 
     name: str
-    outline_mm: NDArray[np.float64]
-    holes_mm: tuple[NDArray[np.float64], ...] = ()
+    outline_mm: Floats
+    holes_mm: tuple[Floats, ...] = ()
     symmetry: int = 1
     category: str = "part"
     number: int = 0
@@ -108,9 +111,7 @@ class Part:
         """Smallest turn that brings the part onto itself; 0 when every turn does."""
         return 360.0 / self.symmetry if self.symmetry else 0.0
 
-    def placed(
-        self, x_mm: float, y_mm: float, angle_deg: float
-    ) -> list[NDArray[np.float64]]:
+    def placed(self, x_mm: float, y_mm: float, angle_deg: float) -> list[Floats]:
         """Return outline and holes turned about the origin, then moved, in mm."""
         angle = np.deg2rad(angle_deg)
         cos, sin = np.cos(angle), np.sin(angle)
@@ -147,7 +148,7 @@ def _find_part(wanted: Part | str | int) -> Part:
     )
 
 
-def _loop(name: str, corners: ArrayLike) -> NDArray[np.float64]:
+def _loop(name: str, corners: ArrayLike) -> Floats:
     loop = np.array(corners, dtype=np.float64)
     if loop.ndim != 2 or loop.shape[1] != 2:
         raise ValueError(
@@ -166,9 +167,7 @@ def _loop(name: str, corners: ArrayLike) -> NDArray[np.float64]:
     return loop
 
 
-def _refuse_hole_outside(
-    hole: NDArray[np.float64], outline: NDArray[np.float64]
-) -> None:
+def _refuse_hole_outside(hole: Floats, outline: Floats) -> None:
     low, high = outline.min(axis=0), outline.max(axis=0)
     if (hole < low).any() or (hole > high).any():
         raise ValueError(
@@ -177,12 +176,12 @@ def _refuse_hole_outside(
         )
 
 
-def _signed_area(loop: NDArray[np.float64]) -> float:
+def _signed_area(loop: Floats) -> float:
     x, y = loop.T
     return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
 
 
-def _centroid(loops: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+def _centroid(loops: list[Floats]) -> Floats:
     area, moment = 0.0, np.zeros(2)
     for index, loop in enumerate(loops):
         after = np.roll(loop, -1, axis=0)
@@ -193,25 +192,27 @@ def _centroid(loops: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     return moment / area
 
 
-def _rectangle(length_mm: float, width_mm: float) -> NDArray[np.float64]:
+def _rectangle(length_mm: float, width_mm: float) -> Floats:
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    return signs * (length_mm / 2, width_mm / 2)
+    return np.asarray(signs * (length_mm / 2, width_mm / 2))
 
 
-def _hexagon(flats_mm: float) -> NDArray[np.float64]:
-    angle = np.deg2rad(60 * np.arange(6))
-    return flats_mm / np.sqrt(3) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+def _on_circle(radius_mm: float, angle: Array) -> Floats:
+    return np.asarray(radius_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
-def _circle(diameter_mm: float) -> NDArray[np.float64]:
+def _hexagon(flats_mm: float) -> Floats:
+    return _on_circle(flats_mm / np.sqrt(3), np.deg2rad(60 * np.arange(6)))
+
+
+def _circle(diameter_mm: float) -> Floats:
     """Return the regular polygon of the circle's own area."""
     step = 2 * np.pi / _CIRCLE_VERTICES
-    angle = step * np.arange(_CIRCLE_VERTICES)
     radius = diameter_mm / 2 * np.sqrt(step / np.sin(step))
-    return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return _on_circle(radius, step * np.arange(_CIRCLE_VERTICES))
 
 
-def _face(shape: str, size_mm: float) -> tuple[NDArray[np.float64], int]:
+def _face(shape: str, size_mm: float) -> tuple[Floats, int]:
     """Return the outline of a shape and in how many turns it looks the same."""
     if shape == "hexagon":
         return _hexagon(size_mm), 6

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import check_count, check_number, check_positive
-from ._dome import DomeCamera, DomePress, Frame
+from .._types import Floats
+from ._dome import DomeCamera, DomePress, DomeSensor, Frame
 from ._membrane import Membrane
-from ._objects import SimObject
 from ._optics import sampled
-from ._placed import PlacedObject, SensorPose
 
 _SUBPIXEL_BITS = 4
 
@@ -32,7 +31,7 @@ def _dome_of_pins() -> DomeCamera:
 
 
 @dataclass(frozen=True)
-class TacTipPins:
+class TacTipPins(DomeSensor):
     """Simulated dome with pins.
 
     Parameters
@@ -77,6 +76,9 @@ class TacTipPins:
         check_number("pin_length_mm", self.pin_length_mm, low=0.0)
         check_positive("pin_radius_mm", self.pin_radius_mm)
 
+    def _dome(self) -> DomeCamera:
+        return self.dome
+
     @property
     def n_pins(self) -> int:
         """Number of pins."""
@@ -104,20 +106,6 @@ class TacTipPins:
             np.float32
         )
 
-    def press(
-        self,
-        target: SimObject | PlacedObject,
-        pose: SensorPose,
-        *,
-        force_n: float | None = None,
-        depth_mm: float | None = None,
-        reach_mm: float = np.inf,
-    ) -> DomePress:
-        """Move in from a pose until a force is reached, see `DomeCamera.press`."""
-        return self.dome.press(
-            target, pose, force_n=force_n, depth_mm=depth_mm, reach_mm=reach_mm
-        )
-
     def tips_mm(self, press: DomePress | None = None) -> NDArray[np.float32]:
         """Return x, y about the axis and depth z from the lens of tips, (n_pins, 3)."""
         membrane, dome = self.membrane, self.dome
@@ -135,7 +123,7 @@ class TacTipPins:
         tips = (x + length * slope_x, y + length * slope_y, z - length)
         return np.column_stack(tips).astype(np.float32)
 
-    def pixels(self, press: DomePress | None = None) -> NDArray[np.float64]:
+    def pixels(self, press: DomePress | None = None) -> Floats:
         """Return row, column and radius of each tip in the picture, (n_pins, 3)."""
         dome, n_rows = self.dome, self.dome.image_shape[0]
         x, y, z = self.tips_mm(press).T.astype(np.float64)
@@ -172,20 +160,6 @@ class TacTipPins:
         noise = rng.standard_normal(self.image_shape, dtype=np.float32)
         noisy = picture + np.float32(self.dome.noise_sd) * noise
         return np.clip(noisy + np.float32(0.5), 0, 255).astype(np.uint8)
-
-    def no_contact(self) -> Frame:
-        """Return the picture of the dome touching nothing, without noise."""
-        return self.image()
-
-    def touch(
-        self,
-        target: SimObject | PlacedObject,
-        pose: SensorPose,
-        force_n: float | None = None,
-        rng: np.random.Generator | None = None,
-    ) -> Frame:
-        """Press from a pose until a force and return the picture."""
-        return self.image(self.press(target, pose, force_n=force_n), rng)
 
     def drifted(self, rng: np.random.Generator) -> Self:
         """Return this sensor as another recording would find it."""

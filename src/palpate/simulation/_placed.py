@@ -5,6 +5,9 @@ the columns of its image (to the right), y along the rows (downwards); its place
 that of its tip, the middle of the dome.
 """
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -13,13 +16,63 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_number
-from ._extra import needed
+from .._types import Floats
 from ._membrane import Membrane
-from ._objects import SimObject
-from ._shapes import turned
+from ._shapes import Mesh, needed_for_objects
 
 _MISSED_MM = 1e30
 _SLEEVE_RAYS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class SimObject:
+    """A rigid object to touch.
+
+    Parameters
+    ----------
+    name : str
+        What it is called in touches.
+    category : str
+        The kind of thing it is.
+    build : callable returning trimesh.Trimesh
+        Makes its surface, in mm, z up. Called once, when `mesh` is first read.
+    resting : tuple of ndarray of shape (3, 3), default=()
+        Rotations that put it into further poses in which it rests; the pose it is
+        built in always comes first.
+
+    Examples
+    --------
+    >>> from palpate.simulation import find_object
+    >>> [round(float(side)) for side in find_object("box").size_mm]
+    [160, 110, 60]
+    """
+
+    name: str
+    category: str
+    build: Callable[[], Mesh]
+    resting: tuple[Floats, ...] = ()
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        """The surface (trimesh.Trimesh), in mm; without faces for "nothing"."""
+        return self.build()
+
+    @property
+    def resting_rotations(self) -> Floats:
+        """Poses in which it rests, (n_poses, 3, 3), the usual one first."""
+        return np.stack([np.eye(3), *self.resting])
+
+    @property
+    def size_mm(self) -> Floats:
+        """Extent along x, y and z, (3,)."""
+        if not len(self.mesh.faces):
+            return np.zeros(3)
+        return np.asarray(self.mesh.extents, dtype=np.float64)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the built surface behind: it is rebuilt on the other side."""
+        names = ("name", "category", "build", "resting")
+        return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +113,7 @@ class PlacedObject:
     @classmethod
     def resting(
         cls, thing: SimObject, pose: int = 0, yaw_rad: float = 0.0
-    ) -> "PlacedObject":
+    ) -> PlacedObject:
         """Put it on the ground z = 0, its middle above the origin, in one of its
         resting poses.
         """
@@ -73,16 +126,16 @@ class PlacedObject:
         return cls(thing, rotation, yaw_rad, (-middle[0], -middle[1], -low[2]))
 
     @cached_property
-    def vertices_mm(self) -> NDArray[np.float64]:
+    def vertices_mm(self) -> Floats:
         """Corners of the surface where they are now, (n_vertices, 3)."""
         turn = turned((0, 0, 1), np.degrees(self.yaw_rad))
         if self.rotation is not None:
             turn = turn @ np.asarray(self.rotation, float)
         corners = np.asarray(self.thing.mesh.vertices, float).reshape(-1, 3)
-        return corners @ turn.T + np.asarray(self.position_mm)
+        return np.asarray(corners @ turn.T + np.asarray(self.position_mm))
 
     @property
-    def bounds_mm(self) -> NDArray[np.float64]:
+    def bounds_mm(self) -> Floats:
         """Lowest and highest x, y, z, (2, 3); zeros for "nothing"."""
         corners = self.vertices_mm
         if not len(corners):
@@ -90,9 +143,9 @@ class PlacedObject:
         return np.stack([corners.min(axis=0), corners.max(axis=0)])
 
     @property
-    def centre_mm(self) -> NDArray[np.float64]:
+    def centre_mm(self) -> Floats:
         """Middle of its bounding box, (3,)."""
-        return self.bounds_mm.mean(axis=0)
+        return np.asarray(self.bounds_mm.mean(axis=0))
 
     def distance_mm(
         self, origins_mm: ArrayLike, direction: ArrayLike
@@ -113,9 +166,9 @@ class PlacedObject:
         faces = np.asarray(self.thing.mesh.faces)
         if not len(faces):
             return None
-        scene = needed("embreex.rtcore_scene").EmbreeScene()
+        scene = needed_for_objects("embreex.rtcore_scene").EmbreeScene()
         triangles = self.vertices_mm[faces].astype(np.float32)
-        needed("embreex.mesh_construction").TriangleMesh(scene, triangles)
+        needed_for_objects("embreex.mesh_construction").TriangleMesh(scene, triangles)
         return scene
 
     def __getstate__(self) -> dict[str, Any]:
@@ -152,7 +205,7 @@ class SensorPose:
         check_number("roll_rad", self.roll_rad)
 
     @cached_property
-    def axes(self) -> NDArray[np.float64]:
+    def axes(self) -> Floats:
         """Columns: the sensor's x, y and z axes in the world, (3, 3)."""
         way = np.asarray(self.direction)
         level = np.array([-way[1], way[0], 0.0])
@@ -162,15 +215,13 @@ class SensorPose:
         cos, sin = np.cos(self.roll_rad), np.sin(self.roll_rad)
         return np.column_stack([cos * x + sin * y, cos * y - sin * x, way])
 
-    def advanced(self, way_mm: float) -> "SensorPose":
+    def advanced(self, way_mm: float) -> SensorPose:
         """Return this pose moved along its direction."""
         there = np.asarray(self.position_mm) + way_mm * np.asarray(self.direction)
         return SensorPose(there, self.direction, self.roll_rad)
 
 
-def gap_map(
-    placed: PlacedObject, pose: SensorPose, membrane: Membrane
-) -> NDArray[np.float64]:
+def gap_map(placed: PlacedObject, pose: SensorPose, membrane: Membrane) -> Floats:
     """How far the sensor can move from a pose until each node of its dome touches.
 
     Returns
@@ -211,7 +262,16 @@ def sleeve_gap(
     return float(placed.distance_mm(origins, np.asarray(pose.direction)).min())
 
 
-def vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
+def turned(axis: ArrayLike, angle_deg: float) -> Floats:
+    """Return the 3 x 3 rotation by an angle about an axis, right-handed."""
+    x, y, z = np.asarray(axis, float) / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    angle = np.deg2rad(angle_deg)
+    turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    return np.asarray(turn)
+
+
+def vector(name: str, value: ArrayLike) -> Floats:
     """Return `value` as three finite numbers, or explain."""
     array = np.array(value, dtype=np.float64)
     if array.shape != (3,) or not np.isfinite(array).all():

@@ -5,21 +5,27 @@ overlap are joined without cutting (`joined`): a ray from outside meets the same
 surface either way, only volumes would be counted twice.
 """
 
-from types import ModuleType
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ._extra import needed
+from .._extras import needed
+from .._types import Floats
 
 Mesh = Any  # trimesh.Trimesh, whose package is an extra
-Points = NDArray[np.float64]
 
 
-def trimesh() -> ModuleType:
+def needed_for_objects(module: str) -> Any:
+    """Import a package of the extra `sim`, or say what to install."""
+    return needed(module, "sim", "Simulating touches on 3-D objects")
+
+
+def trimesh() -> Any:
     """Return the package `trimesh`, or say what to install."""
-    return needed("trimesh")
+    return needed_for_objects("trimesh")
 
 
 def surface(vertices: ArrayLike, faces: ArrayLike) -> Mesh:
@@ -45,21 +51,13 @@ def moved(mesh: Mesh, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Mesh:
     return copy
 
 
-def turned(axis: ArrayLike, angle_deg: float) -> NDArray[np.float64]:
-    """Return the 3 x 3 rotation by an angle about an axis, right-handed."""
-    x, y, z = np.asarray(axis, float) / np.linalg.norm(axis)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    angle = np.deg2rad(angle_deg)
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-
-
 def hull(points: ArrayLike) -> Mesh:
     """Return the convex hull of points, (n_points, 3)."""
     cloud = trimesh().PointCloud(np.asarray(points, float))
     return cloud.convex_hull
 
 
-def ball_points(centre: ArrayLike, radius: float, n: int = 16) -> Points:
+def ball_points(centre: ArrayLike, radius: float, n: int = 16) -> Floats:
     """Return points on a ball, (n * (n // 2 + 1), 3), for hulls."""
     polar = np.linspace(0, np.pi, n // 2 + 1)[:, None]
     around = np.arange(n) * (2 * np.pi / n)
@@ -108,7 +106,7 @@ def lofted(rings: ArrayLike) -> Mesh:
 
 def ellipses(
     half_x: ArrayLike, half_y: ArrayLike, z: ArrayLike, power: float = 2.0, n: int = 96
-) -> Points:
+) -> Floats:
     """Return rings |x/a|^p + |y/b|^p = 1 at each height, for `lofted`."""
     around = np.arange(n) * (2 * np.pi / n)
     cos, sin = np.cos(around), np.sin(around)

@@ -1,26 +1,23 @@
 """Touches, the one currency: images with all that is known of each, and their files.
 
 `Touches` holds them, `Touches.load` and `Touches.save` read and write touch archives
-(`.npz`) and read folders of pictures. Nothing here needs scikit-learn; OpenCV is
-imported when the first picture is decoded.
+(`.npz`) and read folders of pictures. Nothing here needs scikit-learn; OpenCV and
+Pillow are imported when the first picture is decoded.
 """
 
-from ._archive import read_archive, write_archive
-from ._columns import GEOMETRIES
-from ._decode import decode_bytes
-from ._errors import TouchesError
-from ._folder import read_folder
+from ._columns import GEOMETRIES as GEOMETRIES
+from ._columns import TouchesError
+from ._html import png_address as png_address
+from ._pictures import decode_bytes
+from ._pictures import n_cores as n_cores
 from ._source import TouchSource
-from ._touches import Episode, Touches
+from ._touches import Episode, Touches, read_folder
 
 __all__ = [
-    "GEOMETRIES",
     "Episode",
     "TouchSource",
     "Touches",
     "TouchesError",
     "decode_bytes",
-    "read_archive",
     "read_folder",
-    "write_archive",
 ]

@@ -1,4 +1,4 @@
-"""What a set of touches may hold besides its images, and the checks on it.
+"""What a set of touches may hold: checked, picked from and joined.
 
 A name decides first: `no_contact`, `frame_index`, `geometry` and names beginning
 with `set_` belong to the whole set; the names in `COLUMNS` are columns and must
@@ -6,16 +6,18 @@ have one row per touch. Any other array is a column when it has one row per
 touch, and belongs to the whole set when it does not.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._checks import check_option
-from ._errors import TouchesError
+from .._types import Array
 
-Arrays = dict[str, NDArray[Any]]
+Arrays = dict[str, Array]
 
 LABELS = ("object", "category")
 NUMBERS = ("order", "position_mm", "position_raw", "force_n", "time_s")
@@ -27,19 +29,26 @@ PLAIN_KINDS = "biufcSUMm"
 _TAXELS_AT_ONCE = 2**22
 
 
+class TouchesError(ValueError):
+    """Touches, a touch archive or a folder of pictures are not what they must be.
+
+    The message names the file (or the argument), what was found and the fix.
+    """
+
+
 def belongs_to_whole(name: str) -> bool:
     """Tell whether `name` alone says that an array describes the whole set."""
     return name in WHOLE or name.startswith("set_")
 
 
-def frozen(array: NDArray[Any]) -> NDArray[Any]:
+def frozen(array: Array) -> Array:
     """Return a read-only view; the caller's own array stays as it is."""
     view = array.view()
     view.flags.writeable = False
     return view
 
 
-def checked_images(images: ArrayLike) -> NDArray[Any]:
+def checked_images(images: ArrayLike) -> Array:
     """Return images (n_touches, n_rows, n_cols) read-only, or explain."""
     array = plain_array("images", images)
     if array.dtype.kind not in "biuf":
@@ -64,7 +73,7 @@ def checked_images(images: ArrayLike) -> NDArray[Any]:
 
 def sorted_out(
     given: Mapping[str, Any],
-    images: NDArray[Any],
+    images: Array,
     whole_names: Collection[str] = (),
 ) -> tuple[Arrays, Arrays]:
     """Split `given` into checked columns and checked entries of the whole set.
@@ -88,7 +97,7 @@ def sorted_out(
     return columns, whole
 
 
-def plain_array(name: str, value: ArrayLike) -> NDArray[Any]:
+def plain_array(name: str, value: ArrayLike) -> Array:
     """Return `value` as an array of plain numbers, text or times, or explain."""
     try:
         array = np.asarray(value)
@@ -106,7 +115,7 @@ def plain_array(name: str, value: ArrayLike) -> NDArray[Any]:
     return array
 
 
-def checked_column(name: str, array: NDArray[Any], n_touches: int) -> NDArray[Any]:
+def checked_column(name: str, array: Array, n_touches: int) -> Array:
     """Return a column that has one row per touch and suits its name, or explain."""
     if array.ndim == 0 or len(array) != n_touches:
         rows = f"{len(array)} rows" if array.ndim else "a single value"
@@ -127,7 +136,65 @@ def checked_column(name: str, array: NDArray[Any], n_touches: int) -> NDArray[An
     return _checked_labels(name, array) if name in LABELS else array
 
 
-def _checked_labels(name: str, array: NDArray[Any]) -> NDArray[Any]:
+def picked_rows(index: Any, n_touches: int) -> slice | Array:
+    """Return `index` as a slice or an array that keeps at least one touch."""
+    if isinstance(index, int | np.integer) and not isinstance(index, bool):
+        touch = int(index)
+        if not -n_touches <= touch < n_touches:
+            raise IndexError(f"touch {touch} is out of range: there are {n_touches}.")
+        return slice(touch % n_touches, touch % n_touches + 1)
+    rows: slice | Array = index
+    if not isinstance(index, slice):
+        rows = _row_numbers(index, n_touches)
+    if len(np.arange(n_touches)[rows]) == 0:
+        raise TouchesError(
+            f"A selection must keep at least one of {n_touches} touches, got none."
+        )
+    return rows
+
+
+def joined_images(parts: Sequence[Array]) -> Array:
+    """Stack images of one size and type."""
+    for number, part in enumerate(parts):
+        if part.shape[1:] != parts[0].shape[1:]:
+            raise TouchesError(
+                f"images must all be {_size(parts[0])} taxels like set 0, "
+                f"got {_size(part)} in set {number}. Resize or crop them first."
+            )
+        if part.dtype != parts[0].dtype:
+            raise TouchesError(
+                f"images must all be {parts[0].dtype} like set 0, got {part.dtype} in "
+                f"set {number}. Convert one of them with images.astype."
+            )
+    return np.concatenate(parts)
+
+
+def joined_columns(parts: Sequence[Arrays]) -> Arrays:
+    """Join columns by name, in the order in which names first appear."""
+    names = list(dict.fromkeys(name for part in parts for name in part))
+    return {name: _joined_column(name, parts) for name in names}
+
+
+def joined_whole(parts: Sequence[Arrays]) -> Arrays:
+    """Keep the entries of the whole set, which must be the same in every set."""
+    for name in dict.fromkeys(name for part in parts for name in part):
+        for number, part in enumerate(parts):
+            if name not in part or name not in parts[0]:
+                lacking = number if name not in part else 0
+                raise TouchesError(
+                    f"{name} must be the same in every set, got none in set {lacking}. "
+                    f"Add it there, or drop it with touches.without({name!r})."
+                )
+            if not _same(part[name], parts[0][name]):
+                raise TouchesError(
+                    f"{name} must be the same in every set, got another one in set "
+                    f"{number}. Drop it with touches.without({name!r}), or keep the "
+                    "sets apart."
+                )
+    return dict(parts[0])
+
+
+def _checked_labels(name: str, array: Array) -> Array:
     """Return labels as text; integers become text, nothing else does."""
     kind = array.dtype.kind
     if kind == "f" and np.isnan(array).any():
@@ -152,7 +219,7 @@ def _checked_labels(name: str, array: NDArray[Any]) -> NDArray[Any]:
     return text
 
 
-def _decoded(name: str, array: NDArray[Any]) -> NDArray[Any]:
+def _decoded(name: str, array: Array) -> Array:
     try:
         return np.char.decode(array, "utf-8")
     except UnicodeDecodeError as error:
@@ -162,9 +229,7 @@ def _decoded(name: str, array: NDArray[Any]) -> NDArray[Any]:
         ) from error
 
 
-def _checked_whole(
-    name: str, array: NDArray[Any], images: NDArray[Any]
-) -> NDArray[Any]:
+def _checked_whole(name: str, array: Array, images: Array) -> Array:
     if name == "no_contact":
         return _checked_no_contact(array, images)
     if name == "geometry":
@@ -172,7 +237,7 @@ def _checked_whole(
     return array
 
 
-def _checked_no_contact(array: NDArray[Any], images: NDArray[Any]) -> NDArray[Any]:
+def _checked_no_contact(array: Array, images: Array) -> Array:
     if array.shape != images.shape[1:]:
         n_rows, n_cols = images.shape[1:]
         raise TouchesError(
@@ -187,7 +252,7 @@ def _checked_no_contact(array: NDArray[Any], images: NDArray[Any]) -> NDArray[An
     return array
 
 
-def _checked_geometry(array: NDArray[Any]) -> NDArray[Any]:
+def _checked_geometry(array: Array) -> Array:
     value = array.item() if array.size == 1 else array.tolist()
     text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
     try:
@@ -197,12 +262,13 @@ def _checked_geometry(array: NDArray[Any]) -> NDArray[Any]:
     return np.array(text)
 
 
-def _refuse_infinity(name: str, images: NDArray[Any]) -> None:
+def _refuse_infinity(name: str, images: Array) -> None:
     """Refuse infinite taxels, a few megabytes at a time; NaN is a dead taxel."""
     if images.dtype.kind != "f":
         return
-    for start, block in _blocks(images):
-        bad = np.isinf(block).any(axis=(1, 2))
+    step = max(1, _TAXELS_AT_ONCE // max(1, images[0].size))
+    for start in range(0, len(images), step):
+        bad = np.isinf(images[start : start + step]).any(axis=(1, 2))
         if bad.any():
             where = f" in touch {start + np.flatnonzero(bad)[0]}"
             raise TouchesError(
@@ -212,7 +278,60 @@ def _refuse_infinity(name: str, images: NDArray[Any]) -> None:
             )
 
 
-def _blocks(images: NDArray[Any]) -> Iterator[tuple[int, NDArray[Any]]]:
-    step = max(1, _TAXELS_AT_ONCE // max(1, images[0].size))
-    for start in range(0, len(images), step):
-        yield start, images[start : start + step]
+def _row_numbers(index: Any, n_touches: int) -> Array:
+    rows = np.asarray(None if isinstance(index, tuple) else index)
+    if rows.size == 0 and rows.ndim == 1:
+        rows = rows.astype(np.intp)
+    if rows.ndim != 1 or rows.dtype.kind not in "biu":
+        raise TypeError(
+            "Touches are picked by number, slice, mask or array of numbers, "
+            f"got {index!r}. Columns are in touches.columns[name]."
+        )
+    if rows.dtype.kind == "b" and len(rows) != n_touches:
+        raise IndexError(
+            f"a mask must have one value per touch ({n_touches}), got {len(rows)}."
+        )
+    return rows
+
+
+def _joined_column(name: str, parts: Sequence[Arrays]) -> Array:
+    for number, part in enumerate(parts):
+        if name not in part:
+            raise TouchesError(
+                f"column {name!r} must be in every set, got none in set {number}. "
+                f"Add it with touches.with_columns({name}=...), or drop it "
+                f"elsewhere with touches.without({name!r})."
+            )
+    columns = [part[name] for part in parts]
+    for number, column in enumerate(columns):
+        if (
+            _kind(column) != _kind(columns[0])
+            or column.shape[1:] != (columns[0].shape[1:])
+        ):
+            raise TouchesError(
+                f"column {name!r} must be alike in every set, got {_row(column)} in "
+                f"set {number} after {_row(columns[0])} in set 0. Convert one of "
+                f"them, or drop it with touches.without({name!r})."
+            )
+    return np.concatenate(columns)
+
+
+def _kind(column: Array) -> str:
+    """Return what may be joined: numbers with numbers, text with text."""
+    kind = column.dtype.kind
+    return "numbers" if kind in "iufc" else kind
+
+
+def _same(one: Array, other: Array) -> bool:
+    numbers = one.dtype.kind in "fc" and other.dtype.kind in "fc"
+    alike = _kind(one) == _kind(other)
+    return alike and bool(np.array_equal(one, other, equal_nan=numbers))
+
+
+def _row(column: Array) -> str:
+    row = " x ".join(map(str, column.shape[1:]))
+    return f"{row} {column.dtype} a row" if row else str(column.dtype)
+
+
+def _size(images: Array) -> str:
+    return " x ".join(map(str, images.shape[1:]))

@@ -1,87 +1,45 @@
-"""Folders of pictures as touches."""
+"""Folders of pictures: which they are, and labels from their names or folders."""
 
 import os
 import re
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ._columns import Arrays
-from ._decode import (
+from .._types import Array
+from ._columns import WHOLE, Arrays, TouchesError
+from ._pictures import (
+    Header,
     common_header,
     decode_picture,
     decode_pictures,
     picture_header,
     refusal,
 )
-from ._errors import TouchesError
-from ._labels import compiled, labels_from_folders, labels_from_names
-from ._pictures import Header
-from ._touches import MAX_BYTES, MAX_PIXELS, Touches
 
 _ENDINGS = (".jpg", ".jpeg", ".png")
+_TEXT_GROUPS = ("object", "category", "session")
+_POSITIONS = {"position_raw": ("x", "y", "z"), "position_mm": ("x_mm", "y_mm", "z_mm")}
+_NEEDED = ("object", "category", "session", "order", "n", *sum(_POSITIONS.values(), ()))
+_TAKEN = (*WHOLE, *_POSITIONS, "images", "source_path")
+_WHOLE_NUMBER = re.compile(r"[+-]?\d{1,18}")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_EXAMPLE = r"(?P<object>[a-z]+)_(?P<n>\d+)"
 
 
-def read_folder(
-    path: str | PathLike[str],
-    *,
-    name_pattern: str | None = None,
-    no_contact: str | PathLike[str] | None = None,
-    max_pixels: int = MAX_PIXELS,
-    max_bytes: int = MAX_BYTES,
-    progress: bool | None = None,
-) -> Touches:
-    r"""Read all JPEG and PNG pictures in a folder and the folders in it.
-
-    Pictures come in natural order of their paths (`img_2` before `img_10`), as
-    stored: colour becomes grey, 16 bits stay 16 bits, Exif orientation is not
-    applied. Hidden files and files of other kinds are skipped.
-
-    Parameters
-    ----------
-    path : path
-        The folder.
-    name_pattern : str, optional
-        Regular expression, searched in each file name, else in its path within the
-        folder. Named groups become columns: `object`, `category` and `session`
-        (text), `n` or `order` (`order`, integers), `x`, `y`, `z` (`position_raw`),
-        `x_mm`, `y_mm`, `z_mm` (`position_mm`), any other name (numbers where all are
-        numbers, else text). Where it has no group `object`, folders give labels
-        as they do without a pattern: one level of folders is the object; of more,
-        the first is the category and the whole path the object; pictures that lie
-        in no folder have no labels.
-    no_contact : path, optional
-        Picture of the sensor touching nothing, as large and deep as the others.
-    max_pixels : int, default=50_000_000
-        Largest picture to decode, in pixels.
-    max_bytes : int, default=4 GiB
-        Most memory that all images may take.
-    progress : bool, optional
-        Show a bar on standard error when decoding takes over two seconds; by
-        default where standard error is a terminal.
-
-    Raises
-    ------
-    TouchesError
-        A picture is damaged, unlike the others or of a kind that is not read; a
-        name does not match; folders label some pictures only. Nothing is returned
-        in part.
-
-    Notes
-    -----
-    The path of each picture within the folder is kept as `source_path`. A JPEG has
-    no checksum: one that is cut short is refused, flipped bits inside it may not be.
-
-    Examples
-    --------
-    >>> pattern = r"img_(?P<n>\d+)_name_(?P<object>\w+?)_at_(?P<x>\d+)_"
-    >>> touches = read_folder("originals", name_pattern=pattern)  # doctest: +SKIP
-    """
-    root = Path(path)
-    pattern = None if name_pattern is None else compiled(name_pattern)
+def folder_arrays(
+    root: Path,
+    name_pattern: str | None,
+    no_contact: str | PathLike[str] | None,
+    max_pixels: int,
+    max_bytes: int,
+    progress: bool | None,
+) -> Arrays:
+    """Return what `Touches` is made of, by name; `read_folder` explains the rest."""
+    pattern = None if name_pattern is None else _compiled(name_pattern)
     names = _picture_names(root, None if no_contact is None else Path(no_contact))
     try:
         columns = _labels(names, pattern)
@@ -89,14 +47,27 @@ def read_folder(
         raise TouchesError(f"{root}: {error}") from error
     paths = [root / name for name in names]
     header = common_header(paths, max_pixels=max_pixels)
-    empty = None
+    whole: Arrays = {}
     if no_contact is not None:
-        empty = read_no_contact(Path(no_contact), header, max_pixels=max_pixels)
+        whole["no_contact"] = _like(Path(no_contact), header, max_pixels)
     images = decode_pictures(paths, header, max_bytes=max_bytes, progress=progress)
-    return Touches(images, no_contact=empty, **columns, source_path=np.array(names))
+    return {"images": images, **whole, **columns, "source_path": np.array(names)}
 
 
-def read_no_contact(path: Path, like: Header, *, max_pixels: int) -> NDArray[Any]:
+def no_contact_picture(path: Path, images: Array, max_pixels: int) -> Array:
+    """Return a picture of no contact that suits the images of an archive."""
+    n_bits = {"uint8": 8, "uint16": 16}.get(images.dtype.name)
+    if n_bits is None:
+        raise TouchesError(
+            "no_contact must have the unit of the images, got a picture for images "
+            f"of {images.dtype}. "
+            "Use touches.with_columns(no_contact=image) if they share one."
+        )
+    n_rows, n_cols = images.shape[1:]
+    return _like(path, Header("PNG", n_rows, n_cols, n_bits), max_pixels)
+
+
+def _like(path: Path, like: Header, max_pixels: int) -> Array:
     """Return the picture of no contact, which must be as large and deep as `like`."""
     header = picture_header(path, max_pixels=max_pixels)
     if header._replace(format=like.format) != like:
@@ -108,9 +79,9 @@ def read_no_contact(path: Path, like: Header, *, max_pixels: int) -> NDArray[Any
 
 
 def _labels(names: list[str], pattern: re.Pattern[str] | None) -> Arrays:
-    columns = {} if pattern is None else labels_from_names(names, pattern)
+    columns = {} if pattern is None else _from_names(names, pattern)
     if "object" not in columns:
-        columns = {**labels_from_folders(names), **columns}
+        columns = {**_from_folders(names), **columns}
     return columns
 
 
@@ -189,3 +160,136 @@ def _natural_order(name: str) -> tuple[Any, ...]:
         for pieces in (re.split(r"(\d+)", part) for part in name.split("/"))
     ]
     return parts, name
+
+
+def _compiled(name_pattern: object) -> re.Pattern[str]:
+    """Return the pattern ready for use, or say what is wrong with it."""
+    if not isinstance(name_pattern, str):
+        kind = type(name_pattern).__name__
+        raise TypeError(f"name_pattern must be a string, got {kind}.")
+    try:
+        pattern = re.compile(name_pattern)
+    except re.error as error:
+        raise TouchesError(
+            f"name_pattern must be a regular expression, got {name_pattern!r}: "
+            f"{error}. An example: {_EXAMPLE}"
+        ) from error
+    groups = set(pattern.groupindex)
+    if not groups:
+        raise TouchesError(
+            f"name_pattern must have named groups, got {name_pattern!r}. "
+            f"An example: {_EXAMPLE}"
+        )
+    taken = sorted(g for g in groups if g in _TAKEN or g.startswith("set_"))
+    if taken or {"n", "order"} <= groups:
+        got = taken[0] if taken else "both n and order"
+        raise TouchesError(
+            f"name_pattern must leave some names alone, got the group {got}. "
+            "Rename it: x, y, z give position_raw, x_mm, y_mm, z_mm position_mm, n "
+            "the order; the path is kept as source_path."
+        )
+    return pattern
+
+
+def _from_names(names: Sequence[str], pattern: re.Pattern[str]) -> Arrays:
+    """Match every name; turn the named groups into columns.
+
+    The file name is searched first, then the path relative to the folder.
+    """
+    matches = [_matched(name, pattern) for name in names]
+    texts = {group: [m[group] for m in matches] for group in pattern.groupindex}
+    for group in texts:
+        if group in _NEEDED and not all(texts[group]):
+            odd = next(i for i, text in enumerate(texts[group]) if not text)
+            raise TouchesError(
+                f"{names[odd]}: the group {group} of name_pattern must match something,"
+                f" got nothing with {pattern.pattern!r}. Correct either."
+            )
+    columns: Arrays = {}
+    for column, axes in _POSITIONS.items():
+        if all(axis in texts for axis in axes):
+            parts = [
+                _numbers(axis, texts.pop(axis), names, whole=False) for axis in axes
+            ]
+            columns[column] = np.stack(parts, axis=1)
+    columns.update(_columns(texts, names))
+    return columns
+
+
+def _from_folders(names: Sequence[str]) -> Arrays:
+    """Take labels from the levels of folders above each picture.
+
+    One level: its folder is the object. More: the first level is the category, the
+    whole relative folder the object. None at all: no labels.
+    """
+    depths = [min(name.count("/"), 2) for name in names]
+    if len(set(depths)) > 1:
+        _explain_mixed_depths(names, depths)
+    if depths[0] == 0:
+        return {}
+    labels = {"object": np.array([name.rpartition("/")[0] for name in names])}
+    if depths[0] > 1:
+        labels["category"] = np.array([name.partition("/")[0] for name in names])
+    return labels
+
+
+def _explain_mixed_depths(names: Sequence[str], depths: Sequence[int]) -> None:
+    usual = max(set(depths), key=depths.count)
+    odd = next(i for i, depth in enumerate(depths) if depth != usual)
+    where = ("lies in no folder", "lies in one folder", "lies in folders of folders")
+    raise TouchesError(
+        f"Pictures must all be labelled by folders in one way, but {names[odd]} "
+        f"{where[depths[odd]]} and {names[depths.index(usual)]} {where[usual]}. "
+        "Move it to the folder of its object, give a name_pattern, or name it as "
+        "no_contact if that is what it shows."
+    )
+
+
+def _matched(name: str, pattern: re.Pattern[str]) -> re.Match[str]:
+    found = pattern.search(name.rpartition("/")[2]) or pattern.search(name)
+    if found is None:
+        raise TouchesError(
+            f"{name} must match name_pattern {pattern.pattern!r}, and does not. "
+            "Correct the pattern, move the file out of the folder, or name it as "
+            "no_contact if that is what it shows."
+        )
+    return found
+
+
+def _columns(texts: dict[str, list[Any]], names: Sequence[str]) -> Arrays:
+    columns: Arrays = {}
+    for group, values in texts.items():
+        if group in _TEXT_GROUPS:
+            columns[group] = np.array(values)
+        elif group in ("n", "order"):
+            columns["order"] = _numbers(group, values, names, whole=True)
+        else:
+            columns[group] = _numbers_or_text(values)
+    return columns
+
+
+def _numbers(
+    group: str, values: Sequence[str], names: Sequence[str], *, whole: bool
+) -> Array:
+    pattern, what = (_NUMBER, "a number")
+    if whole:
+        pattern, what = (_WHOLE_NUMBER, "a whole number")
+    for value, name in zip(values, names, strict=True):
+        if not pattern.fullmatch(value):
+            raise TouchesError(
+                f"{name}: the group {group} of name_pattern must match {what}, got "
+                f"{value!r}. Correct the pattern or the file name."
+            )
+    if whole:
+        return np.array([int(value) for value in values], dtype=np.int64)
+    return np.array([float(value) for value in values])
+
+
+def _numbers_or_text(values: Sequence[str | None]) -> Array:
+    """Return numbers where every value is one; what did not match is NaN or ""."""
+    present = [value for value in values if value is not None]
+    if len(present) == len(values) and all(map(_WHOLE_NUMBER.fullmatch, present)):
+        return np.array([int(value) for value in present], dtype=np.int64)
+    if present and all(map(_NUMBER.fullmatch, present)):
+        return np.array([np.nan if v is None else float(v) for v in values])
+    return np.array(["" if value is None else value for value in values])

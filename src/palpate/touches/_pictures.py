@@ -1,34 +1,52 @@
-"""One JPEG or PNG: its header, whether it is whole, and its grey levels.
+"""JPEG and PNG pictures: their headers, whether they are whole, and their grey levels.
 
-Headers are read here, from the file's own bytes, so that the size is known before
-anything is decoded, and so that a cut or altered file is refused: OpenCV fills what
-is missing with grey and says so on standard error alone. A PNG carries checksums,
-which are all tested. A JPEG carries none: one that is cut short is always refused,
-but flipped bits within its coefficients give a wrong picture that nothing can tell.
+Pillow reads the headers, so that the size is known before anything is decoded, and
+tests a PNG's checksums; OpenCV decodes, but fills what is missing with grey and says so
+on standard error alone. So a JPEG, which has no checksum, must also end after its
+scans: one that is cut short is always refused, but flipped bits within its coefficients
+give a wrong picture that nothing can tell. (Decoding with Pillow too would double the
+time, and finds as few of them.)
 
 Pictures are taken as stored: Exif orientation is never applied, for it would turn
 some touches of a set and not others. Colour becomes its luma (ITU-R BT.601); 1-, 2-
 and 4-bit greys are spread over 0-255; 16 bits stay 16 bits.
 """
 
+import os
 import re
-import zlib
+import stat
+import struct
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from io import BytesIO
-from typing import IO, Any, NamedTuple
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from .._progress import Progress
+from .._types import Array
+from ._columns import TouchesError
+
+if TYPE_CHECKING:
+    from PIL.JpegImagePlugin import JpegImageFile
 
 _JPEG = b"\xff\xd8\xff"
 _PNG = b"\x89PNG\r\n\x1a\n"
-# The marker after coefficients: 0xFF but for stuffed zeros, fill and restarts.
-_NEXT_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")
-_SOS, _EOI = 0xDA, 0xD9
-_HUFFMAN_FRAMES = (0xC0, 0xC1, 0xC2)
-_OTHER_FRAMES = (0xC3, *range(0xC5, 0xC8), *range(0xC9, 0xCC), *range(0xCD, 0xD0))
+_PNG_END = b"\0\0\0\0IEND\xae\x42\x60\x82"
+# Within a scan 0xFF is followed by zero or a restart; tables and further scans come
+# after it, never a second frame.
+_FRAME_OR_END = re.compile(rb"\xff[\xc0-\xc3\xc5-\xc7\xc9-\xcb\xcd-\xcf\xd9]")
+_HUFFMAN_FRAME = rb"\xff[\xc0-\xc2].."
+_END_OF_IMAGE = b"\xff\xd9"
 _ALPHA = (4, 6)
-_IHDR = b"\x00\x00\x00\x0dIHDR"
 _CUT_SHORT = "a file that is cut short"
+# Room for comments, colour profiles and previews beside the pixels themselves.
+_MORE_BYTES = 32 * 2**20
+_BYTES_PER_PIXEL = 8
+_AT_ONCE = 8
 
 
 class PictureError(Exception):
@@ -52,40 +70,173 @@ class Header(NamedTuple):
         return np.dtype(np.uint16 if self.n_bits == 16 else np.uint8)
 
 
-def read_header(stream: IO[bytes]) -> Header:
-    """Return the header of a picture, reading only as far as needed.
+def decode_bytes(data: bytes, *, max_pixels: int = 50_000_000) -> Array:
+    """Return the grey levels of a JPEG or PNG in memory, (n_rows, n_cols).
+
+    Parameters
+    ----------
+    data : bytes
+        The whole file.
+    max_pixels : int
+        Larger pictures are refused before they are decoded.
+
+    Returns
+    -------
+    ndarray of uint8, of uint16 for a PNG of 16 bits
+        Luma where the picture has colours, as stored: Exif orientation is not applied.
 
     Raises
     ------
-    PictureError
-        It is no JPEG or PNG, or one of a kind that is not read.
+    TouchesError
+        It is no such picture, too large, cut short or altered.
     """
+    try:
+        header = _read_header(BytesIO(data))
+        _refuse_large("A picture", header, max_pixels)
+        return _grey_levels(data, header)
+    except PictureError as error:
+        raise TouchesError(f"A picture must be a JPEG or PNG, got {error}.") from error
+
+
+def common_header(paths: Sequence[Path], *, max_pixels: int) -> Header:
+    """Return the header that all pictures share; the error names who differs."""
+    headers = [picture_header(path, max_pixels=max_pixels) for path in paths]
+    (most, n_most), *others = Counter(headers).most_common()
+    if others:
+        odd = next(i for i, header in enumerate(headers) if header != most)
+        raise TouchesError(
+            f"Pictures must all have one size and format, got {headers[odd]} in "
+            f"{paths[odd]} ({n_most} of {len(paths)} are {most}). "
+            "Convert it, or keep the two kinds in folders of their own."
+        )
+    return most
+
+
+def picture_header(path: Path, *, max_pixels: int) -> Header:
+    """Return the header of one picture without decoding it."""
+    try:
+        with _opened(path, max_pixels) as file:
+            header = _read_header(file)
+    except (OSError, PictureError) as error:
+        raise refusal(path, error) from error
+    _refuse_large(str(path), header, max_pixels)
+    return header
+
+
+def decode_picture(path: Path, header: Header) -> Array:
+    """Return the grey levels of one picture that must have this header."""
+    try:
+        with _opened(path, header.n_rows * header.n_cols) as file:
+            return _grey_levels(file.read(), header)
+    except (OSError, PictureError) as error:
+        raise refusal(path, error) from error
+
+
+def decode_pictures(
+    paths: Sequence[Path], header: Header, *, max_bytes: int, progress: bool | None
+) -> Array:
+    """Return the grey levels of all pictures, (n_pictures, n_rows, n_cols).
+
+    They are decoded on all cores, into one array.
+    """
+    shape = (len(paths), header.n_rows, header.n_cols)
+    n_bytes = shape[0] * shape[1] * shape[2] * header.dtype.itemsize
+    if n_bytes > max_bytes:
+        raise TouchesError(
+            f"{len(paths)} pictures of {header} must take at most {max_bytes} bytes, "
+            f"got {n_bytes}. Read fewer or smaller ones, or raise max_bytes."
+        )
+    images = np.empty(shape, dtype=header.dtype)
+
+    def fill(start: int) -> int:
+        stop = min(start + _AT_ONCE, len(paths))
+        for touch in range(start, stop):
+            images[touch] = decode_picture(paths[touch], header)
+        return stop - start
+
+    pool = ThreadPoolExecutor(n_cores())
+    try:
+        with Progress(len(paths), "Decoding pictures", progress) as bar:
+            for n_done in pool.map(fill, range(0, len(paths), _AT_ONCE)):
+                bar.advance(n_done)
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return images
+
+
+def n_cores() -> int:
+    """Return the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def refusal(path: Path, error: OSError | PictureError) -> TouchesError:
+    """Word what was wrong with one picture."""
+    if isinstance(error, OSError):
+        return TouchesError(
+            f"{path} must be readable, got: {error.strerror or error}. "
+            "Check the file and its permissions, or take it out of the folder."
+        )
+    return TouchesError(
+        f"{path} must be a whole JPEG or PNG in grey or colour, got {error}. "
+        "Save it again as 8-bit JPEG or 8- or 16-bit PNG, or take it out."
+    )
+
+
+def _opened(path: Path, n_pixels: int) -> IO[bytes]:
+    """Open a file that is one (a pipe would block) and not absurdly large."""
+    found = path.stat()
+    if not stat.S_ISREG(found.st_mode):
+        raise PictureError("something that is not a file")
+    if found.st_size > _MORE_BYTES + _BYTES_PER_PIXEL * n_pixels:
+        raise PictureError(f"a file of {found.st_size} bytes")
+    return path.open("rb")
+
+
+def _refuse_large(what: str, header: Header, max_pixels: int) -> None:
+    if header.n_rows * header.n_cols > max_pixels:
+        raise TouchesError(
+            f"{what} must have at most {max_pixels} pixels, got {header}. "
+            "Make it smaller, or raise max_pixels if you trust it."
+        )
+
+
+def _read_header(stream: IO[bytes]) -> Header:
+    """Return the header of a picture, reading only as far as its pixels."""
     start = stream.read(8)
     if not start:
         raise PictureError("an empty file")
-    if start == _PNG:
-        return _png_header(stream)
-    if start.startswith(_JPEG):
-        stream.seek(2)
-        return _jpeg_header(stream)
-    raise PictureError("a file that is neither JPEG nor PNG")
+    if not start.startswith((_PNG, _JPEG)):
+        raise PictureError("a file that is neither JPEG nor PNG")
+    kind = "PNG" if start == _PNG else "JPEG"
+    try:
+        header = (_png_header if start == _PNG else _jpeg_header)(stream)
+    except PictureError:
+        raise
+    except Exception as error:
+        # Pillow raises half a dozen kinds on damaged files.
+        raise _damage(kind, stream, error) from error
+    if not header.n_rows or not header.n_cols:
+        raise PictureError(f"a {kind} of {header.n_cols} x {header.n_rows} pixels")
+    return header
 
 
-def grey_levels(data: bytes, header: Header) -> NDArray[Any]:
-    """Decode a whole picture to (n_rows, n_cols), of the type that `header` gives.
+def _damage(kind: str, stream: IO[bytes], error: Exception) -> PictureError:
+    """Word what Pillow stumbled over; at the end of a file, something is missing."""
+    return PictureError(f"a damaged {kind} ({error})" if stream.read(1) else _CUT_SHORT)
 
-    Raises
-    ------
-    PictureError
-        It is not the picture of that header, is cut short, or cannot be decoded.
-    """
-    found = read_header(BytesIO(data))
+
+def _grey_levels(data: bytes, header: Header) -> Array:
+    """Decode a whole picture to (n_rows, n_cols), of the type that `header` gives."""
+    stream = BytesIO(data)
+    found = _read_header(stream)
     if found != header:
         raise PictureError(f"{found} after {header}: the file changed meanwhile")
     if header.format == "PNG":
         _refuse_broken_png(data)
     else:
-        _refuse_cut_jpeg(data)
+        _refuse_cut_jpeg(data, stream.tell())
     levels = _decoded(data, see_through=header.format == "PNG" and data[25] in _ALPHA)
     shape = (header.n_rows, header.n_cols)
     if levels is None or levels.shape != shape or levels.dtype != header.dtype:
@@ -93,7 +244,7 @@ def grey_levels(data: bytes, header: Header) -> NDArray[Any]:
     return levels
 
 
-def _decoded(data: bytes, *, see_through: bool) -> NDArray[Any] | None:
+def _decoded(data: bytes, *, see_through: bool) -> Array | None:
     import cv2
 
     as_stored = cv2.IMREAD_IGNORE_ORIENTATION
@@ -113,111 +264,69 @@ def _decoded(data: bytes, *, see_through: bool) -> NDArray[Any] | None:
 
 
 def _jpeg_header(stream: IO[bytes]) -> Header:
-    """Walk the segments up to the frame header."""
-    while True:
-        marker = _jpeg_marker(stream)
-        if marker in _HUFFMAN_FRAMES:
-            return _jpeg_frame(_segment(stream))
-        if marker in _OTHER_FRAMES:
-            raise PictureError("a lossless or arithmetic-coded JPEG")
-        if marker in (_SOS, _EOI):
-            raise PictureError("a JPEG without a frame")
-        _segment(stream)
+    """Read a JPEG up to its first scan, where the stream stands afterwards.
+
+    Pillow's own class is called, since `Image.open` warns of large pictures and of
+    damaged Exif. It opens frames of all kinds, so the one that it found is looked up.
+    """
+    stream.seek(0)
+    image = _jpeg_class()(stream)
+    if image.layers not in (1, 3):
+        raise PictureError(f"a JPEG of {image.layers} channels (CMYK)")
+    n_bytes = stream.tell()
+    stream.seek(0)
+    frame = struct.pack(">BHHB", image.bits, image.height, image.width, image.layers)
+    pattern = _HUFFMAN_FRAME + re.escape(frame)
+    if not re.search(pattern, stream.read(n_bytes), re.DOTALL):
+        raise PictureError("a lossless or arithmetic-coded JPEG")
+    return Header("JPEG", image.height, image.width, image.bits)
 
 
-def _jpeg_frame(frame: bytes) -> Header:
-    if len(frame) < 6:
+@cache
+def _jpeg_class() -> type["JpegImageFile"]:
+    from PIL.Image import Exif
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    class PlainJpeg(JpegImageFile):
+        def getexif(self) -> Exif:
+            return Exif()
+
+    return PlainJpeg
+
+
+def _refuse_cut_jpeg(data: bytes, first_scan: int) -> None:
+    found = _FRAME_OR_END.search(data, first_scan)
+    if found is None:
         raise PictureError(_CUT_SHORT)
-    n_bits, n_channels = frame[0], frame[5]
-    n_rows, n_cols = (int.from_bytes(frame[i : i + 2], "big") for i in (1, 3))
-    if n_bits != 8:
-        raise PictureError(f"a {n_bits}-bit JPEG")
-    if n_channels not in (1, 3):
-        raise PictureError(f"a JPEG of {n_channels} channels (CMYK)")
-    if not n_rows or not n_cols:
-        raise PictureError(f"a JPEG of {n_cols} x {n_rows} pixels")
-    return Header("JPEG", n_rows, n_cols, n_bits)
-
-
-def _jpeg_marker(stream: IO[bytes]) -> int:
-    byte = stream.read(1)
-    if byte and byte != b"\xff":
-        raise PictureError("a damaged JPEG")
-    while byte == b"\xff":
-        byte = stream.read(1)
-    if not byte:
-        raise PictureError(_CUT_SHORT)
-    return byte[0]
-
-
-def _segment(stream: IO[bytes]) -> bytes:
-    length = int.from_bytes(stream.read(2), "big")
-    segment = stream.read(max(0, length - 2))
-    if length < 2 or len(segment) < length - 2:
-        raise PictureError(_CUT_SHORT)
-    return segment
-
-
-def _refuse_cut_jpeg(data: bytes) -> None:
-    """Walk all segments and scans to the end-of-image marker."""
-    stream = BytesIO(data)
-    stream.seek(2)
-    n_frames = n_scans = 0
-    while (marker := _jpeg_marker(stream)) != _EOI:
-        _segment(stream)
-        n_frames += marker in _HUFFMAN_FRAMES
-        if marker == _SOS:
-            n_scans += 1
-            found = _NEXT_MARKER.search(data, stream.tell())
-            if found is None:
-                raise PictureError(_CUT_SHORT)
-            stream.seek(found.start())
-    if n_frames != 1 or not n_scans:
-        raise PictureError("a damaged JPEG")
+    if found[0] != _END_OF_IMAGE:
+        raise PictureError("a damaged JPEG (a second frame)")
 
 
 def _png_header(stream: IO[bytes]) -> Header:
-    """Read the first chunk, then look for what makes a PNG more than one picture."""
-    if stream.read(8) != _IHDR:
-        raise PictureError("a damaged PNG")
-    stream.seek(-8, 1)
-    kind, first = _chunk(stream)
-    n_cols, n_rows = (int.from_bytes(first[i : i + 4], "big") for i in (0, 4))
-    if not n_rows or not n_cols:
-        raise PictureError(f"a PNG of {n_cols} x {n_rows} pixels")
-    while kind != b"IDAT":
-        kind = _skipped_chunk(stream)
-        if kind == b"acTL":
-            raise PictureError("an animated PNG")
-        if kind == b"tRNS":
-            raise PictureError("a PNG with a transparent colour")
-    return Header("PNG", n_rows, n_cols, 16 if first[8] == 16 else 8)
+    """Test a PNG's checksums up to its pixels; refuse more than one plain picture."""
+    from PIL.PngImagePlugin import ChunkStream
 
-
-def _chunk(stream: IO[bytes]) -> tuple[bytes, bytes]:
-    """Read a chunk of a PNG whose checksum is right."""
-    start = stream.read(8)
-    length = int.from_bytes(start[:4], "big")
-    content = stream.read(length)
-    check = stream.read(4)
-    if len(start) < 8 or len(content) < length or len(check) < 4:
-        raise PictureError(_CUT_SHORT)
-    if zlib.crc32(content, zlib.crc32(start[4:])) != int.from_bytes(check, "big"):
-        raise PictureError("a PNG whose checksum is wrong")
-    return start[4:], content
-
-
-def _skipped_chunk(stream: IO[bytes]) -> bytes:
-    start = stream.read(8)
-    if len(start) < 8:
-        raise PictureError(_CUT_SHORT)
-    if start[4:] != b"IDAT":
-        stream.seek(int.from_bytes(start[:4], "big") + 4, 1)
-    return start[4:]
+    kinds = ChunkStream(stream).verify(b"IDAT")
+    if kinds[:1] != [b"IHDR"]:
+        raise PictureError("a damaged PNG (it must begin with its size)")
+    if b"acTL" in kinds:
+        raise PictureError("an animated PNG")
+    if b"tRNS" in kinds:
+        raise PictureError("a PNG with a transparent colour")
+    stream.seek(16)
+    n_cols, n_rows, depth = struct.unpack(">IIB", stream.read(9))
+    return Header("PNG", n_rows, n_cols, 16 if depth == 16 else 8)
 
 
 def _refuse_broken_png(data: bytes) -> None:
+    """Test every checksum of a PNG; Pillow leaves out that of the end itself."""
+    from PIL.PngImagePlugin import ChunkStream
+
     stream = BytesIO(data)
     stream.seek(len(_PNG))
-    while _chunk(stream)[0] != b"IEND":
-        pass
+    try:
+        ChunkStream(stream).verify(b"IEND")
+    except Exception as error:
+        raise _damage("PNG", stream, error) from error
+    if not data.startswith(_PNG_END, stream.tell() - 8):
+        raise PictureError(_CUT_SHORT)

@@ -1,12 +1,12 @@
 """Touches that are read as they are needed: learning from more than memory holds."""
 
 from collections.abc import Callable
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._types import Floats
+from .._types import Array, Floats
 from ._touches import Touches
 
 
@@ -24,10 +24,10 @@ class TouchSource(Protocol):
     def category(self) -> NDArray[np.str_] | None: ...
 
     @property
-    def order(self) -> NDArray[Any] | None: ...
+    def order(self) -> Array | None: ...
 
     @property
-    def session(self) -> NDArray[Any] | None: ...
+    def session(self) -> Array | None: ...
 
     @property
     def touch_id(self) -> NDArray[np.str_] | None: ...

@@ -4,29 +4,38 @@ Columnar: arrays of equal length side by side, validated once. The raw images an
 the no-contact image are kept as the sensor gave them; differences are derived.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator, Mapping
 from os import PathLike
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._types import Array
+from ._archive import read_archive, write_archive
 from ._columns import (
     Arrays,
+    TouchesError,
     belongs_to_whole,
     checked_column,
     checked_images,
     frozen,
+    joined_columns,
+    joined_images,
+    joined_whole,
+    picked_rows,
     plain_array,
     sorted_out,
 )
-from ._errors import TouchesError
-from ._joining import joined_columns, joined_images, joined_whole
-from ._picking import picked_rows
+from ._folder import folder_arrays, no_contact_picture
 
 MAX_PIXELS = 50_000_000
 MAX_BYTES = 4 * 2**30
+_LINE = 88
 
 
 class Episode(NamedTuple):
@@ -85,7 +94,7 @@ class Touches:
     """
 
     __slots__ = ("_columns", "_images", "_whole")
-    _images: NDArray[Any]
+    _images: Array
     _columns: Arrays
     _whole: Arrays
 
@@ -115,7 +124,7 @@ class Touches:
         max_pixels: int = MAX_PIXELS,
         max_bytes: int = MAX_BYTES,
         progress: bool | None = None,
-    ) -> "Touches":
+    ) -> Self:
         """Read a touch archive (`.npz`) or a folder of pictures.
 
         Parameters
@@ -127,31 +136,49 @@ class Touches:
         no_contact : path, optional
             Picture of the sensor touching nothing; it takes the place of one in
             the archive, and is no touch when it lies in the folder.
-        max_pixels : int, default=50_000_000
-            Largest picture to decode, in pixels.
-        max_bytes : int, default=4 GiB
-            Most memory that the arrays may take.
-        progress : bool, optional
-            Show a bar on standard error when decoding takes over two seconds; by
-            default where standard error is a terminal.
+        max_pixels, max_bytes, progress
+            As for `read_folder`; `max_bytes` counts for archives too, before anything
+            is inflated.
 
         Raises
         ------
         TouchesError
             The file or folder cannot be read as touches; it names the file and fix.
         """
-        from ._loading import load
-
-        return load(path, name_pattern, no_contact, max_pixels, max_bytes, progress)
+        place = Path(path)
+        if place.is_dir():
+            limits = (max_pixels, max_bytes, progress)
+            return cls(**folder_arrays(place, name_pattern, no_contact, *limits))
+        if place.suffix.lower() != ".npz":
+            got = "another kind of file" if place.exists() else "nothing there"
+            raise TouchesError(
+                f"{place} must be a touch archive (.npz) or a folder of pictures, "
+                f"got {got}. Check the path; put single pictures into a folder."
+            )
+        if name_pattern is not None:
+            raise TouchesError(
+                f"name_pattern must be left out for an archive, got {name_pattern!r} "
+                f"with {place}. Archives carry their labels."
+            )
+        touches = cls._of(*read_archive(place, max_bytes))
+        if no_contact is None:
+            return touches
+        image = no_contact_picture(Path(no_contact), touches.images, max_pixels)
+        return touches.with_columns(no_contact=image)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write a touch archive (`.npz`): all of it or nothing."""
-        from ._archive import write_archive
+        """Write a touch archive (`.npz`): all of it or nothing.
 
-        write_archive(path, self)
+        Raises
+        ------
+        TouchesError
+            The name does not end in `.npz`, or the file cannot be written; an archive
+            that was there before stays whole.
+        """
+        write_archive(Path(path), self._images, self._columns, self._whole)
 
     @staticmethod
-    def concatenate(sets: Iterable[Any]) -> "Touches":
+    def concatenate(sets: Iterable[Any]) -> Touches:
         """Put sets of touches after one another, or name what keeps them apart.
 
         They need images of one size and type, the same columns, and the same
@@ -169,7 +196,7 @@ class Touches:
         return Touches._of(images, columns, joined_whole([p._whole for p in parts]))
 
     @classmethod
-    def _of(cls, images: NDArray[Any], columns: Arrays, whole: Arrays) -> Self:
+    def _of(cls, images: Array, columns: Arrays, whole: Arrays) -> Self:
         """Make a set of arrays that are known to be right."""
         touches = cls.__new__(cls)
         touches._images = frozen(images)
@@ -181,17 +208,17 @@ class Touches:
         return self._of, (self._images, self._columns, self._whole)
 
     @property
-    def images(self) -> NDArray[Any]:
+    def images(self) -> Array:
         """Images of shape (n_touches, n_rows, n_cols), as the sensor gave them."""
         return self._images
 
     @property
-    def columns(self) -> Mapping[str, NDArray[Any]]:
+    def columns(self) -> Mapping[str, Array]:
         """Arrays with one row per touch, by name."""
         return MappingProxyType(self._columns)
 
     @property
-    def whole(self) -> Mapping[str, NDArray[Any]]:
+    def whole(self) -> Mapping[str, Array]:
         """Arrays that describe the whole set, by name."""
         return MappingProxyType(self._whole)
 
@@ -206,12 +233,12 @@ class Touches:
         return self._columns.get("category")
 
     @property
-    def order(self) -> NDArray[Any] | None:
+    def order(self) -> Array | None:
         """Position of each touch in its recording, shape (n_touches,), or None."""
         return self._columns.get("order")
 
     @property
-    def session(self) -> NDArray[Any] | None:
+    def session(self) -> Array | None:
         """Session of each touch, shape (n_touches,), or None."""
         return self._columns.get("session")
 
@@ -221,7 +248,7 @@ class Touches:
         return self._columns.get("touch_id")
 
     @property
-    def no_contact(self) -> NDArray[Any] | None:
+    def no_contact(self) -> Array | None:
         """Image of no contact, shape (n_rows, n_cols), or None."""
         return self._whole.get("no_contact")
 
@@ -245,17 +272,26 @@ class Touches:
 
     def __repr__(self) -> str:
         n_rows, n_cols = self._images.shape[1:]
-        parts = [f"{len(self)} of {n_rows} x {n_cols} {self._images.dtype}"]
         counted = {"object": "objects", "category": "categories", "session": "sessions"}
         kinds = [
             f"{n} {one if n == 1 else many}"
             for one, many in counted.items()
             if one in self._columns and (n := len(np.unique(self._columns[one])))
         ]
-        parts += [", ".join(kinds)] if kinds else ["no labels"]
-        parts += [f"columns: {', '.join(self._columns)}"] if self._columns else []
-        parts += [f"whole set: {', '.join(self._whole)}"] if self._whole else []
-        return f"<Touches: {'; '.join(parts)}>"
+        line = f"<Touches: {len(self)} of {n_rows} x {n_cols} {self._images.dtype}; "
+        line += ", ".join(kinds) or "no labels"
+        held = {"columns": self._columns, "whole set": self._whole}
+        held = {what: names for what, names in held.items() if names}
+        listed = "".join(f"; {what}: {', '.join(held[what])}" for what in held)
+        if len(line + listed) >= _LINE or not listed.isprintable():
+            listed = "".join(f"; {what}: {len(held[what])}" for what in held)
+        return f"{line}{listed}>"
+
+    def _repr_html_(self) -> str:
+        """Return a table of what is in the set, and the first few pictures."""
+        from ._html import touches_html
+
+        return touches_html(self._images, self._columns, self._whole)
 
     def with_columns(self, **columns: ArrayLike) -> Self:
         """Return these touches with columns added or replaced.
@@ -287,7 +323,7 @@ class Touches:
         whole = {n: a for n, a in self._whole.items() if n not in names}
         return self._of(self._images, columns, whole)
 
-    def differences(self) -> NDArray[Any]:
+    def differences(self) -> Array:
         """Return images minus the no-contact image, signed floats of the same shape.
 
         float32 holds 8- and 16-bit images exactly; wider ones give float64.
@@ -321,3 +357,62 @@ class Touches:
             )
             for rows in sorted(np.split(by_group, cuts), key=lambda rows: rows[0])
         ]
+
+
+def read_folder(
+    path: str | PathLike[str],
+    *,
+    name_pattern: str | None = None,
+    no_contact: str | PathLike[str] | None = None,
+    max_pixels: int = MAX_PIXELS,
+    max_bytes: int = MAX_BYTES,
+    progress: bool | None = None,
+) -> Touches:
+    r"""Read all JPEG and PNG pictures in a folder and the folders in it.
+
+    Pictures come in natural order of their paths (`img_2` before `img_10`), as
+    stored: colour becomes grey, 16 bits stay 16 bits, Exif orientation is not
+    applied. Hidden files and files of other kinds are skipped.
+
+    Parameters
+    ----------
+    path : path
+        The folder.
+    name_pattern : str, optional
+        Regular expression, searched in each file name, else in its path within the
+        folder. Named groups become columns: `object`, `category` and `session`
+        (text), `n` or `order` (`order`, integers), `x`, `y`, `z` (`position_raw`),
+        `x_mm`, `y_mm`, `z_mm` (`position_mm`), any other name (numbers where all are
+        numbers, else text). Where it has no group `object`, folders give labels
+        as they do without a pattern: one level of folders is the object; of more,
+        the first is the category and the whole path the object; pictures that lie
+        in no folder have no labels.
+    no_contact : path, optional
+        Picture of the sensor touching nothing, as large and deep as the others.
+    max_pixels : int, default=50_000_000
+        Largest picture to decode, in pixels.
+    max_bytes : int, default=4 GiB
+        Most memory that all images may take.
+    progress : bool, optional
+        Show a bar on standard error when decoding takes over two seconds; by
+        default where standard error is a terminal.
+
+    Raises
+    ------
+    TouchesError
+        A picture is damaged, unlike the others or of a kind that is not read; a
+        name does not match; folders label some pictures only. Nothing is returned
+        in part.
+
+    Notes
+    -----
+    The path of each picture within the folder is kept as `source_path`. A JPEG has
+    no checksum: one that is cut short is refused, flipped bits inside it may not be.
+
+    Examples
+    --------
+    >>> pattern = r"img_(?P<n>\d+)_name_(?P<object>\w+?)_at_(?P<x>\d+)_"
+    >>> touches = read_folder("originals", name_pattern=pattern)  # doctest: +SKIP
+    """
+    limits = (max_pixels, max_bytes, progress)
+    return Touches(**folder_arrays(Path(path), name_pattern, no_contact, *limits))

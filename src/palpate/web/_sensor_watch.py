@@ -21,9 +21,9 @@ from ..sensors import (
     SensorError,
     SensorMemory,
     TouchDetector,
+    baseline_warning,
     desk_of,
     gain_warning,
-    zero_warning,
 )
 from ._events import Event, Health, Listeners
 from ._images import FramePainter
@@ -122,14 +122,14 @@ class SensorWatch:
             raise SensorError(f"{self.sensor.name} gave too few frames for a baseline.")
         with self._lock:
             self.detector.step = self.sensor.step
-            self.detector.take_zero(frames, force=force)
+            self.detector.take_baseline(frames, force=force)
             self._recent = []
         self._compare()
 
     def to_dict(self) -> dict[str, Any]:
         """Return what the sensor is like now, as plain values."""
         sensor, desk = self.sensor, desk_of(self.sensor)
-        has_baseline = self.detector.zero is not None
+        has_baseline = self.detector.baseline is not None
         return {
             "name": sensor.name,
             "unit": sensor.unit,
@@ -138,7 +138,7 @@ class SensorWatch:
             "baseline": has_baseline,
             "zero": has_baseline,  # the name before; goes with the next release
             "touching": self.detector.touching,
-            "offer": self.detector.rezero_offer(time.monotonic()),
+            "offer": self.detector.baseline_offer(time.monotonic()),
             "warnings": list(self._warnings),
             "desk": None
             if desk is None
@@ -163,10 +163,10 @@ class SensorWatch:
 
     def _compare(self) -> None:
         """Say what has left tolerance since the model learnt."""
-        baseline, memory = self.detector.zero, self._memory
+        baseline, memory = self.detector.baseline, self._memory
         found = [self.misfit]
         if not self.misfit and baseline is not None and memory is not None:
-            found = [zero_warning(memory, baseline.astype(np.float64))]
+            found = [baseline_warning(memory, baseline.astype(np.float64))]
             recent = list(self._recent)
             if recent and memory.response.size and not found[0]:
                 now = SensorMemory.of(np.stack(recent), baseline)

@@ -129,7 +129,7 @@ class LiveSession:
     @property
     def baseline(self) -> Array | None:
         """The frame of touching nothing, where there is one."""
-        return None if self.watch is None else self.watch.detector.zero
+        return None if self.watch is None else self.watch.detector.baseline
 
     def post_touch(self, image: Array) -> dict[str, Any]:
         """Take one touch from outside into the episode; return the episode.

@@ -43,7 +43,7 @@ class Corradi2014Plan(Plan):
     n_touches : int, default=50
         Simulated touches of each shape, half of them to choose with.
     encodings : tuple of str
-        Names of encodings, see `palpate.encodings.ENCODINGS`.
+        Names of encodings, see `palpate.encodings.encoder_named`.
     runs : int, default=20
         Runs of randomised fivefold cross-validation.
     slow_runs : int, default=3

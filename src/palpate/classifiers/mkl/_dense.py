@@ -1,0 +1,263 @@
+"""Kernel matrices held whole: a batch of problems in one array, and Newton's step.
+
+The unknowns besides the multipliers a are eliminated by hand: bounds are diagonal,
+shares and their level leave a matrix of rank below the number of kernels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Self, cast
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from ..._types import Array, Floats
+from ._problem import Point, Solution, Task, View, balanced, weighted, without_small
+
+# From this size on one matrix at a time is as fast as all at once.
+_LARGE = 192
+
+Solver = Callable[[Floats], Floats]
+
+
+class DenseKernels:
+    """Kernel matrices of a batch of problems.
+
+    Parameters
+    ----------
+    kernels : ndarray of shape (n_problems, n_kernels, n_touches, n_touches)
+        Symmetric, positive semi-definite, contiguous.
+    labels : ndarray of shape (n_problems, n_touches)
+        +1, -1, or 0 for touches that take no part.
+    means : ndarray of shape (n_problems, n_kernels, n_touches), optional
+        Means of the rows that `centred` took out.
+    """
+
+    crowded = False
+
+    def __init__(
+        self, kernels: Floats, labels: Floats, means: Floats | None = None
+    ) -> None:
+        self.kernels, self.labels, self.means = kernels, labels, means
+
+    @classmethod
+    def centred(cls, kernels: Floats, labels: Floats) -> Self:
+        """Take the part out of `kernels`, in place, that is equal for all touches.
+
+        It adds nothing to any machine but its bias, and where it is large it hides
+        the rest in its rounding.
+        """
+        means = kernels.mean(axis=3)
+        kernels -= means[:, :, :, None]
+        kernels -= kernels.mean(axis=2)[:, :, None, :]
+        return cls(kernels, labels, means)
+
+    @property
+    def n_kernels(self) -> int:
+        return int(self.kernels.shape[1])
+
+    def pulls(self, alpha: Floats) -> Floats:
+        return np.zeros((len(alpha), 0))
+
+    def normal(self, task: Task, point: Point) -> Floats:
+        return np.zeros((len(point.alpha), 0))
+
+    def view(self, task: Task, point: Point) -> View:
+        forces = self._times(self.labels * point.alpha)
+        forces *= self.labels[:, None, :]
+        energies = 0.5 * (forces @ point.alpha[:, :, None])[:, :, 0]
+        weights = task.weights(point)
+        square = (weights * energies).sum(axis=1)
+        missing = task.real - weighted(weights, forces) - task.labels * point.bias
+        return View(energies, missing, square, forces)
+
+    def newton(self, task: Task, point: Point, view: View) -> DualNewton:
+        return DualNewton(task, point, view, self._factorise)
+
+    def settled(self, task: Task, point: Point, share: float) -> Point:
+        n, left = point.n_touches, point.left.copy()
+        left[:, :n] = balanced(self.labels, point.alpha)
+        left[:, 2 * n :] = without_small(point.shares, share**task.norm)
+        return Point(left, point.right, point.free, n)
+
+    def decisions(self, solution: Solution) -> Floats:
+        """Return the decisions about all touches, also where the label is 0."""
+        pulled = self._times(self.labels * solution.alpha)
+        return weighted(solution.weights, pulled) + solution.bias[:, None]
+
+    def true_bias(self, solution: Solution) -> Floats:
+        """Return the bias that belongs to the kernels as they were."""
+        if self.means is None:
+            return solution.bias
+        signed = self.labels * solution.alpha
+        taken = (self.means @ signed[:, :, None])[:, :, 0]
+        bias: Floats = solution.bias - (solution.weights * taken).sum(axis=1)
+        return bias
+
+    def with_labels(self, labels: Floats) -> Self:
+        """Return the same kernels with some labels set to 0."""
+        return type(self)(self.kernels, labels, self.means)
+
+    def take(self, keep: Array) -> Self:
+        means = None if self.means is None else self.means[keep]
+        return type(self)(self.kernels[keep], self.labels[keep], means)
+
+    def _times(self, signed: Floats) -> Floats:
+        """Return K_k v for each kernel, shape (n_problems, n_kernels, n_touches)."""
+        n_problems, n_kernels, n, _ = self.kernels.shape
+        stacked = self.kernels.reshape(n_problems, n_kernels * n, n)
+        return (stacked @ signed[:, :, None]).reshape(n_problems, n_kernels, n)
+
+    def _factorise(self, diagonal: Floats, weights: Floats, pull: Pull) -> Solver:
+        n_problems, n_kernels, n, _ = self.kernels.shape
+        flat = self.kernels.reshape(n_problems, n_kernels, n * n)
+        matrix = (weights[:, None, :] @ flat).reshape(n_problems, n, n)
+        matrix *= self.labels[:, :, None]
+        matrix *= self.labels[:, None, :]
+        root = pull.root()
+        matrix += root.transpose(0, 2, 1) @ root
+        matrix[:, np.arange(n), np.arange(n)] += diagonal
+        return _small_solver(matrix) if n < _LARGE else _large_solver(matrix)
+
+
+def _small_solver(matrix: Floats) -> Solver:
+    def solve(right: Floats) -> Floats:
+        try:
+            return cast(Floats, np.linalg.solve(matrix, right))
+        except np.linalg.LinAlgError:
+            return cast(Floats, np.linalg.solve(_lifted(matrix), right))
+
+    return solve
+
+
+def _large_solver(matrix: Floats) -> Solver:
+    solvers = [cholesky_solver(one) for one in matrix]
+
+    def solve(right: Floats) -> Floats:
+        return np.stack([one(r) for one, r in zip(solvers, right, strict=True)])
+
+    return solve
+
+
+def cholesky_solver(matrix: Floats) -> Solver:
+    """Factorise one matrix, lifting its diagonal as far as rounding makes necessary.
+
+    Scaled to a diagonal of ones first, so that the lift suits every row.
+    """
+    unit = np.sqrt(np.maximum(matrix.diagonal(), np.finfo(float).tiny))
+    scaled = matrix / unit[:, None] / unit
+    for lift in (0.0, 1e-15, 1e-13, 1e-11):
+        try:
+            lifted = scaled + lift * np.eye(len(matrix)) if lift else scaled
+            factor = cho_factor(lifted, check_finite=False)
+            break
+        except np.linalg.LinAlgError:
+            continue
+    else:
+        return lambda right: np.full_like(right, np.nan)
+
+    def solve(right: Floats) -> Floats:
+        solved = cho_solve(factor, right / unit[:, None], check_finite=False)
+        return solved / unit[:, None]
+
+    return solve
+
+
+def _lifted(matrix: Floats) -> Floats:
+    n = matrix.shape[1]
+    size = np.abs(matrix).max(axis=(1, 2))[:, None, None]
+    lifted: Floats = matrix + 1e-14 * np.maximum(size, 1e-300) * np.eye(n)
+    return lifted
+
+
+@dataclass
+class Pull:
+    """The low-rank part of Newton's matrix: what moving the shares does.
+
+    It is F' (W - W 1 1' W / 1'W1) F with W = diag(`gain`) of shape (n_problems,
+    n_kernels) and F the `forces`.
+    """
+
+    forces: Floats
+    gain: Floats
+
+    def root(self) -> Floats:
+        """Return R' F, with R R' the matrix in brackets."""
+        root = np.sqrt(self.gain)
+        unit = root / np.sqrt(self.gain.sum(axis=1, keepdims=True))
+        scaled = root[:, :, None] * self.forces
+        scaled -= unit[:, :, None] * (unit[:, None, :] @ scaled)
+        return scaled
+
+
+class DualNewton:
+    """The optimality conditions at one point, linearised and factorised once.
+
+    Parameters
+    ----------
+    task, point, view
+        The problems, where they are, and what they see there.
+    factorise : callable
+        (diagonal, weights, pull) -> solver of the matrix diagonal + sum_k d_k Y K_k Y
+        + pull for right-hand sides of shape (n_problems, n_touches, n_columns).
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        point: Point,
+        view: View,
+        factorise: Callable[[Floats, Floats, Pull], Solver],
+    ) -> None:
+        self._point, self._labels = point, task.labels
+        n = point.n_touches
+        self._ratio = point.right / point.left
+        self._forces, pulls = view.pull, view.energies
+        stiffness = self._ratio[:, 2 * n :]
+        if task.norm > 1:
+            slope, bend = task.slopes(point)
+            self._forces, pulls = slope[:, :, None] * view.pull, slope * view.energies
+            stiffness = stiffness - bend * view.energies
+        self._gain = 1 / stiffness
+        self._total = self._gain.sum(axis=1, keepdims=True)
+        self._lean = weighted(self._gain / self._total, self._forces)
+        # What the optimality conditions lack, besides the products.
+        self._missing = view.missing - point.errors + point.right[:, :n]
+        self._imbalance = (self._labels * point.alpha).sum(axis=1, keepdims=True)
+        self._excess = point.level - pulls - point.slack
+        self._surplus = point.shares.sum(axis=1, keepdims=True) - 1
+        diagonal = self._ratio[:, :n] + self._ratio[:, n : 2 * n]
+        pull = Pull(self._forces, self._gain)
+        self._solve = factorise(diagonal, task.weights(point), pull)
+        self._towards_bias: Floats | None = None
+
+    def direction(self, target: Floats) -> Point:
+        """Return the step that changes the products of left and right by `target`."""
+        forces, n = self._forces, self._point.n_touches
+        wanted = target / self._point.left
+        push = wanted[:, 2 * n :] - self._excess
+        ahead = (self._gain * push).sum(axis=1, keepdims=True) + self._surplus
+        right = self._missing + wanted[:, :n] - wanted[:, n : 2 * n]
+        right += self._lean * ahead - weighted(self._gain * push, forces)
+        alpha, bias = self._balanced(right)
+        push += (forces @ alpha[:, :, None])[:, :, 0]
+        level = (self._gain * push).sum(axis=1, keepdims=True) + self._surplus
+        level /= self._total
+        left = np.concatenate([alpha, -alpha, self._gain * (push - level)], axis=1)
+        free = np.concatenate([bias, level], axis=1)
+        return Point(left, wanted - self._ratio * left, free, n)
+
+    def _balanced(self, right: Floats) -> tuple[Floats, Floats]:
+        """Solve for the multipliers and the bias that keeps them in balance."""
+        labels = self._labels
+        if self._towards_bias is None:
+            both = self._solve(np.stack([right, labels], axis=2))
+            alpha, self._towards_bias = both[:, :, 0], both[:, :, 1]
+            self._stiff = (labels * self._towards_bias).sum(axis=1, keepdims=True)
+        else:
+            alpha = self._solve(right[:, :, None])[:, :, 0]
+        pull = (labels * alpha).sum(axis=1, keepdims=True) + self._imbalance
+        bias = pull / self._stiff
+        return alpha - bias * self._towards_bias, bias

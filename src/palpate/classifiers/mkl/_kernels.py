@@ -1,0 +1,441 @@
+"""Kernels, and banks of them that share distances and inner products.
+
+A bank of Gaussians of many widths needs one matrix of squared distances, polynomials
+of many degrees one matrix of inner products, and both come from one product of the
+touches. Powers grow by repeated multiplication.
+
+The matrices of a pair of classes come from features, or are given. Kernels are scaled
+once, by the training touches of all classes, so that one price of errors suits them
+all; touches to recognise get the same factors.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf
+from sklearn.utils import check_array
+
+from ..._checks import check_count, check_number, check_width
+from ..._types import Array, Floats
+from ._dense import DenseKernels
+from ._problem import BLOCK_BYTES, Solution, row_blocks
+
+# Fourth powers in a row by which narrower Gaussians come from a wider one.
+_MOST_STEPS = 3
+# A kernel whose spread is below this share of its size is constant.
+_CONSTANT = 1e-12
+# Share of the trace by which eigenvalues may miss zero, and of the largest entry by
+# which a matrix may miss symmetry, for rounding: of doubles, and of less.
+_ROUNDING, _COARSE_ROUNDING = 1e-8, 1e-5
+
+
+@dataclass(frozen=True)
+class GaussianKernel:
+    """exp(-|x - y|^2 / (2 sigma^2)); `sigma` has the unit of the features.
+
+    It lies between 1e-150 and 1e150, so that its square is an ordinary number.
+    """
+
+    sigma: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_width("sigma", self.sigma)
+
+
+@dataclass(frozen=True)
+class PolynomialKernel:
+    """(offset + x'y)^degree, with an offset of at least 0."""
+
+    degree: int = 2
+    offset: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_count("degree", self.degree)
+        check_number("offset", self.offset, low=0)
+
+
+@dataclass(frozen=True)
+class LinearKernel:
+    """x'y."""
+
+
+Kernel = GaussianKernel | PolynomialKernel | LinearKernel
+
+
+def paper_kernels() -> list[Kernel]:
+    """Return the 22 kernels of Liu et al. 2014.
+
+    Gaussians of sigma = 2^-5, 2^-4, ..., 2^10 and polynomials (1 + x'y)^p of
+    degree p = 1, ..., 6.
+    """
+    gaussians: list[Kernel] = [GaussianKernel(2.0**k) for k in range(-5, 11)]
+    return gaussians + [PolynomialKernel(p) for p in range(1, 7)]
+
+
+def check_kernels(kernels: object) -> list[Kernel]:
+    """Return the list that `kernels` names or is, or explain."""
+    if isinstance(kernels, str) and kernels == "paper":
+        return paper_kernels()
+    if isinstance(kernels, str) or not isinstance(kernels, Iterable):
+        raise ValueError(
+            f"kernels must be 'paper', 'precomputed' or a list, got {kernels!r}. "
+            "Pass for example [GaussianKernel(1.0), PolynomialKernel(2)]."
+        )
+    listed = list(kernels)
+    for kernel in listed:
+        if not isinstance(kernel, Kernel):
+            raise TypeError(
+                "kernels must hold GaussianKernel, PolynomialKernel or LinearKernel, "
+                f"got {kernel!r}. Compute other kernels first and pass 'precomputed'."
+            )
+    if not listed:
+        raise ValueError("kernels must hold at least one kernel, got an empty list.")
+    return listed
+
+
+def kernel_stack(
+    kernels: Sequence[Kernel], left: Floats, right: Floats, mean: Floats
+) -> Floats:
+    """Return all kernels between two sets of touches, or batches of such sets.
+
+    Parameters
+    ----------
+    kernels : sequence of kernels
+    left : ndarray of shape (..., n_left, n_features)
+        Touches less `mean`, which saves the digits of distances between touches
+        far from the origin.
+    right : ndarray of shape (..., n_right, n_features)
+        Others, less `mean` too; distances within `left` come out exactly 0 on the
+        diagonal if it is the same array.
+    mean : ndarray of shape (n_features,)
+
+    Returns
+    -------
+    ndarray of shape (..., n_kernels, n_left, n_right)
+    """
+    product = left @ right.swapaxes(-1, -2)
+    stack = np.empty((*product.shape[:-2], len(kernels), *product.shape[-2:]))
+    squared = _squared_distances(left, right, product)
+    if left is right:
+        n = product.shape[-1]
+        squared[..., np.arange(n), np.arange(n)] = 0
+    product += (left @ mean)[..., :, None]
+    product += (right @ mean)[..., None, :]
+    product += mean @ mean
+    with np.errstate(over="ignore", under="ignore"):
+        _fill(stack, kernels, squared, product)
+    return stack
+
+
+def kernel_diagonals(
+    kernels: Sequence[Kernel], touches: Floats, mean: Floats
+) -> Floats:
+    """Return k(x, x) of each touch, shape (n_kernels, n_touches).
+
+    `touches` come less `mean`, as in `kernel_stack`.
+    """
+    square = ((touches + mean) ** 2).sum(axis=1)
+    diagonals = np.empty((len(kernels), 1, len(touches)))
+    with np.errstate(over="ignore"):
+        _fill(diagonals, kernels, np.zeros((1, len(touches))), square[None])
+    return diagonals[:, 0]
+
+
+def _squared_distances(left: Floats, right: Floats, product: Floats) -> Floats:
+    squared = -2 * product
+    squared += np.square(left).sum(axis=-1)[..., :, None]
+    squared += np.square(right).sum(axis=-1)[..., None, :]
+    return np.maximum(squared, 0, out=squared)
+
+
+def _fill(
+    stack: Floats, kernels: Sequence[Kernel], squared: Floats, product: Floats
+) -> None:
+    """Write each kernel to its place in `stack`, shape (..., n_kernels, n, m)."""
+    places = [stack[..., k, :, :] for k in range(len(kernels))]
+    _fill_gaussians(places, kernels, squared)
+    powers: dict[tuple[float, int], Floats] = {}
+    for place, kernel in zip(places, kernels, strict=True):
+        if isinstance(kernel, PolynomialKernel):
+            place[...] = _power(kernel.offset, kernel.degree, product, powers)
+        elif isinstance(kernel, LinearKernel):
+            place[...] = product
+
+
+def _fill_gaussians(
+    places: list[Floats], kernels: Sequence[Kernel], squared: Floats
+) -> None:
+    """Widest first: half the width is the fourth power, cheaper than exponentials.
+
+    A few in a row at most, since each time the rounding grows fourfold.
+    """
+    known: dict[float, tuple[Floats, int]] = {}
+    gaussians = [
+        (kernel.sigma, place)
+        for kernel, place in zip(kernels, places, strict=True)
+        if isinstance(kernel, GaussianKernel)
+    ]
+    for sigma, place in sorted(gaussians, key=lambda pair: -pair[0]):
+        wider, steps = known.get(2 * sigma, (None, _MOST_STEPS))
+        if wider is not None and steps < _MOST_STEPS:
+            np.multiply(wider, wider, out=place)
+            np.multiply(place, place, out=place)
+            known[sigma] = place, steps + 1
+        else:
+            np.multiply(squared, -0.5 / sigma**2, out=place)
+            np.exp(place, out=place)
+            known[sigma] = place, 0
+
+
+def _power(
+    offset: float, degree: int, product: Floats, known: dict[tuple[float, int], Floats]
+) -> Floats:
+    """(offset + product)^degree from the highest power already known."""
+    below = max((p for o, p in known if o == offset and p <= degree), default=0)
+    if below == 0:
+        known[offset, 1] = offset + product
+        below = 1
+    power, base = known[offset, below], known[offset, 1]
+    for _ in range(degree - below):
+        power = power * base
+    known[offset, degree] = power
+    return power
+
+
+class Bank(ABC):
+    """Kernels among training touches, however they are held."""
+
+    n_folds = 5
+    n_touches: int
+    scales: Floats
+
+    @property
+    @abstractmethod
+    def n_columns(self) -> int:
+        """Number of coefficients of a machine."""
+
+    @abstractmethod
+    def batch_size(self, n_touches: int) -> int:
+        """How many problems of that size to hold at a time."""
+
+    @abstractmethod
+    def system(self, index: Array, labels: Floats) -> Any:
+        """Return the kernels among the touches of each row of `index`."""
+
+    @abstractmethod
+    def machines(
+        self, system: Any, index: Array, solution: Solution
+    ) -> tuple[Floats, Floats]:
+        """Return coefficients (n_rows, n_columns) and bias (n_rows,)."""
+
+
+class DenseBank(Bank):
+    """Kernels among training touches, as whole matrices."""
+
+    normalize: str | None
+
+    @abstractmethod
+    def blocks(self, index: Array) -> Floats:
+        """Return the scaled kernels among the touches of each row of `index`.
+
+        Shape (n_rows, n_kernels, n_index, n_index).
+        """
+
+    @property
+    def n_columns(self) -> int:
+        """Coefficients of a machine: one per training touch."""
+        return self.n_touches
+
+    def batch_size(self, n_touches: int) -> int:
+        """How many problems of that size to hold at a time."""
+        per_problem = 8 * len(self.scales) * n_touches**2
+        return max(1, BLOCK_BYTES // per_problem)
+
+    def system(self, index: Array, labels: Floats) -> DenseKernels:
+        """Return the problems of the touches of each row of `index`."""
+        blocks = self.blocks(index)
+        if self.normalize == "trace":
+            # No kernel has a large constant part.
+            return DenseKernels(blocks, labels)
+        return DenseKernels.centred(blocks, labels)
+
+    def machines(
+        self, system: DenseKernels, index: Array, solution: Solution
+    ) -> tuple[Floats, Floats]:
+        """Return y a of each machine at the place of its touches, and its bias."""
+        placed = np.zeros((len(index), self.n_touches))
+        rows = np.arange(len(index))[:, None]
+        # Padding repeats a touch with nothing to add.
+        np.add.at(placed, (rows, index), system.labels * solution.alpha)
+        return placed, system.true_bias(solution)
+
+
+class FeatureBank(DenseBank):
+    """A bank of kernels over training touches.
+
+    Parameters
+    ----------
+    kernels : sequence of kernels
+    touches : ndarray of shape (n_touches, n_features)
+    normalize : {"trace", "variance", None}
+
+    Attributes
+    ----------
+    mean : ndarray of shape (n_features,)
+    scales : ndarray of shape (n_kernels,)
+        Factor on each kernel.
+    """
+
+    def __init__(
+        self, kernels: Sequence[Kernel], touches: Floats, normalize: str | None
+    ) -> None:
+        self.kernels, self.normalize = kernels, normalize
+        self.mean = touches.mean(axis=0)
+        self.centred = touches - self.mean
+        self.n_touches = len(touches)
+        diagonals = kernel_diagonals(kernels, self.centred, self.mean)
+        refuse_overflow(kernels, diagonals)
+        mean = self._mean_kernel() if normalize == "variance" else None
+        self.scales = kernel_scales(diagonals, mean, normalize)
+
+    def blocks(self, index: Array) -> Floats:
+        chosen = self.centred[index]
+        stack = kernel_stack(self.kernels, chosen, chosen, self.mean)
+        stack *= self.scales[:, None, None]
+        return stack
+
+    def _mean_kernel(self) -> Floats:
+        """Mean of each kernel matrix, shape (n_kernels,)."""
+        total = np.zeros(len(self.kernels))
+        for rows in row_blocks(len(self.centred), len(self.centred) * len(total)):
+            part = self.centred[rows]
+            stack = kernel_stack(self.kernels, part, self.centred, self.mean)
+            total += stack.sum(axis=(1, 2))
+        return total / len(self.centred) ** 2
+
+
+class GivenBank(DenseBank):
+    """Kernel matrices computed by someone else.
+
+    Parameters
+    ----------
+    stack : ndarray of shape (n_touches, n_touches, n_kernels)
+    normalize : {"trace", "variance", None}
+
+    Raises
+    ------
+    ValueError
+        For a matrix that is not symmetric or not positive semi-definite.
+    """
+
+    def __init__(self, stack: Floats, normalize: str | None) -> None:
+        self._values = np.ascontiguousarray(stack, dtype=np.float64)
+        rounding = _ROUNDING if stack.dtype == np.float64 else _COARSE_ROUNDING
+        # One at a time: copies of the whole stack would cost more than the checks.
+        for k in range(stack.shape[2]):
+            _refuse_not_a_kernel(self._values[:, :, k].copy("F"), k, rounding)
+        self.n_touches, self.normalize = len(stack), normalize
+        diagonals = np.einsum("iik->ki", self._values)
+        mean = self._values.mean(axis=(0, 1)) if normalize == "variance" else None
+        self.scales = kernel_scales(diagonals, mean, normalize)
+
+    def blocks(self, index: Array) -> Floats:
+        n_rows, n = index.shape
+        blocks = np.empty((n_rows, len(self.scales), n, n))
+        for block, row in zip(blocks, index, strict=True):
+            chosen = self._values[row[:, None], row]
+            np.multiply(chosen.transpose(2, 0, 1), self.scales[:, None, None], block)
+        return blocks
+
+
+def kernel_scales(
+    diagonals: Floats, mean: Floats | None, normalize: str | None
+) -> Floats:
+    """Return the factor on each kernel.
+
+    Parameters
+    ----------
+    diagonals : ndarray of shape (n_kernels, n_touches)
+    mean : ndarray of shape (n_kernels,), optional
+        Mean of each kernel matrix, for "variance".
+    normalize : {"trace", "variance", None}
+        One over the trace, one over the variance in feature space (mean of the
+        diagonal less mean of the matrix), or 1. A kernel without trace, or for
+        "variance" a constant one, tells no touches apart and gets 0.
+    """
+    if normalize is None:
+        return np.ones(len(diagonals))
+    size = diagonals.mean(axis=1)
+    if mean is None:
+        amount = diagonals.sum(axis=1)
+        says = amount > 0
+    else:
+        amount = size - mean
+        says = amount > _CONSTANT * np.abs(size)
+    return np.where(says, 1 / np.where(says, amount, 1), 0)
+
+
+def check_given(X: object, n_train: int | None = None) -> Floats:
+    """Return precomputed kernels as (n_touches, n_train, n_kernels), or explain."""
+    stack: Floats = check_array(
+        X, dtype=[np.float64, np.float32], allow_nd=True, input_name="X"
+    )
+    if stack.ndim == 2:
+        stack = stack[:, :, None]
+    if stack.ndim != 3 or 0 in stack.shape:
+        raise ValueError(
+            "Precomputed kernels must have shape (n_touches, n_train_touches, "
+            f"n_kernels), got {stack.shape}. Stack them with np.stack(..., axis=2)."
+        )
+    wanted = stack.shape[0] if n_train is None else n_train
+    if stack.shape[1] != wanted:
+        raise ValueError(
+            f"X has {stack.shape[1]} features, but MKLSVC is expecting {wanted} "
+            "features as input: precomputed kernels need a column per training touch."
+        )
+    return stack
+
+
+def check_same_kernels(stack: Floats, n_kernels: int) -> Floats:
+    """Return precomputed kernels if there are as many as were learnt."""
+    if stack.shape[2] != n_kernels:
+        raise ValueError(
+            f"X must hold the {n_kernels} kernels of the training touches, got "
+            f"{stack.shape[2]}. Stack the same kernels in the same order."
+        )
+    return stack
+
+
+def refuse_overflow(kernels: Sequence[Kernel], diagonals: Floats) -> None:
+    finite = np.isfinite(diagonals).all(axis=1)
+    if not finite.all():
+        raise ValueError(
+            "Kernels must be finite, got infinity from "
+            f"{kernels[int(finite.argmin())]}. Scale the features first, for example "
+            "with StandardScaler."
+        )
+
+
+def _refuse_not_a_kernel(matrix: Floats, k: int, rounding: float) -> None:
+    """Raise if kernel `k` is not symmetric or not positive semi-definite."""
+    if not (matrix == matrix.T).all():
+        skew = np.abs(matrix - matrix.T).max()
+        if skew > rounding * np.abs(matrix).max():
+            raise ValueError(
+                "Precomputed kernels must be symmetric, got a difference of "
+                f"{skew:.3g} across the diagonal of kernel {k}. Pass (K + K.T) / 2."
+            )
+    trace = np.abs(matrix.diagonal()).sum()
+    lifted = matrix.copy("F")
+    # A matrix of zeros has no trace, and is a kernel all the same.
+    lifted.ravel("F")[:: len(matrix) + 1] += rounding * trace if trace else 1.0
+    _, failed = dpotrf(lifted, lower=1, clean=0, overwrite_a=1)
+    if failed:
+        lowest = np.linalg.eigvalsh(matrix)[0]
+        raise ValueError(
+            "Precomputed kernels must be positive semi-definite, got an eigenvalue "
+            f"of {lowest:.3g} in kernel {k}. Clip its eigenvalues at zero."
+        )

@@ -1,0 +1,383 @@
+"""Kernels through landmarks, for very many touches.
+
+Each kernel is replaced by its Nystroem approximation from the same few landmarks:
+features whose inner products are the kernel as the landmarks see it. The problem
+stays the same, and time and memory grow linearly with the touches. With every touch a
+landmark, the machine is the exact one.
+
+The hyperplane is its normal vector in the space of the features, so Newton's step has
+one row per feature and not one per touch; touches are only gone through, in blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Self
+
+import numpy as np
+from numpy.random import RandomState
+from scipy.linalg import eigh
+
+from ..._types import Array, Floats
+from ._dense import DenseKernels, cholesky_solver
+from ._kernels import (
+    Bank,
+    Kernel,
+    kernel_diagonals,
+    kernel_scales,
+    kernel_stack,
+    refuse_overflow,
+)
+from ._problem import (
+    Point,
+    Solution,
+    Task,
+    View,
+    balanced,
+    norms,
+    row_blocks,
+    without_small,
+)
+
+# Directions of a kernel below this share of its largest are rounding.
+_RANK_TOLERANCE = 1e-10
+# Features of up to this size are kept; larger ones are computed again block by block.
+_KEPT_BYTES = 2**30
+# Touches per feature from which on margins cannot all be met.
+_CROWD = 3
+
+Blocks = Callable[[], Iterator[tuple[slice, Floats]]]
+
+
+class LandmarkFeatures:
+    """Nystroem features of several kernels, from one matrix of distances.
+
+    Parameters
+    ----------
+    kernels : sequence of kernels
+    landmarks : ndarray of shape (n_landmarks, n_features)
+        Less `mean`.
+    mean : ndarray of shape (n_features,)
+    maps : list of ndarray of shape (n_landmarks, rank)
+        From kernel values at the landmarks to features, one per kernel.
+    """
+
+    def __init__(
+        self,
+        kernels: Sequence[Kernel],
+        landmarks: Floats,
+        mean: Floats,
+        maps: list[Floats],
+    ) -> None:
+        self.kernels, self.landmarks = kernels, landmarks
+        self.mean, self.maps = mean, maps
+        self.ranks = [one.shape[1] for one in maps]
+
+    def __call__(self, centred: Floats) -> Floats:
+        """Return features, shape (n_touches, sum of ranks), kernel by kernel."""
+        stack = kernel_stack(self.kernels, centred, self.landmarks, self.mean)
+        both = zip(stack, self.maps, strict=True)
+        return np.concatenate([kernel @ one for kernel, one in both], axis=1)
+
+    def blocks(self, centred: Floats) -> Iterator[tuple[slice, Floats]]:
+        """Yield slices of touches and their features, a few at a time."""
+        per_kernel = len(self.landmarks) * (len(self.kernels) + 2)
+        for rows in row_blocks(len(centred), per_kernel + 2 * sum(self.ranks)):
+            yield rows, self(centred[rows])
+
+
+class NystroemBank(Bank):
+    """A bank of approximate kernels over training touches.
+
+    Parameters
+    ----------
+    kernels : sequence of kernels
+    touches : ndarray of shape (n_touches, n_features)
+    normalize : {"trace", "variance", None}
+    n_landmarks : int
+        Landmarks, drawn from the touches without replacement.
+    random : RandomState
+    """
+
+    n_folds = 1
+
+    def __init__(
+        self,
+        kernels: Sequence[Kernel],
+        touches: Floats,
+        normalize: str | None,
+        n_landmarks: int,
+        random: RandomState,
+    ) -> None:
+        self.kernels, self.n_touches = kernels, len(touches)
+        self.mean = touches.mean(axis=0)
+        self.centred = touches - self.mean
+        diagonals = kernel_diagonals(kernels, self.centred, self.mean)
+        refuse_overflow(kernels, diagonals)
+        drawn = random.permutation(self.n_touches)[:n_landmarks]
+        landmarks = self.centred[np.sort(drawn)]
+        stack = kernel_stack(kernels, landmarks, landmarks, self.mean)
+        maps = [_whitening(kernel) for kernel in stack]
+        self.features = LandmarkFeatures(kernels, landmarks, self.mean, maps)
+        mean = self._mean_kernel() if normalize == "variance" else None
+        self.scales = kernel_scales(diagonals, mean, normalize)
+        for one, scale in zip(maps, self.scales, strict=True):
+            one *= np.sqrt(scale)
+
+    @property
+    def n_columns(self) -> int:
+        """Coefficients of a machine: one per feature."""
+        return sum(self.features.ranks)
+
+    def batch_size(self, n_touches: int) -> int:
+        """One problem at a time."""
+        return 1
+
+    def system(self, index: Array, labels: Floats) -> LowRankKernels | DenseKernels:
+        """Return one problem, by features or, where it is small, by matrices."""
+        centred, ranks = self.centred[index[0]], self.features.ranks
+        n_bytes = 8 * len(centred) * self.n_columns
+        if n_bytes > _KEPT_BYTES:
+            return self._again_and_again(centred, labels)
+        features = np.empty((len(centred), self.n_columns))
+        for rows, part in self.features.blocks(centred):
+            features[rows] = part
+        mean = features.mean(axis=0)
+        features -= mean
+        if len(centred) <= self.n_columns and len(ranks) * n_bytes <= _KEPT_BYTES:
+            parts = np.split(features, np.cumsum(ranks)[:-1], axis=1)
+            stack = np.stack([part @ part.T for part in parts])
+            return DenseKernels(stack[None], labels)
+
+        def blocks() -> Iterator[tuple[slice, Floats]]:
+            for rows in row_blocks(len(features), 2 * len(mean)):
+                yield rows, features[rows]
+
+        return LowRankKernels(blocks, mean, ranks, labels)
+
+    def _again_and_again(self, centred: Floats, labels: Floats) -> LowRankKernels:
+        """A problem whose features are computed whenever they are asked for."""
+        total = np.zeros(self.n_columns)
+        for _, part in self.features.blocks(centred):
+            total += part.sum(axis=0)
+        mean = total / len(centred)
+
+        def blocks() -> Iterator[tuple[slice, Floats]]:
+            for rows, part in self.features.blocks(centred):
+                yield rows, part - mean
+
+        return LowRankKernels(blocks, mean, self.features.ranks, labels)
+
+    def machines(
+        self,
+        system: LowRankKernels | DenseKernels,
+        index: Array,
+        solution: Solution,
+    ) -> tuple[Floats, Floats]:
+        """Return the normal vector (1, n_columns) and the bias (1,)."""
+        if isinstance(system, LowRankKernels):
+            return solution.normal, system.true_bias(solution)
+        signed = (system.labels * solution.alpha)[0]
+        features = self.features(self.centred[index[0]])
+        weights = np.repeat(solution.weights[0], self.features.ranks)
+        normal = (weights * (signed @ features))[None]
+        return normal, solution.bias - normal @ features.mean(axis=0)
+
+    def _mean_kernel(self) -> Floats:
+        """Mean of each approximate kernel matrix: the squared mean feature."""
+        total = np.zeros(self.n_columns)
+        for _, part in self.features.blocks(self.centred):
+            total += part.sum(axis=0)
+        ends = np.cumsum(self.features.ranks)
+        starts = ends - self.features.ranks
+        squared: Floats = np.add.reduceat((total / self.n_touches) ** 2, starts)
+        return squared
+
+
+def _whitening(kernel: Floats) -> Floats:
+    """Return W with W W' the inverse of the kernel on its own directions."""
+    values, vectors = eigh(kernel)
+    real = values > _RANK_TOLERANCE * max(values[-1], np.finfo(float).tiny)
+    if not real.any():
+        return np.zeros((len(kernel), 1))
+    whitening: Floats = vectors[:, real] / np.sqrt(values[real])
+    return whitening
+
+
+class LowRankKernels:
+    """Kernels of one problem as inner products of features.
+
+    Parameters
+    ----------
+    blocks : callable
+        Goes through the touches once: pairs of a slice and the features of those
+        touches, of shape (n_in_slice, n_columns), less `mean`.
+    mean : ndarray of shape (n_columns,)
+        Mean feature, taken out because it only adds to the bias.
+    ranks : sequence of int
+        Columns of each kernel, in order.
+    labels : ndarray of shape (1, n_touches)
+        +1, -1, or 0 for touches that take no part.
+    """
+
+    def __init__(
+        self, blocks: Blocks, mean: Floats, ranks: Sequence[int], labels: Floats
+    ) -> None:
+        self._blocks, self._mean, self.labels = blocks, mean, labels
+        self.ranks = np.asarray(ranks)
+        ends = np.cumsum(self.ranks)
+        self.slices = [slice(e - r, e) for e, r in zip(ends, self.ranks, strict=True)]
+        self.crowded = labels.shape[1] > _CROWD * len(mean)
+
+    @property
+    def n_kernels(self) -> int:
+        return len(self.slices)
+
+    def pulls(self, alpha: Floats) -> Floats:
+        return self.gather((self.labels * alpha)[0])[None]
+
+    def normal(self, task: Task, point: Point) -> Floats:
+        weights = np.repeat(task.weights(point), self.ranks, axis=1)
+        normal: Floats = weights * point.pulls
+        return normal
+
+    def view(self, task: Task, point: Point) -> View:
+        pull = self.gather((self.labels * point.alpha)[0])
+        normal = self.normal(task, point)[0]
+        missing = task.real - self.labels * (self.spread(normal) + point.bias[0])
+        lengths = self.lengths(normal)
+        square = 0.5 * norms(lengths[None], 2 * task.norm / (task.norm + 1)) ** 2
+        energies = 0.5 * self.lengths(pull)[None] ** 2
+        return View(energies, missing, square, pull[None])
+
+    def newton(self, task: Task, point: Point, view: View) -> PrimalNewton:
+        return PrimalNewton(self, task, point, view)
+
+    def settled(self, task: Task, point: Point, share: float) -> Point:
+        """Take the shares that suit the normal vector best."""
+        n, left, free = point.n_touches, point.left.copy(), point.free.copy()
+        left[:, :n] = balanced(self.labels, point.alpha)
+        normal, power = self.normal(task, point), 2 * task.norm / (task.norm + 1)
+        shares = self.lengths(normal[0])[None] ** power
+        shares[shares.sum(axis=1) == 0] = 1
+        left[:, 2 * n :] = without_small(shares, share**task.norm)
+        settled = Point(left, point.right, free, n)
+        weights = task.weights(settled)
+        inverse = np.where(weights > 0, 1 / np.where(weights > 0, weights, 1), 0)
+        free[:, 2:] = normal * np.repeat(inverse, self.ranks, axis=1)
+        return settled
+
+    def decisions(self, solution: Solution) -> Floats:
+        """Return the decisions about all touches, also where the label is 0."""
+        return self.spread(solution.normal[0])[None] + solution.bias[:, None]
+
+    def true_bias(self, solution: Solution) -> Floats:
+        """Return the bias that belongs to the features as they were."""
+        bias: Floats = solution.bias - solution.normal @ self._mean
+        return bias
+
+    def with_labels(self, labels: Floats) -> Self:
+        """Return the same kernels with some labels set to 0."""
+        return type(self)(self._blocks, self._mean, self.ranks.tolist(), labels)
+
+    def take(self, keep: Array) -> Self:
+        if len(keep) != 1 or not np.asarray(keep).all():
+            raise IndexError("A low-rank system holds one problem.")
+        return self
+
+    def lengths(self, columns: Floats) -> Floats:
+        """Return the length of each kernel's part of a vector over the columns."""
+        return np.array([np.linalg.norm(columns[part]) for part in self.slices])
+
+    def gather(self, values: Floats) -> Floats:
+        """Return features' times one value per touch."""
+        total = np.zeros(len(self._mean))
+        for rows, block in self._blocks():
+            total += block.T @ values[rows]
+        return total
+
+    def spread(self, columns: Floats) -> Floats:
+        """Return features times one value per column."""
+        return np.concatenate([block @ columns for _, block in self._blocks()])
+
+    def gram(self, ease: Floats) -> Floats:
+        """Return [features, 1]' diag(ease) [features, 1]."""
+        n_columns = len(self._mean)
+        gram = np.zeros((n_columns + 1, n_columns + 1))
+        for rows, block in self._blocks():
+            root = np.sqrt(ease[rows])[:, None]
+            scaled = np.concatenate([block * root, root], axis=1)
+            gram += scaled.T @ scaled
+        return gram
+
+
+class PrimalNewton:
+    """The optimality conditions at one point, linearised and factorised once.
+
+    Multipliers, pulls, shares and their level are eliminated by hand, which leaves
+    the normal vector and the bias. The normal vector is weights times pulls, so a
+    step of it is divided between the two: weights take what is along their pull.
+    """
+
+    def __init__(
+        self, system: LowRankKernels, task: Task, point: Point, view: View
+    ) -> None:
+        self._system, self._point, self._labels = system, point, task.labels[0]
+        n, pulls = point.n_touches, point.pulls[0]
+        self._weights = task.weights(point)[0]
+        slope, bend = (part[0] for part in task.slopes(point))
+        self._ratio = point.right / point.left
+        self._ease = 1 / (self._ratio[0, :n] + self._ratio[0, n : 2 * n])
+        self._lean = pulls * self._per_column(slope / self._weights)
+        energies = 0.5 * system.lengths(pulls) ** 2
+        stiffness = self._ratio[0, 2 * n :] - bend * energies
+        self._gain = 1 / (stiffness + 2 * slope**2 * energies / self._weights)
+        # What the optimality conditions lack, besides the products.
+        self._missing = (view.missing - point.errors + point.right[:, :n])[0]
+        self._imbalance = self._labels @ point.alpha[0]
+        self._excess = point.level[0] - slope * energies - point.slack[0]
+        self._surplus = point.shares.sum() - 1
+        self._apart = view.pull[0] - pulls
+        self._solve = cholesky_solver(self._matrix())
+
+    def _per_column(self, per_kernel: Floats) -> Floats:
+        return np.repeat(per_kernel, self._system.ranks)
+
+    def _matrix(self) -> Floats:
+        matrix = self._system.gram(self._ease * np.abs(self._labels))
+        diagonal = np.arange(len(self._lean))
+        matrix[diagonal, diagonal] += self._per_column(1 / self._weights)
+        for gain, part in zip(self._gain, self._system.slices, strict=True):
+            lean = self._lean[part]
+            matrix[part, part] -= np.outer(gain * lean, lean)
+        tilt = self._per_column(self._gain) * self._lean
+        matrix[:-1, :-1] += np.outer(tilt / self._gain.sum(), tilt)
+        return matrix
+
+    def direction(self, target: Floats) -> Point:
+        """Return the step that changes the products of left and right by `target`."""
+        point, n, system = self._point, self._point.n_touches, self._system
+        wanted = target / point.left
+        push = wanted[0, 2 * n :] - self._excess
+        short = self._missing + wanted[0, :n] - wanted[0, n : 2 * n]
+        eased = self._labels * self._ease * short
+        right = np.empty(len(self._lean) + 1)
+        right[:-1] = self._apart + self._lean * self._per_column(self._yield(push)[0])
+        right[:-1] += system.gather(eased)
+        right[-1] = eased.sum() + self._imbalance
+        solved = self._solve(right[:, None])[:, 0]
+        normal, bias = solved[:-1], solved[-1]
+        moved = self._labels * (system.spread(normal) + bias)
+        alpha = self._ease * (short - moved)
+        push += np.array([self._lean[p] @ normal[p] for p in system.slices])
+        shares, level = self._yield(push)
+        pulls = normal / self._per_column(self._weights)
+        pulls -= self._lean * self._per_column(shares)
+        left = np.concatenate([alpha, -alpha, shares])[None]
+        free = np.concatenate([[bias, level], pulls])[None]
+        return Point(left, wanted - self._ratio * left, free, n)
+
+    def _yield(self, push: Floats) -> tuple[Floats, float]:
+        """Return the step of the shares, and of their level, that `push` brings."""
+        level = (self._gain @ push + self._surplus) / self._gain.sum()
+        return self._gain * (push - level), float(level)

@@ -1,0 +1,247 @@
+"""From the decisions of all pairs of classes to votes and to probabilities.
+
+A positive decision of a pair speaks for its second class. Votes decide the label; for
+probabilities each pair gets a sigmoid, fitted to decisions about touches that were
+left out, and the pairs are coupled into one distribution.
+"""
+
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.special import expit, log_softmax, softmax
+
+from ..._types import Array, Floats
+from ._problem import row_blocks
+
+_NEWTON_STEPS = 50
+# No pair is surer than this.
+_SUREST = 1e-7
+
+
+def all_pairs(n_classes: int) -> NDArray[np.int64]:
+    """Return the pairs of classes (first, second), shape (n_pairs, 2)."""
+    return np.stack(np.triu_indices(n_classes, 1), axis=1)
+
+
+def vote(decisions: Floats, pairs: Array, n_classes: int) -> Floats:
+    """Return votes per class plus, below half a vote, how clear the decisions were.
+
+    Parameters
+    ----------
+    decisions : ndarray of shape (n_touches, n_pairs)
+    pairs : ndarray of shape (n_pairs, 2)
+    n_classes : int
+
+    Returns
+    -------
+    ndarray of shape (n_touches, n_classes)
+        A decision of exactly zero gives half a vote to either class. Equal votes
+        are told apart by the sum of the decisions in favour.
+    """
+    signed = np.zeros((len(pairs), n_classes))
+    signed[np.arange(len(pairs)), pairs[:, 0]] = -1
+    signed[np.arange(len(pairs)), pairs[:, 1]] = 1
+    votes = (np.sign(decisions) @ signed + n_classes - 1) / 2
+    clear = decisions @ signed
+    clarified: Floats = votes + clear / (3 * (np.abs(clear) + 1))
+    return clarified
+
+
+def fit_sigmoids(scores: Floats, labels: Floats) -> Floats:
+    """Fit P(label +1) = 1 / (1 + exp(-(slope * score + offset))) to each row.
+
+    Parameters
+    ----------
+    scores : ndarray of shape (n_pairs, n_touches)
+        Decisions about touches that were left out.
+    labels : ndarray of shape (n_pairs, n_touches)
+        +1, -1, or 0 for padding; both occur in each row.
+
+    Returns
+    -------
+    ndarray of shape (n_pairs, 2)
+        Slope and offset. The slope is never negative: decisions that are wrong
+        more often than right say nothing.
+
+    References
+    ----------
+    .. [1] H.-T. Lin, C.-J. Lin and R. C. Weng, "A note on Platt's probabilistic
+       outputs for support vector machines", Mach. Learn. 68, 2007.
+       doi:10.1007/s10994-007-5018-6
+    """
+    counted = np.abs(labels)
+    n_plus = (labels > 0).sum(axis=1, keepdims=True)
+    n_minus = (labels < 0).sum(axis=1, keepdims=True)
+    target = np.where(labels > 0, (n_plus + 1) / (n_plus + 2), 1 / (n_minus + 2))
+    unit = np.sqrt((counted * scores**2).sum(axis=1) / counted.sum(axis=1))
+    unit = np.where(unit > 0, unit, 1)[:, None]
+    inputs = np.stack([scores / unit, np.ones_like(scores)], axis=2)
+    prior = np.log((n_plus + 1) / (n_minus + 1))
+    sigmoid: Floats = np.concatenate([np.zeros_like(prior), prior], axis=1)
+    for _ in range(_NEWTON_STEPS):
+        step = _newton_step(sigmoid, inputs, target, counted)
+        sigmoid = _shortened(sigmoid, step, inputs, target, counted)
+        if np.abs(step).max() < 1e-9:
+            break
+    useless = ~(sigmoid[:, 0] > 0)
+    sigmoid[useless] = np.stack([np.zeros_like(prior), prior], axis=1)[useless, :, 0]
+    sigmoid[:, 0] /= unit[:, 0]
+    return sigmoid
+
+
+def _newton_step(
+    sigmoid: Floats, inputs: Floats, target: Floats, counted: Floats
+) -> Floats:
+    chance = expit((inputs @ sigmoid[:, :, None])[:, :, 0])
+    gradient = (counted * (chance - target))[:, None, :] @ inputs
+    curvature = (counted * chance * (1 - chance))[:, :, None] * inputs
+    hessian = inputs.transpose(0, 2, 1) @ curvature + 1e-10 * np.eye(2)
+    step = np.linalg.solve(hessian, -gradient.transpose(0, 2, 1))[:, :, 0]
+    return cast(Floats, step)
+
+
+def _shortened(
+    sigmoid: Floats, step: Floats, inputs: Floats, target: Floats, counted: Floats
+) -> Floats:
+    """Halve the step of each row until the loss no longer rises."""
+
+    def loss(at: Floats) -> Floats:
+        z = (inputs @ at[:, :, None])[:, :, 0]
+        shortened: Floats = (counted * (np.logaddexp(0, z) - target * z)).sum(axis=1)
+        return shortened
+
+    before = loss(sigmoid)
+    length = np.ones((len(sigmoid), 1))
+    for _ in range(20):
+        worse = loss(sigmoid + length * step) > before + 1e-12 * np.abs(before)
+        if not worse.any():
+            break
+        length[worse] *= 0.5
+    return sigmoid + length * step
+
+
+def couple(decisions: Floats, sigmoids: Floats, pairs: Array) -> Floats:
+    """Return one distribution over classes per touch, (n_touches, n_classes).
+
+    The probabilities p minimise sum over pairs of (r_ji p_i - r_ij p_j)^2, with
+    r_ij what the sigmoid of the pair says for class i.
+
+    References
+    ----------
+    .. [1] T.-F. Wu, C.-J. Lin and R. C. Weng, "Probability estimates for
+       multi-class classification by pairwise coupling", J. Mach. Learn. Res. 5,
+       2004.
+    """
+    n_classes = int(pairs.max()) + 1
+    second = expit(decisions * sigmoids[:, 0] + sigmoids[:, 1])
+    second = second.clip(_SUREST, 1 - _SUREST)
+    if n_classes == 2:
+        return np.concatenate([1 - second, second], axis=1)
+    chances = np.empty((len(second), n_classes))
+    for rows in row_blocks(len(second), 3 * (n_classes + 1) ** 2):
+        chances[rows] = _couple(second[rows], pairs, n_classes)
+    return chances
+
+
+def _couple(second: Floats, pairs: Array, n_classes: int) -> Floats:
+    """Couple a block of touches; `second` is the chance of each second class."""
+    n_touches, (i, j) = len(second), pairs.T
+    system = np.zeros((n_touches, n_classes + 1, n_classes + 1))
+    system[:, i, j] = system[:, j, i] = -second * (1 - second)
+    against = np.zeros((n_touches, n_classes, n_classes))
+    against[:, i, j], against[:, j, i] = second, 1 - second
+    each = np.arange(n_classes)
+    system[:, each, each] = (against**2).sum(axis=2)
+    system[:, n_classes, :n_classes] = system[:, :n_classes, n_classes] = 1
+    right = np.zeros((n_classes + 1, 1))
+    right[n_classes] = 1
+    solved = np.linalg.solve(system, right)[:, :n_classes, 0]
+    solved = np.maximum(solved, 0)
+    shares: Floats = solved / solved.sum(axis=1, keepdims=True)
+    return shares
+
+
+def put_left_out(
+    decisions: Floats, left_out: Floats, codes: Array, pairs: Array
+) -> None:
+    """Replace decisions by those of machines that did not learn the touch.
+
+    Parameters
+    ----------
+    decisions : ndarray of shape (n_touches, n_pairs)
+        Overwritten for the pairs of each touch's own class.
+    left_out : ndarray of shape (n_touches, n_classes)
+        Decision between the touch's class and each other one.
+    codes : ndarray of int of shape (n_touches,)
+        Class of each touch.
+    pairs : ndarray of shape (n_pairs, 2)
+    """
+    for number, (first, second) in enumerate(pairs):
+        for own, other in ((first, second), (second, first)):
+            mine = codes == own
+            decisions[mine, number] = left_out[mine, other]
+
+
+def fit_temperature(chances: Floats, codes: Array) -> float:
+    """Return the power of coupled probabilities with the least log loss.
+
+    Pairs of few touches are cautious, and coupling many of them more so; one power
+    for all classes, fitted to touches that were left out, makes up for it.
+
+    Parameters
+    ----------
+    chances : ndarray of shape (n_touches, n_classes)
+    codes : ndarray of int of shape (n_touches,)
+        The true classes. One touch in n + 2 is taken to be any other, so that
+        touches that are all recognised do not make the power infinite.
+    """
+    if not len(chances):
+        return 1.0
+    logs = np.log(np.maximum(chances, np.finfo(float).tiny))
+    target = np.zeros_like(logs)
+    target[np.arange(len(codes)), codes] = 1
+    doubt = 1 / (len(codes) + 2)
+    target = (1 - doubt) * target + doubt * (1 - target) / (logs.shape[1] - 1)
+
+    def loss(log_power: float) -> float:
+        return float(-(target * log_softmax(np.exp(log_power) * logs, axis=1)).sum())
+
+    return float(np.exp(minimize_scalar(loss, bounds=(-3, 3), method="bounded").x))
+
+
+def sharpen(chances: Floats, power: float) -> Floats:
+    """Raise probabilities to a power and let them sum to one again."""
+    logs = np.log(np.maximum(chances, np.finfo(float).tiny))
+    sharpened: Floats = softmax(power * logs, axis=1)
+    return sharpened
+
+
+def side_with_votes(probabilities: Floats, winners: Array) -> Floats:
+    """Move probabilities as little as possible so that the winner has the largest.
+
+    Where coupling and votes disagree, the winner and the classes above it share
+    their mean (the nearest distribution, by squares, that agrees with the votes).
+    """
+    rows = np.arange(len(winners))
+    chance = probabilities.copy()
+    order = np.argsort(-chance, axis=1)
+    falling = np.take_along_axis(chance, order, axis=1)
+    mine = chance[rows, winners]
+    counts = np.arange(1, chance.shape[1] + 1)
+    shared = (np.cumsum(falling, axis=1) + mine[:, None]) / (counts + 1)
+    above = falling > mine[:, None]
+    # Classes join the winner from the top while they are above the mean so far.
+    before = np.concatenate([mine[:, None], shared[:, :-1]], axis=1)
+    joins = np.logical_and.accumulate(above & (falling > before), axis=1)
+    n_joined = joins.sum(axis=1)
+    changed = n_joined > 0
+    level = shared[rows, np.maximum(n_joined - 1, 0)]
+    joined = np.zeros_like(joins)
+    np.put_along_axis(joined, order, joins, axis=1)
+    chance = np.where(joined, level[:, None], chance)
+    # A hair more, so that the winner is the largest for whoever looks.
+    chance[rows[changed], winners[changed]] = level[changed] * (1 + 1e-9)
+    sided: Floats = chance / chance.sum(axis=1, keepdims=True)
+    return sided

@@ -1,0 +1,86 @@
+"""What the verbs with a live sensor share: its options, opening it, its baseline."""
+
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ._options import NamePattern, NoContact, option
+
+if TYPE_CHECKING:
+    from ..sensors import LiveSensor
+    from ..web import LiveSession
+
+ADDRESS = (
+    "camera:NAME, serial:PORT, replay:PATH or sim:OBJECT, with options as in "
+    "'camera:USB Camera?shape=480x640&rate=30'."
+)
+SensorAddress = Annotated[str, option("--sensor", ADDRESS)]
+Summary = Annotated[
+    str,
+    option(
+        "--summary",
+        'What stands for a touch: "peak", the frame of greatest change, or '
+        '"mean" over the hold.',
+    ),
+]
+Patience = Annotated[
+    float, option("--timeout", "Give up after so long without a touch.")
+]
+
+
+@dataclass(frozen=True)
+class SensorOptions:
+    """Options of a sensor beside its address, named as the sensor names them."""
+
+    image_shape: Annotated[
+        str | None,
+        option("--shape", "Rows x columns of an array (16x16) or a camera (480x640)."),
+    ] = None
+    rate_hz: Annotated[
+        float | None, option("--rate", "Frames per second, where chosen.")
+    ] = None
+    baud: Annotated[
+        int | None, option("--baud", "Bits per second of a serial port.")
+    ] = None
+    framing: Annotated[
+        str | None,
+        option("--framing", 'How a serial array writes: "line" or "binary".'),
+    ] = None
+    checksum: Annotated[
+        bool | None,
+        option(
+            "--checksum/--no-checksum",
+            "Refuse serial lines without a checksum. Default: refuse.",
+        ),
+    ] = None
+    hold: Annotated[
+        int | None,
+        option("--hold", "Frames that a replayed or simulated touch is held."),
+    ] = None
+    gap: Annotated[
+        int | None, option("--gap", "Frames of nothing between two such touches.")
+    ] = None
+    place: Annotated[
+        str | None,
+        option("--place", "What lies before a replayed or simulated sensor at first."),
+    ] = None
+    name_pattern: NamePattern = None
+    no_contact: NoContact = None
+
+    def open(self, address: str) -> "LiveSensor":
+        """Return the sensor at an address; it is not connected yet."""
+        from ..sensors import AddressError, open_sensor
+
+        try:
+            return open_sensor(address, **vars(self))
+        except AddressError as error:
+            raise typer.BadParameter(str(error)) from error
+
+
+def need_baseline(session: "LiveSession") -> None:
+    """Take the frame of no contact where the sensor does not know it."""
+    if session.baseline is None:
+        print("Leave the sensor alone: taking its baseline.", file=sys.stderr)
+        session.take_baseline()

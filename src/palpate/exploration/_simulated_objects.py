@@ -1,0 +1,287 @@
+"""Simulated objects before the simulated arm: put down, touched, and learnt.
+
+To learn, as in Corradi 2015, each object is put down on its usual face, several
+times, and touched from random points of the hemisphere each time. How it is turned is
+known to the teacher, so the places and directions of touches are in the object's own
+frame, as a `TouchMap` wants them.
+"""
+
+from collections.abc import Container, Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from .._checks import check_count, check_number
+from .._parallel import in_parallel
+from .._types import Floats
+from ..sensors import SimulatedBench, SimulatedSensor
+from ..simulation import (
+    HOUSEHOLD,
+    DomeCamera,
+    PlacedObject,
+    SensorPose,
+    SimObject,
+    refuse_same_names,
+)
+from ..touches import Touches
+from ._episode import gather
+from ._guarded import Guard, guarded_touch
+from ._record import TouchRecord, as_touches
+from ._robot import MissingFrames, SimulatedRobot
+from ._strategies import Hemisphere, RandomHemisphere
+
+# Twice the default step in the air: half the time to simulate. The rigid edge met
+# after such a step answers with 4 N (`housing_n_mm`), so the limit is above that.
+QUICK_GUARD = Guard(air_step_mm=2.0, limit_n=5.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """What is needed to touch one simulated object.
+
+    Attributes
+    ----------
+    thing : SimObject
+        What stands there.
+    hemisphere : Hemisphere
+        About where its middle should be.
+    robot, sensor : SimulatedRobot, SimulatedSensor
+        The arm, above the object at first, and the dome it carries.
+    """
+
+    thing: SimObject
+    hemisphere: Hemisphere
+    robot: SimulatedRobot
+    sensor: SimulatedSensor
+
+    def touch(self, start: SensorPose, guard: Guard | None = None) -> TouchRecord:
+        """Go round the object to a pose on the hemisphere and touch from there."""
+        for waypoint in self.hemisphere.way(self.robot.read_pose(), start):
+            self.robot.move_to(waypoint)
+        clock = self.robot.clock
+        return guarded_touch(self.robot, self.sensor, start, guard, clock=clock)
+
+
+def put_down(
+    thing: SimObject,
+    camera: DomeCamera | None = None,
+    *,
+    face: int = 0,
+    yaw_rad: float = 0.0,
+    placement_sd_mm: float = 5.0,
+    random_state: int = 0,
+    faults: Mapping[int, str] = MappingProxyType({}),
+    missing: Container[int] = (),
+) -> Stand:
+    """Put an object down before a simulated arm, not quite where it should be.
+
+    Parameters
+    ----------
+    thing : SimObject
+        What to put down; one with a surface.
+    camera : DomeCamera, optional
+        The dome, see `SimulatedBench`.
+    face : int, default=0
+        Which of its `resting_rotations` it rests in.
+    yaw_rad : float, default=0.0
+        How it is turned about the vertical.
+    placement_sd_mm : float, default=5.0
+        How far from the centre of the hemisphere it is put, along x and y each.
+    random_state : int, default=0
+        Same number, same place and noise.
+    faults, missing
+        What fails, see `SimulatedRobot` and `SimulatedSensor`.
+
+    Raises
+    ------
+    ValueError
+        `face` is none of its faces, or it does not fit into the hemisphere.
+    """
+    n_faces = len(thing.resting_rotations)
+    if check_count("face", face, at_least=0) >= n_faces:
+        raise ValueError(
+            f"face must be below {n_faces}, the poses in which {thing.name!r} rests, "
+            f"got {face}."
+        )
+    check_number("placement_sd_mm", placement_sd_mm, low=0.0)
+    rng = np.random.default_rng(random_state)
+    placed = PlacedObject.resting(thing, face, yaw_rad)
+    x, y, z = placed.centre_mm
+    aside = np.array([*rng.normal(0, placement_sd_mm, 2), 0.0])
+    place = np.asarray(placed.position_mm) + aside
+    moved = PlacedObject(thing, placed.rotation, yaw_rad, place)
+    seeds = [int(seed) for seed in rng.integers(2**31, size=3)]
+    bench = SimulatedBench(moved, camera, random_state=seeds[0])
+    hemisphere = Hemisphere((float(x), float(y), float(z)))
+    _refuse_outside(placed, hemisphere)
+    home = hemisphere.pose(0.0, np.pi / 2)
+    robot = SimulatedRobot(bench, home, random_state=seeds[1], faults=faults)
+    lost = MissingFrames(robot, missing)
+    sensor = SimulatedSensor(bench, random_state=seeds[2], missing=lost)
+    return Stand(thing, hemisphere, robot, sensor)
+
+
+def _refuse_outside(placed: PlacedObject, hemisphere: Hemisphere) -> None:
+    """Refuse what reaches out of the hemisphere: the arm would begin inside it."""
+    reach = float(np.linalg.norm(np.ptp(placed.bounds_mm, axis=0))) / 2
+    if reach >= hemisphere.radius_mm:
+        raise ValueError(
+            f"thing must fit into a hemisphere of {hemisphere.radius_mm:g} mm, got "
+            f"{placed.thing.name!r}, which reaches {reach:.0f} mm from its middle. Is "
+            "its unit right?"
+        )
+
+
+def explore_to_learn(
+    things: Iterable[SimObject] = HOUSEHOLD,
+    n_touches: int = 60,
+    camera: DomeCamera | None = None,
+    *,
+    n_sessions: int = 3,
+    turned: bool = False,
+    drift: bool = False,
+    placement_sd_mm: float = 5.0,
+    guard: Guard = QUICK_GUARD,
+    folder: str | Path | None = None,
+    random_state: int = 0,
+    n_jobs: int | None = None,
+    progress: bool | None = False,
+) -> Touches:
+    """Touch simulated objects with the simulated arm, to learn them.
+
+    Parameters
+    ----------
+    things : iterable of SimObject, default=HOUSEHOLD
+        What to touch; their names differ.
+    n_touches : int, default=60
+        Touches of each object; approaches that find nothing are not counted.
+    camera : DomeCamera, optional
+        The dome, see `SimulatedBench`.
+    n_sessions : int, default=3
+        How often each object is put down anew.
+    turned : bool, default=False
+        Whether it is turned anew about the vertical each time.
+    drift : bool, default=False
+        Whether exposure and place of the picture change between sessions, see
+        `DomeCamera.drifted`.
+    placement_sd_mm : float, default=5.0
+        See `put_down`.
+    guard : Guard, default=QUICK_GUARD
+        How touches are made.
+    folder : path, optional
+        Where to keep the attempts, an episode for each time an object is put down:
+        what was begun there goes on. Of one that holds more touches, the first are
+        taken.
+    random_state : int, default=0
+        Same number, same touches.
+    n_jobs : int, optional
+        Processes, as in joblib.
+    progress : bool, optional
+        Show a bar on standard error; None where that is a terminal.
+
+    Returns
+    -------
+    Touches
+        Object after object, with the columns of `as_touches`, `category` and
+        `session`, and the frame of no contact.
+
+    Raises
+    ------
+    RobotError
+        Touches of an object do not come.
+    EpisodeError
+        `folder` is none, or holds other episodes than these.
+    """
+    objects = list(things)
+    refuse_same_names(objects)
+    count = check_count("n_touches", n_touches)
+    sessions = min(check_count("n_sessions", n_sessions), count)
+    shares = [len(part) for part in np.array_split(range(count), sessions)]
+    seen_by = DomeCamera(image_shape=(120, 120)) if camera is None else camera
+    session_of = partial(
+        _one_session,
+        camera=seen_by,
+        turned=turned,
+        drift=drift,
+        placement_sd_mm=placement_sd_mm,
+        guard=guard,
+    )
+    home = None if folder is None else Path(folder)
+    tasks = [
+        (
+            thing,
+            session,
+            shares[session],
+            None if home is None else home / thing.name / str(session),
+            _seed(random_state, number, session),
+        )
+        for number, thing in enumerate(objects)
+        for session in range(sessions)
+    ]
+    parts = in_parallel(
+        session_of,
+        tasks,
+        "Exploring",
+        n_jobs=n_jobs,
+        show=progress,
+        sizes=shares * len(objects),
+    )
+    made = Touches.concatenate(parts)
+    return made.with_columns(no_contact=seen_by.no_contact())
+
+
+def _one_session(
+    thing: SimObject,
+    session: int,
+    n_touches: int,
+    folder: Path | None,
+    seed: int,
+    *,
+    camera: DomeCamera,
+    turned: bool,
+    drift: bool,
+    placement_sd_mm: float,
+    guard: Guard,
+) -> Touches:
+    """Put an object down once and touch it."""
+    rng = np.random.default_rng([seed, 1])
+    yaw = float(rng.uniform(0, 2 * np.pi)) if turned else 0.0
+    stand = put_down(
+        thing,
+        camera.drifted(rng) if drift else camera,
+        yaw_rad=yaw,
+        placement_sd_mm=placement_sd_mm,
+        random_state=seed,
+    )
+    history = gather(
+        stand.robot,
+        stand.sensor,
+        RandomHemisphere(stand.hemisphere, seed),
+        folder,
+        n_touches=n_touches,
+        guard=guard,
+        clock=stand.robot.clock,
+    )
+    touches = as_touches(
+        history, object=thing.name, category=thing.category, geometry="dome"
+    )
+    return touches.with_columns(
+        session=np.full(len(touches), session),
+        position_mm=_turned_back(touches.columns["position_mm"], yaw),
+        direction=_turned_back(touches.columns["direction"], yaw),
+    )
+
+
+def _turned_back(vectors: Any, yaw_rad: float) -> Floats:
+    """Turn vectors about the vertical by minus the yaw of the object."""
+    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    return np.asarray(np.asarray(vectors, dtype=np.float64) @ turn)
+
+
+def _seed(*numbers: int) -> int:
+    return int(np.random.SeedSequence(numbers).generate_state(1)[0])

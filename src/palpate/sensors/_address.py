@@ -1,0 +1,210 @@
+"""Sensors by one short text: `KIND:NAME`, and after a `?` what is to be set.
+
+`camera:USB Camera?shape=480x640&rate=30`, `serial:/dev/ttyUSB0?shape=16x16`,
+`replay:FOLDER?hold=4` and `sim:mug` are addresses. Options are `NAME=VALUE`, joined by
+`&`; in a value `%26` is `&` and any other byte may be written so too. A name is taken
+as it is written, but for `%3F`, which is a `?` in it.
+"""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn
+from urllib.parse import unquote
+
+from ._camera import CameraSensor
+from ._contract import LiveSensor
+from ._played import PlayedSensor, ReplaySensor
+from ._serial import SerialArraySensor
+from ._simulated_stream import SimulatedStream
+
+
+class AddressError(ValueError):
+    """An address that is none, or an option that says nothing to the sensor."""
+
+
+class _Option(NamedTuple):
+    """An option of an address: the argument it is for, and how its text is read."""
+
+    keyword: str
+    read: Callable[[str], Any]
+    what: str
+
+
+def _shape(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d{1,5})\s*[xX×]\s*(\d{1,5})", text.strip())
+    if found is None:
+        raise ValueError
+    return int(found[1]), int(found[2])
+
+
+def _word(keyword: str, **values: Any) -> _Option:
+    """Return an option that must be one of some words."""
+    return _Option(keyword, values.__getitem__, " or ".join(values))
+
+
+_SHAPE = {"shape": _Option("image_shape", _shape, "rows x columns such as 16x16")}
+_RATE = {"rate": _Option("rate_hz", float, "a number of frames a second")}
+_DESK = {
+    **_SHAPE,
+    **_RATE,
+    "hold": _Option("hold", int, "a whole number of frames"),
+    "gap": _Option("gap", int, "a whole number of frames"),
+    "place": _Option("place", str, "what to put on the desk"),
+}
+_WIDTHS = ("uint8", "uint16", "int16", "float32")
+_OPTIONS: dict[str, dict[str, _Option]] = {
+    "camera": {
+        **_SHAPE,
+        **_RATE,
+        "exposure": _Option("exposure", float, "a number in the driver's own unit"),
+    },
+    "serial": {
+        **_SHAPE,
+        "baud": _Option("baud", int, "a whole number of bits a second"),
+        "framing": _word("framing", line="line", binary="binary"),
+        "checksum": _word("checksum", yes=True, no=False),
+        "dtype": _word("dtype", **dict(zip(_WIDTHS, _WIDTHS, strict=True))),
+        "unit": _Option("unit", str, "a text"),
+    },
+    "replay": {
+        **_DESK,
+        "no-contact": _Option("no_contact", Path, "a picture"),
+        "name-pattern": _Option("name_pattern", str, "a regular expression"),
+    },
+    "sim": {**_DESK, "seed": _Option("random_state", int, "a whole number")},
+}
+_NAMES = {o.keyword: n for known in _OPTIONS.values() for n, o in known.items()}
+
+
+def open_sensor(address: str, **options: Any) -> LiveSensor:
+    """Return the sensor that an address names; it is not connected yet.
+
+    Parameters
+    ----------
+    address : str
+        `camera:NAME`, `serial:PORT`, `replay:PATH` or `sim:OBJECT`, and after a `?`
+        options, as in `camera:USB Camera?shape=480x640&rate=30`: `shape` (rows x
+        columns), `rate` (Hz), `exposure` of a camera; `shape`, `baud`, `framing`,
+        `checksum` (yes or no), `dtype`, `unit` of a serial array, whose shape must be
+        given; `shape`, `rate`, `hold`, `gap`, `place` (what lies on the desk at
+        first), `no-contact`, `name-pattern` of a replay; `shape`, `rate`, `hold`,
+        `gap`, `place`, `seed` of a simulated sensor.
+    **options
+        The same as Python values or as text, named as the sensor names them:
+        `image_shape`, `rate_hz`, `no_contact`...; what else the sensor takes; see
+        `CameraSensor`, `SerialArraySensor`, `ReplaySensor`. None counts as not given.
+
+    Raises
+    ------
+    ValueError
+        The address names no sensor, or an option is missing, unknown, given twice, or
+        given here and in the address with different values; says which there are.
+
+    Examples
+    --------
+    >>> from palpate.sensors import open_sensor
+    >>> open_sensor("camera:0?shape=240x320&rate=15").image_shape
+    (240, 320)
+    """
+    base, question, written = address.partition("?")
+    kind, _, place = base.partition(":")
+    if not place or kind not in _OPTIONS:
+        raise AddressError(
+            "sensor must be camera:NAME, serial:PORT, replay:PATH or sim:OBJECT, "
+            f"got {address!r}."
+        )
+    given = _from_address(address, kind, written) if question else {}
+    for keyword, value in options.items():
+        if value is not None:
+            given[keyword] = _agreed(address, kind, given, keyword, value)
+    return _made(kind, re.sub("%3f", "?", place, flags=re.IGNORECASE), given)
+
+
+def desk_of(sensor: object) -> PlayedSensor | None:
+    """Return the sensor if things can be placed before it by name, else None."""
+    return sensor if isinstance(sensor, PlayedSensor) else None
+
+
+def _from_address(address: str, kind: str, written: str) -> dict[str, Any]:
+    """Return the options written in an address by the sensor's names for them."""
+    given: dict[str, Any] = {}
+    for part in filter(None, written.split("&")):
+        name, _, value = part.partition("=")
+        option = _OPTIONS[kind].get(name)
+        if option is None:
+            _refuse(address, kind, f"{name!r} is no option")
+        if option.keyword in given:
+            _refuse(address, kind, f"{name} must be given once, got it twice")
+        given[option.keyword] = _read(address, kind, name, unquote(value))
+    return given
+
+
+def _agreed(
+    address: str, kind: str, given: dict[str, Any], keyword: str, value: Any
+) -> Any:
+    """Return the value of an option that the address may give as well."""
+    name = _NAMES.get(keyword)
+    if name is None:  # not for addresses; the sensor itself knows or refuses it
+        return value
+    if name not in _OPTIONS[kind]:
+        raise AddressError(f"--{name} says nothing to a {kind} sensor.")
+    if isinstance(value, str):
+        value = _read(address, kind, name, value)
+    if keyword == "image_shape":
+        value = tuple(value)
+    if keyword in given and given[keyword] != value:
+        raise AddressError(
+            f"{name}={_shown(given[keyword])} in {address!r} and --{name} "
+            f"{_shown(value)} contradict each other. Leave one of them out."
+        )
+    return value
+
+
+def _read(address: str, kind: str, name: str, text: str) -> Any:
+    option = _OPTIONS[kind][name]
+    try:
+        if not text:
+            raise ValueError
+        return option.read(text)
+    except (KeyError, ValueError):
+        _refuse(address, kind, f"{name} must be {option.what}, got {text!r}")
+
+
+def _refuse(address: str, kind: str, problem: str) -> NoReturn:
+    names = ", ".join(_OPTIONS[kind])
+    raise AddressError(f"{problem} for {address!r}. Options of {kind}: are {names}.")
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "x".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+def _made(kind: str, place: str, given: dict[str, Any]) -> LiveSensor:
+    desk, shape = given.pop("place", None), given.get("image_shape")
+    sensor: LiveSensor
+    if kind == "camera":
+        sensor = CameraSensor(place, **given)
+    elif kind == "sim":
+        sensor = SimulatedStream(place, **given)
+    elif kind == "replay":
+        given.pop("image_shape", None)
+        sensor = ReplaySensor(Path(place), **given)
+    elif shape is None:
+        raise AddressError(
+            "shape must be given for a serial array, got none. Say how many rows and "
+            f"columns it has: serial:{place}?shape=16x16, or --shape 16x16."
+        )
+    else:
+        sensor = SerialArraySensor(place, **given)
+    if shape is not None and sensor.image_shape != shape:
+        (n_rows, n_cols), (asked_rows, asked_cols) = sensor.image_shape, shape
+        raise AddressError(
+            f"shape must be that of the {sensor.name}, {n_rows} x {n_cols}, got "
+            f"{asked_rows} x {asked_cols}. Leave it (--shape) out."
+        )
+    if desk is not None and isinstance(sensor, PlayedSensor):
+        sensor.place(desk)
+    return sensor

@@ -1,0 +1,464 @@
+"""Sets of simulated touches: objects under a dome, flat parts on a pressure array.
+
+How presses on an array differ is fixed by what a plain press rig and machined parts
+are like, and stated with `simulate_presses`; nothing here knows what recognises them.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator, SeedSequence
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from .._checks import check_count, check_number, check_option, check_positive
+from .._parallel import in_parallel
+from ..touches import Touches
+from ._array import Press, PressureArray
+from ._dome import DomeCamera, DomePress, Frame
+from ._objects import HOUSEHOLD, find_object, refuse_same_names
+from ._parts import PARTS, Part, find_parts
+from ._pins import TacTipPins
+from ._placed import PlacedObject, SensorPose, SimObject
+
+STRATEGIES = ("hemisphere", "above")
+_PER_TASK = 25, 50  # touches, presses
+_ATTEMPTS = 50
+
+
+def simulate_touches(
+    objects: Iterable[SimObject | str] | SimObject | str = HOUSEHOLD,
+    n_touches: int = 60,
+    camera: DomeCamera | TacTipPins | None = None,
+    strategy: str = "hemisphere",
+    *,
+    n_sessions: int = 1,
+    pose: str = "usual",
+    hemisphere_mm: float = 300.0,
+    max_tilt_deg: float | None = None,
+    aim_sd_mm: float = 5.0,
+    max_roll_deg: float = 180.0,
+    force_sd: float = 0.05,
+    drift: bool = True,
+    keep_misses: bool = False,
+    random_state: int | None = None,
+    n_jobs: int | None = None,
+    progress: bool | None = False,
+) -> Touches:
+    """Touch objects with a dome camera, each time from elsewhere.
+
+    Parameters
+    ----------
+    objects : SimObject, str, or an iterable of them, default=HOUSEHOLD
+        What to touch; a text names a built-in object.
+    n_touches : int, default=60
+        Touches of each object.
+    camera : DomeCamera or TacTipPins, optional
+        The sensor, by default `DomeCamera(image_shape=(120, 120))`.
+    strategy : {"hemisphere", "above"}, default="hemisphere"
+        "hemisphere": from points evenly spread on a hemisphere about the middle of
+        the object, facing it. "above": from above the object's own origin, as built,
+        for `BASIC_SHAPES`.
+    n_sessions : int, default=1
+        Recordings that an object's touches are split into. In each the object is
+        turned anew about the vertical and the camera drifts.
+    pose : {"usual", "any"}, default="usual"
+        Whether an object always rests as built, or in any of its resting poses,
+        drawn per session; for the hemisphere only.
+    hemisphere_mm : float, default=300.0
+        Radius of the hemisphere, more where the object is larger.
+    max_tilt_deg : float, optional
+        Largest angle between approach and vertical; by default 80 from the
+        hemisphere, 10 from above.
+    aim_sd_mm : float, default=5.0
+        Standard deviation along x, y and z of the point that is faced.
+    max_roll_deg : float, default=180.0
+        The sensor is turned about its axis by up to so much, either way.
+    force_sd : float, default=0.05
+        Standard deviation of the logarithm of the force at which presses end.
+    drift : bool, default=True
+        Whether exposure and place of the picture change between sessions.
+    keep_misses : bool, default=False
+        Whether approaches that meet nothing count as touches (without contact); by
+        default another is drawn.
+    random_state : int, optional
+        Same number, same touches, whatever `n_jobs`.
+    n_jobs : int, optional
+        Processes, as in joblib.
+    progress : bool, optional
+        Show a bar on standard error; None where that is a terminal.
+
+    Returns
+    -------
+    touches : Touches
+        uint8 images, object after object, geometry "dome", with `no_contact`.
+        Columns: `object`, `category`, `session`, `order` (within the object),
+        `position_mm` (the tip at the end), `direction` (unit vector of approach),
+        `roll_rad`, `force_n`, `depth_mm`, `area_mm2`, `contact` (whether the dome
+        itself was pressed: a sleeve that is met first leaves it as it was).
+
+    Raises
+    ------
+    ValueError
+        Two objects have one name, or one that should be touched cannot be met after
+        50 approaches.
+
+    Notes
+    -----
+    There is no table: approaches below the horizon are left out by `max_tilt_deg`,
+    but a low one may pass where the ground would be. `no_contact` is the picture
+    of the sensor before any drift, without noise.
+
+    References
+    ----------
+    .. [1] T. Corradi, P. Hall, P. Iravani, "Bayesian tactile object recognition",
+       ICRA 2015. doi:10.1109/ICRA.2015.7139744
+
+    Examples
+    --------
+    >>> from palpate.simulation import simulate_touches
+    >>> simulate_touches(["mug", "pen"], 2, random_state=0).images.shape
+    (4, 120, 120)
+    """
+    things = _found(objects)
+    sensor = DomeCamera(image_shape=(120, 120)) if camera is None else camera
+    way = _Way(
+        strategy=check_option("strategy", strategy, STRATEGIES),
+        hemisphere_mm=check_positive("hemisphere_mm", hemisphere_mm),
+        max_tilt_deg=_tilt(max_tilt_deg, strategy),
+        aim_sd_mm=check_number("aim_sd_mm", aim_sd_mm, low=0.0),
+        max_roll_deg=check_number("max_roll_deg", max_roll_deg, low=0.0, high=180.0),
+        force_sd=check_number("force_sd", force_sd, low=0.0, high=2.0),
+        any_pose=check_option("pose", pose, ("usual", "any")) == "any",
+        drift=bool(drift),
+        keep_misses=bool(keep_misses),
+    )
+    count = check_count("n_touches", n_touches)
+    sessions = min(check_count("n_sessions", n_sessions), count)
+    tasks = list(_tasks(things, count, sessions, _root(random_state)))
+    batches = in_parallel(
+        _touch_some,
+        [(sensor, way, *task[:3]) for task in tasks],
+        "Touching",
+        n_jobs=n_jobs,
+        show=progress,
+        sizes=[len(task[2]) for task in tasks],
+    )
+    done = list(chain.from_iterable(batches))
+    return _touches_of(things, count, tasks, done, sensor)
+
+
+def simulate_presses(
+    parts: Iterable[Part | str | int] | Part | str | int = PARTS,
+    n_presses: int = 20,
+    *,
+    array: PressureArray | None = None,
+    load_kgf: float | tuple[float, float] = 4.0,
+    max_shift_mm: float = 1.0,
+    max_turn_deg: float = 180.0,
+    tilt_sd_deg: float = 0.1,
+    roughness_um: float = 10.0,
+    random_state: int | None = None,
+    n_jobs: int | None = None,
+    progress: bool = False,
+) -> Touches:
+    """Press parts on a pressure array, each time laid down anew.
+
+    Parameters
+    ----------
+    parts : Part, str, int, or a list of them, default=PARTS
+        Parts, or names or numbers among `PARTS`.
+    n_presses : int, default=20
+        Presses of each part (20 in Liu et al. 2014).
+    array : PressureArray, optional
+        The device; by default that of Liu et al. One device keeps its gains.
+    load_kgf : float or (float, float), default=4
+        Load in kgf, or a range to draw it from evenly.
+    max_shift_mm : float, default=1
+        The part's middle lies evenly within so much of the array's, along x and y.
+        Guess: half a pitch, so that every place relative to the taxels occurs.
+    max_turn_deg : float, default=180
+        The part is turned evenly by up to so much, either way; 180 is any angle
+        (the paper says "slightly different"; any angle is harder).
+    tilt_sd_deg : float, default=0.1
+        Standard deviation of the face's tilt along x and along y. Guess: parts held
+        to ISO 2768-2 class H (0.2 mm out of square on 100 mm, 0.11 degrees) in a
+        fixture without a ball joint.
+    roughness_um : float, default=10
+        Standard deviation of the face's unevenness in µm, drawn anew every press,
+        so that no single specimen's marks can be learnt. ISO 2768-2 class H allows
+        a flatness of 50 µm from 10 to 30 mm, taken as five standard deviations.
+    random_state : int, optional
+        Same number, same touches, whatever `n_jobs`.
+    n_jobs : int, optional
+        Processes, as in joblib; worth while from some ten thousand presses.
+    progress : bool, default=False
+        Show a bar on standard error.
+
+    Returns
+    -------
+    touches : Touches
+        uint8 images (n_parts * n_presses, rows, cols), part after part, geometry
+        "array". Columns: `object` (the part's name), `category`, `part` (its
+        number), `press` (from 0), `position_mm` (x, y), `angle_deg` (0 to 360),
+        `symmetry` (turns that look the same, 0 for all), `force_n`, `tilt_deg`
+        (along x, y). For the set: `set_pitch_mm`.
+
+    Examples
+    --------
+    >>> from palpate.simulation import simulate_presses
+    >>> simulate_presses(["bar10", "disc13"], 3, random_state=0).images.shape
+    (6, 10, 10)
+    """
+    found = find_parts(parts)
+    device = _device(array)
+    draw = _Draw(
+        _range("load_kgf", load_kgf),
+        check_number("max_shift_mm", max_shift_mm, low=0),
+        check_number("max_turn_deg", max_turn_deg, low=0, high=180),
+        check_number("tilt_sd_deg", tilt_sd_deg, low=0, high=2),
+        check_number("roughness_um", roughness_um, low=0, high=1000),
+    )
+    count = check_count("n_presses", n_presses)
+    repeated = [part for part in found for _ in range(count)]
+    seeds = _root(random_state).spawn(len(repeated))
+    batches = [slice(i, i + _PER_TASK[1]) for i in range(0, len(seeds), _PER_TASK[1])]
+    tasks = [(device, draw, repeated[some], seeds[some]) for some in batches]
+    sizes = [len(task[3]) for task in tasks]
+    pressed = in_parallel(
+        _press_all, tasks, "Pressing", n_jobs=n_jobs, show=progress, sizes=sizes
+    )
+    return _presses_of(repeated, list(chain.from_iterable(pressed)), count, device)
+
+
+@dataclass(frozen=True)
+class _Way:
+    """How objects are come at."""
+
+    strategy: str
+    hemisphere_mm: float
+    max_tilt_deg: float
+    aim_sd_mm: float
+    max_roll_deg: float
+    force_sd: float
+    any_pose: bool
+    drift: bool
+    keep_misses: bool
+
+    def placed(self, thing: SimObject, rng: Generator) -> PlacedObject:
+        """Put an object down for one session."""
+        yaw = float(rng.uniform(0, 2 * np.pi))
+        number = int(rng.integers(len(thing.resting_rotations)))
+        if self.strategy == "above":
+            return PlacedObject(thing, yaw_rad=yaw)
+        return PlacedObject.resting(thing, number if self.any_pose else 0, yaw)
+
+    def start(self, placed: PlacedObject, rng: Generator) -> SensorPose:
+        """Draw where a touch comes from."""
+        around = rng.uniform(0, 2 * np.pi)
+        least = np.cos(np.deg2rad(self.max_tilt_deg))
+        up = rng.uniform(least, 1.0)
+        flat = np.sqrt(1 - up**2)
+        outward = np.array([flat * np.cos(around), flat * np.sin(around), up])
+        above = self.strategy == "above"
+        goal = np.asarray(placed.position_mm) if above else placed.centre_mm
+        goal = goal + rng.normal(0, 1, 3) * self.aim_sd_mm
+        roll = np.deg2rad(rng.uniform(-self.max_roll_deg, self.max_roll_deg))
+        corners = placed.vertices_mm - goal
+        reach = np.sqrt((corners**2).sum(axis=1).max(initial=0.0)) + 50.0
+        away = max(self.hemisphere_mm, float(reach))
+        return SensorPose(goal + away * outward, -outward, float(roll))
+
+
+@dataclass(frozen=True, eq=False)
+class _Touch:
+    image: Frame
+    press: DomePress
+    end: SensorPose
+
+
+def _touch_some(
+    sensor: DomeCamera | TacTipPins,
+    way: _Way,
+    thing: SimObject,
+    session: SeedSequence,
+    seeds: list[SeedSequence],
+) -> list[_Touch]:
+    """Make some touches of one session."""
+    rng = np.random.default_rng(session)
+    placed = way.placed(thing, rng)
+    now = sensor.drifted(rng) if way.drift else sensor
+    return [_one(now, way, placed, np.random.default_rng(seed)) for seed in seeds]
+
+
+def _one(
+    sensor: DomeCamera | TacTipPins, way: _Way, placed: PlacedObject, rng: Generator
+) -> _Touch:
+    force = sensor._dome().force_n * float(np.exp(rng.normal(0, way.force_sd)))
+    solid = len(placed.thing.mesh.faces) > 0
+    for _ in range(_ATTEMPTS):
+        pose = way.start(placed, rng)
+        press = sensor.press(placed, pose, force_n=force)
+        if press.touched or way.keep_misses or not solid:
+            end = pose.advanced(press.travel_mm)
+            return _Touch(sensor.image(press, rng), press, end)
+    raise ValueError(
+        f"objects must be where the sensor goes, but {placed.thing.name!r} was missed "
+        f"{_ATTEMPTS} times. Lower aim_sd_mm or pass keep_misses=True."
+    )
+
+
+_Task = tuple[SimObject, SeedSequence, list[SeedSequence], int]
+
+
+def _tasks(
+    things: list[SimObject], n_touches: int, n_sessions: int, root: SeedSequence
+) -> Iterable[_Task]:
+    """Split the work; seeds hang on the object's place and the touch's, not on this."""
+    for thing, seed in zip(things, root.spawn(len(things)), strict=True):
+        of_sessions, of_touches = seed.spawn(2)
+        sessions = of_sessions.spawn(n_sessions)
+        touches = of_touches.spawn(n_touches)
+        for number, numbers in enumerate(np.array_split(range(n_touches), n_sessions)):
+            for start in range(0, len(numbers), _PER_TASK[0]):
+                some = numbers[start : start + _PER_TASK[0]]
+                seeds = [touches[touch] for touch in some]
+                yield thing, sessions[number], seeds, number
+
+
+def _touches_of(
+    things: list[SimObject],
+    n_touches: int,
+    tasks: list[_Task],
+    done: list[_Touch],
+    sensor: DomeCamera | TacTipPins,
+) -> Touches:
+    repeated = [thing for thing in things for _ in range(n_touches)]
+    presses = [touch.press for touch in done]
+    return Touches(
+        np.stack([touch.image for touch in done]),
+        object=np.array([thing.name for thing in repeated]),
+        category=np.array([thing.category for thing in repeated]),
+        no_contact=sensor.no_contact(),
+        geometry="dome",
+        session=np.concatenate([np.full(len(task[2]), task[3]) for task in tasks]),
+        order=np.tile(np.arange(n_touches), len(things)),
+        position_mm=np.stack([np.asarray(touch.end.position_mm) for touch in done]),
+        direction=np.stack([np.asarray(touch.end.direction) for touch in done]),
+        roll_rad=np.array([touch.end.roll_rad for touch in done]),
+        force_n=np.array([press.force_n for press in presses]),
+        depth_mm=np.array([press.depth_mm for press in presses]),
+        area_mm2=np.array([press.area_mm2 for press in presses]),
+        contact=np.array([press.area_mm2 > 0 for press in presses]),
+    )
+
+
+def _found(objects: Iterable[SimObject | str] | SimObject | str) -> list[SimObject]:
+    given = [objects] if isinstance(objects, SimObject | str) else list(objects)
+    if not given:
+        raise ValueError("objects must name at least one object, got none.")
+    things = []
+    for one in given:
+        if not isinstance(one, SimObject | str):
+            raise TypeError(
+                f"objects must be SimObject or names, got {type(one).__name__}. "
+                "Read a mesh file with load_mesh(path)."
+            )
+        things.append(find_object(one) if isinstance(one, str) else one)
+    refuse_same_names(things)
+    return things
+
+
+def _tilt(max_tilt_deg: float | None, strategy: str) -> float:
+    if max_tilt_deg is None:
+        return 10.0 if strategy == "above" else 80.0
+    return check_number("max_tilt_deg", max_tilt_deg, low=0.0, high=90.0)
+
+
+def _root(random_state: int | None) -> SeedSequence:
+    if random_state is None:
+        return SeedSequence()
+    return SeedSequence(check_count("random_state", random_state, at_least=0))
+
+
+@dataclass(frozen=True)
+class _Draw:
+    """How presses differ, as checked arguments of `simulate_presses`."""
+
+    loads: tuple[float, float]
+    shift: float
+    turn: float
+    tilt: float
+    roughness: float
+
+    def __call__(self, rng: Generator) -> Press:
+        x, y = self.shift * rng.uniform(-1, 1, size=2)
+        angle = self.turn * rng.uniform(-1, 1) % 360
+        load = rng.uniform(*self.loads)
+        along_x, along_y = np.clip(self.tilt * rng.standard_normal(2), -10, 10)
+        tilt = (float(along_x), float(along_y))
+        return Press(float(x), float(y), float(angle), load, tilt, self.roughness)
+
+
+_Pressed = tuple[NDArray[np.uint8], Press]
+
+
+def _press_all(
+    array: PressureArray,
+    draw: _Draw,
+    parts: list[Part],
+    seeds: list[SeedSequence],
+) -> list[_Pressed]:
+    """Press each part once, on one thread so that sums round alike everywhere."""
+    pressed = []
+    with threadpool_limits(limits=1, user_api="blas"):
+        for part, seed in zip(parts, seeds, strict=True):
+            rng = np.random.default_rng(seed)
+            press = draw(rng)
+            image = array.read(array.stress_kpa(part, press, rng), rng)
+            pressed.append((image, press))
+    return pressed
+
+
+def _presses_of(
+    parts: list[Part], pressed: list[_Pressed], n_presses: int, array: PressureArray
+) -> Touches:
+    presses = [press for _, press in pressed]
+    return Touches(
+        np.stack([image for image, _ in pressed]),
+        object=np.array([part.name for part in parts]),
+        category=np.array([part.category for part in parts]),
+        geometry="array",
+        part=np.array([part.number for part in parts]),
+        press=np.tile(np.arange(n_presses), len(parts) // n_presses),
+        position_mm=np.array([(press.x_mm, press.y_mm) for press in presses]),
+        angle_deg=np.array([press.angle_deg for press in presses]),
+        symmetry=np.array([part.symmetry for part in parts]),
+        force_n=np.array([press.force_n for press in presses]),
+        tilt_deg=np.array([press.tilt_deg for press in presses]),
+        set_pitch_mm=np.array(array.pitch_mm),
+    )
+
+
+def _device(array: object) -> PressureArray:
+    if array is None:
+        return PressureArray()
+    if not isinstance(array, PressureArray):
+        raise TypeError(f"array must be a PressureArray, got {type(array).__name__}.")
+    return array
+
+
+def _range(name: str, value: Any) -> tuple[float, float]:
+    """Return (low, high) for a range or for one number, each a valid load."""
+    limits = tuple(value) if isinstance(value, tuple | list) else (value, value)
+    if len(limits) != 2:
+        raise ValueError(f"{name} must be one load or (low, high), got {value}.")
+    low, high = limits
+    for load in limits:
+        Press(load_kgf=load)
+    if low > high:
+        raise ValueError(f"{name} must go from low to high, got {value}.")
+    return float(low), float(high)

@@ -1,0 +1,96 @@
+"""Touches as a notebook shows them: a small table, and the first few pictures."""
+
+import base64
+from collections.abc import Iterable, Mapping
+from html import escape
+
+import numpy as np
+
+from .._types import Array
+
+PICTURES = 8
+SIDE_PX = 96
+_NAMES = 12
+_LETTERS = 60
+_DEAD = (60, 60, 220)  # blue, green, red
+_EVEN = "display:inline-block;margin:2px;text-align:center;vertical-align:top"
+
+
+def touches_html(
+    images: Array, columns: Mapping[str, Array], whole: Mapping[str, Array]
+) -> str:
+    """Return a set of touches as HTML that loads nothing from elsewhere."""
+    n_touches, n_rows, n_cols = images.shape
+    rows = [("touches", str(n_touches))]
+    rows.append(("images", f"{n_rows} x {n_cols} {images.dtype}"))
+    for name, many in (("object", "objects"), ("category", "categories")):
+        if name in columns:
+            counts = np.unique_counts(columns[name])
+            each = (f"{_cut(name)} ({n})" for name, n in zip(*counts, strict=True))
+            rows.append(
+                (f"{len(counts.values)} {many}", _listed(each, len(counts.values)))
+            )
+    for what, arrays in (("columns", columns), ("whole set", whole)):
+        each = (f"{_cut(name)} ({_kind(array)})" for name, array in arrays.items())
+        rows.append((what, _listed(each, len(arrays))))
+    table = "".join(
+        f"<tr><th style='text-align:left'>{escape(name)}</th>"
+        f"<td style='text-align:left'>{escape(value)}</td></tr>"
+        for name, value in rows
+    )
+    labels = columns.get("object", np.full(n_touches, ""))
+    pictures = "".join(
+        f"<div style='{_EVEN}'><img src='{png_address(image, SIDE_PX)}' alt='touch'>"
+        f"<br><small>{escape(_cut(label)[:16])}</small></div>"
+        for image, label in zip(images[:PICTURES], labels[:PICTURES], strict=True)
+    )
+    return f"<div><table>{table}</table><div>{pictures}</div></div>"
+
+
+def png_address(image: Array, side: int) -> str:
+    """Return one tactile image as a PNG in a data address.
+
+    Parameters
+    ----------
+    image : ndarray of shape (n_rows, n_cols)
+        Contrast is stretched from its 0.5th to its 99.5th percentile; dead taxels
+        (NaN) are red.
+    side : int
+        Its longer side in the picture, in pixels.
+    """
+    import cv2
+
+    levels = np.asarray(image, dtype=np.float64)
+    dead = np.isnan(levels)
+    if dead.any():
+        levels = np.where(dead, 0.0 if dead.all() else np.nanmin(levels), levels)
+    low, high = np.percentile(levels[~dead] if not dead.all() else levels, [0.5, 99.5])
+    with np.errstate(over="ignore", invalid="ignore"):
+        grey = np.clip((levels - low) / max(high - low, 1e-12), 0, 1) * 255
+    scale = side / max(grey.shape)
+    size = (max(1, round(grey.shape[1] * scale)), max(1, round(grey.shape[0] * scale)))
+    how = cv2.INTER_AREA if scale < 1 else cv2.INTER_NEAREST
+    drawn = cv2.resize(np.nan_to_num(grey).astype(np.uint8), size, interpolation=how)
+    if dead.any():
+        marked = cv2.resize(dead.astype(np.float32), size, interpolation=how) > 0
+        drawn = cv2.cvtColor(drawn, cv2.COLOR_GRAY2BGR)
+        drawn[marked] = _DEAD
+    data = cv2.imencode(".png", drawn)[1].tobytes()
+    return "data:image/png;base64," + base64.b64encode(data).decode()
+
+
+def _listed(each: Iterable[str], count: int) -> str:
+    """Return the first of some texts, and how many more there are."""
+    shown = [text for text, _ in zip(each, range(_NAMES), strict=False)]
+    more = [f"and {count - _NAMES} more"] if count > _NAMES else []
+    return ", ".join([*shown, *more]) or "none"
+
+
+def _cut(name: object) -> str:
+    text = str(name)
+    return text if len(text) <= _LETTERS else text[:_LETTERS] + "..."
+
+
+def _kind(array: Array) -> str:
+    shape = " x ".join(map(str, array.shape)) or "one"
+    return f"{shape} {'text' if array.dtype.kind in 'US' else array.dtype}"

@@ -1,0 +1,424 @@
+"""No force sensor, however wrong, lets the arm press harder than is promised.
+
+A wall of springs stands across a straight line, so the true force is known on paper at
+every moment; the force sensor is wrong in every way that can be combined.
+"""
+
+import numpy as np
+import pytest
+from hypothesis import Phase, example, given, settings
+from hypothesis import strategies as st
+
+from palpate.exploration import OUTCOMES, Guard, Robot, guarded_touch
+from palpate.simulation import SensorPose
+
+START = SensorPose((0, 0, 0), (0, 0, 1))
+GUARD = Guard(max_travel_mm=40)
+quick = settings(
+    derandomize=True,
+    max_examples=80,
+    deadline=None,
+    database=None,
+    phases=(Phase.explicit, Phase.generate),
+)
+
+
+class SpringWall:
+    """An exact arm before a wall, and a force sensor as bad as one likes.
+
+    What the sensor says is sign x scale x force, `delay` readings late, plus an offset
+    that drifts with every reading, plus noise, rounded to `quantum`. From the moment
+    that the force reaches `sticks_at_n` it says `stuck_n` (None: its last word), plus
+    `stuck_noise_n`.
+    """
+
+    def __init__(self, wall_mm=10.3, stiffness=1.0, **wrong):
+        self.wall_mm, self.stiffness = wall_mm, stiffness
+        self.sign, self.scale = wrong.pop("sign", 1), wrong.pop("scale", 1.0)
+        self.offset, self.drift = wrong.pop("offset", 0.05), wrong.pop("drift", 0.0)
+        self.delay, self.noise = wrong.pop("delay", 0), wrong.pop("noise", 1e-4)
+        self.quantum = wrong.pop("quantum", 0.0)
+        self.sticks_at_n = wrong.pop("sticks_at_n", np.inf)
+        self.stuck_n = wrong.pop("stuck_n", None)
+        self.stuck_noise_n = wrong.pop("stuck_noise_n", 0.0)
+        assert not wrong, wrong
+        self.rng = np.random.default_rng(0)
+        self.said, self.late = 0.0, []
+        self.pose, self.n_read = START, 0
+        self.calls, self.steps = [], []
+        self.stuck_depth_mm = None
+
+    @property
+    def travel_mm(self):
+        return float(self.pose.position_mm[2])
+
+    @property
+    def depth_mm(self):
+        return max(self.travel_mm - self.wall_mm, 0.0)
+
+    @property
+    def force_n(self):
+        return self.stiffness * self.depth_mm
+
+    @property
+    def peak_n(self):
+        return max((force for _, force in self.steps), default=0.0)
+
+    def move_to(self, pose):
+        before = self.travel_mm
+        self.pose = pose
+        self.calls.append("move")
+        self.steps.append((self.travel_mm - before, self.force_n))
+
+    def read_pose(self):
+        return self.pose
+
+    def read_force(self):
+        self.calls.append("read")
+        self.n_read += 1
+        self.late.append(self.sign * self.scale * self.force_n)
+        noise = self.rng.standard_normal()
+        if self.force_n >= self.sticks_at_n or self.stuck_depth_mm is not None:
+            if self.stuck_depth_mm is None:
+                self.stuck_depth_mm = self.depth_mm
+                if self.stuck_n is None:
+                    self.stuck_n = self.said
+            return self.stuck_n + self.stuck_noise_n * noise
+        force = self.late[max(len(self.late) - 1 - self.delay, 0)]
+        self.said = force + self.offset + self.drift * self.n_read + self.noise * noise
+        if self.quantum:
+            self.said = round(self.said / self.quantum) * self.quantum
+        return self.said
+
+    def retract(self, way_mm):
+        self.calls.append("retract")
+        self.pose = self.pose.advanced(-way_mm)
+
+    def stop(self):
+        self.calls.append("stop")
+
+
+class Skin:
+    """A sensor whose picture of 4 x 4 brightens by 10 levels a newton, truly."""
+
+    image_shape = (4, 4)
+    geometry = "none"
+
+    def __init__(self, arm):
+        self.arm, self.n_read = arm, 0
+
+    def read(self):
+        self.n_read += 1
+        return np.full((4, 4), 10.0 * self.arm.force_n)
+
+    def no_contact(self):
+        return None
+
+
+def touch(arm, guard=GUARD):
+    record = guarded_touch(arm, Skin(arm), START, guard)
+    assert arm.calls.count("retract") == 1
+    assert arm.travel_mm <= 1e-9
+    assert arm.force_n == 0
+    assert record.outcome in OUTCOMES
+    return record
+
+
+stiffnesses = st.floats(-2, 2).map(lambda power: 10.0**power)
+following = st.fixed_dictionaries(
+    {
+        "wall_mm": st.floats(1.2, 39),
+        "stiffness": stiffnesses,
+        "sign": st.sampled_from([1, -1]),
+        "scale": st.floats(0.5, 2),
+        "offset": st.floats(-0.9, 0.9),
+        # Up to 0.45 N over the longest approaches of this world, 900 readings.
+        "drift": st.floats(-5e-4, 5e-4),
+        "delay": st.integers(0, 3),
+        "noise": st.floats(1e-6, 0.02),
+    }
+)
+
+
+def assert_bounded(arm, limit_n=GUARD.limit_n):
+    """The limit, and what the very step that passed it adds."""
+    for step_mm, force_n in arm.steps:
+        assert force_n <= limit_n + arm.stiffness * max(step_mm, 0) + 1e-9
+
+
+@quick
+@given(following)
+@example({"stiffness": 100.0, "delay": 3, "scale": 0.5})
+@example({"stiffness": 3.0, "delay": 3, "scale": 0.5, "wall_mm": 10.9})
+@example({"sign": -1, "stiffness": 0.05})
+@example({"sign": -1, "stiffness": 100.0, "delay": 3})
+@example({"drift": -5e-4, "stiffness": 0.02})
+def test_the_true_force_passes_the_limit_by_one_step_at_most(world):
+    arm = SpringWall(**world)
+    record = touch(arm)
+    assert_bounded(arm)
+    if record.outcome == "nothing":
+        # Twice contact_n (of the readings, and of the offset afterwards) and five
+        # deviations of the mean of four readings, of a sensor that reads half.
+        unseen = 2 * GUARD.contact_n + 5 * arm.noise / 2
+        assert arm.peak_n <= unseen / arm.scale
+    if arm.sign < 0:
+        assert record.outcome != "touched"
+
+
+@quick
+@given(following, st.sampled_from([0.01, 0.05, 0.2]))
+def test_a_coarse_force_sensor_passes_it_by_no_more(world, quantum):
+    arm = SpringWall(quantum=quantum, **world)
+    touch(arm, Guard(max_travel_mm=40, stuck_after=None, flat_mm=20))
+    assert_bounded(arm)
+
+
+@quick
+@given(following, st.floats(0, 4), st.one_of(st.none(), st.floats(-4, 4)))
+@example({"stiffness": 100.0}, 0.3, None)
+@example({"stiffness": 0.3}, 0.0, 0.05)
+@example({"stiffness": 0.3}, 0.3, 0.8)
+def test_a_sensor_that_repeats_itself_is_found_in_three_steps(world, at_n, stuck_n):
+    arm = SpringWall(**world, sticks_at_n=at_n, stuck_n=stuck_n)
+    touch(arm)
+    if arm.stuck_depth_mm is not None:
+        # 12 equal readings are three steps of four; the reading that sticks is taken
+        # after a step of its own. What was unseen before is bounded as above.
+        before = max(arm.stuck_depth_mm, GUARD.limit_n / arm.stiffness)
+        deepest = arm.peak_n / arm.stiffness
+        assert deepest <= before + 3 * GUARD.air_step_mm + 1e-9
+
+
+@quick
+@given(st.floats(0.1, 100), st.floats(0.06, 0.6), st.floats(1e-6, 0.005))
+@example(0.3, 0.06, 0.005)
+@example(100.0, 0.06, 0.005)
+def test_one_that_sticks_noisily_in_contact_is_found_by_not_changing(
+    stiffness, stuck_n, noise
+):
+    arm = SpringWall(
+        stiffness=stiffness,
+        noise=0.005,
+        sticks_at_n=stuck_n,
+        stuck_n=stuck_n + 0.1,
+        stuck_noise_n=noise,
+    )
+    record = touch(arm)
+    assert record.outcome == "force sensor"
+    # flat_mm from where contact was read, a step to it and one of slack.
+    most = GUARD.flat_mm + GUARD.air_step_mm + GUARD.contact_step_mm
+    assert arm.peak_n / stiffness <= arm.stuck_depth_mm + most
+
+
+@quick
+@given(stiffnesses, st.floats(1e-4, 0.02))
+def test_a_dead_and_noisy_one_is_found_by_the_tactile_image(stiffness, noise):
+    arm = SpringWall(
+        stiffness=stiffness, sticks_at_n=0, stuck_n=0.05, stuck_noise_n=noise
+    )
+    record = touch(arm, Guard(max_travel_mm=40, frame_change=1.0))
+    # A change by 1 level is 0.1 N; the picture is looked at every 2 mm.
+    deepest = 0.1 / stiffness + GUARD.frame_every_mm
+    if arm.wall_mm + deepest < 40:
+        assert record.outcome == "force sensor"
+        assert "tactile image changed" in record.message
+    assert arm.peak_n / stiffness <= deepest + 1e-9
+
+
+def test_without_the_image_a_dead_and_noisy_one_is_bounded_by_the_travel():
+    arm = SpringWall(sticks_at_n=0, stuck_n=0.05, stuck_noise_n=0.01)
+    touch(arm)
+    assert arm.peak_n / arm.stiffness <= 40 - arm.wall_mm + 1e-9
+
+
+def test_the_image_is_looked_at_at_the_end_of_the_line_too():
+    arm = SpringWall(wall_mm=39.5, sticks_at_n=0, stuck_n=0.0, stuck_noise_n=0.01)
+    assert touch(arm, Guard(max_travel_mm=39.9, frame_change=1.0)).faulty
+
+
+def test_a_good_force_sensor_and_its_image_agree():
+    arm = SpringWall(stiffness=0.5)
+    record = touch(arm, Guard(max_travel_mm=40, frame_change=1.5))
+    assert record.outcome == "touched"
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "outcome"), [(0.05, "force sensor"), (50.0, "limit exceeded")]
+)
+def test_a_force_of_the_wrong_sign_names_its_value_and_the_fix(stiffness, outcome):
+    record = touch(SpringWall(stiffness=stiffness, sign=-1))
+    assert record.outcome == outcome
+    assert "must be positive when something pushes back" in record.message
+    assert f"{record.force_n:.3f} N" in record.message
+    assert record.force_n < 0
+    assert record.peak_force_n == pytest.approx(-record.force_n, rel=0.05)
+
+
+class Scripted(SpringWall):
+    """Says what it is told to, by how far the arm has come."""
+
+    def __init__(self, says):
+        super().__init__(wall_mm=1e6)
+        self.says = says
+
+    def read_force(self):
+        self.calls.append("read")
+        self.n_read += 1
+        # Even and odd readings differ by too little to matter, so none repeats itself,
+        # and an even number of them has the mean 0 exactly.
+        return self.says(self) + 2.0**-30 * (-1) ** self.n_read
+
+
+def test_one_reading_beyond_the_limit_ends_it_though_their_mean_does_not():
+    def third_reading_at_5_mm(arm):
+        since = arm.calls[::-1].index("move")
+        return 3.5 if arm.travel_mm == 5 and since == 3 else 0.0
+
+    arm = Scripted(third_reading_at_5_mm)
+    record = touch(arm)
+    assert (record.outcome, record.travel_mm) == ("limit exceeded", 5)
+    assert record.peak_force_n == pytest.approx(3.5)
+    # Not another reading, not another step: out.
+    assert arm.calls[-5:] == ["move", "read", "read", "read", "retract"]
+
+
+def test_every_step_is_followed_by_readings_before_the_next():
+    arm = SpringWall(stiffness=0.3)
+    assert touch(arm).touched
+    calls = " ".join(arm.calls)
+    assert "move move" not in calls
+    first = calls.index("retract")
+    for between in calls[:first].split("move")[2:-1]:
+        assert between.count("read") >= GUARD.n_readings
+
+
+@pytest.mark.parametrize(
+    ("reading", "outcome"),
+    [
+        (3.0 - 2.0**-20, "touched"),
+        (3.0 + 2.0**-20, "limit exceeded"),
+        (0.75 - 2.0**-20, "force not reached"),
+        (-0.125 - 2.0**-20, "force sensor"),
+        (-0.125 + 2.0**-20, "nothing"),
+        (0.125 - 2.0**-20, "nothing"),
+    ],
+)
+def test_the_bounds_are_where_they_are_said_to_be(reading, outcome):
+    guard = Guard(max_travel_mm=12, force_n=0.75, contact_n=0.125, flat_mm=20)
+    arm = Scripted(lambda arm: reading if arm.travel_mm >= 10 else 0.0)
+    assert touch(arm, guard).outcome == outcome
+
+
+@pytest.mark.parametrize(
+    ("reading", "outcome"),
+    [(3.0, "touched"), (0.75, "touched"), (-0.125, "nothing"), (0.125, "force not")],
+)
+def test_a_reading_at_a_bound_itself(reading, outcome):
+    guard = Guard(
+        max_travel_mm=12, force_n=0.75, contact_n=0.125, stuck_after=None, flat_mm=20
+    )
+    arm = Scripted(None)
+    arm.read_force = lambda: reading if arm.travel_mm >= 10 else 0.0
+    assert touch(arm, guard).outcome.startswith(outcome)
+
+
+def test_a_load_counts_with_its_offset_and_without():
+    with_offset = Scripted(lambda arm: 0.9 + (2.2 if arm.travel_mm >= 5 else 0.0))
+    record = touch(with_offset)
+    assert record.outcome == "limit exceeded"
+    assert "2.200 N (3.100 with its offset)" in record.message
+    without = Scripted(lambda arm: -0.9 + (3.2 if arm.travel_mm >= 5 else 0.0))
+    assert touch(without).outcome == "limit exceeded"
+
+
+def test_an_offset_that_leaves_no_room_below_the_limit_is_refused():
+    record = touch(Scripted(lambda arm: 0.6), Guard(limit_n=1.2, max_travel_mm=40))
+    assert (record.outcome, record.travel_mm) == ("force sensor", 0)
+    assert "0.600 N in the air, more than 0.465" in record.message
+
+
+@pytest.mark.parametrize("wall_mm", [-0.6, 0.3])
+def test_a_start_that_is_not_clear_is_refused(wall_mm):
+    arm = SpringWall(wall_mm=wall_mm, stiffness=1.0)
+    record = guarded_touch(arm, Skin(arm), START, GUARD)
+    assert record.outcome == "force sensor"
+    assert "clear of everything" in record.message
+    assert record.travel_mm <= 1
+
+
+def test_an_offset_that_moved_leaves_no_nothing_behind():
+    drifted = Scripted(lambda arm: 0.0 if "retract" not in arm.calls else -0.2)
+    record = touch(drifted)
+    assert record.outcome == "force sensor"
+    assert "moved by -0.200 N" in record.message
+
+
+def test_readings_that_lag_do_not_count_as_a_moved_offset():
+    assert touch(SpringWall(stiffness=0.5, delay=3)).outcome == "touched"
+
+
+def test_a_sensor_that_still_presses_when_taken_back_is_a_fault():
+    arm = SpringWall(
+        stiffness=2.0, sticks_at_n=0.8, stuck_n=1.0, stuck_noise_n=1e-3, wall_mm=10.5
+    )
+    record = touch(arm)
+    assert record.outcome == "force sensor"
+    assert "where it was air before" in record.message
+
+
+def test_a_light_load_at_the_end_of_the_line_is_not_nothing():
+    record = touch(SpringWall(wall_mm=38.0, stiffness=0.2))
+    assert record.outcome == "force not reached"
+    assert "0.400 N at most on 40 mm" in record.message
+
+
+def test_one_brushed_on_the_way_is_not_nothing_either():
+    brush = Scripted(lambda arm: 0.3 if 10 <= arm.travel_mm < 11 else 0.0)
+    assert touch(brush).outcome == "force not reached"
+
+
+@pytest.mark.parametrize("moved", [0.0, 0.4, 2.0])
+def test_an_arm_that_is_not_where_it_was_sent_is_stopped(moved):
+    """It makes a share of every step: none, too little, or twice as much."""
+
+    class Lame(SpringWall):
+        def move_to(self, pose):
+            super().move_to(START.advanced(moved * float(pose.position_mm[2])))
+
+    arm = Lame()
+    record = touch(arm)
+    assert record.outcome == "robot error"
+    assert "from where it was sent" in record.message
+    assert record.travel_mm <= 2
+    assert isinstance(arm, Robot)
+
+
+def test_an_arm_that_went_too_far_is_pulled_back_all_of_it():
+    class Overshoots(SpringWall):
+        def move_to(self, pose):
+            far = 9.0 if float(pose.position_mm[2]) == 5 else 0.0
+            super().move_to(pose.advanced(far))
+
+    arm = Overshoots(stiffness=0.1)
+    assert touch(arm).outcome == "robot error"
+    hard = Overshoots(stiffness=20.0)
+    assert touch(hard).outcome == "limit exceeded"
+
+
+@pytest.mark.parametrize(
+    ("parameters", "error", "message"),
+    [
+        ({"limit_n": np.inf}, ValueError, "limit_n must be positive and finite"),
+        ({"limit_n": "3"}, TypeError, "limit_n must be a number, got str"),
+        ({"contact_step_mm": 2.0}, ValueError, r"at most air_step_mm \(1.0\), got 2.0"),
+        ({"flat_mm": 0.1}, ValueError, r"at least contact_step_mm \(0.25\), got 0.1"),
+        ({"flat_mm": None}, TypeError, "flat_mm must be a number"),
+        ({"max_miss_mm": 0.0}, ValueError, "max_miss_mm must be positive"),
+        ({"frame_change": -1.0}, ValueError, "frame_change must be positive"),
+        ({"n_tare": 1.5}, TypeError, "n_tare must be an integer"),
+    ],
+)
+def test_bad_guards_are_refused(parameters, error, message):
+    with pytest.raises(error, match=message):
+        Guard(**parameters)
