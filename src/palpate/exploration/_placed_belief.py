@@ -49,7 +49,7 @@ class PlacedBelief(Belief):
     def __init__(
         self,
         judge: Judge,
-        evidence_of: Callable[[Touches], Evidence],
+        evidence_of: Callable[[Touches | Array], Evidence],
         log_prior: Floats | None,
         places: PlaceKnowledge,
     ) -> None:

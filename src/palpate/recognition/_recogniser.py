@@ -16,7 +16,7 @@ from sklearn.utils import Tags
 
 from .._checks import check_number, check_option
 from .._types import Array, Floats
-from ..classifiers import TouchClassifier
+from ..classifiers import TouchClassifier, as_groups
 from ..images import Poses, PressPose
 from ..touches import Touches, TouchSource
 from ._belief import Belief, Judge
@@ -35,7 +35,6 @@ from ._learning import encoded, encoded_and_flagged, learn_encoding, memory_of
 from ._memory import (
     Memory,
     blocks_in_order,
-    given_groups,
     labelled,
     left_out_groups,
     named_labels,
@@ -173,9 +172,10 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         labels, objects = training_labels(touches, self.label)
         if y is not None and self.label == "object":
             labels = objects = np.asarray(y)
-        blocks = given_groups(groups, len(labels))
-        if blocks is None:
+        if groups is None:
             blocks = left_out_groups(touches, labels, objects, self.label)
+        else:
+            blocks = as_groups(groups, len(labels))
         encoder, contact, chosen, encoding = learn_encoding(
             preset, touches, labels, blocks, self.random_state
         )
@@ -305,7 +305,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         self._check_fitted()
         return left_out_log_likelihood(self.classifier_)
 
-    def evidence(self, touches: Touches) -> Evidence:
+    def evidence(self, touches: Touches | ArrayLike) -> Evidence:
         """Return all that touches tell; see `Evidence`.
 
         Many touches are encoded in shards of 1024, wherever `joblib.parallel_config`
