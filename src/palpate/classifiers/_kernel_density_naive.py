@@ -5,6 +5,8 @@ features, of how probable that feature's value is among the label's training tou
 Cruder than one density over all features, and in need of far fewer touches.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import Self
 

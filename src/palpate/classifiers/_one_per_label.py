@@ -4,6 +4,8 @@ Each machine answers "mine" or "not mine" without knowing of the others, so a to
 may be claimed by several labels or by none; both cases need a rule.
 """
 
+from __future__ import annotations
+
 from typing import Self
 
 import numpy as np
