@@ -22,6 +22,10 @@ ROOMS = (
     "web",
     "bench",
 )
+INTRODUCTION = """\
+`help(NAME)` says the rest: shapes, units, errors, sources. Made by
+`python docs/reference.py`. What stays: [stability.md](stability.md).
+"""
 PAGE = Path(__file__).with_name("reference.md")
 
 
@@ -29,8 +33,7 @@ def reference() -> str:
     """Return the page."""
     parts = [
         "# Public names\n",
-        "`help(NAME)` says the rest: shapes, units, errors, sources. Made by "
-        "`python docs/reference.py`. What stays: [stability.md](stability.md).\n",
+        INTRODUCTION,
         *(section(room) for room in ROOMS),
     ]
     return "\n".join(parts)
