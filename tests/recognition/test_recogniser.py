@@ -343,3 +343,28 @@ def test_many_touches_are_encoded_in_shards_as_all_at_once(recogniser):
     assert_allclose(shards.log_likelihood, likelihood, rtol=1e-9, atol=1e-12)
     assert shards.flags == [flag for part in parts for flag in part.flags]
     assert np.isnan(shards.novelty).all()
+
+
+def test_a_belief_shows_itself_in_one_line_and_as_bars():
+    rng = np.random.default_rng(0)
+    names = ("<b>ball</b>", "m" * 300, "pen")
+    learnt = ObjectRecogniser().fit(drawn(rng, names=names))
+    belief = learnt.start().update(drawn(rng, n_each=3, names=names)[:2])
+    assert len(repr(belief)) < 120
+    assert repr(belief).startswith("<Belief after 2 touches: <b>ball</b> ")
+    page = belief._repr_html_()
+    assert "&lt;b&gt;ball&lt;/b&gt;" in page
+    assert "<b>" not in page
+    assert page.count("<tr>") == 3
+    assert "After 2 touches; unknown score" in page
+
+
+def test_a_belief_of_many_objects_shows_the_first_ten():
+    rng = np.random.default_rng(0)
+    names = [f"thing {number:02d}" for number in range(12)]
+    learnt = ObjectRecogniser("corradi2015").fit(
+        Touches(rng.random((48, 64, 64)), object=np.repeat(names, 4))
+    )
+    page = learnt.start()._repr_html_()
+    assert page.count("<tr>") == 11
+    assert "and 2 more" in page
