@@ -17,7 +17,6 @@ from ..touches import Touches
 from ._evidence import (
     Evidence,
     SequenceCalibration,
-    as_touches,
     doubts,
     is_informative,
     log_posterior,
@@ -93,7 +92,7 @@ class Belief:
     def __init__(
         self,
         judge: Judge,
-        evidence_of: Callable[[Touches], Evidence],
+        evidence_of: Callable[[Touches | Array], Evidence],
         log_prior: Floats | None = None,
     ) -> None:
         self._judge = judge
@@ -130,7 +129,7 @@ class Belief:
         """
         given = touch
         if not isinstance(given, Evidence):
-            given = self._evidence_of(as_touches(given))
+            given = self._evidence_of(given)
         return self.update_from_log_likelihood(
             given.log_likelihood,
             features=given.features,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from typing import Any, Protocol, Self, runtime_checkable
 
@@ -94,7 +94,7 @@ class TouchEncoder(BaseEstimator):
         for step in self.steps_:
             if isinstance(step, LeavesOut) and groups is not None:
                 left = step.left_out_unexplained(values, groups)
-            values = _in_batches(step.fit(values), values)
+            values = _transformed(step.fit(values), values)
         return np.asarray(values, dtype=np.float64), left
 
     def clean(self, touches: Touches) -> Array:
@@ -114,17 +114,15 @@ class TouchEncoder(BaseEstimator):
         """
         values, left = cleaned, np.full(len(cleaned), np.nan)
         for step in self.steps_:
-            before, values = values, _in_batches(step, values)
+            before, values = values, _transformed(step, values)
             if isinstance(step, LeavesOut):
                 left = step.unexplained(before, values)
         return np.asarray(values, dtype=np.float64), left
 
     def transform(self, touches: Touches) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
-        self._check_size(touches)
-        starts = range(0, len(touches), BATCH)
         return np.concatenate(
-            [self.encode(self._clean(touches.images[s : s + BATCH])) for s in starts]
+            [self.encode(self.clean(some)) for some in in_batches(touches)]
         )
 
     def moved(self, touches: Touches) -> Self:
@@ -138,7 +136,9 @@ class TouchEncoder(BaseEstimator):
 
     def _clean(self, raw: Array) -> Array:
         images = _living(raw)
-        return images if self.clean_up_ is None else _in_batches(self.clean_up_, images)
+        return (
+            images if self.clean_up_ is None else _transformed(self.clean_up_, images)
+        )
 
     def _check_size(self, touches: Touches) -> None:
         got = touches.images.shape[1:]
@@ -181,8 +181,15 @@ def _living(images: Array) -> Array:
     return fill_dead_taxels(images) if dead else images
 
 
-def _in_batches(step: Any, values: Array) -> Array:
+def in_batches(values: Any) -> Iterator[Any]:
+    """Yield so many touches, images or vectors at a time that memory stays bounded."""
     if len(values) <= BATCH:
-        return np.asarray(step.transform(values))
-    starts = range(0, len(values), BATCH)
-    return np.concatenate([step.transform(values[s : s + BATCH]) for s in starts])
+        yield values
+        return
+    for start in range(0, len(values), BATCH):
+        yield values[start : start + BATCH]
+
+
+def _transformed(step: Any, values: Array) -> Array:
+    parts = [step.transform(some) for some in in_batches(values)]
+    return np.asarray(parts[0]) if len(parts) == 1 else np.concatenate(parts)

@@ -13,7 +13,7 @@ from .._types import Array, Floats
 from ..images import fill_dead_taxels, repose
 from ..touches import Touches, TouchSource
 from ._contact import NO_CONTACT, ContactCheck
-from ._encoder import BATCH, TouchEncoder, find_geometry
+from ._encoder import TouchEncoder, find_geometry, in_batches
 from ._evidence import with_floor
 from ._memory import Memory
 from ._model_file import state_digest
@@ -123,8 +123,7 @@ def encoded_and_flagged(
     """Clean once for all; so many at a time that memory stays bounded."""
     parts: list[tuple[Floats, Floats]] = []
     flags: list[str] = []
-    for start in range(0, len(touches), BATCH):
-        some = touches[start : start + BATCH]
+    for some in in_batches(touches):
         cleaned = encoder.clean(some)
         parts.append(encoder.encode_fully(cleaned))
         flags += contact.flags(some, cleaned)
