@@ -79,18 +79,10 @@ Seed = Annotated[
     int, option("--seed", "Seed of everything random.", callback=checked_seed)
 ]
 Preset = Annotated[str, option("--preset", '"default", "corradi2015" or "liu2014".')]
-Label = Annotated[str, option("--label", 'What to recognise: "object" or "category".')]
+Label = Annotated[str, option('What to recognise: "object" or "category".')]
 ErrorRate = Annotated[float, option("--error", "Accepted share of wrong decisions.")]
 Report = Annotated[Path | None, option("--report", "Write one self-contained .html.")]
 ListNames = Annotated[bool, option("--list", "List them.")]
-Floor = Annotated[
-    float | None,
-    option(
-        "--floor",
-        "Least probability one touch leaves to all objects; 0 lets one touch "
-        "rule an object out. Default: the preset's.",
-    ),
-]
 NamePattern = Annotated[
     str | None,
     option(
@@ -119,6 +111,22 @@ Calibration = Annotated[
         "before anything else. Give the same to `learn` and `recognise`.",
     ),
 ]
+
+
+@dataclass(frozen=True)
+class Learning:
+    """How a recogniser is made, as `ObjectRecogniser` and `Plan` name it."""
+
+    preset: Preset = "default"
+    label: Label = "object"
+    floor: Annotated[
+        float | None,
+        option(
+            "Least probability one touch leaves to all objects; 0 lets one touch "
+            "rule an object out. Default: the preset's."
+        ),
+    ] = None
+    seed: Seed = 0
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,9 @@ from typing import Annotated, Any
 from ._options import (
     AsJson,
     ErrorRate,
-    Floor,
-    Label,
-    Preset,
+    Learning,
     Reading,
     Report,
-    Seed,
     Working,
     grouped,
     option,
@@ -28,8 +25,6 @@ def evaluate(
     split: Annotated[
         str | None, option("Split --train itself: between, last or unseen-objects.")
     ] = None,
-    label: Label = "object",
-    preset: Preset = "default",
     touches: Annotated[
         str, option("Give figures after so many touches.")
     ] = "1,5,15,30",
@@ -44,10 +39,9 @@ def evaluate(
     unknown_where: Annotated[str | None, option("The same for --unknown.")] = None,
     error: ErrorRate = 0.01,
     report: Report = None,
-    floor: Floor = None,
+    how: Learning,
     reading: Reading,
     working: Working,
-    seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
     """Learn, recognise and score, with spread, calibration and nuisance controls."""
@@ -55,14 +49,11 @@ def evaluate(
     from ..evaluation import evaluate as run
 
     plan = Plan(
-        preset=preset,
-        label=label,
+        **vars(how),
         touches=_counts(touches),
         orders=orders,
         train_touches=train_touches,
         error=error,
-        floor=floor,
-        seed=seed,
     )
     if report is not None:
         check_report_path(report)

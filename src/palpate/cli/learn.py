@@ -6,12 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 from ._options import (
     AsJson,
     Calibration,
-    Floor,
-    Label,
+    Learning,
     ModelOutput,
-    Preset,
     Reading,
-    Seed,
     TouchesPath,
     Working,
     calibrated,
@@ -31,9 +28,7 @@ def learn(
     touches: TouchesPath,
     output: ModelOutput,
     *,
-    preset: Preset = "default",
-    label: Label = "object",
-    floor: Floor = None,
+    how: Learning,
     pitch_mm: Annotated[
         float | None,
         option(
@@ -51,7 +46,6 @@ def learn(
     working: Working,
     reading: Reading,
     calibration: Calibration = None,
-    seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
     """Learn objects from labelled touches and write a model file."""
@@ -70,7 +64,7 @@ def learn(
                 recogniser = _extended(extend, training)
             else:
                 recogniser = ObjectRecogniser(
-                    preset, label=label, floor=floor, random_state=seed
+                    how.preset, label=how.label, floor=how.floor, random_state=how.seed
                 ).fit(training)
             if pitch_mm is not None or "set_pitch_mm" in training.whole:
                 stage("learning where parts lie")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ from .._checks import check_count
 from ..sensors import TouchSensor
 from ..simulation import SensorPose
 from ._guarded import Clock, Guard, guarded_touch
-from ._record import EpisodeError, EpisodeLog, TouchRecord, as_touches, tip_mm
+from ._record import EpisodeError, EpisodeLog, History, TouchRecord, as_touches, tip_mm
 from ._robot import Robot, RobotError
 from ._strategies import Strategy
 
@@ -178,7 +178,7 @@ def _attempt(
     robot: Robot,
     strategy: Strategy,
     belief: Belief | None,
-    history: Sequence[TouchRecord],
+    history: History,
     touch_at: Callable[[SensorPose], TouchRecord],
 ) -> TouchRecord:
     """Choose, go there, touch; whatever goes wrong is in the record."""
@@ -227,7 +227,7 @@ def _end(
     return None
 
 
-def _gave_up(attempts: Sequence[TouchRecord], max_faults: int) -> str:
+def _gave_up(attempts: History, max_faults: int) -> str:
     """Return why to touch no more, or nothing while it is safe to go on."""
     if not attempts:
         return ""
@@ -240,7 +240,7 @@ def _gave_up(attempts: Sequence[TouchRecord], max_faults: int) -> str:
     return ""
 
 
-def _refuse_few(attempts: Sequence[TouchRecord], wanted: int, max_faults: int) -> None:
+def _refuse_few(attempts: History, wanted: int, max_faults: int) -> None:
     """Give up gathering where touches do not come."""
     gave_up = _gave_up(attempts, max_faults)
     n_touched = _n_touched(attempts)
@@ -264,5 +264,5 @@ def _refuse_other_size(log: EpisodeLog, sensor: TouchSensor) -> None:
             )
 
 
-def _n_touched(history: Sequence[TouchRecord]) -> int:
+def _n_touched(history: History) -> int:
     return sum(record.touched for record in history)

@@ -16,7 +16,6 @@ place near one that was touched before reads the same again: its gain is scaled 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from operator import is_not
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +27,7 @@ from .._checks import check_count
 from .._types import Floats
 from ..simulation import SensorPose
 from ._place_geometry import freshness
-from ._record import TouchRecord, as_touches
+from ._record import History, TouchRecord, as_touches
 from ._strategies import Hemisphere, outward
 from ._touch_map import PlacedBelief, TouchMap
 
@@ -128,18 +127,14 @@ class InformativeTouch:
         self._seen: list[TouchRecord] = []
         self._placed = touch_map.start()
 
-    def next_pose(
-        self, belief: Belief | None, history: Sequence[TouchRecord]
-    ) -> SensorPose:
+    def next_pose(self, belief: Belief | None, history: History) -> SensorPose:
         """Return the pose of the candidate with the largest expected gain."""
         touched = -np.array([record.direction for record in history]).reshape(-1, 3)
         fresh = freshness(self._candidates, touched, self.touch_map.width_)
         best = most_promising(self.expected_gain(belief, history), fresh)
         return self.hemisphere.pose_towards(self._candidates[best])
 
-    def expected_gain(
-        self, belief: Belief | None, history: Sequence[TouchRecord]
-    ) -> Floats:
+    def expected_gain(self, belief: Belief | None, history: History) -> Floats:
         """Return the expected gain of each candidate (nats), (n_candidates,).
 
         As if nothing near it had been touched; what was is `next_pose`'s business.
@@ -161,9 +156,7 @@ class InformativeTouch:
         turns = np.arange(n_turns) * (2 * np.pi / n_turns)
         return np.array([[outward(a, np.arcsin(h)) for a in turns] for h in heights])
 
-    def _joint(
-        self, belief: Belief | None, history: Sequence[TouchRecord]
-    ) -> tuple[Floats, int]:
+    def _joint(self, belief: Belief | None, history: History) -> tuple[Floats, int]:
         if isinstance(belief, PlacedBelief):
             return belief.log_joint, belief.touches_used
         placed = self._follow(history)
@@ -174,7 +167,7 @@ class InformativeTouch:
         objects = np.log(np.maximum(shares, np.finfo(float).tiny))
         return turns + objects[:, None], belief.touches_used
 
-    def _follow(self, history: Sequence[TouchRecord]) -> PlacedBelief:
+    def _follow(self, history: History) -> PlacedBelief:
         """Return the placed belief after `history`; what was encoded stays so."""
         touched = [record for record in history if record.touched]
         n_seen = len(self._seen)

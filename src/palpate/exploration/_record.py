@@ -120,6 +120,9 @@ class TouchRecord:
         )
 
 
+History = Sequence[TouchRecord]
+
+
 def tip_mm(pose: SensorPose) -> tuple[float, float, float]:
     """Return the place of a pose as plain numbers."""
     x, y, z = np.asarray(pose.position_mm)
@@ -127,7 +130,7 @@ def tip_mm(pose: SensorPose) -> tuple[float, float, float]:
 
 
 def as_touches(
-    history: Sequence[TouchRecord],
+    history: History,
     *,
     object: str | None = None,
     category: str | None = None,

@@ -134,7 +134,6 @@ class SimulatedRobot:
         for fault in faults.values():
             check_option("faults", fault, FAULTS)
         self._faults = dict(faults)
-        self._spent: set[tuple[int, str]] = set()
         self._reading_n = self._offset_n
         self._seconds = 0.0
         self.n_retracts = self._attempt = 0
@@ -210,11 +209,10 @@ class SimulatedRobot:
         return self._faults.get(self._attempt) == fault
 
     def _fails_once(self, fault: str) -> bool:
-        key = (self._attempt, fault)
-        if not self._fails(fault) or key in self._spent:
-            return False
-        self._spent.add(key)
-        return True
+        fails = self._fails(fault)
+        if fails:
+            del self._faults[self._attempt]
+        return fails
 
 
 class MissingFrames:

@@ -12,7 +12,7 @@ goes on as it would have.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from .._checks import check_count, check_number, check_positive
 from .._types import Floats
 from ..simulation import SensorPose
-from ._record import TouchRecord
+from ._record import History
 
 if TYPE_CHECKING:
     from ..recognition import Belief
@@ -111,9 +111,7 @@ class Strategy(Protocol):
     @property
     def hemisphere(self) -> Hemisphere: ...
 
-    def next_pose(
-        self, belief: Belief | None, history: Sequence[TouchRecord]
-    ) -> SensorPose:
+    def next_pose(self, belief: Belief | None, history: History) -> SensorPose:
         """Return a pose on the hemisphere from which to move in.
 
         `belief` is None while an object is taught: there is none to hold yet.
@@ -143,7 +141,7 @@ class RandomHemisphere:
     hemisphere: Hemisphere = field(default_factory=Hemisphere)
     random_state: int = 0
 
-    def next_pose(self, belief: Any, history: Sequence[TouchRecord]) -> SensorPose:
+    def next_pose(self, belief: Any, history: History) -> SensorPose:
         """Return the pose that follows `history`; the belief does not matter."""
         rng = np.random.default_rng([self.random_state, len(history)])
         lowest = np.sin(self.hemisphere.lowest_rad)
@@ -174,7 +172,7 @@ class Raster:
         check_count("n_rings", self.n_rings)
         check_count("n_around", self.n_around)
 
-    def next_pose(self, belief: Any, history: Sequence[TouchRecord]) -> SensorPose:
+    def next_pose(self, belief: Any, history: History) -> SensorPose:
         """Return the pose that follows `history`; after the last comes the first."""
         ring, place = divmod(len(history), self.n_around)
         ring %= self.n_rings
