@@ -2,6 +2,7 @@
 
 from . import plots as plots
 from ._controls import brightness as brightness
+from ._controls import control_log_likelihood as control_log_likelihood
 from ._controls import disc_centres as disc_centres
 from ._controls import sorted_pixels as sorted_pixels
 from ._controls import without_contact as without_contact
