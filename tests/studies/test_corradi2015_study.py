@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from palpate.cli._app import app
+from palpate.cli import app
 from palpate.studies import STUDIES, run_study
 from palpate.studies.corradi2015 import Corradi2015Plan, worst_pairs
 

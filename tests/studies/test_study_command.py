@@ -7,7 +7,7 @@ import sys
 import pytest
 from typer.testing import CliRunner
 
-from palpate.cli._app import app, main
+from palpate.cli import app, main
 from palpate.studies.liu2014 import Liu2014Plan
 
 

@@ -15,9 +15,9 @@ from .._report import Row
 from .._study import Experiment, Work
 from .._touches import BATHTIP, recorded_touches
 from ._judge import Judged, holm, judge
+from ._judge import answers as answers
 from ._judge import corrected_t_test as corrected_t_test
-from ._methods import answers as answers
-from ._methods import encode as encode
+from ._judge import encode as encode
 from ._plan import CLASSIFIERS, VARIANTS, Corradi2014Plan
 from ._plan import COUNTS as COUNTS
 from ._plan import TABLE_2 as TABLE_2

@@ -107,7 +107,7 @@ class Corradi2014Plan(Plan):
         "slow_choice_runs": 1,
         "choice_step": 3,
         "thinning": 2,
-        "recorded_step": 12,
+        "recorded_step": 8,
         "recorded_upright": False,
         "fold_limit": 1,
         "candidates": ("zernike-pca", "zernike", "zernike to order 20"),

@@ -17,7 +17,7 @@ from ...encodings import RootScaler, encoder_named
 from ...touches import Touches
 from .._report import Row, mean_row
 from .._touches import Codes, coded
-from ._methods import Encoded, encode
+from ._judge import Encoded, encode
 from ._plan import CLASSIFIERS, Corradi2014Plan
 from ._shapes import Images, rim_discs, variants
 
