@@ -1,5 +1,6 @@
 """The recogniser and its belief on drawn touches whose answers are known."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -45,6 +46,44 @@ def test_recognises_what_it_learnt(recogniser, test_touches):
         assert belief.update(test_touches[rows]).best == name
         assert belief.touches_used == 6
         assert sum(belief.posterior.values()) == pytest.approx(1)
+
+
+def domes(rng, n_each=6):
+    """Discs before a dark surround, with one dent of each object's own width."""
+    row, col = np.mgrid[:60, :60] - 29.5
+    at = rng.uniform(-8, 8, (3, n_each, 2, 1, 1))
+    squared = (row - at[:, :, 0]) ** 2 + (col - at[:, :, 1]) ** 2
+    dents = np.exp(-squared / (2 * np.array([3, 6, 9])[:, None, None, None] ** 2))
+    images = 10 + (np.hypot(row, col) < 27) * (120 + 100 * dents.reshape(-1, 60, 60))
+    images += rng.normal(0, 2, images.shape)
+    return Touches(images, object=np.repeat(NAMES, n_each), geometry="dome")
+
+
+@pytest.mark.parametrize("preset", ["default", "corradi2015"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.float64])
+def test_one_update_checks_its_image_once(preset, dtype, rng):
+    learnt = domes(rng)
+    levels = Touches(learnt.images.astype(dtype), **learnt.columns, geometry="dome")
+    belief, checks = ObjectRecogniser(preset).fit(levels).start(), []
+
+    def note(frame, event, _):
+        if event == "call" and frame.f_code.co_name == "check_image_shape":
+            checks.append(frame.f_back.f_code.co_name)
+
+    sys.setprofile(note)
+    try:
+        belief.update(levels[3])
+    finally:
+        sys.setprofile(None)
+    assert len(checks) == 1, checks
+
+
+def test_update_refuses_levels_that_sums_cannot_hold(rng):
+    learnt = domes(rng)
+    belief = ObjectRecogniser().fit(learnt).start()
+    with pytest.raises(ValueError, match=r"at most 1e\+37 in size, got .*Divide all"):
+        belief.update(1e38 * learnt.images[0])
+    assert belief.touches_used == 0
 
 
 def test_touch_by_touch_equals_all_at_once(recogniser, test_touches):

@@ -342,31 +342,15 @@ def _learn_from_landmarks(
     group: NDArray[np.intp],
     ridge: float,
 ) -> tuple[Floats, Floats]:
-    """Solve the ridge regression of `target` on the landmarks' kernel.
+    """Solve the ridge regression of `target` (n_touches, n_outputs) on landmarks.
 
     The kernel is replaced by that of its projection onto some of the touches (Nystroem
     features, C. K. I. Williams and M. Seeger, "Using the Nystroem method to speed up
-    kernel machines", NIPS 13, 2001). Memory grows with the touches, not with their
-    square.
-
-    Parameters
-    ----------
-    kernel_of : callable
-        Returns the kernel of touches (rows) with the landmarks, (n_rows, n_landmarks).
-    own_kernel : ndarray of shape (n_landmarks, n_landmarks)
-    target : ndarray of shape (n_touches, n_outputs)
-    group : ndarray of int, shape (n_touches,)
-        Touches of one group are left out together.
-    ridge : float
-
-    Returns
-    -------
-    coefficients : ndarray of shape (n_landmarks, n_outputs)
-        Scores of a touch are its kernel with the landmarks times these.
-    left_out : ndarray of shape (n_touches, n_outputs)
-        What every touch would be given, had its group never been learnt: with
-        features F of the group, Q = (F_all^T F_all + ridge I)^-1 and residuals r it
-        is target - (I - F Q F^T)^-1 r.
+    kernel machines", NIPS 13, 2001), so memory grows with the touches, not with their
+    square. Returns coefficients (n_landmarks, n_outputs): scores of a touch are its
+    kernel with the landmarks times these; and what every touch would be given, had its
+    group never been learnt: with features F of the group, Q = (F_all^T F_all + ridge
+    I)^-1 and residuals r it is target - (I - F Q F^T)^-1 r.
     """
     n_landmarks = len(own_kernel)
     root = cholesky(own_kernel + _JITTER * np.eye(n_landmarks), lower=True)

@@ -21,7 +21,7 @@ from ..images import Poses, PressPose
 from ..touches import Touches, TouchSource
 from ._belief import Belief, Judge
 from ._calibration import calibrate, draw_all, left_out_log_likelihood
-from ._contact import NO_CONTACT, ContactCheck, consists_of_nothing
+from ._contact import NO_CONTACT, ContactCheck, consists_of_nothing, encoded_and_flagged
 from ._encoder import BATCH, TouchEncoder
 from ._evidence import (
     Evidence,
@@ -31,7 +31,7 @@ from ._evidence import (
     log_posteriors,
     with_floor,
 )
-from ._learning import encoded, encoded_and_flagged, learn_encoding, memory_of
+from ._learning import encoded, learn_encoding, memory_of
 from ._memory import (
     Memory,
     blocks_in_order,

@@ -275,7 +275,7 @@ class DomeCamera(DomeSensor):
         """
         flat = np.zeros((self.n_nodes, self.n_nodes), np.float32)
         dent = flat if press is None else press.contact.displacement_mm
-        grey = self._grey(_optics(*self._seen_by()).light(dent))
+        grey = self._grey(_optics(self).light(dent))
         if rng is not None and self.noise_sd > 0:
             grey += self._noise(rng)
         return np.clip(grey + np.float32(0.5), 0, 255).astype(np.uint8)
@@ -315,40 +315,20 @@ class DomeCamera(DomeSensor):
         return DomePress(reason, first + depth, depth, total, area, contact, gap)
 
     def _untouched(self) -> DomePress:
-        shape = (self.n_nodes, self.n_nodes)
-        flat = np.zeros(shape, np.float32)
-        nothing = Contact(0.0, 0.0, flat, flat, 0.0)
-        return DomePress("nothing", 0.0, 0.0, 0.0, 0.0, nothing, np.full(shape, np.inf))
-
-    def _seen_by(self) -> tuple[View, Membrane, Lighting, float]:
-        view = View(
-            image_shape=self.image_shape,
-            distance_mm=self.camera_distance_mm,
-            offset_mm=self.camera_offset_mm,
-            disc_centre=self.disc_centre,
-            disc_radius=self.disc_radius,
-        )
-        lighting = Lighting(
-            n_leds=self.n_leds,
-            ring_radius_mm=self.led_ring_radius_mm,
-            diffuse=self.diffuse,
-            specular=self.specular,
-            ambient=self.ambient,
-            shininess=self.shininess,
-        )
-        return view, self.membrane, lighting, self.max_depth_mm
+        gap = np.full((self.n_nodes, self.n_nodes), np.inf)
+        nothing = solve_contact(self.membrane, gap, depth_mm=0.0)
+        return DomePress("nothing", 0.0, 0.0, 0.0, 0.0, nothing, gap)
 
     def _grey(self, light: Plane) -> Plane:
         """Mottle the light, expose it, and draw the rim and the white around it."""
-        optics = _optics(*self._seen_by())
         mottled = light * np.float32(self.gain)
         if self.texture_sd > 0:
-            mottled *= _mottling(optics, self.texture_sd, self.texture_seed)
+            mottled *= _mottling(self)
         np.maximum(mottled, 0, out=mottled)
         grey = np.float32(255) * mottled ** np.float32(1 / self.gamma)
         np.minimum(grey, 255, out=grey)
         white = np.float32(SURROUND_GREY)
-        return np.asarray(white + optics.inside * (grey - white))
+        return np.asarray(white + _optics(self).inside * (grey - white))
 
     def _noise(self, rng: np.random.Generator) -> Plane:
         """Noise of cells as fine as 240 rows; enlarged beyond, averaged below."""
@@ -381,22 +361,36 @@ def _pair(name: str, value: Any) -> tuple[Any, Any]:
 
 
 @lru_cache(maxsize=4)
-def _optics(
-    view: View, membrane: Membrane, lighting: Lighting, deepest_mm: float
-) -> Optics:
-    return Optics(view, membrane, lighting, deepest_mm)
+def _optics(camera: DomeCamera) -> Optics:
+    view = View(
+        camera.image_shape,
+        camera.camera_distance_mm,
+        camera.camera_offset_mm,
+        camera.disc_centre,
+        camera.disc_radius,
+    )
+    lighting = Lighting(
+        camera.n_leds,
+        camera.led_ring_radius_mm,
+        camera.diffuse,
+        camera.specular,
+        camera.ambient,
+        camera.shininess,
+    )
+    return Optics(view, camera.membrane, lighting, camera.max_depth_mm)
 
 
 @lru_cache(maxsize=4)
-def _mottling(optics: Optics, sd: float, seed: int) -> Plane:
+def _mottling(camera: DomeCamera) -> Plane:
     """Factor of mean 1 on each pixel: blots of a hundredth of the picture's height."""
     import cv2
     from scipy.ndimage import gaussian_filter
 
+    optics = _optics(camera)
     rows, cols = optics.grid_shape
-    noise = np.random.default_rng(seed).standard_normal((160, 240))
+    noise = np.random.default_rng(camera.texture_seed).standard_normal((160, 240))
     blots = gaussian_filter(noise.astype(np.float32), 1.2)
-    blots *= np.float32(sd) / blots.std()
+    blots *= np.float32(camera.texture_sd) / blots.std()
     shrink = np.array([[120 / rows, 0, 0.0], [0, 120 / rows, 0.0]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     field = cv2.warpAffine(blots, shrink, (cols, rows), flags=flags)

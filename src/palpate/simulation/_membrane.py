@@ -115,16 +115,17 @@ class Membrane:
         With `whole`, on the padded grid that the Fourier transform works on, whose
         total is the displaced volume over the square of the pitch.
         """
-        return self._answer(node_force_n, self._shell, whole)
+        answer = self._answer(node_force_n, self._shell)
+        return answer if whole else answer[: self.n_nodes, : self.n_nodes]
 
     def _indented(self, node_force_n: Grid) -> Grid:
         """How far (mm) the outside gives way: the shell and the squeezed rubber."""
-        return self._answer(node_force_n, self._outside, False)
+        answer = self._answer(node_force_n, self._outside)
+        return answer[: self.n_nodes, : self.n_nodes]
 
-    def _answer(self, force: Grid, spectrum: Grid, whole: bool) -> Grid:
+    def _answer(self, force: Grid, spectrum: Grid) -> Grid:
         shape = (self._padded, self._padded)
-        answer = fft.irfft2(fft.rfft2(force, shape) * spectrum, shape)
-        return answer if whole else answer[: self.n_nodes, : self.n_nodes]
+        return np.asarray(fft.irfft2(fft.rfft2(force, shape) * spectrum, shape))
 
     @cached_property
     def _padded(self) -> int:
@@ -215,16 +216,14 @@ def solve_contact(
     gap, reachable = _checked_gap(membrane, gap_mm)
     if force_n is None and depth_mm is None:
         raise ValueError("Give force_n, depth_mm or both: the press must end.")
-    most = None if depth_mm is None else check_number("depth_mm", depth_mm, low=0.0)
+    most = np.inf if depth_mm is None else check_number("depth_mm", depth_mm, low=0.0)
     force = None if force_n is None else check_positive("force_n", force_n)
     if not reachable.any() or most == 0:
-        return _no_contact(membrane)
+        nothing = np.zeros(gap.shape, np.float32)
+        return Contact(0.0, 0.0, nothing, nothing, 0.0)
     problem = _Problem(membrane, gap, reachable, tolerance_mm, max_steps)
     if force is None:
-        assert most is not None
-        return problem.at_depth(most)
-    if most is None:
-        return problem.at_force(force)
+        return problem.at_depth(most, problem.springs(most))
     return problem.at_first(force, most)
 
 
@@ -245,11 +244,6 @@ def _checked_gap(
     return np.where(reachable, gap, _NEVER_MM), reachable
 
 
-def _no_contact(membrane: Membrane) -> Contact:
-    nothing = np.zeros((membrane.n_nodes, membrane.n_nodes), np.float32)
-    return Contact(0.0, 0.0, nothing, nothing, 0.0)
-
-
 @dataclass(frozen=True, eq=False)
 class _Problem:
     """One gap to close, by force or by depth."""
@@ -260,20 +254,17 @@ class _Problem:
     tolerance: float
     max_steps: int
 
-    def at_force(self, force_n: float) -> Contact:
-        start = self._springs(self._even_depth(force_n))
-        return self._described(self._relaxed(start, force_n, None), None)
-
-    def at_depth(self, depth_mm: float, start: Grid | None = None) -> Contact:
-        start = self._springs(depth_mm) if start is None else start
+    def at_depth(self, depth_mm: float, start: Grid) -> Contact:
         return self._described(self._relaxed(start, None, depth_mm), depth_mm)
 
     def at_first(self, force_n: float, depth_mm: float) -> Contact:
-        if depth_mm < 0.5 * self._even_depth(force_n):
-            shallow = self.at_depth(depth_mm)
+        even = self._even_depth(force_n)
+        if depth_mm < 0.5 * even:
+            shallow = self.at_depth(depth_mm, self.springs(depth_mm))
             if shallow.force_n <= force_n:
                 return shallow
-        contact = self.at_force(force_n)
+        force = self._relaxed(self.springs(even), force_n, None)
+        contact = self._described(force, None)
         if contact.depth_mm <= depth_mm:
             return contact
         share = np.float32(depth_mm / contact.depth_mm)
@@ -285,7 +276,7 @@ class _Problem:
         pitch = self.membrane.pitch_mm
         return np.float32(self.membrane.stiffness_n_mm3 * pitch**2)
 
-    def _springs(self, depth_mm: float) -> Grid:
+    def springs(self, depth_mm: float) -> Grid:
         """Node forces of such springs, where to start from."""
         return np.asarray(np.maximum(np.float32(depth_mm) - self.gap, 0) * self._spring)
 
@@ -309,9 +300,8 @@ class _Problem:
         for _ in range(self.max_steps):
             touching = force > 0
             misfit = indented + self.gap
-            misfit -= (
-                misfit[touching].mean() if depth_mm is None else np.float32(depth_mm)
-            )
+            depth = misfit[touching].mean() if depth_mm is None else _FLOAT(depth_mm)
+            misfit -= depth
             pierced = (misfit < -tolerance) & ~touching & self.reachable
             any_pierced = pierced.any()
             inside = (touching | pierced if any_pierced else touching).astype(_FLOAT)

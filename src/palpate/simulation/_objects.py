@@ -10,6 +10,7 @@ basic shapes have their feature at the origin, facing up, to be pressed from abo
 """
 
 from collections.abc import Iterable
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -20,7 +21,6 @@ from ._placed import SimObject, turned
 from ._shapes import (
     Mesh,
     ball_points,
-    ellipses,
     hull,
     joined,
     lofted,
@@ -29,7 +29,6 @@ from ._shapes import (
     rounded_box,
     rounded_hull,
     trimesh,
-    tube,
 )
 
 
@@ -41,26 +40,19 @@ def find_object(name: str) -> SimObject:
     ValueError
         There is none; the message lists the names.
     """
-    known = {
-        thing.name: thing for thing in HOUSEHOLD + UNSEEN + UNLIKE_OTHERS + BASIC_SHAPES
-    }
-    if name not in known:
-        listed = ", ".join(known)
-        raise ValueError(
-            f"name must be one of {listed}, got {name!r}. "
-            "For a mesh file use load_mesh(path)."
-        )
-    return known[name]
+    things = HOUSEHOLD + UNSEEN + UNLIKE_OTHERS + BASIC_SHAPES
+    for thing in things:
+        if thing.name == name:
+            return thing
+    listed = ", ".join(thing.name for thing in things)
+    raise ValueError(
+        f"name must be one of {listed}, got {name!r}. "
+        "For a mesh file use load_mesh(path)."
+    )
 
 
 def refuse_same_names(things: Iterable[SimObject]) -> None:
-    """Refuse objects that share a name: their touches would be taken for those of one.
-
-    Raises
-    ------
-    ValueError
-        Two objects have one name.
-    """
+    """Refuse objects of one name: their touches would be taken for those of one."""
     seen: set[str] = set()
     for thing in things:
         if thing.name in seen:
@@ -117,7 +109,12 @@ def shampoo_bottle() -> Mesh:
     z = np.array([0, 2, 5, 60, 120, 140, 150, 156, 158], float)
     half_x = np.array([30, 34, 36, 37, 35, 30, 22, 13, 12], float)
     half_y = np.array([16, 19, 21, 22, 21, 18, 15, 12.5, 12], float)
-    body = lofted(ellipses(half_x, half_y, z, power=2.4))
+    around = np.arange(96) * (2 * np.pi / 96)
+    cos, sin = np.cos(around), np.sin(around)
+    x = np.multiply.outer(half_x, np.sign(cos) * np.abs(cos) ** (2 / 2.4))
+    y = np.multiply.outer(half_y, np.sign(sin) * np.abs(sin) ** (2 / 2.4))
+    heights = np.broadcast_to(z[:, None], x.shape)
+    body = lofted(np.stack([x, y, heights], -1))
     cap = revolved([(0, 155), (14, 155), (14, 186), (12.5, 189), (10, 190), (0, 190)])
     return joined(body, cap)
 
@@ -253,14 +250,9 @@ def _edge() -> Mesh:
     return _top_at_zero(rounded_box((80, 40, 40), 0.3), turned((1, 0, 0), 45))
 
 
-def _flat_to_edge() -> Mesh:
-    """Block whose flat top ends above the origin."""
-    return moved(rounded_box((60, 80, 30), 0.3), x=30, z=-30)
-
-
-def _flat() -> Mesh:
-    """Block with a flat top, 80 mm square."""
-    return moved(rounded_box((80, 80, 30), 0.3), z=-30)
+def _block(size: tuple[float, float, float], x: float) -> Mesh:
+    """Block with a flat top at z = 0, its middle at x."""
+    return moved(rounded_box(size, 0.3), x=x, z=-size[2])
 
 
 def _nothing() -> Mesh:
@@ -286,10 +278,6 @@ def _top_at_zero(mesh: Mesh, rotation: Floats) -> Mesh:
     return moved(copy, -(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -high[2])
 
 
-def _turns(*about: tuple[tuple[int, int, int], float]) -> tuple[Floats, ...]:
-    return tuple(turned(axis, angle) for axis, angle in about)
-
-
 _RIB = ((32.5, 0.0), (31.3, 2.0), (30.9, 4.0), (31.3, 6.0), (32.5, 8.0))
 
 
@@ -303,9 +291,8 @@ def _arc(
 ) -> list[tuple[float, float]]:
     """Points of a profile on a circle, from one angle to another."""
     angle = np.deg2rad(np.linspace(start_deg, stop_deg, n))
-    return list(
-        zip(r + radius * np.cos(angle), z + radius * np.sin(angle), strict=True)
-    )
+    x, y = r + radius * np.cos(angle), z + radius * np.sin(angle)
+    return list(zip(x, y, strict=True))
 
 
 def _cup(bottom: float, top: float, height: float, wall: float) -> Mesh:
@@ -321,7 +308,14 @@ def _handle(x: float, z: float, out: float, up: float, radius: float) -> Mesh:
     """Half an ellipse of tube, its ends inside the wall at x."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, 33)
     path = np.column_stack([x + out * np.cos(angle), 0 * angle, z + up * np.sin(angle)])
-    return tube(path, radius)
+    along = np.gradient(path, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    side = np.array([0.0, 1.0, 0.0])
+    upward = np.cross(along, side)
+    around = np.arange(24) * (2 * np.pi / 24)
+    cos, sin = radius * np.cos(around), radius * np.sin(around)
+    wheel = cos[:, None] * side + sin[:, None] * upward[:, None]
+    return lofted(path[:, None] + wheel)
 
 
 def _lying(mesh: Mesh, length: float, radius: float) -> Mesh:
@@ -333,28 +327,28 @@ def _lying(mesh: Mesh, length: float, radius: float) -> Mesh:
     return laid
 
 
-_UPSIDE = ((1, 0, 0), 180.0)
-_ON_SIDE = ((1, 0, 0), 90.0)
-_ON_END = ((0, 1, 0), 90.0)
+_UPSIDE = turned((1, 0, 0), 180.0)
+_ON_SIDE = turned((1, 0, 0), 90.0)
+_ON_END = turned((0, 1, 0), 90.0)
 
 HOUSEHOLD = (
     SimObject("stapler", "stapler", stapler),
     SimObject("toothbrush", "toothbrush", toothbrush),
-    SimObject("porridge pot", "pot", porridge_pot, _turns(_UPSIDE)),
-    SimObject("mug", "mug", mug, _turns(_UPSIDE)),
-    SimObject("shampoo bottle", "bottle", shampoo_bottle, _turns(_UPSIDE)),
-    SimObject("box", "box", box, _turns(_ON_SIDE, _ON_END)),
+    SimObject("porridge pot", "pot", porridge_pot, (_UPSIDE,)),
+    SimObject("mug", "mug", mug, (_UPSIDE,)),
+    SimObject("shampoo bottle", "bottle", shampoo_bottle, (_UPSIDE,)),
+    SimObject("box", "box", box, (_ON_SIDE, _ON_END)),
     SimObject("pen", "pen", pen),
-    SimObject("ball", "ball", ball, _turns(_ON_SIDE)),
-    SimObject("textbook", "book", textbook, _turns(_UPSIDE)),
+    SimObject("ball", "ball", ball, (_ON_SIDE,)),
+    SimObject("textbook", "book", textbook, (_UPSIDE,)),
     SimObject("water bottle", "bottle", water_bottle),
 )
 
 UNLIKE_OTHERS = (SimObject("massage ball", "massage ball", massage_ball),)
 
 UNSEEN = (
-    SimObject("plastic card", "card", plastic_card, _turns(_UPSIDE)),
-    SimObject("other mug", "mug", other_mug, _turns(_UPSIDE)),
+    SimObject("plastic card", "card", plastic_card, (_UPSIDE,)),
+    SimObject("other mug", "mug", other_mug, (_UPSIDE,)),
     SimObject("other pen", "pen", other_pen),
     SimObject("smaller ball", "ball", smaller_ball),
     SimObject("soft textbook", "book", soft_textbook),
@@ -364,8 +358,8 @@ BASIC_SHAPES = (
     SimObject("corner", "corner", _corner),
     SimObject("cylinder", "cylinder", _cylinder),
     SimObject("edge", "edge", _edge),
-    SimObject("flat-to-edge", "flat-to-edge", _flat_to_edge),
-    SimObject("flat", "flat", _flat),
+    SimObject("flat-to-edge", "flat-to-edge", partial(_block, (60, 80, 30), 30)),
+    SimObject("flat", "flat", partial(_block, (80, 80, 30), 0)),
     SimObject("nothing", "nothing", _nothing),
     SimObject("point", "point", _point),
 )

@@ -51,11 +51,6 @@ def frozen(array: Array) -> Array:
 def checked_images(images: ArrayLike) -> Array:
     """Return images (n_touches, n_rows, n_cols) read-only, or explain."""
     array = plain_array("images", images)
-    if array.dtype.kind not in "biuf":
-        raise TouchesError(
-            f"images must be integers or floats, got {array.dtype}. "
-            "Convert them first, for example images.astype(np.float32)."
-        )
     if array.ndim != 3:
         hint = " For one touch pass images[np.newaxis]." if array.ndim == 2 else ""
         raise TouchesError(
@@ -67,7 +62,7 @@ def checked_images(images: ArrayLike) -> Array:
             "images must hold at least one touch of at least one taxel, "
             f"got shape {array.shape}. Leave empty recordings out."
         )
-    _refuse_infinity("images", array)
+    _refuse_odd_levels("images", array)
     return frozen(array)
 
 
@@ -208,7 +203,13 @@ def _checked_labels(name: str, array: Array) -> Array:
             f"{name} must be text or integers, got an array of {array.dtype}. "
             "Convert it first, for example with .astype(str)."
         )
-    labels = _decoded(name, array) if kind == "S" else array
+    try:
+        labels = np.char.decode(array, "utf-8") if kind == "S" else array
+    except UnicodeDecodeError as error:
+        raise TouchesError(
+            f"{name} must be UTF-8 text, got bytes that are not. "
+            "Decode them first, for example with np.char.decode(labels, 'latin-1')."
+        ) from error
     text = labels if labels.dtype.kind == "U" else labels.astype(np.str_)
     empty = np.char.str_len(np.char.strip(text)) == 0
     if empty.any():
@@ -217,16 +218,6 @@ def _checked_labels(name: str, array: Array) -> Array:
             f"{np.flatnonzero(empty)[0]}. Label that touch or leave it out."
         )
     return text
-
-
-def _decoded(name: str, array: Array) -> Array:
-    try:
-        return np.char.decode(array, "utf-8")
-    except UnicodeDecodeError as error:
-        raise TouchesError(
-            f"{name} must be UTF-8 text, got bytes that are not. "
-            "Decode them first, for example with np.char.decode(labels, 'latin-1')."
-        ) from error
 
 
 def _checked_whole(name: str, array: Array, images: Array) -> Array:
@@ -244,11 +235,7 @@ def _checked_no_contact(array: Array, images: Array) -> Array:
             f"no_contact must be one image of {n_rows} x {n_cols} taxels like the "
             f"touches, got shape {array.shape}. Crop or resize it, or leave it out."
         )
-    if array.dtype.kind not in "biuf":
-        raise TouchesError(
-            f"no_contact must be integers or floats, got {array.dtype}. Convert it."
-        )
-    _refuse_infinity("no_contact", array[np.newaxis])
+    _refuse_odd_levels("no_contact", array[np.newaxis])
     return array
 
 
@@ -262,8 +249,13 @@ def _checked_geometry(array: Array) -> Array:
     return np.array(text)
 
 
-def _refuse_infinity(name: str, images: Array) -> None:
-    """Refuse infinite taxels, a few megabytes at a time; NaN is a dead taxel."""
+def _refuse_odd_levels(name: str, images: Array) -> None:
+    """Refuse what is no level, some megabytes at a time; NaN is a dead taxel."""
+    if images.dtype.kind not in "biuf":
+        raise TouchesError(
+            f"{name} must be integers or floats, got {images.dtype}. "
+            f"Convert them first, for example {name}.astype(np.float32)."
+        )
     if images.dtype.kind != "f":
         return
     step = max(1, _TAXELS_AT_ONCE // max(1, images[0].size))
