@@ -17,6 +17,7 @@ library = typer.Typer(
 )
 
 LibraryPath = Annotated[Path, argument("LIBRARY", "The folder of the library.")]
+Object = Annotated[str, argument("An object.")]
 Filter = Annotated[str, argument("A filter, as for --where.")]
 
 
@@ -200,9 +201,7 @@ def stats(folder: LibraryPath, as_json: AsJson = False) -> None:
 
 @library.command()
 def rename(
-    folder: LibraryPath,
-    old: Annotated[str, argument("An object.")],
-    new: Annotated[str, argument("Its new name.")],
+    folder: LibraryPath, old: Object, new: Annotated[str, argument("Its new name.")]
 ) -> None:
     """Give an object another name."""
     with _opened(folder) as opened:
@@ -213,7 +212,7 @@ def rename(
 @library.command()
 def merge(
     folder: LibraryPath,
-    source: Annotated[str, argument("An object.")],
+    source: Object,
     into: Annotated[str, argument("What it really is.")],
 ) -> None:
     """Make two objects one."""

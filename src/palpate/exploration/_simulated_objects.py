@@ -171,10 +171,8 @@ def explore_to_learn(
         taken.
     random_state : int, default=0
         Same number, same touches.
-    n_jobs : int, optional
-        Processes, as in joblib.
-    progress : bool, optional
-        Show a bar on standard error; None where that is a terminal.
+    n_jobs, progress : int and bool, optional
+        Processes, and whether to show a bar; see `simulate_touches`.
 
     Returns
     -------
