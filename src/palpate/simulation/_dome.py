@@ -7,7 +7,7 @@ pictures grey levels 0 to 255 with the first row at the top.
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any, Self
 
 import numpy as np
@@ -107,16 +107,34 @@ class DomeSensor(ABC):
         dome = self._dome()
         placed = target if isinstance(target, PlacedObject) else PlacedObject(target)
         gap = gap_map(placed, pose, dome.membrane)
-        first = float(gap.min())
+        first, reason = float(gap.min()), "depth"
         if not first <= reach_mm or np.isinf(first):
-            return dome._untouched()
+            gap[:] = np.inf
+            nothing = solve_contact(dome.membrane, gap, depth_mm=0.0)
+            return DomePress("nothing", 0.0, 0.0, 0.0, 0.0, nothing, gap)
         if first < 0:
             raise ValueError(
                 f"pose must be clear of the object, got one {-first:.3g} mm inside "
                 f"{placed.thing.name!r}. Start further back."
             )
+        force = dome.force_n if force_n is None else check_positive("force_n", force_n)
+        most = dome.max_depth_mm
+        if depth_mm is not None:
+            if force_n is not None:
+                raise ValueError("Give at most one of force_n and depth_mm.")
+            most = check_number("depth_mm", depth_mm, low=0.0, high=most)
         sleeve = sleeve_gap(placed, pose, dome.membrane_radius_mm, dome.sleeve_mm)
-        return dome._ended(gap - first, first, sleeve - first, force_n, depth_mm)
+        if sleeve - first < most:
+            most, reason = max(sleeve - first, 0.0), "sleeve"
+        gap -= first
+        wanted = force if depth_mm is None else None
+        contact = solve_contact(dome.membrane, gap, force_n=wanted, depth_mm=most)
+        depth, total, area = contact.depth_mm, contact.force_n, contact.area_mm2
+        if depth < most:
+            reason = "force"
+        elif reason == "sleeve":
+            total = force
+        return DomePress(reason, first + depth, depth, total, area, contact, gap)
 
     def no_contact(self) -> Frame:
         """Return the picture of the dome touching nothing, without noise."""
@@ -260,11 +278,9 @@ class DomeCamera(DomeSensor):
         depths = np.asarray(depths_mm, dtype=np.float64)
         if not press.touched:
             return np.zeros(depths.shape)
-        solved = [
-            solve_contact(self.membrane, press.gap_mm, depth_mm=depth).force_n
-            for depth in depths.ravel()
-        ]
-        return np.reshape(solved, depths.shape)
+        at = partial(solve_contact, self.membrane, press.gap_mm)
+        forces = [at(depth_mm=depth).force_n for depth in depths.ravel()]
+        return np.reshape(forces, depths.shape)
 
     def image(
         self, press: DomePress | None = None, rng: np.random.Generator | None = None
@@ -285,39 +301,6 @@ class DomeCamera(DomeSensor):
         row, col = self.disc_centre + self.centre_drift_sd * rng.standard_normal(2)
         gain = self.gain * float(np.exp(self.exposure_drift_sd * rng.standard_normal()))
         return replace(self, gain=gain, disc_centre=(float(row), float(col)))
-
-    def _ended(
-        self,
-        gap: Floats,
-        first: float,
-        sleeve: float,
-        force_n: float | None,
-        depth_mm: float | None,
-    ) -> DomePress:
-        """Press until the force, the depth or the sleeve, whichever comes first."""
-        force = self.force_n if force_n is None else check_positive("force_n", force_n)
-        most, reason = self.max_depth_mm, "depth"
-        if depth_mm is not None:
-            if force_n is not None:
-                raise ValueError("Give at most one of force_n and depth_mm.")
-            most = check_number("depth_mm", depth_mm, low=0.0, high=most)
-        if sleeve < most:
-            most, reason = max(sleeve, 0.0), "sleeve"
-        wanted = force if depth_mm is None else None
-        contact = solve_contact(self.membrane, gap, force_n=wanted, depth_mm=most)
-        total = contact.force_n
-        if contact.depth_mm < most:
-            reason = "force"
-        elif reason == "sleeve":
-            total = force
-        depth = contact.depth_mm
-        area = contact.area_mm2
-        return DomePress(reason, first + depth, depth, total, area, contact, gap)
-
-    def _untouched(self) -> DomePress:
-        gap = np.full((self.n_nodes, self.n_nodes), np.inf)
-        nothing = solve_contact(self.membrane, gap, depth_mm=0.0)
-        return DomePress("nothing", 0.0, 0.0, 0.0, 0.0, nothing, gap)
 
     def _grey(self, light: Plane) -> Plane:
         """Mottle the light, expose it, and draw the rim and the white around it."""

@@ -321,10 +321,8 @@ class _Problem:
             steady = bool(force.min() >= 0)
             if not steady:
                 np.maximum(force, 0, out=force)
-            scale = _FLOAT(1)
-            if total is not None:
-                scale = _FLOAT(total / force.sum())
-                force *= scale
+            scale = _FLOAT(1 if total is None else total / force.sum())
+            force *= scale
             if steady:
                 indented = (indented - step * answer) * scale
             else:
@@ -332,8 +330,7 @@ class _Problem:
         return force
 
     def _described(self, force: Grid, depth_mm: float | None) -> Contact:
-        membrane, inside = self.membrane, force > 0
-        depth = depth_mm
+        membrane, inside, depth = self.membrane, force > 0, depth_mm
         if depth is None:
             depth = float((membrane._indented(force) + self.gap)[inside].mean())
         area = float(np.count_nonzero(inside) * membrane.pitch_mm**2)

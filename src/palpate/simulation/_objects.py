@@ -185,8 +185,7 @@ def plastic_card() -> Mesh:
     """Bank card lying, 85.6 x 54 x 0.76 with corners of 3.2 (ISO/IEC 7810)."""
     angles = np.deg2rad(np.arange(0, 360, 10) + 5.0)
     corner = 3.2 * np.column_stack([np.cos(angles), np.sin(angles)])
-    centre = np.sign(corner) * (42.8 - 3.2, 27 - 3.2)
-    flat = corner + centre
+    flat = corner + np.sign(corner) * (42.8 - 3.2, 27 - 3.2)
     levels = [np.column_stack([flat, np.full(len(flat), z)]) for z in (0, 0.76)]
     return hull(np.concatenate(levels))
 

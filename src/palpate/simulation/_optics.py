@@ -107,7 +107,12 @@ class Optics:
         away = np.hypot(row[:, None], col)
         share = (view.disc_radius - away) * n_rows + 0.5
         self.inside: Plane = np.clip(share, 0, 1).astype(np.float32)
-        self._lay_grid()
+        rows = min(n_rows, _SHADED_ROWS)
+        self._scale = rows / n_rows
+        # Whole rows, and the columns that the disc covers.
+        covered = min(view.disc_centre[1] + view.disc_radius, n_cols / n_rows)
+        cols = int(np.ceil(max(covered, 0) * rows)) + 1
+        self.grid_shape = rows, max(2, cols)
         self._lay_rays(deepest_mm)
 
     def light(self, displacement_mm: Plane) -> Plane:
@@ -142,16 +147,6 @@ class Optics:
         size, border = (n_cols, n_rows), cv2.BORDER_REPLICATE
         large = cv2.warpAffine(shaded, to_grid, size, flags=flags, borderMode=border)
         return np.asarray(large)
-
-    def _lay_grid(self) -> None:
-        """Choose the shading grid: whole rows, and the columns that the disc covers."""
-        view = self._view
-        n_rows, n_cols = view.image_shape
-        rows = min(n_rows, _SHADED_ROWS)
-        self._scale = rows / n_rows
-        covered = min(view.disc_centre[1] + view.disc_radius, n_cols / n_rows)
-        cols = int(np.ceil(max(covered, 0) * rows)) + 1
-        self.grid_shape = rows, max(2, cols)
 
     def _lay_rays(self, deepest_mm: float) -> None:
         view, radius = self._view, self._membrane.radius_mm

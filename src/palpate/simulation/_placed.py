@@ -135,9 +135,7 @@ class PlacedObject(_Rebuilt):
     @property
     def bounds_mm(self) -> Floats:
         """Lowest and highest x, y, z, (2, 3); zeros for "nothing"."""
-        corners = self.vertices_mm
-        if not len(corners):
-            return np.zeros((2, 3))
+        corners = self.vertices_mm if len(self.vertices_mm) else np.zeros((1, 3))
         return np.stack([corners.min(axis=0), corners.max(axis=0)])
 
     @property
