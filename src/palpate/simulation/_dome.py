@@ -16,10 +16,13 @@ from numpy.typing import NDArray
 from .._checks import check_count, check_number, check_positive
 from .._types import Floats
 from ._membrane import Contact, Membrane, solve_contact
-from ._optics import SURROUND_GREY, Lighting, Optics, Plane, View, check_picture
+from ._optics import SURROUND_GREY, Lighting, Optics, Plane, View
 from ._placed import PlacedObject, SensorPose, SimObject, gap_map, sleeve_gap
 
 Frame = NDArray[np.uint8]
+_LEAST_SIDE = 8
+# One such picture takes a second and half a gigabyte.
+_MOST_PIXELS = 8_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +68,10 @@ class DomePress:
 class DomeSensor(ABC):
     """What sensors with a dome have in common."""
 
+    @property
     @abstractmethod
-    def _dome(self) -> "DomeCamera":
-        """Return the membrane, its camera and its force."""
+    def dome(self) -> "DomeCamera":
+        """The membrane, its camera and its force."""
 
     @abstractmethod
     def image(
@@ -104,7 +108,7 @@ class DomeSensor(ABC):
         ValueError
             The dome overlaps the object at the start.
         """
-        dome = self._dome()
+        dome = self.dome
         placed = target if isinstance(target, PlacedObject) else PlacedObject(target)
         gap = gap_map(placed, pose, dome.membrane)
         first, reason = float(gap.min()), "depth"
@@ -245,7 +249,14 @@ class DomeCamera(DomeSensor):
     def __post_init__(self) -> None:
         for name in ("image_shape", "camera_offset_mm", "disc_centre"):
             object.__setattr__(self, name, _pair(name, getattr(self, name)))
-        check_picture(self.image_shape)
+        n_rows, n_cols = self.image_shape
+        for side in self.image_shape:
+            check_count("image_shape", side, at_least=_LEAST_SIDE)
+        if n_rows * n_cols > _MOST_PIXELS:
+            raise ValueError(
+                f"image_shape must have at most {_MOST_PIXELS} pixels, got {n_rows} x "
+                f"{n_cols}. Take fewer rows and columns (--rows, --cols)."
+            )
         for name in _POSITIVE.split():
             check_positive(name, getattr(self, name))
         for name in _NOT_NEGATIVE.split():
@@ -259,7 +270,9 @@ class DomeCamera(DomeSensor):
             )
         self.membrane  # noqa: B018  refuses what is no membrane
 
-    def _dome(self) -> "DomeCamera":
+    @property
+    def dome(self) -> "DomeCamera":
+        """The camera itself."""
         return self
 
     @cached_property

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import check_count
 from .._types import Array
 from ._membrane import Membrane
 
@@ -27,9 +26,6 @@ _SHADED_ROWS = 128
 _MARCH_STEPS = 11
 _STEEPEST = 0.9995
 _RIM_SHARE = 0.975
-_LEAST_SIDE = 8
-# One such picture takes a second and half a gigabyte.
-_MOST_PIXELS = 8_000_000
 
 
 @dataclass(frozen=True)
@@ -76,18 +72,6 @@ class View:
     offset_mm: tuple[float, float]
     disc_centre: tuple[float, float]
     disc_radius: float
-
-
-def check_picture(image_shape: tuple[Any, Any]) -> None:
-    """Refuse a picture that is too small to show a disc, or too large to compute."""
-    n_rows, n_cols = (
-        check_count("image_shape", side, at_least=_LEAST_SIDE) for side in image_shape
-    )
-    if n_rows * n_cols > _MOST_PIXELS:
-        raise ValueError(
-            f"image_shape must have at most {_MOST_PIXELS} pixels, got {n_rows} x "
-            f"{n_cols}. Take fewer rows and columns (--rows, --cols)."
-        )
 
 
 class Optics:

@@ -214,18 +214,12 @@ class SensorPose:
 
 
 def gap_map(placed: PlacedObject, pose: SensorPose, membrane: Membrane) -> Floats:
-    """How far the sensor can move from a pose until each node of its dome touches.
+    """How far (mm) the sensor can move from a pose until each node of its dome touches.
 
-    Returns
-    -------
-    ndarray of shape (n_nodes, n_nodes)
-        In mm; infinity where nothing is ahead or outside the dome, negative where
-        the object already reaches into it. Subtract the least to press.
-
-    Notes
-    -----
-    One ray per node, from the level of the rim: of an object that is behind that
-    level nothing is seen. Only the first surface along the axis counts.
+    Of shape (n_nodes, n_nodes): infinity where nothing is ahead or outside the dome,
+    negative where the object already reaches into it. Subtract the least to press.
+    One ray per node, from the level of the rim: of an object that is behind that level
+    nothing is seen. Only the first surface along the axis counts.
     """
     x, y = np.meshgrid(membrane.node_mm, membrane.node_mm)
     inside = np.isfinite(membrane.drop_mm)

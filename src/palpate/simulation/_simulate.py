@@ -342,7 +342,7 @@ def _one(
     sensor: DomeCamera | TacTipPins, way: _Way, placed: PlacedObject, rng: Generator
 ) -> _Touch:
     """Return picture, press and the pose at its end."""
-    force = sensor._dome().force_n * float(np.exp(rng.normal(0, way.force_sd)))
+    force = sensor.dome.force_n * float(np.exp(rng.normal(0, way.force_sd)))
     solid = len(placed.thing.mesh.faces) > 0
     for _ in range(_ATTEMPTS):
         pose = way.start(placed, rng)
