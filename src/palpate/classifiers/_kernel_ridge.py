@@ -19,12 +19,11 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import log_softmax
 from sklearn.metrics.pairwise import euclidean_distances
-from sklearn.utils.multiclass import check_classification_targets
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_count, check_label_kinds, check_positive, check_squarable
+from .._checks import check_count, check_positive, check_squarable
 from .._types import Array, Floats
-from ._touch_classifier import BayesRule, as_groups, as_touches
+from ._touch_classifier import BayesRule, as_groups, as_touches, labelled_touches
 
 # Temperature and bend of the posterior are fitted to at most so many touches.
 _SHAPED_BY = 10_000
@@ -141,7 +140,6 @@ class KernelRidgeClassifier(BayesRule):
             For labels that are partly text, partly something else.
         """
         touches, labels = self._validated(X, y, reset=True)
-        check_classification_targets(labels)
         self.classes_, codes = np.unique(labels, return_inverse=True)
         if len(self.classes_) < 2:
             raise ValueError(
@@ -155,8 +153,7 @@ class KernelRidgeClassifier(BayesRule):
     def _validated(
         self, X: ArrayLike, y: ArrayLike, *, reset: bool
     ) -> tuple[Floats, Array]:
-        check_label_kinds(y)
-        touches, labels = validate_data(self, X, y, dtype=np.float64, reset=reset)
+        touches, labels = labelled_touches(self, X, y, reset=reset)
         return check_squarable("X", touches), labels
 
     def _choose(self, touches: Floats, codes: Array, group: Array) -> None:

@@ -2,6 +2,7 @@
 
 from . import plots as plots
 from ._controls import brightness as brightness
+from ._controls import control_log_likelihood as control_log_likelihood
 from ._controls import disc_centres as disc_centres
 from ._controls import sorted_pixels as sorted_pixels
 from ._controls import without_contact as without_contact
@@ -18,14 +19,14 @@ from ._report import check_report_path as check_report_path
 from ._report import report_page as report_page
 from ._report import write_report
 from ._report_why import explained_episodes as explained_episodes
-from ._splits import SPLITS, split_touches
+from ._splits import SPLITS as SPLITS
 from ._splits import Fold as Fold
 from ._splits import draw_touches as draw_touches
 from ._splits import split_by_count as split_by_count
+from ._splits import split_touches
 from ._trial import Plan, Trial
 
 __all__ = [
-    "SPLITS",
     "Decisions",
     "Plan",
     "Trial",

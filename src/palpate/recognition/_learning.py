@@ -12,8 +12,8 @@ from sklearn.base import clone
 from .._types import Array, Floats
 from ..images import fill_dead_taxels, repose
 from ..touches import Touches, TouchSource
-from ._contact import NO_CONTACT, ContactCheck
-from ._encoder import TouchEncoder, find_geometry, in_batches
+from ._contact import NO_CONTACT, ContactCheck, encoded_and_flagged
+from ._encoder import TouchEncoder, find_geometry
 from ._evidence import with_floor
 from ._memory import Memory
 from ._model_file import state_digest
@@ -115,20 +115,6 @@ def memory_of(
         unexplained=encoding.unexplained,
         touch_ids=unknown if ids is None else ids,
     )
-
-
-def encoded_and_flagged(
-    encoder: TouchEncoder, contact: ContactCheck, touches: Touches
-) -> tuple[Floats, Floats, list[str]]:
-    """Clean once for all; so many at a time that memory stays bounded."""
-    parts: list[tuple[Floats, Floats]] = []
-    flags: list[str] = []
-    for some in in_batches(touches):
-        cleaned = encoder.clean(some)
-        parts.append(encoder.encode_fully(cleaned))
-        flags += contact.flags(some, cleaned)
-    features, unexplained = zip(*parts, strict=True)
-    return np.concatenate(features), np.concatenate(unexplained), flags
 
 
 def shown_rows(labels: Array, n_shown: int = SHOWN) -> NDArray[np.intp]:
