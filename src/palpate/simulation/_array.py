@@ -251,13 +251,15 @@ class PressureArray:
     ) -> Floats:
         """Return the mean stress in kPa over each sensing window, (rows, cols)."""
         pressure, row, col = self._contact(part, press or Press(), random_state)
+        cells, side = self.cells_per_pitch, max(self.rows, self.cols)
+        where = (self.pitch_mm, self.sensing_mm, self.cover_mm)
+        # Scale (rank,) and factors (rank, n_taxels, n_cells).
+        scale, factors = window_weights(side, cells, *where)
         n_rows, n_cols = pressure.shape
-        scale, by_row, by_col = self._weights
-        half = by_row[:, :, row : row + n_rows] @ pressure
+        half = factors[:, : self.rows, row : row + n_rows] @ pressure
         weighted = half * scale[:, np.newaxis, np.newaxis]
-        return np.tensordot(
-            weighted, by_col[:, :, col : col + n_cols], axes=([0, 2], [0, 2])
-        )
+        by_col = factors[:, : self.cols, col : col + n_cols]
+        return np.tensordot(weighted, by_col, axes=([0, 2], [0, 2]))
 
     def contact_kpa(
         self,
@@ -274,15 +276,6 @@ class PressureArray:
         whole = np.zeros((self.rows * cells, self.cols * cells))
         whole[row : row + pressure.shape[0], col : col + pressure.shape[1]] = pressure
         return whole
-
-    @property
-    def _weights(self) -> tuple[Floats, ...]:
-        """Scale (rank,) and factors (rank, n_taxels, n_cells) along rows, columns."""
-        cells, side = self.cells_per_pitch, max(self.rows, self.cols)
-        where = (self.pitch_mm, self.sensing_mm, self.cover_mm)
-        scale, factors = window_weights(side, cells, *where)
-        by_row = factors[:, : self.rows, : self.rows * cells]
-        return scale, by_row, factors[:, : self.cols, : self.cols * cells]
 
     def _contact(
         self, part: Part | str | int, press: Press, random_state: Any

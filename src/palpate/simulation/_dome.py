@@ -7,7 +7,7 @@ pictures grey levels 0 to 255 with the first row at the top.
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any, Self
 
 import numpy as np
@@ -16,10 +16,13 @@ from numpy.typing import NDArray
 from .._checks import check_count, check_number, check_positive
 from .._types import Floats
 from ._membrane import Contact, Membrane, solve_contact
-from ._optics import SURROUND_GREY, Lighting, Optics, Plane, View, check_picture
+from ._optics import SURROUND_GREY, Lighting, Optics, Plane, View
 from ._placed import PlacedObject, SensorPose, SimObject, gap_map, sleeve_gap
 
 Frame = NDArray[np.uint8]
+_LEAST_SIDE = 8
+# One such picture takes a second and half a gigabyte.
+_MOST_PIXELS = 8_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +68,10 @@ class DomePress:
 class DomeSensor(ABC):
     """What sensors with a dome have in common."""
 
+    @property
     @abstractmethod
-    def _dome(self) -> "DomeCamera":
-        """Return the membrane, its camera and its force."""
+    def dome(self) -> "DomeCamera":
+        """The membrane, its camera and its force."""
 
     @abstractmethod
     def image(
@@ -104,19 +108,37 @@ class DomeSensor(ABC):
         ValueError
             The dome overlaps the object at the start.
         """
-        dome = self._dome()
+        dome = self.dome
         placed = target if isinstance(target, PlacedObject) else PlacedObject(target)
         gap = gap_map(placed, pose, dome.membrane)
-        first = float(gap.min())
+        first, reason = float(gap.min()), "depth"
         if not first <= reach_mm or np.isinf(first):
-            return dome._untouched()
+            gap[:] = np.inf
+            nothing = solve_contact(dome.membrane, gap, depth_mm=0.0)
+            return DomePress("nothing", 0.0, 0.0, 0.0, 0.0, nothing, gap)
         if first < 0:
             raise ValueError(
                 f"pose must be clear of the object, got one {-first:.3g} mm inside "
                 f"{placed.thing.name!r}. Start further back."
             )
+        force = dome.force_n if force_n is None else check_positive("force_n", force_n)
+        most = dome.max_depth_mm
+        if depth_mm is not None:
+            if force_n is not None:
+                raise ValueError("Give at most one of force_n and depth_mm.")
+            most = check_number("depth_mm", depth_mm, low=0.0, high=most)
         sleeve = sleeve_gap(placed, pose, dome.membrane_radius_mm, dome.sleeve_mm)
-        return dome._ended(gap - first, first, sleeve - first, force_n, depth_mm)
+        if sleeve - first < most:
+            most, reason = max(sleeve - first, 0.0), "sleeve"
+        gap -= first
+        wanted = force if depth_mm is None else None
+        contact = solve_contact(dome.membrane, gap, force_n=wanted, depth_mm=most)
+        depth, total, area = contact.depth_mm, contact.force_n, contact.area_mm2
+        if depth < most:
+            reason = "force"
+        elif reason == "sleeve":
+            total = force
+        return DomePress(reason, first + depth, depth, total, area, contact, gap)
 
     def no_contact(self) -> Frame:
         """Return the picture of the dome touching nothing, without noise."""
@@ -227,7 +249,14 @@ class DomeCamera(DomeSensor):
     def __post_init__(self) -> None:
         for name in ("image_shape", "camera_offset_mm", "disc_centre"):
             object.__setattr__(self, name, _pair(name, getattr(self, name)))
-        check_picture(self.image_shape)
+        n_rows, n_cols = self.image_shape
+        for side in self.image_shape:
+            check_count("image_shape", side, at_least=_LEAST_SIDE)
+        if n_rows * n_cols > _MOST_PIXELS:
+            raise ValueError(
+                f"image_shape must have at most {_MOST_PIXELS} pixels, got {n_rows} x "
+                f"{n_cols}. Take fewer rows and columns (--rows, --cols)."
+            )
         for name in _POSITIVE.split():
             check_positive(name, getattr(self, name))
         for name in _NOT_NEGATIVE.split():
@@ -241,7 +270,9 @@ class DomeCamera(DomeSensor):
             )
         self.membrane  # noqa: B018  refuses what is no membrane
 
-    def _dome(self) -> "DomeCamera":
+    @property
+    def dome(self) -> "DomeCamera":
+        """The camera itself."""
         return self
 
     @cached_property
@@ -260,11 +291,9 @@ class DomeCamera(DomeSensor):
         depths = np.asarray(depths_mm, dtype=np.float64)
         if not press.touched:
             return np.zeros(depths.shape)
-        solved = [
-            solve_contact(self.membrane, press.gap_mm, depth_mm=depth).force_n
-            for depth in depths.ravel()
-        ]
-        return np.reshape(solved, depths.shape)
+        at = partial(solve_contact, self.membrane, press.gap_mm)
+        forces = [at(depth_mm=depth).force_n for depth in depths.ravel()]
+        return np.reshape(forces, depths.shape)
 
     def image(
         self, press: DomePress | None = None, rng: np.random.Generator | None = None
@@ -285,39 +314,6 @@ class DomeCamera(DomeSensor):
         row, col = self.disc_centre + self.centre_drift_sd * rng.standard_normal(2)
         gain = self.gain * float(np.exp(self.exposure_drift_sd * rng.standard_normal()))
         return replace(self, gain=gain, disc_centre=(float(row), float(col)))
-
-    def _ended(
-        self,
-        gap: Floats,
-        first: float,
-        sleeve: float,
-        force_n: float | None,
-        depth_mm: float | None,
-    ) -> DomePress:
-        """Press until the force, the depth or the sleeve, whichever comes first."""
-        force = self.force_n if force_n is None else check_positive("force_n", force_n)
-        most, reason = self.max_depth_mm, "depth"
-        if depth_mm is not None:
-            if force_n is not None:
-                raise ValueError("Give at most one of force_n and depth_mm.")
-            most = check_number("depth_mm", depth_mm, low=0.0, high=most)
-        if sleeve < most:
-            most, reason = max(sleeve, 0.0), "sleeve"
-        wanted = force if depth_mm is None else None
-        contact = solve_contact(self.membrane, gap, force_n=wanted, depth_mm=most)
-        total = contact.force_n
-        if contact.depth_mm < most:
-            reason = "force"
-        elif reason == "sleeve":
-            total = force
-        depth = contact.depth_mm
-        area = contact.area_mm2
-        return DomePress(reason, first + depth, depth, total, area, contact, gap)
-
-    def _untouched(self) -> DomePress:
-        gap = np.full((self.n_nodes, self.n_nodes), np.inf)
-        nothing = solve_contact(self.membrane, gap, depth_mm=0.0)
-        return DomePress("nothing", 0.0, 0.0, 0.0, 0.0, nothing, gap)
 
     def _grey(self, light: Plane) -> Plane:
         """Mottle the light, expose it, and draw the rim and the white around it."""

@@ -183,23 +183,9 @@ def solve_contact(
 ) -> Contact:
     """Press the membrane on an object until a force or a depth, whichever is first.
 
-    Parameters
-    ----------
-    membrane : Membrane
-        The dome and its grid.
-    gap_mm : array of shape (n_nodes, n_nodes)
-        Way to go before each node touches; infinity where it cannot.
-    force_n, depth_mm : float
-        Give one or both.
-    tolerance_mm : float, default=0.01
-        Root-mean-square misfit over the contact at which to stop.
-    max_steps : int, default=200
-        Steps after which to stop all the same.
-
-    Returns
-    -------
-    Contact
-        Nothing within reach gives a contact of zero force, depth 0.
+    `gap_mm`, (n_nodes, n_nodes), is the way to go before each node touches, infinity
+    where it cannot. Steps end at a root-mean-square misfit of `tolerance_mm` over the
+    contact, or after `max_steps`. Nothing within reach gives a contact of no force.
 
     Notes
     -----
@@ -321,10 +307,8 @@ class _Problem:
             steady = bool(force.min() >= 0)
             if not steady:
                 np.maximum(force, 0, out=force)
-            scale = _FLOAT(1)
-            if total is not None:
-                scale = _FLOAT(total / force.sum())
-                force *= scale
+            scale = _FLOAT(1 if total is None else total / force.sum())
+            force *= scale
             if steady:
                 indented = (indented - step * answer) * scale
             else:
@@ -332,8 +316,7 @@ class _Problem:
         return force
 
     def _described(self, force: Grid, depth_mm: float | None) -> Contact:
-        membrane, inside = self.membrane, force > 0
-        depth = depth_mm
+        membrane, inside, depth = self.membrane, force > 0, depth_mm
         if depth is None:
             depth = float((membrane._indented(force) + self.gap)[inside].mean())
         area = float(np.count_nonzero(inside) * membrane.pitch_mm**2)

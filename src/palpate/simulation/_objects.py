@@ -14,7 +14,6 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from .._types import Floats
 from ._placed import SimObject, turned
@@ -80,8 +79,8 @@ def stapler() -> Mesh:
 def toothbrush() -> Mesh:
     """Toothbrush lying bristles up, 190 long: waisted handle, neck, 40 tufts."""
     spots = [(-95, 6), (-70, 7), (-35, 5.5), (-5, 7), (25, 6.6), (50, 3.5), (68, 3)]
-    centres = [((x, 0.0, 7.0), r) for x, r in spots]
-    parts = [_cone(a, ra, b, rb) for (a, ra), (b, rb) in pairwise(centres)]
+    balls = [ball_points((x, 0.0, 7.0), radius, 20) for x, radius in spots]
+    parts = [hull(np.concatenate(pair)) for pair in pairwise(balls)]
     head = moved(rounded_box((28, 12, 5), 2), x=81, z=5)
     tuft = revolved([(0, 0), (0.85, 0), (0.85, 10), (0.5, 10.6), (0, 10.8)], 12)
     tufts = [
@@ -185,8 +184,7 @@ def plastic_card() -> Mesh:
     """Bank card lying, 85.6 x 54 x 0.76 with corners of 3.2 (ISO/IEC 7810)."""
     angles = np.deg2rad(np.arange(0, 360, 10) + 5.0)
     corner = 3.2 * np.column_stack([np.cos(angles), np.sin(angles)])
-    centre = np.sign(corner) * (42.8 - 3.2, 27 - 3.2)
-    flat = corner + centre
+    flat = corner + np.sign(corner) * (42.8 - 3.2, 27 - 3.2)
     levels = [np.column_stack([flat, np.full(len(flat), z)]) for z in (0, 0.76)]
     return hull(np.concatenate(levels))
 
@@ -279,11 +277,6 @@ def _top_at_zero(mesh: Mesh, rotation: Floats) -> Mesh:
 
 
 _RIB = ((32.5, 0.0), (31.3, 2.0), (30.9, 4.0), (31.3, 6.0), (32.5, 8.0))
-
-
-def _cone(a: ArrayLike, ra: float, b: ArrayLike, rb: float) -> Mesh:
-    """Hull of two balls of different radii."""
-    return hull(np.concatenate([ball_points(a, ra, 20), ball_points(b, rb, 20)]))
 
 
 def _arc(

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import check_count
 from .._types import Array
 from ._membrane import Membrane
 
@@ -27,9 +26,6 @@ _SHADED_ROWS = 128
 _MARCH_STEPS = 11
 _STEEPEST = 0.9995
 _RIM_SHARE = 0.975
-_LEAST_SIDE = 8
-# One such picture takes a second and half a gigabyte.
-_MOST_PIXELS = 8_000_000
 
 
 @dataclass(frozen=True)
@@ -78,18 +74,6 @@ class View:
     disc_radius: float
 
 
-def check_picture(image_shape: tuple[Any, Any]) -> None:
-    """Refuse a picture that is too small to show a disc, or too large to compute."""
-    n_rows, n_cols = (
-        check_count("image_shape", side, at_least=_LEAST_SIDE) for side in image_shape
-    )
-    if n_rows * n_cols > _MOST_PIXELS:
-        raise ValueError(
-            f"image_shape must have at most {_MOST_PIXELS} pixels, got {n_rows} x "
-            f"{n_cols}. Take fewer rows and columns (--rows, --cols)."
-        )
-
-
 class Optics:
     """Tables of one view of one membrane; `light` makes pictures of dents with them.
 
@@ -107,7 +91,12 @@ class Optics:
         away = np.hypot(row[:, None], col)
         share = (view.disc_radius - away) * n_rows + 0.5
         self.inside: Plane = np.clip(share, 0, 1).astype(np.float32)
-        self._lay_grid()
+        rows = min(n_rows, _SHADED_ROWS)
+        self._scale = rows / n_rows
+        # Whole rows, and the columns that the disc covers.
+        covered = min(view.disc_centre[1] + view.disc_radius, n_cols / n_rows)
+        cols = int(np.ceil(max(covered, 0) * rows)) + 1
+        self.grid_shape = rows, max(2, cols)
         self._lay_rays(deepest_mm)
 
     def light(self, displacement_mm: Plane) -> Plane:
@@ -142,16 +131,6 @@ class Optics:
         size, border = (n_cols, n_rows), cv2.BORDER_REPLICATE
         large = cv2.warpAffine(shaded, to_grid, size, flags=flags, borderMode=border)
         return np.asarray(large)
-
-    def _lay_grid(self) -> None:
-        """Choose the shading grid: whole rows, and the columns that the disc covers."""
-        view = self._view
-        n_rows, n_cols = view.image_shape
-        rows = min(n_rows, _SHADED_ROWS)
-        self._scale = rows / n_rows
-        covered = min(view.disc_centre[1] + view.disc_radius, n_cols / n_rows)
-        cols = int(np.ceil(max(covered, 0) * rows)) + 1
-        self.grid_shape = rows, max(2, cols)
 
     def _lay_rays(self, deepest_mm: float) -> None:
         view, radius = self._view, self._membrane.radius_mm

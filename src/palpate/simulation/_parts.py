@@ -66,8 +66,13 @@ class Part:
         check_count("number", self.number, at_least=0)
         outline = _loop("outline_mm", self.outline_mm)
         holes = tuple(_loop("holes_mm", hole) for hole in self.holes_mm)
+        low, high = outline.min(axis=0), outline.max(axis=0)
         for hole in holes:
-            _refuse_hole_outside(hole, outline)
+            if (hole < low).any() or (hole > high).any():
+                raise ValueError(
+                    f"holes_mm must lie inside the outline, from {low} to {high} mm, "
+                    f"got a hole from {hole.min(axis=0)} to {hole.max(axis=0)} mm."
+                )
         object.__setattr__(self, "outline_mm", outline)
         object.__setattr__(self, "holes_mm", holes)
 
@@ -160,15 +165,6 @@ def _loop(name: str, corners: ArrayLike) -> Floats:
         raise ValueError(f"{name} must enclose an area, got a line.")
     loop.flags.writeable = False
     return loop
-
-
-def _refuse_hole_outside(hole: Floats, outline: Floats) -> None:
-    low, high = outline.min(axis=0), outline.max(axis=0)
-    if (hole < low).any() or (hole > high).any():
-        raise ValueError(
-            f"holes_mm must lie inside the outline, from {low} to {high} mm, got a "
-            f"hole from {hole.min(axis=0)} to {hole.max(axis=0)} mm."
-        )
 
 
 def _signed_area(loop: Floats) -> float:

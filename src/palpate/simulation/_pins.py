@@ -75,9 +75,6 @@ class TacTipPins(DomeSensor):
         check_number("pin_length_mm", self.pin_length_mm, low=0.0)
         check_positive("pin_radius_mm", self.pin_radius_mm)
 
-    def _dome(self) -> DomeCamera:
-        return self.dome
-
     @property
     def n_pins(self) -> int:
         """Number of pins."""

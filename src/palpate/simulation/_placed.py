@@ -135,9 +135,7 @@ class PlacedObject(_Rebuilt):
     @property
     def bounds_mm(self) -> Floats:
         """Lowest and highest x, y, z, (2, 3); zeros for "nothing"."""
-        corners = self.vertices_mm
-        if not len(corners):
-            return np.zeros((2, 3))
+        corners = self.vertices_mm if len(self.vertices_mm) else np.zeros((1, 3))
         return np.stack([corners.min(axis=0), corners.max(axis=0)])
 
     @property
@@ -216,18 +214,12 @@ class SensorPose:
 
 
 def gap_map(placed: PlacedObject, pose: SensorPose, membrane: Membrane) -> Floats:
-    """How far the sensor can move from a pose until each node of its dome touches.
+    """How far (mm) the sensor can move from a pose until each node of its dome touches.
 
-    Returns
-    -------
-    ndarray of shape (n_nodes, n_nodes)
-        In mm; infinity where nothing is ahead or outside the dome, negative where
-        the object already reaches into it. Subtract the least to press.
-
-    Notes
-    -----
-    One ray per node, from the level of the rim: of an object that is behind that
-    level nothing is seen. Only the first surface along the axis counts.
+    Of shape (n_nodes, n_nodes): infinity where nothing is ahead or outside the dome,
+    negative where the object already reaches into it. Subtract the least to press.
+    One ray per node, from the level of the rim: of an object that is behind that level
+    nothing is seen. Only the first surface along the axis counts.
     """
     x, y = np.meshgrid(membrane.node_mm, membrane.node_mm)
     inside = np.isfinite(membrane.drop_mm)

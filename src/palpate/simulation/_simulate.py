@@ -234,7 +234,7 @@ def simulate_presses(
         kind = type(array).__name__
         raise TypeError(f"array must be a PressureArray, got {kind}.")
     draw = _Draw(
-        _range("load_kgf", load_kgf),
+        _loads(load_kgf),
         check_number("max_shift_mm", max_shift_mm, low=0),
         check_number("max_turn_deg", max_turn_deg, low=0, high=180),
         check_number("tilt_sd_deg", tilt_sd_deg, low=0, high=2),
@@ -342,7 +342,7 @@ def _one(
     sensor: DomeCamera | TacTipPins, way: _Way, placed: PlacedObject, rng: Generator
 ) -> _Touch:
     """Return picture, press and the pose at its end."""
-    force = sensor._dome().force_n * float(np.exp(rng.normal(0, way.force_sd)))
+    force = sensor.dome.force_n * float(np.exp(rng.normal(0, way.force_sd)))
     solid = len(placed.thing.mesh.faces) > 0
     for _ in range(_ATTEMPTS):
         pose = way.start(placed, rng)
@@ -393,12 +393,11 @@ class _Draw:
     roughness: float
 
     def __call__(self, rng: Generator) -> Press:
-        x, y = self.shift * rng.uniform(-1, 1, size=2)
-        angle = self.turn * rng.uniform(-1, 1) % 360
+        x, y = (self.shift * rng.uniform(-1, 1, size=2)).tolist()
+        angle = float(self.turn * rng.uniform(-1, 1) % 360)
         load = rng.uniform(*self.loads)
-        along_x, along_y = np.clip(self.tilt * rng.standard_normal(2), -10, 10)
-        tilt = (float(along_x), float(along_y))
-        return Press(float(x), float(y), float(angle), load, tilt, self.roughness)
+        tilt = np.clip(self.tilt * rng.standard_normal(2), -10, 10).tolist()
+        return Press(x, y, angle, load, tuple(tilt), self.roughness)
 
 
 def _press_all(
@@ -418,14 +417,14 @@ def _press_all(
     return pressed
 
 
-def _range(name: str, value: Any) -> tuple[float, float]:
+def _loads(value: Any) -> tuple[float, float]:
     """Return (low, high) for a range or for one number, each a valid load."""
     limits = tuple(value) if isinstance(value, tuple | list) else (value, value)
     if len(limits) != 2:
-        raise ValueError(f"{name} must be one load or (low, high), got {value}.")
+        raise ValueError(f"load_kgf must be one load or (low, high), got {value}.")
     low, high = limits
     for load in limits:
         Press(load_kgf=load)
     if low > high:
-        raise ValueError(f"{name} must go from low to high, got {value}.")
+        raise ValueError(f"load_kgf must go from low to high, got {value}.")
     return float(low), float(high)

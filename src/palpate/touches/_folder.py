@@ -88,13 +88,19 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
         )
     try:
         found = _files(root)
+        pictures = [name for name in found if Path(name).suffix.lower() in _ENDINGS]
+        if no_contact and root.resolve() in no_contact.resolve(strict=True).parents:
+            pictures = [n for n in pictures if not no_contact.samefile(root / n)]
     except OSError as error:
         raise refusal(Path(error.filename or root), error) from error
-    pictures = [name for name in found if Path(name).suffix.lower() in _ENDINGS]
-    if no_contact is not None:
-        pictures = _without(no_contact, pictures, root)
     if not pictures:
-        raise _no_pictures(root, found)
+        kinds = sorted({Path(name).suffix or "no ending" for name in found})
+        got = f"{len(found)} files of {', '.join(kinds[:5])}" if found else "no files"
+        hint = " Archives are loaded one by one." if ".npz" in kinds else ""
+        raise TouchesError(
+            f"{root} must hold pictures ending in {', '.join(_ENDINGS)}, got {got}. "
+            f"Convert them, or give another folder.{hint}"
+        )
     return sorted(pictures, key=_natural_order)
 
 
@@ -118,31 +124,6 @@ def _files(root: Path) -> list[str]:
 
 def _raised(error: OSError) -> None:
     raise error
-
-
-def _without(no_contact: Path, pictures: list[str], root: Path) -> list[str]:
-    """Leave the picture of no contact out of the touches."""
-    try:
-        status = no_contact.stat()
-        if root.resolve() not in no_contact.resolve().parents:
-            return pictures
-        return [
-            name
-            for name in pictures
-            if not os.path.samestat(status, (root / name).stat())
-        ]
-    except OSError as error:
-        raise refusal(Path(error.filename or no_contact), error) from error
-
-
-def _no_pictures(root: Path, found: list[str]) -> TouchesError:
-    kinds = sorted({Path(name).suffix or "no ending" for name in found})
-    got = f"{len(found)} files of {', '.join(kinds[:5])}" if found else "no files"
-    hint = " Archives are loaded one by one." if ".npz" in kinds else ""
-    return TouchesError(
-        f"{root} must hold pictures ending in {', '.join(_ENDINGS)}, got {got}. "
-        f"Convert them, or give another folder.{hint}"
-    )
 
 
 def _natural_order(name: str) -> tuple[Any, ...]:

@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from io import BytesIO
+from math import prod
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
@@ -140,7 +141,7 @@ def decode_pictures(
     They are decoded on all cores, into one array.
     """
     shape = (len(paths), header.n_rows, header.n_cols)
-    n_bytes = shape[0] * shape[1] * shape[2] * header.dtype.itemsize
+    n_bytes = prod(shape) * header.dtype.itemsize
     if n_bytes > max_bytes:
         raise TouchesError(
             f"{len(paths)} pictures of {header} must take at most {max_bytes} bytes, "
