@@ -23,7 +23,6 @@ CAPTIONS = {
 SIGNIFICANT = 0.05
 COLOURS = ("#1b6ca8", "#d1730c", "#3f8f4f", "#8a5aa8")
 SHAPES = ("corner", "cylinder", "edge", "flat", "flat-to-edge", "nothing", "point")
-LIFTS = (0.12, -0.12)
 _TICKS = (1, 2, 5, 10, 30, 100, 1000)
 
 

@@ -47,11 +47,7 @@ CANDIDATES: dict[str, tuple[Part, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Recorded touches cut to discs, and who is left out when.
-
-    `fold` numbers the objects of each category; `codes` are categories, `objects`
-    objects, as numbers.
-    """
+    """Touches cut to discs; `codes` are categories, `fold` numbers their objects."""
 
     images: dict[str, Images]
     codes: Codes
@@ -68,9 +64,8 @@ def recording(touches: Touches) -> Recording:
     codes, objects = coded(touches, "category"), coded(touches)
     fold = np.zeros(len(codes), dtype=np.intp)
     for category in np.unique(codes):
-        of_category = codes == category
-        ranks = np.unique(objects[of_category], return_inverse=True)[1]
-        fold[of_category] = ranks
+        mine = codes == category
+        fold[mine] = np.unique(objects[mine], return_inverse=True)[1]
     return Recording(variants(rim_discs(touches)), codes, objects, fold)
 
 
@@ -117,12 +112,9 @@ def compare_fold(
 ) -> dict[str, Any]:
     """Choose among candidates without fold `k`'s objects, then test them all on it.
 
-    Returns
-    -------
-    result : dict
-        `chosen`; `inner`, the share that inner folds got right per candidate;
-        `right`, per candidate, and for the foundation as its paper has it, the
-        share right after each number of touches.
+    Returns `chosen`; `inner`, the share that inner folds got right per candidate; and
+    `right`, that after each number of touches, also of the foundation as its paper
+    has it.
     """
     test, known = np.flatnonzero(seen.fold == k), np.flatnonzero(seen.fold != k)
     train = known[:: plan.thinning]

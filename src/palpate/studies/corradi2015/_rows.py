@@ -33,7 +33,6 @@ _FIGURES: dict[tuple[str, str], dict[int, float]] = {
     ("all objects", MAIN): LATER_OBJECTS,
     ("category", MAIN): LATER_CATEGORY,
 }
-SIZES = (600, 1200)
 
 
 def experiment_rows(answered: Iterable[Answered], plan: Corradi2015Plan) -> list[Row]:
@@ -145,9 +144,9 @@ def unseen_rows(beliefs: dict[str, dict[str, Floats]], objects: Objects) -> list
     return rows
 
 
-def timing_rows(touches: Touches, data: str) -> list[Row]:
+def timing_rows(touches: Touches, data: str, sizes: Sequence[int]) -> list[Row]:
     """Return CPU milliseconds, medians, one touch at a time."""
-    some = touches[np.arange(min(len(touches), max(SIZES)))]
+    some = touches[: min(len(touches), max(sizes))]
     encoder, images = Encoder(some, bags=False), some.images
     discs = encoder.crop.transform(images)
     moments = encoder.moments.fit(discs)
@@ -164,7 +163,7 @@ def timing_rows(touches: Touches, data: str) -> list[Row]:
         _timed(f"Zernike moments of a disc, {disc}", PAPER_MS["encode", 0], alone),
         _timed(f"rim, disc and moments of an image, {frame}", None, whole),
     ]
-    for size in SIZES:
+    for size in sizes:
         if len(values) >= size:
             rows += _learning(values[:size])
     return [{**row, "data": data, "table": "timings", "unit": "ms"} for row in rows]
@@ -190,7 +189,7 @@ def _learning(values: Floats) -> list[Row]:
     def recognise(i: int) -> None:
         model.log_likelihood(principal.transform(values[i : i + 1]))
 
-    learning, recognising = (PAPER_MS[what, size] for what in ("learn", "recognise"))
+    learning, recognising = (PAPER_MS.get((w, size)) for w in ("learn", "recognise"))
     return [
         _timed(f"learn {size} touches", learning, learn, times=15),
         _timed(f"recognise a touch among {size}", recognising, recognise),

@@ -41,11 +41,7 @@ class Method(Protocol):
 
 @dataclass(frozen=True)
 class Half:
-    """One half tested.
-
-    `chosen` is the number of the setting that the training half preferred, and
-    `right` the share of test touches that each setting names.
-    """
+    """The setting that the training half chose, and what each names of the other."""
 
     chosen: int
     right: Floats
@@ -54,14 +50,9 @@ class Half:
 
 @dataclass(frozen=True)
 class Twofold:
-    """Runs of twofold cross-validation of a method.
+    """Twofold cross-validation of a method; inner folds choose its setting.
 
-    Parameters
-    ----------
-    scaled : bool
-        Whether features get mean 0 and variance 1 on the training touches.
-    inner_folds : int
-        Folds inside the training half that choose the setting.
+    If `scaled`, features get mean 0 and variance 1 on the training touches.
     """
 
     scaled: bool
@@ -87,10 +78,7 @@ class Twofold:
         test: Codes,
         seed: int,
     ) -> Half:
-        """Choose a setting on the training touches, and test every setting.
-
-        Labels of test touches are only compared with the answers.
-        """
+        """Choose a setting on the training touches; test labels are only compared."""
         chosen = self._choose(method, features[train], codes[train], seed)
         answers = self._answers(method, features, codes, train, test)
         return Half(chosen, (answers == codes[test]).mean(axis=1), len(test))
