@@ -80,17 +80,10 @@ def judge_unseen(
         folds = range(plan.fold_limit)
         found = [_judge_fold(encoded, seen, kind, k, counts, plan) for k in folds]
         right = np.array([share for share, _ in found])
-        rows.append(
-            {
-                **mean_row(f"{name}, {kind}, {variant}", right),
-                **_KNOWN,
-                "table": "unseen",
-                "encoding": name,
-                "variant": variant,
-                "classifier": kind,
-                "n_components": [count for _, count in found],
-            }
-        )
+        one = {"table": "unseen", "encoding": name, "variant": variant}
+        kept = {"classifier": kind, "n_components": [count for _, count in found]}
+        shown = mean_row(f"{name}, {kind}, {variant}", right)
+        rows.append({**shown, **_KNOWN, **one, **kept})
     return rows
 
 
@@ -138,19 +131,13 @@ def compared_rows(results: list[dict[str, Any]]) -> list[Row]:
     after[CHOSEN] = np.array([r["right"][r["chosen"]] for r in results])
     after[f"{CHOSEN}, less {FOUNDATION}"] = after[CHOSEN] - after[FOUNDATION]
     rows = []
+    chosen = [result["chosen"] for result in results]
     for name, right in after.items():
-        for column, length in enumerate(LENGTHS):
-            rows.append(
-                {
-                    **mean_row(f"{name}, after {length}", right[:, column]),
-                    **_KNOWN,
-                    "table": "best",
-                    "encoding": name,
-                    "after": length,
-                    "folds_right": right[:, column].tolist(),
-                    "chosen": [result["chosen"] for result in results],
-                }
-            )
+        for length, folds in zip(LENGTHS, right.T, strict=True):
+            shown = mean_row(f"{name}, after {length}", folds)
+            known = {**_KNOWN, "table": "best", "encoding": name, "after": length}
+            what = {"folds_right": folds.tolist(), "chosen": chosen}
+            rows.append({**shown, **known, **what})
     return rows
 
 

@@ -118,29 +118,22 @@ def worst_pairs(
 def unseen_rows(beliefs: dict[str, dict[str, Floats]], objects: Objects) -> list[Row]:
     """Return which known object each unseen one is taken for, after some touches."""
     known = np.unique(labels(objects.known)).tolist()
-    asked = [(p, name) for p, curves in beliefs.items() for name in curves]
+    asked = [
+        (preset, name, k, curve[k - 1])
+        for preset, curves in beliefs.items()
+        for name, curve in curves.items()
+        for k in UNSEEN_AFTER
+        if k <= len(curve)
+    ]
     rows = []
-    for preset, name in asked:
-        curve = beliefs[preset][name]
-        for k in UNSEEN_AFTER:
-            if k > len(curve):
-                continue
-            order = np.argsort(-curve[k - 1], kind="stable")[:3].tolist()
-            share = {known[i]: float(100 * curve[k - 1, i]) for i in order}
-            best = known[order[0]]
-            rows.append(
-                {
-                    **row(
-                        f"{name} taken for {best}, {preset}, {k} touches", share[best]
-                    ),
-                    "data": objects.data,
-                    "table": "unseen",
-                    "recogniser": preset,
-                    "unseen": name,
-                    "touches": k,
-                    "beliefs": share,
-                }
-            )
+    for preset, name, k, belief in asked:
+        order = np.argsort(-belief, kind="stable")[:3].tolist()
+        share = {known[i]: float(100 * belief[i]) for i in order}
+        best = known[order[0]]
+        shown = f"{name} taken for {best}, {preset}, {k} touches"
+        facts = {"data": objects.data, "table": "unseen", "recogniser": preset}
+        what = {"unseen": name, "touches": k, "beliefs": share}
+        rows.append({**row(shown, share[best]), **facts, **what})
     return rows
 
 

@@ -143,8 +143,21 @@ def _pooled(run: Sequence[Half], settings: Sequence[int]) -> float:
     return float(right / sum(half.n_test for half in run))
 
 
+class _Machines:
+    """A classifier with one machine per setting."""
+
+    def machines(self, train: Floats) -> list[Any]:
+        """Return the machines, unfitted."""
+        raise NotImplementedError
+
+    def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
+        # One pair of many that stops short of its tolerance is still a machine.
+        machines = self.machines(train)
+        return np.stack([fitted(m, train, codes).predict(test) for m in machines])
+
+
 @dataclass(frozen=True)
-class Neighbours:
+class Neighbours(_Machines):
     """The k nearest neighbours, k = 3 as in the paper."""
 
     k: int = 3
@@ -153,14 +166,12 @@ class Neighbours:
     def settings(self) -> Sequence[Setting]:
         return [{"k": self.k}]
 
-    def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
-        model = KNeighborsClassifier(self.k, algorithm="brute").fit(train, codes)
-        named: Codes = model.predict(test)[np.newaxis]
-        return named
+    def machines(self, train: Floats) -> list[Any]:
+        return [KNeighborsClassifier(self.k, algorithm="brute")]
 
 
 @dataclass(frozen=True)
-class GaussianSVM:
+class GaussianSVM(_Machines):
     """One-against-one SVMs with a Gaussian kernel (scikit-learn's `SVC`)."""
 
     widths: Sequence[float]
@@ -170,20 +181,14 @@ class GaussianSVM:
     def settings(self) -> Sequence[Setting]:
         return [{"width": width, "C": C} for C in self.costs for width in self.widths]
 
-    def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
+    def machines(self, train: Floats) -> list[Any]:
         unit = median_distance(train)
-        return np.stack(
-            [
-                SVC(C=one["C"], gamma=0.5 / (one["width"] * unit) ** 2)
-                .fit(train, codes)
-                .predict(test)
-                for one in self.settings
-            ]
-        )
+        grid = [(one["C"], 0.5 / (one["width"] * unit) ** 2) for one in self.settings]
+        return [SVC(C=C, gamma=gamma) for C, gamma in grid]
 
 
 @dataclass(frozen=True)
-class MKL:
+class MKL(_Machines):
     """The MKL-SVM over the paper's 22 kernels; `normalize` as `MKLSVC` has it."""
 
     costs: Sequence[float]
@@ -193,11 +198,9 @@ class MKL:
     def settings(self) -> Sequence[Setting]:
         return [{"C": C} for C in self.costs]
 
-    def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
-        # One pair of many that stops short of a gap of 1e-6 is still a machine.
+    def machines(self, train: Floats) -> list[Any]:
         options: dict[str, Any] = {"normalize": self.normalize, "probability": False}
-        machines = [MKLSVC(C=C, **options) for C in self.costs]
-        return np.stack([fitted(m, train, codes).predict(test) for m in machines])
+        return [MKLSVC(C=C, **options) for C in self.costs]
 
 
 @dataclass(frozen=True)
