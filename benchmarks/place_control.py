@@ -20,14 +20,13 @@ from numpy.typing import NDArray
 
 from palpate import Touches
 from palpate.evaluation import (
+    Episodes,
     Plan,
     Trial,
     control_log_likelihood,
     disc_centres,
     evaluate,
     run_episodes,
-    scores,
-    single_touches,
 )
 from palpate.recognition import left_out_groups
 
@@ -58,7 +57,7 @@ def main() -> None:
 
 def _objects(trial: Trial, plan: Plan) -> list[dict[str, Any]]:
     """How often `default` and the disc's place are right, for each test object."""
-    right = {str(k): scores(*trial.after(k)).accuracy for k in AFTER}
+    right = {str(k): _accuracy(trial.episodes, k) for k in AFTER}
     place = _place_accuracy(trial, plan)
     return [
         {
@@ -80,9 +79,13 @@ def _place_accuracy(trial: Trial, plan: Plan) -> NDArray[np.float64]:
     assert of_test is not None
     values = control_log_likelihood(of_train, memory.labels, groups, of_test)
     known = (test.object, test.category, plan.orders, plan.seed)
-    episodes = run_episodes(recogniser, values, *known)
-    singles = single_touches(recogniser, values, episodes, test.object)
-    return scores(*singles.after(1)).accuracy
+    return _accuracy(run_episodes(recogniser, values, *known), 1)
+
+
+def _accuracy(episodes: Episodes, k: int) -> NDArray[np.float64]:
+    scored = episodes.scores(k)
+    assert scored is not None
+    return scored.accuracy
 
 
 def _group(objects: list[dict[str, Any]], low: float, high: float) -> dict[str, Any]:

@@ -78,6 +78,14 @@ def test_touch_is_encoded_alone(encoder, touches):
 
 
 @image_estimators
+@pytest.mark.parametrize("dtype", [np.float64, np.float32, np.int16, np.uint8])
+def test_checked_images_of_any_type_are_transformed_alike(encoder, dtype, touches):
+    levels = (200 * touches.clip(0)).astype(dtype)
+    fitted = clone(encoder).fit(levels)
+    assert_array_equal(fitted.transform_checked(levels), fitted.transform(levels))
+
+
+@image_estimators
 def test_pickle_and_model_file_keep_the_encoding(encoder, touches, tmp_path):
     fitted = clone(encoder).fit(touches)
     expected = fitted.transform(touches)

@@ -83,9 +83,22 @@ def check_images(
     marks a dead taxel and is refused unless `allow_nan`.
     """
     images = check_image_shape(X, shape=shape)
-    checked = images.astype(np.float64, copy=False)
-    _refuse_not_finite(checked, allow_nan=allow_nan)
-    return checked
+    return check_finite(images.astype(np.float64, copy=False), allow_nan=allow_nan)
+
+
+def check_finite(images: NDArray[Any], *, allow_nan: bool = False) -> NDArray[Any]:
+    """Return images that are finite (or NaN, if `allow_nan`), or explain."""
+    if np.isfinite(images).all():
+        return images
+    bad = np.isinf(images) if allow_nan else ~np.isfinite(images)
+    touches = np.flatnonzero(bad.any(axis=(1, 2)))
+    if len(touches):
+        fix = "" if allow_nan else " Fill dead taxels (NaN) first."
+        raise ValueError(
+            f"Images must be finite, got NaN or infinity in touch {touches[0]}"
+            f" ({len(touches)} of {len(images)} touches).{fix}"
+        )
+    return images
 
 
 def check_image_shape(
@@ -184,16 +197,3 @@ def _as_array(X: ArrayLike) -> NDArray[Any]:
             "Images must be one array of shape (n_touches, n_rows, n_cols), got lists "
             "of unequal lengths. Bring all touches to the same rows and columns."
         ) from error
-
-
-def _refuse_not_finite(images: NDArray[np.float64], *, allow_nan: bool) -> None:
-    if np.isfinite(images).all():
-        return
-    bad = np.isinf(images) if allow_nan else ~np.isfinite(images)
-    touches = np.flatnonzero(bad.any(axis=(1, 2)))
-    if len(touches):
-        fix = "" if allow_nan else " Fill dead taxels (NaN) first."
-        raise ValueError(
-            f"Images must be finite, got NaN or infinity in touch {touches[0]}"
-            f" ({len(touches)} of {len(images)} touches).{fix}"
-        )

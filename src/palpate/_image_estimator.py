@@ -16,8 +16,9 @@ from ._types import Array
 class ImageEstimator(TransformerMixin, BaseEstimator):
     """An estimator of images, fitted to images of one size.
 
-    A subclass checks its parameters and learns in `_learn`, says in `_checked` what
-    images it takes if not finite ones, and asks `_images` for those to transform.
+    `transform` is the door: it checks the images, then calls `transform_checked`. A
+    subclass says there what it makes of them, checks its parameters and learns in
+    `_learn`, and says in `_checked` what images it takes if not finite ones.
 
     Attributes
     ----------
@@ -52,6 +53,28 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
         self.image_shape_ = (images.shape[1], images.shape[2])
         return self
 
+    def transform(self, X: ArrayLike) -> Array:
+        """Check images `X` of the size that `fit` saw, and transform them.
+
+        What is returned, and its shape, `transform_checked` says.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If `X` are no images such as `fit` saw.
+        """
+        return self.transform_checked(self._images(X))
+
+    def transform_checked(self, images: Array) -> Array:
+        """Do what `transform` does, for a caller that has checked the images.
+
+        Parameters
+        ----------
+        images : ndarray of shape (n_touches, n_rows, n_cols)
+            Finite, of any real type and of the size that `fit` saw.
+        """
+        raise NotImplementedError
+
     def _learn(self, images: Array) -> None:
         """Check the parameters and learn what there is to learn."""
 
@@ -61,7 +84,8 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
 
     def _images(self, X: ArrayLike) -> Array:
         """Return `X` as images of the size that `fit` saw, or explain."""
-        check_is_fitted(self, "image_shape_")
+        if not hasattr(self, "image_shape_"):
+            check_is_fitted(self, "image_shape_")
         return self._checked(X, shape=self.image_shape_)
 
     def __sklearn_tags__(self) -> Tags:

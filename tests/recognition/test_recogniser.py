@@ -1,5 +1,6 @@
 """The recogniser and its belief on drawn touches whose answers are known."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -45,6 +46,44 @@ def test_recognises_what_it_learnt(recogniser, test_touches):
         assert belief.update(test_touches[rows]).best == name
         assert belief.touches_used == 6
         assert sum(belief.posterior.values()) == pytest.approx(1)
+
+
+def domes(rng, n_each=6):
+    """Discs before a dark surround, with one dent of each object's own width."""
+    row, col = np.mgrid[:60, :60] - 29.5
+    at = rng.uniform(-8, 8, (3, n_each, 2, 1, 1))
+    squared = (row - at[:, :, 0]) ** 2 + (col - at[:, :, 1]) ** 2
+    dents = np.exp(-squared / (2 * np.array([3, 6, 9])[:, None, None, None] ** 2))
+    images = 10 + (np.hypot(row, col) < 27) * (120 + 100 * dents.reshape(-1, 60, 60))
+    images += rng.normal(0, 2, images.shape)
+    return Touches(images, object=np.repeat(NAMES, n_each), geometry="dome")
+
+
+@pytest.mark.parametrize("preset", ["default", "corradi2015"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.float64])
+def test_one_update_checks_its_image_once(preset, dtype, rng):
+    learnt = domes(rng)
+    levels = Touches(learnt.images.astype(dtype), **learnt.columns, geometry="dome")
+    belief, checks = ObjectRecogniser(preset).fit(levels).start(), []
+
+    def note(frame, event, _):
+        if event == "call" and frame.f_code.co_name == "check_image_shape":
+            checks.append(frame.f_back.f_code.co_name)
+
+    sys.setprofile(note)
+    try:
+        belief.update(levels[3])
+    finally:
+        sys.setprofile(None)
+    assert len(checks) == 1, checks
+
+
+def test_update_refuses_levels_that_sums_cannot_hold(rng):
+    learnt = domes(rng)
+    belief = ObjectRecogniser().fit(learnt).start()
+    with pytest.raises(ValueError, match=r"at most 1e\+37 in size, got .*Divide all"):
+        belief.update(1e38 * learnt.images[0])
+    assert belief.touches_used == 0
 
 
 def test_touch_by_touch_equals_all_at_once(recogniser, test_touches):
@@ -331,14 +370,40 @@ def test_a_model_without_an_attribute_is_refused_when_read(tmp_path, test_touche
         ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
 
 
-def test_many_touches_are_felt_in_shards_as_all_at_once(monkeypatch, test_touches):
-    learnt = ObjectRecogniser().fit(test_touches)
-    whole = learnt.evidence(test_touches)
-    monkeypatch.setattr("palpate.recognition._recogniser.SHARD", 5)
-    # Products of 5 rows and of 18 round differently in the last digit.
+def test_many_touches_are_encoded_in_shards_as_all_at_once(recogniser):
+    many = drawn(np.random.default_rng(3), n_each=400)
     with parallel_config("threading", n_jobs=2):
-        shards = learnt.evidence(test_touches)
-    assert_allclose(shards.features, whole.features, rtol=1e-12, atol=1e-12)
-    assert_allclose(shards.log_likelihood, whole.log_likelihood, rtol=1e-10)
-    assert shards.flags == whole.flags
-    assert_array_equal(np.isnan(shards.novelty), np.isnan(whole.novelty))
+        shards = recogniser.evidence(many)
+    parts = [recogniser.evidence(many[start : start + 400]) for start in (0, 400, 800)]
+    # Products of other numbers of rows round differently in the last digit.
+    features = np.concatenate([part.features for part in parts])
+    assert_allclose(shards.features, features, rtol=1e-9, atol=1e-12)
+    likelihood = np.concatenate([part.log_likelihood for part in parts])
+    assert_allclose(shards.log_likelihood, likelihood, rtol=1e-9, atol=1e-12)
+    assert shards.flags == [flag for part in parts for flag in part.flags]
+    assert np.isnan(shards.novelty).all()
+
+
+def test_a_belief_shows_itself_in_one_line_and_as_bars():
+    rng = np.random.default_rng(0)
+    names = ("<b>ball</b>", "m" * 300, "pen")
+    learnt = ObjectRecogniser().fit(drawn(rng, names=names))
+    belief = learnt.start().update(drawn(rng, n_each=3, names=names)[:2])
+    assert len(repr(belief)) < 120
+    assert repr(belief).startswith("<Belief after 2 touches: <b>ball</b> ")
+    page = belief._repr_html_()
+    assert "&lt;b&gt;ball&lt;/b&gt;" in page
+    assert "<b>" not in page
+    assert page.count("<tr>") == 3
+    assert "After 2 touches; unknown score" in page
+
+
+def test_a_belief_of_many_objects_shows_the_first_ten():
+    rng = np.random.default_rng(0)
+    names = [f"thing {number:02d}" for number in range(12)]
+    learnt = ObjectRecogniser("corradi2015").fit(
+        Touches(rng.random((48, 64, 64)), object=np.repeat(names, 4))
+    )
+    page = learnt.start()._repr_html_()
+    assert page.count("<tr>") == 11
+    assert "and 2 more" in page

@@ -6,6 +6,7 @@ from ._kernel_density_naive import KernelDensityNaiveBayes
 from ._kernel_ridge import KernelRidgeClassifier
 from ._one_per_label import OnePerLabelSVC
 from ._touch_classifier import FromProbabilities, TouchClassifier
+from ._touch_classifier import as_groups as as_groups
 from .mkl import MKLSVC, GaussianKernel, LinearKernel, PolynomialKernel
 
 __all__ = [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_option
@@ -78,9 +78,9 @@ class HuMoments(ImageEstimator):
         check_option("region", self.region, REGIONS)
         check_option("levels", self.levels, LEVELS)
 
-    def transform(self, X: ArrayLike) -> Floats:
+    def transform_checked(self, images: Array) -> Floats:
         """Return the moments, shape (n_touches, n_components)."""
-        images = self._images(X)
+        images = images.astype(np.float64, copy=False)
         mask = np.ones(self.image_shape_, dtype=bool)
         if self.region == "disc":
             mask = inscribed_mask(*self.image_shape_)

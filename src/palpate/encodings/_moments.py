@@ -92,9 +92,9 @@ class CentroidMoments(ImageEstimator):
         self.degrees_ = np.array(degrees)
         self.patterns_ = np.stack([_pattern(n, m, order) for n, m in degrees])
 
-    def transform(self, X: ArrayLike) -> Floats:
+    def transform_checked(self, images: Array) -> Floats:
         """Return the invariant moments, shape (n_touches, n_moments)."""
-        moments = self.complex_moments(X)
+        moments = self._moments_of(images)
         waves = self.degrees_[:, 1] > 0
         return np.where(waves, np.abs(moments), moments.real)
 
@@ -104,7 +104,10 @@ class CentroidMoments(ImageEstimator):
         A press turned by an angle a from the column axis towards the row axis has
         its moments multiplied by exp(-i m a).
         """
-        images = self._images(X)
+        return self._moments_of(self._images(X))
+
+    def _moments_of(self, images: Array) -> NDArray[np.complex128]:
+        images = images.astype(np.float64, copy=False)
         scale = self.width * min(self.image_shape_) / 2
         levels = images / _size(images, self.normalise)[:, None, None]
         row, col = _centroid(levels, self.centre_power)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from .._checks import check_count, check_number
 from .._image_estimator import ImageEstimator
@@ -65,12 +64,12 @@ class ScaledPixels(ImageEstimator):
             _averages(n, min(side, n)) for n in images.shape[1:]
         )
 
-    def transform(self, X: ArrayLike) -> Floats:
+    def transform_checked(self, images: Array) -> Floats:
         """Return the means, row by row, shape (n_touches, n_cells**2)."""
-        images = self._images(X)
+        images = images.astype(np.float64, copy=False)
         if self.regulariser_ is not None:
-            images = self.regulariser_.transform(images)
-        means = self.down_ @ images @ self.across_.T
+            images = self.regulariser_.transform_checked(images)
+        means: Floats = self.down_ @ images @ self.across_.T
         return means.reshape(len(images), -1)
 
 
@@ -88,10 +87,9 @@ class TaxelVector(ImageEstimator):
     (2, 72)
     """
 
-    def transform(self, X: ArrayLike) -> Floats:
+    def transform_checked(self, images: Array) -> Floats:
         """Return the taxels, shape (n_touches, n_rows * n_cols)."""
-        images = self._images(X)
-        return images.reshape(len(images), -1).copy()
+        return images.reshape(len(images), -1).astype(np.float64)
 
 
 def _averages(n: int, n_cells: int) -> Floats:

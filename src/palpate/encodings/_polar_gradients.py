@@ -8,6 +8,8 @@ so the sizes of their Fourier coefficients along the ring stay as they are.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +26,8 @@ _SURROUNDINGS = 1.5
 _LEAST_STRENGTH = 1e-2
 _PLACES = 48
 _ANGLES = 2 * np.pi * np.arange(_PLACES) / _PLACES
+_COS, _SIN = np.cos(_ANGLES), np.sin(_ANGLES)
+Grid = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
 class PolarGradients(ImageEstimator):
@@ -90,9 +94,8 @@ class PolarGradients(ImageEstimator):
         power = (np.abs(spread) ** 2).sum(axis=(2, 3)).mean(axis=0)
         self.scale_ = np.where(power > 1e-24, np.sqrt(power), 1.0)
 
-    def transform(self, X: ArrayLike) -> Floats:
+    def transform_checked(self, images: Array) -> Floats:
         """Return the sizes, (n_touches, 6 * n_rings * (n_harmonics + 1))."""
-        images = self._images(X)
         sizes = np.abs(self._harmonics(images))
         sizes /= self.scale_[:, np.newaxis, np.newaxis]
         result: Floats = sizes.reshape(len(images), -1)
@@ -101,13 +104,12 @@ class PolarGradients(ImageEstimator):
     def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
         return check_levels(check_images(X, shape=shape))
 
-    def _harmonics(self, images: Floats) -> NDArray[np.complex128]:
+    def _harmonics(self, images: Array) -> NDArray[np.complex128]:
         """Fourier coefficients, (n_touches, 6, n_rings, n_harmonics + 1)."""
-        n_rows, n_cols = images.shape[1:]
-        radius = min(n_rows, n_cols) / 2
+        shape = images.shape[1:]
         rings = np.linspace(_INNER, _OUTER, self.n_rings)
-        grid = _grid(rings * radius, (n_rows - 1) / 2, (n_cols - 1) / 2)
-        sigma = max(self.smoothing * radius, 0.5)
+        grid = _grid(self.n_rings, shape)
+        sigma = max(self.smoothing * min(shape) / 2, 0.5)
         values = np.stack([_channels(image, sigma, grid) for image in images])
         found = np.fft.rfft(values, axis=-1)[..., : self.n_harmonics + 1] / _PLACES
         found *= np.sqrt(rings)[:, np.newaxis]
@@ -116,18 +118,16 @@ class PolarGradients(ImageEstimator):
         return found
 
 
-def _grid(
-    radii: Floats, row: float, col: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+@lru_cache(maxsize=16)
+def _grid(n_rings: int, shape: tuple[int, ...]) -> Grid:
     """Columns and rows of the places on all rings, (n_rings, 48) each."""
-    cols = col + radii[:, np.newaxis] * np.cos(_ANGLES)
-    rows = row + radii[:, np.newaxis] * np.sin(_ANGLES)
+    radii = np.linspace(_INNER, _OUTER, n_rings)[:, np.newaxis] * (min(shape) / 2)
+    cols = (shape[1] - 1) / 2 + radii * _COS
+    rows = (shape[0] - 1) / 2 + radii * _SIN
     return cols.astype(np.float32), rows.astype(np.float32)
 
 
-def _channels(
-    image: Floats, sigma: float, grid: tuple[NDArray[np.float32], NDArray[np.float32]]
-) -> NDArray[np.float32]:
+def _channels(image: Array, sigma: float, grid: Grid) -> NDArray[np.float32]:
     """Values of the six channels on the rings, (6, n_rings, 48)."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma)
     across = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1 / 8)
@@ -141,12 +141,11 @@ def _channels(
         for product in (across * across, down * down, across * down)
     ]
     planes = [across, down, curvature, *tensor]
-    x, y, bend, xx, yy, xy = (cv2.remap(p, *grid, cv2.INTER_LINEAR) for p in planes)
-    cos, sin = np.cos(_ANGLES), np.sin(_ANGLES)
+    x, y, bend, xx, yy, xy = [cv2.remap(p, *grid, cv2.INTER_LINEAR) for p in planes]
     strength = np.sqrt(np.maximum(xx + yy, 0))
     along, oblique = _turned(xx - yy, 2 * xy, np.cos(2 * _ANGLES), np.sin(2 * _ANGLES))
     weight = 1 / np.maximum(strength, _LEAST_STRENGTH)
-    radial, tangential = _turned(x, y, cos, sin)
+    radial, tangential = _turned(x, y, _COS, _SIN)
     return np.stack(
         [radial, tangential, strength, along * weight, oblique * weight, bend]
     )

@@ -59,10 +59,9 @@ class PrincipalEncoder(ImageEstimator):
 
     n_components: Components
 
-    def transform(self, X: ArrayLike) -> Floats:
+    def transform_checked(self, images: Array) -> Floats:
         """Return the scores, shape (n_touches, n_components_)."""
-        check_is_fitted(self)
-        features = self.first_.transform(X) - self.mean_
+        features = self.first_.transform_checked(images) - self.mean_
         scores: Floats = features @ self.components_.T
         return scores
 

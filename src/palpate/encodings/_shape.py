@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, binary_fill_holes
 
 from .._checks import check_count, check_option
@@ -51,9 +51,9 @@ class ShapeGeometry(ImageEstimator):
     def _learn(self, images: Array) -> None:
         check_option("edges", self.edges, ("all", "outer"))
 
-    def transform(self, X: ArrayLike) -> Floats:
+    def transform_checked(self, images: Array) -> Floats:
         """Return area and variance, shape (n_touches, 2); nonzero is foreground."""
-        shapes = self._images(X) != 0
+        shapes = images != 0
         area = shapes.sum(axis=(1, 2))
         return np.column_stack([area, self._edge_variance(shapes)])
 
@@ -116,9 +116,9 @@ class FourierDescriptors(ImageEstimator):
         if self.resample is not None:
             check_count("resample", self.resample, at_least=3)
 
-    def transform(self, X: ArrayLike) -> Floats:
+    def transform_checked(self, images: Array) -> Floats:
         """Return the descriptors, shape (n_touches, n); nonzero is foreground."""
-        shapes = self._images(X) != 0
+        shapes = images != 0
         descriptors = np.zeros((len(shapes), self.n))
         for row, shape in zip(descriptors, shapes, strict=True):
             outline = outer_boundary(shape)

@@ -65,23 +65,36 @@ class EncodingUnion(ImageEstimator):
             _refuse_complex(encoder, images[:1])
         self.scalers_ = []
         if self.balanced:
-            parts = [encoder.transform(images) for encoder in self.encoders_]
-            self.scalers_ = [RootScaler().fit(part) for part in parts]
+            self.scalers_ = [RootScaler().fit(part) for part in self._parts(images)]
         self.image_shape_ = (images.shape[1], images.shape[2])
         return self
 
-    def transform(self, X: ArrayLike) -> Floats:
+    def transform_checked(self, images: Array) -> Floats:
         """Return the joined vectors, shape (n_touches, n_features)."""
-        images = self._images(X)
-        parts = [encoder.transform(images) for encoder in self.encoders_]
+        parts = self._parts(images)
         if self.scalers_:
             scaled = zip(self.scalers_, parts, strict=True)
             parts = [scaler.scale(part) for scaler, part in scaled]
         return np.hstack(parts)
 
+    def _parts(self, images: Array) -> list[Array]:
+        return [
+            encoder.transform_checked(images)
+            if isinstance(encoder, ImageEstimator)
+            else encoder.transform(images)
+            for encoder in self.encoders_
+        ]
+
     def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
-        # Each encoder looks for NaN itself.
+        # Which levels are too large, each encoder says itself.
         return check_image_shape(X, shape=shape)
+
+    def _images(self, X: ArrayLike) -> Array:
+        images = super()._images(X)
+        for encoder in self.encoders_:
+            if isinstance(encoder, ImageEstimator):
+                encoder._images(images)
+        return images
 
 
 def _check_encoders(encoders: object) -> list[Any]:

@@ -20,8 +20,8 @@ from sklearn.utils.validation import check_is_fitted
 
 from .._checks import (
     check_count,
+    check_finite,
     check_image_shape,
-    check_images,
     check_number,
     check_option,
     check_positive,
@@ -30,7 +30,7 @@ from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
 from ._zernike_disc import Disc
 from ._zernike_polynomials import noll_degrees, signed_degrees, zernike_degrees
-from ._zernike_tables import Grid, zernike_moments
+from ._zernike_tables import HIGHEST_SEPARABLE_ORDER, Grid, zernike_moments
 
 # As far as the recurrence has been compared with exact arithmetic.
 _HIGHEST_ORDER = 100
@@ -138,17 +138,16 @@ class ZernikeMoments(ImageEstimator):
         self.drop_constant, self.repeat_negative = drop_constant, repeat_negative
         self.precision = precision
 
-    def transform(self, X: ArrayLike) -> Array:
+    def transform_checked(self, images: Array) -> Array:
         """Return the moments, shape (n_touches, n_features).
 
-        NaN or infinity anywhere in an image is refused, inside the disc or not.
+        Sums that are not finite are refused.
         """
-        images = self._images(X)
         disc = Disc(*self.image_shape_, *self.centre_, self.radius_)
         exact, single = self.method == "exact", self.precision == "single"
         moments = zernike_moments(images, Grid(disc, int(self.order), exact, single))
         if not np.isfinite(moments).all():
-            check_images(images)
+            check_finite(images)
             raise ValueError(
                 "Images must have levels whose sums stay finite, got "
                 f"{np.abs(images).max()}. Divide them by a constant first."
@@ -161,14 +160,19 @@ class ZernikeMoments(ImageEstimator):
         return np.array([f"zernike{n},{m}" for n, m in self.indices_], dtype=object)
 
     def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
-        # NaN shows in the moments, which are sooner looked through than the images.
         return check_image_shape(X, shape=shape)
+
+    def _images(self, X: ArrayLike) -> Array:
+        images = super()._images(X)
+        # To this order NaN shows in the moments, which are sooner looked through.
+        if self.order > HIGHEST_SEPARABLE_ORDER:
+            check_finite(images)
+        return images
 
     def _learn(self, images: Array) -> None:
         """Place the disc in images of this size."""
         self._check_options()
-        if not all(np.isfinite(image).all() for image in images):
-            check_images(images)
+        check_finite(images)
         self._place_disc(images.shape[1], images.shape[2])
         self.indices_ = self._layout().degrees.copy()
 

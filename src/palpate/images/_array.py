@@ -102,17 +102,14 @@ class ArrayCleanUp(ImageEstimator):
         return check_images(X, shape=shape, allow_nan=True)
 
     def _learn(self, images: Array) -> None:
-        self._clean(images[:1])
+        self.transform_checked(images[:1])
 
-    def transform(self, X: ArrayLike) -> Array:
+    def transform_checked(self, images: Array) -> Array:
         """Return cleaned images of shape (n_touches, *shape), bool when binary."""
-        return self._clean(self._images(X))
-
-    def _clean(self, images: Floats) -> Array:
         wanted = check_option("output", self.output, _OUTPUTS)
         return next(made for step, made in self._steps(images) if step == wanted)
 
-    def _steps(self, images: Floats) -> Iterator[tuple[str, Array]]:
+    def _steps(self, images: Array) -> Iterator[tuple[str, Array]]:
         """Yield each step's name and what it makes of the images."""
         filled = fill_dead_taxels(images, dead=self.dead)
         yield "filled", filled

@@ -126,13 +126,13 @@ class TaxelCalibration(ImageEstimator):
         self.highest_load_kpa_ = float(loads.max())
         return self
 
-    def transform(self, X: ArrayLike) -> Floats:
+    def transform_checked(self, images: Array) -> Floats:
         """Return pressure in kPa, (n_touches, n_rows, n_cols); NaN for dead taxels.
 
         Readings in the dead zone give 0, saturated ones the pressure at which the
         taxel saturates; `out_of_range` tells which they are.
         """
-        pressure = self._on_the_line(X)
+        pressure = self._on_the_line(images)
         capped = np.minimum(pressure, self.saturation_kpa_)
         in_dead_zone = pressure < self.dead_zone_kpa_
         return np.where(in_dead_zone, 0.0, np.maximum(capped, 0.0))
@@ -146,7 +146,7 @@ class TaxelCalibration(ImageEstimator):
             -1 in the dead zone; 1 saturated, or above the highest load of the
             calibration; 0 between (and for dead taxels).
         """
-        pressure = self._on_the_line(X)
+        pressure = self._on_the_line(self._images(X))
         highest = np.minimum(self.saturation_kpa_, self.highest_load_kpa_)
         # The highest load itself is within range, whatever rounding says.
         above = pressure > highest * (1 + 1e-9)
@@ -184,8 +184,8 @@ class TaxelCalibration(ImageEstimator):
     def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
         return check_images(X, shape=shape, allow_nan=True)
 
-    def _on_the_line(self, X: ArrayLike) -> Floats:
-        line = (self._conductance(self._images(X)) - self.offset_) / self.gain_
+    def _on_the_line(self, frames: Array) -> Floats:
+        line = (self._conductance(frames) - self.offset_) / self.gain_
         return np.where(self.dead_, np.nan, line)
 
     def _conductance(self, frames: Floats) -> Floats:

@@ -74,7 +74,7 @@ def inscribed_mask(n_rows: int, n_cols: int) -> NDArray[np.bool_]:
            [0, 1, 1, 1, 0],
            [0, 1, 1, 1, 0]])
     """
-    return _inscribed(n_rows, n_cols).copy()
+    return inscribed(n_rows, n_cols).copy()
 
 
 def above_least(images: ArrayLike, mask: NDArray[np.bool_]) -> Floats:
@@ -90,11 +90,13 @@ def above_least(images: ArrayLike, mask: NDArray[np.bool_]) -> Floats:
 
 
 @lru_cache(maxsize=16)
-def _inscribed(n_rows: int, n_cols: int) -> NDArray[np.bool_]:
+def inscribed(n_rows: int, n_cols: int) -> NDArray[np.bool_]:
+    """Return `inscribed_mask`, read-only: all callers share it."""
     row = np.arange(n_rows) - (n_rows - 1) / 2
     col = np.arange(n_cols) - (n_cols - 1) / 2
     squared = row[:, np.newaxis] ** 2 + col**2
     inside: NDArray[np.bool_] = squared <= (min(n_rows, n_cols) / 2) ** 2
+    inside.flags.writeable = False
     return inside
 
 

@@ -28,8 +28,8 @@ from .._checks import (
 )
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
-from ._central_moments import inscribed_mask
-from ._rim import Circle, Rims, as_images, find_rims, typical_rim
+from ._central_moments import inscribed
+from ._rim import Circle, Rims, as_images, rims_near, typical_rim
 
 N_SAFE = 512
 SAFE_SHARE = 0.02
@@ -130,7 +130,7 @@ class DomeCrop(ImageEstimator):
         self.size_ = native if limit is None else min(native, limit)
         return self
 
-    def transform(self, X: ArrayLike) -> NDArray[np.float32]:
+    def transform_checked(self, images: Array) -> NDArray[np.float32]:
         """Return the discs, shape (n_touches, size_, size_), zero outside.
 
         Raises
@@ -138,7 +138,9 @@ class DomeCrop(ImageEstimator):
         ValueError
             If `missing` is "refuse" and a touch shows no rim; the error names it.
         """
-        images, rims = self._rims(X)
+        if images.dtype != np.uint8:
+            images = images.astype(np.float64, copy=False)
+        rims = self._rims(images)
         unseen = np.flatnonzero(~rims.visible)
         if self.missing == "refuse" and len(unseen):
             raise ValueError(
@@ -146,8 +148,8 @@ class DomeCrop(ImageEstimator):
                 f"({len(unseen)} of {len(rims)} touches). Leave them out, or use "
                 "missing='inscribed'."
             )
-        discs = crop_discs(images, rims, self.disc_radius_, self.size_)
-        return standardise_discs(discs) if self.output == "standardised" else discs
+        discs = _crop(images, rims, self.disc_radius_, self.size_)
+        return _standardise(discs) if self.output == "standardised" else discs
 
     def moved(self, X: ArrayLike, no_contact: ArrayLike | None = None) -> Self:
         """Return this clean-up for another camera before the same sensor.
@@ -164,21 +166,24 @@ class DomeCrop(ImageEstimator):
 
     def rims(self, X: ArrayLike) -> Rims:
         """Return the circle about which each touch is cut, and which were seen."""
-        return self._rims(X)[1]
+        return self._rims(self._images(X))
 
-    def _rims(self, X: ArrayLike) -> tuple[Array, Rims]:
-        check_is_fitted(self)
-        images = as_images(X, shape=tuple(self.frame_shape_))
-        near = Circle(self.rim_row_, self.rim_col_, self.rim_radius_, self.has_rim_)
+    def _images(self, X: ArrayLike) -> Array:
+        if not hasattr(self, "frame_shape_"):
+            check_is_fitted(self)
+        return as_images(X, shape=tuple(self.frame_shape_))
+
+    def _rims(self, images: Array) -> Rims:
         if self.has_rim_:
-            return images, find_rims(images, near=near)
-        return images, Rims.of([Circle.inscribed(self.frame_shape_)] * len(images))
+            near = Circle(self.rim_row_, self.rim_col_, self.rim_radius_)
+            return rims_near(images, near)
+        return Rims.of([Circle.inscribed(self.frame_shape_)] * len(images))
 
     def _safe_radius(self, images: Array) -> float:
         n = len(images)
         which = np.unique(np.linspace(0, n - 1, min(n, N_SAFE)).round().astype(int))
         near = Circle(self.rim_row_, self.rim_col_, self.rim_radius_)
-        rims = find_rims(images[which], near=near)
+        rims = rims_near(images[which], near)
         rims = rims[rims.visible] if rims.visible.any() else rims
         rows, cols = self.frame_shape_
         sides = [rims.row, rows - 1 - rims.row, rims.col, cols - 1 - rims.col]
@@ -227,17 +232,17 @@ class DerivativeMagnitude(ImageEstimator):
                 f"{images.shape[1]} x {images.shape[2]}. Encode the images themselves."
             )
 
-    def transform(self, X: ArrayLike) -> Floats:
+    def transform_checked(self, images: Array) -> Floats:
         """Return the magnitudes, shape (n_touches, n_rows - 2, n_cols - 2).
 
         They are of central differences: grey levels per two pixels.
         """
-        images = self._images(X)
+        images = images.astype(np.float64, copy=False)
         down = images[:, 2:, 1:-1] - images[:, :-2, 1:-1]
         across = images[:, 1:-1, 2:] - images[:, 1:-1, :-2]
         magnitude: Floats = np.hypot(down, across)
         if self.region == "disc":
-            magnitude *= inscribed_mask(*magnitude.shape[1:])
+            magnitude *= inscribed(*magnitude.shape[1:])
         return magnitude
 
 
@@ -269,12 +274,9 @@ def crop_discs(
             f"rims must be as many as images, got {len(rims)} for {len(checked)}. "
             "Use the rims found in these very images."
         )
-    radius, side = check_positive("radius", radius), check_count("size", size)
-    discs = np.empty((len(checked), size, size), np.float32)
-    for disc, image, row, col in zip(discs, checked, rims.row, rims.col, strict=True):
-        disc[:] = _mean_over_cells(image, (row, col), radius, size)
-    discs *= inscribed_mask(side, side)
-    return discs
+    return _crop(
+        checked, rims, check_positive("radius", radius), check_count("size", size)
+    )
 
 
 def standardise_discs(discs: ArrayLike) -> NDArray[np.float32]:
@@ -291,7 +293,19 @@ def standardise_discs(discs: ArrayLike) -> NDArray[np.float32]:
     rows, cols = images.shape[1:]
     if rows != cols:
         raise ValueError(f"discs must be square, got {rows} x {cols}. Crop them first.")
-    mask = inscribed_mask(rows, rows)
+    return _standardise(images)
+
+
+def _crop(images: Array, rims: Rims, radius: float, size: int) -> NDArray[np.float32]:
+    discs = np.empty((len(images), size, size), np.float32)
+    for disc, image, row, col in zip(discs, images, rims.row, rims.col, strict=True):
+        disc[:] = _mean_over_cells(image, (row, col), radius, size)
+    discs *= inscribed(size, size)
+    return discs
+
+
+def _standardise(images: Array) -> NDArray[np.float32]:
+    mask = inscribed(*images.shape[1:])
     standard = np.zeros(images.shape, np.float32)
     for result, image in zip(standard, images, strict=True):
         levels = image[mask].astype(np.float64)

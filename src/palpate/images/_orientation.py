@@ -70,9 +70,8 @@ class OrientationRegulariser(ImageEstimator):
     def _learn(self, images: Array) -> None:
         check_number("min_anisotropy", self.min_anisotropy, low=0, high=1)
 
-    def transform(self, X: ArrayLike) -> Floats:
+    def transform_checked(self, images: Array) -> Floats:
         """Return the turned images, shape (n_touches, n_rows, n_cols)."""
-        images = self._images(X)
         found = orientations(images)
         angle = np.where(found.anisotropy >= self.min_anisotropy, found.angle_deg, 0.0)
         turned = repose(images, -angle, edges="nearest")

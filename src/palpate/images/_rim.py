@@ -15,12 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
+from operator import attrgetter
 from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import check_image_shape, check_images, check_levels, check_positive
+from .._checks import check_finite, check_image_shape, check_levels, check_positive
 from .._types import Array, Floats
 from . import _rim_fit
 from ._rim_fit import Fit
@@ -77,10 +78,14 @@ class Rims:
     @classmethod
     def of(cls, circles: Iterable[Circle]) -> Rims:
         """Gather circles, one a touch."""
-        each = list(circles)
-        columns = {f.name: [getattr(c, f.name) for c in each] for f in fields(cls)}
-        kinds = {"visible": np.bool_}
-        return cls(**{k: np.array(v, kinds.get(k, float)) for k, v in columns.items()})
+        row, col, radius, visible, score = zip(*map(_IN_ORDER, circles), strict=True)
+        return cls(
+            np.array(row, float),
+            np.array(col, float),
+            np.array(radius, float),
+            np.array(visible, bool),
+            np.array(score, float),
+        )
 
     def __len__(self) -> int:
         return len(self.row)
@@ -97,6 +102,9 @@ class Rims:
         if np.ndim(picked["row"]):
             return Rims(**picked)
         return Circle(**{name: value.item() for name, value in picked.items()})
+
+
+_IN_ORDER = attrgetter(*(field.name for field in fields(Circle)))
 
 
 def find_rim(image: ArrayLike, *, near: Circle | None = None) -> Circle:
@@ -162,7 +170,12 @@ def find_rims(
         near = typical_rim(checked, no_contact=no_contact)
     else:
         near = _checked(near)
-    return Rims.of(_find(image, near) for image in checked)
+    return rims_near(checked, near)
+
+
+def rims_near(images: Array, near: Circle | None) -> Rims:
+    """Find the rim of every image, near one of the same device; without checks."""
+    return Rims.of([_find(image, near) for image in images])
 
 
 def typical_rim(
@@ -183,7 +196,7 @@ def typical_rim(
             return rim
     n = len(checked)
     which = np.unique(np.linspace(0, n - 1, min(n, N_TYPICAL)).round().astype(int))
-    rims = Rims.of(_find(checked[i], None) for i in which)
+    rims = rims_near(checked[which], None)
     seen = rims[rims.visible]
     if 2 * len(seen) < len(rims):
         return None
@@ -200,7 +213,7 @@ def as_images(X: ArrayLike, *, shape: tuple[int, int] | None = None) -> Array:
     images = check_image_shape(X, shape=shape)
     if images.dtype == np.uint8:
         return images
-    return check_levels(check_images(images, shape=shape))
+    return check_levels(check_finite(images.astype(np.float64, copy=False)))
 
 
 def _checked(near: Circle | None) -> Circle | None:
@@ -211,8 +224,9 @@ def _checked(near: Circle | None) -> Circle | None:
 
 def _find(image: Array, near: Circle | None) -> Circle:
     shape = image.shape
-    missing = Circle.inscribed(shape)
-    if near is not None:
+    if near is None:
+        missing = Circle.inscribed(shape)
+    else:
         missing = Circle(near.row, near.col, near.radius, False, 0.0)
     if min(shape) < SMALLEST_SIDE or image.max() == image.min():
         return missing
@@ -249,9 +263,9 @@ def _candidates(grey: Array, near: Circle | None) -> Iterator[Fit]:
     radii = np.arange(RADII[0] * side, RADII[1] * side, 3)
     search = None
     if near is not None:
-        place = [(v - centre) / block for v in (near.row, near.col)]
+        row, col = (near.row - centre) / block, (near.col - centre) / block
         radii = np.array([near.radius / block])
-        search = (place[0], place[1], FREE_CENTRE * near.radius / block)
+        search = (row, col, FREE_CENTRE * near.radius / block)
     found = _rim_fit.vote(
         small, radii.astype(np.float32), n_best=3 if near is None else 2, near=search
     )

@@ -20,6 +20,7 @@ References
 """
 
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -100,7 +101,7 @@ def vote(
         close = down[:, np.newaxis] ** 2 + right**2 <= near[2] ** 2
         votes *= close[..., np.newaxis, np.newaxis]
     for _ in range(n_best):
-        r, c, s, k = (int(i) for i in np.unravel_index(votes.argmax(), votes.shape))
+        r, c, s, k = map(int, np.unravel_index(votes.argmax(), votes.shape))
         if votes[r, c, s, k] <= 0:
             return
         yield (r * cell, c * cell, float(radii[k])), 1 - 2 * s
@@ -118,7 +119,7 @@ def refine(
     the number of rays.
     """
     rays = _Rays(image, start, sign)
-    if len(rays) < MIN_EDGES:
+    if len(rays.sin) < MIN_EDGES:
         return None
     circle = np.array(start)
     if radius is not None:
@@ -127,8 +128,7 @@ def refine(
         edges = rays.edges(circle, width)
         if edges.shape[1] < MIN_EDGES:
             return None
-        for _ in range(2):
-            circle = circle + _step(circle, edges, radius)
+        circle = _improved(circle, edges, radius)
     return rays.judge(circle, edges)
 
 
@@ -197,12 +197,10 @@ class _Rays:
         x = np.float32(self.col) + _COS[:, None] * reach
         inside = (y >= 0) & (y <= self.bottom) & (x >= 0) & (x <= self.right)
         which = np.flatnonzero(np.count_nonzero(inside, axis=1) > len(reach) / 4)
-        self.sin, self.cos = (t[which].astype(np.float64) for t in (_SIN, _COS))
+        self.sin = _SIN[which].astype(np.float64)
+        self.cos = _COS[which].astype(np.float64)
         if len(which):
             self._differentiate(image, y[which], x[which], inside[which])
-
-    def __len__(self) -> int:
-        return len(self.sin)
 
     def _differentiate(self, image: Array, y: Array, x: Array, inside: Array) -> None:
         grey = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -230,7 +228,8 @@ class _Rays:
         peak = likely.argmax(axis=1)
         ray = np.flatnonzero((peak > 0) & (peak < len(self.offset) - 1))
         peak = peak[ray]
-        before, top, after = (self.slope[ray, peak + d] for d in (-1, 0, 1))
+        top = self.slope[ray, peak]
+        before, after = self.slope[ray, peak - 1], self.slope[ray, peak + 1]
         bend = np.minimum(before - 2 * top + after, np.float32(-1e-30))
         part = np.clip(0.5 * (before - after) / bend, -1, 1)
         reach = self.radius + self.offset[peak] + part * self.cell
@@ -252,24 +251,31 @@ class _Rays:
         on_circle = outward[:2, good]
         spread = on_circle @ on_circle.T / max(on_circle.shape[1], 1)
         balance = float(np.linalg.eigvalsh(spread)[0])
-        row, col, radius = (float(v) for v in circle)
+        row, col, radius = circle.tolist()
         support, arc = on_circle.shape[1] / n_seen, n_seen / N_RAYS
         return Fit((row, col, radius), self.sign, support, arc, balance)
 
 
-def _step(circle: Array, edges: Array, radius: float | None) -> Array:
-    """One reweighted Gauss-Newton step of (row, col, radius)."""
-    residual, outward = _residuals(circle, edges)
-    weight, scale = _weights(residual, edges)
-    total = float(weight.sum())
-    weighted = outward * weight
-    normal, pull = weighted @ outward.T, weighted @ residual
-    if radius is not None:
-        hold = total * (scale / (HOLD * radius)) ** 2
-        normal[2, 2] += hold
-        pull[2] -= hold * (circle[2] - radius)
-    normal.flat[::4] += 1e-6 * total
-    return np.linalg.solve(normal, pull)
+def _improved(circle: Array, edges: Array, radius: float | None) -> Array:
+    """Take two reweighted Gauss-Newton steps of (row, col, radius)."""
+    for _ in range(2):
+        residual, outward = _residuals(circle, edges)
+        size = np.abs(residual)
+        middle = len(size) // 2
+        scale = max(1.4826 * float(np.partition(size, middle)[middle]), 0.15)
+        inner = np.maximum(1 - (residual / (BIWEIGHT * scale)) ** 2, 0)
+        # Tukey's biweight times the edge's strength.
+        weight = inner * inner * np.minimum(edges[2] / edges[3].mean(), 4.0)
+        total = float(weight.sum())
+        weighted = outward * weight
+        normal, pull = weighted @ outward.T, weighted @ residual
+        if radius is not None:
+            hold = total * (scale / (HOLD * radius)) ** 2
+            normal[2, 2] += hold
+            pull[2] -= hold * (circle[2] - radius)
+        normal.flat[::4] += 1e-6 * total
+        circle = circle + np.linalg.solve(normal, pull)
+    return circle
 
 
 def _residuals(circle: Array, edges: Array) -> tuple[Array, Array]:
@@ -281,16 +287,7 @@ def _residuals(circle: Array, edges: Array) -> tuple[Array, Array]:
     return distance - circle[2], outward
 
 
-def _weights(residual: Array, edges: Array) -> tuple[Array, float]:
-    """Tukey's biweight times the edge's strength, and the residuals' scale."""
-    size = np.abs(residual)
-    middle = len(size) // 2
-    scale = max(1.4826 * float(np.partition(size, middle)[middle]), 0.15)
-    inner = np.maximum(1 - (residual / (BIWEIGHT * scale)) ** 2, 0)
-    trust = np.minimum(edges[2] / edges[3].mean(), 4.0)
-    return inner * inner * trust, scale
-
-
+@lru_cache(maxsize=64)
 def _slope_kernel(spread: float) -> NDArray[np.float32]:
     """Derivative of a Gaussian, as one row; `spread` in cells."""
     reach = int(np.ceil(2.5 * spread))

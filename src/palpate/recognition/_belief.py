@@ -17,7 +17,6 @@ from ..touches import Touches
 from ._evidence import (
     Evidence,
     SequenceCalibration,
-    as_touches,
     doubts,
     is_informative,
     log_posterior,
@@ -93,7 +92,7 @@ class Belief:
     def __init__(
         self,
         judge: Judge,
-        evidence_of: Callable[[Touches], Evidence],
+        evidence_of: Callable[[Touches | Array], Evidence],
         log_prior: Floats | None = None,
     ) -> None:
         self._judge = judge
@@ -130,7 +129,7 @@ class Belief:
         """
         given = touch
         if not isinstance(given, Evidence):
-            given = self._evidence_of(as_touches(given))
+            given = self._evidence_of(given)
         return self.update_from_log_likelihood(
             given.log_likelihood,
             features=given.features,
@@ -160,16 +159,16 @@ class Belief:
         self.flags += flags or [""] * n_touches
         self._features += list(np.atleast_2d(features))
         news = np.full(n_touches, np.nan) if novelty is None else np.ravel(novelty)
-        for floored, new in zip(with_floor(rows, self._judge.floor), news, strict=True):
-            self._add(floored, float(new))
+        floored = with_floor(rows, self._judge.floor)
+        self._floored += list(floored)
+        informative = is_informative(floored)
+        for row, new in zip(floored[informative], news[informative], strict=True):
+            self._add(row, float(new))
         self._weigh()
         return self
 
     def _add(self, floored: Floats, novelty: float) -> None:
-        """Add one touch to the sums, unless it says nothing."""
-        self._floored.append(floored)
-        if not is_informative(floored):
-            return
+        """Add one touch that says something to the sums."""
         self._n_informative += 1
         self._total = self._total + floored
         self._given = self._given + np.exp(floored)

@@ -14,7 +14,7 @@ from sklearn.base import BaseEstimator
 from .._types import Array, Floats
 from ..images import fill_dead_taxels, otsu_threshold
 from ..touches import Touches
-from ._encoder import TouchEncoder, find_geometry
+from ._encoder import TouchEncoder, find_geometry, in_batches
 
 NO_CONTACT = "no contact"
 
@@ -76,7 +76,7 @@ class ContactCheck(BaseEstimator):
             return np.asarray(_correlation(cleaned, self.idle_) > SAME)
         if self.kind_ == "array":
             return np.asarray(self._change(touches) < FAINT * self.typical_)
-        return np.zeros(len(touches), dtype=bool)
+        return np.zeros(len(cleaned), dtype=bool)
 
     def flags(self, touches: Touches, cleaned: Array) -> list[str]:
         """Return what is wrong with each touch: "" or the reason in two words.
@@ -86,7 +86,7 @@ class ContactCheck(BaseEstimator):
         """
         nothing = self.no_contact(touches, cleaned)
         full = self._share_at_limit(touches) > self.at_limit_ + SATURATED
-        double = np.zeros(len(touches), dtype=bool)
+        double = np.zeros(len(cleaned), dtype=bool)
         if self.kind_ == "array" and min(self.idle_.shape) >= 8:
             living = fill_dead_taxels(touches.images)
             double = np.array([_is_double(abs(i - self.idle_)) for i in living])
@@ -112,6 +112,23 @@ class ContactCheck(BaseEstimator):
         ]
         shares: Floats = np.array(counts) / images[0].size
         return shares
+
+
+def encoded_and_flagged(
+    encoder: TouchEncoder, contact: ContactCheck, touches: Touches
+) -> tuple[Floats, Floats, list[str]]:
+    """Return features, `unexplained` and flags of touches.
+
+    Cleaned once for all; so many at a time that memory stays bounded.
+    """
+    parts: list[tuple[Floats, Floats]] = []
+    flags: list[str] = []
+    for some in in_batches(touches):
+        cleaned = encoder.clean(some)
+        parts.append(encoder.encode_fully(cleaned))
+        flags += contact.flags(some, cleaned)
+    features, unexplained = zip(*parts, strict=True)
+    return np.concatenate(features), np.concatenate(unexplained), flags
 
 
 def consists_of_nothing(labels: Array, no_contact: Array) -> bool:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 from sklearn.base import BaseEstimator, clone
 
+from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
 from ..images import fill_dead_taxels, typical_rim
 from ..touches import Touches
@@ -94,13 +95,23 @@ class TouchEncoder(BaseEstimator):
         for step in self.steps_:
             if isinstance(step, LeavesOut) and groups is not None:
                 left = step.left_out_unexplained(values, groups)
-            values = _in_batches(step.fit(values), values)
+            values = _transformed(step.fit(values), values, checked=True)
         return np.asarray(values, dtype=np.float64), left
 
     def clean(self, touches: Touches) -> Array:
         """Return the images after the clean-up alone."""
-        self._check_size(touches)
-        return self._clean(touches.images)
+        images = touches.images
+        if images.shape[1:] != tuple(self.image_shape_):
+            known, got = self.image_shape_, images.shape[1:]
+            raise ValueError(
+                f"touches must have {known[0]} x {known[1]} taxels like the training "
+                f"touches, got {got[0]} x {got[1]}. Use the same sensor and "
+                "resolution, or learn again."
+            )
+        cleaned = _living(images)
+        if self.clean_up_ is not None:
+            cleaned = _transformed(self.clean_up_, cleaned)
+        return cleaned
 
     def encode(self, cleaned: Array) -> Floats:
         """Return the features of images that were cleaned already."""
@@ -113,18 +124,18 @@ class TouchEncoder(BaseEstimator):
         no step says it.
         """
         values, left = cleaned, np.full(len(cleaned), np.nan)
+        # Without a clean-up nothing but the first step has checked the images.
+        checked = isinstance(self.clean_up_, ImageEstimator)
         for step in self.steps_:
-            before, values = values, _in_batches(step, values)
+            before, values = values, _transformed(step, values, checked=checked)
             if isinstance(step, LeavesOut):
                 left = step.unexplained(before, values)
         return np.asarray(values, dtype=np.float64), left
 
     def transform(self, touches: Touches) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
-        self._check_size(touches)
-        starts = range(0, len(touches), BATCH)
         return np.concatenate(
-            [self.encode(self._clean(touches.images[s : s + BATCH])) for s in starts]
+            [self.encode(self.clean(some)) for some in in_batches(touches)]
         )
 
     def moved(self, touches: Touches) -> Self:
@@ -135,19 +146,6 @@ class TouchEncoder(BaseEstimator):
             images = _living(touches.images)
             other.clean_up_ = self.clean_up_.moved(images, _idle(touches))
         return other
-
-    def _clean(self, raw: Array) -> Array:
-        images = _living(raw)
-        return images if self.clean_up_ is None else _in_batches(self.clean_up_, images)
-
-    def _check_size(self, touches: Touches) -> None:
-        got = touches.images.shape[1:]
-        if tuple(got) != tuple(self.image_shape_):
-            raise ValueError(
-                f"touches must have {self.image_shape_[0]} x {self.image_shape_[1]} "
-                f"taxels like the training touches, got {got[0]} x {got[1]}. "
-                "Use the same sensor and resolution, or learn again."
-            )
 
 
 def find_geometry(touches: Touches) -> str:
@@ -181,8 +179,19 @@ def _living(images: Array) -> Array:
     return fill_dead_taxels(images) if dead else images
 
 
-def _in_batches(step: Any, values: Array) -> Array:
+def in_batches(values: Any) -> Iterator[Any]:
+    """Yield so many touches, images or vectors at a time that memory stays bounded."""
     if len(values) <= BATCH:
-        return np.asarray(step.transform(values))
-    starts = range(0, len(values), BATCH)
-    return np.concatenate([step.transform(values[s : s + BATCH]) for s in starts])
+        yield values
+        return
+    for start in range(0, len(values), BATCH):
+        yield values[start : start + BATCH]
+
+
+def _transformed(step: Any, values: Array, *, checked: bool = False) -> Array:
+    """Return what a step makes of values, which it does not check again."""
+    unchecked = checked and isinstance(step, ImageEstimator)
+    transform = step.transform_checked if unchecked else step.transform
+    if len(values) <= BATCH:
+        return np.asarray(transform(values))
+    return np.concatenate([transform(some) for some in in_batches(values)])

@@ -108,20 +108,6 @@ def labelled(X: Any, y: ArrayLike | None, label: str) -> Touches | TouchSource:
     return touches.with_columns(**{label: names.astype(str)})
 
 
-def given_groups(groups: ArrayLike | None, n_touches: int) -> NDArray[np.intp] | None:
-    """Return the number of each touch's group, None where none is given."""
-    if groups is None:
-        return None
-    given = np.asarray(groups)
-    if given.shape != (n_touches,):
-        raise ValueError(
-            f"groups must have one entry for each of {n_touches} touches, got shape "
-            f"{given.shape}."
-        )
-    codes: NDArray[np.intp] = np.unique(given, return_inverse=True)[1]
-    return codes
-
-
 def training_labels(touches: Touches | TouchSource, label: str) -> tuple[Array, Array]:
     """Return the labels to learn and the objects they come from, one per touch.
 

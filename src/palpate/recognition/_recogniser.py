@@ -16,12 +16,12 @@ from sklearn.utils import Tags
 
 from .._checks import check_number, check_option
 from .._types import Array, Floats
-from ..classifiers import TouchClassifier
+from ..classifiers import TouchClassifier, as_groups
 from ..images import Poses, PressPose
 from ..touches import Touches, TouchSource
 from ._belief import Belief, Judge
 from ._calibration import calibrate, draw_all, left_out_log_likelihood
-from ._contact import NO_CONTACT, ContactCheck, consists_of_nothing
+from ._contact import NO_CONTACT, ContactCheck, consists_of_nothing, encoded_and_flagged
 from ._encoder import BATCH, TouchEncoder
 from ._evidence import (
     Evidence,
@@ -31,11 +31,10 @@ from ._evidence import (
     log_posteriors,
     with_floor,
 )
-from ._learning import encoded, encoded_and_flagged, learn_encoding, memory_of
+from ._learning import encoded, learn_encoding, memory_of
 from ._memory import (
     Memory,
     blocks_in_order,
-    given_groups,
     labelled,
     left_out_groups,
     named_labels,
@@ -173,9 +172,10 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         labels, objects = training_labels(touches, self.label)
         if y is not None and self.label == "object":
             labels = objects = np.asarray(y)
-        blocks = given_groups(groups, len(labels))
-        if blocks is None:
+        if groups is None:
             blocks = left_out_groups(touches, labels, objects, self.label)
+        else:
+            blocks = as_groups(groups, len(labels))
         encoder, contact, chosen, encoding = learn_encoding(
             preset, touches, labels, blocks, self.random_state
         )
@@ -305,7 +305,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         self._check_fitted()
         return left_out_log_likelihood(self.classifier_)
 
-    def evidence(self, touches: Touches) -> Evidence:
+    def evidence(self, touches: Touches | ArrayLike) -> Evidence:
         """Return all that touches tell; see `Evidence`.
 
         Many touches are encoded in shards of 1024, wherever `joblib.parallel_config`
@@ -492,11 +492,24 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             raise ValueError(
                 f"{name!r} must have at least {least} touches, got {len(given)}."
             )
-        labels = np.full(len(given), name)
-        objects = labels if given.object is None else given.object
+        labels = np.full(len(given), self._as_label(name))
+        own = given.object if labels.dtype.kind == "U" else None
+        objects = labels if own is None else own
         blocks = blocks_in_order(labels, given.order)
         encoding = encoded(self.encoder_, self.contact_, given)
         return memory_of(given, encoding, labels, objects, blocks)
+
+    def _as_label(self, name: str) -> Any:
+        """Return a name as a label of the kind of the known ones."""
+        known = self.memory_.labels.dtype
+        if known.kind == "U":
+            return name
+        try:
+            return known.type(name)
+        except ValueError as error:
+            raise ValueError(
+                f"name must be a number like the known labels, got {name!r}."
+            ) from error
 
     def _relearn(self, memory: Memory) -> Self:
         """Learn a memory with the encoding and the choices made; all or nothing."""
