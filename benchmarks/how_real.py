@@ -1,5 +1,8 @@
 """Set simulated dome touches beside real ones: a table, and a picture kept at home.
 
+Beside them the ceiling of "simulated -> real": the category of real objects by a
+recogniser that learnt one real object of each category.
+
 Needs the real BathTip touches in the folder that PALPATE_DATA names (see
 docs/how-real.md). They are not ours to publish: do not commit the picture.
 
@@ -16,7 +19,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate import Touches
 from palpate.encodings import ZernikeMoments
+from palpate.evaluation import Plan, evaluate, split_touches
 from palpate.simulation import DomeCamera, simulate_touches
 
 # Settings were scored on recordings of the first group (see docs/how-real.md)...
@@ -37,6 +42,7 @@ SIDE = 96
 CHANGED_GREY = 20
 # Mean change of touches that dent the dome well; light ones are mostly no contact.
 STRONG_GREY = 18
+CEILING_TOUCHES = (1, 5, 15)
 
 Images = NDArray[np.float32]
 
@@ -56,7 +62,8 @@ def main() -> None:
     )
     simulated, nothing = _simulated(options.seed)
     rows = _rows(real, plain, simulated, nothing)
-    print(json.dumps(rows, indent=1))
+    ceiling = _ceiling(Touches.load(folder / "bathtip50.npz"), options.seed)
+    print(json.dumps({"touches": rows, "one real object of each": ceiling}, indent=1))
     if options.picture:
         cv2.imwrite(options.picture, _side_by_side(real, simulated))
 
@@ -105,6 +112,23 @@ def _cropped(image: NDArray[Any], row: float, col: float) -> Images:
     place = np.array([[step, 0, left], [0, step, top]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return np.asarray(cv2.warpAffine(smooth, place, (SIDE, SIDE), flags=flags))
+
+
+def _ceiling(touches: Touches, seed: int) -> dict[str, Any]:
+    """Accuracy on the other objects, each object of a category learnt in turn."""
+    plan = Plan(label="category", touches=CEILING_TOUCHES, seed=seed)
+    runs = []
+    # The folds of unseen objects with their parts exchanged: one object teaches.
+    for fold in split_touches(touches, "unseen-objects"):
+        figures, _ = evaluate(fold.test, fold.train, plan=plan)
+        runs.append([100 * figures["accuracy"][str(k)] for k in CEILING_TOUCHES])
+    shares = np.array(runs)
+    return {
+        "after": CEILING_TOUCHES,
+        "mean": _rounded(shares.mean(axis=0), 1),
+        "sd": _rounded(shares.std(axis=0, ddof=1), 1),
+        "each": [_rounded(run, 1) for run in shares],
+    }
 
 
 def _disc() -> NDArray[np.bool_]:

@@ -257,7 +257,7 @@ def test_candidates_and_counts_are_known():
     assert set(plan.candidates) - {"zernike-pca"} == set(CANDIDATES)
     assert set(plan.encodings) <= set(COUNTS)
     assert plan.counts("hu") == (1, 2, 3, 4, 5, 6, 7)
-    assert Corradi2014Plan.quick().counts("hu") == (1, 4, 7)
+    assert Corradi2014Plan.quick().counts("hu") == (3, 7)
     with pytest.raises(ValueError, match="n_touches must be at least 10, got 5"):
         Corradi2014Plan(n_touches=5)
 

@@ -42,16 +42,10 @@ _ROUNDING = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Encoded:
-    """Everything about a set of touches that is encoded once for all folds.
+    """Touches encoded once for all folds: as they train, and as they are asked.
 
-    Attributes
-    ----------
-    known, asked : dict of int to ndarray (n_touches, n_features)
-        Features by number of components, as training and as test touches show
-        them; where the components are principal ones, the features before these,
-        under the number 0.
-    principal : bool
-        Whether components are learnt from the training touches of each fold.
+    Features (n_touches, n_features) by number of components; of `principal` ones, which
+    each fold learns, the features before them under the number 0.
     """
 
     known: dict[int, Floats]
@@ -59,7 +53,7 @@ class Encoded:
     principal: bool
 
     def features(
-        self, train: Codes, test: Codes, counts: tuple[int, ...]
+        self, train: Codes, test: Codes, counts: Counts
     ) -> dict[int, tuple[Floats, Floats]]:
         """Return training and test features for each number of components."""
         if not self.principal:
@@ -76,7 +70,7 @@ class Encoded:
         codes: Codes,
         train: Codes,
         test: Codes,
-        counts: tuple[int, ...],
+        counts: Counts,
         seed: int,
     ) -> list[float]:
         """Return the per cent that a classifier names, for each of the numbers."""
@@ -87,9 +81,7 @@ class Encoded:
         return found
 
 
-def encode(
-    name: str, known: Images, asked: Images | None, counts: tuple[int, ...]
-) -> Encoded:
+def encode(name: str, known: Images, asked: Images | None, counts: Counts) -> Encoded:
     """Encode images by the encoding called `name`, for all its component counts.
 
     `asked` are the same touches as they look when they test, None if no different.
@@ -136,10 +128,9 @@ def answers(name: str, train: Floats, codes: Codes, test: Floats, seed: int) -> 
 
 
 def _directions(centred: Floats, n_components: int) -> Floats:
-    """Return the first principal directions, (n_features, n_components or fewer).
+    """Return the first principal directions of any variance, (n_features, n or fewer).
 
-    From the smaller of covariance and inner products; a direction of no variance
-    does not exist.
+    From the smaller of covariance and inner products.
     """
     n_touches, n_features = centred.shape
     wide = n_features > n_touches
@@ -156,10 +147,7 @@ def _directions(centred: Floats, n_components: int) -> Floats:
 
 @dataclass(frozen=True)
 class Judged:
-    """Rows of one encoding, and the accuracy of each fold for the paired test.
-
-    `folds[classifier]` has shape (n_runs, 5), in per cent.
-    """
+    """Rows of one encoding, and per cent right (n_runs, 5) by classifier."""
 
     rows: list[Row]
     folds: dict[str, Floats]
@@ -179,9 +167,12 @@ def judge(shapes: Shapes, variant: str, name: str, plan: Corradi2014Plan) -> Jud
         right = partial(encoded.right, kind, shapes.codes)
         # The network is the slowest by far: every other number.
         tried = tuple(reversed(counts[::-2])) if kind == "network" else counts
-        runs = plan.choice_runs if kind == "1-NN" else plan.slow_choice_runs
-        tests = _random_folds(right, shapes.codes, first, tried, runs, plan.seed + 1)
-        chosen = tried[int(tests.mean(axis=(0, 1)).argmax())]
+        chosen = tried[0]
+        if len(tried) > 1:
+            runs = plan.choice_runs if kind == "1-NN" else plan.slow_choice_runs
+            seed = plan.seed + 1
+            tests = _random_folds(right, shapes.codes, first, tried, runs, seed)
+            chosen = tried[int(tests.mean(axis=(0, 1)).argmax())]
         runs = plan.slow_runs if kind in ("network", "SVMs") else plan.runs
         tests = _random_folds(right, shapes.codes, second, (chosen,), runs, plan.seed)
         folds[kind] = tests[..., 0]
@@ -194,18 +185,10 @@ def judge(shapes: Shapes, variant: str, name: str, plan: Corradi2014Plan) -> Jud
 def corrected_t_test(differences: Floats) -> tuple[float, float, float]:
     """Return mean difference, its standard error and p of no difference.
 
-    Folds of repeated cross-validation share touches, so the variance of their mean
-    is taken as (1 / n + n_test / n_train) times theirs.
-
-    Parameters
-    ----------
-    differences : ndarray of shape (n_runs, n_folds)
-        Of the two methods on the same folds.
-
-    References
-    ----------
-    .. [1] C. Nadeau, Y. Bengio, "Inference for the generalization error", Machine
-       Learning 52, 2003. doi:10.1023/A:1024068626366
+    `differences` (n_runs, n_folds) are those of two methods on the same folds. Folds
+    of repeated cross-validation share touches, so the variance of their mean is taken
+    as (1 / n + n_test / n_train) times theirs (Nadeau and Bengio 2003, "Inference for
+    the generalization error", doi:10.1023/A:1024068626366).
     """
     n, n_folds = differences.size, differences.shape[1]
     mean = float(differences.mean())
@@ -216,12 +199,10 @@ def corrected_t_test(differences: Floats) -> tuple[float, float, float]:
 
 
 def holm(p_values: list[float]) -> list[float]:
-    """Return p values that hold for all tests together (Holm's step-down rule).
+    """Return p values that hold for all tests together.
 
-    References
-    ----------
-    .. [1] S. Holm, "A simple sequentially rejective multiple test procedure",
-       Scand. J. Statist. 6(2), 1979.
+    By the step-down rule of Holm 1979, "A simple sequentially rejective multiple test
+    procedure", Scand. J. Statist. 6(2).
     """
     order = np.argsort(p_values)
     scaled = np.asarray(p_values)[order] * np.arange(len(order), 0, -1)

@@ -105,7 +105,7 @@ class Corradi2014Plan(Plan):
         "slow_runs": 1,
         "choice_runs": 1,
         "slow_choice_runs": 1,
-        "choice_step": 3,
+        "choice_step": 4,
         "thinning": 2,
         "recorded_step": 8,
         "recorded_upright": False,

@@ -52,11 +52,8 @@ def _table_2(rows: Sequence[Row]) -> Table:
     title = (
         "Table 2: Davies-Bouldin index, q = 2, smaller is better (paper in brackets)"
     )
-    return (
-        title,
-        ["encoding", *heads],
-        shared.pivot(rows, ["encoding"], columns, _index),
-    )
+    lines = shared.pivot(rows, ["encoding"], columns, _index)
+    return title, ["encoding", *heads], lines
 
 
 def _index(row: Row | None) -> str:
@@ -128,15 +125,12 @@ def _shapes(seed: int) -> Any:
 def _indices(rows: Sequence[Row]) -> Any:
     """Draw the Davies-Bouldin indices, the paper's as hollow marks."""
     sets = shared.unique(row["data"] for row in rows)
-    figure, (axes,) = shared.panels(
-        1, len(sets), (3.2 * len(sets) + 1, 3.4), sharey=True
-    )
+    size = (3.2 * len(sets) + 1, 3.4)
+    figure, (axes,) = shared.panels(1, len(sets), size, sharey=True)
     encodings = shared.unique(row["encoding"] for row in rows)[::-1]
     reach = [r["ours"] for r in rows] + [r["paper"] for r in rows if r["paper"]]
     for place, data in zip(axes, sets, strict=True):
-        for variant, colour, lift in zip(
-            VARIANTS, COLOURS, (0.12, -0.12), strict=False
-        ):
+        for variant, colour, lift in zip(VARIANTS, COLOURS, LIFTS, strict=False):
             some = shared.held(rows, data=data, variant=variant)
             points = [(r, encodings.index(r["encoding"]) + lift) for r in some]
             for key, face, label in (

@@ -37,23 +37,12 @@ SAME = 0.99
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """One set of touches, cut to discs and standardised.
+    """One set of touches, cut to standardised discs; `data` is its name in the rows.
 
-    Attributes
-    ----------
-    data : str
-        Its name in the rows.
-    images : dict of str to ndarray (n_touches, n, n)
-        "image" and "derivative".
-    asked : dict of str to ndarray, or None
-        The same touches turned at random, as they look when they test; None where
-        they look no different.
-    codes : ndarray of int (n_touches,)
-        Labels as numbers.
-    groups : ndarray of int (n_touches,)
-        Recordings, or blocks of one: 0 to 4 in each half.
-    half : ndarray of int (n_touches,)
-        0 for touches that choose, 1 for touches that are reported.
+    `images` (n_touches, n, n) are those of each variant, `asked` the same as they look
+    when they test, None if no different. Of each touch, `codes` are labels, `groups`
+    recordings or blocks of one (0 to 4 in each half), and `half` is 0 where it
+    chooses, 1 where it is reported.
     """
 
     data: str

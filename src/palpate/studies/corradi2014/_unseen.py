@@ -47,11 +47,7 @@ CANDIDATES: dict[str, tuple[Part, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Recorded touches cut to discs, and who is left out when.
-
-    `fold` numbers the objects of each category; `codes` are categories, `objects`
-    objects, as numbers.
-    """
+    """Touches cut to discs; `codes` are categories, `fold` numbers their objects."""
 
     images: dict[str, Images]
     codes: Codes
@@ -68,9 +64,8 @@ def recording(touches: Touches) -> Recording:
     codes, objects = coded(touches, "category"), coded(touches)
     fold = np.zeros(len(codes), dtype=np.intp)
     for category in np.unique(codes):
-        of_category = codes == category
-        ranks = np.unique(objects[of_category], return_inverse=True)[1]
-        fold[of_category] = ranks
+        mine = codes == category
+        fold[mine] = np.unique(objects[mine], return_inverse=True)[1]
     return Recording(variants(rim_discs(touches)), codes, objects, fold)
 
 
@@ -85,17 +80,10 @@ def judge_unseen(
         folds = range(plan.fold_limit)
         found = [_judge_fold(encoded, seen, kind, k, counts, plan) for k in folds]
         right = np.array([share for share, _ in found])
-        rows.append(
-            {
-                **mean_row(f"{name}, {kind}, {variant}", right),
-                **_KNOWN,
-                "table": "unseen",
-                "encoding": name,
-                "variant": variant,
-                "classifier": kind,
-                "n_components": [count for _, count in found],
-            }
-        )
+        one = {"table": "unseen", "encoding": name, "variant": variant}
+        kept = {"classifier": kind, "n_components": [count for _, count in found]}
+        shown = mean_row(f"{name}, {kind}, {variant}", right)
+        rows.append({**shown, **_KNOWN, **one, **kept})
     return rows
 
 
@@ -117,12 +105,9 @@ def compare_fold(
 ) -> dict[str, Any]:
     """Choose among candidates without fold `k`'s objects, then test them all on it.
 
-    Returns
-    -------
-    result : dict
-        `chosen`; `inner`, the share that inner folds got right per candidate;
-        `right`, per candidate, and for the foundation as its paper has it, the
-        share right after each number of touches.
+    Returns `chosen`; `inner`, the share that inner folds got right per candidate; and
+    `right`, that after each number of touches, also of the foundation as its paper
+    has it.
     """
     test, known = np.flatnonzero(seen.fold == k), np.flatnonzero(seen.fold != k)
     train = known[:: plan.thinning]
@@ -146,19 +131,13 @@ def compared_rows(results: list[dict[str, Any]]) -> list[Row]:
     after[CHOSEN] = np.array([r["right"][r["chosen"]] for r in results])
     after[f"{CHOSEN}, less {FOUNDATION}"] = after[CHOSEN] - after[FOUNDATION]
     rows = []
+    chosen = [result["chosen"] for result in results]
     for name, right in after.items():
-        for column, length in enumerate(LENGTHS):
-            rows.append(
-                {
-                    **mean_row(f"{name}, after {length}", right[:, column]),
-                    **_KNOWN,
-                    "table": "best",
-                    "encoding": name,
-                    "after": length,
-                    "folds_right": right[:, column].tolist(),
-                    "chosen": [result["chosen"] for result in results],
-                }
-            )
+        for length, folds in zip(LENGTHS, right.T, strict=True):
+            shown = mean_row(f"{name}, after {length}", folds)
+            known = {**_KNOWN, "table": "best", "encoding": name, "after": length}
+            what = {"folds_right": folds.tolist(), "chosen": chosen}
+            rows.append({**shown, **known, **what})
     return rows
 
 

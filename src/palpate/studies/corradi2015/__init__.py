@@ -80,7 +80,7 @@ def _measure(
         rows += [row for some in found for row in some]
     every, last = sets[-1].every or sets[0].known, sets[-1].data
     return {
-        "rows": rows + on_one_thread(timing_rows, every, last),
+        "rows": rows + on_one_thread(timing_rows, every, last, plan.timed),
         "confusion": {one.data: confusions(answered, one, plan) for one in sets},
         "unseen": {
             data: {

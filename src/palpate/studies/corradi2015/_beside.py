@@ -44,11 +44,7 @@ MOVES = {way: f"moved, {way}" for way in WAYS}
 
 
 class Photographs(NamedTuple):
-    """Photographs as visual words.
-
-    `words` (n_photographs, n_words) are roots of the share of each word, `object`
-    (n_photographs,) is what they show.
-    """
+    """Roots of the shares of visual words (n_photographs, n_words); what they show."""
 
     words: Floats
     object: NDArray[np.str_]
@@ -75,15 +71,9 @@ def sight(
 
     With the label "object" the last touches of each recording are tested, and every
     other photograph is learnt; with "category" those of objects that were neither
-    touched nor seen before. Touches without a photograph are left out; `lengths` are
-    numbers of touches, `orders` random orders of each object's touches, each with a
-    photograph at random.
-
-    Returns
-    -------
-    right : dict
-        `right[sense][k]`, the share right after `k` touches of each object that has
-        as many; the senses are "touch", "sight" (`k` is 0) and "both".
+    touched nor seen before. Touches without a photograph are left out; each order comes
+    with a photograph at random. Returns `right[sense][k]`, the share right after `k`
+    touches (0 for sight) of each object that has as many.
     """
     both = touches[np.isin(labels(touches), photographs.object)]
     shown = np.isin(photographs.object, labels(both))
@@ -261,8 +251,8 @@ def _fused(
 
 def _kinds(fold: Fold, label: str) -> dict[str, str]:
     """Return the label of every object."""
-    kinds: dict[str, str] = {}
-    for part in (fold.train, fold.test):
-        names, of_name = labels(part).tolist(), labels(part, label).tolist()
-        kinds.update(zip(names, of_name, strict=True))
-    return kinds
+    return {
+        name: kind
+        for part in (fold.train, fold.test)
+        for name, kind in zip(labels(part), labels(part, label), strict=True)
+    }

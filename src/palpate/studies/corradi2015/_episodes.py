@@ -34,11 +34,7 @@ LATER_TOUCHES = 20
 
 @dataclass(frozen=True, eq=False)
 class Partition:
-    """Rows to learn from, and episodes to recognise.
-
-    `episodes` (n_episodes, n_touches) are rows of the touches in the order of the
-    episode, `truth` (n_episodes,) the label of each.
-    """
+    """Rows to learn from, episodes (n_episodes, n_touches) of rows, their labels."""
 
     train: Codes
     episodes: Codes
@@ -46,11 +42,7 @@ class Partition:
 
 
 class Answered(NamedTuple):
-    """What a recogniser answers in one partition.
-
-    `answers` (n_episodes, n_touches) are labels after each touch, `truth`
-    (n_episodes,) the right ones, `facts` what else there is to say.
-    """
+    """The label after each touch, (n_episodes, n_touches), and the right ones."""
 
     experiment: str
     data: str
@@ -64,13 +56,8 @@ class Answered(NamedTuple):
 class Compared:
     """One partition to be answered by recognisers of features, or by `default`.
 
-    Parameters
-    ----------
-    compared : dict
-        Recognisers by name; the paper's also answers for the test touches without
-        contact.
-    label : {"object", "category"}, optional
-        What `default` learns, from the images on; without, it does not take part.
+    The paper's also answers for the test touches without contact. `label` is what
+    `default` learns, from the images on; without, it does not take part.
     """
 
     experiment: str
@@ -148,12 +135,7 @@ def later_tasks(plan: Corradi2015Plan, touches: Touches) -> Iterator[Compared]:
 
 
 def recognisers(plan: Corradi2015Plan) -> dict[str, Recogniser]:
-    """Return what is compared, by name.
-
-    The paper's densities; the same with a floor of 0.001 under each touch; naive
-    Bayes over k-means clusters; Gaussian mixtures of several components per object;
-    bags of touches over polar Fourier and moment-normalised features.
-    """
+    """Return what is compared, by name."""
     mixtures = {f"mixtures of {n}": Mixtures(n, plan.seed) for n in plan.components}
     return {
         MAIN: Densities(),

@@ -59,6 +59,8 @@ class Corradi2015Plan(Plan):
         Numbers of clusters to choose from, inside the training touches.
     components : tuple of int
         Components of each object's mixture.
+    timed : tuple of int
+        Numbers of touches at which learning and recognising are timed.
     later : bool, default=True
         Whether all objects, and categories, are recognised too, with a photograph
         beside the touches, and across a move of the camera.
@@ -76,15 +78,18 @@ class Corradi2015Plan(Plan):
     orders: int = 20
     clusters: tuple[int, ...] = (10, 20, 40, 80)
     components: tuple[int, ...] = (1, 2, 4)
+    timed: tuple[int, ...] = (600, 1200)
     later: bool = True
     first_look: ClassVar[Mapping[str, Any]] = {
         "partitions": 5,
         "default_partitions": 1,
         "later_partitions": 1,
-        "n_simulated": 75,
+        "few_train": 30,
+        "n_simulated": 60,
         "orders": 5,
         "clusters": (40,),
         "components": (1, 2),
+        "timed": (600,),
         "later": False,
     }
 
@@ -93,7 +98,7 @@ class Corradi2015Plan(Plan):
         self.check_counts("default_partitions", "seed", at_least=0)
         self.check_counts("n_train", "few_train", at_least=6)
         self.check_counts("n_simulated", at_least=self.least)
-        self.check_counts("touches", "clusters", "components")
+        self.check_counts("touches", "clusters", "components", "timed")
 
     @property
     def least(self) -> int:

@@ -36,19 +36,10 @@ class Recogniser(Protocol):
         """Which of the study's features it takes."""
 
     def scores(self, train: Floats, codes: Codes, episodes: Floats) -> Floats:
-        """Return a score of each object after each touch; the largest is the answer.
+        """Return scores after each touch, (n_episodes, n_touches, n_objects).
 
-        Parameters
-        ----------
-        train : ndarray of shape (n_train, n_features)
-        codes : ndarray of shape (n_train,)
-        episodes : ndarray of shape (n_episodes, n_touches, n_features)
-
-        Returns
-        -------
-        ndarray of shape (n_episodes, n_touches, n_objects)
-            Log posteriors under equal priors, but of the bags of touches, which
-            have none.
+        Of episodes (n_episodes, n_touches, n_features): log posteriors under equal
+        priors, but of the bags of touches, which have none; the largest is the answer.
         """
 
 

@@ -11,13 +11,7 @@ from .. import _report as shared
 from .._report import Figures, Row, Table
 from ._beside import MOVES, SIGHT
 from ._episodes import CLUSTERS, DEFAULT, FLOORED, MAIN
-from ._plan import (
-    LATER_CATEGORY,
-    LATER_OBJECTS,
-    LATER_SIGHT,
-    PAPER,
-    PAPER_CLUSTERS,
-)
+from ._plan import LATER_CATEGORY, LATER_OBJECTS, LATER_SIGHT, PAPER, PAPER_CLUSTERS
 
 TITLE = "Ten objects, touch by touch: Corradi et al. (2015) beside ours"
 CAPTIONS = {
@@ -79,10 +73,8 @@ def tables(result: dict[str, Any]) -> list[Table]:
         for data in shared.unique(row["data"] for row in rows)
     ]
     made += [_mixtures(rows), _pairs(result["confusion"])]
-    made += [
-        _unseen(shared.held(rows, table="unseen")),
-        _timings(shared.held(rows, table="timings")),
-    ]
+    made.append(_unseen(shared.held(rows, table="unseen")))
+    made.append(_timings(shared.held(rows, table="timings")))
     return [table for table in made if table[2]]
 
 
@@ -168,11 +160,8 @@ def pictures(result: dict[str, Any]) -> Figures:
     }
     category = shared.held(rows, table="category")
     if category:
-        every = (
-            shared.held(rows, table="all objects"),
-            LATER_OBJECTS,
-            "all recorded objects",
-        )
+        known = shared.held(rows, table="all objects")
+        every = (known, LATER_OBJECTS, "all recorded objects")
         unseen = (category, LATER_CATEGORY, "category of objects never touched")
         drawn["later"] = _accuracy([every, unseen], 4.2, legend_of=0)
     return drawn

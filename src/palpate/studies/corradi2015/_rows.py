@@ -33,7 +33,6 @@ _FIGURES: dict[tuple[str, str], dict[int, float]] = {
     ("all objects", MAIN): LATER_OBJECTS,
     ("category", MAIN): LATER_CATEGORY,
 }
-SIZES = (600, 1200)
 
 
 def experiment_rows(answered: Iterable[Answered], plan: Corradi2015Plan) -> list[Row]:
@@ -119,35 +118,28 @@ def worst_pairs(
 def unseen_rows(beliefs: dict[str, dict[str, Floats]], objects: Objects) -> list[Row]:
     """Return which known object each unseen one is taken for, after some touches."""
     known = np.unique(labels(objects.known)).tolist()
-    asked = [(p, name) for p, curves in beliefs.items() for name in curves]
+    asked = [
+        (preset, name, k, curve[k - 1])
+        for preset, curves in beliefs.items()
+        for name, curve in curves.items()
+        for k in UNSEEN_AFTER
+        if k <= len(curve)
+    ]
     rows = []
-    for preset, name in asked:
-        curve = beliefs[preset][name]
-        for k in UNSEEN_AFTER:
-            if k > len(curve):
-                continue
-            order = np.argsort(-curve[k - 1], kind="stable")[:3].tolist()
-            share = {known[i]: float(100 * curve[k - 1, i]) for i in order}
-            best = known[order[0]]
-            rows.append(
-                {
-                    **row(
-                        f"{name} taken for {best}, {preset}, {k} touches", share[best]
-                    ),
-                    "data": objects.data,
-                    "table": "unseen",
-                    "recogniser": preset,
-                    "unseen": name,
-                    "touches": k,
-                    "beliefs": share,
-                }
-            )
+    for preset, name, k, belief in asked:
+        order = np.argsort(-belief, kind="stable")[:3].tolist()
+        share = {known[i]: float(100 * belief[i]) for i in order}
+        best = known[order[0]]
+        shown = f"{name} taken for {best}, {preset}, {k} touches"
+        facts = {"data": objects.data, "table": "unseen", "recogniser": preset}
+        what = {"unseen": name, "touches": k, "beliefs": share}
+        rows.append({**row(shown, share[best]), **facts, **what})
     return rows
 
 
-def timing_rows(touches: Touches, data: str) -> list[Row]:
+def timing_rows(touches: Touches, data: str, sizes: Sequence[int]) -> list[Row]:
     """Return CPU milliseconds, medians, one touch at a time."""
-    some = touches[np.arange(min(len(touches), max(SIZES)))]
+    some = touches[: min(len(touches), max(sizes))]
     encoder, images = Encoder(some, bags=False), some.images
     discs = encoder.crop.transform(images)
     moments = encoder.moments.fit(discs)
@@ -164,7 +156,7 @@ def timing_rows(touches: Touches, data: str) -> list[Row]:
         _timed(f"Zernike moments of a disc, {disc}", PAPER_MS["encode", 0], alone),
         _timed(f"rim, disc and moments of an image, {frame}", None, whole),
     ]
-    for size in SIZES:
+    for size in sizes:
         if len(values) >= size:
             rows += _learning(values[:size])
     return [{**row, "data": data, "table": "timings", "unit": "ms"} for row in rows]
@@ -190,7 +182,7 @@ def _learning(values: Floats) -> list[Row]:
     def recognise(i: int) -> None:
         model.log_likelihood(principal.transform(values[i : i + 1]))
 
-    learning, recognising = (PAPER_MS[what, size] for what in ("learn", "recognise"))
+    learning, recognising = (PAPER_MS.get((w, size)) for w in ("learn", "recognise"))
     return [
         _timed(f"learn {size} touches", learning, learn, times=15),
         _timed(f"recognise a touch among {size}", recognising, recognise),

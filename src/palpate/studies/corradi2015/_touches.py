@@ -71,11 +71,7 @@ def recorded_objects(touches: Touches) -> Objects:
 
 @dataclass(frozen=True, eq=False)
 class Encoded:
-    """Labels and features of a set of touches.
-
-    `features` holds an array (n_touches, n_features) by name, `idle` which touches
-    look like the no-contact frame (None without one).
-    """
+    """Labels and features (n_touches, n_features), and which touches are idle."""
 
     names: NDArray[np.str_]
     codes: Codes
@@ -84,14 +80,9 @@ class Encoded:
 
 
 class Encoder:
-    """The study's features, with the disc of one set of touches.
+    """The study's features on the largest disc that all of some touches show.
 
-    Parameters
-    ----------
-    touches : Touches
-        Their rim is found, and the largest disc that all of them show.
-    bags : bool, default=True
-        Whether the features of the bags of touches are needed.
+    Those of the bags of touches are left out without `bags`.
     """
 
     def __init__(self, touches: Touches, *, bags: bool = True) -> None:
@@ -151,14 +142,10 @@ def polar_fourier(discs: NDArray[np.float32]) -> Floats:
 def moment_normalised(pressed: NDArray[np.float32]) -> Floats:
     """Return what is pressed, moved, turned and scaled to a standard place.
 
-    The centroid comes to the middle, the main axis to the columns with the longer
-    tail to the right, and the standard deviation to one size; 16 x 16 values of sum
-    1, or zeros where nothing is pressed. Shape (n_touches, 256).
-
-    Parameters
-    ----------
-    pressed : ndarray of shape (n_touches, size, size)
-        How far each pixel is from the image without contact, at least 0.
+    `pressed` (n_touches, size, size) is how far each pixel is from the image without
+    contact. The centroid comes to the middle, the main axis to the columns with the
+    longer tail to the right, and the standard deviation to one size; 16 x 16 values of
+    sum 1, or zeros where nothing is pressed. Shape (n_touches, 256).
     """
     return np.stack([_normalised(image) for image in pressed])
 

@@ -5,9 +5,9 @@ distort them, thin covers break them up, thick ones blur them (Figs 5 and 6). He
 same is counted over all presses.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import islice
 
 import numpy as np
 
@@ -48,6 +48,7 @@ from ._presses import (
 )
 
 Runs = Sequence[list[Half]]
+_WHOLE = {"encoding": "FD+GE", "classes": "all"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,22 +86,13 @@ class Job:
 
 
 def run_jobs(jobs: Sequence[Job], plan: Liu2014Plan, work: Work) -> list[Row]:
-    """Return the rows of all jobs; light ones of one kind share their tasks."""
-    shared: dict[str, list[int]] = {}
-    for number, job in enumerate(jobs):
-        light = f"{job.row['data']}, {job.row['features']}"
-        shared.setdefault(light if job.light else f"alone {number}", []).append(number)
+    """Return the rows of all jobs."""
     # The longest first, so that no worker is left with one at the end.
-    groups = sorted(shared.values(), key=lambda some: -sum(jobs[j].work for j in some))
-    asked = [(group, number) for group in groups for number in range(plan.runs)]
-    tasks = [([jobs[j] for j in group], plan, number) for group, number in asked]
-    runs: list[list[list[Half]]] = [[] for _ in jobs]
-    done = work.done(_run_all, tasks, "cross-validating")
-    for (group, _), halves in zip(asked, done, strict=True):
-        for j, one in zip(group, halves, strict=True):
-            runs[j].append(one)
-    both = zip(jobs, runs, strict=True)
-    return [row for job, its_runs in both for row in job.rows(its_runs, plan)]
+    order = sorted(range(len(jobs)), key=lambda j: -jobs[j].work)
+    tasks = [(jobs[j], plan, number) for j in order for number in range(plan.runs)]
+    done = iter(work.done(Job.run, tasks, "cross-validating"))
+    runs = {j: list(islice(done, plan.runs)) for j in order}
+    return [row for j, job in enumerate(jobs) for row in job.rows(runs[j], plan)]
 
 
 def study_jobs(plan: Liu2014Plan, touches: Touches, data: str) -> list[Job]:
@@ -128,10 +120,6 @@ def condition_jobs(plan: Liu2014Plan) -> Iterator[Job]:
     for cover in plan.covers_mm:
         condition = f"cover {cover:g} mm"
         yield from _condition(plan, "Fig. 6", condition, PAPER_LOAD_KGF, cover)
-
-
-def _run_all(jobs: Iterable[Job], plan: Liu2014Plan, number: int) -> Runs:
-    return [job.run(plan, number) for job in jobs]
 
 
 def _condition(
@@ -176,17 +164,11 @@ def _table_2(
     if partitions == PAPER_PARTITIONS:
         methods["KPCA (eq. 5)+MKL-SVM"] = Fused(mkl, *grid, scaling="paper")
         suffix, paper = "", TABLE_2 if plan.n == PAPER_N else {}
+    features = encoded.features("FD+GE", plan.n)
     for name, method in methods.items():
-        row = {
-            "name": name + suffix,
-            "table": "Table 2",
-            "paper": paper.get(name),
-            "encoding": "FD+GE",
-            "classes": "all",
-            "n": plan.n,
-            "partitions": partitions,
-        }
-        yield from _jobs(row, encoded.features("FD+GE", plan.n), codes, method)
+        row = {"name": name + suffix, "table": "Table 2", "paper": paper.get(name)}
+        known = {**row, **_WHOLE, "n": plan.n, "partitions": partitions}
+        yield from _jobs(known, features, codes, method)
 
 
 def _equal_grids(plan: Liu2014Plan, encoded: Encoded, codes: Codes) -> Iterator[Job]:
@@ -198,17 +180,11 @@ def _equal_grids(plan: Liu2014Plan, encoded: Encoded, codes: Codes) -> Iterator[
         "KPCA+MKL-SVM, variance": MKL(costs, "variance"),
     }
     width, kept = plan.widths[len(plan.widths) // 2], max(plan.components)
+    features = encoded.features("FD+GE", plan.n)
     for name, method in methods.items():
-        row = {
-            "name": f"{name}, {len(costs)} settings",
-            "table": "equal grids",
-            "encoding": "FD+GE",
-            "classes": "all",
-            "n": plan.n,
-            "partitions": PAPER_PARTITIONS,
-        }
-        fused = Fused(method, (width,), (kept,))
-        yield from _jobs(row, encoded.features("FD+GE", plan.n), codes, fused)
+        row = {"name": f"{name}, {len(costs)} settings", "table": "equal grids"}
+        known = {**row, **_WHOLE, "n": plan.n, "partitions": PAPER_PARTITIONS}
+        yield from _jobs(known, features, codes, Fused(method, (width,), (kept,)))
 
 
 def _controls(plan: Liu2014Plan, touches: Touches) -> Iterator[Job]:
@@ -257,12 +233,9 @@ def _figures(plan: Liu2014Plan, encoded: Encoded, touches: Touches) -> Iterator[
 
 def _jobs(row: Row, features: Floats, codes: Codes, method: Method) -> Iterator[Job]:
     """Yield the same for z-scored and for raw features."""
-    sizes: dict[str, Any] = {
-        "n_classes": len(np.unique(codes)),
-        "n_touches": len(codes),
-    }
+    sizes = {"n_classes": len(np.unique(codes)), "n_touches": len(codes)}
     for scaling in SCALINGS:
-        known = {"paper": None, **sizes, "features": scaling}
+        known: Row = {"paper": None, **sizes, "features": scaling}
         yield Job({**known, **row}, features, codes, method)
 
 

@@ -41,11 +41,7 @@ class Method(Protocol):
 
 @dataclass(frozen=True)
 class Half:
-    """One half tested.
-
-    `chosen` is the number of the setting that the training half preferred, and
-    `right` the share of test touches that each setting names.
-    """
+    """The setting that the training half chose, and what each names of the other."""
 
     chosen: int
     right: Floats
@@ -54,14 +50,9 @@ class Half:
 
 @dataclass(frozen=True)
 class Twofold:
-    """Runs of twofold cross-validation of a method.
+    """Twofold cross-validation of a method; inner folds choose its setting.
 
-    Parameters
-    ----------
-    scaled : bool
-        Whether features get mean 0 and variance 1 on the training touches.
-    inner_folds : int
-        Folds inside the training half that choose the setting.
+    If `scaled`, features get mean 0 and variance 1 on the training touches.
     """
 
     scaled: bool
@@ -87,10 +78,7 @@ class Twofold:
         test: Codes,
         seed: int,
     ) -> Half:
-        """Choose a setting on the training touches, and test every setting.
-
-        Labels of test touches are only compared with the answers.
-        """
+        """Choose a setting on the training touches; test labels are only compared."""
         chosen = self._choose(method, features[train], codes[train], seed)
         answers = self._answers(method, features, codes, train, test)
         return Half(chosen, (answers == codes[test]).mean(axis=1), len(test))
@@ -155,8 +143,21 @@ def _pooled(run: Sequence[Half], settings: Sequence[int]) -> float:
     return float(right / sum(half.n_test for half in run))
 
 
+class _Machines:
+    """A classifier with one machine per setting."""
+
+    def machines(self, train: Floats) -> list[Any]:
+        """Return the machines, unfitted."""
+        raise NotImplementedError
+
+    def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
+        # One pair of many that stops short of its tolerance is still a machine.
+        machines = self.machines(train)
+        return np.stack([fitted(m, train, codes).predict(test) for m in machines])
+
+
 @dataclass(frozen=True)
-class Neighbours:
+class Neighbours(_Machines):
     """The k nearest neighbours, k = 3 as in the paper."""
 
     k: int = 3
@@ -165,14 +166,12 @@ class Neighbours:
     def settings(self) -> Sequence[Setting]:
         return [{"k": self.k}]
 
-    def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
-        model = KNeighborsClassifier(self.k, algorithm="brute").fit(train, codes)
-        named: Codes = model.predict(test)[np.newaxis]
-        return named
+    def machines(self, train: Floats) -> list[Any]:
+        return [KNeighborsClassifier(self.k, algorithm="brute")]
 
 
 @dataclass(frozen=True)
-class GaussianSVM:
+class GaussianSVM(_Machines):
     """One-against-one SVMs with a Gaussian kernel (scikit-learn's `SVC`)."""
 
     widths: Sequence[float]
@@ -182,20 +181,14 @@ class GaussianSVM:
     def settings(self) -> Sequence[Setting]:
         return [{"width": width, "C": C} for C in self.costs for width in self.widths]
 
-    def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
+    def machines(self, train: Floats) -> list[Any]:
         unit = median_distance(train)
-        return np.stack(
-            [
-                SVC(C=one["C"], gamma=0.5 / (one["width"] * unit) ** 2)
-                .fit(train, codes)
-                .predict(test)
-                for one in self.settings
-            ]
-        )
+        grid = [(one["C"], 0.5 / (one["width"] * unit) ** 2) for one in self.settings]
+        return [SVC(C=C, gamma=gamma) for C, gamma in grid]
 
 
 @dataclass(frozen=True)
-class MKL:
+class MKL(_Machines):
     """The MKL-SVM over the paper's 22 kernels; `normalize` as `MKLSVC` has it."""
 
     costs: Sequence[float]
@@ -205,11 +198,9 @@ class MKL:
     def settings(self) -> Sequence[Setting]:
         return [{"C": C} for C in self.costs]
 
-    def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
-        # One pair of many that stops short of a gap of 1e-6 is still a machine.
+    def machines(self, train: Floats) -> list[Any]:
         options: dict[str, Any] = {"normalize": self.normalize, "probability": False}
-        machines = [MKLSVC(C=C, **options) for C in self.costs]
-        return np.stack([fitted(m, train, codes).predict(test) for m in machines])
+        return [MKLSVC(C=C, **options) for C in self.costs]
 
 
 @dataclass(frozen=True)

@@ -144,4 +144,4 @@ class Liu2014Plan(Plan):
             name: tuple(number for number in numbers if number in self.parts)
             for name, numbers in CLASS_SETS.items()
         }
-        return {name: numbers for name, numbers in held.items() if len(numbers) > 1}
+        return {name: some for name, some in held.items() if len(some) > 1}

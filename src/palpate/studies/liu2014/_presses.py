@@ -30,11 +30,7 @@ GAIN_RANGE = (0.8, 1.2)
 
 @dataclass(frozen=True)
 class Encoded:
-    """A set of touches with the paper's features.
-
-    `binary` are the cleaned images; `geometry` the two geometric features;
-    `fourier` the Fourier descriptors.
-    """
+    """Cleaned images, their two geometric features and Fourier descriptors."""
 
     binary: NDArray[np.bool_]
     geometry: Floats
