@@ -35,22 +35,24 @@ from palpate import Touches
 from palpate.evaluation import spread
 from palpate.exploration import (
     QUICK_GUARD,
-    InformativeRecorded,
     InformativeTouch,
     RandomHemisphere,
-    RandomRecorded,
     Raster,
-    RasterRecorded,
     Stand,
     TouchMap,
     TouchRecord,
     as_touches,
     explore_to_learn,
-    look_at_recorded,
     put_down,
 )
 from palpate.recognition import ObjectRecogniser
 from palpate.simulation import HOUSEHOLD, DomeCamera, SimObject
+from recorded_choice import (
+    InformativeRecorded,
+    RandomRecorded,
+    RasterRecorded,
+    look_at_recorded,
+)
 
 CAMERA = DomeCamera(image_shape=(80, 80), n_nodes=24)
 N_SESSIONS = 3
@@ -64,7 +66,7 @@ Hits = dict[str, Any]
 
 
 def taught(teaching: int, preset: str) -> TouchMap:
-    """Touch every object in its usual pose, learn them and where they feel how."""
+    """Touch every object in its usual pose and learn what is met where."""
     touches = explore_to_learn(
         camera=CAMERA,
         n_sessions=N_SESSIONS,
@@ -110,12 +112,12 @@ def episode(
         history.append(record)
         if record.touched:
             belief.update(as_touches([record]))
-        named["by touch"].append(belief.touch.best)
+        named["by touch"].append(belief.best_without_places)
         named["by place"].append(belief.best)
         if belief.doubt <= ERROR:
             break
     left = n_touches - len(history)
-    return {told: names + names[-1:] * left for told, names in named.items()}
+    return {by: names + names[-1:] * left for by, names in named.items()}
 
 
 def one_pool(

@@ -23,7 +23,7 @@ import numpy as np
 from exploration_pictures import draw
 from exploration_tables import fill
 from palpate import Touches
-from palpate.evaluation import run_episodes, scores, single_touches, spread
+from palpate.evaluation import run_episodes, spread
 from palpate.recognition import ObjectRecogniser, adapt
 from palpate.simulation import HOUSEHOLD, UNSEEN, DomeCamera, simulate_touches
 
@@ -180,12 +180,8 @@ def _accuracy(recogniser: ObjectRecogniser, touches: Touches) -> list[float]:
     truth = touches.object if recogniser.label == "object" else touches.category
     objects = touches.object
     log_likelihood = recogniser.log_likelihood(touches)
-    many = run_episodes(recogniser, log_likelihood, objects, truth, 20, 0)
-    one = single_touches(recogniser, log_likelihood, many, objects)
-    return [
-        float(scores(*(one if k == 1 else many).after(k)).accuracy.mean())
-        for k in LENGTHS
-    ]
+    episodes = run_episodes(recogniser, log_likelihood, objects, truth, 20, 0)
+    return [float(episodes.scores(k).accuracy.mean()) for k in LENGTHS]
 
 
 def _first(touches: Touches, each: int) -> np.ndarray:

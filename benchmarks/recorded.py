@@ -96,8 +96,8 @@ def drawn_objects(touches: Touches) -> dict[str, object]:
             row["doubt"] = {
                 str(k): roc_area(
                     *(
-                        doubts(np.concatenate(trial.after(k, unknown=u)[1]))
-                        for u in (False, True)
+                        doubts(np.concatenate(episodes.after(k)[1]))
+                        for episodes in (trial.episodes, trial.unknown_episodes)
                     )
                 )
                 for k in plan.touches

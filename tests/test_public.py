@@ -1,6 +1,7 @@
 """The public promise: what a room's `__all__` names is there and says what it is."""
 
 import inspect
+import runpy
 from importlib import import_module
 from pathlib import Path
 
@@ -75,3 +76,32 @@ def test_a_stranger_can_keep_the_public_names_in_mind():
 def test_no_modules_import_each_other():
     """Imports inside functions count too; those for types alone do not."""
     assert import_circles(SOURCE, deferred=True) == []
+
+
+@pytest.mark.parametrize("name", ROOMS)
+def test_signatures_in_help_are_short(name):
+    """No default that is a whole table, no annotation that is spelt out."""
+    room = room_named(name)
+    long = {}
+    for public in room.__all__:
+        thing = getattr(room, public)
+        methods = vars(thing).items() if inspect.isclass(thing) else ()
+        functions = {f"{public}.{n}": f for n, f in methods if inspect.isfunction(f)}
+        for full, function in {**functions, public: thing}.items():
+            signature = signature_of(function)
+            if len(signature) > 800 or "_SupportsArray" in signature:
+                long[full] = signature[:100]
+    assert long == {}
+
+
+def signature_of(thing):
+    try:
+        return str(inspect.signature(thing)) if callable(thing) else ""
+    except ValueError:  # built in
+        return ""
+
+
+def test_the_page_of_public_names_is_made_from_the_code():
+    page = SOURCE.parent / "docs" / "reference.md"
+    code = runpy.run_path(str(page.with_suffix(".py")))
+    assert page.read_text() == code["reference"](), "run: python docs/reference.py"

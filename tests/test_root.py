@@ -1,7 +1,9 @@
 """What every room shares: files that are whole, extras by name, tasks in parallel."""
 
+import errno
 import os
 import stat
+from contextlib import nullcontext
 
 import pytest
 
@@ -41,6 +43,23 @@ def test_file_and_folder_are_flushed_in_this_order(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", fsync)
     write_bytes(tmp_path / "kept", b"x")
     assert flushed == ["file", "folder"]
+
+
+@pytest.mark.parametrize("number", [errno.EINVAL, errno.ENOTSUP, errno.EIO])
+def test_folders_that_cannot_be_flushed_are_passed_over(tmp_path, monkeypatch, number):
+    """Some network file systems flush files alone; other errors stay errors."""
+    flush = os.fsync
+
+    def fsync(handle):
+        if stat.S_ISDIR(os.fstat(handle).st_mode):
+            raise OSError(number, os.strerror(number))
+        flush(handle)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    expected = pytest.raises(OSError) if number == errno.EIO else nullcontext()
+    with expected:
+        write_bytes(tmp_path / "kept", b"x")
+    assert (tmp_path / "kept").read_bytes() == b"x"
 
 
 def test_a_link_is_followed(tmp_path):

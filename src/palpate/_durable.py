@@ -5,6 +5,7 @@ folder is flushed too, since a new name is durable only then. A reader sees the 
 or the new one, never a part. Temporary names begin with `PARTIAL`.
 """
 
+import errno
 import os
 import secrets
 from collections.abc import Iterator
@@ -57,10 +58,13 @@ def write_text(target: Path, content: str) -> None:
 
 
 def flush_folder(folder: Path) -> None:
-    """Make new names in `folder` durable, where folders can be opened."""
+    """Make new names in `folder` durable, where folders can be opened and flushed."""
     with suppress(PermissionError):
         handle = os.open(folder, os.O_RDONLY)
         try:
             os.fsync(handle)
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.ENOTSUP):
+                raise
         finally:
             os.close(handle)

@@ -13,9 +13,9 @@ from palpate.evaluation import (
     decide_episodes,
     evaluate,
     explained_episodes,
-    plots,
     write_report,
 )
+from palpate.touches import png_address
 
 NAMES = ("bowl", "key", "mug", "pen")
 PLAN = Plan(touches=(1, 3), orders=6, error=0.2, seed=3)
@@ -114,4 +114,4 @@ def test_the_page_shows_touches_beside_their_nearest(result, tmp_path):
     assert near.object[0] == step["nearest"][0]["object"]
     for touch in (felt, near):
         (cleaned,) = recogniser.encoder_.clean(touch)
-        assert plots.picture(cleaned, side=72) in page
+        assert png_address(cleaned, 72) in page

@@ -1,6 +1,6 @@
 """Maps of touches and the next touch, on objects made up so that the answer is known.
 
-Two objects feel the same all over but for one side: `plain` shows there what it
+Two objects are the same all over but for one side: `plain` shows there what it
 shows elsewhere, `marked` another pattern. Both have a landmark, a quarter turn from
 that side, by which one can tell how they are turned.
 """
@@ -13,18 +13,21 @@ from scipy.special import logsumexp
 from palpate import Touches
 from palpate.exploration import (
     Hemisphere,
-    InformativeRecorded,
     InformativeTouch,
     PlacedBelief,
-    RandomRecorded,
-    RasterRecorded,
+    Stations,
     TouchMap,
     TouchRecord,
+    freshness,
+    most_promising,
+)
+from palpate.recognition import ObjectRecogniser, SequenceCalibration
+from recorded_choice import (
+    InformativeRecorded,
+    RandomRecorded,
+    RasterRecorded,
     look_at_recorded,
 )
-from palpate.exploration._informative import Stations, most_promising
-from palpate.exploration._place_geometry import freshness
-from palpate.recognition import ObjectRecogniser, SequenceCalibration
 
 N_TURNS = 12
 STEP = 2 * np.pi / N_TURNS
@@ -38,8 +41,8 @@ def _out(azimuth, elevation=0.3):
     return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), height], axis=-1)
 
 
-def _felt(name, azimuth, rng):
-    """What is felt at azimuths of an object that is not turned."""
+def _images(name, azimuth, rng):
+    """Images at azimuths of an object that is not turned."""
     away = np.abs((azimuth + np.pi) % (2 * np.pi) - np.pi)
     shown = np.where((away < 0.4) & (name == "marked"), MARK, ELSEWHERE)
     quarter = np.abs((azimuth - np.pi / 2 + np.pi) % (2 * np.pi) - np.pi)
@@ -52,7 +55,7 @@ def _touches(seed=0, n_touches=120):
     images, names, directions = [], [], []
     for name in ("marked", "plain"):
         azimuth = rng.uniform(-np.pi, np.pi, n_touches)
-        images.append(_felt(name, azimuth, rng))
+        images.append(_images(name, azimuth, rng))
         directions.append(-_out(azimuth, rng.uniform(0, 0.8, n_touches)))
         names += [name] * n_touches
     return Touches(
@@ -87,7 +90,7 @@ def _one(name, azimuth, turn=0.0, seed=1):
     """A touch at an azimuth of the world on an object turned by an angle."""
     rng = np.random.default_rng(seed)
     at = np.array([azimuth])
-    return Touches(_felt(name, at - turn, rng), direction=-_out(at), geometry="none")
+    return Touches(_images(name, at - turn, rng), direction=-_out(at), geometry="none")
 
 
 def _record(touch):
@@ -101,7 +104,7 @@ def _azimuth(pose):
 
 
 def test_places_help_where_they_should(touch_map):
-    # Where the mark is felt on both objects' landmark side depends on the turn, so
+    # Where the mark is met on both objects' landmark side depends on the turn, so
     # left-out episodes are recognised better with places than without.
     assert touch_map.log_loss_["placed"] < touch_map.log_loss_["touch"]
 
@@ -320,7 +323,7 @@ def test_objects_that_feel_alike_promise_next_to_nothing():
     rng = np.random.default_rng(3)
     azimuth = rng.uniform(-np.pi, np.pi, 160)
     alike = Touches(
-        _felt("plain", azimuth, rng),
+        _images("plain", azimuth, rng),
         object=np.repeat(["one", "other"], 80),
         direction=-_out(azimuth),
         geometry="none",

@@ -54,7 +54,7 @@ class Undecided:
 class Setup:
     """A ball or another object before the simulated arm and sensor."""
 
-    def __init__(self, name="ball", place=None, missing=(), **settings):
+    def __init__(self, name="ball", place=None, **settings):
         target = PlacedObject.resting(find_object(name))
         if place is not None:
             target = PlacedObject(target.thing, position_mm=place)
@@ -63,7 +63,7 @@ class Setup:
         self.hemisphere = Hemisphere(tuple(centre), radius_mm=100)
         home = self.hemisphere.pose(0.0, 1.5)
         self.robot = SimulatedRobot(self.bench, home, **settings)
-        lost = MissingFrames(self.robot, missing)
+        lost = MissingFrames(self.robot)
         self.sensor = SimulatedSensor(self.bench, missing=lost)
 
     def explore(self, folder=None, n_attempts=3, seed=0):
@@ -152,7 +152,7 @@ def test_an_arm_that_is_stuck_in_contact_is_stopped(tmp_path):
 
 
 def test_a_missing_frame_is_recorded_and_the_episode_goes_on(tmp_path):
-    setup = Setup(missing={1})
+    setup = Setup(faults={1: "no frame"})
     end = setup.explore(tmp_path)
     assert [record.outcome for record in end.history] == [
         "touched",

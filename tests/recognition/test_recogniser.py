@@ -370,14 +370,40 @@ def test_a_model_without_an_attribute_is_refused_when_read(tmp_path, test_touche
         ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
 
 
-def test_many_touches_are_felt_in_shards_as_all_at_once(monkeypatch, test_touches):
-    learnt = ObjectRecogniser().fit(test_touches)
-    whole = learnt.evidence(test_touches)
-    monkeypatch.setattr("palpate.recognition._recogniser.SHARD", 5)
-    # Products of 5 rows and of 18 round differently in the last digit.
+def test_many_touches_are_encoded_in_shards_as_all_at_once(recogniser):
+    many = drawn(np.random.default_rng(3), n_each=400)
     with parallel_config("threading", n_jobs=2):
-        shards = learnt.evidence(test_touches)
-    assert_allclose(shards.features, whole.features, rtol=1e-12, atol=1e-12)
-    assert_allclose(shards.log_likelihood, whole.log_likelihood, rtol=1e-10)
-    assert shards.flags == whole.flags
-    assert_array_equal(np.isnan(shards.novelty), np.isnan(whole.novelty))
+        shards = recogniser.evidence(many)
+    parts = [recogniser.evidence(many[start : start + 400]) for start in (0, 400, 800)]
+    # Products of other numbers of rows round differently in the last digit.
+    features = np.concatenate([part.features for part in parts])
+    assert_allclose(shards.features, features, rtol=1e-9, atol=1e-12)
+    likelihood = np.concatenate([part.log_likelihood for part in parts])
+    assert_allclose(shards.log_likelihood, likelihood, rtol=1e-9, atol=1e-12)
+    assert shards.flags == [flag for part in parts for flag in part.flags]
+    assert np.isnan(shards.novelty).all()
+
+
+def test_a_belief_shows_itself_in_one_line_and_as_bars():
+    rng = np.random.default_rng(0)
+    names = ("<b>ball</b>", "m" * 300, "pen")
+    learnt = ObjectRecogniser().fit(drawn(rng, names=names))
+    belief = learnt.start().update(drawn(rng, n_each=3, names=names)[:2])
+    assert len(repr(belief)) < 120
+    assert repr(belief).startswith("<Belief after 2 touches: <b>ball</b> ")
+    page = belief._repr_html_()
+    assert "&lt;b&gt;ball&lt;/b&gt;" in page
+    assert "<b>" not in page
+    assert page.count("<tr>") == 3
+    assert "After 2 touches; unknown score" in page
+
+
+def test_a_belief_of_many_objects_shows_the_first_ten():
+    rng = np.random.default_rng(0)
+    names = [f"thing {number:02d}" for number in range(12)]
+    learnt = ObjectRecogniser("corradi2015").fit(
+        Touches(rng.random((48, 64, 64)), object=np.repeat(names, 4))
+    )
+    page = learnt.start()._repr_html_()
+    assert page.count("<tr>") == 11
+    assert "and 2 more" in page

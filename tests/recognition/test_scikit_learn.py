@@ -55,6 +55,9 @@ def test_labels_keep_their_kind(images_and_labels):
     assert learnt.predict(images[:1]).dtype.kind == "i"
     assert learnt.start().update(images[0]).best in {"10", "11", "12"}
     assert learnt.forget_object("11").classes_.tolist() == [10, 12]
+    assert learnt.add_object("7", images[:4]).classes_.tolist() == [7, 10, 12]
+    with pytest.raises(ValueError, match="must be a number like the known labels"):
+        learnt.add_object("cup", images[:4])
 
 
 def test_cross_validation(images_and_labels):

@@ -127,6 +127,24 @@ def test_controls_stand_beside_every_table(result):
         assert encodings == {"FD+GE", "sorted pixels", "raw pixels"}
 
 
+def test_svm_and_both_normalisations_of_mkl_choose_among_equally_many(result):
+    plan = Liu2014Plan(**result["plan"])
+    n_settings = len(plan.svm_widths) * len(plan.svm_costs)
+    assert len(set(plan.equal_costs)) == n_settings
+    assert list(plan.equal_costs) == sorted(plan.equal_costs)
+    rows = held(result, table="equal grids", protocol="nested")
+    for features in ("z-scored", "raw"):
+        names = [row["name"] for row in held({"rows": rows}, features=features)]
+        methods = ("KPCA+SVM", "KPCA+MKL-SVM, trace", "KPCA+MKL-SVM, variance")
+        assert names == [f"{method}, {n_settings} settings" for method in methods]
+    for row in rows:
+        # The same components for all, so that only the classifier chooses.
+        assert row["chosen"]["kpca_width"] == plan.widths[0]
+        assert row["chosen"]["components"] == max(plan.components)
+        svm = "MKL" not in row["name"]
+        assert row["chosen"]["C"] in (plan.svm_costs if svm else plan.equal_costs)
+
+
 def test_load_and_cover_tell_how_images_break_up(result):
     loads = {row["load_kgf"]: row for row in held(result, table="Fig. 5")}
     assert set(loads) == {2.0, 4.0}
@@ -176,7 +194,7 @@ def test_missing_presses_are_told_once(result):
 def test_tables_have_cells_for_every_column(result):
     tables = STUDY.tables(result)
     assert tables[0][0] == "Table 2"
-    assert len(tables) == 6
+    assert len(tables) == 7
     for _, columns, rows in tables:
         assert rows
         assert {len(row) for row in rows} == {len(columns)}

@@ -50,7 +50,7 @@ GOOD = ("images.npy", npy(np.zeros((2, 2, 2), np.uint8)))
         ([("images.npy", npy_header("-" * 9000 + "1"))], "must be an array as numpy"),
         (
             [("images.npy", npy_header("0" * 20_000, b"\x02\x00"))],
-            "a header of 20001 bytes",
+            "header, expected 20001 bytes",
         ),
         ([("images.npy", described((-2, 2, 2)))], r"got shape \(-2, 2, 2\)"),
         ([("images.npy", described((2, 2, 2), "<U0"))], "got shape"),

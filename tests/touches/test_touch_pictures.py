@@ -168,7 +168,7 @@ def refused_kinds():
         (patched(jpeg, frame + 1, 0xC3), "lossless or arithmetic"),
         (patched(jpeg, frame + 1, 0xC9), "lossless or arithmetic"),
         (jpeg[:frame] + jpeg[jpeg.index(b"\xff\xda") :], "a damaged JPEG"),
-        (patched(patched(jpeg, frame + 5, 0), frame + 6, 0), "a damaged JPEG"),
+        (patched(patched(jpeg, frame + 5, 0), frame + 6, 0), r"JPEG of \d+ x 0 pixels"),
         (jpeg[:-2] + jpeg[frame : frame + 13] + b"\xff\xd9", "a damaged JPEG"),
         (jpeg[: jpeg.index(b"\xff\xda")] + b"\xff\xd9", "cut short"),
         (coded(image, save_all=True, append_images=[other]), "an animated PNG"),

@@ -10,8 +10,7 @@ import pytest
 
 from palpate import Touches
 from palpate.sensors import ReplaySensor
-from palpate.web import LiveSession, create_app, new_token
-from palpate.web._learning import learn_job
+from palpate.web import LiveSession, create_app, learn_job, new_token
 
 pytest.importorskip("fastapi", reason='pip install "palpate[web]"')
 pytest.importorskip("uvicorn", reason='pip install "palpate[web]"')

@@ -13,10 +13,9 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sklearn.utils.multiclass import check_classification_targets
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_label_kinds, check_number, check_option, check_positive
+from .._checks import check_number, check_option, check_positive
 from .._types import Array, Floats
 from ._kernel_sums import (
     blocks_of,
@@ -27,7 +26,7 @@ from ._kernel_sums import (
     squared_distances,
     tile_log_sums,
 )
-from ._touch_classifier import BayesRule, as_groups, as_touches
+from ._touch_classifier import BayesRule, as_groups, as_touches, labelled_touches
 from ._whitening import learn_whitening, whiten
 
 # With precision="auto" a model computes in float64 when it has at most this many
@@ -159,9 +158,7 @@ class KernelDensityBayes(BayesRule):
             For NaN, infinity, variances that overflow, or unequal lengths.
         """
         self._check_parameters()
-        check_label_kinds(y)
-        touches, labels = validate_data(self, X, y, dtype=np.float64)
-        check_classification_targets(labels)
+        touches, labels = labelled_touches(self, X, y)
         learnt = learn_whitening(touches, full=self.bandwidth == "full")
         self.centre_, self.spread_, self.varies_ = learnt[:3]
         self.rotation_, self.log_volume_ = learnt[3:]
@@ -182,8 +179,7 @@ class KernelDensityBayes(BayesRule):
         `fit`.
         """
         check_is_fitted(self)
-        check_label_kinds(y)
-        touches, labels = validate_data(self, X, y, dtype=np.float64, reset=False)
+        touches, labels = labelled_touches(self, X, y, reset=False)
         self._learn(touches, labels, groups)
         return self
 

@@ -5,18 +5,19 @@ features, of how probable that feature's value is among the label's training tou
 Cruder than one density over all features, and in need of far fewer touches.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils.multiclass import check_classification_targets
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_label_kinds, check_option, check_positive
+from .._checks import check_option, check_positive
 from .._types import Floats
 from ._kernel_sums import blocks_of
-from ._touch_classifier import BayesRule, as_touches
+from ._touch_classifier import BayesRule, as_touches, labelled_touches
 from ._whitening import learn_whitening, whiten
 
 # Interquartile range of a Gaussian, in standard deviations.
@@ -109,9 +110,7 @@ class KernelDensityNaiveBayes(BayesRule):
             For NaN, infinity, variances that overflow, or unequal lengths.
         """
         self._check_parameters()
-        check_label_kinds(y)
-        touches, labels = validate_data(self, X, y, dtype=np.float64)
-        check_classification_targets(labels)
+        touches, labels = labelled_touches(self, X, y)
         self.classes_, codes = np.unique(labels, return_inverse=True)
         self.counts_ = np.bincount(codes)
         learnt = learn_whitening(touches, full=False)

@@ -19,12 +19,11 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import log_softmax
 from sklearn.metrics.pairwise import euclidean_distances
-from sklearn.utils.multiclass import check_classification_targets
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_count, check_label_kinds, check_positive, check_squarable
+from .._checks import check_count, check_positive, check_squarable
 from .._types import Array, Floats
-from ._touch_classifier import BayesRule, as_groups, as_touches
+from ._touch_classifier import BayesRule, as_groups, as_touches, labelled_touches
 
 # Temperature and bend of the posterior are fitted to at most so many touches.
 _SHAPED_BY = 10_000
@@ -141,7 +140,6 @@ class KernelRidgeClassifier(BayesRule):
             For labels that are partly text, partly something else.
         """
         touches, labels = self._validated(X, y, reset=True)
-        check_classification_targets(labels)
         self.classes_, codes = np.unique(labels, return_inverse=True)
         if len(self.classes_) < 2:
             raise ValueError(
@@ -155,8 +153,7 @@ class KernelRidgeClassifier(BayesRule):
     def _validated(
         self, X: ArrayLike, y: ArrayLike, *, reset: bool
     ) -> tuple[Floats, Array]:
-        check_label_kinds(y)
-        touches, labels = validate_data(self, X, y, dtype=np.float64, reset=reset)
+        touches, labels = labelled_touches(self, X, y, reset=reset)
         return check_squarable("X", touches), labels
 
     def _choose(self, touches: Floats, codes: Array, group: Array) -> None:
@@ -345,31 +342,15 @@ def _learn_from_landmarks(
     group: NDArray[np.intp],
     ridge: float,
 ) -> tuple[Floats, Floats]:
-    """Solve the ridge regression of `target` on the landmarks' kernel.
+    """Solve the ridge regression of `target` (n_touches, n_outputs) on landmarks.
 
     The kernel is replaced by that of its projection onto some of the touches (Nystroem
     features, C. K. I. Williams and M. Seeger, "Using the Nystroem method to speed up
-    kernel machines", NIPS 13, 2001). Memory grows with the touches, not with their
-    square.
-
-    Parameters
-    ----------
-    kernel_of : callable
-        Returns the kernel of touches (rows) with the landmarks, (n_rows, n_landmarks).
-    own_kernel : ndarray of shape (n_landmarks, n_landmarks)
-    target : ndarray of shape (n_touches, n_outputs)
-    group : ndarray of int, shape (n_touches,)
-        Touches of one group are left out together.
-    ridge : float
-
-    Returns
-    -------
-    coefficients : ndarray of shape (n_landmarks, n_outputs)
-        Scores of a touch are its kernel with the landmarks times these.
-    left_out : ndarray of shape (n_touches, n_outputs)
-        What every touch would be given, had its group never been learnt: with
-        features F of the group, Q = (F_all^T F_all + ridge I)^-1 and residuals r it
-        is target - (I - F Q F^T)^-1 r.
+    kernel machines", NIPS 13, 2001), so memory grows with the touches, not with their
+    square. Returns coefficients (n_landmarks, n_outputs): scores of a touch are its
+    kernel with the landmarks times these; and what every touch would be given, had its
+    group never been learnt: with features F of the group, Q = (F_all^T F_all + ridge
+    I)^-1 and residuals r it is target - (I - F Q F^T)^-1 r.
     """
     n_landmarks = len(own_kernel)
     root = cholesky(own_kernel + _JITTER * np.eye(n_landmarks), lower=True)

@@ -37,23 +37,11 @@ _LARGEST = 1e15  # beyond it a pair is computed exactly whatever the tile says
 def make_tiles(
     points: Floats, precisions: Floats | None, dtype: str
 ) -> tuple[Tiles, Floats]:
-    """Pack the touches of one object into tiles.
+    """Pack the whitened touches of one object, (n_touches, n_directions), into tiles.
 
-    Parameters
-    ----------
-    points : ndarray of shape (n_touches, n_directions)
-        Whitened touches of one object.
-    precisions : ndarray of shape (n_directions,) or None
-        Weights of the squared differences; None is all ones.
-    dtype : {"float32", "float64"}
-        Precision of the products.
-
-    Returns
-    -------
-    tiles : ndarray of shape (n_tiles, TILE, n_directions + 1)
-        Each row holds p and b of one touch.
-    reach : ndarray of shape (2,)
-        Largest length of p and largest size of b, for `is_precise`.
+    `precisions` (n_directions,) weigh the squared differences; None is all ones.
+    Returns tiles (n_tiles, TILE, n_directions + 1), whose rows hold p and b of one
+    touch, and the largest length of p and largest size of b, for `is_precise`.
     """
     mean = points.mean(axis=0)
     from_mean = points - mean
@@ -76,14 +64,8 @@ def count_tiles(counts: NDArray[np.intp]) -> NDArray[np.intp]:
 def tile_log_sums(x: Floats, tiles: Tiles, tile_counts: NDArray[np.intp]) -> Floats:
     """Return log of the sum of exp(x'p + b) per object, (n_touches, n_objects).
 
-    Parameters
-    ----------
-    x : ndarray of shape (n_touches, n_directions)
-        Whitened touches.
-    tiles : ndarray of shape (n_tiles, TILE, n_directions + 1)
-        Tiles of all objects, one object after the other.
-    tile_counts : ndarray of shape (n_objects,)
-        Number of tiles of each object.
+    Of whitened touches `x` (n_touches, n_directions) and the tiles of all objects, one
+    object after the other, `tile_counts` (n_objects,) of each.
     """
     extended = np.ones((len(x), x.shape[1] + 1), dtype=tiles.dtype)
     extended[:, :-1] = np.clip(x, -_LARGEST, _LARGEST)

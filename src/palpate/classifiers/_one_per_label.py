@@ -4,6 +4,8 @@ Each machine answers "mine" or "not mine" without knowing of the others, so a to
 may be claimed by several labels or by none; both cases need a rule.
 """
 
+from __future__ import annotations
+
 from typing import Self
 
 import numpy as np
@@ -11,17 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.metrics.pairwise import pairwise_kernels
 from sklearn.svm import SVC
-from sklearn.utils.multiclass import check_classification_targets
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted
 
 from .._checks import (
-    check_label_kinds,
     check_option,
     check_positive,
     check_squarable,
 )
 from .._types import Array, Floats
-from ._touch_classifier import as_touches
+from ._touch_classifier import as_touches, labelled_touches
 
 KERNELS = ("linear", "poly", "rbf", "sigmoid")
 
@@ -97,10 +97,8 @@ class OnePerLabelSVC(ClassifierMixin, BaseEstimator):
             For fewer than two labels, NaN, infinity, or unequal lengths.
         """
         self._check_parameters()
-        check_label_kinds(y)
-        touches, labels = validate_data(self, X, y, dtype=np.float64)
+        touches, labels = labelled_touches(self, X, y)
         check_squarable("X", touches)
-        check_classification_targets(labels)
         self.classes_, codes = np.unique(labels, return_inverse=True)
         n_labels = len(self.classes_)
         if n_labels < 2:

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import log_softmax
 from sklearn.base import BaseEstimator, ClassifierMixin, clone
+from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from .._checks import are_plain_vectors
+from .._checks import are_plain_vectors, check_label_kinds
 from .._types import Array, Floats
 
 _N_FOLDS = 5
@@ -136,7 +137,7 @@ class FromProbabilities(BayesRule):
                 "classifier must have predict_proba, got "
                 f"{type(self.classifier).__name__}. Wrap it in CalibratedClassifierCV."
             )
-        self.touches_, self.labels_ = validate_data(self, X, y, dtype=np.float64)
+        self.touches_, self.labels_ = labelled_touches(self, X, y)
         self.groups_ = as_groups(groups, len(self.touches_))
         self.classifier_ = clone(self.classifier).fit(self.touches_, self.labels_)
         self.classes_ = np.asarray(self.classifier_.classes_)
@@ -171,6 +172,20 @@ class FromProbabilities(BayesRule):
             known = _log_probability(again, self.touches_[test])
             result[np.ix_(test, columns)] = known
         return result
+
+
+def labelled_touches(
+    estimator: BaseEstimator, X: ArrayLike, y: ArrayLike, *, reset: bool = True
+) -> tuple[Floats, Array]:
+    """Return `X` as touches and `y` as their labels, or explain.
+
+    Raises what scikit-learn's `validate_data` raises; not `reset`, the touches must be
+    like those of `fit`.
+    """
+    check_label_kinds(y)
+    touches, labels = validate_data(estimator, X, y, dtype=np.float64, reset=reset)
+    check_classification_targets(labels)
+    return touches, labels
 
 
 def as_touches(estimator: BaseEstimator, X: ArrayLike) -> Floats:

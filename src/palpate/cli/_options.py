@@ -47,7 +47,8 @@ def checked_workers(workers: int | None) -> int | None:
 def option(*names_and_help: str, **more: Any) -> Any:
     """Return an option of the command line: its names, then what it does, as text.
 
-    Square brackets in the text, as in `palpate[plot]`, are no markup.
+    Without names it is called as its parameter: `aim_sd` is `--aim-sd`. Square brackets
+    in the text, as in `palpate[plot]`, are no markup.
     """
     *names, text = names_and_help
     return typer.Option(*names, help=_no_markup(text), **more)
@@ -78,18 +79,10 @@ Seed = Annotated[
     int, option("--seed", "Seed of everything random.", callback=checked_seed)
 ]
 Preset = Annotated[str, option("--preset", '"default", "corradi2015" or "liu2014".')]
-Label = Annotated[str, option("--label", 'What to recognise: "object" or "category".')]
+Label = Annotated[str, option('What to recognise: "object" or "category".')]
 ErrorRate = Annotated[float, option("--error", "Accepted share of wrong decisions.")]
 Report = Annotated[Path | None, option("--report", "Write one self-contained .html.")]
 ListNames = Annotated[bool, option("--list", "List them.")]
-Floor = Annotated[
-    float | None,
-    option(
-        "--floor",
-        "Least probability one touch leaves to all objects; 0 lets one touch "
-        "rule an object out. Default: the preset's.",
-    ),
-]
 NamePattern = Annotated[
     str | None,
     option(
@@ -121,15 +114,29 @@ Calibration = Annotated[
 
 
 @dataclass(frozen=True)
+class Learning:
+    """How a recogniser is made, as `ObjectRecogniser` and `Plan` name it."""
+
+    preset: Preset = "default"
+    label: Label = "object"
+    floor: Annotated[
+        float | None,
+        option(
+            "Least probability one touch leaves to all objects; 0 lets one touch "
+            "rule an object out. Default: the preset's."
+        ),
+    ] = None
+    seed: Seed = 0
+
+
+@dataclass(frozen=True)
 class Reading:
     """How touches are read from an archive, a folder or a library."""
 
     where: Where = None
     name_pattern: NamePattern = None
     no_contact: NoContact = None
-    max_megapixels: Annotated[
-        float, option("--max-megapixels", "Larger pictures are refused unread.")
-    ] = 50
+    max_megapixels: Annotated[float, option("Larger pictures are refused unread.")] = 50
 
     def touches(self, path: Path) -> "Touches":
         """Read touches, all of them at once."""
@@ -155,15 +162,18 @@ class Reading:
 
         if not TouchLibrary.is_library(path):
             return None
-        given = {"--name-pattern": self.name_pattern, "--no-contact": self.no_contact}
-        for option, value in given.items():
-            if value is not None:
-                raise ValueError(
-                    f"{option} must be left out for a library, got {value} with "
-                    f"{path}. Give it to `palpate library add`, which keeps what it "
-                    "finds."
-                )
+        fix = "Give it to `palpate library add`, which keeps what it finds."
+        self.refuse(f"for a library such as {path}", fix, "name_pattern", "no_contact")
         return TouchLibrary.open(path)
+
+    def refuse(self, where: str, fix: str, *names: str) -> None:
+        """Refuse options of these names, which say nothing here."""
+        for name in names:
+            if (value := getattr(self, name)) is not None:
+                option = f"--{name.replace('_', '-')}"
+                raise ValueError(
+                    f"{option} must be left out {where}, got {str(value)!r}. {fix}"
+                )
 
     def _recording(self, path: Path) -> "Touches":
         from ..touches import Touches
@@ -187,17 +197,13 @@ class Working:
 
     workers: Annotated[
         int | None,
-        option(
-            "--workers",
-            "Processes on this machine; -1 is one per core. Results do not change.",
-        ),
+        option("Processes on this machine; -1 is one per core. Results do not change."),
     ] = None
     cluster: Annotated[
         str | None,
         option(
-            "--cluster",
             "Address of a Dask scheduler, such as tcp://lab:8786; needs "
-            + install("distributed"),
+            + install("distributed")
         ),
     ] = None
 
@@ -207,15 +213,6 @@ class Working:
 
         Yields the number of jobs to ask for: `workers`, where neither option is given
         `usual`, or -1 (all) on a cluster.
-
-        Raises
-        ------
-        ValueError
-            Both are given, or `workers` is no number of processes.
-        ImportError
-            Dask is missing; the message names the extra.
-        OSError
-            No scheduler answers at the address.
         """
         from joblib import parallel_config
 
@@ -263,9 +260,8 @@ def grouped(verb: Callable[..., None]) -> Callable[..., None]:
 
 def _parameter(field: Any) -> Parameter:
     default = Parameter.empty if field.default is MISSING else field.default
-    return Parameter(
-        field.name, Parameter.KEYWORD_ONLY, default=default, annotation=field.type
-    )
+    kind = Parameter.KEYWORD_ONLY
+    return Parameter(field.name, kind, default=default, annotation=field.type)
 
 
 def calibrated(touches: "Touches", calibration: Path | None) -> "Touches":

@@ -41,12 +41,9 @@ class SensorOptions:
     rate_hz: Annotated[
         float | None, option("--rate", "Frames per second, where chosen.")
     ] = None
-    baud: Annotated[
-        int | None, option("--baud", "Bits per second of a serial port.")
-    ] = None
+    baud: Annotated[int | None, option("Bits per second of a serial port.")] = None
     framing: Annotated[
-        str | None,
-        option("--framing", 'How a serial array writes: "line" or "binary".'),
+        str | None, option('How a serial array writes: "line" or "binary".')
     ] = None
     checksum: Annotated[
         bool | None,
@@ -56,15 +53,13 @@ class SensorOptions:
         ),
     ] = None
     hold: Annotated[
-        int | None,
-        option("--hold", "Frames that a replayed or simulated touch is held."),
+        int | None, option("Frames that a replayed or simulated touch is held.")
     ] = None
     gap: Annotated[
-        int | None, option("--gap", "Frames of nothing between two such touches.")
+        int | None, option("Frames of nothing between two such touches.")
     ] = None
     place: Annotated[
-        str | None,
-        option("--place", "What lies before a replayed or simulated sensor at first."),
+        str | None, option("What lies before a replayed or simulated sensor at first.")
     ] = None
     name_pattern: NamePattern = None
     no_contact: NoContact = None

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -93,23 +94,18 @@ def _explored(seed: int) -> Sets:
     from ..exploration import explore_to_learn
     from ..simulation import HOUSEHOLD, UNSEEN, DomeCamera
 
-    def explore(things: Any, n_touches: int, n_sessions: int, number: int) -> "Touches":
-        return explore_to_learn(
-            things,
-            n_touches,
-            DomeCamera(image_shape=(SIDE, SIDE)),
-            n_sessions=n_sessions,
-            turned=True,
-            drift=True,
-            random_state=3 * seed + number,
-            n_jobs=-1,
-            progress=None,
-        )
-
+    explore = partial(
+        explore_to_learn,
+        camera=DomeCamera(image_shape=(SIDE, SIDE)),
+        turned=True,
+        drift=True,
+        n_jobs=-1,
+        progress=None,
+    )
     return (
-        explore(HOUSEHOLD, TRAIN_TOUCHES, 12, 0),
-        explore(HOUSEHOLD, TEST_TOUCHES, 5, 1),
-        explore(UNSEEN, UNKNOWN_TOUCHES, 5, 2),
+        explore(HOUSEHOLD, TRAIN_TOUCHES, n_sessions=12, random_state=3 * seed),
+        explore(HOUSEHOLD, TEST_TOUCHES, n_sessions=5, random_state=3 * seed + 1),
+        explore(UNSEEN, UNKNOWN_TOUCHES, n_sessions=5, random_state=3 * seed + 2),
     )
 
 
@@ -122,6 +118,7 @@ def _recognise_by_exploring(
     from ..exploration import (
         InformativeTouch,
         RandomHemisphere,
+        Strategy,
         TouchMap,
         explore,
         put_down,
@@ -138,16 +135,19 @@ def _recognise_by_exploring(
             yaw_rad=float(rng.uniform(0, 2 * np.pi)),
             random_state=int(rng.integers(2**31)),
         )
+        strategy: Strategy = InformativeTouch(touch_map, stand.hemisphere)
+        how = "(learnt) where it expects to learn most"
+        if name in UNKNOWN_SHOWN:
+            # What counts as unknown was learnt from touches at random places.
+            strategy = RandomHemisphere(stand.hemisphere, random_state=seed)
+            how = "(never learnt) at random places"
         if not quiet:
-            print(_announced(name))
+            print(f"The arm touches the {name} {how}:")
         end = explore(
             stand.robot,
             stand.sensor,
             recogniser,
-            # What counts as unknown was learnt from touches at random places.
-            RandomHemisphere(stand.hemisphere, random_state=seed)
-            if name in UNKNOWN_SHOWN
-            else InformativeTouch(touch_map, stand.hemisphere),
+            strategy,
             max_attempts=MOST_ATTEMPTS,
             error=ERROR,
             clock=stand.robot.clock,
@@ -157,12 +157,6 @@ def _recognise_by_exploring(
             print(f"  {end.reason}\n")
         episodes.append({"object": name, **exploration_to_dict(recogniser, end)})
     return episodes
-
-
-def _announced(name: str) -> str:
-    if name in UNKNOWN_SHOWN:
-        return f"The arm touches the {name} (never learnt) at random places:"
-    return f"The arm touches the {name} (learnt) where it expects to learn most:"
 
 
 def _recognise_recorded(

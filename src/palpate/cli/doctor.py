@@ -48,33 +48,28 @@ def _packages() -> list[tuple[str, str | None]]:
     return found
 
 
-def _check(
-    name: str, found: str, fix: str, *, ok: bool, needed: bool
-) -> dict[str, Any]:
-    return {"name": name, "found": found, "fix": fix, "ok": ok, "needed": needed}
+def _check(name: str, found: str, fix: str, *, needed: bool) -> dict[str, Any]:
+    """Return one line of the report; what has a fix is not as it should be."""
+    return {"name": name, "found": found, "fix": fix, "ok": not fix, "needed": needed}
 
 
 def _python() -> dict[str, Any]:
-    ok = sys.version_info >= (3, 11)
-    fix = "" if ok else "install Python 3.11 or newer"
-    return _check("Python", platform.python_version(), fix, ok=ok, needed=True)
+    fix = "" if sys.version_info >= (3, 11) else "install Python 3.11 or newer"
+    return _check("Python", platform.python_version(), fix, needed=True)
 
 
 def _package(name: str, extra: str | None) -> dict[str, Any]:
     try:
-        found = metadata.version(name)
+        found, fix = metadata.version(name), ""
     except metadata.PackageNotFoundError:
-        fix = f"pip install {name}" if extra is None else install(extra)
-        return _check(name, "missing", fix, ok=False, needed=extra is None)
-    return _check(name, found, "", ok=True, needed=extra is None)
+        found, fix = "missing", install(extra) if extra else f"pip install {name}"
+    return _check(name, found, fix, needed=extra is None)
 
 
 def _data() -> dict[str, Any]:
     folder = os.environ.get("PALPATE_DATA")
-    name = "PALPATE_DATA"
     if not folder:
         fix = "optional: name the folder of recorded touches"
-        return _check(name, "not set", fix, ok=False, needed=False)
-    ok = Path(folder).is_dir()
-    fix = "" if ok else f"{folder} is not a folder"
-    return _check(name, folder, fix, ok=ok, needed=False)
+    else:
+        fix = "" if Path(folder).is_dir() else f"{folder} is not a folder"
+    return _check("PALPATE_DATA", folder or "not set", fix, needed=False)

@@ -7,12 +7,9 @@ from typing import Annotated, Any
 from ._options import (
     AsJson,
     ErrorRate,
-    Floor,
-    Label,
-    Preset,
+    Learning,
     Reading,
     Report,
-    Seed,
     Working,
     grouped,
     option,
@@ -22,41 +19,29 @@ from ._output import percent, print_json, stages, table
 
 @grouped
 def evaluate(
-    train: Annotated[Path, option("--train", "Training touches.")],
+    train: Annotated[Path, option("Training touches.")],
     *,
-    test: Annotated[
-        Path | None, option("--test", "Test touches; or give --split.")
-    ] = None,
+    test: Annotated[Path | None, option("Test touches; or give --split.")] = None,
     split: Annotated[
-        str | None,
-        option("--split", "Split --train itself: between, last or unseen-objects."),
+        str | None, option("Split --train itself: between, last or unseen-objects.")
     ] = None,
-    label: Label = "object",
-    preset: Preset = "default",
     touches: Annotated[
-        str, option("--touches", "Give figures after so many touches.")
+        str, option("Give figures after so many touches.")
     ] = "1,5,15,30",
     train_touches: Annotated[
-        int | None, option("--train-touches", "Draw so many per object to train.")
+        int | None, option("Draw so many per object to train.")
     ] = None,
-    orders: Annotated[
-        int, option("--orders", "Random orders of each object's touches.")
-    ] = 20,
+    orders: Annotated[int, option("Random orders of each object's touches.")] = 20,
     unknown: Annotated[
-        Path | None, option("--unknown", "Touches of objects that are not trained on.")
+        Path | None, option("Touches of objects that are not trained on.")
     ] = None,
-    test_where: Annotated[
-        str | None, option("--test-where", "The same for --test.")
-    ] = None,
-    unknown_where: Annotated[
-        str | None, option("--unknown-where", "The same for --unknown.")
-    ] = None,
+    test_where: Annotated[str | None, option("The same for --test.")] = None,
+    unknown_where: Annotated[str | None, option("The same for --unknown.")] = None,
     error: ErrorRate = 0.01,
     report: Report = None,
-    floor: Floor = None,
+    how: Learning,
     reading: Reading,
     working: Working,
-    seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
     """Learn, recognise and score, with spread, calibration and nuisance controls."""
@@ -64,14 +49,11 @@ def evaluate(
     from ..evaluation import evaluate as run
 
     plan = Plan(
-        preset=preset,
-        label=label,
+        **vars(how),
         touches=_counts(touches),
         orders=orders,
         train_touches=train_touches,
         error=error,
-        floor=floor,
-        seed=seed,
     )
     if report is not None:
         check_report_path(report)
@@ -93,9 +75,9 @@ def evaluate(
             write_report(report, figures, trials)
     if as_json:
         print_json(figures)
-    else:
-        _print_figures(figures)
-    if report is not None and not as_json:
+        return
+    _print_figures(figures)
+    if report is not None:
         print(report)
 
 

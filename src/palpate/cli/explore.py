@@ -20,18 +20,13 @@ from ._output import answer, belief_line, stages
 from .simulate import Objects, Rows, Unit, Workers, find_objects
 
 if TYPE_CHECKING:
-    from ..exploration import (
-        Exploration,
-        Stand,
-        Strategy,
-        TouchMap,
-        TouchRecord,
-    )
+    from ..exploration import Exploration, Stand, Strategy, TouchMap, TouchRecord
     from ..recognition import ObjectRecogniser
     from ..simulation import SimObject
 
 STRATEGIES = ("informative", "random", "raster")
 _LEAST_SIDE = 16
+_KEPT = ("outcome", "message", "position_mm", "direction", "force_n", "retracted")
 
 explore = typer.Typer(
     no_args_is_help=True, help="Let a simulated arm touch objects: learn, recognise."
@@ -49,10 +44,8 @@ Folder = Annotated[
 def learn(
     output: ModelOutput,
     objects: Objects = None,
-    touches: Annotated[int, option("--touches", "Touches of each object.")] = 60,
-    sessions: Annotated[
-        int, option("--sessions", "How often each object is put down anew.")
-    ] = 3,
+    touches: Annotated[int, option("Touches of each object.")] = 60,
+    sessions: Annotated[int, option("How often each object is put down anew.")] = 3,
     preset: Preset = "default",
     rows: Rows = 120,
     folder: Folder = None,
@@ -66,7 +59,7 @@ def learn(
     Writes the model, and beside it (.npz) its touches with the directions that
     choosing touches needs.
     """
-    from ..exploration import RobotError, explore_to_learn
+    from ..exploration import explore_to_learn
     from ..recognition import ObjectRecogniser, check_model_path
     from ..simulation import DomeCamera
 
@@ -74,23 +67,20 @@ def learn(
     things = find_objects(objects, unit)
     if len(things) < 2:
         raise ValueError("OBJECT must name at least 2 objects to learn. Add another.")
-    try:
-        taught = explore_to_learn(
-            things,
-            touches,
-            DomeCamera(image_shape=(rows, rows)),
-            n_sessions=sessions,
-            folder=folder,
-            random_state=seed,
-            n_jobs=workers,
-            progress=None,
-        )
-    except RobotError as error:
-        raise ValueError(str(error)) from error
+    taught = explore_to_learn(
+        things,
+        touches,
+        DomeCamera(image_shape=(rows, rows)),
+        n_sessions=sessions,
+        folder=folder,
+        random_state=seed,
+        n_jobs=workers,
+        progress=None,
+    )
     with stages() as stage:
         stage(f"learning from {len(taught)} touches")
         recogniser = ObjectRecogniser(preset, random_state=seed).fit(taught)
-    archive = taught_path(output)
+    archive = output.with_suffix(".npz")
     taught.save(archive)
     written = recogniser.save(output)
     learnt = recogniser.summary()
@@ -107,34 +97,27 @@ def learn(
 def recognise(
     model: ModelPath,
     thing: Annotated[str, argument("OBJECT", "A built-in object or a mesh file.")],
-    strategy: Annotated[
-        str, option("--strategy", "informative, random or raster.")
-    ] = "informative",
+    strategy: Annotated[str, option("informative, random or raster.")] = "informative",
     taught: Annotated[
         Path | None,
         option(
-            "--taught",
             "The touches MODEL learnt, with their directions. Default: the .npz "
-            "of MODEL's name, where there is one.",
+            "of MODEL's name, where there is one."
         ),
     ] = None,
     most: Annotated[int, option("--max-touches", "Budget of attempts.")] = 30,
     error: ErrorRate = 0.01,
     folder: Folder = None,
     yaw: Annotated[
-        float | None,
-        option("--yaw", "Turn about the vertical, degrees. Default: drawn."),
+        float | None, option("Turn about the vertical, degrees. Default: drawn.")
     ] = None,
-    face: Annotated[
-        int, option("--face", "Which face it rests on; 0 is the usual one.")
-    ] = 0,
+    face: Annotated[int, option("Which face it rests on; 0 is the usual one.")] = 0,
     fault: Annotated[
         list[str] | None,
         option(
-            "--fault",
             "Let something fail, as '2=no force': in attempt 2, counted from 0. "
             "Repeatable. stuck force, stuck force in contact, no force, overshoot, "
-            "driver error, slow, retract error, arm stuck, no frame, out of reach.",
+            "driver error, slow, retract error, arm stuck, no frame, out of reach."
         ),
     ] = None,
     unit: Unit = "mm",
@@ -146,7 +129,7 @@ def recognise(
     from ..exploration import explore as explore_object
     from ..recognition import ObjectRecogniser
 
-    found = one_object(thing, unit)
+    found = _one_object(thing, unit)
     recogniser = ObjectRecogniser.load(model)
     stand = put_down(
         found,
@@ -177,21 +160,15 @@ def recognise(
     answer(as_json, {**about, **exploration_to_dict(knower, end)}, f"  {end.reason}")
 
 
-def one_object(name: str, unit: str = "mm") -> "SimObject":
+def _one_object(name: str, unit: str) -> "SimObject":
     """Return one object by its name or mesh file; a set of objects is refused."""
     things = find_objects([name], unit)
     if len(things) != 1:
+        names = ", ".join(thing.name for thing in things)
         raise ValueError(
-            f"OBJECT must be one object, got the set {name!r}. Name one of: "
-            + ", ".join(thing.name for thing in things)
-            + "."
+            f"OBJECT must be one object, got the set {name!r}. Name one of: {names}."
         )
     return things[0]
-
-
-def taught_path(model: Path) -> Path:
-    """Return where the touches of an explored model are kept."""
-    return model.with_suffix(".npz")
 
 
 def print_attempt(record: "TouchRecord", belief: Any) -> None:
@@ -215,14 +192,10 @@ def exploration_to_dict(
         if record.touched:
             belief.update(as_touches([record]))
             touched.append(number)
+        plain = record.to_dict()
         attempts.append(
             {
-                "outcome": record.outcome,
-                "message": record.message,
-                "position_mm": list(record.position_mm),
-                "direction": record.direction.tolist(),
-                "force_n": record.force_n,
-                "retracted": record.retracted,
+                **{name: plain[name] for name in _KEPT},
                 "flag": belief.flags[-1] if record.touched else None,
                 "posterior": belief.posterior,
                 "unknown": belief.unknown,
@@ -255,7 +228,7 @@ def _touch_map(
     from ..touches import Touches
 
     check_option("strategy", strategy, STRATEGIES)
-    archive = taught_path(model) if taught is None else taught
+    archive = model.with_suffix(".npz") if taught is None else taught
     if taught is None and not archive.exists():
         if strategy != "informative":
             return None

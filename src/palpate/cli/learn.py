@@ -6,12 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 from ._options import (
     AsJson,
     Calibration,
-    Floor,
-    Label,
+    Learning,
     ModelOutput,
-    Preset,
     Reading,
-    Seed,
     TouchesPath,
     Working,
     calibrated,
@@ -31,29 +28,24 @@ def learn(
     touches: TouchesPath,
     output: ModelOutput,
     *,
-    preset: Preset = "default",
-    label: Label = "object",
-    floor: Floor = None,
+    how: Learning,
     pitch_mm: Annotated[
         float | None,
         option(
-            "--pitch-mm",
             "Distance of neighbouring taxels: learn also where and at what angle "
-            "parts lie on a pressure array. Default: what the archive says.",
+            "parts lie on a pressure array. Default: what the archive says."
         ),
     ] = None,
     extend: Annotated[
         Path | None,
         option(
-            "--extend",
             "Add the objects of TOUCHES that this model does not know to it, or, where "
-            "it knows them all, their new touches; its encoding stays as it is.",
+            "it knows them all, their new touches; its encoding stays as it is."
         ),
     ] = None,
     working: Working,
     reading: Reading,
     calibration: Calibration = None,
-    seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
     """Learn objects from labelled touches and write a model file."""
@@ -72,7 +64,7 @@ def learn(
                 recogniser = _extended(extend, training)
             else:
                 recogniser = ObjectRecogniser(
-                    preset, label=label, floor=floor, random_state=seed
+                    how.preset, label=how.label, floor=how.floor, random_state=how.seed
                 ).fit(training)
             if pitch_mm is not None or "set_pitch_mm" in training.whole:
                 stage("learning where parts lie")

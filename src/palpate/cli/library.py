@@ -17,6 +17,8 @@ library = typer.Typer(
 )
 
 LibraryPath = Annotated[Path, argument("LIBRARY", "The folder of the library.")]
+Object = Annotated[str, argument("An object.")]
+Filter = Annotated[str, argument("A filter, as for --where.")]
 
 
 @library.command()
@@ -25,22 +27,16 @@ def add(
     folder: LibraryPath,
     touches: TouchesPath,
     *,
-    session: Annotated[
-        str | None, option("--session", "Name of the recording session.")
-    ] = None,
-    episode: Annotated[str | None, option("--episode", "Name of the episode.")] = None,
-    sensor: Annotated[str | None, option("--sensor", "Name of the sensor.")] = None,
-    kind: Annotated[
-        str | None, option("--kind", "Kind of sensor: camera, array...")
-    ] = None,
-    unit: Annotated[
-        str | None, option("--unit", "Unit of the images, such as kPa.")
-    ] = None,
+    session: Annotated[str | None, option("Name of the recording session.")] = None,
+    episode: Annotated[str | None, option("Name of the episode.")] = None,
+    sensor: Annotated[str | None, option("Name of the sensor.")] = None,
+    kind: Annotated[str | None, option("Kind of sensor: camera, array...")] = None,
+    unit: Annotated[str | None, option("Unit of the images, such as kPa.")] = None,
     pitch_mm: Annotated[
-        float | None, option("--pitch-mm", "Distance of neighbouring taxels in mm.")
+        float | None, option("Distance of neighbouring taxels in mm.")
     ] = None,
     topic: Annotated[
-        str | None, option("--topic", "Of a bag (ROS 2, MCAP): the topic to read.")
+        str | None, option("Of a bag (ROS 2, MCAP): the topic to read.")
     ] = None,
     object_name: Annotated[
         str | None, option("--object", "Of a bag: what is touched in all of it.")
@@ -60,7 +56,11 @@ def add(
     else:
         from ..library import read_bag
 
-        _refuse_with_topic(reading)
+        fix = (
+            "All messages of a bag's topic are read; choose afterwards with "
+            "`palpate library retract`."
+        )
+        reading.refuse("with --topic", fix, "where", "name_pattern", "no_contact")
         found = read_bag(touches, topic, object=object_name)
     described = sensor and SensorDescription(sensor, kind, unit, pitch_mm)
     with _opened(folder, create=True) as opened:
@@ -79,8 +79,8 @@ def add(
 def list_touches(
     folder: LibraryPath,
     where: Where = None,
-    limit: Annotated[int, option("--limit", "At most so many.")] = 50,
-    offset: Annotated[int, option("--offset", "After so many.")] = 0,
+    limit: Annotated[int, option("At most so many.")] = 50,
+    offset: Annotated[int, option("After so many.")] = 0,
     retracted: Annotated[
         bool, option("--retracted", "Show retracted touches too.")
     ] = False,
@@ -194,17 +194,14 @@ def stats(folder: LibraryPath, as_json: AsJson = False) -> None:
         sensors = [sensor._asdict() for sensor in opened.sensors()]
     lines = [f"{name:15s} {value:,}" for name, value in found.items()]
     for sensor in sensors:
-        lines.append(
-            "sensor          " + ", ".join(str(v) for v in sensor.values() if v)
-        )
+        known = ", ".join(str(value) for value in sensor.values() if value)
+        lines.append(f"{'sensor':15s} {known}")
     answer(as_json, {**found, "sensors": sensors}, *lines)
 
 
 @library.command()
 def rename(
-    folder: LibraryPath,
-    old: Annotated[str, argument("An object.")],
-    new: Annotated[str, argument("Its new name.")],
+    folder: LibraryPath, old: Object, new: Annotated[str, argument("Its new name.")]
 ) -> None:
     """Give an object another name."""
     with _opened(folder) as opened:
@@ -215,7 +212,7 @@ def rename(
 @library.command()
 def merge(
     folder: LibraryPath,
-    source: Annotated[str, argument("An object.")],
+    source: Object,
     into: Annotated[str, argument("What it really is.")],
 ) -> None:
     """Make two objects one."""
@@ -226,9 +223,7 @@ def merge(
 
 @library.command()
 def retract(
-    folder: LibraryPath,
-    where: Annotated[str, argument("A filter, as for --where.")],
-    reason: Annotated[str, option("--reason", "Why.")],
+    folder: LibraryPath, where: Filter, reason: Annotated[str, option("Why.")]
 ) -> None:
     """Leave touches out from now on; they are kept and can be restored."""
     with _opened(folder) as opened:
@@ -238,9 +233,7 @@ def retract(
 
 
 @library.command()
-def restore(
-    folder: LibraryPath, where: Annotated[str, argument("A filter, as for --where.")]
-) -> None:
+def restore(folder: LibraryPath, where: Filter) -> None:
     """Take retracted touches back in."""
     with _opened(folder) as opened:
         rows = opened.list(where, limit=None, retracted=True)
@@ -256,18 +249,6 @@ def _opened(folder: Path, *, create: bool = False) -> "TouchLibrary":
     from ..library import TouchLibrary
 
     return TouchLibrary.open(folder, create=create)
-
-
-def _refuse_with_topic(reading: Reading) -> None:
-    """Refuse what says nothing of a bag."""
-    options = {"--where": reading.where, "--name-pattern": reading.name_pattern}
-    for name, value in {**options, "--no-contact": reading.no_contact}.items():
-        if value is not None:
-            raise ValueError(
-                f"{name} must be left out with --topic, got {str(value)!r}. All "
-                "messages of a bag's topic are read; choose afterwards with "
-                "`palpate library retract`."
-            )
 
 
 def _one_touch(opened: "TouchLibrary", start: str) -> "TouchRow":

@@ -25,9 +25,7 @@ def live(
     touches: Annotated[
         int, option("-n", "--touches", "Most touches of an episode.")
     ] = 30,
-    episodes: Annotated[
-        int, option("--episodes", "How many episodes; 0 goes on until Ctrl-C.")
-    ] = 1,
+    episodes: Annotated[int, option("How many episodes; 0 goes on until Ctrl-C.")] = 1,
     timeout: Patience = 120.0,
     error: ErrorRate = 0.01,
     summary: Summary = "peak",
@@ -38,15 +36,15 @@ def live(
     from ..web import LiveSession
 
     done: list[Episode] = []
-    session = LiveSession(
-        options.open(sensor), model=model, error=error, summary=summary
-    )
+    chosen = options.open(sensor)
+    session = LiveSession(chosen, model=model, error=error, summary=summary)
     found: queue.Queue[dict[str, Any]] = queue.Queue()
-    session.listeners.add(
-        lambda event: (
-            found.put(event.values) if event.kind in ("touch", "state") else None
-        )
-    )
+
+    def listen(event: Any) -> None:
+        if event.kind in ("touch", "state"):
+            found.put(event.values)
+
+    session.listeners.add(listen)
     with session:
         need_baseline(session)
         try:

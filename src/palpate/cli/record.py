@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 def record(
     name: Annotated[str, argument("OBJECT", "What is touched.")],
     sensor: SensorAddress,
-    library: Annotated[
-        Path, option("--library", "Folder that keeps the touches; made if missing.")
-    ],
+    library: Annotated[Path, option("Folder that keeps the touches; made if missing.")],
     *,
     touches: Annotated[
         int, option("-n", "--touches", "How many touches to take.")

@@ -16,30 +16,22 @@ HERE = "127.0.0.1"
 def serve(
     *,
     sensor: Annotated[
-        str | None,
-        option(
-            "--sensor", f"{ADDRESS} Without one touches come through the API alone."
-        ),
+        str | None, option(f"{ADDRESS} Without one touches come through the API alone.")
     ] = None,
     model: Annotated[
         Path | None,
         option(
-            "--model",
             "Model file to start from; learning writes it. Default: "
-            "model.palpate in the library.",
+            "model.palpate in the library."
         ),
     ] = None,
     library: Annotated[
-        Path | None,
-        option("--library", "Folder that keeps what is taught; made if missing."),
+        Path | None, option("Folder that keeps what is taught; made if missing.")
     ] = None,
     host: Annotated[
-        str,
-        option("--host", "Address to listen on; other than 127.0.0.1 is the network."),
+        str, option("Address to listen on; other than 127.0.0.1 is the network.")
     ] = HERE,
-    port: Annotated[
-        int, option("--port", "Port to listen on; 0 takes a free one.")
-    ] = 8765,
+    port: Annotated[int, option("Port to listen on; 0 takes a free one.")] = 8765,
     error: ErrorRate = 0.01,
     summary: Summary = "peak",
     options: SensorOptions,
@@ -71,7 +63,8 @@ def serve(
 
 def _say_where(host: str, port: int, token: str, *, as_json: bool) -> None:
     """Print the address, and what it means to listen to the network."""
-    address = f"http://{_in_url(host)}:{port}/"
+    shown = HERE if host in ("0.0.0.0", "::") else host
+    address = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/"
     if host not in (HERE, "localhost", "::1"):
         print(
             f"palpate: listening on {host}: everybody on that network who knows the "
@@ -84,8 +77,3 @@ def _say_where(host: str, port: int, token: str, *, as_json: bool) -> None:
     else:
         print(f"Open {address}?token={token}", flush=True)
         print("End with Ctrl-C. What is taught is kept at once.", flush=True)
-
-
-def _in_url(host: str) -> str:
-    shown = HERE if host in ("0.0.0.0", "::") else host
-    return f"[{shown}]" if ":" in shown else shown

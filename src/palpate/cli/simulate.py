@@ -45,19 +45,16 @@ class DomeTouches:
 
     output: Output
     objects: Objects = None
-    touches: Annotated[int, option("--touches", "Touches of each object.")] = 60
+    touches: Annotated[int, option("Touches of each object.")] = 60
     sessions: Annotated[
         int,
-        option(
-            "--sessions",
-            "Recordings: in each the object is turned anew and the camera drifts.",
-        ),
+        option("Recordings: in each the object is turned anew and the camera drifts."),
     ] = 1
     any_pose: Annotated[
         bool, option("--any-pose", "Let objects rest on any of their faces.")
     ] = False
     aim_sd: Annotated[
-        float, option("--aim-sd", "Presses face the centre to within this sd, mm.")
+        float, option("Presses face the centre to within this sd, mm.")
     ] = 5.0
     no_drift: Annotated[
         bool, option("--no-drift", "Keep exposure and place in all sessions.")
@@ -92,8 +89,7 @@ class DomeTouches:
             random_state=self.seed,
             progress=None,
         )
-        names = [thing.name for thing in things]
-        _write(made, self.output, "Touched", "objects", names, self.as_json)
+        _write(made, self.output, "Touched {} objects", self.as_json)
 
 
 @simulate.command()
@@ -105,52 +101,29 @@ def array(
             "PART", "Names (bar10, disc13-hole8...) or numbers, 1 to 12. Default: all."
         ),
     ] = None,
-    presses: Annotated[int, option("--presses", "Presses of each.")] = 20,
-    rows: Annotated[int, option("--rows", "Taxels down.")] = 10,
-    cols: Annotated[int, option("--cols", "Taxels across.")] = 10,
-    pitch: Annotated[float, option("--pitch", "Distance of taxels, mm.")] = 2.0,
+    presses: Annotated[int, option("Presses of each.")] = 20,
+    rows: Annotated[int, option("Taxels down.")] = 10,
+    cols: Annotated[int, option("Taxels across.")] = 10,
+    pitch: Annotated[float, option("Distance of taxels, mm.")] = 2.0,
     sensing: Annotated[
-        float | None,
-        option("--sensing", "Side of what a taxel senses, mm. [0.65 pitch]"),
+        float | None, option("Side of what a taxel senses, mm. [0.65 pitch]")
     ] = None,
-    load: Annotated[
-        str, option("--load", "Load in kgf, or a range such as 1:5.")
-    ] = "4",
-    cover: Annotated[float, option("--cover", "Thickness of the cover, mm.")] = 0.9,
-    shift: Annotated[
-        float, option("--shift", "Parts lie off the middle by up to, mm.")
-    ] = 1.0,
-    turn: Annotated[
-        float, option("--turn", "Parts are turned by up to, degrees.")
-    ] = 180.0,
-    tilt: Annotated[
-        float, option("--tilt", "Standard deviation of tilt, degrees.")
-    ] = 0.1,
-    roughness: Annotated[
-        float, option("--roughness", "Unevenness of the faces, µm.")
-    ] = 10.0,
-    gain_spread: Annotated[
-        float, option("--gain-spread", "Spread of the taxels' gains.")
-    ] = 0.1,
-    dead_zone: Annotated[
-        float, option("--dead-zone", "Less than this reads 0, kPa.")
-    ] = 69.0,
-    full_scale: Annotated[
-        float, option("--full-scale", "Stress that reads 255, kPa.")
-    ] = 4000.0,
-    noise: Annotated[
-        float, option("--noise", "Standard deviation of a reading, kPa.")
-    ] = 8.0,
-    device: Annotated[
-        int, option("--device", "Which array: seed of its taxels' gains.")
-    ] = 0,
+    load: Annotated[str, option("Load in kgf, or a range such as 1:5.")] = "4",
+    cover: Annotated[float, option("Thickness of the cover, mm.")] = 0.9,
+    shift: Annotated[float, option("Parts lie off the middle by up to, mm.")] = 1.0,
+    turn: Annotated[float, option("Parts are turned by up to, degrees.")] = 180.0,
+    tilt: Annotated[float, option("Standard deviation of tilt, degrees.")] = 0.1,
+    roughness: Annotated[float, option("Unevenness of the faces, µm.")] = 10.0,
+    gain_spread: Annotated[float, option("Spread of the taxels' gains.")] = 0.1,
+    dead_zone: Annotated[float, option("Less than this reads 0, kPa.")] = 69.0,
+    full_scale: Annotated[float, option("Stress that reads 255, kPa.")] = 4000.0,
+    noise: Annotated[float, option("Standard deviation of a reading, kPa.")] = 8.0,
+    device: Annotated[int, option("Which array: seed of its taxels' gains.")] = 0,
     workers: Workers = 1,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
     """Press flat parts on a pressure array, each time laid down anew."""
-    import numpy as np
-
     from ..simulation import PressureArray, simulate_presses
 
     check_output(output)
@@ -177,8 +150,7 @@ def array(
         random_state=seed,
         n_jobs=workers,
     )
-    names = list(dict.fromkeys(np.asarray(made.object).tolist()))
-    _write(made, output, "Pressed", "parts", names, as_json)
+    _write(made, output, "Pressed {} parts", as_json)
 
 
 @simulate.command()
@@ -188,17 +160,11 @@ def dome(
     rows: Rows = 120,
     cols: Cols = 120,
     force: Force = 0.735,
-    youngs: Annotated[
-        float, option("--youngs", "Young's modulus of the rubber, MPa.")
-    ] = 0.11,
-    thickness: Annotated[
-        float, option("--thickness", "Thickness of the rubber, mm.")
-    ] = 1.5,
-    leds: Annotated[int, option("--leds", "Number of LEDs.")] = 8,
-    gain: Annotated[float, option("--gain", "Exposure.")] = 1.0,
-    noise: Annotated[
-        float, option("--noise", "Noise of a picture, grey levels.")
-    ] = 3.6,
+    youngs: Annotated[float, option("Young's modulus of the rubber, MPa.")] = 0.11,
+    thickness: Annotated[float, option("Thickness of the rubber, mm.")] = 1.5,
+    leds: Annotated[int, option("Number of LEDs.")] = 8,
+    gain: Annotated[float, option("Exposure.")] = 1.0,
+    noise: Annotated[float, option("Noise of a picture, grey levels.")] = 3.6,
     way: DomeTouches,
 ) -> None:
     """Touch objects with a rubber dome and the camera behind it."""
@@ -224,7 +190,7 @@ def pins(
     rows: Rows = 300,
     cols: Cols = 300,
     force: Force = 0.735,
-    rings: Annotated[int, option("--rings", "Rings of pins.")] = 6,
+    rings: Annotated[int, option("Rings of pins.")] = 6,
     way: DomeTouches,
 ) -> None:
     """Touch objects with a dome whose inside carries pins, as a TacTip's does."""
@@ -235,28 +201,20 @@ def pins(
     way.make(replace(usual, dome=seen, n_rings=rings))
 
 
-def _write(
-    made: "Touches",
-    output: Path,
-    done: str,
-    things: str,
-    names: list[str],
-    as_json: bool,
-) -> None:
-    """Write the archive and tell what is in it."""
+def _write(made: "Touches", output: Path, done: str, as_json: bool) -> None:
+    """Write the archive and say what is in it."""
     made.save(output)
+    names = [] if made.object is None else list(dict.fromkeys(made.object.tolist()))
     values = {"touches": str(output), "n_touches": len(made), "objects": names}
-    answer(
-        as_json, values, f"{done} {len(names)} {things}, {len(made)} touches.", output
-    )
+    line = f"{done.format(len(names))}, {len(made)} touches."
+    answer(as_json, values, line, output)
 
 
 def _parts(names: list[str] | None) -> list[str | int]:
     from ..simulation import PARTS
 
-    if not names:
-        return [part.name for part in PARTS]
-    return [int(name) if name.isdecimal() else name for name in names]
+    given = names or [part.name for part in PARTS]
+    return [int(name) if name.isdecimal() else name for name in given]
 
 
 def _load(text: str) -> float | tuple[float, float]:
@@ -281,14 +239,7 @@ def check_output(path: Path) -> None:
 
 
 def find_objects(names: list[str] | None, unit: str) -> "list[SimObject]":
-    """Return the objects that names, sets and mesh files stand for.
-
-    Raises
-    ------
-    ValueError
-        There is no such object, or two of them have one name: their touches would
-        be those of one.
-    """
+    """Return the objects that names, sets and mesh files stand for, each once."""
     from ..simulation import (
         BASIC_SHAPES,
         HOUSEHOLD,

@@ -22,8 +22,7 @@ def study(
     *,
     name: Annotated[str, argument("Which study; see --list.")] = "",
     data: Annotated[
-        Path | None,
-        option("--data", "Folder of recorded touches. Default: PALPATE_DATA."),
+        Path | None, option("Folder of recorded touches. Default: PALPATE_DATA.")
     ] = None,
     quick: Annotated[
         bool, option("--quick", "A first look, few runs and small grids.")
@@ -31,9 +30,8 @@ def study(
     protocol: Annotated[
         str | None,
         option(
-            "--protocol",
             "liu2014: nested (parameters chosen inside the training half) or "
-            "paper (on the runs reported). Default: both.",
+            "paper (on the runs reported). Default: both."
         ),
     ] = None,
     working: Working,
@@ -50,24 +48,16 @@ def study(
         for known, one in STUDIES.items():
             print(f"{known:12s} {one.summary}")
         return
-    check_option("study", name, STUDIES)
+    one = STUDIES[check_option("study", name, STUDIES)]
     options: dict[str, Any] = {"data": data, "quick": quick, "seed": seed}
     if protocol is not None:
         options["protocol"] = protocol
-    with working.started(usual=-1) as n:
-        _run(name, {**options, "workers": n}, report, as_json)
-
-
-def _run(
-    name: str, options: dict[str, Any], report: Path | None, as_json: bool
-) -> None:
-    from ..evaluation import check_report_path
-    from ..studies import STUDIES
-
-    one = STUDIES[name]
     if report is not None:
+        from ..evaluation import check_report_path
+
         check_report_path(report)
-    result = one.run(**options)
+    with working.started(usual=-1) as n:
+        result = one.run(**{**options, "workers": n})
     for sentence in result["skipped"]:
         print(sentence, file=sys.stderr)
     if report is not None:

@@ -2,6 +2,7 @@
 
 from . import plots as plots
 from ._controls import brightness as brightness
+from ._controls import control_log_likelihood as control_log_likelihood
 from ._controls import disc_centres as disc_centres
 from ._controls import sorted_pixels as sorted_pixels
 from ._controls import without_contact as without_contact
@@ -10,25 +11,22 @@ from ._episodes import Episodes as Episodes
 from ._episodes import Scores as Scores
 from ._episodes import decide_episodes as decide_episodes
 from ._episodes import run_episodes as run_episodes
-from ._episodes import scores as scores
-from ._episodes import single_touches as single_touches
 from ._evaluate import evaluate
 from ._metrics import calibration_bins as calibration_bins
 from ._metrics import calibration_error, davies_bouldin, roc_area
 from ._metrics import spread as spread
-from ._report import PAGE_STYLE as PAGE_STYLE
 from ._report import check_report_path as check_report_path
 from ._report import report_page as report_page
 from ._report import write_report
 from ._report_why import explained_episodes as explained_episodes
-from ._splits import SPLITS, split_touches
+from ._splits import SPLITS as SPLITS
 from ._splits import Fold as Fold
 from ._splits import draw_touches as draw_touches
 from ._splits import split_by_count as split_by_count
+from ._splits import split_touches
 from ._trial import Plan, Trial
 
 __all__ = [
-    "SPLITS",
     "Decisions",
     "Plan",
     "Trial",

@@ -5,7 +5,7 @@ Each control learns and tests on the same touches as the recogniser, with the sa
 classifier, from nothing but its own values.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,13 @@ def without_contact(touches: Touches) -> NDArray[np.bool_] | None:
         correlation = block @ reference / np.where(norms > 0, norms, 1)
         alike.append(correlation > NO_CONTACT_CORRELATION)
     return np.concatenate(alike)
+
+
+CONTROLS: dict[str, Callable[[Touches], Floats | None]] = {
+    "disc centre": disc_centres,
+    "brightness": brightness,
+    "sorted pixels": sorted_pixels,
+}
 
 
 def control_log_likelihood(

@@ -24,97 +24,61 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Episodes:
-    """The beliefs of many episodes, all orders of all objects.
+    """The beliefs of many episodes: of each object, all orders of its touches.
 
-    Attributes
-    ----------
-    objects : list of str
-        One entry per object.
-    truth : list of int
-        Column of the true label per object; -1 for an unknown one.
-    beliefs : list of ndarray of shape (n_orders, n_touches, n_labels)
-        Log posterior after each touch of each order, per object.
-    n_informative : list of ndarray of int, shape (n_orders, n_touches)
-        How many of the touches so far said anything: not those without contact.
-    unknown : list of ndarray of shape (n_orders, n_touches)
-        Unknown score after each touch.
+    `singles` has every touch by itself, once: what counts after one touch.
     """
 
     objects: list[str]
-    truth: list[int]
-    beliefs: list[Floats]
-    n_informative: list[Array]
-    unknown: list[Floats]
+    truth: list[int]  # column of the true label; -1 for an unknown object
+    rows: list[Array]  # (n_orders, n_touches): numbers of the touches
+    beliefs: list[Floats]  # (n_orders, n_touches, n_labels): log posteriors
+    n_informative: list[Array]  # (n_orders, n_touches): those with contact so far
+    unknown: list[Floats]  # (n_orders, n_touches): unknown scores
+    singles: Episodes | None = None
 
     def after(self, k: int) -> tuple[list[int], list[Floats]]:
         """Return true columns and log posteriors after `k` touches.
 
         One array (n_episodes, n_labels) per object with at least `k` touches.
         """
-        enough = [i for i, b in enumerate(self.beliefs) if b.shape[1] >= k]
-        return [self.truth[i] for i in enough], [
-            self.beliefs[i][:, k - 1] for i in enough
-        ]
+        if k == 1 and self.singles is not None:
+            return self.singles.after(k)
+        pairs = zip(self.truth, self.beliefs, strict=True)
+        enough = [(t, b[:, k - 1]) for t, b in pairs if b.shape[1] >= k]
+        return [t for t, _ in enough], [b for _, b in enough]
 
     def unknown_after(self, k: int) -> Floats:
         """Return the unknown scores after `k` touches, of all objects together."""
+        if k == 1 and self.singles is not None:
+            return self.singles.unknown_after(k)
         scores = [u[:, k - 1] for u in self.unknown if u.shape[1] >= k]
         return np.concatenate(scores) if scores else np.empty(0)
 
-
-def run_episodes(
-    recogniser: ObjectRecogniser,
-    log_likelihood: Floats,
-    objects: Array,
-    labels: Array | None,
-    n_orders: int,
-    seed: int,
-    novelty: Floats | None = None,
-) -> Episodes:
-    """Recognise each object's touches in `n_orders` random orders.
-
-    For the figures after one touch see `single_touches`, which uses each once.
-    """
-    rng = np.random.default_rng(seed)
-    floored = with_floor(log_likelihood, recogniser.floor_)
-    names = np.unique(objects)
-    classes = recogniser.classes_.tolist()
-    truth, after = [], []
-    for name in names:
-        rows = np.flatnonzero(objects == name)
-        orders = np.stack([rng.permutation(rows) for _ in range(n_orders)])
-        new = None if novelty is None else novelty[orders]
-        after.append(_after_each(recogniser, floored[orders], new))
-        label = None if labels is None else str(labels[rows[0]])
-        truth.append(classes.index(label) if label in classes else -1)
-    beliefs, counts, unknown = map(list, zip(*after, strict=True))
-    return Episodes([str(name) for name in names], truth, beliefs, counts, unknown)
-
-
-def single_touches(
-    recogniser: ObjectRecogniser,
-    log_likelihood: Floats,
-    episodes: Episodes,
-    objects: Array,
-    novelty: Floats | None = None,
-) -> Episodes:
-    """Return one episode of one touch for every touch."""
-    floored = with_floor(log_likelihood, recogniser.floor_)[:, np.newaxis]
-    new = None if novelty is None else novelty[:, np.newaxis]
-    after_one = _after_each(recogniser, floored, new)
-    rows = [objects == name for name in episodes.objects]
-    parts = ([values[mine] for mine in rows] for values in after_one)
-    return Episodes(episodes.objects, episodes.truth, *parts)
-
-
-def _after_each(
-    recogniser: ObjectRecogniser, floored: Floats, novelty: Floats | None
-) -> tuple[Floats, Array, Floats]:
-    """Return beliefs, informative touches and unknown scores after each touch."""
-    prior, calibration = recogniser.log_prior(), recogniser.sequence_calibration_
-    beliefs = log_posteriors(floored, prior, calibration)
-    unknown = recogniser.unknown_scale_.scores(beliefs, floored, novelty)
-    return beliefs, n_informative(floored), unknown
+    def scores(self, k: int) -> Scores | None:
+        """Score the episodes after `k` touches; None where no object has so many."""
+        truth, beliefs = self.after(k)
+        if not truth:
+            return None
+        n_labels = beliefs[0].shape[-1]
+        confusion = np.zeros((n_labels, n_labels))
+        for column, log_posterior in zip(truth, beliefs, strict=True):
+            answers = np.bincount(log_posterior.argmax(axis=1), minlength=n_labels)
+            if column >= 0:
+                confusion[column] += answers / len(log_posterior)
+        column_of = np.repeat(truth, [len(b) for b in beliefs])
+        everything = np.concatenate(beliefs)
+        best = everything.argmax(axis=1)
+        true_log = everything[np.arange(len(best)), column_of]
+        pairs = zip(truth, beliefs, strict=True)
+        answered = np.maximum(confusion.sum(axis=1, keepdims=True), 1e-12)
+        return Scores(
+            accuracy=np.array([(b.argmax(axis=1) == t).mean() for t, b in pairs]),
+            confidence=np.exp(everything.max(axis=1)),
+            hit=best == column_of,
+            log_loss=np.where(column_of >= 0, -true_log, np.nan),
+            confusion=confusion / answered,
+        )
 
 
 @dataclass(frozen=True)
@@ -139,26 +103,41 @@ class Scores:
     confusion: Floats
 
 
-def scores(truth: Sequence[int], beliefs: Sequence[Floats]) -> Scores:
-    """Score the episodes of one length; see `Episodes.after`."""
-    n_labels = beliefs[0].shape[-1]
-    confusion = np.zeros((n_labels, n_labels))
-    for column, log_posterior in zip(truth, beliefs, strict=True):
-        answers = np.bincount(log_posterior.argmax(axis=1), minlength=n_labels)
-        if column >= 0:
-            confusion[column] += answers / len(log_posterior)
-    column_of = np.repeat(truth, [len(b) for b in beliefs])
-    everything = np.concatenate(beliefs)
-    best = everything.argmax(axis=1)
-    true_log = everything[np.arange(len(best)), column_of]
-    pairs = zip(truth, beliefs, strict=True)
-    return Scores(
-        accuracy=np.array([(b.argmax(axis=1) == t).mean() for t, b in pairs]),
-        confidence=np.exp(everything.max(axis=1)),
-        hit=best == column_of,
-        log_loss=np.where(column_of >= 0, -true_log, np.nan),
-        confusion=confusion / np.maximum(confusion.sum(axis=1, keepdims=True), 1e-12),
-    )
+def run_episodes(
+    recogniser: ObjectRecogniser,
+    log_likelihood: Floats,
+    objects: Array,
+    labels: Array | None,
+    n_orders: int,
+    seed: int,
+    novelty: Floats | None = None,
+) -> Episodes:
+    """Recognise each object's touches in `n_orders` random orders, and singly."""
+    rng = np.random.default_rng(seed)
+    floored = with_floor(log_likelihood, recogniser.floor_)
+    classes = recogniser.classes_.tolist()
+    prior, calibration = recogniser.log_prior(), recogniser.sequence_calibration_
+
+    def after_each(rows: Array) -> tuple[Floats, Array, Floats]:
+        beliefs = log_posteriors(floored[rows], prior, calibration)
+        new = None if novelty is None else novelty[rows]
+        unknown = recogniser.unknown_scale_.scores(beliefs, floored[rows], new)
+        return beliefs, n_informative(floored[rows]), unknown
+
+    of_each = [np.flatnonzero(objects == name) for name in np.unique(objects)]
+    first = [rows[0] for rows in of_each]
+    names = [str(objects[row]) for row in first]
+    of_labels = [None if labels is None else str(labels[row]) for row in first]
+    truth = [classes.index(one) if one in classes else -1 for one in of_labels]
+    orders = [
+        np.stack([rng.permutation(rows) for _ in range(n_orders)]) for rows in of_each
+    ]
+    alone = after_each(np.arange(len(objects))[:, np.newaxis])
+    beliefs, counts, unknown = ([v[rows] for rows in of_each] for v in alone)
+    rows = [rows[:, np.newaxis] for rows in of_each]
+    singles = Episodes(names, truth, rows, beliefs, counts, unknown)
+    beliefs, counts, unknown = map(list, zip(*map(after_each, orders), strict=True))
+    return Episodes(names, truth, orders, beliefs, counts, unknown, singles)
 
 
 @dataclass(frozen=True)
@@ -197,8 +176,14 @@ class Decisions:
         whether it is within `error`; with n objects it cannot be below
         1 - 0.05^(1/n), whatever happens.
         """
-        decided = self.decided
-        n_objects, bound = self._bound()
+        decided, shares = self.decided, []
+        for name in np.unique(self.objects):
+            rows = (self.objects == name) & decided
+            if rows.any():
+                shares.append(1 - self.right[rows].mean())
+        n_objects, wrong, bound = len(shares), float(np.sum(shares)), 1.0
+        if wrong < n_objects:
+            bound = float(beta.ppf(CONFIDENCE, wrong + 1, n_objects - wrong))
         least = 1 - (1 - CONFIDENCE) ** (1 / max(n_objects, 1))
         return {
             "error": error,
@@ -214,18 +199,6 @@ class Decisions:
             "can_be_verified": least <= error,
         }
 
-    def _bound(self) -> tuple[int, float]:
-        """Return the number of objects with decided episodes, and the bound."""
-        shares = []
-        for name in np.unique(self.objects):
-            rows = (self.objects == name) & self.decided
-            if rows.any():
-                shares.append(1 - self.right[rows].mean())
-        n_objects, wrong = len(shares), float(np.sum(shares))
-        if n_objects == 0 or wrong >= n_objects:
-            return n_objects, 1.0
-        return n_objects, float(beta.ppf(CONFIDENCE, wrong + 1, n_objects - wrong))
-
 
 def decide_episodes(
     recogniser: ObjectRecogniser, episodes: Episodes, error: float
@@ -234,24 +207,22 @@ def decide_episodes(
     parts = []
     longest = max(int(counts.max()) for counts in episodes.n_informative)
     scale = recogniser.unknown_scale_
-    limits = np.array(
-        [scale.refusal_threshold(k, error) for k in range(1, longest + 1)]
-    )
+    limits = [scale.refusal_threshold(k, error) for k in range(1, longest + 1)]
     # Before any touch said something there is no limit to exceed.
-    limits = np.concatenate([[np.inf], limits])
+    refusing = np.array([np.inf, *limits])
     naming = np.array([scale.naming_threshold(k) for k in range(longest + 1)])
-    for i, name in enumerate(episodes.objects):
-        log_posterior, unknown = episodes.beliefs[i], episodes.unknown[i]
-        counts = episodes.n_informative[i]
+    of_each = zip(episodes.objects, episodes.truth, episodes.beliefs, strict=True)
+    for i, (name, truth, log_posterior) in enumerate(of_each):
+        unknown, counts = episodes.unknown[i], episodes.n_informative[i]
         n_orders, n_touches, _ = log_posterior.shape
-        refuse = unknown > limits[counts]
+        refuse = unknown > refusing[counts]
         fits = unknown <= naming[counts]
         stop = refuse | (fits & (doubts(log_posterior) <= error))
         decided = np.asarray(stop.any(axis=1))
         last = np.where(decided, stop.argmax(axis=1), n_touches - 1)
         rows = np.arange(n_orders)
         refused = decided & refuse[rows, last]
-        right = log_posterior[rows, last].argmax(axis=1) == episodes.truth[i]
+        right = log_posterior[rows, last].argmax(axis=1) == truth
         whose = np.full(n_orders, name)
         ended = (last + 1, decided, right & decided & ~refused, refused, whose)
         parts.append(Decisions(*ended))

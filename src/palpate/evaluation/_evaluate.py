@@ -11,14 +11,8 @@ from .._parallel import in_parallel
 from .._types import Array, Floats
 from ..recognition import Evidence, ObjectRecogniser, left_out_groups
 from ..touches import Touches
-from ._controls import (
-    brightness,
-    control_log_likelihood,
-    disc_centres,
-    sorted_pixels,
-    without_contact,
-)
-from ._episodes import Episodes, run_episodes, scores, single_touches
+from ._controls import CONTROLS, control_log_likelihood, without_contact
+from ._episodes import Episodes, run_episodes
 from ._splits import Fold, draw_touches, split_touches
 from ._trial import Plan, Trial, figures_of
 
@@ -83,7 +77,16 @@ def evaluate(
     {'1': 1.0}
     """
     plan = plan or Plan()
-    folds = _folds(train, test, split)
+    if test is not None and split is None:
+        folds = [Fold("test", train, test)]
+    elif split is not None and test is None:
+        folds = split_touches(train, split)
+    else:
+        raise ValueError(
+            "Give either test touches or a split, got "
+            f"{'both' if split is not None else 'neither'}: "
+            "--test TOUCHES or --split between|last|unseen-objects."
+        )
     if split == "unseen-objects":
         plan = replace(plan, label="category")
     if len(folds) == 1:
@@ -93,19 +96,6 @@ def evaluate(
         tasks = [(fold, unknown, plan, silent) for fold in folds]
         trials = in_parallel(_run, tasks, "Folds", show=False)
     return figures_of(trials, plan, split), trials
-
-
-def _folds(train: Touches, test: Touches | None, split: str | None) -> list[Fold]:
-    if (test is None) == (split is None):
-        raise ValueError(
-            "Give either test touches or a split, got "
-            f"{'both' if split is not None else 'neither'}: "
-            "--test TOUCHES or --split between|last|unseen-objects."
-        )
-    if split is not None:
-        return split_touches(train, split)
-    assert test is not None
-    return [Fold("test", train, test)]
 
 
 def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) -> Trial:
@@ -123,44 +113,27 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     evidence, timing = _timed(recogniser, test)
     labels = _test_labels(test, plan.label, recogniser)
     objects = labels if test.object is None else test.object
-    _check_lengths(objects, plan)
-    trial = Trial(
-        Fold(fold.name, train, test),
-        recogniser,
-        evidence.log_likelihood,
-        *_met(recogniser, evidence, objects, labels, plan.orders, plan.seed),
-        seconds={**seconds, **timing},
-    )
-    if unknown is not None:
-        progress(f"{fold.name}: meeting {len(unknown)} unknown touches")
-        met = _meet_unknown(recogniser, unknown, plan)
-        trial.unknown_singles, trial.unknown_episodes = met
-    progress(f"{fold.name}: nuisance controls")
-    trial.controls = _controls(trial, labels, objects, plan)
-    return trial
-
-
-def _met(
-    recogniser: ObjectRecogniser,
-    evidence: Evidence,
-    objects: Array,
-    labels: Array | None,
-    orders: int,
-    seed: int,
-) -> tuple[Episodes, Episodes]:
-    """Return episodes of one touch each, and of many orders of all touches."""
-    rows, novelty = evidence.log_likelihood, evidence.novelty
-    many = run_episodes(recogniser, rows, objects, labels, orders, seed, novelty)
-    return single_touches(recogniser, rows, many, objects, novelty), many
-
-
-def _check_lengths(objects: Array, plan: Plan) -> None:
     longest = int(np.unique(objects, return_counts=True)[1].max())
     if min(plan.touches) > longest:
         raise ValueError(
             f"touches must hold a number up to {longest}, the most test touches of an "
             f"object, got {plan.touches}."
         )
+    rows, novelty = evidence.log_likelihood, evidence.novelty
+    args = (rows, objects, labels, plan.orders, plan.seed, novelty)
+    trial = Trial(
+        Fold(fold.name, train, test),
+        recogniser,
+        rows,
+        run_episodes(recogniser, *args),
+        seconds={**seconds, **timing},
+    )
+    if unknown is not None:
+        progress(f"{fold.name}: meeting {len(unknown)} unknown touches")
+        trial.unknown_episodes = _meet_unknown(recogniser, unknown, plan)
+    progress(f"{fold.name}: nuisance controls")
+    trial.controls = _controls(trial, labels, objects, plan)
+    return trial
 
 
 def _timed(
@@ -195,9 +168,10 @@ def _test_labels(test: Touches, label: str, recogniser: ObjectRecogniser) -> Arr
 
 def _meet_unknown(
     recogniser: ObjectRecogniser, unknown: Touches, plan: Plan
-) -> tuple[Episodes, Episodes]:
-    column = unknown.object if unknown.object is not None else unknown.category
-    objects = np.full(len(unknown), "unknown") if column is None else column
+) -> Episodes:
+    objects = unknown.object if unknown.object is not None else unknown.category
+    if objects is None:
+        objects = np.full(len(unknown), "unknown")
     memory = recogniser.memory_
     known = np.intersect1d(objects, np.union1d(memory.objects, memory.labels))
     if len(known):
@@ -206,51 +180,32 @@ def _meet_unknown(
             f"{str(known[0])!r}. Leave those out."
         )
     evidence = recogniser.evidence(unknown)
-    return _met(recogniser, evidence, objects, None, plan.orders, plan.seed + 1)
+    rows, novelty = evidence.log_likelihood, evidence.novelty
+    args = (objects, None, plan.orders, plan.seed + 1, novelty)
+    return run_episodes(recogniser, rows, *args)
 
 
 def _controls(
     trial: Trial, labels: Array, objects: Array, plan: Plan
 ) -> dict[str, dict[str, float] | None]:
-    train, test = trial.fold.train, trial.fold.test
-    recogniser = trial.recogniser
-    result: dict[str, dict[str, float] | None] = {}
-    measures: dict[str, Callable[[Touches], Floats | None]] = {
-        "disc centre": disc_centres,
-        "brightness": brightness,
-        "sorted pixels": sorted_pixels,
-    }
+    """Return the accuracy of each nuisance control; None where it has no cause."""
+    train, test, recogniser = trial.fold.train, trial.fold.test, trial.recogniser
     memory = recogniser.memory_
     groups = left_out_groups(train, memory.labels, memory.objects, plan.label)
-    for name, measure in measures.items():
-        result[name] = None
+
+    def curve(rows: Floats, which: Any = slice(None)) -> dict[str, float]:
+        asked = (objects[which], labels[which], plan.orders, plan.seed)
+        episodes = run_episodes(recogniser, rows, *asked)
+        of_k = {str(k): episodes.scores(k) for k in plan.touches}
+        return {k: float(s.accuracy.mean()) for k, s in of_k.items() if s is not None}
+
+    result: dict[str, dict[str, float] | None] = dict.fromkeys(CONTROLS)
+    for name, measure in CONTROLS.items():
         if (of_train := measure(train)) is None or (of_test := measure(test)) is None:
             continue
         values = control_log_likelihood(of_train, memory.labels, groups, of_test)
-        result[name] = _curve(recogniser, values, objects, labels, plan)
+        result[name] = curve(values)
     idle = without_contact(test)
-    result["no contact"] = None
-    if idle is not None and idle.any():
-        result["no contact"] = _curve(
-            recogniser, trial.log_likelihood[idle], objects[idle], labels[idle], plan
-        )
-    return result
-
-
-def _curve(
-    recogniser: ObjectRecogniser,
-    log_likelihood: Array,
-    objects: Array,
-    labels: Array,
-    plan: Plan,
-) -> dict[str, float]:
-    episodes = run_episodes(
-        recogniser, log_likelihood, objects, labels, plan.orders, plan.seed
-    )
-    singles = single_touches(recogniser, log_likelihood, episodes, objects)
-    result = {}
-    for k in plan.touches:
-        truth, beliefs = (singles if k == 1 else episodes).after(k)
-        if truth:
-            result[str(k)] = float(scores(truth, beliefs).accuracy.mean())
+    some = idle is not None and idle.any()
+    result["no contact"] = curve(trial.log_likelihood[idle], idle) if some else None
     return result

@@ -19,14 +19,8 @@ def calibration_bins(
 ) -> tuple[Floats, Floats, NDArray[np.intp]]:
     """Return mean confidence, share of hits and count of equal-mass bins.
 
-    Parameters
-    ----------
-    confidence : array-like of shape (n_episodes,)
-        Largest posterior of each episode.
-    hit : array-like of shape (n_episodes,)
-        Whether the most probable label was right.
-    n_bins : int, default=10
-        Number of bins of nearly equal size; fewer for fewer episodes.
+    `confidence` holds the largest posterior of each episode, `hit` whether the most
+    probable label was right; there are fewer bins for fewer episodes.
     """
     belief = np.asarray(confidence, dtype=np.float64)
     right = np.asarray(hit, dtype=np.float64)
@@ -124,10 +118,9 @@ def davies_bouldin(X: ArrayLike, labels: ArrayLike, q: float = 2.0) -> float:
     touches = _about_one(touches)
     members = [touches[codes == kind] for kind in range(len(kinds))]
     centres = np.array([part.mean(axis=0) for part in members])
-    away = [
-        np.linalg.norm(p - c, axis=1) for p, c in zip(members, centres, strict=True)
-    ]
-    radius = np.array([_power_mean(d, power) for d in away])
+    pairs = zip(members, centres, strict=True)
+    away = [np.linalg.norm(part - centre, axis=1) for part, centre in pairs]
+    radius = np.array([_power_mean(distances, power) for distances in away])
     distance = np.sqrt(((centres[:, None] - centres) ** 2).sum(axis=2))
     extent = np.linalg.norm(touches, axis=1).max()
     distance[distance <= _ROUNDING * extent] = 0

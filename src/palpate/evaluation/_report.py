@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 
 from .._durable import write_text
-from .._types import Array, Floats
+from .._types import Floats
+from ..touches import png_address
 from . import plots
-from ._episodes import scores
 from ._metrics import calibration_bins, spread
 from ._report_why import explanations
-from ._trial import Trial
+from ._trial import Trial, scored
 
 EXAMPLES = 6
+SIDE = 120
 PAIRS = 5
 PICTURES_PER_PAIR = 4
 PAGE_STYLE = """
@@ -105,12 +106,10 @@ def _head(figures: dict[str, Any]) -> str:
 def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     plot = plots.accuracy_curve(figures, *_curve(trials))
     bins = {}
-    for k in map(int, figures["accuracy"]):
-        scored = [one for t in trials if (one := t.scores(k)) is not None]
-        bins[str(k)] = calibration_bins(
-            np.concatenate([s.confidence for s in scored]),
-            np.concatenate([s.hit for s in scored]),
-        )
+    for k in figures["accuracy"]:
+        ends = scored(trials, int(k))
+        confidence = np.concatenate([one.confidence for one in ends])
+        bins[k] = calibration_bins(confidence, np.concatenate([e.hit for e in ends]))
     return (
         "<h2>Accuracy against touches, and whether the belief can be trusted</h2>"
         f"<div class=row>{plot}{plots.calibration_plot(bins)}</div>"
@@ -149,43 +148,32 @@ def _table(figures: dict[str, Any]) -> str:
 def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     k = [int(key) for key in figures["accuracy"]][min(1, len(figures["accuracy"]) - 1)]
     names = [str(name) for name in trials[0].recogniser.classes_]
-    scored = [one for t in trials if (one := t.scores(k)) is not None]
-    confusion = np.mean([one.confusion for one in scored], axis=0)
-    pairs = _confused_pairs(confusion)
-    shown = "".join(
-        _pair(names, row, column, confusion, trials) for row, column in pairs
-    )
-    nothing = "<p>No label was ever taken for another.</p>"
+    confusion = np.mean([one.confusion for one in scored(trials, k)], axis=0)
+    off = confusion.copy()
+    np.fill_diagonal(off, 0)
+    order = np.argsort(off, axis=None)[::-1][:PAIRS].tolist()
+    pairs = [divmod(place, len(names)) for place in order if off.flat[place] > 0]
+    shown = "".join(_pair(trials, names, pair, off[pair]) for pair in pairs)
     return (
         f"<h2>What is taken for what, after {k} touches</h2>"
         + plots.confusion_plot(confusion, names)
         + "<h2>Most confused pairs</h2>"
-        + (shown or nothing)
+        + (shown or "<p>No label was ever taken for another.</p>")
     )
 
 
-def _confused_pairs(confusion: Array) -> list[tuple[int, int]]:
-    off = confusion.copy()
-    np.fill_diagonal(off, 0)
-    order = np.argsort(off, axis=None)[::-1][:PAIRS]
-    rows, columns = np.unravel_index(order, off.shape)
-    return [
-        (int(r), int(c)) for r, c in zip(rows, columns, strict=True) if off[r, c] > 0
-    ]
-
-
 def _pair(
-    names: list[str], row: int, column: int, confusion: Array, trials: Sequence[Trial]
+    trials: Sequence[Trial], names: list[str], pair: tuple[int, int], share: float
 ) -> str:
-    share = f"{100 * confusion[row, column]:.0f} %"
+    true, said = (escape(names[i]) for i in pair)
     cells = "".join(
         "<div><div class=touches>"
         f"{_pictures(trials, names[i], PICTURES_PER_PAIR)}</div>"
         f"<span class=note>{escape(names[i])}</span></div>"
-        for i in (row, column)
+        for i in pair
     )
-    title = f"<b>{escape(names[row])}</b> taken for <b>{escape(names[column])}</b>"
-    return f"<p>{title}: {share}</p><div class=row>{cells}</div>"
+    title = f"<b>{true}</b> taken for <b>{said}</b>"
+    return f"<p>{title}: {100 * share:.0f} %</p><div class=row>{cells}</div>"
 
 
 def _examples(trials: Sequence[Trial]) -> str:
@@ -206,7 +194,7 @@ def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:
     cleaned = trial.recogniser.encoder_.clean(trial.fold.train[some])
     alt = escape(f"touch of {name}")
     return "".join(
-        f"<img src='{plots.picture(image)}' alt='{alt}'>" for image in cleaned
+        f"<img src='{png_address(image, SIDE)}' alt='{alt}'>" for image in cleaned
     )
 
 
@@ -216,10 +204,7 @@ def _curve(trials: Sequence[Trial]) -> tuple[Floats, Floats]:
     As far as every object has that many touches.
     """
     shortest = min(b.shape[1] for trial in trials for b in trial.episodes.beliefs)
-    each = [
-        [scores(*trial.after(k)).accuracy for trial in trials]
-        for k in range(1, shortest + 1)
-    ]
+    each = [[one.accuracy for one in scored(trials, k)] for k in range(1, shortest + 1)]
     per_fold = np.array([[over.mean() for over in folds] for folds in each])
     over = [folds[0] for folds in each] if len(trials) == 1 else per_fold
     return per_fold.mean(axis=1), np.array([float(spread(one)) for one in over])

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..touches import Touches
-from . import plots
+from ..touches import Touches, png_address
 from ._episodes import Decisions, decide_episodes
 from ._trial import Trial
 
@@ -54,20 +53,15 @@ def explained_episodes(
     figures: dict[str, Any], trials: Sequence[Trial]
 ) -> list[Explained]:
     """Return at most six decided episodes: up to four wrong, the others right."""
-    ends = [
-        decide_episodes(t.recogniser, t.episodes, figures["decision"]["error"])
-        for t in trials
-    ]
+    error = figures["decision"]["error"]
+    ends = [decide_episodes(t.recogniser, t.episodes, error) for t in trials]
     wrong = _one_each(ends, lambda end: end.decided & ~end.right)
     right = _one_each(ends, lambda end: end.right)
     few = wrong[: max(WRONG, EPISODES - len(right))][:EPISODES]
-    places = np.unique(
-        np.linspace(0, len(right) - 1, min(EPISODES - len(few), len(right))).astype(int)
-    )
+    n_right = min(EPISODES - len(few), len(right))
+    places = np.unique(np.linspace(0, len(right) - 1, n_right).astype(int))
     chosen = few + [right[place] for place in places]
-    return [
-        _explained(trials[fold], ends[fold], number, figures) for fold, number in chosen
-    ]
+    return [_explained(trials[fold], ends[fold], number) for fold, number in chosen]
 
 
 def _one_each(
@@ -81,36 +75,20 @@ def _one_each(
     return list(found.values())
 
 
-def _explained(
-    trial: Trial, end: Decisions, number: int, figures: dict[str, Any]
-) -> Explained:
-    name = str(end.objects[number])
-    column = trial.episodes.truth[trial.episodes.objects.index(name)]
-    answers = trial.episodes.beliefs[trial.episodes.objects.index(name)]
-    used = int(end.touches[number])
-    last = answers[number % figures["orders"], used - 1]
-    classes = trial.recogniser.classes_
-    said = "unknown" if end.refused[number] else str(classes[last.argmax()])
+def _explained(trial: Trial, end: Decisions, number: int) -> Explained:
+    episodes, classes = trial.episodes, trial.recogniser.classes_
+    name, used = str(end.objects[number]), int(end.touches[number])
+    whose = episodes.objects.index(name)
+    order = number % len(episodes.rows[whose])
+    best = episodes.beliefs[whose][order, used - 1].argmax()
     return Explained(
         trial,
         name,
-        str(classes[column]),
-        _orders(trial, figures["orders"], figures["seed"])[number][:used],
-        said,
+        str(classes[episodes.truth[whose]]),
+        episodes.rows[whose][order, :used],
+        "unknown" if end.refused[number] else str(classes[best]),
         bool(end.right[number]),
     )
-
-
-def _orders(trial: Trial, n_orders: int, seed: int) -> list[NDArray[np.intp]]:
-    """Draw the orders that the episodes of the trial have, object by object."""
-    test = trial.fold.test
-    objects = test.object if test.object is not None else test.category
-    rng = np.random.default_rng(seed)
-    return [
-        rng.permutation(np.flatnonzero(objects == name))
-        for name in trial.episodes.objects
-        for _ in range(n_orders)
-    ]
 
 
 def _episode(one: Explained, error: float) -> str:
@@ -145,6 +123,6 @@ def _cell(trial: Trial, touch: Touches, lines: Iterable[str]) -> str:
     picture = ""
     if trial.recogniser.chosen_["geometry"] != "none":
         (cleaned,) = trial.recogniser.encoder_.clean(touch)
-        picture = f"<img src='{plots.picture(cleaned, side=SIDE)}' alt='touch'>"
+        picture = f"<img src='{png_address(cleaned, SIDE)}' alt='touch'>"
     text = "<br>".join(escape(line) for line in lines)
     return f"<div>{picture}<span>{text}</span></div>"

@@ -13,15 +13,7 @@ SPLITS = ("between", "last", "unseen-objects")
 
 @dataclass(frozen=True)
 class Fold:
-    """One way to train and test.
-
-    Attributes
-    ----------
-    name : str
-        What is tested, in a few words.
-    train, test : Touches
-        Disjoint sets of touches.
-    """
+    """One way to train and test: what is tested, in a few words, and disjoint sets."""
 
     name: str
     train: Touches
@@ -49,21 +41,24 @@ def split_touches(touches: Touches, split: str) -> list[Fold]:
         category has two objects.
     """
     check_option("split", split, SPLITS)
-    if touches.object is None:
+    objects = touches.object
+    if objects is None:
         raise ValueError(
             "touches must have a column 'object' to be split; name folders after "
             "objects or pass a name pattern."
         )
     if split == "unseen-objects":
-        return _unseen_objects(touches)
+        return _unseen_objects(touches, objects)
     test = np.zeros(len(touches), dtype=bool)
-    for name in np.unique(touches.object):
-        rows = _in_order(touches, name)
+    for name in np.unique(objects):
+        rows = np.flatnonzero(objects == name)
         if len(rows) < 4:
             raise ValueError(
                 f"Every object must have at least 4 touches to be split, "
                 f"got {len(rows)} of {str(name)!r}."
             )
+        if touches.order is not None:
+            rows = rows[np.argsort(touches.order[rows], kind="stable")]
         test[rows[3::4] if split == "between" else rows[-(len(rows) // 4) :]] = True
     return [Fold(split, touches[~test], touches[test])]
 
@@ -94,30 +89,19 @@ def _drawn_rows(touches: Touches, n_touches: int, seed: int) -> NDArray[np.intp]
     if touches.object is None:
         raise ValueError("touches must have a column 'object' to draw from each.")
     rng = np.random.default_rng(seed)
-    rows: list[NDArray[np.intp]] = []
-    for name in np.unique(touches.object):
-        of_object = np.flatnonzero(touches.object == name)
-        rows.append(rng.permutation(of_object)[:n_touches])
-    return np.sort(np.concatenate(rows))
+    of_each = [np.flatnonzero(touches.object == n) for n in np.unique(touches.object)]
+    drawn = [rng.permutation(rows)[:n_touches] for rows in of_each]
+    return np.sort(np.concatenate(drawn))
 
 
-def _in_order(touches: Touches, name: str) -> NDArray[np.intp]:
-    rows = np.flatnonzero(touches.object == name)
-    if touches.order is None:
-        return rows
-    return rows[np.argsort(touches.order[rows], kind="stable")]
-
-
-def _unseen_objects(touches: Touches) -> list[Fold]:
-    if touches.category is None or touches.object is None:
+def _unseen_objects(touches: Touches, objects: NDArray[np.str_]) -> list[Fold]:
+    if touches.category is None:
         raise ValueError(
             "split 'unseen-objects' needs a column 'category' beside 'object'."
         )
-    members = {
-        category: np.unique(touches.object[touches.category == category])
-        for category in np.unique(touches.category)
-    }
-    n_folds = max(len(objects) for objects in members.values())
+    kinds = np.unique(touches.category)
+    members = [np.unique(objects[touches.category == kind]) for kind in kinds]
+    n_folds = max(map(len, members))
     if n_folds < 2:
         raise ValueError(
             "split 'unseen-objects' needs a category with at least two objects, "
@@ -125,8 +109,8 @@ def _unseen_objects(touches: Touches) -> list[Fold]:
         )
     folds = []
     for k in range(n_folds):
-        left_out = [m[k] for m in members.values() if len(m) > max(k, 1)]
-        test = np.isin(touches.object, left_out)
+        left_out = [m[k] for m in members if len(m) > max(k, 1)]
+        test = np.isin(objects, left_out)
         name = f"fold {k + 1} of {n_folds}"
         folds.append(Fold(name, touches[~test], touches[test]))
     return folds

@@ -9,7 +9,7 @@ import numpy as np
 from .._checks import check_count, check_number, check_option
 from .._types import Floats
 from ..recognition import PRESETS, ObjectRecogniser
-from ._episodes import Decisions, Episodes, Scores, decide_episodes, scores
+from ._episodes import Decisions, Episodes, Scores, decide_episodes
 from ._metrics import calibration_error, roc_area, spread
 from ._splits import Fold
 
@@ -69,11 +69,11 @@ class Trial:
         Learnt from `fold.train`.
     log_likelihood : ndarray of shape (n_test_touches, n_labels)
         Of each test touch by itself.
-    singles, episodes : Episodes
-        Every test touch alone; many orders of each object's touches.
+    episodes : Episodes
+        Of the test touches: many orders of each object's, and each alone.
     seconds : dict
         To learn; per touch to encode and to recognise.
-    unknown_singles, unknown_episodes : Episodes or None
+    unknown_episodes : Episodes or None
         The same of unknown objects, where there are any.
     controls : dict
         Accuracy after k touches of each nuisance control; None where it has no cause.
@@ -82,36 +82,15 @@ class Trial:
     fold: Fold
     recogniser: ObjectRecogniser
     log_likelihood: Floats
-    singles: Episodes
     episodes: Episodes
     seconds: dict[str, float]
-    unknown_singles: Episodes | None = None
     unknown_episodes: Episodes | None = None
     controls: dict[str, dict[str, float] | None] = field(default_factory=dict)
 
-    def after(self, k: int, *, unknown: bool = False) -> tuple[list[int], list[Floats]]:
-        """Return true columns and log posteriors after `k` touches, per object.
 
-        After one touch every touch counts once; with `unknown`, of the episodes
-        of unknown objects.
-        """
-        return self._episodes(k, unknown=unknown).after(k)
-
-    def scores(self, k: int) -> Scores | None:
-        """Return how the episodes ended after `k` touches; None without any."""
-        truth, beliefs = self.after(k)
-        return scores(truth, beliefs) if truth else None
-
-    def unknown_after(self, k: int, *, unknown: bool = False) -> Floats:
-        """Return the unknown scores after `k` touches, of all episodes."""
-        return self._episodes(k, unknown=unknown).unknown_after(k)
-
-    def _episodes(self, k: int, *, unknown: bool) -> Episodes:
-        singles = self.unknown_singles if unknown else self.singles
-        episodes = self.unknown_episodes if unknown else self.episodes
-        assert singles is not None
-        assert episodes is not None
-        return singles if k == 1 else episodes
+def scored(trials: Sequence[Trial], k: int) -> list[Scores]:
+    """Return how the episodes ended after `k` touches, of folds that have any."""
+    return [one for t in trials if (one := t.episodes.scores(k)) is not None]
 
 
 def figures_of(
@@ -129,8 +108,8 @@ def figures_of(
         "orders": plan.orders,
         "seed": plan.seed,
     }
-    for name in ("accuracy", "accuracy_sd", "n_objects", "log_loss", "ece"):
-        figures[name] = {}
+    names = ("accuracy", "accuracy_sd", "n_objects", "log_loss", "ece")
+    figures.update({name: {} for name in names})
     for k in plan.touches:
         _figures_after(k, trials, figures)
     if trials[0].unknown_episodes is not None:
@@ -146,17 +125,16 @@ def figures_of(
 
 
 def _figures_after(k: int, trials: Sequence[Trial], figures: dict[str, Any]) -> None:
-    scored = [one for trial in trials if (one := trial.scores(k)) is not None]
-    if not scored:
+    of_folds = scored(trials, k)
+    if not of_folds:
         return
-    per_fold = [one.accuracy.mean() for one in scored]
+    per_fold = [one.accuracy.mean() for one in of_folds]
     names = ("accuracy", "confidence", "hit", "log_loss")
     over_objects, confidence, hit, log_loss = (
-        np.concatenate([getattr(one, name) for one in scored]) for name in names
+        np.concatenate([getattr(one, name) for one in of_folds]) for name in names
     )
-    key = str(k)
+    key, over = str(k), over_objects if len(of_folds) == 1 else per_fold
     figures["accuracy"][key] = float(np.mean(per_fold))
-    over = over_objects if len(scored) == 1 else per_fold
     figures["accuracy_sd"][key] = float(spread(over))
     figures["n_objects"][key] = len(over_objects)
     figures["log_loss"][key] = float(np.mean(log_loss))
@@ -166,19 +144,20 @@ def _figures_after(k: int, trials: Sequence[Trial], figures: dict[str, Any]) -> 
 def _unknown(
     trials: Sequence[Trial], plan: Plan
 ) -> tuple[dict[str, float], dict[str, float]]:
+    """Return ROC areas and shares refused after each number of touches."""
     area, refused = {}, {}
     for k in plan.touches:
-        areas, shares = [], []
+        ends = []
         for trial in trials:
-            below, above = (trial.unknown_after(k, unknown=u) for u in (False, True))
-            if not len(below) or not len(above):
-                continue
-            areas.append(roc_area(below, above))
-            limit = trial.recogniser.unknown_scale_.threshold(k, REFUSED)
-            shares.append(float((above > limit).mean()))
-        if areas:
-            area[str(k)] = float(np.mean(areas))
-            refused[str(k)] = float(np.mean(shares))
+            assert trial.unknown_episodes is not None
+            below = trial.episodes.unknown_after(k)
+            above = trial.unknown_episodes.unknown_after(k)
+            if len(below) and len(above):
+                limit = trial.recogniser.unknown_scale_.threshold(k, REFUSED)
+                ends.append((roc_area(below, above), (above > limit).mean()))
+        if ends:
+            means = [float(np.mean(each)) for each in zip(*ends, strict=True)]
+            area[str(k)], refused[str(k)] = means
     return area, refused
 
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from .._extras import needed
 from .._types import Array
-from ..touches import png_address
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -82,11 +81,6 @@ def confusion_plot(confusion: Array, names: Sequence[str]) -> str:
             text = f"{100 * share:.0f}"
             axes.text(column, row, text, ha="center", va="center", **style)
     return _svg(figure)
-
-
-def picture(image: Array, *, side: int = 120) -> str:
-    """Return one tactile image as a PNG data address, contrast stretched."""
-    return png_address(image, side)
 
 
 def _figure(width: float, height: float) -> tuple["Figure", Any]:

@@ -8,15 +8,13 @@ from ._episode import Exploration, explore
 from ._episode import gather as gather
 from ._guarded import Guard, guarded_touch
 from ._informative import InformativeTouch
-from ._placed_belief import PlacedBelief
+from ._informative import Stations as Stations
+from ._informative import most_promising as most_promising
+from ._place_geometry import freshness as freshness
 from ._record import OUTCOMES as OUTCOMES
 from ._record import EpisodeError as EpisodeError
 from ._record import EpisodeLog, TouchRecord, read_episode
 from ._record import as_touches as as_touches
-from ._recorded import InformativeRecorded as InformativeRecorded
-from ._recorded import RandomRecorded as RandomRecorded
-from ._recorded import RasterRecorded as RasterRecorded
-from ._recorded import look_at_recorded as look_at_recorded
 from ._robot import FAULTS as FAULTS
 from ._robot import MissingFrames as MissingFrames
 from ._robot import Robot, RobotError, SimulatedRobot
@@ -24,7 +22,7 @@ from ._simulated_objects import QUICK_GUARD as QUICK_GUARD
 from ._simulated_objects import Stand as Stand
 from ._simulated_objects import explore_to_learn, put_down
 from ._strategies import Hemisphere, RandomHemisphere, Raster, Strategy
-from ._touch_map import TouchMap
+from ._touch_map import PlacedBelief, TouchMap
 
 __all__ = [
     "EpisodeLog",

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,8 +13,9 @@ import numpy as np
 
 from .._checks import check_count
 from ..sensors import TouchSensor
+from ..simulation import SensorPose
 from ._guarded import Clock, Guard, guarded_touch
-from ._record import EpisodeError, EpisodeLog, TouchRecord, as_touches, tip_mm
+from ._record import EpisodeError, EpisodeLog, History, TouchRecord, as_touches, tip_mm
 from ._robot import Robot, RobotError
 from ._strategies import Strategy
 
@@ -111,7 +113,7 @@ def explore(
     """
     check_count("max_attempts", max_attempts)
     check_count("max_faults", max_faults)
-    guard = guard or Guard()
+    touch_at = partial(guarded_touch, robot, sensor, guard=guard, clock=clock)
     with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
         n_before, belief = len(log.history), recogniser.start()
         log.history = [_taken_in(belief, record) for record in log.history]
@@ -119,8 +121,12 @@ def explore(
         if end is None:
             _come_out(robot, strategy)
         while end is None:
-            touch = _attempt(robot, sensor, strategy, belief, log, guard, clock)
-            record = _kept(belief, touch, log)
+            touch = _attempt(robot, strategy, belief, log.history, touch_at)
+            record = touch
+            try:
+                record = _taken_in(belief, touch)
+            finally:  # It is recorded even if the program is interrupted.
+                log.append(record)
             if on_attempt is not None:
                 on_attempt(record, belief)
             gave_up = _gave_up(log.history[n_before:], max_faults)
@@ -155,36 +161,35 @@ def gather(
     """
     check_count("n_touches", n_touches)
     check_count("max_faults", max_faults)
-    guard = guard or Guard()
+    touch_at = partial(guarded_touch, robot, sensor, guard=guard, clock=clock)
     with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
         _refuse_other_size(log, sensor)
         n_before, wanted = len(log.history), n_touches - _n_touched(log.history)
         if wanted > 0:
             _come_out(robot, strategy)
         while _n_touched(log.history) < n_touches:
-            log.append(_attempt(robot, sensor, strategy, None, log, guard, clock))
+            log.append(_attempt(robot, strategy, None, log.history, touch_at))
             _refuse_few(log.history[n_before:], wanted, max_faults)
-        return _first_touches(log.history, n_touches)
+        counts = np.cumsum([record.touched for record in log.history])
+        return log.history[: int(np.searchsorted(counts, n_touches)) + 1]
 
 
 def _attempt(
     robot: Robot,
-    sensor: TouchSensor,
     strategy: Strategy,
     belief: Belief | None,
-    log: EpisodeLog,
-    guard: Guard,
-    clock: Clock,
+    history: History,
+    touch_at: Callable[[SensorPose], TouchRecord],
 ) -> TouchRecord:
     """Choose, go there, touch; whatever goes wrong is in the record."""
-    pose = strategy.next_pose(belief, log.history)
+    pose = strategy.next_pose(belief, history)
     try:
         for waypoint in strategy.hemisphere.way(robot.read_pose(), pose):
             robot.move_to(waypoint)
     except Exception as error:
         message = f"On the way to the start: {type(error).__name__}: {error}"
         return TouchRecord("robot error", pose, tip_mm(pose), message=message)
-    return guarded_touch(robot, sensor, pose, guard, clock=clock)
+    return touch_at(pose)
 
 
 def _come_out(robot: Robot, strategy: Strategy) -> None:
@@ -192,16 +197,6 @@ def _come_out(robot: Robot, strategy: Strategy) -> None:
     way_mm = strategy.hemisphere.way_out_mm(robot.read_pose())
     if way_mm > 0:
         robot.retract(way_mm)
-
-
-def _kept(belief: Belief, touch: TouchRecord, log: EpisodeLog) -> TouchRecord:
-    """Take in an attempt and record it, even if the program is interrupted."""
-    record = touch
-    try:
-        record = _taken_in(belief, touch)
-    finally:
-        log.append(record)
-    return record
 
 
 def _taken_in(belief: Belief, record: TouchRecord) -> TouchRecord:
@@ -232,7 +227,7 @@ def _end(
     return None
 
 
-def _gave_up(attempts: Sequence[TouchRecord], max_faults: int) -> str:
+def _gave_up(attempts: History, max_faults: int) -> str:
     """Return why to touch no more, or nothing while it is safe to go on."""
     if not attempts:
         return ""
@@ -245,7 +240,7 @@ def _gave_up(attempts: Sequence[TouchRecord], max_faults: int) -> str:
     return ""
 
 
-def _refuse_few(attempts: Sequence[TouchRecord], wanted: int, max_faults: int) -> None:
+def _refuse_few(attempts: History, wanted: int, max_faults: int) -> None:
     """Give up gathering where touches do not come."""
     gave_up = _gave_up(attempts, max_faults)
     n_touched = _n_touched(attempts)
@@ -269,11 +264,5 @@ def _refuse_other_size(log: EpisodeLog, sensor: TouchSensor) -> None:
             )
 
 
-def _first_touches(history: Sequence[TouchRecord], n_touches: int) -> list[TouchRecord]:
-    """Return the attempts up to the last touch that is wanted."""
-    counts = np.cumsum([record.touched for record in history])
-    return list(history[: int(np.searchsorted(counts, n_touches)) + 1])
-
-
-def _n_touched(history: Sequence[TouchRecord]) -> int:
+def _n_touched(history: History) -> int:
     return sum(record.touched for record in history)

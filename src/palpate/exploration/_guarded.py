@@ -15,7 +15,7 @@ by repeating itself, by not changing over `flat_mm` of contact, or by the pictur
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,12 +27,10 @@ from ._record import TouchRecord, tip_mm
 from ._robot import Robot
 
 Clock = Callable[[], float]
-
-
+_LEAST_COUNTS = {"n_readings": 1, "n_tare": 1, "stuck_after": 3}
 # A force sensor in contact that changes by less than this, over `flat_mm`, does not
 # follow the contact; nor one that changes by less than six times its noise.
-_FLAT_N = 0.01
-_FLAT_NOISES = 6.0
+_FLAT_N, _FLAT_NOISES = 0.01, 6.0
 
 
 @dataclass(frozen=True)
@@ -80,8 +78,8 @@ class Guard:
     frame_change : float or None, default=None
         Change of the tactile image, root mean square in the sensor's unit, that is a
         contact: found while the force reads as in the air, it is a fault. Without it a
-        force sensor that is dead but noisy cannot be told from air, and the arm moves
-        on to `max_travel_mm`. Half of what a light touch changes is a good choice.
+        force sensor that is dead but noisy reads as in the air, and the arm moves on
+        to `max_travel_mm`. Half of what a light touch changes is a good choice.
     frame_every_mm : float, default=2.0
         How often that is looked at, on the way.
     """
@@ -104,15 +102,13 @@ class Guard:
     frame_every_mm: float = 2.0
 
     def __post_init__(self) -> None:
-        counts = {"n_readings", "n_tare"}
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name in counts:
-                check_count(field.name, value)
-            elif field.name == "stuck_after" and value is not None:
-                check_count(field.name, value, at_least=3)
-            elif value is not None or field.name not in ("stuck_after", "frame_change"):
-                check_positive(field.name, value)
+        for name, value in vars(self).items():
+            if value is None and name in ("stuck_after", "frame_change"):
+                continue
+            if name in _LEAST_COUNTS:
+                check_count(name, value, at_least=_LEAST_COUNTS[name])
+            else:
+                check_positive(name, value)
         check_number("contact_n", self.contact_n, high=self.force_n)
         if not self.limit_n > self.force_n:
             raise ValueError(
@@ -196,16 +192,14 @@ class _Approach:
     ) -> None:
         self.robot, self.sensor, self.start = robot, sensor, start
         self.guard, self.clock = guard, clock
-        self.outcome, self.message = "nothing", ""
-        self.travel_mm = self.farthest_mm = 0.0
-        self.force_n = self.peak_force_n = 0.0
+        self.outcome, self.message, self.retracted = "nothing", "", True
+        self.travel_mm = self.farthest_mm = self._missed_mm = 0.0
+        self.force_n = self.peak_force_n = self._most_n = 0.0
         self.image: Array | None = None
-        self.retracted = True
+        self._air_frame: Floats | None = None
         self._offset_n, self._flat_n = 0.0, _FLAT_N
         self._in_contact: list[tuple[float, float]] = []
-        self._most_n = self._missed_mm = 0.0
         self._fine_until_mm = self._look_at_mm = 0.0
-        self._air_frame: Floats | None = None
         self._last, self._n_equal = math.nan, 0
         self._began = clock()
 
@@ -236,7 +230,7 @@ class _Approach:
             if before == 0 and self.force_n >= guard.contact_n:
                 raise _Fault(
                     f"{self.force_n:.3f} N after the first {step:g} mm: the offset may "
-                    "hold a load. Start further away, clear of everything.",
+                    "hold a load. Start further away, clear of everything."
                 )
             if self.force_n < guard.force_n:
                 self._watch_contact()
@@ -251,8 +245,7 @@ class _Approach:
         """Retract as far as the arm may have come; if it will not, stop it."""
         for attempt in (1, 2):
             try:
-                self.robot.retract(self.farthest_mm)
-                return
+                return self.robot.retract(self.farthest_mm)
             except Exception as error:
                 self._note(f"Retracting failed ({attempt}): {error}")
         self.retracted = False
@@ -267,13 +260,13 @@ class _Approach:
         """Read the air once more: an offset that moved hides a load, or feigns one."""
         if not self.retracted or self.outcome not in ("touched", "nothing"):
             return
-        for _ in range(self.guard.n_readings):
-            self._read()  # May still be of the contact.
-        moved_n = float(np.mean(self._read_in_air())) - self._offset_n
+        n_stale = self.guard.n_readings  # They may still be of the contact.
+        readings = [self._read() for _ in range(n_stale + self.guard.n_tare)]
+        moved_n = float(np.mean(readings[n_stale:])) - self._offset_n
         if abs(moved_n) > self.guard.contact_n:
             raise _Fault(
                 f"The offset moved by {moved_n:.3f} N during the touch, more than "
-                f"contact_n = {self.guard.contact_n:g}: what was pressed is not known.",
+                f"contact_n = {self.guard.contact_n:g}: what was pressed is not known."
             )
 
     def record(self) -> TouchRecord:
@@ -292,20 +285,17 @@ class _Approach:
         )
 
     def _tare(self) -> None:
-        """Learn the offset of the force sensor in the air; refuse a bad one."""
-        readings = self._read_in_air()
+        """Learn the offset and the noise of the force sensor in the air."""
+        readings = [self._read() for _ in range(self.guard.n_tare)]
         self._offset_n = offset = float(np.mean(readings))
         most = min(self.guard.max_offset_n, self.guard.limit_n - self.guard.force_n)
         if abs(offset) > most:
             raise _Fault(
                 f"{offset:.3f} N in the air, more than {most:g}: the sensor touches "
-                "something or has drifted. Clear it, or set it to zero.",
+                "something or has drifted. Clear it, or set it to zero."
             )
         noise = float(np.std(readings)) / math.sqrt(self.guard.n_readings)
         self._flat_n = max(_FLAT_N, _FLAT_NOISES * noise)
-
-    def _read_in_air(self) -> list[float]:
-        return [self._read() for _ in range(self.guard.n_tare)]
 
     def _move(self, travel_mm: float) -> None:
         """Move along the line, and learn by how much the arm says that it missed."""
@@ -336,7 +326,7 @@ class _Approach:
         if self.force_n >= self.guard.force_n:
             raise _Fault(
                 f"Still {self.force_n:.3f} N where it was air before: the force sensor "
-                "is stuck or lags, or something holds on to the sensor.",
+                "is stuck or lags, or something holds on to the sensor."
             )
 
     def _measure(self) -> None:
@@ -346,18 +336,26 @@ class _Approach:
         if self.force_n < -self.guard.contact_n:
             raise _Fault(
                 f"{self.force_n:.3f} N: a force of the wrong sign. read_force must be "
-                "positive when something pushes back; if it is, the offset drifts.",
+                "positive when something pushes back; if it is, the offset drifts."
             )
 
     def _most_of_readings(self) -> float:
         """Read as often as is averaged, and return the magnitude of the largest."""
         forces: list[float] = []
+        limit = self.guard.limit_n
         for _ in range(self.guard.n_readings):
             reading = self._read()
-            forces.append(reading - self._offset_n)
+            force = reading - self._offset_n
+            forces.append(force)
             self.force_n = sum(forces) / len(forces)
-            self.peak_force_n = max(self.peak_force_n, abs(forces[-1]))
-            self._refuse_too_hard(reading, forces[-1])
+            self.peak_force_n = max(self.peak_force_n, abs(force))
+            if max(abs(reading), abs(force)) > limit:
+                sign = " read_force must be positive when something pushes back."
+                raise _Fault(
+                    f"{force:.3f} N ({reading:.3f} with its offset), above the limit "
+                    f"of {limit:g}.{sign if force < 0 else ''}",
+                    "limit exceeded",
+                )
         return max(map(abs, forces))
 
     def _watch_contact(self) -> None:
@@ -373,27 +371,27 @@ class _Approach:
         if pressed > guard.max_press_mm:
             raise _Fault(
                 f"Still {self.force_n:.3f} N {guard.max_press_mm:g} mm "
-                "beyond the first contact.",
+                "beyond the first contact."
             )
         recent = [n for mm, n in self._in_contact if mm >= here - guard.flat_mm - 1e-9]
         if pressed >= guard.flat_mm - 1e-9 and max(recent) - min(recent) < self._flat_n:
             raise _Fault(
                 f"{self.force_n:.3f} N for {guard.flat_mm:g} mm in contact, without "
                 "a change: the force sensor is stuck. If the object is that soft or "
-                "the sensor that coarse, raise flat_mm.",
+                "the sensor that coarse, raise flat_mm."
             )
 
     def _look(self) -> None:
         """Refuse a tactile image of contact while the force reads as in the air."""
-        if self._air_frame is None or self.travel_mm < self._look_at_mm:
+        limit, air = self.guard.frame_change, self._air_frame
+        if limit is None or air is None or self.travel_mm < self._look_at_mm:
             return
         self._look_at_mm = self.travel_mm + self.guard.frame_every_mm
-        change = np.sqrt(np.nanmean((self._frame() - self._air_frame) ** 2))
-        assert self.guard.frame_change is not None
-        if not change < self.guard.frame_change:
+        change = np.sqrt(np.nanmean((self._frame() - air) ** 2))
+        if not change < limit:
             raise _Fault(
                 f"The tactile image changed by {change:.3g}, as in contact, but the "
-                f"force sensor reads {self.force_n:.3f} N. Is it connected?",
+                f"force sensor reads {self.force_n:.3f} N. Is it connected?"
             )
 
     def _refuse_load(self) -> None:
@@ -417,19 +415,9 @@ class _Approach:
         if self.guard.stuck_after and self._n_equal >= self.guard.stuck_after:
             raise _Fault(
                 f"The force sensor is stuck at {force:.4f} N for {self._n_equal} "
-                "readings. If it is that coarse, set stuck_after.",
+                "readings. If it is that coarse, set stuck_after."
             )
         return force
-
-    def _refuse_too_hard(self, reading_n: float, force_n: float) -> None:
-        limit = self.guard.limit_n
-        if max(abs(reading_n), abs(force_n)) > limit:
-            sign = " read_force must be positive when something pushes back."
-            raise _Fault(
-                f"{force_n:.3f} N ({reading_n:.3f} with its offset), above the limit "
-                f"of {limit:g}.{sign if force_n < 0 else ''}",
-                "limit exceeded",
-            )
 
     def _refuse_miss(self) -> None:
         if not self._missed_mm <= self.guard.max_miss_mm:
@@ -445,15 +433,10 @@ class _Approach:
             frame = np.asarray(self.sensor.read())
         except SensorError as error:
             raise _Fault(str(error), "no frame") from error
-        if (
-            frame.shape != tuple(self.sensor.image_shape)
-            or frame.dtype.kind not in "biuf"
-        ):
-            raise _Fault(
-                f"A frame of shape {frame.shape} and type {frame.dtype} arrived, not "
-                f"{self.sensor.image_shape}.",
-                "no frame",
-            )
+        shape = tuple(self.sensor.image_shape)
+        if frame.shape != shape or frame.dtype.kind not in "biuf":
+            kind = f"A frame of shape {frame.shape} and type {frame.dtype}"
+            raise _Fault(f"{kind} arrived, not {shape}.", "no frame")
         if np.isinf(frame).any() or np.isnan(frame).all():
             raise _Fault(
                 "A frame must be finite but for dead taxels (NaN), got one with "

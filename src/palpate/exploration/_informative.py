@@ -16,7 +16,7 @@ place near one that was touched before reads the same again: its gain is scaled 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from operator import is_not
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,10 +27,9 @@ from .._checks import check_count
 from .._types import Floats
 from ..simulation import SensorPose
 from ._place_geometry import freshness
-from ._placed_belief import PlacedBelief
-from ._record import TouchRecord, as_touches
+from ._record import History, TouchRecord, as_touches
 from ._strategies import Hemisphere, outward
-from ._touch_map import TouchMap
+from ._touch_map import PlacedBelief, TouchMap
 
 if TYPE_CHECKING:
     from ..recognition import Belief
@@ -44,14 +43,8 @@ class Stations:
     """Rings of places round the objects, and the touches that may come of each.
 
     A candidate in the world is a station on the object: turning the object by a step
-    moves it one station back along its ring.
-
-    Parameters
-    ----------
-    touch_map : TouchMap
-        What is known.
-    places : ndarray of shape (n_rings, n_turns, n_dimensions)
-        The stations, `touch_map.n_turns` on each ring, a step apart.
+    moves it one station back along its ring. `places` are the stations, (n_rings,
+    n_turns, n_dimensions), `touch_map.n_turns` on each ring, a step apart.
     """
 
     def __init__(self, touch_map: TouchMap, places: Floats) -> None:
@@ -71,12 +64,7 @@ class Stations:
     def expected_gain(self, log_joint: Floats, n_touches: int) -> Floats:
         """Return the expected gain (nats) of each candidate, (n_rings * n_turns,).
 
-        Parameters
-        ----------
-        log_joint : ndarray of shape (n_objects, n_turns)
-            The belief.
-        n_touches : int
-            How many touches it rests on.
+        `log_joint` (n_objects, n_turns) is the belief after `n_touches`.
         """
         joint = np.exp(log_joint).astype(np.float32)
         turned = joint[:, self._back]
@@ -100,8 +88,8 @@ class Stations:
         if floor == 0:
             return relative
         least = np.float32(np.log(floor / (self._map.n_objects * self._map.n_turns)))
-        floored: Floats32 = np.logaddexp(np.float32(np.log1p(-floor)) + relative, least)
-        return floored
+        kept = np.float32(np.log1p(-floor)) + relative
+        return np.asarray(np.logaddexp(kept, least))
 
 
 class InformativeTouch:
@@ -139,27 +127,20 @@ class InformativeTouch:
         self._seen: list[TouchRecord] = []
         self._placed = touch_map.start()
 
-    def next_pose(
-        self, belief: Belief | PlacedBelief | None, history: Sequence[TouchRecord]
-    ) -> SensorPose:
+    def next_pose(self, belief: Belief | None, history: History) -> SensorPose:
         """Return the pose of the candidate with the largest expected gain."""
-        gain = self.expected_gain(belief, history)
-        best = most_promising(gain, self._fresh(history))
+        touched = -np.array([record.direction for record in history]).reshape(-1, 3)
+        fresh = freshness(self._candidates, touched, self.touch_map.width_)
+        best = most_promising(self.expected_gain(belief, history), fresh)
         return self.hemisphere.pose_towards(self._candidates[best])
 
-    def expected_gain(
-        self, belief: Belief | PlacedBelief | None, history: Sequence[TouchRecord]
-    ) -> Floats:
+    def expected_gain(self, belief: Belief | None, history: History) -> Floats:
         """Return the expected gain of each candidate (nats), (n_candidates,).
 
         As if nothing near it had been touched; what was is `next_pose`'s business.
         """
         log_joint, n_touches = self._joint(belief, history)
         return self._stations.expected_gain(log_joint, n_touches)
-
-    def _fresh(self, history: Sequence[TouchRecord]) -> Floats:
-        touched = -np.array([record.direction for record in history]).reshape(-1, 3)
-        return freshness(self._candidates, touched, self.touch_map.width_)
 
     def __repr__(self) -> str:
         return (
@@ -175,9 +156,7 @@ class InformativeTouch:
         turns = np.arange(n_turns) * (2 * np.pi / n_turns)
         return np.array([[outward(a, np.arcsin(h)) for a in turns] for h in heights])
 
-    def _joint(
-        self, belief: Belief | PlacedBelief | None, history: Sequence[TouchRecord]
-    ) -> tuple[Floats, int]:
+    def _joint(self, belief: Belief | None, history: History) -> tuple[Floats, int]:
         if isinstance(belief, PlacedBelief):
             return belief.log_joint, belief.touches_used
         placed = self._follow(history)
@@ -188,11 +167,11 @@ class InformativeTouch:
         objects = np.log(np.maximum(shares, np.finfo(float).tiny))
         return turns + objects[:, None], belief.touches_used
 
-    def _follow(self, history: Sequence[TouchRecord]) -> PlacedBelief:
+    def _follow(self, history: History) -> PlacedBelief:
         """Return the placed belief after `history`; what was encoded stays so."""
         touched = [record for record in history if record.touched]
         n_seen = len(self._seen)
-        if n_seen > len(touched) or any(map(_differ, self._seen, touched)):
+        if n_seen > len(touched) or any(map(is_not, self._seen, touched)):
             self._seen, self._placed, n_seen = [], self.touch_map.start(), 0
         if len(touched) > n_seen:
             self._placed.update(as_touches(touched[n_seen:]))
@@ -201,15 +180,9 @@ class InformativeTouch:
 
 
 def most_promising(gain: Floats, fresh: Floats) -> int:
-    """Return the candidate with the largest gain that is still to be had.
-
-    Gains below zero are not made better by having been there.
-    """
+    """Return the candidate with the largest gain that is still to be had."""
+    # Gains below zero are not made better by having been there.
     promise = np.where(gain > 0, gain * fresh, gain)
     if promise.max() < _LEAST_PROMISE:
         return int(fresh.argmax())
     return int(promise.argmax())
-
-
-def _differ(one: TouchRecord, other: TouchRecord) -> bool:
-    return one is not other

@@ -31,7 +31,15 @@ def places_of(touches: object, places: ArrayLike | None, n_turns: int) -> Floats
                 "touches must have a column 'direction' (unit vectors of approach), "
                 f"got {', '.join(touches.columns) or 'none'}. Add it, or give places."
             )
-        places = -_unit_vectors(directions)
+        places = -np.asarray(directions, dtype=np.float64)
+        length = np.sqrt((places**2).sum(axis=-1))
+        wrong = np.flatnonzero(np.abs(length - 1) > _LENGTH_TOLERANCE)
+        if len(wrong):
+            raise ValueError(
+                "direction must be unit vectors of approach, got "
+                f"{(-places[wrong[0]]).tolist()} in touch {wrong[0]}. Divide it by its "
+                "length; leave out touches whose direction is not known."
+            )
     array = np.asarray(places, dtype=np.float64)
     if array.ndim != 2 or len(array) != len(touches) or not np.isfinite(array).all():
         raise ValueError(
@@ -46,26 +54,8 @@ def places_of(touches: object, places: ArrayLike | None, n_turns: int) -> Floats
     return array
 
 
-def _unit_vectors(directions: ArrayLike) -> Floats:
-    """Return directions of approach that are of length 1, or name one that is not."""
-    array = np.asarray(directions, dtype=np.float64)
-    length = np.sqrt((array**2).sum(axis=-1))
-    wrong = np.flatnonzero(np.abs(length - 1) > _LENGTH_TOLERANCE)
-    if len(wrong):
-        row = int(wrong[0])
-        raise ValueError(
-            f"direction must be unit vectors of approach, got {array[row].tolist()} "
-            f"in touch {row}. Divide it by its length; leave out touches whose "
-            "direction is not known."
-        )
-    return array
-
-
 def turned_back(places: Floats, n_turns: int) -> Floats:
-    """Return the stations of places on a turned object, (n_places, n_turns, p).
-
-    The object is turned about z by 0, 1, 2... steps of a full turn / n_turns.
-    """
+    """Return stations of places on an object turned about z, (n_places, n_turns, p)."""
     if n_turns == 1:
         return places[:, None]
     angle = np.arange(n_turns) * (2 * np.pi / n_turns)
@@ -79,17 +69,12 @@ def turned_back(places: Floats, n_turns: int) -> Floats:
 def squared_distances(one: Floats, other: Floats) -> Floats:
     """Return squared distances, (n_one, n_other)."""
     squared = (one**2).sum(axis=1)[:, None] + (other**2).sum(axis=1) - 2 * one @ other.T
-    positive: Floats = np.maximum(squared, 0.0)
-    return positive
+    return np.asarray(np.maximum(squared, 0.0))
 
 
 def freshness(candidates: Floats, touched: Floats, width: float) -> Floats:
-    """Return which share of a candidate's gain is not known from places touched.
-
-    The product over them of 1 - exp(-d^2 / 2 width^2), (n_candidates,).
-    """
+    """Return the product over places touched of 1 - exp(-d^2 / 2 width^2)."""
     if not len(touched):
         return np.ones(len(candidates))
     squared = squared_distances(candidates, touched)
-    fresh: Floats = (1 - np.exp(squared / (-2 * width**2))).prod(axis=1)
-    return fresh
+    return np.asarray((1 - np.exp(squared / (-2 * width**2))).prod(axis=1))

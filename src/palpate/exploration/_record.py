@@ -36,6 +36,7 @@ OUTCOMES = (
     "robot error",
 )
 _NUMBERS = ("force_n", "peak_force_n", "travel_mm", "duration_s")
+_NOTES = ("message", "retracted")
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,31 +97,30 @@ class TouchRecord:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the image as plain values for JSON."""
-        plain: dict[str, Any] = {name: getattr(self, name) for name in _NUMBERS}
         return {
             "outcome": self.outcome,
             "start_mm": np.asarray(self.start.position_mm).tolist(),
             "direction": self.direction.tolist(),
             "roll_rad": self.start.roll_rad,
             "position_mm": list(self.position_mm),
-            **plain,
-            "message": self.message,
-            "retracted": self.retracted,
+            **{name: getattr(self, name) for name in (*_NUMBERS, *_NOTES)},
         }
 
     @classmethod
     def from_dict(cls, plain: dict[str, Any], image: Array | None) -> Self:
         """Rebuild a record from `to_dict` and its image."""
-        start = SensorPose(plain["start_mm"], plain["direction"], plain["roll_rad"])
         return cls(
             outcome=check_option("outcome", plain["outcome"], OUTCOMES),
-            start=start,
+            start=SensorPose(plain["start_mm"], plain["direction"], plain["roll_rad"]),
             position_mm=tip_mm(SensorPose(plain["position_mm"], plain["direction"])),
             image=image,
             message=str(plain["message"]),
             retracted=bool(plain["retracted"]),
             **{name: float(plain[name]) for name in _NUMBERS},
         )
+
+
+History = Sequence[TouchRecord]
 
 
 def tip_mm(pose: SensorPose) -> tuple[float, float, float]:
@@ -130,12 +130,11 @@ def tip_mm(pose: SensorPose) -> tuple[float, float, float]:
 
 
 def as_touches(
-    history: Sequence[TouchRecord],
+    history: History,
     *,
     object: str | None = None,
     category: str | None = None,
     geometry: str | None = None,
-    no_contact: Array | None = None,
 ) -> Touches:
     """Return the records that are touches, ready to be learnt or recognised.
 
@@ -147,23 +146,21 @@ def as_touches(
     ValueError
         None of the records is a touch.
     """
-    touched = [
-        (order, record) for order, record in enumerate(history) if record.touched
-    ]
-    if not touched:
+    order = [number for number, record in enumerate(history) if record.touched]
+    if not order:
         raise ValueError(
             f"history must hold a touch, got {len(history)} attempts without one. "
             "Look at their outcomes and messages."
         )
+    touched = [history[number] for number in order]
     labels = {"object": object, "category": category}
     return Touches(
-        np.stack([np.asarray(record.image) for _, record in touched]),
-        position_mm=[record.position_mm for _, record in touched],
-        direction=np.stack([record.direction for _, record in touched]),
-        force_n=[record.force_n for _, record in touched],
-        order=[order for order, _ in touched],
+        np.stack([np.asarray(record.image) for record in touched]),
+        position_mm=[record.position_mm for record in touched],
+        direction=np.stack([record.direction for record in touched]),
+        force_n=[record.force_n for record in touched],
+        order=order,
         geometry=geometry,
-        no_contact=no_contact,
         **{name: [word] * len(touched) for name, word in labels.items() if word},
     )
 
@@ -244,10 +241,18 @@ class EpisodeLog:
         path = folder / "episode.json"
         wanted = json.loads(json.dumps({"format": _FORMAT, "settings": self.settings}))
         if not path.exists():
-            _refuse_other_files(folder)
+            others = sorted(p.name for p in folder.iterdir() if p.name != _LOCK)
+            if others:
+                raise EpisodeError(
+                    f"{folder} must be empty or an episode, got {others[0]!r} in it. "
+                    "Use another folder."
+                )
             write_text(path, json.dumps(wanted, indent=1))
             return
-        found = _read_settings(path)
+        try:
+            found = json.loads(path.read_bytes())
+        except ValueError as error:
+            raise EpisodeError(f"{path} is damaged: {error}. Bring it back.") from error
         if found != wanted:
             raise EpisodeError(
                 f"{folder} holds an episode that was begun with {found}, got "
@@ -284,20 +289,12 @@ def _read_record(path: Path) -> TouchRecord:
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             plain = json.loads(str(arrays["record"]))
-            image = arrays.get("image")
-            return TouchRecord.from_dict(plain, image)
+            return TouchRecord.from_dict(plain, arrays.get("image"))
     except Exception as error:
         raise EpisodeError(
             f"{path} is damaged: {type(error).__name__}: {error}. Take the attempts "
             "before it into a new folder, or bring the file back."
         ) from error
-
-
-def _read_settings(path: Path) -> Any:
-    try:
-        return json.loads(path.read_bytes())
-    except ValueError as error:
-        raise EpisodeError(f"{path} is damaged: {error}. Bring it back.") from error
 
 
 def _make_folder(folder: Path) -> None:
@@ -310,16 +307,6 @@ def _make_folder(folder: Path) -> None:
             f"folder must be a folder or a new name, got the file {str(file)!r}. Use "
             "another folder."
         ) from error
-
-
-def _refuse_other_files(folder: Path) -> None:
-    """Begin an episode only where nothing else is."""
-    others = sorted(p.name for p in folder.iterdir() if p.name != _LOCK)
-    if others:
-        raise EpisodeError(
-            f"{folder} must be empty or an episode, got {others[0]!r} in it. "
-            "Use another folder."
-        )
 
 
 def _locked(folder: Path) -> IO[bytes]:

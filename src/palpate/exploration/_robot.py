@@ -5,7 +5,7 @@ The contract is `Robot`, all of it on this screen. World: millimetres, z up. A p
 that way. Forces are newtons along that way, positive when something pushes back.
 """
 
-from collections.abc import Container, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Protocol, runtime_checkable
 
@@ -134,7 +134,6 @@ class SimulatedRobot:
         for fault in faults.values():
             check_option("faults", fault, FAULTS)
         self._faults = dict(faults)
-        self._spent: set[tuple[int, str]] = set()
         self._reading_n = self._offset_n
         self._seconds = 0.0
         self.n_retracts = self._attempt = 0
@@ -162,12 +161,11 @@ class SimulatedRobot:
     def read_force(self) -> float:
         """Return the force with offset and noise (N)."""
         self._seconds += 1e-3
+        fault = self._faults.get(self._attempt)
         touching = self._bench.force_n > 0
-        if self._fails("stuck force") or (
-            touching and self._fails("stuck force in contact")
-        ):
+        if fault == "stuck force" or (touching and fault == "stuck force in contact"):
             return self._reading_n
-        if touching and self._fails("no force"):
+        if touching and fault == "no force":
             return float("nan")
         noise = self._noise_n * self._rng.standard_normal()
         self._reading_n = float(self._bench.force_n + self._offset_n + noise)
@@ -211,26 +209,20 @@ class SimulatedRobot:
         return self._faults.get(self._attempt) == fault
 
     def _fails_once(self, fault: str) -> bool:
-        key = (self._attempt, fault)
-        if not self._fails(fault) or key in self._spent:
-            return False
-        self._spent.add(key)
-        return True
+        fails = self._fails(fault)
+        if fails:
+            del self._faults[self._attempt]
+        return fails
 
 
 class MissingFrames:
     """Numbers of the frames that do not arrive, for a `SimulatedSensor`.
 
-    Parameters
-    ----------
-    robot : SimulatedRobot
-        Whose fault "no frame" loses the frames of an attempt.
-    numbers : container of int, default=()
-        Further frames, counted from 0.
+    All frames of an attempt whose fault is "no frame".
     """
 
-    def __init__(self, robot: SimulatedRobot, numbers: Container[int] = ()) -> None:
-        self._robot, self._numbers = robot, numbers
+    def __init__(self, robot: SimulatedRobot) -> None:
+        self._robot = robot
 
     def __contains__(self, number: object) -> bool:
-        return number in self._numbers or self._robot.loses_frame()
+        return self._robot.loses_frame()

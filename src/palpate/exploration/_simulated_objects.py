@@ -6,9 +6,8 @@ known to the teacher, so the places and directions of touches are in the object'
 frame, as a `TouchMap` wants them.
 """
 
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -75,7 +74,6 @@ def put_down(
     placement_sd_mm: float = 5.0,
     random_state: int = 0,
     faults: Mapping[int, str] = MappingProxyType({}),
-    missing: Container[int] = (),
 ) -> Stand:
     """Put an object down before a simulated arm, not quite where it should be.
 
@@ -93,8 +91,8 @@ def put_down(
         How far from the centre of the hemisphere it is put, along x and y each.
     random_state : int, default=0
         Same number, same place and noise.
-    faults, missing
-        What fails, see `SimulatedRobot` and `SimulatedSensor`.
+    faults : mapping of int to str, default={}
+        What fails, see `SimulatedRobot`.
 
     Raises
     ------
@@ -117,23 +115,18 @@ def put_down(
     seeds = [int(seed) for seed in rng.integers(2**31, size=3)]
     bench = SimulatedBench(moved, camera, random_state=seeds[0])
     hemisphere = Hemisphere((float(x), float(y), float(z)))
-    _refuse_outside(placed, hemisphere)
-    home = hemisphere.pose(0.0, np.pi / 2)
-    robot = SimulatedRobot(bench, home, random_state=seeds[1], faults=faults)
-    lost = MissingFrames(robot, missing)
-    sensor = SimulatedSensor(bench, random_state=seeds[2], missing=lost)
-    return Stand(thing, hemisphere, robot, sensor)
-
-
-def _refuse_outside(placed: PlacedObject, hemisphere: Hemisphere) -> None:
-    """Refuse what reaches out of the hemisphere: the arm would begin inside it."""
     reach = float(np.linalg.norm(np.ptp(placed.bounds_mm, axis=0))) / 2
-    if reach >= hemisphere.radius_mm:
+    if reach >= hemisphere.radius_mm:  # the arm would begin inside it
         raise ValueError(
             f"thing must fit into a hemisphere of {hemisphere.radius_mm:g} mm, got "
-            f"{placed.thing.name!r}, which reaches {reach:.0f} mm from its middle. Is "
-            "its unit right?"
+            f"{thing.name!r}, which reaches {reach:.0f} mm from its middle. Is its "
+            "unit right?"
         )
+    home = hemisphere.pose(0.0, np.pi / 2)
+    robot = SimulatedRobot(bench, home, random_state=seeds[1], faults=faults)
+    lost = MissingFrames(robot)
+    sensor = SimulatedSensor(bench, random_state=seeds[2], missing=lost)
+    return Stand(thing, hemisphere, robot, sensor)
 
 
 def explore_to_learn(
@@ -178,10 +171,8 @@ def explore_to_learn(
         taken.
     random_state : int, default=0
         Same number, same touches.
-    n_jobs : int, optional
-        Processes, as in joblib.
-    progress : bool, optional
-        Show a bar on standard error; None where that is a terminal.
+    n_jobs, progress : int and bool, optional
+        Processes, and whether to show a bar; see `simulate_touches`.
 
     Returns
     -------
@@ -202,29 +193,13 @@ def explore_to_learn(
     sessions = min(check_count("n_sessions", n_sessions), count)
     shares = [len(part) for part in np.array_split(range(count), sessions)]
     seen_by = DomeCamera(image_shape=(120, 120)) if camera is None else camera
-    session_of = partial(
-        _one_session,
-        camera=seen_by,
-        turned=turned,
-        drift=drift,
-        placement_sd_mm=placement_sd_mm,
-        guard=guard,
-    )
     home = None if folder is None else Path(folder)
-    tasks = [
-        (
-            thing,
-            session,
-            shares[session],
-            None if home is None else home / thing.name / str(session),
-            _seed(random_state, number, session),
-        )
-        for number, thing in enumerate(objects)
-        for session in range(sessions)
-    ]
+    teaching = _Teaching(
+        seen_by, turned, drift, placement_sd_mm, guard, home, random_state
+    )
     parts = in_parallel(
-        session_of,
-        tasks,
+        teaching.session,
+        [(*thing, *part) for thing in enumerate(objects) for part in enumerate(shares)],
         "Exploring",
         n_jobs=n_jobs,
         show=progress,
@@ -234,46 +209,50 @@ def explore_to_learn(
     return made.with_columns(no_contact=seen_by.no_contact())
 
 
-def _one_session(
-    thing: SimObject,
-    session: int,
-    n_touches: int,
-    folder: Path | None,
-    seed: int,
-    *,
-    camera: DomeCamera,
-    turned: bool,
-    drift: bool,
-    placement_sd_mm: float,
-    guard: Guard,
-) -> Touches:
-    """Put an object down once and touch it."""
-    rng = np.random.default_rng([seed, 1])
-    yaw = float(rng.uniform(0, 2 * np.pi)) if turned else 0.0
-    stand = put_down(
-        thing,
-        camera.drifted(rng) if drift else camera,
-        yaw_rad=yaw,
-        placement_sd_mm=placement_sd_mm,
-        random_state=seed,
-    )
-    history = gather(
-        stand.robot,
-        stand.sensor,
-        RandomHemisphere(stand.hemisphere, seed),
-        folder,
-        n_touches=n_touches,
-        guard=guard,
-        clock=stand.robot.clock,
-    )
-    touches = as_touches(
-        history, object=thing.name, category=thing.category, geometry="dome"
-    )
-    return touches.with_columns(
-        session=np.full(len(touches), session),
-        position_mm=_turned_back(touches.columns["position_mm"], yaw),
-        direction=_turned_back(touches.columns["direction"], yaw),
-    )
+@dataclass(frozen=True, eq=False)
+class _Teaching:
+    """How objects are put down and touched, whichever it is."""
+
+    camera: DomeCamera
+    turned: bool
+    drift: bool
+    placement_sd_mm: float
+    guard: Guard
+    home: Path | None
+    random_state: int
+
+    def session(
+        self, number: int, thing: SimObject, session: int, n_touches: int
+    ) -> Touches:
+        """Put object `number` down once and touch it."""
+        seeds = np.random.SeedSequence((self.random_state, number, session))
+        seed = int(seeds.generate_state(1)[0])
+        rng = np.random.default_rng([seed, 1])
+        yaw = float(rng.uniform(0, 2 * np.pi)) if self.turned else 0.0
+        stand = put_down(
+            thing,
+            self.camera.drifted(rng) if self.drift else self.camera,
+            yaw_rad=yaw,
+            placement_sd_mm=self.placement_sd_mm,
+            random_state=seed,
+        )
+        history = gather(
+            stand.robot,
+            stand.sensor,
+            RandomHemisphere(stand.hemisphere, seed),
+            None if self.home is None else self.home / thing.name / str(session),
+            n_touches=n_touches,
+            guard=self.guard,
+            clock=stand.robot.clock,
+        )
+        touches = as_touches(
+            history, object=thing.name, category=thing.category, geometry="dome"
+        )
+        return touches.with_columns(
+            session=np.full(len(touches), session),
+            position_mm=_turned_back(touches.columns["position_mm"], yaw),
+            direction=_turned_back(touches.columns["direction"], yaw),
+        )
 
 
 def _turned_back(vectors: Any, yaw_rad: float) -> Floats:
@@ -281,7 +260,3 @@ def _turned_back(vectors: Any, yaw_rad: float) -> Floats:
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
     turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
     return np.asarray(np.asarray(vectors, dtype=np.float64) @ turn)
-
-
-def _seed(*numbers: int) -> int:
-    return int(np.random.SeedSequence(numbers).generate_state(1)[0])

@@ -12,7 +12,7 @@ goes on as it would have.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -22,11 +22,10 @@ from numpy.typing import ArrayLike
 from .._checks import check_count, check_number, check_positive
 from .._types import Floats
 from ..simulation import SensorPose
-from ._record import TouchRecord
+from ._record import History
 
 if TYPE_CHECKING:
     from ..recognition import Belief
-    from ._placed_belief import PlacedBelief
 
 _CLEAR_MM = 1.0
 
@@ -112,9 +111,7 @@ class Strategy(Protocol):
     @property
     def hemisphere(self) -> Hemisphere: ...
 
-    def next_pose(
-        self, belief: Belief | PlacedBelief | None, history: Sequence[TouchRecord]
-    ) -> SensorPose:
+    def next_pose(self, belief: Belief | None, history: History) -> SensorPose:
         """Return a pose on the hemisphere from which to move in.
 
         `belief` is None while an object is taught: there is none to hold yet.
@@ -144,7 +141,7 @@ class RandomHemisphere:
     hemisphere: Hemisphere = field(default_factory=Hemisphere)
     random_state: int = 0
 
-    def next_pose(self, belief: Any, history: Sequence[TouchRecord]) -> SensorPose:
+    def next_pose(self, belief: Any, history: History) -> SensorPose:
         """Return the pose that follows `history`; the belief does not matter."""
         rng = np.random.default_rng([self.random_state, len(history)])
         lowest = np.sin(self.hemisphere.lowest_rad)
@@ -175,7 +172,7 @@ class Raster:
         check_count("n_rings", self.n_rings)
         check_count("n_around", self.n_around)
 
-    def next_pose(self, belief: Any, history: Sequence[TouchRecord]) -> SensorPose:
+    def next_pose(self, belief: Any, history: History) -> SensorPose:
         """Return the pose that follows `history`; after the last comes the first."""
         ring, place = divmod(len(history), self.n_around)
         ring %= self.n_rings
@@ -188,14 +185,8 @@ class Raster:
 
 def outward(azimuth_rad: float, elevation_rad: float) -> Floats:
     """Return the unit vector at an azimuth and an elevation, (3,)."""
-    flat = np.cos(elevation_rad)
-    return np.array(
-        [
-            flat * np.cos(azimuth_rad),
-            flat * np.sin(azimuth_rad),
-            np.sin(elevation_rad),
-        ]
-    )
+    flat, height = np.cos(elevation_rad), np.sin(elevation_rad)
+    return np.array([flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), height])
 
 
 def _between(first: Floats, last: Floats, angle: float, share: float) -> Floats:
@@ -208,5 +199,4 @@ def _between(first: Floats, last: Floats, angle: float, share: float) -> Floats:
     if angle < 1e-9:
         return first
     ends = np.sin((1 - share) * angle) * first + np.sin(share * angle) * last
-    out: Floats = ends / np.linalg.norm(ends)
-    return out
+    return np.asarray(ends / np.linalg.norm(ends))

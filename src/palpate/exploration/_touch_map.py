@@ -1,10 +1,9 @@
 """What touches of every known object are like from every side.
 
 The recogniser knows what touches of an object are like somewhere; a `TouchMap` knows
-where. A
-place is a point in the object's own frame: for touches from a hemisphere the unit
-vector from the centre towards the sensor. How the object is turned about the vertical
-is unknown, so a hypothesis is an object AND one of `n_turns` turns.
+where. A place is a point in the object's own frame: for touches from a hemisphere the
+unit vector from the centre towards the sensor. How the object is turned about the
+vertical is unknown, so a hypothesis is an object AND one of `n_turns` turns.
 
 For a touch with features f at a place u, under object o turned by a,
 
@@ -18,7 +17,7 @@ place explains the touch than any place does, and is 1 where the map knows nothi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from typing import Any, Self
 
@@ -30,15 +29,16 @@ from scipy.special import log_softmax, logsumexp
 from .._checks import check_count
 from .._types import Array, Floats
 from ..recognition import (
+    Belief,
     Evidence,
     ObjectRecogniser,
     SequenceCalibration,
+    as_touches,
     given_prior,
     with_floor,
 )
 from ..touches import Touches
 from ._place_geometry import places_of, squared_distances, turned_back
-from ._placed_belief import PlacedBelief
 
 Weights = tuple[float, float, float]
 Episodes = list[NDArray[np.intp]]
@@ -59,7 +59,7 @@ class TouchMap:
     Parameters
     ----------
     n_turns : int, default=24
-        Turns about the vertical that are told apart; 1 where the object's own frame
+        Turns about the vertical that are distinguished; 1 where the object's own frame
         is known, or where places do not turn (heights and radii).
     random_state : int, default=0
         Seed of the drawn episodes that choose widths and weights.
@@ -111,7 +111,12 @@ class TouchMap:
             The touches are not those, or they have no places.
         """
         check_count("n_turns", self.n_turns)
-        _refuse_others(recogniser, touches)
+        labels = touches.object if recogniser.label == "object" else touches.category
+        if labels is None or not np.array_equal(labels, recogniser.memory_.labels):
+            raise ValueError(
+                "touches must be those that the recogniser learnt, in the same order, "
+                f"got {touches!r}. Fit both on the same touches."
+            )
         self.recogniser = recogniser
         self.places_ = places_of(touches, places, self.n_turns)
         self.features_ = recogniser.memory_.features
@@ -120,33 +125,36 @@ class TouchMap:
         codes = range(len(recogniser.classes_))
         self.rows_of_object = [np.flatnonzero(self.codes_ == code) for code in codes]
         self._squared = squared_distances(self.features_, self.features_)
-        self.left_out_ = log_softmax(
-            recogniser.left_out_log_likelihood(),
-            axis=1,
-        )
+        left_out = recogniser.left_out_log_likelihood()
+        self.left_out_ = log_softmax(left_out, axis=1)
         self._choose()
         return self
 
     def _choose(self) -> None:
-        """Set kernels and weights by the log loss of left-out episodes.
+        """Set the kernels, then the weights, with the least log loss of episodes.
 
-        Episodes are drawn from the training touches of each object; each touch is
-        judged by a map without its block of the recording (or its session). The
-        kernels, then the weights, with the least log loss of the object win. How the
-        object is turned is unknown in these episodes as it is in real ones.
+        Each touch of theirs is judged by a map without its block (or session). How the
+        object is turned is unknown in them as it is in real ones.
         """
-        episodes = _episodes(self, self.random_state)
+        episodes = _episodes(self)
         losses = {}
         for width, share in product(WIDTHS, BANDWIDTHS):
             self.set_kernels(width, share)
-            ratio = _left_out_ratio(self)
+            ratio = self._left_out_ratio()
             losses[width, share] = _loss(self, ratio, episodes, _FIRST_WEIGHTS)
         self.set_kernels(*min(losses, key=lambda pair: losses[pair]))
-        ratio = _left_out_ratio(self)
+        ratio = self._left_out_ratio()
         by_touch, _ = _best_weights(self, 0 * ratio, episodes)
         by_place, weights = _best_weights(self, ratio, episodes)
         self.touch_weight_, self.placed_weight_, self.correlation_ = weights
         self.log_loss_ = {"touch": by_touch, "placed": by_place}
+
+    def _left_out_ratio(self) -> Floats:
+        """Return log r of training touches at their places, turned every way."""
+        left_out, ratios = self.left_out(), []
+        for stations in turned_back(self.places_, self.n_turns).swapaxes(0, 1):
+            ratios.append(self._ratio(*left_out, self.closeness(stations), _row_by_row))
+        return np.stack(ratios, axis=-1)
 
     @property
     def n_objects(self) -> int:
@@ -161,9 +169,10 @@ class TouchMap:
         prior : mapping of str to float, optional
             How probable each object is, see `ObjectRecogniser.start`.
         """
-        judge = self.recogniser.judge()
-        log_prior = None if prior is None else given_prior(prior, judge.classes)
-        return PlacedBelief(judge, self.recogniser.evidence, log_prior, self)
+        classes = self.recogniser.classes_
+        return PlacedBelief(
+            self, None if prior is None else given_prior(prior, classes)
+        )
 
     @property
     def sequence_calibration(self) -> SequenceCalibration:
@@ -171,11 +180,9 @@ class TouchMap:
         return SequenceCalibration(1.0, self.correlation_)
 
     def evidence_at(self, evidence: Evidence, places: Floats) -> Floats:
-        """Return the evidence of touches at places, (n_touches, n_objects, n_turns).
-
-        Places of touches that say nothing say nothing either.
-        """
+        """Return the evidence of touches at places, (n_touches, n_objects, n_turns)."""
         ratio = self.placed_ratio(evidence.features, places)
+        # Places of touches that say nothing say nothing either.
         ratio[~evidence.log_likelihood.any(axis=1)] = 0.0
         return self.weighed(log_softmax(evidence.log_likelihood, axis=1), ratio)
 
@@ -188,17 +195,15 @@ class TouchMap:
         """Return log r of touches at places, (n_touches, n_objects, n_turns)."""
         nearness = self._nearness(squared_distances(features, self.features_))
         stations = turned_back(places, self.n_turns)
+        everything = np.ones((1, len(self.places_)))
         ratios = [
-            self.station_ratio(row[None], None, self.closeness(station))[..., 0].T
+            self.station_ratio(row[None], everything, self.closeness(station))[..., 0].T
             for row, station in zip(nearness, stations, strict=True)
         ]
         return np.stack(ratios)
 
     def closeness(self, stations: Floats) -> Floats:
-        """Return K of training touches about stations, (n_stations, n_touches).
-
-        Stations are places in the object's frame. Each object's touches sum to 1.
-        """
+        """Return K of training touches about stations, (n_stations, n_touches)."""
         squared = squared_distances(stations, self.places_)
         kernel = np.exp(squared / (-2 * self.width_**2)) + _ELSEWHERE
         for rows in self.rows_of_object:
@@ -206,64 +211,45 @@ class TouchMap:
         return kernel
 
     def left_out(self) -> tuple[Floats, Floats]:
-        """Return the nearness of training touches and which count, (n, n) each.
-
-        Touches of its own group say nothing about a touch: 0 there, else 1.
-        """
+        """Return N of training touches, and 0 for those of one group, (n, n) each."""
         allowed = (self.group_[:, None] != self.group_).astype(np.float64)
         return self._nearness(self._squared), allowed
 
     def station_ratio(
-        self, nearness: Floats, allowed: Floats | None, closeness: Floats
+        self, nearness: Floats, allowed: Floats, closeness: Floats
     ) -> Floats:
         """Return log r of touches at stations, (n_stations, n_objects, n_touches).
 
-        Parameters
-        ----------
-        nearness : ndarray of shape (n_touches, n_training)
-            N of their features about those of the training touches.
-        allowed : ndarray of shape (n_touches, n_training) or None
-            0 where a training touch does not count for a touch, else 1.
-        closeness : ndarray of shape (n_stations, n_training)
-            From `closeness`.
+        `nearness` holds N of the touches and `allowed` 0 where a training touch does
+        not count for one, (n_touches, n_training); `closeness` is from `closeness`.
         """
-        free = np.ones_like(nearness) if allowed is None else allowed
-        near = nearness * free
-        result = np.empty((len(closeness), self.n_objects, len(nearness)))
-        for code, rows in enumerate(self.rows_of_object):
-            here = closeness[:, rows] @ near[:, rows].T
-            weight = closeness[:, rows] @ free[:, rows].T
-            anywhere = near[:, rows].sum(axis=1), free[:, rows].sum(axis=1)
-            result[:, code] = _log_ratio(here, weight, *anywhere)
-        return result
+        return self._ratio(nearness, allowed, closeness, _all_pairs)
 
-    def own_ratio(self, nearness: Floats, allowed: Floats, closeness: Floats) -> Floats:
-        """Return log r of touch i at station i, (n_touches, n_objects)."""
-        near, close = nearness * allowed, closeness * allowed
-        result = np.empty((len(nearness), self.n_objects))
-        for code, rows in enumerate(self.rows_of_object):
-            here = (closeness[:, rows] * near[:, rows]).sum(axis=1)
-            weight = close[:, rows].sum(axis=1)
-            anywhere = near[:, rows].sum(axis=1), allowed[:, rows].sum(axis=1)
-            result[:, code] = _log_ratio(here, weight, *anywhere)
-        return result
+    def _ratio(
+        self,
+        nearness: Floats,
+        allowed: Floats,
+        closeness: Floats,
+        summed: Callable[[Floats, Floats], Floats],
+    ) -> Floats:
+        """Log of the weighted mean over the plain mean; 0 where nothing counts."""
+        near, ratios = nearness * allowed, []
+        for rows in self.rows_of_object:
+            close, free = closeness[:, rows], allowed[:, rows]
+            weight = np.maximum(summed(close, free), _TINY)
+            placed = summed(close, near[:, rows]) / weight
+            n_free = np.maximum(free.sum(axis=1), 1)
+            anywhere = near[:, rows].sum(axis=1) / n_free
+            ratios.append(np.log((placed + _TINY) / (anywhere + _TINY)))
+        return np.stack(ratios, axis=1)
 
     def weighed(
-        self,
-        touch: Floats,
-        placed: Floats,
-        weights: tuple[float, float] | None = None,
+        self, touch: Floats, placed: Floats, weights: Sequence[float] | None = None
     ) -> Floats:
         """Return the floored evidence of touches, (..., n_objects, n_turns).
 
-        Parameters
-        ----------
-        touch : ndarray of shape (..., n_objects)
-            log p(f | o).
-        placed : ndarray of shape (..., n_objects, n_turns)
-            log r.
-        weights : tuple of float, optional
-            Other weights than `touch_weight_` and `placed_weight_`.
+        `touch` is log p(f | o), (..., n_objects), and `placed` log r; other weights
+        than `touch_weight_` and `placed_weight_` may be given.
         """
         by_touch, by_place = weights or (self.touch_weight_, self.placed_weight_)
         evidence = by_touch * touch[..., None] + by_place * placed
@@ -274,30 +260,89 @@ class TouchMap:
     def _nearness(self, squared: Floats) -> Floats:
         """N of features but for a factor per touch, at most 1."""
         least = squared.min(axis=1, keepdims=True)
-        result: Floats = np.exp((squared - least) / (-2 * self.bandwidth_**2))
-        return result
+        return np.asarray(np.exp((squared - least) / (-2 * self.bandwidth_**2)))
 
 
-def _log_ratio(here: Floats, weight: Floats, total: Floats, n_free: Floats) -> Floats:
-    """Log of the weighted mean over the plain mean; 0 where nothing counts."""
-    placed = here / np.maximum(weight, _TINY)
-    anywhere = total / np.maximum(n_free, 1)
-    ratio: Floats = np.log((placed + _TINY) / (anywhere + _TINY))
-    return ratio
+class PlacedBelief(Belief):
+    """A posterior over objects that also knows from where each touch was made.
+
+    Made by `TouchMap.start`, and used as a `Belief` is. How the object is turned is
+    believed along with what it is, and summed out. What is unknown is decided by the
+    touches without their places. A touch without contact moves nothing, nor does its
+    place.
+
+    Attributes
+    ----------
+    log_joint : ndarray of shape (n_objects, n_turns)
+        Log posterior of each object and turn (nats).
+    """
+
+    _basis = " and their places"
+
+    def __init__(self, touch_map: TouchMap, log_prior: Floats | None) -> None:
+        recogniser = touch_map.recogniser
+        super().__init__(recogniser.judge(), recogniser.evidence, log_prior)
+        self._map = touch_map
+        self._placed = np.zeros((touch_map.n_objects, touch_map.n_turns))
+        self._weigh()
+
+    def update(
+        self, touch: Touches | Array | Evidence, places: ArrayLike | None = None
+    ) -> Self:
+        """Take in touches, in order, and return this belief.
+
+        Parameters
+        ----------
+        touch : Touches
+            With the column `direction`, unless `places` are given.
+        places : array-like of shape (n_touches, n_dimensions), optional
+            Where they were made, as in `TouchMap.fit`.
+
+        Raises
+        ------
+        ValueError
+            The touches have no places, or the recogniser cannot take their images;
+            the belief is then unchanged.
+        TypeError
+            They are no `Touches`.
+        """
+        where = places_of(touch, places, self._map.n_turns)
+        evidence = self._evidence_of(as_touches(touch))
+        placed = self._map.evidence_at(evidence, where)
+        self._placed = self._placed + placed.sum(axis=0)
+        return super().update(evidence)
+
+    @property
+    def log_posterior(self) -> Floats:
+        """Log posterior of each known object (nats), shape (n_objects,)."""
+        return np.asarray(logsumexp(self.log_joint, axis=1))
+
+    @property
+    def best_without_places(self) -> str:
+        """The object that is most probable by the touches alone."""
+        return str(self._judge.classes[self._touch_log_posterior.argmax()])
+
+    def _weigh(self) -> None:
+        super()._weigh()
+        prior = log_softmax(self._prior_and_senses()) - np.log(self._map.n_turns)
+        weight = self._map.sequence_calibration.weight(self._n_informative)
+        joint = self._placed * weight + prior[:, np.newaxis]
+        self.log_joint: Floats = joint - logsumexp(joint)
 
 
-def _refuse_others(recogniser: ObjectRecogniser, touches: Touches) -> None:
-    labels = touches.object if recogniser.label == "object" else touches.category
-    if labels is None or not np.array_equal(labels, recogniser.memory_.labels):
-        raise ValueError(
-            "touches must be those that the recogniser learnt, in the same order, got "
-            f"{touches!r}. Fit both on the same touches."
-        )
+def _all_pairs(closeness: Floats, touches: Floats) -> Floats:
+    """Sums over training touches, for each station and touch."""
+    return closeness @ touches.T
 
 
-def _episodes(touch_map: TouchMap, random_state: int) -> Episodes:
+def _row_by_row(closeness: Floats, touches: Floats) -> Floats:
+    """Sums over training touches, of station i for touch i."""
+    return np.asarray((closeness * touches).sum(axis=1))
+
+
+def _episodes(touch_map: TouchMap) -> Episodes:
     """Draw episodes of each length, (n_episodes, n_touches) training touches."""
-    rng = np.random.default_rng(random_state)
+    rng = np.random.default_rng(touch_map.random_state)
     drawn = []
     for length in LENGTHS:
         rows = [
@@ -309,21 +354,6 @@ def _episodes(touch_map: TouchMap, random_state: int) -> Episodes:
         if rows:
             drawn.append(np.stack(rows))
     return drawn
-
-
-def _left_out_ratio(touch_map: TouchMap) -> Floats:
-    """Return log r of training touches at their own places, turned every way.
-
-    Shape (n_touches, n_objects, n_turns); the first turn is the true one.
-    """
-    nearness, allowed = touch_map.left_out()
-    stations = turned_back(touch_map.places_, touch_map.n_turns)
-    shape = (len(nearness), touch_map.n_objects, touch_map.n_turns)
-    result = np.empty(shape)
-    for turn in range(touch_map.n_turns):
-        closeness = touch_map.closeness(stations[:, turn])
-        result[:, :, turn] = touch_map.own_ratio(nearness, allowed, closeness)
-    return result
 
 
 def _best_weights(
@@ -339,11 +369,8 @@ def _best_weights(
         return _loss(touch_map, ratio, episodes, weights(raw))
 
     start = np.array([-0.3, -1.0, -1.0])
-    options: Any = {
-        "initial_simplex": start + np.vstack([np.zeros(3), np.eye(3)]),
-        "maxfev": 60,
-        "xatol": 0.02,
-    }
+    simplex = start + np.vstack([np.zeros(3), np.eye(3)])
+    options: Any = {"initial_simplex": simplex, "maxfev": 60, "xatol": 0.02}
     found = minimize(loss, start, method="Nelder-Mead", options=options)
     return float(found.fun), weights(found.x)
 

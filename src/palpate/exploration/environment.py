@@ -136,8 +136,14 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         turned = self.np_random.uniform(0, 2 * np.pi) if self._random_yaw else 0.0
         name = check_option("object", wanted.get("object", names[drawn]), names)
         self._target = names.index(name)
-        yaw = check_number("yaw_rad", float(wanted.get("yaw_rad", turned)))
-        self._put_down(yaw)
+        self._stand = put_down(
+            self._things[self._target],
+            self.camera,
+            yaw_rad=check_number("yaw_rad", float(wanted.get("yaw_rad", turned))),
+            placement_sd_mm=self._placement_mm,
+            random_state=int(self.np_random.integers(2**31)),
+        )
+        self.hemisphere = self._stand.hemisphere
         self.history = []
         return self._observation(None), {"object": name}
 
@@ -159,9 +165,12 @@ class TouchEnv(gymnasium.Env[Any, Any]):
                 f"got step {len(self.history) + 1}. Call reset first."
             )
         logits = _numbers(action, "prediction", len(self._things))
-        out = _numbers(action, "action", 3)
+        x, y, z = _numbers(action, "action", 3)
         loss = float(-log_softmax(logits)[self._target])
-        record = self._touch(self._stand, out)
+        out = np.array([x, y, abs(z)])
+        if np.linalg.norm(out) < 1e-6:
+            out = np.array([0.0, 0.0, 1.0])
+        record = self._stand.touch(self.hemisphere.pose_towards(out), self._guard)
         self.history.append(record)
         info = {
             "prediction": {"target": self._target, "loss": loss},
@@ -171,22 +180,6 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         }
         over = len(self.history) >= self.max_touches
         return self._observation(record), -loss, False, over, info
-
-    def _touch(self, stand: Stand, out: Floats) -> TouchRecord:
-        out = np.array([out[0], out[1], abs(out[2])])
-        if np.linalg.norm(out) < 1e-6:
-            out = np.array([0.0, 0.0, 1.0])
-        return stand.touch(self.hemisphere.pose_towards(out), self._guard)
-
-    def _put_down(self, yaw_rad: float) -> None:
-        self._stand = put_down(
-            self._things[self._target],
-            self.camera,
-            yaw_rad=yaw_rad,
-            placement_sd_mm=self._placement_mm,
-            random_state=int(self.np_random.integers(2**31)),
-        )
-        self.hemisphere = self._stand.hemisphere
 
     def _observation(self, record: TouchRecord | None) -> Observation:
         touched = record is not None and record.touched

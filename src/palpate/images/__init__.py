@@ -16,11 +16,14 @@ from ._dead_taxels import fill_dead_taxels
 from ._dome import DerivativeMagnitude, DomeCrop
 from ._dome import crop_discs as crop_discs
 from ._dome import standardise_discs as standardise_discs
-from ._orientation import OrientationRegulariser, orientations
-from ._outline_pose import Poses, press_pose
+from ._orientation import OrientationRegulariser
+from ._orientation import orientations as orientations
+from ._outline_pose import Poses
+from ._outline_pose import press_pose as press_pose
 from ._press_pose import PressPose
 from ._repose import repose
-from ._rim import Circle, Rims, find_rim, find_rims
+from ._rim import Circle, Rims, find_rims
+from ._rim import find_rim as find_rim
 from ._rim import typical_rim as typical_rim
 
 __all__ = [
@@ -34,9 +37,6 @@ __all__ = [
     "Rims",
     "TaxelCalibration",
     "fill_dead_taxels",
-    "find_rim",
     "find_rims",
-    "orientations",
-    "press_pose",
     "repose",
 ]

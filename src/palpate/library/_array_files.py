@@ -24,6 +24,7 @@ from .._types import Array
 from ._store import LibraryError
 
 _MAX_HEADER = 2**14
+_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 _NAME = re.compile("[0-9a-f]{64}")
 _PLAIN_KINDS = "biufcSUMm"
 
@@ -51,13 +52,7 @@ def header_size(array: Array) -> int:
 
 
 def publish(folder: Path, content: bytes) -> str:
-    """Put a file in place and return its name; afterwards it is on the disk.
-
-    Raises
-    ------
-    OSError
-        The disk is full, or the folder may not be written to. Nothing is left.
-    """
+    """Put a file in place and return its name; afterwards it is on the disk."""
     name = hashlib.sha256(content).hexdigest()
     target = file_path(folder, name)
     if target.is_file() and target.read_bytes() == content:
@@ -73,13 +68,7 @@ def publish(folder: Path, content: bytes) -> str:
 def read_values(
     path: Path, start: int, shape: tuple[int, ...], dtype: np.dtype[Any]
 ) -> Array:
-    """Return values that begin at a byte of a file; the caller checks them.
-
-    Raises
-    ------
-    LibraryError
-        The file is missing or too short.
-    """
+    """Return values that begin at a byte of a file; the caller checks them."""
     n_bytes = prod(shape) * dtype.itemsize
     with _readable(path), path.open("rb") as file:
         room = os.fstat(file.fileno()).st_size - start
@@ -91,13 +80,7 @@ def read_values(
 
 
 def read_file(folder: Path, name: str) -> list[Array]:
-    """Return all arrays of a file, which must be what its name says.
-
-    Raises
-    ------
-    LibraryError
-        It is missing, altered, or holds something else than plain arrays.
-    """
+    """Return all arrays of a file, which must be what its name says."""
     path = file_path(folder, name)
     with _readable(path):
         content = path.read_bytes()
@@ -123,13 +106,8 @@ def _array_at(path: Path, content: bytes, start: int) -> tuple[Array, int]:
     """Return the array that begins at a byte, and where it ends."""
     stream = io.BytesIO(content[start : start + _MAX_HEADER + 16])
     try:
-        version = npy.read_magic(stream)
-        read = npy.read_array_header_1_0
-        if version == (2, 0):
-            read = npy.read_array_header_2_0
-        elif version != (1, 0):
-            raise ValueError(f"version {version}")
-        shape, fortran, dtype = read(stream, max_header_size=_MAX_HEADER)
+        read_header = _HEADERS[npy.read_magic(stream)]
+        shape, fortran, dtype = read_header(stream, max_header_size=_MAX_HEADER)
     except Exception as error:  # the header is a literal: it fails in many ways
         raise _no_array(path, str(error)[:80]) from error
     if dtype.hasobject or dtype.kind not in _PLAIN_KINDS or fortran:

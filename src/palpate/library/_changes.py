@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from .._durable import write_text
-from ._rows import id_bytes
+from ._rows import id_bytes, read_rows
 from ._sheet import canonical
 from ._store import CHANGES, LibraryError, Store, is_unicode, room_for
 
@@ -54,13 +54,7 @@ def enter_change(store: Store, name: str, content: dict[str, Any]) -> int:
 
 
 def read_change(path: Path) -> dict[str, Any]:
-    """Return the change in a file.
-
-    Raises
-    ------
-    OSError, ValueError
-        The file is missing, is none, or is not as it was written.
-    """
+    """Return the change in a file; OSError or ValueError where it is none."""
     content = json.loads(path.read_text("utf-8"))
     if not isinstance(content, dict) or str(content.get("action")) not in _ACTIONS:
         raise ValueError("no change")
@@ -101,16 +95,9 @@ def write_again(store: Store, name: str) -> None:
     """
     brief = known_changes(store)[name]
     content = {n: v for n, v in brief.items() if n != "digest"}
-    found = {
-        "retract": "c.name = ?",
-        "restore": "t.retraction IS NULL AND ? IS NOT NULL",
-    }.get(brief["action"])
-    if found is not None:
-        rows = store.rows(
-            "SELECT lower(hex(t.id)) FROM touches t "
-            f"LEFT JOIN changes c ON c.id = t.retraction WHERE {found}",
-            [name],
-        )
+    if brief["action"] in ("retract", "restore"):
+        left_out_by = name if brief["action"] == "retract" else None
+        rows = read_rows(store, ("id",), "WHERE c.name IS ?", [left_out_by])
         content["ids"] = [row[0] for row in rows]
     content["digest"] = _digest(content)
     with store.writing():
@@ -157,15 +144,7 @@ def known_object(store: Store, name: str) -> tuple[int, str]:
 def chosen_ids(
     store: Store, ids: str | Iterable[str] | None, name: str | None, state: str
 ) -> list[str]:
-    """Return the ids of given touches, or of an object's touches in this state.
-
-    Raises
-    ------
-    ValueError
-        Both are given, or neither.
-    LibraryError
-        One is not in the library.
-    """
+    """Return the ids of given touches, or of an object's touches in this state."""
     if (ids is None) == (name is None):
         raise ValueError("Give either ids or object, got both or neither.")
     if name is not None:
@@ -211,25 +190,19 @@ def _merge(store: Store, change: int, content: dict[str, Any]) -> int:
     )
 
 
-def _retract(store: Store, change: int, content: dict[str, Any]) -> int:
+def _leave_out(store: Store, change: int | None, ids: list[str]) -> int:
+    """Retract touches by a change; take retracted ones back in where it is None."""
     return store.run_many(
-        "UPDATE touches SET retraction = ? WHERE id = ? AND retraction IS NULL",
-        [(change, bytes.fromhex(key)) for key in content["ids"]],
-    )
-
-
-def _restore(store: Store, change: int, content: dict[str, Any]) -> int:
-    return store.run_many(
-        "UPDATE touches SET retraction = NULL WHERE id = ? AND retraction IS NOT NULL",
-        [(bytes.fromhex(key),) for key in content["ids"]],
+        "UPDATE touches SET retraction = ? WHERE id = ? AND (retraction IS NULL) = ?",
+        [(change, bytes.fromhex(key), change is not None) for key in ids],
     )
 
 
 _ACTIONS: dict[str, Callable[[Store, int, dict[str, Any]], int]] = {
     "rename": _rename,
     "merge": _merge,
-    "retract": _retract,
-    "restore": _restore,
+    "retract": lambda store, change, content: _leave_out(store, change, content["ids"]),
+    "restore": lambda store, change, content: _leave_out(store, None, content["ids"]),
     # Arrays of whole recordings are lost: only noted, reading still tries them.
     "leave_out": lambda store, change, content: len(content["arrays"]),
 }

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from .._progress import Progress
 from ._array_files import file_path, read_file
 from ._changes import change_files, file_fault, known_changes, read_change
 from ._reading import read_images
-from ._rows import SET_ASIDE, StoredTouch, layouts, read_rows
+from ._rows import SET_ASIDE, StoredTouch, layouts, stored_touches
 from ._store import (
     ARRAYS,
     CHANGES,
@@ -125,44 +125,55 @@ def _checked(store: Store, progress: bool | None) -> CheckReport:
 
 def database_problems(store: Store) -> list[Problem]:
     """Return what SQLite finds wrong with the database."""
-    found = [row[0] for row in store.rows("PRAGMA quick_check(5)")]
-    wrong = [f"SQLite says: {text}" for text in found if found != ["ok"]]
-    return [Problem("database", FILE_NAME, text, []) for text in wrong]
+    found = [text for (text,) in store.rows("PRAGMA quick_check(5)") if text != "ok"]
+    return [Problem("database", FILE_NAME, f"SQLite says: {t}", []) for t in found]
 
 
 def _image_problems(
     store: Store, progress: bool | None
 ) -> tuple[list[Problem], list[Problem]]:
     """Return what is wrong with images of touches, and of retracted ones."""
-    files = store.rows("SELECT id, name FROM files ORDER BY id")
     found: dict[str, list[Problem]] = {_KEPT: [], _RETRACTED: []}
-    with Progress(len(files), "Checking files", progress) as bar:
-        for key, name in files:
-            for state, problems in found.items():
-                problem = image_problem(store, key, name.hex(), state)
-                problems += [] if problem is None else [problem]
-            bar.advance(1)
+    for key, name in image_files(store, "Checking files", progress):
+        for state, problems in found.items():
+            problems += image_problem(store, key, name, state)
     return found[_KEPT], found[_RETRACTED]
+
+
+def image_files(
+    store: Store, what: str, progress: bool | None
+) -> Iterator[tuple[int, str]]:
+    """Go through key and name of all files of images, with a bar called `what`."""
+    files = store.rows("SELECT id, name FROM files ORDER BY id")
+    with Progress(len(files), what, progress) as bar:
+        for key, name in files:
+            yield key, name.hex()
+            bar.advance(1)
 
 
 def image_problem(
     store: Store, key: int, name: str, state: str = _KEPT
-) -> Problem | None:
-    """Return what is wrong with a file of images that touches stand in."""
+) -> list[Problem]:
+    """Return what is wrong with a file of images that touches stand in, if anything.
+
+    Wide columns have no checksum of their own: touches with such are lost as well.
+    """
     rows = touches_in(store, key, state)
     fault = _fault(store, IMAGES, name) if rows else None
     if fault is None:
-        return None
-    lost = _unreadable(store, rows)
+        return []
+    wide = {n for n, columns in layouts(store).items() if any(c.wide for c in columns)}
+    lost = [r.key.hex() for r in rows if r.layout in wide or not _is_whole(store, r)]
     if state != _KEPT and not lost:
-        return None
+        return []
     end = "are lost." if state == _KEPT else "that are retracted cannot come back."
-    return fault._replace(what=f"{fault.what} {len(lost)} touches {end}", touches=lost)
+    what = f"{fault.what} {len(lost)} touches {end}"
+    return [fault._replace(what=what, touches=lost)]
 
 
 def touches_in(store: Store, file: int, state: str) -> list[StoredTouch]:
     """Return what a file should hold: touches in this state."""
-    return read_rows(store, f"WHERE t.file = ? AND {state}", [file])
+    return stored_touches(store, f"WHERE t.file = ? AND {state}", [file])
 
 
 def _fault(store: Store, kind: str, name: str) -> Problem | None:
@@ -180,23 +191,10 @@ def _short(store: Store, path: Path) -> str:
     return path.relative_to(store.folder).as_posix()
 
 
-def _unreadable(store: Store, rows: list[StoredTouch]) -> list[str]:
-    """Return the touches whose image is gone from a damaged file.
-
-    Wide columns have no checksum of their own: touches with such are lost as well.
-    """
-    wide = {
-        key for key, columns in layouts(store).items() if any(c.wide for c in columns)
-    }
-    return [r.id.hex() for r in rows if r.layout in wide or not _is_whole(store, r)]
-
-
 def _is_whole(store: Store, row: StoredTouch) -> bool:
-    try:
-        read_images(store.folder, [row])
-    except LibraryError:
-        return False
-    return True
+    with suppress(LibraryError):
+        return bool(len(read_images(store.folder, [row])))
+    return False
 
 
 def array_problems(store: Store) -> list[Problem]:
@@ -209,11 +207,8 @@ def array_problems(store: Store) -> list[Problem]:
     for name, entries in sorted(users.items()):
         fault = _fault(store, ARRAYS, name)
         if fault is not None:
-            sql = (
-                "SELECT lower(hex(id)) FROM touches WHERE recording IN (?) "
-                "ORDER BY number"
-            )
-            touches = [row[0] for row in store.among(sql, list(entries))]
+            sql = "SELECT id FROM touches WHERE recording IN (?) ORDER BY number"
+            touches = [row[0].hex() for row in store.among(sql, list(entries))]
             what = (
                 f"{fault.what} {len(touches)} touches are read without their "
                 f"{next(iter(entries.values()))}; adding them again brings it back."
@@ -231,26 +226,28 @@ def left_out(store: Store) -> set[str]:
 def _change_problems(store: Store) -> Iterator[Problem]:
     """Name what the database and the files of changes do not agree on."""
     known, files = known_changes(store), change_files(store)
-    wrong = {}
     for name, brief in known.items():
         fault = file_fault(store, name, brief)
         if fault is not None:
-            wrong[name] = (
+            yield _change_problem(
+                name,
                 f"It must be as it was written, got: {fault}. The database knows this "
-                f"{brief['action']}; --repair writes its file anew."
+                f"{brief['action']}; --repair writes its file anew.",
             )
     for name in sorted(files.keys() - known.keys()):
         try:
             action = read_change(files[name])["action"]
-        except (OSError, ValueError) as error:
-            wrong[name] = f"It must be a change, got: {error}. --repair sets it aside."
-        else:
-            wrong[name] = (
+            what = (
                 f"The database lacks this {action}: it has been lost and made anew, or "
                 "a writer was killed. --repair carries it out."
             )
-    for name, what in wrong.items():
-        yield Problem("change", f"{CHANGES}/{name}.json", what, [])
+        except (OSError, ValueError) as error:
+            what = f"It must be a change, got: {error}. --repair sets it aside."
+        yield _change_problem(name, what)
+
+
+def _change_problem(name: str, what: str) -> Problem:
+    return Problem("change", f"{CHANGES}/{name}.json", what, [])
 
 
 def spare_files(store: Store) -> list[Path]:

@@ -18,7 +18,7 @@ References
 import json
 import secrets
 import shutil
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
@@ -27,11 +27,11 @@ import numpy as np
 
 from .._durable import PARTIAL
 from .._extras import needed
-from .._types import Array
+from .._types import Array, Floats
 from ..touches import Touches
 from ._reading import common_kind, read_touches
 from ._rows import FROM, Numbers
-from ._store import AT_ONCE, LibraryError, Store
+from ._store import AT_ONCE, LibraryError, Store, room_for
 
 _LEROBOT_VERSION = "v3.0"
 _FRAMES_PER_SECOND = 1
@@ -59,25 +59,17 @@ def export_touches(store: Store, numbers: Numbers, path: Path) -> int:
             f"{path} must be a new or empty folder, got {got}. Give another one."
         )
     partial = path.with_name(f"{PARTIAL}{secrets.token_hex(8)}{kind}")
+    fix = "Nothing is left there; free space, or give another one."
     try:
-        _WRITERS[kind](partial, store, numbers)
-        partial.replace(path)
-    except OSError as error:
-        raise LibraryError(
-            f"{path} must be a place with room for {len(numbers)} touches, got: "
-            f"{error.strerror or error}. Nothing is left there; free space, or give "
-            "another one."
-        ) from error
+        with room_for(f"{len(numbers)} touches", path, fix):
+            _WRITERS[kind](partial, store, numbers)
+            partial.replace(path)
     finally:  # what a failed export has left; a finished one has another name
         if partial.is_dir():
             shutil.rmtree(partial, ignore_errors=True)
         with suppress(OSError):
             partial.unlink()
     return len(numbers)
-
-
-def _write_archive(path: Path, store: Store, numbers: Numbers) -> None:
-    read_touches(store, numbers).save(path)
 
 
 def _write_parquet(path: Path, store: Store, numbers: Numbers) -> None:
@@ -97,7 +89,11 @@ def _write_lerobot(path: Path, store: Store, numbers: Numbers) -> None:
     _write_meta(pa, path / "meta", dataset)
 
 
-_WRITERS = {".npz": _write_archive, ".parquet": _write_parquet, "": _write_lerobot}
+_WRITERS: dict[str, Callable[[Path, Store, Numbers], None]] = {
+    ".npz": lambda path, store, numbers: read_touches(store, numbers).save(path),
+    ".parquet": _write_parquet,
+    "": _write_lerobot,
+}
 
 
 def _write_tables(path: Path, tables: Iterable[Any], **options: Any) -> None:
@@ -146,15 +142,12 @@ def _arrow(pa: Any, name: str, array: Array) -> Any:
 
 def _episodes(store: Store, numbers: Numbers) -> list[Numbers]:
     """Return the numbers of the touches of each object, session and episode."""
-    keys = store.among(
-        f"SELECT o.name, t.session, t.episode {FROM} WHERE t.number IN (?) "
-        "ORDER BY t.number",
-        numbers.tolist(),
-    )
+    columns = "o.name, t.session, t.episode, t.number"
+    sql = f"SELECT {columns} {FROM} WHERE t.number IN (?) ORDER BY t.number"
     groups: dict[tuple[Any, ...], list[int]] = {}
-    for row, key in enumerate(keys):
-        groups.setdefault(key, []).append(row)
-    return [numbers[rows] for rows in groups.values()]
+    for *key, number in store.among(sql, numbers.tolist()):
+        groups.setdefault(tuple(key), []).append(number)
+    return [np.array(some) for some in groups.values()]
 
 
 class _Dataset:
@@ -164,7 +157,7 @@ class _Dataset:
         self.tasks: dict[str, int] = {}
         self.rows: list[dict[str, Any]] = []
         self.features: dict[str, Any] = {}
-        self._sums: dict[str, list[Any]] = {}
+        self._spread: dict[str, Floats] = {}  # sum, of squares, least, most
 
     @property
     def n_frames(self) -> int:
@@ -176,7 +169,7 @@ class _Dataset:
         task = f"touch {'' if touches.object is None else touches.object[0]}".strip()
         task_index = self.tasks.setdefault(task, len(self.tasks))
         number, first = len(self.rows), self.n_frames
-        frames = lerobot_frames(touches, number, first, task_index)
+        frames = _lerobot_frames(touches, number, first, task_index)
         for name, values in frames.items():
             shape = list(values.shape[1:]) or [1]
             feature = {"dtype": values.dtype.name, "shape": shape, "names": None}
@@ -199,46 +192,34 @@ class _Dataset:
 
     def _add_up(self, name: str, values: Array) -> None:
         wide = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
-        found = [len(wide), wide.sum(0), (wide**2).sum(0), wide.min(0), wide.max(0)]
-        if name in self._sums:
-            known = self._sums[name]
-            sums = [a + b for a, b in zip(known[:3], found[:3], strict=True)]
-            least = np.minimum(known[3], found[3])
-            found = [*sums, least, np.maximum(known[4], found[4])]
-        self._sums[name] = found
+        sums = np.stack([wide.sum(0), (wide**2).sum(0), wide.min(0), wide.max(0)])
+        if name in self._spread:
+            known = self._spread[name]
+            sums[:2] += known[:2]
+            sums[2] = np.minimum(known[2], sums[2])
+            sums[3] = np.maximum(known[3], sums[3])
+        self._spread[name] = sums
 
     def spread(self) -> dict[str, Any]:
         """Return minimum, maximum, mean and deviation of each feature over all."""
         result = {}
-        for name, (count, total, squares, least, most) in self._sums.items():
-            mean = total / count
-            sd = np.sqrt(np.maximum(squares / count - mean**2, 0))
+        for name, (total, squares, least, most) in self._spread.items():
+            mean = total / self.n_frames
+            sd = np.sqrt(np.maximum(squares / self.n_frames - mean**2, 0))
             shape = self.features[name]["shape"]
             values = {"min": least, "max": most, "mean": mean, "std": sd}
             result[name] = {k: v.reshape(shape).tolist() for k, v in values.items()}
-            result[name]["count"] = [count]
+            result[name]["count"] = [self.n_frames]
         return result
 
 
-def lerobot_frames(
+def _lerobot_frames(
     touches: Touches, episode: int, first: int, task: int
 ) -> dict[str, Array]:
-    """Return the frames of one episode by feature: the one mapping there is.
+    """Return the frames of an episode by feature; the first is number `first` of all.
 
-    Parameters
-    ----------
-    touches : Touches
-        The episode.
-    episode, first, task : int
-        Number of the episode, of its first frame in the whole set, of its task.
-
-    Returns
-    -------
-    features : dict of ndarray
-        `observation.tactile` (n, n_rows, n_cols) float32; where known,
-        `observation.position_mm` (n, 3) and `observation.force_n` (n, 1) float32; and
-        what every LeRobotDataset has. `timestamp` is seconds since the first touch,
-        or the number of the touch where times are not known.
+    `timestamp` is seconds since the first touch, or the number of the touch where
+    times are not known.
     """
     n_touches = len(touches)
     number = np.arange(n_touches, dtype=np.int64)

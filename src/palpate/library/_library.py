@@ -342,14 +342,12 @@ def _labelled(
     session: str | None,
     sensor: SensorDescription | None,
 ) -> Touches:
-    given: dict[str, Any] = {"episode": episode, "session": session}
+    each: dict[str, Any] = {"episode": episode, "session": session}
+    whole: dict[str, Any] = {}
     if sensor is not None:
-        given["sensor"] = sensor.name
-    columns: dict[str, Any] = {
-        n: np.full(len(touches), v) for n, v in given.items() if v is not None
-    }
-    if sensor is not None:
-        more = {"set_pitch_mm": sensor.pitch_mm, "set_unit": sensor.unit}
-        more["geometry"] = None if touches.geometry else sensor.geometry
-        columns |= {n: np.array(v) for n, v in more.items() if v is not None}
+        each["sensor"] = sensor.name
+        whole = {"set_pitch_mm": sensor.pitch_mm, "set_unit": sensor.unit}
+        whole["geometry"] = None if touches.geometry else sensor.geometry
+    columns = {n: np.full(len(touches), v) for n, v in each.items() if v is not None}
+    columns |= {n: np.array(v) for n, v in whole.items() if v is not None}
     return touches.with_columns(**columns) if columns else touches

@@ -1,6 +1,5 @@
 """What is known of touches, objects and sensors, found without reading an image."""
 
-import json
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,7 +7,7 @@ import numpy as np
 
 from .._checks import check_option, check_positive
 from ..touches import GEOMETRIES
-from ._rows import FROM, Numbers, StoredTouch, read_rows
+from ._rows import FROM, Numbers, layouts, read_rows
 from ._store import ARRAYS, FEATURES, FILE_NAME, IMAGES, Store
 from ._where import Condition, parse_where
 
@@ -105,8 +104,7 @@ def condition(store: Store, where: str | None, *, retracted: bool = False) -> Co
         )
     if where is None or not where.strip():
         return Condition(kept, [])
-    rows = store.rows("SELECT columns FROM layouts")
-    extra = {c[0] for row in rows for c in json.loads(row[0]) if not c[3]}
+    extra = {c.name for known in layouts(store).values() for c in known if not c.wide}
     parsed = parse_where(where, extra)
     return Condition(f"{kept} AND {parsed.sql}", parsed.values)
 
@@ -124,29 +122,9 @@ def list_touches(
     """Return what is known of touches, newest last, without reading an image."""
     sql, values = condition(store, where, retracted=retracted)
     some = [*values, -1 if limit is None else limit, offset]
-    found = read_rows(store, f"WHERE {sql} ORDER BY t.number LIMIT ? OFFSET ?", some)
-    return [_listed(touch) for touch in found]
-
-
-def _listed(touch: StoredTouch) -> TouchRow:
-    change = touch.retraction
-    return TouchRow(
-        touch.id.hex(),
-        touch.object,
-        touch.category,
-        touch.session,
-        touch.episode,
-        touch.recorded_by if touch.sensor is None else touch.sensor,
-        touch.order,
-        touch.time_s,
-        touch.force_n,
-        touch.n_rows,
-        touch.n_cols,
-        touch.dtype,
-        touch.added_s,
-        change is not None,
-        None if change is None else json.loads(change).get("reason"),
-    )
+    tail = f"WHERE {sql} ORDER BY t.number LIMIT ? OFFSET ?"
+    rows = read_rows(store, TouchRow._fields, tail, some)
+    return [TouchRow._make((*known, bool(gone), why)) for *known, gone, why in rows]
 
 
 def list_objects(store: Store) -> list[ObjectRow]:

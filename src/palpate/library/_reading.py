@@ -5,6 +5,8 @@ import os
 import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
+from itertools import groupby
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,7 @@ import numpy as np
 from .._types import Array
 from ..touches import Touches
 from ._array_files import file_path, read_file, read_values
-from ._rows import Numbers, StoredTouch, distinct, layouts, rows_at
+from ._rows import Numbers, StoredTouch, distinct, layouts, plain_values, rows_at
 from ._sheet import Column, column_array, image_digest, read_sheet
 from ._store import ARRAYS, IMAGES, LibraryError, Store
 
@@ -87,13 +89,19 @@ def read_columns(
     columns = _columns_of(known)
     if images is None:
         columns = {n: c for n, c in columns.items() if not any(o.wide for o in c)}
+    wide = {
+        key: [c.name for c in layout if c.wide and c.name in columns]
+        for key, layout in known.items()
+    }
     parts: dict[str, list[Array]] = {name: [] for name in columns}
     done = 0
     for rows in rows_at(store, numbers):
         if images is not None:
             images[done : done + len(rows)] = read_images(store.folder, rows)
             done += len(rows)
-        values = list(_values(store, rows, columns, known))
+        values = plain_values(rows)
+        if any(wide.values()):
+            _add_wide(store, rows, wide, values)
         for name, alike in columns.items():
             cells = [value.get(name) for value in values]
             parts[name].append(column_array(alike, cells))
@@ -146,29 +154,25 @@ def _mapped(shape: tuple[int, ...], dtype: str, folder: Path) -> Array:
 
 def _runs(rows: Sequence[StoredTouch]) -> Iterator[list[StoredTouch]]:
     """Group touches that follow one another in one file."""
-    run: list[StoredTouch] = []
-    for row in rows:
-        if run and (row.file, row.number) != (run[-1].file, run[-1].number + 1):
-            yield run
-            run = []
-        run.append(row)
-    if run:
-        yield run
+    pairs = enumerate(rows)
+    for _, run in groupby(pairs, lambda pair: (pair[1].file, pair[1].number - pair[0])):
+        yield [row for _, row in run]
 
 
 def _run_of_images(folder: Path, run: list[StoredTouch]) -> Array:
     """Return neighbouring images of one file, each checked against its digest."""
     first = run[0]
     path = file_path(folder / IMAGES, first.file.hex())
-    shape = (len(run), first.n_rows, first.n_cols)
+    size, dtype = (first.n_rows, first.n_cols), np.dtype(first.dtype)
+    start = first.offset + first.number * prod(size) * dtype.itemsize
     try:
-        images = read_values(path, first.start, shape, np.dtype(first.dtype))
+        images = read_values(path, start, (len(run), *size), dtype)
     except LibraryError as error:
-        raise LibraryError(f"Touch {first.id.hex()}: {error} {_FIX}") from error
+        raise LibraryError(f"Touch {first.key.hex()}: {error} {_FIX}") from error
     for image, row in zip(images, run, strict=True):
         if image_digest(image) != row.digest:
             raise LibraryError(
-                f"Touch {row.id.hex()}: its image in {path} must be as it was "
+                f"Touch {row.key.hex()}: its image in {path} must be as it was "
                 f"added, got altered values. {_FIX}"
             )
     return images
@@ -188,26 +192,19 @@ def _columns_of(known: dict[int, list[Column]]) -> dict[str, list[Column]]:
     return columns
 
 
-def _values(
+def _add_wide(
     store: Store,
     rows: list[StoredTouch],
-    columns: dict[str, list[Column]],
-    known: dict[int, list[Column]],
-) -> Iterator[dict[str, Any]]:
-    """Return what each touch has in `columns`, wide ones from its file, and more."""
-    wide_names = {
-        key: [c.name for c in layout if c.wide and c.name in columns]
-        for key, layout in known.items()
-    }
-    sheets: dict[bytes, dict[str, Array]] = {}
-    for row in rows:
-        values = row.values()
-        if wide_names[row.layout]:
-            if (file := row.file) not in sheets:
-                arrays = read_file(store.folder / IMAGES, file.hex())
-                sheets[file] = read_sheet(arrays).wide
-            values |= {n: sheets[file][n][row.number] for n in wide_names[row.layout]}
-        yield values
+    names: dict[int, list[str]],
+    values: list[dict[str, Any]],
+) -> None:
+    """Add the wide values of each touch, by `names` of its layout, from its file."""
+    wide: dict[bytes, dict[str, Array]] = {}
+    for row, value in zip(rows, values, strict=True):
+        if names[row.layout] and row.file not in wide:
+            arrays = read_file(store.folder / IMAGES, row.file.hex())
+            wide[row.file] = read_sheet(arrays).wide
+        value |= {n: wide[row.file][n][row.number] for n in names[row.layout]}
 
 
 def _joined(arrays: list[Array]) -> Array:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from .._durable import PARTIAL, flush_folder
-from .._progress import Progress
 from . import _changes as changes
 from . import _checking as checking
 from ._array_files import read_file
@@ -94,10 +93,8 @@ def _is_damaged(folder: Path) -> bool:
             return bool(checking.database_problems(store))
     except (NewerLibrary, DatabaseUnavailable):
         raise
-    except DatabaseDamaged:
-        return True
-    except LibraryError:
-        if not holds_files(folder):
+    except LibraryError as error:
+        if not isinstance(error, DatabaseDamaged) and not holds_files(folder):
             raise
         return True
 
@@ -208,15 +205,12 @@ def _lost_and_found(store: Store, progress: bool | None) -> tuple[list[str], lis
     """Return touches whose image is gone, and those set aside whose image is back."""
     lost: list[str] = []
     found: list[str] = []
-    files = store.rows("SELECT id, name FROM files ORDER BY id")
-    with Progress(len(files), "Reading files", progress) as bar:
-        for key, name in files:
-            bad = checking.image_problem(store, key, name.hex())
-            lost += [] if bad is None else bad.touches
-            rows = checking.touches_in(store, key, f"t.retraction IN ({SET_ASIDE})")
-            if rows and _sheet_in(store, name.hex()) is not None:
-                found += [row.id.hex() for row in rows]
-            bar.advance(1)
+    for key, name in checking.image_files(store, "Reading files", progress):
+        for problem in checking.image_problem(store, key, name):
+            lost += problem.touches
+        rows = checking.touches_in(store, key, f"t.retraction IN ({SET_ASIDE})")
+        if rows and _sheet_in(store, name) is not None:
+            found += [row.key.hex() for row in rows]
     return lost, found
 
 

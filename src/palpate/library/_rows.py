@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Collection, Iterator, Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from ._array_files import header_size
 from ._sheet import CELLS, Column, Sheet, canonical
 from ._store import AT_ONCE, LibraryError, Store, holders
+from ._where import COLUMNS
 
 Numbers = NDArray[np.int64]
 MISSING = "its image is missing or altered"
@@ -23,13 +25,25 @@ FROM = (
     "LEFT JOIN objects given ON given.id = t.object "
     "LEFT JOIN objects o ON o.id = coalesce(given.merged_into, given.id) "
 )
-_CELLS = ", ".join(f't."{name}"' for name in CELLS[1:])
-_SELECT = (
-    "SELECT t.id, f.name, f.offset, t.place, t.image, r.n_rows, r.n_cols, "
-    "r.dtype, t.layout, t.extra, t.added_s, r.sensor, c.content, o.name, "
-    f"{_CELLS} {FROM} "
-    "JOIN files f ON f.id = t.file LEFT JOIN changes c ON c.id = t.retraction "
+_JOINED = (
+    f"{FROM} LEFT JOIN files f ON f.id = t.file "
+    "LEFT JOIN changes c ON c.id = t.retraction "
 )
+# Where each field of `StoredTouch` and `TouchRow` stands.
+_FIELDS = {
+    **COLUMNS,
+    "dtype": "r.dtype",
+    "key": "t.id",
+    "file": "f.name",
+    "offset": "f.offset",
+    "number": "t.place",
+    "digest": "t.image",
+    "layout": "t.layout",
+    "extra": "t.extra",
+    "own_sensor": "t.sensor",
+    "retracted": "t.retraction IS NOT NULL",
+    "reason": "json_extract(c.content, '$.reason')",
+}
 _RECORDED = "sensor, kind, unit, pitch_mm, geometry, n_rows, n_cols, dtype"
 _INSERT = (
     'INSERT INTO touches (id, object, category, session, episode, sensor, "order", '
@@ -44,16 +58,14 @@ _HEAL = (
 
 
 class StoredTouch(NamedTuple):
-    """What the database knows of a touch: one row with what it refers to.
+    """What the database knows of a touch: where its image is, and its plain values.
 
     Its image is the one of this `number` in `file`, where images begin at `offset`;
     `digest` is its SHA-256. `layout` is the key of its columns, `extra` the values of
-    those that are no cells, as JSON; `recorded_by` the sensor of its recording,
-    `retraction` the change that retracted it, as JSON. Cells follow, as `CELLS` names
-    them.
+    those that are no cells, as JSON; `cells` stand in the order of `CELLS`.
     """
 
-    id: bytes
+    key: bytes
     file: bytes
     offset: int
     number: int
@@ -63,48 +75,39 @@ class StoredTouch(NamedTuple):
     dtype: str
     layout: int
     extra: str | None
-    added_s: float
-    recorded_by: str | None
-    retraction: str | None
-    object: str | None
-    category: Any
-    session: Any
-    episode: Any
-    sensor: Any
-    order: Any
-    time_s: Any
-    force_n: Any
-    press: Any
-    frame: Any
-    source_path: Any
-
-    @property
-    def start(self) -> int:
-        """At which byte of its file the image begins."""
-        n_bytes = self.n_rows * self.n_cols * np.dtype(self.dtype).itemsize
-        return self.offset + self.number * n_bytes
-
-    def values(self) -> dict[str, Any]:
-        """Return all its plain values by the name of their column."""
-        values = dict(zip(CELLS, self[-len(CELLS) :], strict=True))
-        if self.extra is not None:
-            values.update(json.loads(self.extra))
-        return values
+    cells: tuple[Any, ...]
 
 
-def read_rows(store: Store, tail: str, values: Sequence[Any] = ()) -> list[StoredTouch]:
-    """Return rows of the table of touches.
+_NAMED = StoredTouch._fields[:-1]
+_CELLS = tuple("own_sensor" if name == "sensor" else name for name in CELLS)
 
-    Parameters
-    ----------
-    store : Store
-        The library.
-    tail : str
-        The query from WHERE on; `t` is the touch, `o` its object, `r` its recording.
-    values : sequence
-        What stands for the question marks.
-    """
-    return [StoredTouch._make(row) for row in store.rows(_SELECT + tail, values)]
+
+def plain_values(rows: Sequence[StoredTouch]) -> list[dict[str, Any]]:
+    """Return all plain values of each touch by the name of their column."""
+    extras = json.loads(f"[{','.join(row.extra or '{}' for row in rows)}]")
+    return [
+        dict(zip(CELLS, row.cells, strict=True)) | extra
+        for row, extra in zip(rows, extras, strict=True)
+    ]
+
+
+def read_rows(
+    store: Store, fields: tuple[str, ...], tail: str, values: Sequence[Any]
+) -> list[tuple[Any, ...]]:
+    """Return fields of touches; `tail` is the query from WHERE on."""
+    return store.rows(f"{_select(fields)} {tail}", values)
+
+
+@cache
+def _select(fields: tuple[str, ...]) -> str:
+    return f"SELECT {', '.join(_FIELDS[name] for name in fields)} {_JOINED}"
+
+
+def stored_touches(store: Store, tail: str, values: Sequence[Any]) -> list[StoredTouch]:
+    """Return the rows of touches; `tail` is the query from WHERE on."""
+    rows = read_rows(store, _NAMED + _CELLS, tail, values)
+    n = len(_NAMED)
+    return [StoredTouch._make((*row[:n], row[n:])) for row in rows]
 
 
 def rows_at(store: Store, numbers: Numbers) -> Iterator[list[StoredTouch]]:
@@ -112,12 +115,12 @@ def rows_at(store: Store, numbers: Numbers) -> Iterator[list[StoredTouch]]:
     for start in range(0, len(numbers), AT_ONCE):
         piece = numbers[start : start + AT_ONCE].tolist()
         where = f"WHERE t.number IN {holders(len(piece))} ORDER BY t.number"
-        yield read_rows(store, where, piece)
+        yield stored_touches(store, where, piece)
 
 
 def read_one(store: Store, key: str) -> StoredTouch:
     """Return the row of the touch with this id, or say that there is none."""
-    found = read_rows(store, "WHERE t.id = ?", [id_bytes(key)])
+    found = stored_touches(store, "WHERE t.id = ?", [id_bytes(key)])
     if not found:
         raise LibraryError(
             f"id must be that of a touch in the library, got {key!r}. "
@@ -151,19 +154,9 @@ def id_bytes(key: str) -> bytes:
 def write_rows(
     store: Store, sheet: Sheet, name: str, healed: Collection[bytes] = ()
 ) -> None:
-    """Enter touches inside a transaction; those in the library already stay.
+    """Enter touches that stand in the file `name`; those in the library already stay.
 
-    Parameters
-    ----------
-    store : Store
-        The library.
-    sheet : Sheet
-        The touches.
-    name : str
-        Their file, which is in place.
-    healed : collection of bytes
-        Ids of touches whose file has been lost: they are found in this one from now
-        on.
+    `healed` are ids of touches whose own file has been lost.
     """
     rows = list(_rows(store, sheet, name))
     store.run_many(_INSERT + "NOTHING", [r for r in rows if r[0] not in healed])

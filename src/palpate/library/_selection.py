@@ -17,17 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 from .._types import Array, Floats
 from ..touches import Touches
 from ._array_files import packed, publish, read_file
-from ._reading import (
-    common_kind,
-    read_columns,
-    read_images,
-    read_touches,
-    read_whole,
-)
+from ._reading import common_kind, read_columns, read_images, read_touches, read_whole
 from ._rows import Numbers, StoredTouch, rows_at
 from ._store import FEATURES, LibraryError, Store, room_for
 
 _TASKS_PER_FILE = 16
+_ID = "S16"  # a last byte of zero is no matter among equals
 Encode = Callable[[Touches], Floats]
 
 
@@ -113,7 +108,7 @@ class Selection:
         if not key.isalnum():
             raise ValueError(f"key must be letters and digits, got {key!r}.")
         cache = self._store.folder / FEATURES / key
-        ids = _sortable(np.frombuffer(b"".join(self._ids()), np.uint8))
+        ids = np.array(self._ids(), _ID)
         known_ids, known = _cached(cache)
         missing = np.flatnonzero(~np.isin(ids, known_ids))
         if len(missing):
@@ -141,14 +136,14 @@ class Selection:
 
 def _cached(cache: Path) -> tuple[Array, Floats]:
     """Return all ids in the cache, sorted, and their features."""
-    ids, features = [_sortable(np.empty(0, np.uint8))], []
+    ids, features = [np.empty(0, _ID)], []
     for path in sorted(cache.glob("*/*.npy")):
         try:
             some_ids, some = read_file(cache, path.stem)
         except (LibraryError, ValueError):
             path.unlink(missing_ok=True)
             continue
-        ids.append(_sortable(some_ids))
+        ids.append(np.ascontiguousarray(some_ids).view(_ID).ravel())
         features.append(some)
     every = np.concatenate(ids)
     order = np.argsort(every, kind="stable")
@@ -162,7 +157,6 @@ def _encode_new(
     """Encode touches; what is done is kept now and then, should this be stopped."""
     from joblib import Parallel, delayed
 
-    common_kind(store, numbers)
     parts = Parallel(return_as="generator")(
         delayed(_encoded)(store.folder, rows, encode)
         for rows in rows_at(store, numbers)
@@ -173,8 +167,8 @@ def _encode_new(
         waiting.append(part)
         n_done += len(part)
         if number % _TASKS_PER_FILE == 0 or n_done == len(ids):
-            plain = np.ascontiguousarray(ids[n_kept:n_done]).view(np.uint8)
-            content = packed([plain.reshape(-1, 16), np.concatenate(waiting)])
+            plain = ids[n_kept:n_done].view(np.uint8).reshape(-1, 16)
+            content = packed([plain, np.concatenate(waiting)])
             with room_for("features", cache, "Free space; touches are not affected."):
                 cache.mkdir(parents=True, exist_ok=True)
                 publish(cache, content)
@@ -184,8 +178,3 @@ def _encode_new(
 def _encoded(folder: Path, rows: list[StoredTouch], encode: Encode) -> Floats:
     """Encode some touches; runs wherever joblib sends it, without the database."""
     return np.asarray(encode(Touches(read_images(folder, rows))), dtype=np.float64)
-
-
-def _sortable(ids: NDArray[np.uint8]) -> Array:
-    """See 16 bytes as one text; a last byte of zero is no matter among equals."""
-    return np.ascontiguousarray(ids).reshape(-1, 16).view("S16").ravel()

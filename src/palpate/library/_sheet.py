@@ -61,22 +61,10 @@ class Column(NamedTuple):
 class Sheet:
     """Some touches as they are stored together in one file.
 
-    Attributes
-    ----------
-    layout : list of Column
-        All columns in their order.
-    values : dict of list
-        Plain values per touch of the columns that are not wide.
-    wide : dict of ndarray
-        The wide columns.
-    images : ndarray of shape (n_touches, n_rows, n_cols)
-        The images.
-    ids, digests : list of bytes
-        Identity of each touch (16 bytes) and SHA-256 of each image.
-    recording : dict
-        What is the same for all, as it is entered in the table of recordings.
-    added_s : float
-        When they were added (s since 1970).
+    `layout` holds all columns in their order, `values` the plain values per touch of
+    those that are not wide, `recording` what is the same for all, as the table of
+    recordings has it; `added_s` is in seconds since 1970, `ids` have 16 bytes each,
+    `digests` are the SHA-256 of the images.
     """
 
     layout: list[Column]
@@ -134,13 +122,7 @@ def sheet_of(touches: Touches, recording: dict[str, Any], added_s: float) -> She
 
 
 def read_sheet(arrays: Sequence[Array]) -> Sheet:
-    """Return the sheet that `Sheet.arrays` wrote.
-
-    Raises
-    ------
-    ValueError, TypeError, KeyError
-        The arrays are no sheet.
-    """
+    """Return the sheet that `Sheet.arrays` wrote; many errors where it is none."""
     images, *blocks, text = arrays
     if images.ndim != 3 or text.dtype != np.uint8:
         raise ValueError("no images, or no sheet after them")
@@ -224,14 +206,7 @@ def identity(
 ) -> bytes:
     """Return the id of a touch: of its image and of what tells it from others.
 
-    Parameters
-    ----------
-    digest : bytes
-        Of the image.
-    cells : dict
-        The touch's plain values.
-    wide : dict of ndarray
-        Columns that are not plain, of which `row` is the touch's.
+    `cells` are its plain values; of the columns in `wide`, `row` is the touch's.
     """
     known = {n: cells[n] for n in IDENTITY if n in cells}
     whole = {n: _whole_numbers(cell) for n, cell in known.items() if cell is not None}

@@ -87,21 +87,8 @@ class NewerLibrary(LibraryError):
 class Store:
     """The folder of a library and the connection to its database.
 
-    One thread uses the connection at a time.
-
-    Parameters
-    ----------
-    folder : Path
-        The library.
-    create : bool, default=False
-        Make the tables where there are none.
-    name : str, default="library.sqlite"
-        The database, another one while a repair makes it anew.
-
-    Raises
-    ------
-    LibraryError
-        There is no library, it is damaged, or a newer palpate made it.
+    One thread uses the connection at a time. `create` makes the tables where there
+    are none; `name` is another database while a repair makes it anew.
     """
 
     def __init__(
@@ -114,10 +101,8 @@ class Store:
             raise _missing(self.path)
         try:
             self._open(create)
-        except DatabaseBusy:
-            raise
         except DatabaseUnavailable as error:
-            if create:
+            if create or isinstance(error, DatabaseBusy):
                 raise
             self._open_alone(error)
 
@@ -147,9 +132,8 @@ class Store:
         found = []
         for start in range(0, len(keys), AT_ONCE):
             piece = keys[start : start + AT_ONCE]
-            found += self.rows(
-                sql.replace("IN (?)", f"IN {holders(len(piece))}"), piece
-            )
+            many = sql.replace("IN (?)", f"IN {holders(len(piece))}")
+            found += self.rows(many, piece)
         return found
 
     def run(self, sql: str, values: Sequence[Any] = ()) -> int:
@@ -290,7 +274,8 @@ def room_for(what: str, place: Path, fix: str) -> Iterator[None]:
         yield
     except OSError as error:
         raise LibraryError(
-            f"{place} must have room for {what}, got: {error.strerror or error}. {fix}"
+            f"{place} must be a place with room for {what}, got: "
+            f"{error.strerror or error}. {fix}"
         ) from error
 
 
@@ -315,6 +300,11 @@ _FIXES = {
     "SQLITE_READONLY": "Check that the folder and the file may be written to.",
     "SQLITE_NOMEM": "Free memory and try again.",
 }
+_REBUILD = (
+    "It is damaged; `palpate library check --repair` rebuilds it from the image files."
+)
+_WAIT = "Another program has been writing for a minute; wait, or end it."
+_CHECK = "Check that the folder may be written to, and run `palpate library check`."
 
 
 def _explained(path: Path, error: sqlite3.Error) -> LibraryError:
@@ -323,19 +313,11 @@ def _explained(path: Path, error: sqlite3.Error) -> LibraryError:
     start = f"{path} must be a sound database, got: {error}. "
     unusable = f"{path} must be readable and writable, got: {error}. "
     if name in ("SQLITE_CORRUPT", "SQLITE_NOTADB"):
-        return DatabaseDamaged(
-            f"{start}It is damaged; `palpate library check --repair` rebuilds it from "
-            "the image files."
-        )
+        return DatabaseDamaged(start + _REBUILD)
     if name in ("SQLITE_BUSY", "SQLITE_LOCKED"):
-        return DatabaseBusy(
-            f"{unusable}Another program has been writing for a minute; wait, or end it."
-        )
+        return DatabaseBusy(unusable + _WAIT)
     if name in _FIXES:
         return DatabaseUnavailable(unusable + _FIXES[name])
     if "closed" in str(error):
         return LibraryError(f"{start}The library was closed; open it again.")
-    return LibraryError(
-        f"{start}Check that the folder may be written to, and run `palpate library "
-        "check`."
-    )
+    return LibraryError(start + _CHECK)

@@ -16,7 +16,7 @@ from ._sheet import CELLS
 from ._store import LibraryError, holders, is_unicode
 
 _RECORDED = ("kind", "unit", "pitch_mm", "geometry", "n_rows", "n_cols")
-_COLUMNS = {
+COLUMNS = {
     **{name: f't."{name}"' for name in CELLS},
     "object": "o.name",
     "sensor": "coalesce(t.sensor, r.sensor)",
@@ -55,20 +55,7 @@ class _Token(NamedTuple):
 
 
 def parse_where(text: str, extra: Collection[str] = ()) -> Condition:
-    """Return a filter as SQL and its parameters.
-
-    Parameters
-    ----------
-    text : str
-        The filter.
-    extra : collection of str
-        Further columns that some touches have.
-
-    Raises
-    ------
-    LibraryError
-        It is no filter; the message says where it stops being one.
-    """
+    """Return a filter as SQL; `extra` names further columns that some touches have."""
     if len(text) > _LONGEST:
         raise LibraryError(
             f"--where must have at most {_LONGEST} characters, got {len(text)}."
@@ -111,7 +98,7 @@ class _Parser:
         self, word: str, part: Callable[[int], Condition], depth: int
     ) -> Condition:
         parts = [part(depth)]
-        while self._take_word(word):
+        while self._take(word):
             parts.append(part(depth))
         sql = _balanced(word.upper(), [p.sql for p in parts])
         return Condition(sql, [v for p in parts for v in p.values])
@@ -120,7 +107,7 @@ class _Parser:
         if depth > _DEEPEST:
             raise LibraryError(f"--where must nest at most {_DEEPEST} brackets deep.")
         negated = False
-        while self._take_word("not"):
+        while self._take("not"):
             negated = not negated
         if self._take("("):
             inner = self.either(depth + 1)
@@ -131,19 +118,19 @@ class _Parser:
 
     def _comparison(self) -> Condition:
         column, bound = self._column()
-        if self._take_word("is"):
-            no = "NOT " if self._take_word("not") else ""
-            if not self._take_word("null"):
+        if self._take("is"):
+            no = "NOT " if self._take("not") else ""
+            if not self._take("null"):
                 raise self._error("null")
             return Condition(f"({column} IS {no}NULL)", bound)
-        if self._take_word("in"):
+        if self._take("in"):
             self._expect("(")
             tokens = [self._literal()]
             while self._take(","):
                 tokens.append(self._literal())
             self._expect(")")
             return _within(column, bound, tokens)
-        if self._take_word("contains"):
+        if self._take("contains"):
             text = self._literal().text
             return Condition(f"(instr({column}, ?) > 0)", [*bound, text])
         if self._take(*_EQUAL):
@@ -163,11 +150,11 @@ class _Parser:
 
     def _column(self) -> tuple[str, list[Any]]:
         token = self._plain("the name of a column")
-        if token.text in _COLUMNS:
-            return _COLUMNS[token.text], []
+        if token.text in COLUMNS:
+            return COLUMNS[token.text], []
         if token.text in self._extra:
             return "json_extract(t.extra, ?)", [f'$."{token.text}"']
-        names = ", ".join([*_COLUMNS, *sorted(self._extra)])
+        names = ", ".join([*COLUMNS, *sorted(self._extra)])
         raise LibraryError(
             f"--where must name columns of the library ({names}), got {token.text!r}."
         )
@@ -185,15 +172,10 @@ class _Parser:
     def _current(self) -> _Token | None:
         return self._tokens[self._next] if self._next < len(self._tokens) else None
 
-    def _take_word(self, word: str) -> bool:
+    def _take(self, *wanted: str) -> str | None:
+        """Go past one of some operators or words, and return it."""
         token = self._current()
-        found = token is not None and not token.quoted and token.text.lower() == word
-        self._next += found
-        return found
-
-    def _take(self, *operators: str) -> str | None:
-        token = self._current()
-        if token is None or not token.operator or token.text not in operators:
+        if token is None or token.quoted or token.text.lower() not in wanted:
             return None
         self._next += 1
         return token.text

@@ -159,21 +159,10 @@ def with_floor(log_likelihood: Floats, floor: float) -> Floats:
 def log_posteriors(
     floored: Floats, log_prior: Floats, calibration: SequenceCalibration
 ) -> Floats:
-    """Return the log posterior after each touch of an episode.
+    """Return the log posterior after each touch of an episode (nats).
 
-    Parameters
-    ----------
-    floored : ndarray of shape (..., n_touches, n_objects)
-        Log-likelihoods of the touches in order, from `with_floor`.
-    log_prior : ndarray of shape (n_objects,)
-        Log prior (nats).
-    calibration : SequenceCalibration
-        How touches add up.
-
-    Returns
-    -------
-    ndarray of shape (..., n_touches, n_objects)
-        Natural logarithms; each row sums to one after `exp`.
+    Of `floored` likelihoods from `with_floor` (..., n_touches, n_objects), in order,
+    and `log_prior` (n_objects,); of the shape of `floored`.
     """
     used = np.where(is_informative(floored)[..., np.newaxis], floored, 0.0)
     total, count = np.cumsum(used, axis=-2), n_informative(floored)

@@ -49,15 +49,8 @@ def learn_encoding(
     """Choose and learn an encoding, and what contact looks like.
 
     Of a source, some touches of each label are shown to the encoder and the rest only
-    pass through it; see `choose_encoder`.
-
-    Returns
-    -------
-    encoder, contact : TouchEncoder, ContactCheck
-    chosen : dict
-        The reasons for the encoding.
-    encoded : Encoded
-        All the touches, also those that were not shown.
+    pass through it. Returns encoder, contact, the reasons for the encoding, and what it
+    makes of all the touches.
     """
     if isinstance(touches, Touches):
         encoder, chosen = choose_encoder(preset, touches, labels, group, seed)
@@ -134,19 +127,12 @@ def shown_rows(labels: Array, n_shown: int = SHOWN) -> NDArray[np.intp]:
 def choose_encoder(
     preset: Preset, touches: Touches, labels: Array, group: Array, seed: int
 ) -> tuple[TouchEncoder, dict[str, Any]]:
-    """Return the preset's best encoder for these touches, and the reasons.
+    """Return the preset's best encoder for these touches, not fitted, and the reasons.
 
-    With several candidates each learns two thirds of the groups (at most
-    `AT_MOST` touches) and is asked about the rest, turned by any angle, shifted by
-    up to 5 % of the side and multiplied by up to 1.2 or its inverse, so that
-    none is chosen that only works upright; the least log loss wins.
-
-    Returns
-    -------
-    encoder : TouchEncoder
-        Not fitted yet.
-    chosen : dict
-        Name, geometry, and per candidate the log loss (nats) and accuracy.
+    With several candidates each learns two thirds of the groups (at most `AT_MOST`
+    touches) and is asked about the rest, turned by any angle, shifted by up to 5 % of
+    the side and multiplied by up to 1.2 or its inverse, so that none is chosen that
+    only works upright; the least log loss (nats) wins.
     """
     candidates = preset.encoders(touches)
     chosen: dict[str, Any] = {"geometry": find_geometry(touches)}

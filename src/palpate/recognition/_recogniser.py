@@ -492,11 +492,24 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             raise ValueError(
                 f"{name!r} must have at least {least} touches, got {len(given)}."
             )
-        labels = np.full(len(given), name)
-        objects = labels if given.object is None else given.object
+        labels = np.full(len(given), self._as_label(name))
+        own = given.object if labels.dtype.kind == "U" else None
+        objects = labels if own is None else own
         blocks = blocks_in_order(labels, given.order)
         encoding = encoded(self.encoder_, self.contact_, given)
         return memory_of(given, encoding, labels, objects, blocks)
+
+    def _as_label(self, name: str) -> Any:
+        """Return a name as a label of the kind of the known ones."""
+        known = self.memory_.labels.dtype
+        if known.kind == "U":
+            return name
+        try:
+            return known.type(name)
+        except ValueError as error:
+            raise ValueError(
+                f"name must be a number like the known labels, got {name!r}."
+            ) from error
 
     def _relearn(self, memory: Memory) -> Self:
         """Learn a memory with the encoding and the choices made; all or nothing."""

@@ -75,19 +75,10 @@ class UnknownScale:
     ) -> Floats:
         """Return how unknown the object seems after each touch of an episode.
 
-        Parameters
-        ----------
-        log_posterior, floored : ndarray of shape (..., n_touches, n_objects)
-            The belief after each touch, and the touches' log-likelihoods from
-            `with_floor`.
-        novelty : ndarray of shape (..., n_touches), optional
-            How much of each touch is unexplained; NaN where not told.
-
-        Returns
-        -------
-        ndarray of shape (..., n_touches)
-            Between 0 and 1, higher is less known; about 0.04 for a middling known
-            episode and 0.5 for one in twenty. 0 before any touch said something.
+        Of `log_posterior` after each touch and `floored` likelihoods (..., n_touches,
+        n_objects), and `novelty` (..., n_touches), NaN where not told. Between 0 and 1,
+        higher is less known; about 0.04 for a middling known episode and 0.5 for one in
+        twenty. 0 before any touch said something.
         """
         used = is_informative(floored)
         given = np.where(used[..., np.newaxis], np.exp(floored), 0.0).cumsum(axis=-2)
@@ -105,16 +96,9 @@ class UnknownScale:
     ) -> Floats:
         """Return `scores` from sums over the touches so far that said anything.
 
-        Parameters
-        ----------
-        log_posterior : ndarray of shape (..., n_objects)
-            The belief.
-        count : ndarray of int, shape (...,)
-            Number of those touches.
-        given : ndarray of shape (..., n_objects)
-            Sum of the probabilities that they give each object.
-        novelty : ndarray of shape (...,) or None
-            Mean of what they leave unexplained, NaN where none told it.
+        Of the belief (..., n_objects), the number of those touches (...,), the sum of
+        the probabilities that they give each object (..., n_objects), and the mean of
+        what they leave unexplained (...,), NaN where none told it.
         """
         doubt = _doubt(log_posterior)
         misfit = _misfit(log_posterior, count, given, self.usual, self.spread)
@@ -160,18 +144,9 @@ def fit_unknown_scale(
 ) -> UnknownScale:
     """Learn what known episodes look like.
 
-    Parameters
-    ----------
-    floored : ndarray of shape (n_touches, n_objects)
-        Log-likelihoods of training touches, each with its block left out.
-    novelty : ndarray of shape (n_touches,)
-        How much of them is unexplained, with their block left out; may be NaN.
-    codes : ndarray of int, shape (n_touches,)
-        Column of each touch's own object.
-    episodes : mapping of int to ndarray
-        Rows of touches per length, (n_episodes, length).
-    log_prior : ndarray of shape (n_objects,)
-    calibration : SequenceCalibration
+    Of left-out likelihoods (n_touches, n_objects) and novelty (n_touches,), the column
+    of each touch's own object (n_touches,), and rows of touches per length,
+    (n_episodes, length).
     """
     usual, spread = _own_touches(floored, codes)
     beliefs = {
@@ -215,22 +190,10 @@ def refusal_levels(
 ) -> Floats:
     """Return how strict to be after each touch, to refuse so many episodes in all.
 
-    Who asks after every touch refuses a known object if ever its score exceeds a
-    limit before it is named, which happens more often than after one touch.
-
-    Parameters
-    ----------
-    scores, doubt : ndarray of shape (n_episodes, n_touches)
-        Unknown scores of known episodes after each touch, and the probability
-        outside the best object.
-    lengths, limits : ndarray
-        As in `UnknownScale`.
-
-    Returns
-    -------
-    ndarray of shape (len(REFUSED),)
-        For each share of episodes in `REFUSED` the greatest share to refuse at each
-        length; 0 where even the highest score ever seen is not strict enough.
+    Who asks after every touch refuses a known object if ever its score exceeds a limit
+    before it is named, which happens more often than after one touch. Of scores and
+    doubts of known episodes (n_episodes, n_touches): for each share in `REFUSED` the
+    greatest share to refuse at each length.
     """
     touches = np.arange(1, scores.shape[1] + 1)
     fits = scores <= np.interp(touches, lengths, _naming_limits(limits))

@@ -173,7 +173,7 @@ def _read(address: str, kind: str, name: str, text: str) -> Any:
 
 def _refuse(address: str, kind: str, problem: str) -> NoReturn:
     names = ", ".join(_OPTIONS[kind])
-    raise AddressError(f"{problem} for {address!r}. Options of {kind}: are {names}.")
+    raise AddressError(f"{problem} for {address!r}. Options of {kind} are {names}.")
 
 
 def _shown(value: Any) -> str:

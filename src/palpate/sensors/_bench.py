@@ -4,7 +4,7 @@ The simulated arm moves the dome and reads its force here, the simulated sensor 
 it here. World: millimetres, z up; forces in newtons along the axis of the dome.
 """
 
-from collections.abc import Callable, Container
+from collections.abc import Container
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from ._contract import SensorError
 _SAME_LINE_MM = 1e-6
 # Forces at which contact is solved; between them it is interpolated in logarithms.
 _FORCES_N = 0.03 * 2.5 ** np.arange(7)
-_FEEL_MM = 1e-3
+_LEAST_MM = 1e-3
 
 
 class SimulatedBench:
@@ -130,12 +130,23 @@ class SimulatedBench:
         slid *= min(1.0, self._slide_mm / max(np.hypot(*slid), 1e-9))
         turned = self._turned + self._rng.uniform(-0.5, 0.5) * self._turn_rad
         turned = float(np.clip(turned, -self._turn_rad, self._turn_rad))
-        target = _shifted(self._first, slid, turned, self.centre_mm)
+        target = self._shifted(slid, turned)
         line = _Line(self.camera, target, self._line.base)
         force = self._force(line)
         if force <= self.force_n:
             self._slid, self._turned = slid, turned
             self.target, self._line, self.force_n = target, line, force
+
+    def _shifted(self, slid_mm: Floats, turned_rad: float) -> PlacedObject:
+        """Turn the object about the vertical through its middle, then slide it."""
+        first, cos, sin = self._first, np.cos(turned_rad), np.sin(turned_rad)
+        arm = np.asarray(first.position_mm) - self.centre_mm
+        place = self.centre_mm + arm
+        turn = np.array([[cos, -sin], [sin, cos]])
+        place[:2] = self.centre_mm[:2] + turn @ arm[:2] + slid_mm
+        return PlacedObject(
+            first.thing, first.rotation, first.yaw_rad + turned_rad, place
+        )
 
 
 class SimulatedSensor:
@@ -182,47 +193,6 @@ class SimulatedSensor:
         return self._bench.camera.no_contact()
 
 
-def _shifted(
-    placed: PlacedObject, slid_mm: Floats, turned_rad: float, centre_mm: Floats
-) -> PlacedObject:
-    """Turn an object about the vertical through `centre_mm`, then slide it."""
-    cos, sin = np.cos(turned_rad), np.sin(turned_rad)
-    arm = np.asarray(placed.position_mm) - centre_mm
-    turn = np.array([[cos, -sin], [sin, cos]])
-    place = centre_mm + arm
-    place[:2] = centre_mm[:2] + turn @ arm[:2] + slid_mm
-    yaw = placed.yaw_rad + turned_rad
-    return PlacedObject(placed.thing, placed.rotation, yaw, place)
-
-
-class _Curve:
-    """Force against depth, interpolated in logarithms, solved as deep as is asked."""
-
-    def __init__(self, solve: Callable[[float], Contact]) -> None:
-        self._contact_at = solve
-        self._log_depth: list[float] = []
-        self._log_force: list[float] = []
-        self._to_solve = list(_FORCES_N[::-1])
-
-    def force_n(self, depth_mm: float) -> float:
-        log_depth = float(np.log(depth_mm))
-        while self._to_solve and not self._reaches(log_depth):
-            self._solve(float(self._to_solve.pop()))
-        if log_depth < self._log_depth[0]:  # Below the least force: as depth^1.5.
-            slope = 1.5 * (log_depth - self._log_depth[0])
-            return float(np.exp(self._log_force[0] + slope))
-        return float(np.exp(np.interp(log_depth, self._log_depth, self._log_force)))
-
-    def _reaches(self, log_depth: float) -> bool:
-        return bool(self._log_depth) and self._log_depth[-1] >= log_depth
-
-    def _solve(self, force_n: float) -> None:
-        depth = self._contact_at(force_n).depth_mm
-        if depth > 0 and not self._reaches(np.log(depth)):
-            self._log_depth.append(float(np.log(depth)))
-            self._log_force.append(float(np.log(force_n)))
-
-
 class _Line:
     """Everything about moving along one straight line towards one object.
 
@@ -240,7 +210,10 @@ class _Line:
         self._way_mm = gap - self.first_mm if np.isfinite(self.first_mm) else gap
         sleeve = sleeve_gap(target, base, camera.membrane_radius_mm, camera.sleeve_mm)
         self.hard_mm = min(sleeve, self.first_mm + camera.max_depth_mm)
-        self._curve: _Curve | None = None
+        # Force against depth, in logarithms, solved as deep as was asked.
+        self._log_depth: list[float] = []
+        self._log_force: list[float] = []
+        self._to_solve = [float(force) for force in _FORCES_N[::-1]]
         self._pressed: tuple[float, DomePress] | None = None
 
     def holds(self, pose: SensorPose) -> bool:
@@ -261,11 +234,24 @@ class _Line:
     def force_n(self, travel_mm: float) -> float:
         """Force of the rubber when the tip has come so far."""
         depth = min(travel_mm, self.hard_mm) - self.first_mm
-        if not depth > _FEEL_MM:
+        if not depth > _LEAST_MM:
             return 0.0
-        if self._curve is None:
-            self._curve = _Curve(self._contact)
-        return self._curve.force_n(depth)
+        log_depth = float(np.log(depth))
+        while self._to_solve and not self._reaches(log_depth):
+            self._solve(self._to_solve.pop())
+        if log_depth < self._log_depth[0]:  # Below the least force: as depth^1.5.
+            slope = 1.5 * (log_depth - self._log_depth[0])
+            return float(np.exp(self._log_force[0] + slope))
+        return float(np.exp(np.interp(log_depth, self._log_depth, self._log_force)))
+
+    def _reaches(self, log_depth: float) -> bool:
+        return bool(self._log_depth) and self._log_depth[-1] >= log_depth
+
+    def _solve(self, force_n: float) -> None:
+        depth = self._contact(force_n).depth_mm
+        if depth > 0 and not self._reaches(np.log(depth)):
+            self._log_depth.append(float(np.log(depth)))
+            self._log_force.append(float(np.log(force_n)))
 
     def press(self, pose: SensorPose) -> DomePress | None:
         """The state of the dome at a pose, or None where it touches nothing."""
@@ -274,20 +260,18 @@ class _Line:
         if force == 0:
             return None
         if self._pressed is None or self._pressed[0] != travel:
-            self._pressed = travel, self._press(travel, force)
+            contact = self._contact(force)
+            press = DomePress(
+                stopped_by="force",
+                travel_mm=travel,
+                depth_mm=travel - self.first_mm,
+                force_n=force,
+                area_mm2=contact.area_mm2,
+                contact=contact,
+                gap_mm=self._way_mm,
+            )
+            self._pressed = travel, press
         return self._pressed[1]
-
-    def _press(self, travel_mm: float, force_n: float) -> DomePress:
-        contact = self._contact(force_n)
-        return DomePress(
-            stopped_by="force",
-            travel_mm=travel_mm,
-            depth_mm=travel_mm - self.first_mm,
-            force_n=force_n,
-            area_mm2=contact.area_mm2,
-            contact=contact,
-            gap_mm=self._way_mm,
-        )
 
     def _contact(self, force_n: float) -> Contact:
         return solve_contact(self._membrane, self._way_mm, force_n=force_n)

@@ -74,23 +74,21 @@ class CameraSensor(LiveSensor):
         self._capture: Any = None
 
     def _open(self) -> None:
-        capture = self._open_capture(self.camera)
-        if not capture.isOpened():
-            capture.release()
-            raise SensorError(
-                f"The camera {self.camera!r} cannot be opened. Close the program that "
-                "uses it, plug it in again, or check that you may read its device."
-            )
+        self._capture = self._open_capture(self.camera)
         try:
-            self._set_up(capture)
+            self._set_up(self._capture)
         except SensorError:
-            capture.release()
+            self._close()
             raise
-        self._capture = capture
 
     def _set_up(self, capture: Any) -> None:
         import cv2
 
+        if not capture.isOpened():
+            raise SensorError(
+                f"The camera {self.camera!r} cannot be opened. Close the program that "
+                "uses it, plug it in again, or check that you may read its device."
+            )
         n_rows, n_cols = self.image_shape
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, n_cols)
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, n_rows)
@@ -109,16 +107,11 @@ class CameraSensor(LiveSensor):
                 f"The camera {self.camera!r} must give {n_cols} x {n_rows} pixels, got "
                 f"{got_cols} x {got_rows}. Ask for {got_cols}x{got_rows}."
             )
-        self.fixed = self._fix(capture)
-
-    def _fix(self, capture: Any) -> dict[str, bool]:
-        """Switch off what changes the picture by itself; return what obeyed."""
-        import cv2
-
+        # What changes the picture by itself is switched off, where the driver obeys.
         settled = capture.get(cv2.CAP_PROP_EXPOSURE)
         exposure = settled if self.exposure is None else self.exposure
         by_hand = capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _BY_HAND)
-        return {
+        self.fixed = {
             "exposure": bool(by_hand and capture.set(cv2.CAP_PROP_EXPOSURE, exposure)),
             "white balance": bool(capture.set(cv2.CAP_PROP_AUTO_WB, 0)),
             "focus": bool(capture.set(cv2.CAP_PROP_AUTOFOCUS, 0)),

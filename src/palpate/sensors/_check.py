@@ -56,15 +56,13 @@ def _check_promises(sensor: LiveSensor) -> None:
     _say(not sensor.connected, "check_sensor must be given one not connected yet")
     shape: Any = sensor.image_shape
     whole = isinstance(shape, tuple) and len(shape) == 2
-    _say(whole and all(isinstance(n, int) and n > 0 for n in shape), _shape_words)
+    whole = whole and all(isinstance(n, int) and n > 0 for n in shape)
+    _say(whole, "image_shape must be a tuple of two positive integers")
     _say(isinstance(sensor.unit, str) and sensor.unit != "", "unit must be a text")
     _say(isinstance(sensor.name, str) and sensor.name != "", "name must be a text")
     _say(isinstance(sensor.dtype, np.dtype), "dtype must be a numpy dtype")
     known = (None, *GEOMETRIES)
     _say(sensor.geometry in known, f"geometry must be one of {known}")
-
-
-_shape_words = "image_shape must be a tuple of two positive integers"
 
 
 def _check_frames(sensor: LiveSensor, n_frames: int) -> None:

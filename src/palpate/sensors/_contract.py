@@ -256,22 +256,19 @@ class LiveSensor(ABC):
 
     def _recover(self, error: Exception) -> None:
         """Try to open the device again until it is back."""
-        self.lost = _in_words(error)
-        self._free()
-        while not self._stop.wait(self.retry_s):
+        while True:
+            self.lost = str(error) if isinstance(error, SensorError) else repr(error)
+            with suppress(Exception):  # that it cannot even be closed is no news
+                self._close()
+            if self._stop.wait(self.retry_s):
+                return
             try:
                 self._open()
             except Exception as still:  # as in `_run`: whatever it is, try again
-                self.lost = _in_words(still)
-                self._free()
+                error = still
             else:
                 self.lost = ""
                 return
-
-    def _free(self) -> None:
-        """Close a device that failed; that it cannot even be closed is no news."""
-        with suppress(Exception):
-            self._close()
 
     def _put(self, image: Array) -> None:
         taken_s = time.monotonic()
@@ -306,10 +303,6 @@ class LiveSensor(ABC):
             f"{self.name} gave no frame in {timeout_s:g} s. "
             "Check its cable and that it is switched on."
         )
-
-
-def _in_words(error: Exception) -> str:
-    return str(error) if isinstance(error, SensorError) else repr(error)
 
 
 def as_kind(image: Floats, dtype: np.dtype[Any]) -> Array:

@@ -97,10 +97,9 @@ class TouchDetector:
         self._begin = None if begin is None else check_positive("begin", begin)
         self._end = None if end is None else check_positive("end", end)
         self._min_frames = check_count("min_frames", min_frames)
-        self.noise = self.change = self.step = 0.0
-        self.touching = False
-        self.baseline: Array | None = None
+        self.noise = self.step = 0.0
         self._recent: deque[tuple[float, Array]] = deque(maxlen=_LONGEST_HOLD)
+        self.touching = False
         self._set_baseline(no_contact)
 
     @property
@@ -152,7 +151,7 @@ class TouchDetector:
         """Take in the next frame; return the touch that ended with it, if any."""
         if self.baseline is None:
             return None
-        self.change = self._change(frame.image)
+        self.change = _rms(_small(frame.image) - self._small_baseline)
         now_s = frame.time_s
         if not self.touching:
             if self.change <= self.begin:
@@ -189,9 +188,7 @@ class TouchDetector:
 
     def _set_baseline(self, baseline: Array | None) -> None:
         self.baseline = None if baseline is None else np.array(baseline)
-        self._small_baseline = (
-            np.empty(0) if self.baseline is None else _small(self.baseline)
-        )
+        self._small_baseline = np.empty(0) if baseline is None else _small(baseline)
         self.touching, self.change = False, 0.0
         self._n_frames, self._peak, self._began_s = 0, -1.0, 0.0
         self._peak_image: Array | None = None
@@ -204,9 +201,6 @@ class TouchDetector:
         whole = image is not None and image.dtype.kind in "iu"
         step = max(self.step, 1.0) if whole else self.step
         return max(_LEAST_STEPS * step, float(np.finfo(np.float32).tiny))
-
-    def _change(self, image: Array) -> float:
-        return _rms(_small(image) - self._small_baseline)
 
     def _rest(self, now_s: float) -> None:
         """Follow how far rest is from the baseline, over about half a second."""
@@ -234,8 +228,8 @@ class TouchDetector:
         if self.summary == "mean":
             held = [i for change, i in recent if change >= _HOLD_SHARE * self._peak]
             stack = np.stack(held or [image])
-            mean: Floats = np.asarray(np.mean(stack, axis=0, dtype=np.float64))
-            image = as_kind(mean, image.dtype)
+            mean = np.mean(stack, axis=0, dtype=np.float64)
+            image = as_kind(np.asarray(mean), image.dtype)
         return DetectedTouch(image, self._began_s, now_s, self._peak, self._n_frames)
 
 

@@ -15,9 +15,7 @@ from .._types import Array, Floats
 
 MOST_TAXELS = 4096
 _ENOUGH_TOUCHES = 10
-_BASELINE_TOLERANCE = 0.25
-_GAIN_TOLERANCE = 2.0
-_SURE_SD = 4.0
+_BASELINE_TOLERANCE, _GAIN_TOLERANCE, _SURE_SD = 0.25, 2.0, 4.0
 _NAMED = 3
 
 
@@ -63,34 +61,24 @@ class SensorMemory:
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> Self:
         """Return what `to_dict` gave."""
-        no_contact, response, response_var = (
-            np.asarray(stored[name], dtype=np.float64)
-            for name in ("no_contact", "response", "response_var")
+        return cls(
+            np.asarray(stored["no_contact"], dtype=np.float64),
+            float(stored["touch_change"]),
+            np.asarray(stored["response"], dtype=np.float64),
+            np.asarray(stored["response_var"], dtype=np.float64),
+            int(stored["n_touches"]),
         )
-        change, n_touches = float(stored["touch_change"]), int(stored["n_touches"])
-        return cls(no_contact, change, response, response_var, n_touches)
 
     def to_dict(self) -> dict[str, Any]:
         """Return arrays and plain values, for a model file."""
         return dict(vars(self))
 
 
-def baseline_warning(
-    memory: SensorMemory,
-    no_contact: Array,
-    *,
-    tolerance: float = _BASELINE_TOLERANCE,
-) -> str:
-    """Return a sentence if the baseline has left tolerance, else nothing.
+def baseline_warning(memory: SensorMemory, no_contact: Array) -> str:
+    """Return a sentence if the present baseline has left tolerance, else nothing.
 
-    Parameters
-    ----------
-    memory : SensorMemory
-        Of the sensor that the model learnt from.
-    no_contact : ndarray of shape (n_rows, n_cols)
-        The present baseline.
-    tolerance : float, default=0.25
-        Accepted root mean square difference, as a share of what a touch changes.
+    `memory` is of the sensor that the model learnt from. Accepted is a root mean square
+    difference of a quarter of what a touch changes.
     """
     known, found = memory.no_contact.shape, no_contact.shape
     if known != found:
@@ -99,7 +87,7 @@ def baseline_warning(
             f"one has {found[0]} x {found[1]}. Learn again with this sensor."
         )
     off = float(np.sqrt(np.nanmean((no_contact - memory.no_contact) ** 2)))
-    if off <= tolerance * memory.touch_change:
+    if off <= _BASELINE_TOLERANCE * memory.touch_change:
         return ""
     share = f"{off / memory.touch_change:.0%}" if memory.touch_change else "all"
     return (
@@ -108,30 +96,21 @@ def baseline_warning(
     )
 
 
-def gain_warning(
-    memory: SensorMemory, now: SensorMemory, *, tolerance: float = _GAIN_TOLERANCE
-) -> str:
+def gain_warning(memory: SensorMemory, now: SensorMemory) -> str:
     """Return a sentence if taxels answer otherwise than they did, else nothing.
 
-    Parameters
-    ----------
-    memory, now : SensorMemory
-        Of the touches that were learnt, and of recent ones.
-    tolerance : float, default=2.0
-        Accepted factor, up or down, of a taxel's share in touches; a taxel is named
-        only where that is also 4 standard errors away. Needs 10 touches each.
+    The memories are of the touches that were learnt and of recent ones, 10 at least.
+    A taxel is named whose share in touches differs by a factor of 2, up or down, and
+    by 4 standard errors.
     """
-    too_few = min(memory.n_touches, now.n_touches) < _ENOUGH_TOUCHES
-    if (
-        too_few
-        or not memory.response.size
-        or memory.response.shape != now.response.shape
-    ):
+    if min(memory.n_touches, now.n_touches) < _ENOUGH_TOUCHES:
+        return ""
+    if not memory.response.size or memory.response.shape != now.response.shape:
         return ""
     before, after = np.nan_to_num(memory.response), np.nan_to_num(now.response)
     error = np.sqrt(np.nan_to_num(memory.response_var + now.response_var))
     sure = np.abs(after - before) > _SURE_SD * error
-    far = (after > tolerance * before) | (after < before / tolerance)
+    far = (after > _GAIN_TOLERANCE * before) | (after < before / _GAIN_TOLERANCE)
     taxels = np.argwhere(sure & far)
     if not len(taxels):
         return ""

@@ -26,7 +26,6 @@ the way, the next whole frame is read.
 import binascii
 import struct
 from math import isfinite
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,27 +47,10 @@ _MANY_MISSED = 1000
 _LARGEST_WHOLE = 2**53
 
 
-class Framing(Protocol):
-    """Bytes -> frames; remembers what is not whole yet.
-
-    Attributes
-    ----------
-    n_damaged : int
-        Frames that came but were no good.
-    n_missed : int
-        Frames that never came, where frames carry numbers.
-    """
-
-    n_damaged: int
-    n_missed: int
-
-    def feed(self, data: bytes) -> list[Array]:
-        """Take in what arrived; return the frames that are whole now."""
-        ...
-
-
 class LineFraming:
     """Frames as lines of text.
+
+    Bytes go in, frames come out; what is not whole yet is remembered.
 
     Parameters
     ----------
@@ -79,6 +61,10 @@ class LineFraming:
 
     Attributes
     ----------
+    n_damaged : int
+        Frames that came but were no good.
+    n_missed : int
+        Frames that never came, known only where they carry numbers: always 0.
     step : float
         The smallest difference that the numbers seen so far could show: 1, or 0.01
         once one had two decimals; 0 for numbers written with an exponent.
@@ -98,15 +84,9 @@ class LineFraming:
         if len(self._begun) > self._longest:
             self._begun = b""
             self.n_damaged += 1
-        frames = []
-        for line in lines:
-            if not line.strip():
-                continue
-            frame = self._frame(line.strip())
-            if frame is None:
-                self.n_damaged += 1
-            else:
-                frames.append(frame)
+        found = [self._frame(line.strip()) for line in lines if line.strip()]
+        frames = [frame for frame in found if frame is not None]
+        self.n_damaged += len(found) - len(frames)
         return frames
 
     def _frame(self, line: bytes) -> NDArray[np.float32] | None:
@@ -119,12 +99,9 @@ class LineFraming:
             return None
         try:
             values = [float(v) for v in line.replace(b",", b" ").split()]
+            frame = np.array(values).reshape(self.image_shape)
         except ValueError:
             return None
-        n_rows, n_cols = self.image_shape
-        if len(values) != n_rows * n_cols:
-            return None
-        frame = np.array(values).reshape(n_rows, n_cols)
         if np.isinf(frame).any() or np.nanmax(np.abs(frame), initial=0) > 3e38:
             return None
         if b"." in line or b"e" in line.lower():
@@ -141,6 +118,11 @@ class BinaryFraming:
         (n_rows, n_cols), at most 255 each.
     dtype : dtype, default=uint16
         uint8, uint16, int16 or float32.
+
+    Attributes
+    ----------
+    n_damaged, n_missed : int
+        Frames that came but were no good, and frames that never came.
     """
 
     def __init__(
@@ -198,14 +180,11 @@ class BinaryFraming:
         taxels = np.frombuffer(body, self._type, offset=_HEAD.size)
         if self._type.kind == "f" and np.isinf(taxels).any():
             return None
-        self._count(_HEAD.unpack_from(body)[3])
-        return taxels.reshape(self.image_shape)
-
-    def _count(self, number: int) -> None:
-        if self._last is not None:
-            gap = (number - self._last - 1) % 65536
-            self.n_missed += gap if gap < _MANY_MISSED else 0
+        number = _HEAD.unpack_from(body)[3]
+        gap = 0 if self._last is None else (number - self._last - 1) % 65536
+        self.n_missed += gap if gap < _MANY_MISSED else 0
         self._last = number
+        return taxels.reshape(self.image_shape)
 
 
 def write_line(image: Array) -> bytes:
@@ -231,9 +210,9 @@ def write_binary(image: Array, number: int = 0) -> bytes:
 
 def _step(line: bytes) -> float:
     """Return the place value of the last decimal in a line of numbers."""
-    numbers = line.replace(b",", b" ").split()
-    if any(b"e" in number.lower() for number in numbers):
+    if b"e" in line.lower():
         return 0.0
+    numbers = line.replace(b",", b" ").split()
     n_decimals = max(len(number.partition(b".")[2]) for number in numbers)
     return 10.0**-n_decimals
 

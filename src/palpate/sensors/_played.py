@@ -10,9 +10,9 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from os import PathLike
+from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike
 
 from .._checks import check_count, check_option, check_positive
 from .._types import Array
@@ -27,50 +27,32 @@ _ARRAY_SIDE = 48
 class PlayedSensor(LiveSensor):
     """Base of sensors that play touches of what is placed on the desk.
 
-    Parameters
-    ----------
-    name, unit, image_shape, dtype, geometry
-        See `LiveSensor`.
-    objects : sequence of str
-        What can be placed.
-    rate_hz : float
-        Frames per second.
-    hold, gap, ramp : int
-        Frames that a touch is held, frames of nothing between two touches, and
-        frames of the way in (and as many of the way out).
+    Made as a `LiveSensor` is, with the `objects` that can be placed, the frames per
+    second, and of each touch the frames that it is held, those of nothing before it,
+    and those of the way in (and as many of the way out).
     """
 
     queue_length = 256
 
     def __init__(
         self,
-        name: str,
-        unit: str,
-        image_shape: tuple[int, int],
-        dtype: DTypeLike,
-        geometry: str | None,
-        *,
+        *described: Any,
         objects: Sequence[str],
         rate_hz: float,
         hold: int,
         gap: int,
         ramp: int = 0,
     ) -> None:
-        super().__init__(name, unit, image_shape, dtype, geometry)
+        super().__init__(*described)
         self.objects = tuple(objects)
         self.rate_hz = check_positive("rate_hz", rate_hz)
         self._hold = check_count("hold", hold)
         self._gap = check_count("gap", gap, at_least=0)
         self._ramp = check_count("ramp", ramp, at_least=0)
-        self._placed: str | None = self.objects[0] if self.objects else None
+        self.placed: str | None = self.objects[0]
         self._frames: deque[Array] = deque()
         self._lock = threading.Lock()
         self._due_s = 0.0
-
-    @property
-    def placed(self) -> str | None:
-        """What lies on the desk; None for nothing."""
-        return self._placed
 
     def place(self, name: str | None) -> None:
         """Put something else on the desk, or nothing; the touch under way ends.
@@ -83,7 +65,7 @@ class PlayedSensor(LiveSensor):
         if name is not None:
             check_option("name", name, self.objects)
         with self._lock:
-            self._placed = name
+            self.placed = name
             self._frames.clear()
             rest = self.no_contact()
             if rest is not None:
@@ -119,7 +101,7 @@ class PlayedSensor(LiveSensor):
 
     def _cycle(self) -> list[Array]:
         """Return the frames of one touch, from nothing to nothing."""
-        touch = None if self._placed is None else self._next_touch(self._placed)
+        touch = None if self.placed is None else self._next_touch(self.placed)
         if touch is None:
             return []
         rest = self.no_contact()
@@ -187,7 +169,8 @@ class ReplaySensor(PlayedSensor):
         no_contact: Array | str | PathLike[str] | None = None,
         name_pattern: str | None = None,
     ) -> None:
-        recorded, source = _recorded(touches, no_contact, name_pattern)
+        recorded = _recorded(touches, no_contact, name_pattern)
+        source = "touches" if isinstance(touches, Touches) else touches
         labels = recorded.object
         if labels is None:
             labels = np.full(len(recorded), _UNLABELLED)
@@ -222,21 +205,16 @@ def _recorded(
     touches: Touches | str | PathLike[str],
     no_contact: Array | str | PathLike[str] | None,
     name_pattern: str | None,
-) -> tuple[Touches, str]:
-    """Return the recording and what to call it."""
-    frame = no_contact if isinstance(no_contact, np.ndarray) else None
+) -> Touches:
+    """Return the recording, with its frame of touching nothing where one is given."""
+    frame: Any = no_contact if isinstance(no_contact, np.ndarray) else None
+    path: Any = no_contact if frame is None else None
     try:
-        if isinstance(touches, Touches):
-            recorded, source = touches, "touches"
-        else:
-            path = None if isinstance(no_contact, np.ndarray) else no_contact
-            recorded = Touches.load(touches, name_pattern=name_pattern, no_contact=path)
-            source = str(touches)
-        if frame is not None:
-            recorded = recorded.with_columns(no_contact=frame)
+        if not isinstance(touches, Touches):
+            touches = Touches.load(touches, name_pattern=name_pattern, no_contact=path)
+        return touches if frame is None else touches.with_columns(no_contact=frame)
     except TouchesError as error:
         raise SensorError(f"The recording cannot be replayed: {error}") from error
-    return recorded, source
 
 
 def _rest_frame(recorded: Touches) -> Array | None:

@@ -11,7 +11,7 @@ from .._checks import check_count, check_option
 from .._extras import needed
 from .._types import Array
 from ._contract import LiveSensor, SensorError
-from ._framing import BinaryFraming, Framing, LineFraming
+from ._framing import BinaryFraming, LineFraming
 
 FRAMINGS = ("line", "binary")
 _WAIT_S = 0.1
@@ -73,10 +73,9 @@ class SerialArraySensor(LiveSensor):
         self.baud = check_count("baud", baud)
         self.checksum = checksum
         self._framing = self._new_framing()
-        self._lost_before = 0
         self._serial: Any = None
 
-    def _new_framing(self) -> Framing:
+    def _new_framing(self) -> LineFraming | BinaryFraming:
         if self.framing == "line":
             return LineFraming(self.image_shape, self.checksum)
         return BinaryFraming(self.image_shape, self.dtype)
@@ -97,7 +96,6 @@ class SerialArraySensor(LiveSensor):
         except (serial.SerialException, ValueError, OSError) as error:
             raise SensorError(_cannot_open(self.port, error)) from error
         self._framing = self._new_framing()
-        self._lost_before = 0
 
     def _grab(self) -> Sequence[Array]:
         try:
@@ -106,10 +104,10 @@ class SerialArraySensor(LiveSensor):
             raise SensorError(
                 f"{self.port} went away. Plug the array in again."
             ) from error
+        before = self._framing.n_damaged + self._framing.n_missed
         frames = self._framing.feed(data)
-        lost = self._framing.n_damaged + self._framing.n_missed
-        self._count_missed(lost - self._lost_before)
-        self._lost_before = lost
+        after = self._framing.n_damaged + self._framing.n_missed
+        self._count_missed(after - before)
         return frames
 
     def _close(self) -> None:
@@ -119,8 +117,7 @@ class SerialArraySensor(LiveSensor):
 
 
 def _cannot_open(port: str, error: Exception) -> str:
-    number = getattr(error, "errno", None)
-    fix = _FIXES.get(number or 0)
+    fix = _FIXES.get(getattr(error, "errno", None) or 0)
     if fix is None:
         from serial.tools.list_ports import comports
 

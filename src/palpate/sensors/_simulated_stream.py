@@ -99,7 +99,7 @@ class SimulatedStream(PlayedSensor):
             gap=gap,
             ramp=ramp,
         )
-        self._placed = name
+        self.placed = name
 
     def no_contact(self) -> Array:
         """Return the frame of touching nothing, without noise."""
@@ -132,10 +132,8 @@ class SimulatedStream(PlayedSensor):
             )
         else:
             touches = simulate_presses(name, 1, array=self._device, random_state=seed)
-        image: Array = touches.images[0]
-        return image
+        return np.asarray(touches.images[0])
 
     def _with_noise(self, image: Array) -> Array:
         noise = self._noise[self._number % _NOISE_FRAMES]
-        noisy: Array = (image + noise).clip(0, 255).astype(np.uint8)
-        return noisy
+        return np.asarray((image + noise).clip(0, 255).astype(np.uint8))

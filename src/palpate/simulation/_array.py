@@ -177,7 +177,15 @@ class PressureArray:
                 f"sensing_mm must be at most pitch_mm ({self.pitch_mm}), got "
                 f"{self.sensing_mm}. Windows of neighbouring taxels cannot overlap."
             )
-        self._refuse_fine_grid()
+        side = max(self.rows, self.cols)
+        steps = side * max(2.0, self.pitch_mm / self.grid_mm)
+        if steps > _MOST_STEPS:
+            raise ValueError(
+                f"pitch_mm must make at most {_MOST_STEPS} steps of grid_mm "
+                f"({self.grid_mm:g}) along the longer side, got {self.pitch_mm:g} for "
+                f"{side} taxels: {steps:.0f} steps. Lower pitch_mm (--pitch) or the "
+                "number of taxels (--rows, --cols), or raise grid_mm."
+            )
 
     @property
     def size_mm(self) -> tuple[float, float]:
@@ -192,9 +200,8 @@ class PressureArray:
     @cached_property
     def gains(self) -> Floats:
         """Gain of each taxel, shape (rows, cols), with mean 1 over devices."""
-        normal = np.random.default_rng(self.random_state).standard_normal(
-            (self.rows, self.cols)
-        )
+        rng = np.random.default_rng(self.random_state)
+        normal = rng.standard_normal((self.rows, self.cols))
         return np.exp(self.gain_spread * normal - self.gain_spread**2 / 2)
 
     def press(
@@ -244,13 +251,15 @@ class PressureArray:
     ) -> Floats:
         """Return the mean stress in kPa over each sensing window, (rows, cols)."""
         pressure, row, col = self._contact(part, press or Press(), random_state)
+        cells, side = self.cells_per_pitch, max(self.rows, self.cols)
+        where = (self.pitch_mm, self.sensing_mm, self.cover_mm)
+        # Scale (rank,) and factors (rank, n_taxels, n_cells).
+        scale, factors = window_weights(side, cells, *where)
         n_rows, n_cols = pressure.shape
-        scale, by_row, by_col = self._weights
-        half = by_row[:, :, row : row + n_rows] @ pressure
+        half = factors[:, : self.rows, row : row + n_rows] @ pressure
         weighted = half * scale[:, np.newaxis, np.newaxis]
-        return np.tensordot(
-            weighted, by_col[:, :, col : col + n_cols], axes=([0, 2], [0, 2])
-        )
+        by_col = factors[:, : self.cols, col : col + n_cols]
+        return np.tensordot(weighted, by_col, axes=([0, 2], [0, 2]))
 
     def contact_kpa(
         self,
@@ -263,34 +272,27 @@ class PressureArray:
         Its shape is (rows, cols) times `cells_per_pitch`.
         """
         pressure, row, col = self._contact(part, press or Press(), random_state)
-        whole = np.zeros(
-            (self.rows * self.cells_per_pitch, self.cols * self.cells_per_pitch)
-        )
+        cells = self.cells_per_pitch
+        whole = np.zeros((self.rows * cells, self.cols * cells))
         whole[row : row + pressure.shape[0], col : col + pressure.shape[1]] = pressure
         return whole
-
-    @property
-    def _weights(self) -> tuple[Floats, ...]:
-        """Scale (rank,) and factors (rank, n_taxels, n_cells) along rows, columns."""
-        scale, factors = window_weights(
-            max(self.rows, self.cols),
-            self.cells_per_pitch,
-            self.pitch_mm,
-            self.sensing_mm,
-            self.cover_mm,
-        )
-        cells = self.cells_per_pitch
-        by_row = factors[:, : self.rows, : self.rows * cells]
-        return scale, by_row, factors[:, : self.cols, : self.cols * cells]
 
     def _contact(
         self, part: Part | str | int, press: Press, random_state: Any
     ) -> tuple[Floats, int, int]:
         """Return pressure about the part, and the row and column it starts at."""
         (found,) = find_parts(part)
-        inside, row, col = self._footprint(found, press)
-        step = self.pitch_mm / self.cells_per_pitch
-        width_mm, height_mm = self.size_mm
+        cells, (width_mm, height_mm) = self.cells_per_pitch, self.size_mm
+        step, middle = self.pitch_mm / cells, np.array(self.size_mm) / 2
+        placed = found.placed(press.x_mm, press.y_mm, press.angle_deg)
+        loops = [(loop + middle) * (cells / self.pitch_mm) for loop in placed]
+        inside, row, col = footprint(loops, self.rows * cells, self.cols * cells)
+        if not inside.any():
+            raise ValueError(
+                f"The part must lie on the array, {width_mm:g} x {height_mm:g} mm, "
+                f"and be wider than grid_mm ({self.grid_mm:g}), got {found.name!r} at "
+                f"({press.x_mm:g}, {press.y_mm:g}) mm. Move it nearer to (0, 0)."
+            )
         x = step * (np.arange(inside.shape[1]) + col + 0.5) - width_mm / 2
         y = step * (np.arange(inside.shape[0]) + row + 0.5) - height_mm / 2
         slope_x, slope_y = np.tan(np.deg2rad(press.tilt_deg))
@@ -299,44 +301,13 @@ class PressureArray:
             rng = np.random.default_rng(random_state)
             gap += 1e-3 * press.roughness_um * unevenness(inside.shape, step, rng)
         stiffness = 1e3 * self.cover_modulus_mpa / self.cover_mm
-        pressure = contact_pressure(
-            inside, gap, stiffness, 1e3 * press.force_n / step**2
-        )
-        self._refuse_sunk(pressure.max() / stiffness, found, press)
-        return pressure, row, col
-
-    def _footprint(
-        self, part: Part, press: Press
-    ) -> tuple[NDArray[np.bool_], int, int]:
-        cells = self.cells_per_pitch
-        corner = np.array(self.size_mm) / 2
-        placed = part.placed(press.x_mm, press.y_mm, press.angle_deg)
-        loops = [(loop + corner) * (cells / self.pitch_mm) for loop in placed]
-        inside, row, col = footprint(loops, self.rows * cells, self.cols * cells)
-        if not inside.any():
-            width_mm, height_mm = self.size_mm
-            raise ValueError(
-                f"The part must lie on the array, {width_mm:g} x {height_mm:g} mm, "
-                f"and be wider than grid_mm ({self.grid_mm:g}), got {part.name!r} at "
-                f"({press.x_mm:g}, {press.y_mm:g}) mm. Move it nearer to (0, 0)."
-            )
-        return inside, row, col
-
-    def _refuse_fine_grid(self) -> None:
-        side = max(self.rows, self.cols)
-        steps = side * max(2.0, self.pitch_mm / self.grid_mm)
-        if steps > _MOST_STEPS:
-            raise ValueError(
-                f"pitch_mm must make at most {_MOST_STEPS} steps of grid_mm "
-                f"({self.grid_mm:g}) along the longer side, got {self.pitch_mm:g} for "
-                f"{side} taxels: {steps:.0f} steps. Lower pitch_mm (--pitch) or the "
-                "number of taxels (--rows, --cols), or raise grid_mm."
-            )
-
-    def _refuse_sunk(self, depth_mm: float, part: Part, press: Press) -> None:
+        total = 1e3 * press.force_n / step**2
+        pressure = contact_pressure(inside, gap, stiffness, total)
+        depth_mm = pressure.max() / stiffness
         if depth_mm >= self.cover_mm:
             raise ValueError(
                 f"The cover must be thicker than the press is deep, got {depth_mm:.2f} "
-                f"mm in {self.cover_mm:g} mm ({part.name!r}, {press.load_kgf:g} kgf, "
+                f"mm in {self.cover_mm:g} mm ({found.name!r}, {press.load_kgf:g} kgf, "
                 f"tilt {press.tilt_deg} degrees). Lower the load or the tilt."
             )
+        return pressure, row, col

@@ -25,19 +25,9 @@ def footprint(
 ) -> tuple[NDArray[np.bool_], int, int]:
     """Tell which cells' centres lie inside an odd number of closed loops.
 
-    Parameters
-    ----------
-    loops : list of ndarray of shape (n_vertices, 2)
-        Corners (column, row) in cells; (0, 0) is the first cell's outer corner.
-    n_rows, n_cols : int
-        Size of the grid; what lies outside is cut off.
-
-    Returns
-    -------
-    inside : ndarray of bool, shape (n_rows_about, n_cols_about)
-        The smallest piece of the grid that holds the loops.
-    row, col : int
-        Where in the grid that piece starts.
+    Corners of loops are (column, row) in cells, (0, 0) the first cell's outer corner.
+    Returned is the smallest piece of the grid that holds them, and the row and column
+    at which it starts; what lies outside the grid is cut off.
     """
     limits = np.array([n_cols, n_rows])
     corners = np.concatenate(loops)
@@ -74,27 +64,11 @@ def unevenness(
 def contact_pressure(
     inside: NDArray[np.bool_], gap_mm: Floats, stiffness: float, total: float
 ) -> Floats:
-    """Solve for the pressure of a rigid face on a bed of springs.
+    """Solve for the pressure (kPa) of a rigid face on a bed of springs (kPa per mm).
 
-    pressure = stiffness max(0, depth - gap), with the depth at which the pressures
-    sum to `total`. The sum is convex in the depth, so Newton's steps, started with
-    every cell touching, go down to it and end after a few.
-
-    Parameters
-    ----------
-    inside : ndarray of bool, shape (n_rows, n_cols)
-        Cells under the face; at least one.
-    gap_mm : ndarray of shape (n_rows, n_cols)
-        Height of the face above its lowest plane, up to a constant.
-    stiffness : float
-        In kPa per mm.
-    total : float
-        Sum of the pressures of all cells, in kPa.
-
-    Returns
-    -------
-    pressure : ndarray of shape (n_rows, n_cols)
-        In kPa; zero outside the face and where it does not touch.
+    pressure = stiffness max(0, depth - gap) on the cells `inside`, with the depth at
+    which the pressures sum to `total`. The sum is convex in the depth, so Newton's
+    steps, started with every cell touching, go down to it and end after a few.
     """
     gaps = gap_mm[inside]
     needed = total / stiffness
@@ -119,28 +93,13 @@ def window_weights(
     The stress in taxel (t, u) is the sum over k, i, j of
     scale[k] factors[k, t, i] factors[k, u, j] pressure[i, j]: few k suffice, since
     the map is smooth, and nothing wraps round as it would in a Fourier transform.
-
-    Parameters
-    ----------
-    n_taxels : int
-        Taxels along the longer side.
-    cells : int
-        Grid cells from one taxel to the next.
-    pitch_mm, sensing_mm, depth_mm : float
-        Distance of taxels, side of a window, depth of the windows.
-
-    Returns
-    -------
-    scale : ndarray of shape (rank,)
-    factors : ndarray of shape (rank, n_taxels, n_taxels * cells)
+    `cells` lie from one taxel to the next; `n_taxels` is that of the longer side.
+    Returned are scale, (rank,), and factors, (rank, n_taxels, n_taxels * cells).
     """
     step = pitch_mm / cells
     # Distances of cell centres from taxel centres, in half cells.
-    halves = np.abs(
-        2 * np.arange(n_taxels * cells)
-        + 1
-        - cells * (2 * np.arange(n_taxels)[:, np.newaxis] + 1)
-    )
+    centres = cells * (2 * np.arange(n_taxels)[:, np.newaxis] + 1)
+    halves = np.abs(2 * np.arange(n_taxels * cells) + 1 - centres)
     distinct, place = np.unique(halves, return_inverse=True)
     away = distinct * step / 2
     kernel = step**2 * window_influence(away[:, np.newaxis], away, sensing_mm, depth_mm)

@@ -7,7 +7,7 @@ pictures grey levels 0 to 255 with the first row at the top.
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any, Self
 
 import numpy as np
@@ -16,10 +16,13 @@ from numpy.typing import NDArray
 from .._checks import check_count, check_number, check_positive
 from .._types import Floats
 from ._membrane import Contact, Membrane, solve_contact
-from ._optics import SURROUND_GREY, Lighting, Optics, Plane, View, check_picture
+from ._optics import SURROUND_GREY, Lighting, Optics, Plane, View
 from ._placed import PlacedObject, SensorPose, SimObject, gap_map, sleeve_gap
 
 Frame = NDArray[np.uint8]
+_LEAST_SIDE = 8
+# One such picture takes a second and half a gigabyte.
+_MOST_PIXELS = 8_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +68,10 @@ class DomePress:
 class DomeSensor(ABC):
     """What sensors with a dome have in common."""
 
+    @property
     @abstractmethod
-    def _dome(self) -> "DomeCamera":
-        """Return the membrane, its camera and its force."""
+    def dome(self) -> "DomeCamera":
+        """The membrane, its camera and its force."""
 
     @abstractmethod
     def image(
@@ -104,19 +108,37 @@ class DomeSensor(ABC):
         ValueError
             The dome overlaps the object at the start.
         """
-        dome = self._dome()
+        dome = self.dome
         placed = target if isinstance(target, PlacedObject) else PlacedObject(target)
         gap = gap_map(placed, pose, dome.membrane)
-        first = float(gap.min())
+        first, reason = float(gap.min()), "depth"
         if not first <= reach_mm or np.isinf(first):
-            return dome._untouched()
+            gap[:] = np.inf
+            nothing = solve_contact(dome.membrane, gap, depth_mm=0.0)
+            return DomePress("nothing", 0.0, 0.0, 0.0, 0.0, nothing, gap)
         if first < 0:
             raise ValueError(
                 f"pose must be clear of the object, got one {-first:.3g} mm inside "
                 f"{placed.thing.name!r}. Start further back."
             )
+        force = dome.force_n if force_n is None else check_positive("force_n", force_n)
+        most = dome.max_depth_mm
+        if depth_mm is not None:
+            if force_n is not None:
+                raise ValueError("Give at most one of force_n and depth_mm.")
+            most = check_number("depth_mm", depth_mm, low=0.0, high=most)
         sleeve = sleeve_gap(placed, pose, dome.membrane_radius_mm, dome.sleeve_mm)
-        return dome._ended(gap - first, first, sleeve - first, force_n, depth_mm)
+        if sleeve - first < most:
+            most, reason = max(sleeve - first, 0.0), "sleeve"
+        gap -= first
+        wanted = force if depth_mm is None else None
+        contact = solve_contact(dome.membrane, gap, force_n=wanted, depth_mm=most)
+        depth, total, area = contact.depth_mm, contact.force_n, contact.area_mm2
+        if depth < most:
+            reason = "force"
+        elif reason == "sleeve":
+            total = force
+        return DomePress(reason, first + depth, depth, total, area, contact, gap)
 
     def no_contact(self) -> Frame:
         """Return the picture of the dome touching nothing, without noise."""
@@ -227,7 +249,14 @@ class DomeCamera(DomeSensor):
     def __post_init__(self) -> None:
         for name in ("image_shape", "camera_offset_mm", "disc_centre"):
             object.__setattr__(self, name, _pair(name, getattr(self, name)))
-        check_picture(self.image_shape)
+        n_rows, n_cols = self.image_shape
+        for side in self.image_shape:
+            check_count("image_shape", side, at_least=_LEAST_SIDE)
+        if n_rows * n_cols > _MOST_PIXELS:
+            raise ValueError(
+                f"image_shape must have at most {_MOST_PIXELS} pixels, got {n_rows} x "
+                f"{n_cols}. Take fewer rows and columns (--rows, --cols)."
+            )
         for name in _POSITIVE.split():
             check_positive(name, getattr(self, name))
         for name in _NOT_NEGATIVE.split():
@@ -241,7 +270,9 @@ class DomeCamera(DomeSensor):
             )
         self.membrane  # noqa: B018  refuses what is no membrane
 
-    def _dome(self) -> "DomeCamera":
+    @property
+    def dome(self) -> "DomeCamera":
+        """The camera itself."""
         return self
 
     @cached_property
@@ -260,11 +291,9 @@ class DomeCamera(DomeSensor):
         depths = np.asarray(depths_mm, dtype=np.float64)
         if not press.touched:
             return np.zeros(depths.shape)
-        solved = [
-            solve_contact(self.membrane, press.gap_mm, depth_mm=depth).force_n
-            for depth in depths.ravel()
-        ]
-        return np.reshape(solved, depths.shape)
+        at = partial(solve_contact, self.membrane, press.gap_mm)
+        forces = [at(depth_mm=depth).force_n for depth in depths.ravel()]
+        return np.reshape(forces, depths.shape)
 
     def image(
         self, press: DomePress | None = None, rng: np.random.Generator | None = None
@@ -275,7 +304,7 @@ class DomeCamera(DomeSensor):
         """
         flat = np.zeros((self.n_nodes, self.n_nodes), np.float32)
         dent = flat if press is None else press.contact.displacement_mm
-        grey = self._grey(_optics(*self._seen_by()).light(dent))
+        grey = self._grey(_optics(self).light(dent))
         if rng is not None and self.noise_sd > 0:
             grey += self._noise(rng)
         return np.clip(grey + np.float32(0.5), 0, 255).astype(np.uint8)
@@ -286,69 +315,16 @@ class DomeCamera(DomeSensor):
         gain = self.gain * float(np.exp(self.exposure_drift_sd * rng.standard_normal()))
         return replace(self, gain=gain, disc_centre=(float(row), float(col)))
 
-    def _ended(
-        self,
-        gap: Floats,
-        first: float,
-        sleeve: float,
-        force_n: float | None,
-        depth_mm: float | None,
-    ) -> DomePress:
-        """Press until the force, the depth or the sleeve, whichever comes first."""
-        force = self.force_n if force_n is None else check_positive("force_n", force_n)
-        most, reason = self.max_depth_mm, "depth"
-        if depth_mm is not None:
-            if force_n is not None:
-                raise ValueError("Give at most one of force_n and depth_mm.")
-            most = check_number("depth_mm", depth_mm, low=0.0, high=most)
-        if sleeve < most:
-            most, reason = max(sleeve, 0.0), "sleeve"
-        wanted = force if depth_mm is None else None
-        contact = solve_contact(self.membrane, gap, force_n=wanted, depth_mm=most)
-        total = contact.force_n
-        if contact.depth_mm < most:
-            reason = "force"
-        elif reason == "sleeve":
-            total = force
-        depth = contact.depth_mm
-        area = contact.area_mm2
-        return DomePress(reason, first + depth, depth, total, area, contact, gap)
-
-    def _untouched(self) -> DomePress:
-        shape = (self.n_nodes, self.n_nodes)
-        flat = np.zeros(shape, np.float32)
-        nothing = Contact(0.0, 0.0, flat, flat, 0.0)
-        return DomePress("nothing", 0.0, 0.0, 0.0, 0.0, nothing, np.full(shape, np.inf))
-
-    def _seen_by(self) -> tuple[View, Membrane, Lighting, float]:
-        view = View(
-            image_shape=self.image_shape,
-            distance_mm=self.camera_distance_mm,
-            offset_mm=self.camera_offset_mm,
-            disc_centre=self.disc_centre,
-            disc_radius=self.disc_radius,
-        )
-        lighting = Lighting(
-            n_leds=self.n_leds,
-            ring_radius_mm=self.led_ring_radius_mm,
-            diffuse=self.diffuse,
-            specular=self.specular,
-            ambient=self.ambient,
-            shininess=self.shininess,
-        )
-        return view, self.membrane, lighting, self.max_depth_mm
-
     def _grey(self, light: Plane) -> Plane:
         """Mottle the light, expose it, and draw the rim and the white around it."""
-        optics = _optics(*self._seen_by())
         mottled = light * np.float32(self.gain)
         if self.texture_sd > 0:
-            mottled *= _mottling(optics, self.texture_sd, self.texture_seed)
+            mottled *= _mottling(self)
         np.maximum(mottled, 0, out=mottled)
         grey = np.float32(255) * mottled ** np.float32(1 / self.gamma)
         np.minimum(grey, 255, out=grey)
         white = np.float32(SURROUND_GREY)
-        return np.asarray(white + optics.inside * (grey - white))
+        return np.asarray(white + _optics(self).inside * (grey - white))
 
     def _noise(self, rng: np.random.Generator) -> Plane:
         """Noise of cells as fine as 240 rows; enlarged beyond, averaged below."""
@@ -381,22 +357,36 @@ def _pair(name: str, value: Any) -> tuple[Any, Any]:
 
 
 @lru_cache(maxsize=4)
-def _optics(
-    view: View, membrane: Membrane, lighting: Lighting, deepest_mm: float
-) -> Optics:
-    return Optics(view, membrane, lighting, deepest_mm)
+def _optics(camera: DomeCamera) -> Optics:
+    view = View(
+        camera.image_shape,
+        camera.camera_distance_mm,
+        camera.camera_offset_mm,
+        camera.disc_centre,
+        camera.disc_radius,
+    )
+    lighting = Lighting(
+        camera.n_leds,
+        camera.led_ring_radius_mm,
+        camera.diffuse,
+        camera.specular,
+        camera.ambient,
+        camera.shininess,
+    )
+    return Optics(view, camera.membrane, lighting, camera.max_depth_mm)
 
 
 @lru_cache(maxsize=4)
-def _mottling(optics: Optics, sd: float, seed: int) -> Plane:
+def _mottling(camera: DomeCamera) -> Plane:
     """Factor of mean 1 on each pixel: blots of a hundredth of the picture's height."""
     import cv2
     from scipy.ndimage import gaussian_filter
 
+    optics = _optics(camera)
     rows, cols = optics.grid_shape
-    noise = np.random.default_rng(seed).standard_normal((160, 240))
+    noise = np.random.default_rng(camera.texture_seed).standard_normal((160, 240))
     blots = gaussian_filter(noise.astype(np.float32), 1.2)
-    blots *= np.float32(sd) / blots.std()
+    blots *= np.float32(camera.texture_sd) / blots.std()
     shrink = np.array([[120 / rows, 0, 0.0], [0, 120 / rows, 0.0]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     field = cv2.warpAffine(blots, shrink, (cols, rows), flags=flags)

@@ -115,16 +115,17 @@ class Membrane:
         With `whole`, on the padded grid that the Fourier transform works on, whose
         total is the displaced volume over the square of the pitch.
         """
-        return self._answer(node_force_n, self._shell, whole)
+        answer = self._answer(node_force_n, self._shell)
+        return answer if whole else answer[: self.n_nodes, : self.n_nodes]
 
     def _indented(self, node_force_n: Grid) -> Grid:
         """How far (mm) the outside gives way: the shell and the squeezed rubber."""
-        return self._answer(node_force_n, self._outside, False)
+        answer = self._answer(node_force_n, self._outside)
+        return answer[: self.n_nodes, : self.n_nodes]
 
-    def _answer(self, force: Grid, spectrum: Grid, whole: bool) -> Grid:
+    def _answer(self, force: Grid, spectrum: Grid) -> Grid:
         shape = (self._padded, self._padded)
-        answer = fft.irfft2(fft.rfft2(force, shape) * spectrum, shape)
-        return answer if whole else answer[: self.n_nodes, : self.n_nodes]
+        return np.asarray(fft.irfft2(fft.rfft2(force, shape) * spectrum, shape))
 
     @cached_property
     def _padded(self) -> int:
@@ -182,23 +183,9 @@ def solve_contact(
 ) -> Contact:
     """Press the membrane on an object until a force or a depth, whichever is first.
 
-    Parameters
-    ----------
-    membrane : Membrane
-        The dome and its grid.
-    gap_mm : array of shape (n_nodes, n_nodes)
-        Way to go before each node touches; infinity where it cannot.
-    force_n, depth_mm : float
-        Give one or both.
-    tolerance_mm : float, default=0.01
-        Root-mean-square misfit over the contact at which to stop.
-    max_steps : int, default=200
-        Steps after which to stop all the same.
-
-    Returns
-    -------
-    Contact
-        Nothing within reach gives a contact of zero force, depth 0.
+    `gap_mm`, (n_nodes, n_nodes), is the way to go before each node touches, infinity
+    where it cannot. Steps end at a root-mean-square misfit of `tolerance_mm` over the
+    contact, or after `max_steps`. Nothing within reach gives a contact of no force.
 
     Notes
     -----
@@ -215,16 +202,14 @@ def solve_contact(
     gap, reachable = _checked_gap(membrane, gap_mm)
     if force_n is None and depth_mm is None:
         raise ValueError("Give force_n, depth_mm or both: the press must end.")
-    most = None if depth_mm is None else check_number("depth_mm", depth_mm, low=0.0)
+    most = np.inf if depth_mm is None else check_number("depth_mm", depth_mm, low=0.0)
     force = None if force_n is None else check_positive("force_n", force_n)
     if not reachable.any() or most == 0:
-        return _no_contact(membrane)
+        nothing = np.zeros(gap.shape, np.float32)
+        return Contact(0.0, 0.0, nothing, nothing, 0.0)
     problem = _Problem(membrane, gap, reachable, tolerance_mm, max_steps)
     if force is None:
-        assert most is not None
-        return problem.at_depth(most)
-    if most is None:
-        return problem.at_force(force)
+        return problem.at_depth(most, problem.springs(most))
     return problem.at_first(force, most)
 
 
@@ -245,11 +230,6 @@ def _checked_gap(
     return np.where(reachable, gap, _NEVER_MM), reachable
 
 
-def _no_contact(membrane: Membrane) -> Contact:
-    nothing = np.zeros((membrane.n_nodes, membrane.n_nodes), np.float32)
-    return Contact(0.0, 0.0, nothing, nothing, 0.0)
-
-
 @dataclass(frozen=True, eq=False)
 class _Problem:
     """One gap to close, by force or by depth."""
@@ -260,20 +240,17 @@ class _Problem:
     tolerance: float
     max_steps: int
 
-    def at_force(self, force_n: float) -> Contact:
-        start = self._springs(self._even_depth(force_n))
-        return self._described(self._relaxed(start, force_n, None), None)
-
-    def at_depth(self, depth_mm: float, start: Grid | None = None) -> Contact:
-        start = self._springs(depth_mm) if start is None else start
+    def at_depth(self, depth_mm: float, start: Grid) -> Contact:
         return self._described(self._relaxed(start, None, depth_mm), depth_mm)
 
     def at_first(self, force_n: float, depth_mm: float) -> Contact:
-        if depth_mm < 0.5 * self._even_depth(force_n):
-            shallow = self.at_depth(depth_mm)
+        even = self._even_depth(force_n)
+        if depth_mm < 0.5 * even:
+            shallow = self.at_depth(depth_mm, self.springs(depth_mm))
             if shallow.force_n <= force_n:
                 return shallow
-        contact = self.at_force(force_n)
+        force = self._relaxed(self.springs(even), force_n, None)
+        contact = self._described(force, None)
         if contact.depth_mm <= depth_mm:
             return contact
         share = np.float32(depth_mm / contact.depth_mm)
@@ -285,7 +262,7 @@ class _Problem:
         pitch = self.membrane.pitch_mm
         return np.float32(self.membrane.stiffness_n_mm3 * pitch**2)
 
-    def _springs(self, depth_mm: float) -> Grid:
+    def springs(self, depth_mm: float) -> Grid:
         """Node forces of such springs, where to start from."""
         return np.asarray(np.maximum(np.float32(depth_mm) - self.gap, 0) * self._spring)
 
@@ -309,9 +286,8 @@ class _Problem:
         for _ in range(self.max_steps):
             touching = force > 0
             misfit = indented + self.gap
-            misfit -= (
-                misfit[touching].mean() if depth_mm is None else np.float32(depth_mm)
-            )
+            depth = misfit[touching].mean() if depth_mm is None else _FLOAT(depth_mm)
+            misfit -= depth
             pierced = (misfit < -tolerance) & ~touching & self.reachable
             any_pierced = pierced.any()
             inside = (touching | pierced if any_pierced else touching).astype(_FLOAT)
@@ -331,10 +307,8 @@ class _Problem:
             steady = bool(force.min() >= 0)
             if not steady:
                 np.maximum(force, 0, out=force)
-            scale = _FLOAT(1)
-            if total is not None:
-                scale = _FLOAT(total / force.sum())
-                force *= scale
+            scale = _FLOAT(1 if total is None else total / force.sum())
+            force *= scale
             if steady:
                 indented = (indented - step * answer) * scale
             else:
@@ -342,8 +316,7 @@ class _Problem:
         return force
 
     def _described(self, force: Grid, depth_mm: float | None) -> Contact:
-        membrane, inside = self.membrane, force > 0
-        depth = depth_mm
+        membrane, inside, depth = self.membrane, force > 0, depth_mm
         if depth is None:
             depth = float((membrane._indented(force) + self.gap)[inside].mean())
         area = float(np.count_nonzero(inside) * membrane.pitch_mm**2)

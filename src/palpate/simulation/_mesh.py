@@ -70,8 +70,7 @@ def load_mesh(
     low, high = mesh.bounds
     mesh.apply_translation([*(-(low + high)[:2] / 2), -low[2]])
     label = name or file.stem
-    kind = category or label
-    return SimObject(label, kind, mesh.copy, _stable_rotations(mesh))
+    return SimObject(label, category or label, mesh.copy, _stable_rotations(mesh))
 
 
 def _read(file: Path) -> tuple[Floats, NDArray[np.int64]]:
@@ -96,14 +95,10 @@ def _read(file: Path) -> tuple[Floats, NDArray[np.int64]]:
     with file.open("rb") as stream:
         content = stream.read(MAX_MESH_BYTES + 1)
     load = trimesh().load_mesh
+    # Nothing else that the file names is read.
+    alone = {"resolver": None, "process": False, "skip_materials": True}
     try:
-        mesh = load(
-            BytesIO(content),
-            file_type=kind[1:],
-            resolver=None,
-            process=False,
-            skip_materials=True,
-        )
+        mesh = load(BytesIO(content), file_type=kind[1:], **alone)
         vertices = np.array(mesh.vertices, dtype=np.float64).reshape(-1, 3)
         faces = np.array(mesh.faces, dtype=np.int64).reshape(-1, 3)
     except Exception as error:
@@ -118,34 +113,46 @@ def _closed_surface(
     file: Path, vertices: Floats, faces: NDArray[np.int64], unit: str
 ) -> Mesh:
     """Return the surface when one can press on it, else say why not."""
-    if not len(faces) or not len(vertices):
-        raise MeshError(f"{file.name} must have triangles, got none: it is empty.")
-    if len(faces) > MAX_MESH_FACES:
-        raise MeshError(
-            f"{file.name} must have at most {MAX_MESH_FACES} triangles, got "
-            f"{len(faces)}. Simplify the mesh."
-        )
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise MeshError(f"{file.name} has triangles with corners it does not define.")
-    if not np.isfinite(vertices).all():
-        raise MeshError(f"{file.name} must be finite, got NaN or infinite corners.")
+    solid = bool(len(faces) and len(vertices))
+    _demand(file, solid, "must have triangles, got none: it is empty.")
+    few = f"must have at most {MAX_MESH_FACES} triangles, got {len(faces)}."
+    _demand(file, len(faces) <= MAX_MESH_FACES, f"{few} Simplify the mesh.")
+    known = faces.min() >= 0 and faces.max() < len(vertices)
+    _demand(file, known, "has triangles with corners it does not define.")
+    finite = bool(np.isfinite(vertices).all())
+    _demand(file, finite, "must be finite, got NaN or infinite corners.")
     used = vertices[np.unique(faces)]
     _refuse_size(file, used.max(axis=0) - used.min(axis=0), unit)
     mesh = trimesh().Trimesh(vertices, faces, process=False)
     mesh.merge_vertices(digits_vertex=5)
     mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
     mesh.remove_unreferenced_vertices()
-    _refuse_open(file, mesh)
+    _demand(
+        file, len(mesh.faces) > 0, "must be solid, got triangles without area only."
+    )
+    if not mesh.is_watertight:
+        shared = np.unique(mesh.edges_sorted, axis=0, return_counts=True)[1]
+        n_open = int((shared != 2).sum())
+        raise MeshError(
+            f"{file.name} must be watertight, got {n_open} of {len(shared)} edges that "
+            "do not join exactly two triangles. Close its holes in a mesh editor."
+        )
+    filled = abs(mesh.volume) > 1e-9 * float(np.prod(mesh.extents))
+    solid = filled or not mesh.is_winding_consistent
+    _demand(file, solid, "must be solid, got a body without volume.")
     return mesh
+
+
+def _demand(file: Path, met: bool, words: str) -> None:
+    if not met:
+        raise MeshError(f"{file.name} {words}")
 
 
 def _refuse_size(file: Path, extent_mm: Floats, unit: str) -> None:
     largest = float(extent_mm.max())
     if LEAST_SIZE_MM <= largest <= MOST_SIZE_MM:
-        if extent_mm.min() <= 1e-6 * largest:
-            raise MeshError(
-                f"{file.name} must be solid, got a flat surface. Give it a thickness."
-            )
+        thick = bool(extent_mm.min() > 1e-6 * largest)
+        _demand(file, thick, "must be solid, got a flat surface. Give it a thickness.")
         return
     sizes = {word: largest * UNITS_MM[word] / UNITS_MM[unit] for word in _LIKELY}
     likely = [word for word, size_mm in sizes.items() if 10 <= size_mm <= 2000]
@@ -158,38 +165,21 @@ def _refuse_size(file: Path, extent_mm: Floats, unit: str) -> None:
     )
 
 
-def _refuse_open(file: Path, mesh: Mesh) -> None:
-    if not len(mesh.faces):
-        raise MeshError(f"{file.name} must be solid, got triangles without area only.")
-    if not mesh.is_watertight:
-        shared = np.unique(mesh.edges_sorted, axis=0, return_counts=True)[1]
-        n_open = int((shared != 2).sum())
-        raise MeshError(
-            f"{file.name} must be watertight, got {n_open} of {len(shared)} edges that "
-            "do not join exactly two triangles. Close its holes in a mesh editor."
-        )
-    if mesh.is_winding_consistent and not abs(mesh.volume) > 1e-9 * float(
-        np.prod(mesh.extents)
-    ):
-        raise MeshError(f"{file.name} must be solid, got a body without volume.")
-
-
-def _stable_rotations(mesh: Mesh, most: int = _MOST_POSES) -> tuple[Floats, ...]:
+def _stable_rotations(mesh: Mesh) -> tuple[Floats, ...]:
     """Return rotations in which a mesh rests on the ground, largest base first.
 
     A face of the convex hull is a base when the centre of mass is above its inside;
     of bases within 10 degrees of each other the largest counts.
     """
     hull = mesh.convex_hull
-    centre = hull.center_mass
     found: list[Floats] = []
     for facet in _facets_by_area(hull):
         down = hull.face_normals[facet[0]]
         if any(down @ other > np.cos(np.deg2rad(10)) for other in found):
             continue
-        if _is_above(hull, facet, down, centre):
+        if _rests_on(hull, facet, down):
             found.append(down)
-        if len(found) == most:
+        if len(found) == _MOST_POSES:
             break
     return tuple(_to_ground(down) for down in found)
 
@@ -203,14 +193,9 @@ def _facets_by_area(hull: Mesh) -> list[NDArray[np.intp]]:
     return sorted(groups, key=lambda facet: -hull.area_faces[facet].sum())
 
 
-def _is_above(
-    hull: Mesh,
-    facet: NDArray[np.intp],
-    down: Floats,
-    centre: Floats,
-) -> bool:
+def _rests_on(hull: Mesh, facet: NDArray[np.intp], down: Floats) -> bool:
     """Whether the centre, moved along `down` onto the facet, lies in a face of it."""
-    corners = hull.triangles[facet]
+    corners, centre = hull.triangles[facet], hull.center_mass
     onto = centre + down * ((corners[0, 0] - centre) @ down)
     ahead = np.roll(corners, -1, axis=1)
     side = np.cross(ahead - corners, onto - corners) @ down

@@ -10,17 +10,16 @@ basic shapes have their feature at the origin, facing up, to be pressed from abo
 """
 
 from collections.abc import Iterable
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from .._types import Floats
 from ._placed import SimObject, turned
 from ._shapes import (
     Mesh,
     ball_points,
-    ellipses,
     hull,
     joined,
     lofted,
@@ -29,7 +28,6 @@ from ._shapes import (
     rounded_box,
     rounded_hull,
     trimesh,
-    tube,
 )
 
 
@@ -41,26 +39,19 @@ def find_object(name: str) -> SimObject:
     ValueError
         There is none; the message lists the names.
     """
-    known = {
-        thing.name: thing for thing in HOUSEHOLD + UNSEEN + UNLIKE_OTHERS + BASIC_SHAPES
-    }
-    if name not in known:
-        listed = ", ".join(known)
-        raise ValueError(
-            f"name must be one of {listed}, got {name!r}. "
-            "For a mesh file use load_mesh(path)."
-        )
-    return known[name]
+    things = HOUSEHOLD + UNSEEN + UNLIKE_OTHERS + BASIC_SHAPES
+    for thing in things:
+        if thing.name == name:
+            return thing
+    listed = ", ".join(thing.name for thing in things)
+    raise ValueError(
+        f"name must be one of {listed}, got {name!r}. "
+        "For a mesh file use load_mesh(path)."
+    )
 
 
 def refuse_same_names(things: Iterable[SimObject]) -> None:
-    """Refuse objects that share a name: their touches would be taken for those of one.
-
-    Raises
-    ------
-    ValueError
-        Two objects have one name.
-    """
+    """Refuse objects of one name: their touches would be taken for those of one."""
     seen: set[str] = set()
     for thing in things:
         if thing.name in seen:
@@ -88,8 +79,8 @@ def stapler() -> Mesh:
 def toothbrush() -> Mesh:
     """Toothbrush lying bristles up, 190 long: waisted handle, neck, 40 tufts."""
     spots = [(-95, 6), (-70, 7), (-35, 5.5), (-5, 7), (25, 6.6), (50, 3.5), (68, 3)]
-    centres = [((x, 0.0, 7.0), r) for x, r in spots]
-    parts = [_cone(a, ra, b, rb) for (a, ra), (b, rb) in pairwise(centres)]
+    balls = [ball_points((x, 0.0, 7.0), radius, 20) for x, radius in spots]
+    parts = [hull(np.concatenate(pair)) for pair in pairwise(balls)]
     head = moved(rounded_box((28, 12, 5), 2), x=81, z=5)
     tuft = revolved([(0, 0), (0.85, 0), (0.85, 10), (0.5, 10.6), (0, 10.8)], 12)
     tufts = [
@@ -117,7 +108,12 @@ def shampoo_bottle() -> Mesh:
     z = np.array([0, 2, 5, 60, 120, 140, 150, 156, 158], float)
     half_x = np.array([30, 34, 36, 37, 35, 30, 22, 13, 12], float)
     half_y = np.array([16, 19, 21, 22, 21, 18, 15, 12.5, 12], float)
-    body = lofted(ellipses(half_x, half_y, z, power=2.4))
+    around = np.arange(96) * (2 * np.pi / 96)
+    cos, sin = np.cos(around), np.sin(around)
+    x = np.multiply.outer(half_x, np.sign(cos) * np.abs(cos) ** (2 / 2.4))
+    y = np.multiply.outer(half_y, np.sign(sin) * np.abs(sin) ** (2 / 2.4))
+    heights = np.broadcast_to(z[:, None], x.shape)
+    body = lofted(np.stack([x, y, heights], -1))
     cap = revolved([(0, 155), (14, 155), (14, 186), (12.5, 189), (10, 190), (0, 190)])
     return joined(body, cap)
 
@@ -188,8 +184,7 @@ def plastic_card() -> Mesh:
     """Bank card lying, 85.6 x 54 x 0.76 with corners of 3.2 (ISO/IEC 7810)."""
     angles = np.deg2rad(np.arange(0, 360, 10) + 5.0)
     corner = 3.2 * np.column_stack([np.cos(angles), np.sin(angles)])
-    centre = np.sign(corner) * (42.8 - 3.2, 27 - 3.2)
-    flat = corner + centre
+    flat = corner + np.sign(corner) * (42.8 - 3.2, 27 - 3.2)
     levels = [np.column_stack([flat, np.full(len(flat), z)]) for z in (0, 0.76)]
     return hull(np.concatenate(levels))
 
@@ -253,14 +248,9 @@ def _edge() -> Mesh:
     return _top_at_zero(rounded_box((80, 40, 40), 0.3), turned((1, 0, 0), 45))
 
 
-def _flat_to_edge() -> Mesh:
-    """Block whose flat top ends above the origin."""
-    return moved(rounded_box((60, 80, 30), 0.3), x=30, z=-30)
-
-
-def _flat() -> Mesh:
-    """Block with a flat top, 80 mm square."""
-    return moved(rounded_box((80, 80, 30), 0.3), z=-30)
+def _block(size: tuple[float, float, float], x: float) -> Mesh:
+    """Block with a flat top at z = 0, its middle at x."""
+    return moved(rounded_box(size, 0.3), x=x, z=-size[2])
 
 
 def _nothing() -> Mesh:
@@ -286,16 +276,7 @@ def _top_at_zero(mesh: Mesh, rotation: Floats) -> Mesh:
     return moved(copy, -(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -high[2])
 
 
-def _turns(*about: tuple[tuple[int, int, int], float]) -> tuple[Floats, ...]:
-    return tuple(turned(axis, angle) for axis, angle in about)
-
-
 _RIB = ((32.5, 0.0), (31.3, 2.0), (30.9, 4.0), (31.3, 6.0), (32.5, 8.0))
-
-
-def _cone(a: ArrayLike, ra: float, b: ArrayLike, rb: float) -> Mesh:
-    """Hull of two balls of different radii."""
-    return hull(np.concatenate([ball_points(a, ra, 20), ball_points(b, rb, 20)]))
 
 
 def _arc(
@@ -303,9 +284,8 @@ def _arc(
 ) -> list[tuple[float, float]]:
     """Points of a profile on a circle, from one angle to another."""
     angle = np.deg2rad(np.linspace(start_deg, stop_deg, n))
-    return list(
-        zip(r + radius * np.cos(angle), z + radius * np.sin(angle), strict=True)
-    )
+    x, y = r + radius * np.cos(angle), z + radius * np.sin(angle)
+    return list(zip(x, y, strict=True))
 
 
 def _cup(bottom: float, top: float, height: float, wall: float) -> Mesh:
@@ -321,7 +301,14 @@ def _handle(x: float, z: float, out: float, up: float, radius: float) -> Mesh:
     """Half an ellipse of tube, its ends inside the wall at x."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, 33)
     path = np.column_stack([x + out * np.cos(angle), 0 * angle, z + up * np.sin(angle)])
-    return tube(path, radius)
+    along = np.gradient(path, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    side = np.array([0.0, 1.0, 0.0])
+    upward = np.cross(along, side)
+    around = np.arange(24) * (2 * np.pi / 24)
+    cos, sin = radius * np.cos(around), radius * np.sin(around)
+    wheel = cos[:, None] * side + sin[:, None] * upward[:, None]
+    return lofted(path[:, None] + wheel)
 
 
 def _lying(mesh: Mesh, length: float, radius: float) -> Mesh:
@@ -333,28 +320,28 @@ def _lying(mesh: Mesh, length: float, radius: float) -> Mesh:
     return laid
 
 
-_UPSIDE = ((1, 0, 0), 180.0)
-_ON_SIDE = ((1, 0, 0), 90.0)
-_ON_END = ((0, 1, 0), 90.0)
+_UPSIDE = turned((1, 0, 0), 180.0)
+_ON_SIDE = turned((1, 0, 0), 90.0)
+_ON_END = turned((0, 1, 0), 90.0)
 
 HOUSEHOLD = (
     SimObject("stapler", "stapler", stapler),
     SimObject("toothbrush", "toothbrush", toothbrush),
-    SimObject("porridge pot", "pot", porridge_pot, _turns(_UPSIDE)),
-    SimObject("mug", "mug", mug, _turns(_UPSIDE)),
-    SimObject("shampoo bottle", "bottle", shampoo_bottle, _turns(_UPSIDE)),
-    SimObject("box", "box", box, _turns(_ON_SIDE, _ON_END)),
+    SimObject("porridge pot", "pot", porridge_pot, (_UPSIDE,)),
+    SimObject("mug", "mug", mug, (_UPSIDE,)),
+    SimObject("shampoo bottle", "bottle", shampoo_bottle, (_UPSIDE,)),
+    SimObject("box", "box", box, (_ON_SIDE, _ON_END)),
     SimObject("pen", "pen", pen),
-    SimObject("ball", "ball", ball, _turns(_ON_SIDE)),
-    SimObject("textbook", "book", textbook, _turns(_UPSIDE)),
+    SimObject("ball", "ball", ball, (_ON_SIDE,)),
+    SimObject("textbook", "book", textbook, (_UPSIDE,)),
     SimObject("water bottle", "bottle", water_bottle),
 )
 
 UNLIKE_OTHERS = (SimObject("massage ball", "massage ball", massage_ball),)
 
 UNSEEN = (
-    SimObject("plastic card", "card", plastic_card, _turns(_UPSIDE)),
-    SimObject("other mug", "mug", other_mug, _turns(_UPSIDE)),
+    SimObject("plastic card", "card", plastic_card, (_UPSIDE,)),
+    SimObject("other mug", "mug", other_mug, (_UPSIDE,)),
     SimObject("other pen", "pen", other_pen),
     SimObject("smaller ball", "ball", smaller_ball),
     SimObject("soft textbook", "book", soft_textbook),
@@ -364,8 +351,8 @@ BASIC_SHAPES = (
     SimObject("corner", "corner", _corner),
     SimObject("cylinder", "cylinder", _cylinder),
     SimObject("edge", "edge", _edge),
-    SimObject("flat-to-edge", "flat-to-edge", _flat_to_edge),
-    SimObject("flat", "flat", _flat),
+    SimObject("flat-to-edge", "flat-to-edge", partial(_block, (60, 80, 30), 30)),
+    SimObject("flat", "flat", partial(_block, (80, 80, 30), 0)),
     SimObject("nothing", "nothing", _nothing),
     SimObject("point", "point", _point),
 )

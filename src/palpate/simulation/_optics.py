@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import check_count
 from .._types import Array
 from ._membrane import Membrane
 
@@ -27,9 +26,6 @@ _SHADED_ROWS = 128
 _MARCH_STEPS = 11
 _STEEPEST = 0.9995
 _RIM_SHARE = 0.975
-_LEAST_SIDE = 8
-# One such picture takes a second and half a gigabyte.
-_MOST_PIXELS = 8_000_000
 
 
 @dataclass(frozen=True)
@@ -67,18 +63,8 @@ class Lighting:
 class View:
     """Where a camera stands behind a dome, and what its picture covers.
 
-    Parameters
-    ----------
-    image_shape : tuple of int
-        Rows and columns.
-    distance_mm : float
-        From the lens to the tip of the undented dome.
-    offset_mm : tuple of float
-        x and y of the lens from the dome's axis.
-    disc_centre : tuple of float
-        Row and column of the middle of the rim, in heights of the picture.
-    disc_radius : float
-        Radius of the rim in heights of the picture.
+    Distance from the lens to the tip of the undented dome, offset of the lens from its
+    axis; the rim's middle (row, column) and radius in heights of the picture.
     """
 
     image_shape: tuple[int, int]
@@ -88,36 +74,11 @@ class View:
     disc_radius: float
 
 
-def check_picture(image_shape: tuple[Any, Any]) -> None:
-    """Refuse a picture that is too small to show a disc, or too large to compute."""
-    n_rows, n_cols = (
-        check_count("image_shape", side, at_least=_LEAST_SIDE) for side in image_shape
-    )
-    if n_rows * n_cols > _MOST_PIXELS:
-        raise ValueError(
-            f"image_shape must have at most {_MOST_PIXELS} pixels, got {n_rows} x "
-            f"{n_cols}. Take fewer rows and columns (--rows, --cols)."
-        )
-
-
 class Optics:
     """Tables of one view of one membrane; `light` makes pictures of dents with them.
 
-    Parameters
-    ----------
-    view : View
-        The camera.
-    membrane : Membrane
-        The dome.
-    lighting : Lighting
-        The LEDs.
-    deepest_mm : float
-        Deepest displacement to expect.
-
-    Attributes
-    ----------
-    inside : ndarray of shape (n_rows, n_cols)
-        Share of each pixel within the rim, 0 to 1.
+    `inside` is the share of each pixel within the rim, `grid_shape` the size of the
+    grid on which shading is computed, `deepest_mm` the deepest dent to expect.
     """
 
     def __init__(
@@ -130,17 +91,30 @@ class Optics:
         away = np.hypot(row[:, None], col)
         share = (view.disc_radius - away) * n_rows + 0.5
         self.inside: Plane = np.clip(share, 0, 1).astype(np.float32)
-        self._lay_grid()
+        rows = min(n_rows, _SHADED_ROWS)
+        self._scale = rows / n_rows
+        # Whole rows, and the columns that the disc covers.
+        covered = min(view.disc_centre[1] + view.disc_radius, n_cols / n_rows)
+        cols = int(np.ceil(max(covered, 0) * rows)) + 1
+        self.grid_shape = rows, max(2, cols)
         self._lay_rays(deepest_mm)
 
     def light(self, displacement_mm: Plane) -> Plane:
         """Return the light each pixel gets, (n_rows, n_cols), of a dented dome."""
-        return self.enlarged(self._shaded(displacement_mm))
-
-    @property
-    def grid_shape(self) -> tuple[int, int]:
-        """Rows and columns of the grid on which shading is computed."""
-        return self._grid_shape
+        z = self._first_met(displacement_mm)
+        x, y = self._at(z)
+        pitch = np.float32(self._membrane.pitch_mm)
+        cells = _cells(x, y, self._membrane)
+        slopes = np.gradient(displacement_mm, pitch)
+        dent_y, dent_x = (_remapped(slope, *cells) for slope in slopes)
+        radius = np.float32(self._membrane.radius_mm)
+        least = radius * np.float32(np.sqrt(1 - _STEEPEST**2))
+        height = np.sqrt(np.maximum(radius**2 - x * x - y * y, least**2))
+        slope = (-x / height - dent_x, -y / height - dent_y)
+        shift_x, shift_y = map(np.float32, self._view.offset_mm)
+        point = (x - shift_x, y - shift_y, z)
+        shaded = shade(point, slope, self._lighting, self._view.distance_mm)
+        return self.enlarged(shaded)
 
     def enlarged(self, shaded: Plane) -> Plane:
         """Bring values on the shading grid to the picture's size."""
@@ -155,30 +129,13 @@ class Optics:
         to_grid = np.array([[self._scale, 0, shift], [0, self._scale, shift]])
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         size, border = (n_cols, n_rows), cv2.BORDER_REPLICATE
-        return np.asarray(
-            cv2.warpAffine(shaded, to_grid, size, flags=flags, borderMode=border)
-        )
-
-    def surface(self, displacement_mm: Plane) -> tuple[Plane, Plane, Plane]:
-        """Return x, y about the dome's axis and depth z that each grid ray sees."""
-        z = self._first_met(displacement_mm)
-        x, y = self._at(z)
-        return x, y, z
-
-    def _lay_grid(self) -> None:
-        """Choose the shading grid: whole rows, and the columns that the disc covers."""
-        view = self._view
-        n_rows, n_cols = view.image_shape
-        rows = min(n_rows, _SHADED_ROWS)
-        self._scale = rows / n_rows
-        covered = min(view.disc_centre[1] + view.disc_radius, n_cols / n_rows)
-        cols = int(np.ceil(max(covered, 0) * rows)) + 1
-        self._grid_shape = rows, max(2, cols)
+        large = cv2.warpAffine(shaded, to_grid, size, flags=flags, borderMode=border)
+        return np.asarray(large)
 
     def _lay_rays(self, deepest_mm: float) -> None:
         view, radius = self._view, self._membrane.radius_mm
         rim = view.distance_mm - radius
-        rows, cols = self._grid_shape
+        rows, cols = self.grid_shape
         per_height = radius / (rim * view.disc_radius)
         up = ((np.arange(rows) + 0.5) / rows - view.disc_centre[0])[:, None]
         across = ((np.arange(cols) + 0.5) / rows - view.disc_centre[1])[None]
@@ -186,9 +143,8 @@ class Optics:
         self._slope_x = (across * per_height - shift_x / rim).astype(np.float32)
         self._slope_y = (up * per_height - shift_y / rim).astype(np.float32)
         near = max(rim - deepest_mm / 2, rim / 2)
-        self._depths = np.linspace(
-            near, view.distance_mm, _MARCH_STEPS, dtype=np.float32
-        )
+        steps = np.linspace(near, view.distance_mm, _MARCH_STEPS, dtype=np.float32)
+        self._depths = steps
         x, y = self._at(self._depths[:, None, None])
         self._steps = _cells(x, y, self._membrane)
         self._undented, self._at_rim = self._met_undented()
@@ -242,22 +198,6 @@ class Optics:
         z = np.clip(z + left * (step / fall), start, start + step)
         return np.where(self._at_rim, self._undented, z)
 
-    def _shaded(self, displacement_mm: Plane) -> Plane:
-        x, y, z = self.surface(displacement_mm)
-        pitch = np.float32(self._membrane.pitch_mm)
-        cells = _cells(x, y, self._membrane)
-        dent_y, dent_x = (
-            _remapped(gradient, *cells)
-            for gradient in np.gradient(displacement_mm, pitch)
-        )
-        radius = np.float32(self._membrane.radius_mm)
-        least = radius * np.float32(np.sqrt(1 - _STEEPEST**2))
-        height = np.sqrt(np.maximum(radius**2 - x * x - y * y, least**2))
-        slope = (-x / height - dent_x, -y / height - dent_y)
-        shift_x, shift_y = map(np.float32, self._view.offset_mm)
-        point = (x - shift_x, y - shift_y, z)
-        return shade(point, slope, self._lighting, self._view.distance_mm)
-
 
 def shade(
     point_mm: Sequence[Plane],
@@ -267,16 +207,8 @@ def shade(
 ) -> Plane:
     """Return the light that surface points send to the camera.
 
-    Parameters
-    ----------
-    point_mm : three arrays of one shape
-        x, y and depth z of the points.
-    slope : two arrays of that shape
-        dz/dx and dz/dy there.
-    lighting : Lighting
-        The LEDs and the surface.
-    distance_mm : float
-        Distance at which an LED gives 1.
+    `point_mm` holds x, y and depth z of the points, `slope` dz/dx and dz/dy there, all
+    of one shape; at `distance_mm` an LED gives 1.
 
     Notes
     -----
@@ -333,8 +265,5 @@ def _cells(x: Any, y: Any, membrane: Membrane) -> tuple[Plane, Plane]:
 def _remapped(values: Plane, columns: Plane, rows: Plane) -> Plane:
     import cv2
 
-    return np.asarray(
-        cv2.remap(
-            values, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
-    )
+    linear, border = cv2.INTER_LINEAR, cv2.BORDER_REPLICATE
+    return np.asarray(cv2.remap(values, columns, rows, linear, borderMode=border))

@@ -11,7 +11,7 @@ side along x; angles turn x towards y, clockwise as displayed.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -66,8 +66,13 @@ class Part:
         check_count("number", self.number, at_least=0)
         outline = _loop("outline_mm", self.outline_mm)
         holes = tuple(_loop("holes_mm", hole) for hole in self.holes_mm)
+        low, high = outline.min(axis=0), outline.max(axis=0)
         for hole in holes:
-            _refuse_hole_outside(hole, outline)
+            if (hole < low).any() or (hole > high).any():
+                raise ValueError(
+                    f"holes_mm must lie inside the outline, from {low} to {high} mm, "
+                    f"got a hole from {hole.min(axis=0)} to {hole.max(axis=0)} mm."
+                )
         object.__setattr__(self, "outline_mm", outline)
         object.__setattr__(self, "holes_mm", holes)
 
@@ -128,24 +133,19 @@ def find_parts(parts: Iterable[Part | str | int] | Part | str | int) -> list[Par
     ValueError
         For a name or number that is not among `PARTS`, or for none at all.
     """
-    single = isinstance(parts, Part | str | int)
-    wanted: Sequence[Any] = [parts] if single else list(parts)  # type: ignore[arg-type]
+    wanted = [parts] if isinstance(parts, Part | str | int) else list(parts)
     if not wanted:
         raise ValueError("parts must name at least one part, got none.")
-    return [_find_part(part) for part in wanted]
-
-
-def _find_part(wanted: Part | str | int) -> Part:
-    if isinstance(wanted, Part):
-        return wanted
-    for part in PARTS:
-        if wanted in (part.name, part.number):
-            return part
-    names = ", ".join(part.name for part in PARTS)
-    raise ValueError(
-        f"parts must be Part objects, numbers from 1 to {len(PARTS)}, or names "
-        f"among {names}, got {wanted!r}."
-    )
+    found = []
+    for one in wanted:
+        mine = [p for p in PARTS if one in (p, p.name, p.number)]
+        if not mine and not isinstance(one, Part):
+            raise ValueError(
+                f"parts must be Part objects, numbers from 1 to {len(PARTS)}, or names "
+                f"among {', '.join(part.name for part in PARTS)}, got {one!r}."
+            )
+        found += [one] if isinstance(one, Part) else mine[:1]
+    return found
 
 
 def _loop(name: str, corners: ArrayLike) -> Floats:
@@ -165,15 +165,6 @@ def _loop(name: str, corners: ArrayLike) -> Floats:
         raise ValueError(f"{name} must enclose an area, got a line.")
     loop.flags.writeable = False
     return loop
-
-
-def _refuse_hole_outside(hole: Floats, outline: Floats) -> None:
-    low, high = outline.min(axis=0), outline.max(axis=0)
-    if (hole < low).any() or (hole > high).any():
-        raise ValueError(
-            f"holes_mm must lie inside the outline, from {low} to {high} mm, got a "
-            f"hole from {hole.min(axis=0)} to {hole.max(axis=0)} mm."
-        )
 
 
 def _signed_area(loop: Floats) -> float:
@@ -201,10 +192,6 @@ def _on_circle(radius_mm: float, angle: Array) -> Floats:
     return np.asarray(radius_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
-def _hexagon(flats_mm: float) -> Floats:
-    return _on_circle(flats_mm / np.sqrt(3), np.deg2rad(60 * np.arange(6)))
-
-
 def _circle(diameter_mm: float) -> Floats:
     """Return the regular polygon of the circle's own area."""
     step = 2 * np.pi / _CIRCLE_VERTICES
@@ -215,7 +202,7 @@ def _circle(diameter_mm: float) -> Floats:
 def _face(shape: str, size_mm: float) -> tuple[Floats, int]:
     """Return the outline of a shape and in how many turns it looks the same."""
     if shape == "hexagon":
-        return _hexagon(size_mm), 6
+        return _on_circle(size_mm / np.sqrt(3), np.deg2rad(60 * np.arange(6))), 6
     if shape == "square":
         return _rectangle(size_mm, size_mm), 4
     return _circle(size_mm), 0

@@ -4,7 +4,7 @@ A dent moves the pins' roots inwards and tilts them, so their tips crowd round i
 edge and spread over its floor. Same axes and units as `DomeCamera`.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
@@ -20,14 +20,13 @@ from ._optics import sampled
 _SUBPIXEL_BITS = 4
 
 
-def _dome_of_pins() -> DomeCamera:
-    return DomeCamera(
-        image_shape=(300, 300),
-        disc_centre=(0.5, 0.5),
-        disc_radius=0.68,
-        noise_sd=2.0,
-        centre_drift_sd=0.005,
-    )
+_DOME = DomeCamera(
+    image_shape=(300, 300),
+    disc_centre=(0.5, 0.5),
+    disc_radius=0.68,
+    noise_sd=2.0,
+    centre_drift_sd=0.005,
+)
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,7 @@ class TacTipPins(DomeSensor):
     127
     """
 
-    dome: DomeCamera = field(default_factory=_dome_of_pins)
+    dome: DomeCamera = _DOME
     n_rings: int = 6
     spread: float = 0.85
     pin_length_mm: float = 2.0
@@ -75,9 +74,6 @@ class TacTipPins(DomeSensor):
         check_number("spread", self.spread, low=0.05, high=0.94)
         check_number("pin_length_mm", self.pin_length_mm, low=0.0)
         check_positive("pin_radius_mm", self.pin_radius_mm)
-
-    def _dome(self) -> DomeCamera:
-        return self.dome
 
     @property
     def n_pins(self) -> int:
@@ -102,9 +98,8 @@ class TacTipPins(DomeSensor):
         cells = [(a, b) for a in steps for b in steps if abs(a + b) <= n]
         a, b = np.array(cells, dtype=np.float32).T
         pitch = self.spread * self.dome.membrane_radius_mm / n
-        return np.column_stack([pitch * (a + b / 2), pitch * b * np.sqrt(0.75)]).astype(
-            np.float32
-        )
+        places = (pitch * (a + b / 2), pitch * b * np.sqrt(0.75))
+        return np.column_stack(places).astype(np.float32)
 
     def tips_mm(self, press: DomePress | None = None) -> NDArray[np.float32]:
         """Return x, y about the axis and depth z from the lens of tips, (n_pins, 3)."""
@@ -146,15 +141,9 @@ class TacTipPins(DomeSensor):
         # OpenCV's smooth discs are half a pixel larger than asked for.
         discs = (self.pixels(press) - (0, 0, 0.5)) * (1 << _SUBPIXEL_BITS)
         for row, col, radius in np.round(discs).astype(int).tolist():
-            cv2.circle(
-                picture,
-                (col, row),
-                max(radius, 1),
-                255,
-                thickness=-1,
-                lineType=cv2.LINE_AA,
-                shift=_SUBPIXEL_BITS,
-            )
+            filled, smooth = cv2.FILLED, cv2.LINE_AA
+            how = (max(radius, 1), 255, filled, smooth, _SUBPIXEL_BITS)
+            cv2.circle(picture, (col, row), *how)
         if rng is None or self.dome.noise_sd == 0:
             return picture
         noise = rng.standard_normal(self.image_shape, dtype=np.float32)

@@ -24,8 +24,16 @@ _MISSED_MM = 1e30
 _SLEEVE_RAYS = 64
 
 
+class _Rebuilt:
+    """Pickled without what is worked out from its fields, which is made anew."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        names = self.__dataclass_fields__  # type: ignore[attr-defined]
+        return {name: getattr(self, name) for name in names}
+
+
 @dataclass(frozen=True, eq=False)
-class SimObject:
+class SimObject(_Rebuilt):
     """A rigid object to touch.
 
     Parameters
@@ -69,14 +77,9 @@ class SimObject:
             return np.zeros(3)
         return np.asarray(self.mesh.extents, dtype=np.float64)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave the built surface behind: it is rebuilt on the other side."""
-        names = ("name", "category", "build", "resting")
-        return {name: getattr(self, name) for name in names}
-
 
 @dataclass(frozen=True, eq=False)
-class PlacedObject:
+class PlacedObject(_Rebuilt):
     """An object put somewhere, ready to be touched.
 
     Parameters
@@ -114,16 +117,11 @@ class PlacedObject:
     def resting(
         cls, thing: SimObject, pose: int = 0, yaw_rad: float = 0.0
     ) -> PlacedObject:
-        """Put it on the ground z = 0, its middle above the origin, in one of its
-        resting poses.
-        """
+        """Put it in a resting pose on the ground z = 0, its middle above the origin."""
         rotation = thing.resting_rotations[pose]
-        here = cls(thing, rotation, yaw_rad)
-        if not len(thing.mesh.faces):
-            return here
-        low, high = here.bounds_mm
-        middle = (low + high) / 2
-        return cls(thing, rotation, yaw_rad, (-middle[0], -middle[1], -low[2]))
+        low, high = cls(thing, rotation, yaw_rad).bounds_mm
+        x, y, _ = (low + high) / 2
+        return cls(thing, rotation, yaw_rad, (0 - x, 0 - y, 0 - low[2]))
 
     @cached_property
     def vertices_mm(self) -> Floats:
@@ -137,9 +135,7 @@ class PlacedObject:
     @property
     def bounds_mm(self) -> Floats:
         """Lowest and highest x, y, z, (2, 3); zeros for "nothing"."""
-        corners = self.vertices_mm
-        if not len(corners):
-            return np.zeros((2, 3))
+        corners = self.vertices_mm if len(self.vertices_mm) else np.zeros((1, 3))
         return np.stack([corners.min(axis=0), corners.max(axis=0)])
 
     @property
@@ -170,10 +166,6 @@ class PlacedObject:
         triangles = self.vertices_mm[faces].astype(np.float32)
         needed_for_objects("embreex.mesh_construction").TriangleMesh(scene, triangles)
         return scene
-
-    def __getstate__(self) -> dict[str, Any]:
-        names = ("thing", "rotation", "yaw_rad", "position_mm")
-        return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,27 +214,19 @@ class SensorPose:
 
 
 def gap_map(placed: PlacedObject, pose: SensorPose, membrane: Membrane) -> Floats:
-    """How far the sensor can move from a pose until each node of its dome touches.
+    """How far (mm) the sensor can move from a pose until each node of its dome touches.
 
-    Returns
-    -------
-    ndarray of shape (n_nodes, n_nodes)
-        In mm; infinity where nothing is ahead or outside the dome, negative where
-        the object already reaches into it. Subtract the least to press.
-
-    Notes
-    -----
-    One ray per node, from the level of the rim: of an object that is behind that
-    level nothing is seen. Only the first surface along the axis counts.
+    Of shape (n_nodes, n_nodes): infinity where nothing is ahead or outside the dome,
+    negative where the object already reaches into it. Subtract the least to press.
+    One ray per node, from the level of the rim: of an object that is behind that level
+    nothing is seen. Only the first surface along the axis counts.
     """
     x, y = np.meshgrid(membrane.node_mm, membrane.node_mm)
     inside = np.isfinite(membrane.drop_mm)
     drop = membrane.drop_mm[inside]
     back = membrane.radius_mm
-    local = np.column_stack([x[inside], y[inside], np.full(drop.shape, -back)])
-    origins = np.asarray(pose.position_mm) + local @ pose.axes.T
     gap = np.full(inside.shape, np.inf)
-    gap[inside] = placed.distance_mm(origins, np.asarray(pose.direction)) + drop - back
+    gap[inside] = _ahead(placed, pose, x[inside], y[inside], back) + drop - back
     return gap
 
 
@@ -257,9 +241,16 @@ def sleeve_gap(
     angle = np.arange(_SLEEVE_RAYS) * (2 * np.pi / _SLEEVE_RAYS)
     radius = rim_radius_mm + sleeve_mm * np.linspace(0.05, 1, 3)[:, None]
     x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
-    local = np.column_stack([x, y, np.full(x.shape, -rim_radius_mm)])
+    return float(_ahead(placed, pose, x, y, rim_radius_mm).min())
+
+
+def _ahead(
+    placed: PlacedObject, pose: SensorPose, x: Floats, y: Floats, back_mm: float
+) -> NDArray[np.float32]:
+    """Distance along the sensor's axis from places x, y that lie behind its tip."""
+    local = np.column_stack([x, y, np.full(x.shape, -back_mm)])
     origins = np.asarray(pose.position_mm) + local @ pose.axes.T
-    return float(placed.distance_mm(origins, np.asarray(pose.direction)).min())
+    return placed.distance_mm(origins, pose.direction)
 
 
 def turned(axis: ArrayLike, angle_deg: float) -> Floats:

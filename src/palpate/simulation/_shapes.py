@@ -28,17 +28,6 @@ def trimesh() -> Any:
     return needed_for_objects("trimesh")
 
 
-def surface(vertices: ArrayLike, faces: ArrayLike) -> Mesh:
-    """Make a mesh of triangles, turned outward, without doubled corners."""
-    mesh = trimesh().Trimesh(np.asarray(vertices, float), np.asarray(faces))
-    mesh.merge_vertices()
-    mesh.update_faces(mesh.nondegenerate_faces())
-    mesh.remove_unreferenced_vertices()
-    if mesh.volume < 0:
-        mesh.invert()
-    return mesh
-
-
 def joined(*meshes: Mesh) -> Mesh:
     """Put bodies together; they may overlap."""
     return trimesh().util.concatenate(meshes)
@@ -53,8 +42,7 @@ def moved(mesh: Mesh, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Mesh:
 
 def hull(points: ArrayLike) -> Mesh:
     """Return the convex hull of points, (n_points, 3)."""
-    cloud = trimesh().PointCloud(np.asarray(points, float))
-    return cloud.convex_hull
+    return trimesh().PointCloud(np.asarray(points, float)).convex_hull
 
 
 def ball_points(centre: ArrayLike, radius: float, n: int = 16) -> Floats:
@@ -101,29 +89,10 @@ def lofted(rings: ArrayLike) -> Mesh:
     top = np.stack([np.full(n, last), this[-1], right[-1]], -1)
     ends = skin[[0, -1]].mean(axis=1)
     vertices = np.concatenate([skin.reshape(-1, 3), ends])
-    return surface(vertices, np.concatenate([*sides, bottom, top]))
-
-
-def ellipses(
-    half_x: ArrayLike, half_y: ArrayLike, z: ArrayLike, power: float = 2.0, n: int = 96
-) -> Floats:
-    """Return rings |x/a|^p + |y/b|^p = 1 at each height, for `lofted`."""
-    around = np.arange(n) * (2 * np.pi / n)
-    cos, sin = np.cos(around), np.sin(around)
-    x = np.multiply.outer(half_x, np.sign(cos) * np.abs(cos) ** (2 / power))
-    y = np.multiply.outer(half_y, np.sign(sin) * np.abs(sin) ** (2 / power))
-    heights = np.broadcast_to(np.asarray(z, float)[:, None], x.shape)
-    return np.stack([x, y, heights], -1)
-
-
-def tube(path: ArrayLike, radius: float, n: int = 24) -> Mesh:
-    """Return a tube along a path in the x-z plane, (n_points, 3)."""
-    line = np.asarray(path, float)
-    along = np.gradient(line, axis=0)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    side = np.array([0.0, 1.0, 0.0])
-    up = np.cross(along, side)
-    around = np.arange(n) * (2 * np.pi / n)
-    cos, sin = radius * np.cos(around), radius * np.sin(around)
-    wheel = cos[:, None] * side + sin[:, None] * up[:, None]
-    return lofted(line[:, None] + wheel)
+    mesh = trimesh().Trimesh(vertices, np.concatenate([*sides, bottom, top]))
+    mesh.merge_vertices()
+    mesh.update_faces(mesh.nondegenerate_faces())
+    mesh.remove_unreferenced_vertices()
+    if mesh.volume < 0:
+        mesh.invert()
+    return mesh

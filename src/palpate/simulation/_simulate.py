@@ -4,9 +4,9 @@ How presses on an array differ is fixed by what a plain press rig and machined p
 are like, and stated with `simulate_presses`; nothing here knows what recognises them.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,6 @@ from ._parts import PARTS, Part, find_parts
 from ._pins import TacTipPins
 from ._placed import PlacedObject, SensorPose, SimObject
 
-STRATEGIES = ("hemisphere", "above")
 _PER_TASK = 25, 50  # touches, presses
 _ATTEMPTS = 50
 
@@ -125,10 +124,12 @@ def simulate_touches(
     """
     things = _found(objects)
     sensor = DomeCamera(image_shape=(120, 120)) if camera is None else camera
+    usual = 10.0 if strategy == "above" else 80.0
+    tilt = usual if max_tilt_deg is None else max_tilt_deg
     way = _Way(
-        strategy=check_option("strategy", strategy, STRATEGIES),
+        strategy=check_option("strategy", strategy, ("hemisphere", "above")),
         hemisphere_mm=check_positive("hemisphere_mm", hemisphere_mm),
-        max_tilt_deg=_tilt(max_tilt_deg, strategy),
+        max_tilt_deg=check_number("max_tilt_deg", tilt, low=0.0, high=90.0),
         aim_sd_mm=check_number("aim_sd_mm", aim_sd_mm, low=0.0),
         max_roll_deg=check_number("max_roll_deg", max_roll_deg, low=0.0, high=180.0),
         force_sd=check_number("force_sd", force_sd, low=0.0, high=2.0),
@@ -137,18 +138,32 @@ def simulate_touches(
         keep_misses=bool(keep_misses),
     )
     count = check_count("n_touches", n_touches)
-    sessions = min(check_count("n_sessions", n_sessions), count)
-    tasks = list(_tasks(things, count, sessions, _root(random_state)))
-    batches = in_parallel(
-        _touch_some,
-        [(sensor, way, *task[:3]) for task in tasks],
-        "Touching",
-        n_jobs=n_jobs,
-        show=progress,
-        sizes=[len(task[2]) for task in tasks],
+    n_parts = min(check_count("n_sessions", n_sessions), count)
+    parts = np.array_split(np.arange(count), n_parts)
+    seeds = zip(things, _root(random_state).spawn(len(things)), strict=True)
+    tasks = [
+        (sensor, way, *task) for one in seeds for task in _sessions_of(*one, parts)
+    ]
+    done = _all_of(_touch_some, tasks, "Touching", n_jobs, progress)
+    images, presses, ends = zip(*done, strict=True)
+    session = np.repeat(np.arange(n_parts), [len(part) for part in parts])
+    repeated = [thing for thing in things for _ in range(count)]
+    return Touches(
+        np.stack(images),
+        object=np.array([thing.name for thing in repeated]),
+        category=np.array([thing.category for thing in repeated]),
+        no_contact=sensor.no_contact(),
+        geometry="dome",
+        session=np.tile(session, len(things)),
+        order=np.tile(np.arange(count), len(things)),
+        position_mm=np.stack([np.asarray(end.position_mm) for end in ends]),
+        direction=np.stack([np.asarray(end.direction) for end in ends]),
+        roll_rad=np.array([end.roll_rad for end in ends]),
+        force_n=np.array([press.force_n for press in presses]),
+        depth_mm=np.array([press.depth_mm for press in presses]),
+        area_mm2=np.array([press.area_mm2 for press in presses]),
+        contact=np.array([press.area_mm2 > 0 for press in presses]),
     )
-    done = list(chain.from_iterable(batches))
-    return _touches_of(things, count, tasks, done, sensor)
 
 
 def simulate_presses(
@@ -214,9 +229,12 @@ def simulate_presses(
     (6, 10, 10)
     """
     found = find_parts(parts)
-    device = _device(array)
+    device: Any = PressureArray() if array is None else array
+    if not isinstance(device, PressureArray):
+        kind = type(array).__name__
+        raise TypeError(f"array must be a PressureArray, got {kind}.")
     draw = _Draw(
-        _range("load_kgf", load_kgf),
+        _loads(load_kgf),
         check_number("max_shift_mm", max_shift_mm, low=0),
         check_number("max_turn_deg", max_turn_deg, low=0, high=180),
         check_number("tilt_sd_deg", tilt_sd_deg, low=0, high=2),
@@ -227,11 +245,41 @@ def simulate_presses(
     seeds = _root(random_state).spawn(len(repeated))
     batches = [slice(i, i + _PER_TASK[1]) for i in range(0, len(seeds), _PER_TASK[1])]
     tasks = [(device, draw, repeated[some], seeds[some]) for some in batches]
-    sizes = [len(task[3]) for task in tasks]
-    pressed = in_parallel(
-        _press_all, tasks, "Pressing", n_jobs=n_jobs, show=progress, sizes=sizes
+    pressed = _all_of(_press_all, tasks, "Pressing", n_jobs, progress)
+    images, presses = zip(*pressed, strict=True)
+    return Touches(
+        np.stack(images),
+        object=np.array([part.name for part in repeated]),
+        category=np.array([part.category for part in repeated]),
+        geometry="array",
+        part=np.array([part.number for part in repeated]),
+        press=np.tile(np.arange(count), len(found)),
+        position_mm=np.array([(press.x_mm, press.y_mm) for press in presses]),
+        angle_deg=np.array([press.angle_deg for press in presses]),
+        symmetry=np.array([part.symmetry for part in repeated]),
+        force_n=np.array([press.force_n for press in presses]),
+        tilt_deg=np.array([press.tilt_deg for press in presses]),
+        set_pitch_mm=np.array(device.pitch_mm),
     )
-    return _presses_of(repeated, list(chain.from_iterable(pressed)), count, device)
+
+
+def _root(random_state: int | None) -> SeedSequence:
+    if random_state is None:
+        return SeedSequence()
+    return SeedSequence(check_count("random_state", random_state, at_least=0))
+
+
+def _all_of(
+    function: Callable[..., list[Any]],
+    tasks: list[tuple[Any, ...]],
+    what: str,
+    n_jobs: int | None,
+    show: bool | None,
+) -> list[Any]:
+    """Return what all tasks make, which end in the seeds of what they make."""
+    sizes = [len(task[-1]) for task in tasks]
+    made = in_parallel(function, tasks, what, n_jobs=n_jobs, show=show, sizes=sizes)
+    return list(chain.from_iterable(made))
 
 
 @dataclass(frozen=True)
@@ -273,11 +321,7 @@ class _Way:
         return SensorPose(goal + away * outward, -outward, float(roll))
 
 
-@dataclass(frozen=True, eq=False)
-class _Touch:
-    image: Frame
-    press: DomePress
-    end: SensorPose
+_Touch = tuple[Frame, DomePress, SensorPose]
 
 
 def _touch_some(
@@ -297,91 +341,45 @@ def _touch_some(
 def _one(
     sensor: DomeCamera | TacTipPins, way: _Way, placed: PlacedObject, rng: Generator
 ) -> _Touch:
-    force = sensor._dome().force_n * float(np.exp(rng.normal(0, way.force_sd)))
+    """Return picture, press and the pose at its end."""
+    force = sensor.dome.force_n * float(np.exp(rng.normal(0, way.force_sd)))
     solid = len(placed.thing.mesh.faces) > 0
     for _ in range(_ATTEMPTS):
         pose = way.start(placed, rng)
         press = sensor.press(placed, pose, force_n=force)
         if press.touched or way.keep_misses or not solid:
-            end = pose.advanced(press.travel_mm)
-            return _Touch(sensor.image(press, rng), press, end)
+            return sensor.image(press, rng), press, pose.advanced(press.travel_mm)
     raise ValueError(
         f"objects must be where the sensor goes, but {placed.thing.name!r} was missed "
         f"{_ATTEMPTS} times. Lower aim_sd_mm or pass keep_misses=True."
     )
 
 
-_Task = tuple[SimObject, SeedSequence, list[SeedSequence], int]
-
-
-def _tasks(
-    things: list[SimObject], n_touches: int, n_sessions: int, root: SeedSequence
-) -> Iterable[_Task]:
+def _sessions_of(
+    thing: SimObject, seed: SeedSequence, parts: list[NDArray[np.intp]]
+) -> Iterator[tuple[SimObject, SeedSequence, list[SeedSequence]]]:
     """Split the work; seeds hang on the object's place and the touch's, not on this."""
-    for thing, seed in zip(things, root.spawn(len(things)), strict=True):
-        of_sessions, of_touches = seed.spawn(2)
-        sessions = of_sessions.spawn(n_sessions)
-        touches = of_touches.spawn(n_touches)
-        for number, numbers in enumerate(np.array_split(range(n_touches), n_sessions)):
-            for start in range(0, len(numbers), _PER_TASK[0]):
-                some = numbers[start : start + _PER_TASK[0]]
-                seeds = [touches[touch] for touch in some]
-                yield thing, sessions[number], seeds, number
-
-
-def _touches_of(
-    things: list[SimObject],
-    n_touches: int,
-    tasks: list[_Task],
-    done: list[_Touch],
-    sensor: DomeCamera | TacTipPins,
-) -> Touches:
-    repeated = [thing for thing in things for _ in range(n_touches)]
-    presses = [touch.press for touch in done]
-    return Touches(
-        np.stack([touch.image for touch in done]),
-        object=np.array([thing.name for thing in repeated]),
-        category=np.array([thing.category for thing in repeated]),
-        no_contact=sensor.no_contact(),
-        geometry="dome",
-        session=np.concatenate([np.full(len(task[2]), task[3]) for task in tasks]),
-        order=np.tile(np.arange(n_touches), len(things)),
-        position_mm=np.stack([np.asarray(touch.end.position_mm) for touch in done]),
-        direction=np.stack([np.asarray(touch.end.direction) for touch in done]),
-        roll_rad=np.array([touch.end.roll_rad for touch in done]),
-        force_n=np.array([press.force_n for press in presses]),
-        depth_mm=np.array([press.depth_mm for press in presses]),
-        area_mm2=np.array([press.area_mm2 for press in presses]),
-        contact=np.array([press.area_mm2 > 0 for press in presses]),
-    )
+    of_sessions, of_touches = seed.spawn(2)
+    seeds = iter(of_touches.spawn(sum(map(len, parts))))
+    for session, part in zip(of_sessions.spawn(len(parts)), parts, strict=True):
+        mine = list(islice(seeds, len(part)))
+        for start in range(0, len(mine), _PER_TASK[0]):
+            yield thing, session, mine[start : start + _PER_TASK[0]]
 
 
 def _found(objects: Iterable[SimObject | str] | SimObject | str) -> list[SimObject]:
     given = [objects] if isinstance(objects, SimObject | str) else list(objects)
     if not given:
         raise ValueError("objects must name at least one object, got none.")
-    things = []
     for one in given:
         if not isinstance(one, SimObject | str):
             raise TypeError(
                 f"objects must be SimObject or names, got {type(one).__name__}. "
                 "Read a mesh file with load_mesh(path)."
             )
-        things.append(find_object(one) if isinstance(one, str) else one)
+    things = [find_object(one) if isinstance(one, str) else one for one in given]
     refuse_same_names(things)
     return things
-
-
-def _tilt(max_tilt_deg: float | None, strategy: str) -> float:
-    if max_tilt_deg is None:
-        return 10.0 if strategy == "above" else 80.0
-    return check_number("max_tilt_deg", max_tilt_deg, low=0.0, high=90.0)
-
-
-def _root(random_state: int | None) -> SeedSequence:
-    if random_state is None:
-        return SeedSequence()
-    return SeedSequence(check_count("random_state", random_state, at_least=0))
 
 
 @dataclass(frozen=True)
@@ -395,15 +393,11 @@ class _Draw:
     roughness: float
 
     def __call__(self, rng: Generator) -> Press:
-        x, y = self.shift * rng.uniform(-1, 1, size=2)
-        angle = self.turn * rng.uniform(-1, 1) % 360
+        x, y = (self.shift * rng.uniform(-1, 1, size=2)).tolist()
+        angle = float(self.turn * rng.uniform(-1, 1) % 360)
         load = rng.uniform(*self.loads)
-        along_x, along_y = np.clip(self.tilt * rng.standard_normal(2), -10, 10)
-        tilt = (float(along_x), float(along_y))
-        return Press(float(x), float(y), float(angle), load, tilt, self.roughness)
-
-
-_Pressed = tuple[NDArray[np.uint8], Press]
+        tilt = np.clip(self.tilt * rng.standard_normal(2), -10, 10).tolist()
+        return Press(x, y, angle, load, tuple(tilt), self.roughness)
 
 
 def _press_all(
@@ -411,54 +405,26 @@ def _press_all(
     draw: _Draw,
     parts: list[Part],
     seeds: list[SeedSequence],
-) -> list[_Pressed]:
+) -> list[tuple[Frame, Press]]:
     """Press each part once, on one thread so that sums round alike everywhere."""
     pressed = []
     with threadpool_limits(limits=1, user_api="blas"):
         for part, seed in zip(parts, seeds, strict=True):
             rng = np.random.default_rng(seed)
             press = draw(rng)
-            image = array.read(array.stress_kpa(part, press, rng), rng)
-            pressed.append((image, press))
+            stress = array.stress_kpa(part, press, rng)
+            pressed.append((array.read(stress, rng), press))
     return pressed
 
 
-def _presses_of(
-    parts: list[Part], pressed: list[_Pressed], n_presses: int, array: PressureArray
-) -> Touches:
-    presses = [press for _, press in pressed]
-    return Touches(
-        np.stack([image for image, _ in pressed]),
-        object=np.array([part.name for part in parts]),
-        category=np.array([part.category for part in parts]),
-        geometry="array",
-        part=np.array([part.number for part in parts]),
-        press=np.tile(np.arange(n_presses), len(parts) // n_presses),
-        position_mm=np.array([(press.x_mm, press.y_mm) for press in presses]),
-        angle_deg=np.array([press.angle_deg for press in presses]),
-        symmetry=np.array([part.symmetry for part in parts]),
-        force_n=np.array([press.force_n for press in presses]),
-        tilt_deg=np.array([press.tilt_deg for press in presses]),
-        set_pitch_mm=np.array(array.pitch_mm),
-    )
-
-
-def _device(array: object) -> PressureArray:
-    if array is None:
-        return PressureArray()
-    if not isinstance(array, PressureArray):
-        raise TypeError(f"array must be a PressureArray, got {type(array).__name__}.")
-    return array
-
-
-def _range(name: str, value: Any) -> tuple[float, float]:
+def _loads(value: Any) -> tuple[float, float]:
     """Return (low, high) for a range or for one number, each a valid load."""
     limits = tuple(value) if isinstance(value, tuple | list) else (value, value)
     if len(limits) != 2:
-        raise ValueError(f"{name} must be one load or (low, high), got {value}.")
+        raise ValueError(f"load_kgf must be one load or (low, high), got {value}.")
     low, high = limits
     for load in limits:
         Press(load_kgf=load)
     if low > high:
-        raise ValueError(f"{name} must go from low to high, got {value}.")
+        raise ValueError(f"load_kgf must go from low to high, got {value}.")
     return float(low), float(high)

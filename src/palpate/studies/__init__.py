@@ -7,7 +7,7 @@ One subpackage per paper says what is measured and how it is shown; `_study` run
 from typing import Any
 
 from .._checks import check_option
-from ._study import Study
+from ._study import Study as Study
 from ._touches import Archive as Archive
 from ._touches import recorded_touches as recorded_touches
 
@@ -30,4 +30,4 @@ def run_study(name: str, **options: Any) -> dict[str, Any]:
     return one.run(**options)
 
 
-__all__ = ["STUDIES", "Study", "run_study"]
+__all__ = ["STUDIES", "run_study"]

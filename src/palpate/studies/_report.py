@@ -126,18 +126,13 @@ def write_page(
     target: Path, title: str, text: str, tables: Iterable[Table], figures: Figures
 ) -> Path:
     """Write a page that loads nothing from elsewhere; figures by their captions."""
-    from ..evaluation import PAGE_STYLE, plots
+    from ..evaluation import plots, report_page
 
     sections = [f"<h1>{escape(title)}</h1><p>{escape(text)}</p>", *map(_table, tables)]
     for caption, figure in figures.items():
         drawn, below = plots._svg(figure), escape(caption)
         sections.append(f"<p>{drawn}</p><p class=note>{below}</p>")
-    head = (
-        "<!doctype html><html lang=en><meta charset=utf-8>"
-        "<meta name=viewport content='width=device-width,initial-scale=1'>"
-        f"<title>{escape(title)}</title><style>{PAGE_STYLE}</style><body>"
-    )
-    write_text(target, head + "".join(sections) + "</body></html>")
+    write_text(target, report_page(title, sections))
     return target
 
 

@@ -10,8 +10,7 @@ from ._columns import TouchesError
 from ._html import png_address as png_address
 from ._pictures import decode_bytes
 from ._pictures import n_cores as n_cores
-from ._source import TouchSource
-from ._touches import Episode, Touches, read_folder
+from ._touches import Episode, Touches, TouchSource, read_folder
 
 __all__ = [
     "Episode",

@@ -15,11 +15,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from math import prod
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib import format as npy
-from numpy.typing import NDArray
 
 from .._durable import replacing
 from .._types import Array
@@ -33,10 +32,9 @@ from ._columns import (
 )
 
 _WHOLE_NAMES = "set_whole_names"
-_CHUNK = 2**20
 _MAX_MEMBERS = 1000
 _MAX_HEADER = 2**14
-_VERSIONS = (b"\x01\x00", b"\x02\x00")
+_READERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 _MAX_ZIP_END = 22 + 2**16
 _MAX_CODE_POINT = 0x10FFFF
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # one date for all, so equal touches give equal files
@@ -55,14 +53,13 @@ def read_archive(path: Path, max_bytes: int) -> tuple[Array, Arrays, Arrays]:
     """
     if not path.is_file():
         raise TouchesError(f"{path} must be a file, got none there. Check the path.")
-    with _explained(path), zipfile.ZipFile(path) as archive:
-        arrays = _inflated(path, archive, max_bytes)
-    try:
+    with _explained(path):
+        with zipfile.ZipFile(path) as archive:
+            _refuse_lost_members(path, len(archive.infolist()))
+            arrays = _inflated(archive, max_bytes)
         images = checked_images(arrays.pop("images"))
         names = arrays.pop(_WHOLE_NAMES, np.array([], dtype=np.str_)).ravel()
         return images, *sorted_out(arrays, images, [str(name) for name in names])
-    except TouchesError as error:
-        raise TouchesError(f"{path}: {error}") from error
 
 
 def write_archive(path: Path, images: Array, columns: Arrays, whole: Arrays) -> None:
@@ -79,11 +76,8 @@ def write_archive(path: Path, images: Array, columns: Arrays, whole: Arrays) -> 
             f"Write to {path.with_name(path.name + '.npz')}."
         )
     arrays: Arrays = {"images": images, **columns, **whole}
-    mistakable = [
-        name
-        for name, array in whole.items()
-        if not belongs_to_whole(name) and array.ndim and len(array) == len(images)
-    ]
+    unsettled = {name: a for name, a in whole.items() if not belongs_to_whole(name)}
+    mistakable = [n for n, a in unsettled.items() if a.shape[:1] == images.shape[:1]]
     if mistakable:
         arrays[_WHOLE_NAMES] = np.array(mistakable)
     for name in arrays:
@@ -108,77 +102,90 @@ class _Member(NamedTuple):
     """One array of an archive, as its header describes it."""
 
     info: zipfile.ZipInfo
-    n_header_bytes: int
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
-    fortran: bool
 
     def __str__(self) -> str:
         size = " x ".join(map(str, self.shape)) or "one"
         return f"{self.info.filename.removesuffix('.npy')} ({size} {self.dtype})"
 
 
-def _inflated(path: Path, archive: zipfile.ZipFile, max_bytes: int) -> Arrays:
+def _inflated(archive: zipfile.ZipFile, max_bytes: int) -> Arrays:
     """Return every array, once all headers are known to be in order."""
     infos = archive.infolist()
-    _refuse_lost_members(path, len(infos))
-    _refuse_odd_members(path, infos)
+    _refuse_odd_members(infos)
     n_bytes = sum(info.file_size for info in infos)
     if n_bytes > max_bytes:
         raise TouchesError(
-            f"{path} must inflate to at most {_mib(max_bytes)} MiB, got "
+            f"the arrays must inflate to at most {_mib(max_bytes)} MiB, got "
             f"{_mib(n_bytes)} MiB. Raise max_bytes if you trust the file."
         )
-    members = [_described(path, archive, info) for info in infos]
+    members = [_described(archive, info) for info in infos]
     arrays = {one.info.filename.removesuffix(".npy"): one for one in members}
     if "images" not in arrays:
         held = ", ".join(map(str, members)) or "nothing"
         raise TouchesError(
-            f"{path} is not a touch archive: it must hold an array named "
-            f"images (n_touches, n_rows, n_cols); it holds {held}. "
+            "this is not a touch archive: it must hold an array named images "
+            f"(n_touches, n_rows, n_cols); it holds {held}. "
             "Rename the array of images, or give another file."
         )
-    return {name: _array(path, archive, member) for name, member in arrays.items()}
+    return {name: _array(archive, member) for name, member in arrays.items()}
 
 
-def _described(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Member:
+def _described(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Member:
+    """Read the type and shape of one array; refuse what is not plain."""
+    name = info.filename
     with archive.open(info) as stream:
-        member = _parsed_header(path, info, stream)
-    n_bytes = prod(member.shape) * member.dtype.itemsize
-    if info.file_size != member.n_header_bytes + n_bytes:
-        raise TouchesError(
-            f"{path}: {info.filename} must hold the {n_bytes} bytes that its "
-            f"header promises, got {info.file_size - member.n_header_bytes}. "
-            "The file is damaged: write or fetch it again."
-        )
-    return member
-
-
-def _array(path: Path, archive: zipfile.ZipFile, member: _Member) -> Array:
+        header = io.BytesIO(stream.read(_MAX_HEADER))
     try:
-        flat = np.empty(prod(member.shape), dtype=member.dtype)
-    except MemoryError as error:
-        n_bytes = member.info.file_size
+        read = _READERS[npy.read_magic(header)]
+        shape, _, dtype = read(header, max_header_size=_MAX_HEADER)
+    except Exception as error:
+        # The header is a Python literal: numpy fails on it in many ways.
+        raise _bad_array(name, f"{error}"[:80] or "no header") from error
+    if dtype.kind not in PLAIN_KINDS or dtype.hasobject:
+        what = "Python objects (a pickle)" if dtype.hasobject else str(dtype)
         raise TouchesError(
-            f"{path}: {member} needs {_mib(n_bytes)} MiB, more than there is. "
+            f"{name} must hold plain numbers or text, got {what}. "
+            "Pickles are never read; store it as an array of numbers or text."
+        )
+    if dtype.itemsize == 0 or any(n < 0 for n in shape):
+        raise _bad_array(name, f"shape {shape} of {dtype}")
+    promised, n_bytes = prod(shape) * dtype.itemsize, info.file_size - header.tell()
+    if n_bytes != promised:
+        raise TouchesError(
+            f"{name} must hold the {promised} bytes that its header promises, got "
+            f"{n_bytes}. The file is damaged: write or fetch it again."
+        )
+    return _Member(info, shape, dtype)
+
+
+def _array(archive: zipfile.ZipFile, member: _Member) -> Array:
+    try:
+        with archive.open(member.info) as stream:
+            array = npy.read_array(stream, max_header_size=_MAX_HEADER)
+            if stream.read(1):  # the end of a member checks its CRC
+                raise EOFError("an array goes on after its end")
+    except MemoryError as error:
+        raise TouchesError(
+            f"{member} needs {_mib(member.info.file_size)} MiB, more than there is. "
             "Split the archive into smaller ones."
         ) from error
-    with archive.open(member.info) as stream:
-        stream.read(member.n_header_bytes)
-        _fill(flat.view(np.uint8), stream)
-    _refuse_bad_text(path, member, flat)
-    if member.fortran:
-        return flat.reshape(member.shape[::-1]).T
-    return flat.reshape(member.shape)
+    if array.dtype.kind == "U" and array.size:
+        code = np.dtype(np.uint32).newbyteorder(array.dtype.byteorder)
+        # No Python string can hold other characters.
+        if array.ravel("K").view(code).max() > _MAX_CODE_POINT:
+            raise _bad_array(member.info.filename, "characters outside Unicode")
+    return np.asarray(array)
 
 
 @contextmanager
 def _explained(path: Path) -> Iterator[None]:
-    """Turn whatever zipfile and zlib stumble over into one error."""
+    """Name the file in every error; zipfile and zlib raise many kinds."""
     try:
         yield
-    except TouchesError:
-        raise
+    except TouchesError as error:
+        raise TouchesError(f"{path}: {error}") from error
     except PermissionError as error:
         raise TouchesError(
             f"{path} must be readable, got: {error.strerror}. Change its permissions."
@@ -200,102 +207,44 @@ def _refuse_lost_members(path: Path, n_found: int) -> None:
     count = end[end.rfind(b"PK\x05\x06") + 10 :][:2]
     if int.from_bytes(count, "little") not in (n_found, 0xFFFF):
         raise TouchesError(
-            f"{path} must hold the arrays that its directory counts, got {n_found}. "
+            f"it must hold the arrays that its directory counts, got {n_found}. "
             "The file is damaged: write or fetch it again."
         )
 
 
-def _refuse_odd_members(path: Path, infos: list[zipfile.ZipInfo]) -> None:
+def _refuse_odd_members(infos: list[zipfile.ZipInfo]) -> None:
     if len(infos) > _MAX_MEMBERS:
         raise TouchesError(
-            f"{path} must hold at most {_MAX_MEMBERS} arrays, got {len(infos)}. "
+            f"it must hold at most {_MAX_MEMBERS} arrays, got {len(infos)}. "
             "One archive is one set of touches: split it."
         )
-    seen: set[str] = set()
-    for info in infos:
+    names = [info.filename for info in infos]
+    for number, info in enumerate(infos):
         name = info.filename
-        if name in seen:
+        if name in names[:number]:
             raise TouchesError(
-                f"{path} must hold each array once, got {name!r} twice. "
+                f"it must hold each array once, got {name!r} twice. "
                 "Write the archive again with names of their own."
             )
-        seen.add(name)
         if not name.endswith(".npy") or info.flag_bits & 1:
             what = "an encrypted member" if info.flag_bits & 1 else "another file"
             raise TouchesError(
-                f"{path} must hold plain .npy arrays alone, got {what}, {name!r}. "
+                f"it must hold plain .npy arrays alone, got {what}, {name!r}. "
                 "Write it with numpy.savez or Touches.save."
             )
         if info.compress_type not in _METHODS:
             raise TouchesError(
-                f"{path} must be stored or deflated, got zip method "
-                f"{info.compress_type} for {name!r}. Write it with numpy.savez, "
-                "numpy.savez_compressed or Touches.save."
+                f"it must be stored or deflated, got zip method {info.compress_type} "
+                f"for {name!r}. Write it with numpy.savez, numpy.savez_compressed or "
+                "Touches.save."
             )
 
 
-def _parsed_header(path: Path, info: zipfile.ZipInfo, stream: IO[bytes]) -> _Member:
-    """Read the type and shape of one array; refuse what is not plain."""
-    raw = _raw_header(path, info, stream)
-    read = npy.read_array_header_1_0 if raw[6] == 1 else npy.read_array_header_2_0
-    header = io.BytesIO(raw)
-    try:
-        npy.read_magic(header)
-        shape, fortran, dtype = read(header, max_header_size=_MAX_HEADER)
-    except Exception as error:
-        # The header is a Python literal: numpy fails on it in many ways.
-        raise _bad_header(path, info, f"{error}"[:80] or "no header") from error
-    if dtype.kind not in PLAIN_KINDS or dtype.hasobject:
-        what = "Python objects (a pickle)" if dtype.hasobject else str(dtype)
-        raise TouchesError(
-            f"{path}: {info.filename} must hold plain numbers or text, got {what}. "
-            "Pickles are never read; store it as an array of numbers or text."
-        )
-    if dtype.itemsize == 0 or any(n < 0 for n in shape):
-        raise _bad_header(path, info, f"shape {shape} of {dtype}")
-    return _Member(info, len(raw), shape, dtype, fortran)
-
-
-def _raw_header(path: Path, info: zipfile.ZipInfo, stream: IO[bytes]) -> bytes:
-    """Return the bytes before the values, without trusting the length they give."""
-    start = stream.read(8)
-    if len(start) < 8 or start[:6] != b"\x93NUMPY" or start[6:8] not in _VERSIONS:
-        raise _bad_header(path, info, f"a start of {start!r}")
-    n_length = 2 if start[6] == 1 else 4
-    length = stream.read(n_length)
-    n_bytes = int.from_bytes(length, "little")
-    if n_bytes > _MAX_HEADER:
-        raise _bad_header(path, info, f"a header of {n_bytes} bytes")
-    return start + length + stream.read(n_bytes)
-
-
-def _bad_header(path: Path, info: zipfile.ZipInfo, got: str) -> TouchesError:
+def _bad_array(name: str, got: str) -> TouchesError:
     return TouchesError(
-        f"{path}: {info.filename} must be an array as numpy.save writes it, got "
-        f"{got}. The file is damaged or no touch archive: write or fetch it again."
+        f"{name} must be an array as numpy.save writes it, got {got}. The file is "
+        "damaged or no touch archive: write or fetch it again."
     )
-
-
-def _fill(flat: NDArray[np.uint8], stream: IO[bytes]) -> None:
-    """Read exactly `flat` from `stream`; the end of a member checks its CRC."""
-    start = 0
-    while start < len(flat):
-        chunk = stream.read(min(_CHUNK, len(flat) - start))
-        if not chunk:
-            raise EOFError("an array ends early")
-        flat[start : start + len(chunk)] = np.frombuffer(chunk, np.uint8)
-        start += len(chunk)
-    if stream.read(1):
-        raise EOFError("an array goes on after its end")
-
-
-def _refuse_bad_text(path: Path, member: _Member, flat: Array) -> None:
-    """Refuse text that no Python string can hold."""
-    if member.dtype.kind != "U" or not len(flat):
-        return
-    code = np.dtype(np.uint32).newbyteorder(member.dtype.byteorder)
-    if flat.view(code).max() > _MAX_CODE_POINT:
-        raise _bad_header(path, member.info, "characters outside Unicode")
 
 
 def _refuse_odd_name(path: Path, name: str) -> None:

@@ -51,11 +51,6 @@ def frozen(array: Array) -> Array:
 def checked_images(images: ArrayLike) -> Array:
     """Return images (n_touches, n_rows, n_cols) read-only, or explain."""
     array = plain_array("images", images)
-    if array.dtype.kind not in "biuf":
-        raise TouchesError(
-            f"images must be integers or floats, got {array.dtype}. "
-            "Convert them first, for example images.astype(np.float32)."
-        )
     if array.ndim != 3:
         hint = " For one touch pass images[np.newaxis]." if array.ndim == 2 else ""
         raise TouchesError(
@@ -67,7 +62,7 @@ def checked_images(images: ArrayLike) -> Array:
             "images must hold at least one touch of at least one taxel, "
             f"got shape {array.shape}. Leave empty recordings out."
         )
-    _refuse_infinity("images", array)
+    _refuse_odd_levels("images", array)
     return frozen(array)
 
 
@@ -145,7 +140,18 @@ def picked_rows(index: Any, n_touches: int) -> slice | Array:
         return slice(touch % n_touches, touch % n_touches + 1)
     rows: slice | Array = index
     if not isinstance(index, slice):
-        rows = _row_numbers(index, n_touches)
+        rows = np.asarray(None if isinstance(index, tuple) else index)
+        if rows.size == 0 and rows.ndim == 1:
+            rows = rows.astype(np.intp)
+        if rows.ndim != 1 or rows.dtype.kind not in "biu":
+            raise TypeError(
+                "Touches are picked by number, slice, mask or array of numbers, "
+                f"got {index!r}. Columns are in touches.columns[name]."
+            )
+        if rows.dtype.kind == "b" and len(rows) != n_touches:
+            raise IndexError(
+                f"a mask must have one value per touch ({n_touches}), got {len(rows)}."
+            )
     if len(np.arange(n_touches)[rows]) == 0:
         raise TouchesError(
             f"A selection must keep at least one of {n_touches} touches, got none."
@@ -171,8 +177,26 @@ def joined_images(parts: Sequence[Array]) -> Array:
 
 def joined_columns(parts: Sequence[Arrays]) -> Arrays:
     """Join columns by name, in the order in which names first appear."""
-    names = list(dict.fromkeys(name for part in parts for name in part))
-    return {name: _joined_column(name, parts) for name in names}
+    joined: Arrays = {}
+    for name in dict.fromkeys(name for part in parts for name in part):
+        for number, part in enumerate(parts):
+            if name not in part:
+                raise TouchesError(
+                    f"column {name!r} must be in every set, got none in set {number}. "
+                    f"Add it with touches.with_columns({name}=...), or drop it "
+                    f"elsewhere with touches.without({name!r})."
+                )
+        columns = [part[name] for part in parts]
+        kinds = [(_kind(column), column.shape[1:]) for column in columns]
+        odd = next((i for i, kind in enumerate(kinds) if kind != kinds[0]), None)
+        if odd is not None:
+            raise TouchesError(
+                f"column {name!r} must be alike in every set, got {_row(columns[odd])} "
+                f"in set {odd} after {_row(columns[0])} in set 0. Convert one of them, "
+                f"or drop it with touches.without({name!r})."
+            )
+        joined[name] = np.concatenate(columns)
+    return joined
 
 
 def joined_whole(parts: Sequence[Arrays]) -> Arrays:
@@ -198,7 +222,7 @@ def _checked_labels(name: str, array: Array) -> Array:
     """Return labels as text; integers become text, nothing else does."""
     kind = array.dtype.kind
     if kind == "f" and np.isnan(array).any():
-        touch = np.flatnonzero(np.isnan(array))[0]
+        touch = np.isnan(array).argmax()
         raise TouchesError(
             f"{name} must name every touch, got NaN at touch {touch}. "
             "Label that touch or leave it out."
@@ -208,51 +232,33 @@ def _checked_labels(name: str, array: Array) -> Array:
             f"{name} must be text or integers, got an array of {array.dtype}. "
             "Convert it first, for example with .astype(str)."
         )
-    labels = _decoded(name, array) if kind == "S" else array
-    text = labels if labels.dtype.kind == "U" else labels.astype(np.str_)
-    empty = np.char.str_len(np.char.strip(text)) == 0
-    if empty.any():
-        raise TouchesError(
-            f"{name} must not be empty, got an empty label at touch "
-            f"{np.flatnonzero(empty)[0]}. Label that touch or leave it out."
-        )
-    return text
-
-
-def _decoded(name: str, array: Array) -> Array:
     try:
-        return np.char.decode(array, "utf-8")
+        labels = np.char.decode(array, "utf-8") if kind == "S" else array
     except UnicodeDecodeError as error:
         raise TouchesError(
             f"{name} must be UTF-8 text, got bytes that are not. "
             "Decode them first, for example with np.char.decode(labels, 'latin-1')."
         ) from error
+    text = labels if labels.dtype.kind == "U" else labels.astype(np.str_)
+    empty = np.char.str_len(np.char.strip(text)) == 0
+    if empty.any():
+        raise TouchesError(
+            f"{name} must not be empty, got an empty label at touch {empty.argmax()}. "
+            "Label that touch or leave it out."
+        )
+    return text
 
 
 def _checked_whole(name: str, array: Array, images: Array) -> Array:
     if name == "no_contact":
-        return _checked_no_contact(array, images)
-    if name == "geometry":
-        return _checked_geometry(array)
-    return array
-
-
-def _checked_no_contact(array: Array, images: Array) -> Array:
-    if array.shape != images.shape[1:]:
-        n_rows, n_cols = images.shape[1:]
-        raise TouchesError(
-            f"no_contact must be one image of {n_rows} x {n_cols} taxels like the "
-            f"touches, got shape {array.shape}. Crop or resize it, or leave it out."
-        )
-    if array.dtype.kind not in "biuf":
-        raise TouchesError(
-            f"no_contact must be integers or floats, got {array.dtype}. Convert it."
-        )
-    _refuse_infinity("no_contact", array[np.newaxis])
-    return array
-
-
-def _checked_geometry(array: Array) -> Array:
+        if array.shape != images.shape[1:]:
+            raise TouchesError(
+                f"no_contact must be one image of {_size(images)} taxels like the "
+                f"touches, got shape {array.shape}. Crop or resize it, or leave it out."
+            )
+        _refuse_odd_levels("no_contact", array[np.newaxis])
+    if name != "geometry":
+        return array
     value = array.item() if array.size == 1 else array.tolist()
     text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
     try:
@@ -262,58 +268,24 @@ def _checked_geometry(array: Array) -> Array:
     return np.array(text)
 
 
-def _refuse_infinity(name: str, images: Array) -> None:
-    """Refuse infinite taxels, a few megabytes at a time; NaN is a dead taxel."""
+def _refuse_odd_levels(name: str, images: Array) -> None:
+    """Refuse what is no level, some megabytes at a time; NaN is a dead taxel."""
+    if images.dtype.kind not in "biuf":
+        raise TouchesError(
+            f"{name} must be integers or floats, got {images.dtype}. "
+            f"Convert them first, for example {name}.astype(np.float32)."
+        )
     if images.dtype.kind != "f":
         return
     step = max(1, _TAXELS_AT_ONCE // max(1, images[0].size))
     for start in range(0, len(images), step):
         bad = np.isinf(images[start : start + step]).any(axis=(1, 2))
         if bad.any():
-            where = f" in touch {start + np.flatnonzero(bad)[0]}"
+            where = f" in touch {start + bad.argmax()}" if name == "images" else ""
             raise TouchesError(
-                f"{name} must not be infinite, got infinity"
-                f"{where if name == 'images' else ''}. "
+                f"{name} must not be infinite, got infinity{where}. "
                 "Clip saturated taxels; mark dead ones as NaN."
             )
-
-
-def _row_numbers(index: Any, n_touches: int) -> Array:
-    rows = np.asarray(None if isinstance(index, tuple) else index)
-    if rows.size == 0 and rows.ndim == 1:
-        rows = rows.astype(np.intp)
-    if rows.ndim != 1 or rows.dtype.kind not in "biu":
-        raise TypeError(
-            "Touches are picked by number, slice, mask or array of numbers, "
-            f"got {index!r}. Columns are in touches.columns[name]."
-        )
-    if rows.dtype.kind == "b" and len(rows) != n_touches:
-        raise IndexError(
-            f"a mask must have one value per touch ({n_touches}), got {len(rows)}."
-        )
-    return rows
-
-
-def _joined_column(name: str, parts: Sequence[Arrays]) -> Array:
-    for number, part in enumerate(parts):
-        if name not in part:
-            raise TouchesError(
-                f"column {name!r} must be in every set, got none in set {number}. "
-                f"Add it with touches.with_columns({name}=...), or drop it "
-                f"elsewhere with touches.without({name!r})."
-            )
-    columns = [part[name] for part in parts]
-    for number, column in enumerate(columns):
-        if (
-            _kind(column) != _kind(columns[0])
-            or column.shape[1:] != (columns[0].shape[1:])
-        ):
-            raise TouchesError(
-                f"column {name!r} must be alike in every set, got {_row(column)} in "
-                f"set {number} after {_row(columns[0])} in set 0. Convert one of "
-                f"them, or drop it with touches.without({name!r})."
-            )
-    return np.concatenate(columns)
 
 
 def _kind(column: Array) -> str:

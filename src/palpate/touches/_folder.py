@@ -42,7 +42,9 @@ def folder_arrays(
     pattern = None if name_pattern is None else _compiled(name_pattern)
     names = _picture_names(root, None if no_contact is None else Path(no_contact))
     try:
-        columns = _labels(names, pattern)
+        columns = {} if pattern is None else _from_names(names, pattern)
+        if "object" not in columns:
+            columns = {**_from_folders(names), **columns}
     except TouchesError as error:
         raise TouchesError(f"{root}: {error}") from error
     paths = [root / name for name in names]
@@ -78,13 +80,6 @@ def _like(path: Path, like: Header, max_pixels: int) -> Array:
     return decode_picture(path, header)
 
 
-def _labels(names: list[str], pattern: re.Pattern[str] | None) -> Arrays:
-    columns = {} if pattern is None else _from_names(names, pattern)
-    if "object" not in columns:
-        columns = {**_from_folders(names), **columns}
-    return columns
-
-
 def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
     """Return the paths of all touches within `root`, in natural order."""
     if not root.is_dir():
@@ -93,64 +88,42 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
         )
     try:
         found = _files(root)
+        pictures = [name for name in found if Path(name).suffix.lower() in _ENDINGS]
+        if no_contact and root.resolve() in no_contact.resolve(strict=True).parents:
+            pictures = [n for n in pictures if not no_contact.samefile(root / n)]
     except OSError as error:
         raise refusal(Path(error.filename or root), error) from error
-    pictures = [name for name in found if Path(name).suffix.lower() in _ENDINGS]
-    if no_contact is not None:
-        pictures = _without(no_contact, pictures, root)
     if not pictures:
-        raise _no_pictures(root, found)
+        kinds = sorted({Path(name).suffix or "no ending" for name in found})
+        got = f"{len(found)} files of {', '.join(kinds[:5])}" if found else "no files"
+        hint = " Archives are loaded one by one." if ".npz" in kinds else ""
+        raise TouchesError(
+            f"{root} must hold pictures ending in {', '.join(_ENDINGS)}, got {got}. "
+            f"Convert them, or give another folder.{hint}"
+        )
     return sorted(pictures, key=_natural_order)
 
 
 def _files(root: Path) -> list[str]:
     """Return all files below `root` but hidden ones, following symbolic links."""
     found: list[str] = []
-    seen: dict[tuple[int, int], Path] = {}
-    waiting = [root]
-    while waiting:
-        folder = waiting.pop()
-        status = folder.stat()
+    seen: dict[tuple[int, int], str] = {}
+    for folder, folders, files in os.walk(root, onerror=_raised, followlinks=True):
+        status = Path(folder).stat()
         first = seen.setdefault((status.st_dev, status.st_ino), folder)
-        if first is not folder:
+        if first != folder:
             raise TouchesError(
                 f"{folder} must not lead back to {first}, got a symbolic link that "
                 "does: its pictures would count twice. Remove the link."
             )
-        with os.scandir(folder) as entries:
-            for entry in entries:
-                if entry.name.startswith("."):
-                    continue
-                if entry.is_dir():
-                    waiting.append(folder / entry.name)
-                else:
-                    found.append((folder / entry.name).relative_to(root).as_posix())
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        here = Path(folder).relative_to(root)
+        found += [(here / n).as_posix() for n in files if not n.startswith(".")]
     return found
 
 
-def _without(no_contact: Path, pictures: list[str], root: Path) -> list[str]:
-    """Leave the picture of no contact out of the touches."""
-    try:
-        status = no_contact.stat()
-        if root.resolve() not in no_contact.resolve().parents:
-            return pictures
-        return [
-            name
-            for name in pictures
-            if not os.path.samestat(status, (root / name).stat())
-        ]
-    except OSError as error:
-        raise refusal(Path(error.filename or no_contact), error) from error
-
-
-def _no_pictures(root: Path, found: list[str]) -> TouchesError:
-    kinds = sorted({Path(name).suffix or "no ending" for name in found})
-    got = f"{len(found)} files of {', '.join(kinds[:5])}" if found else "no files"
-    hint = " Archives are loaded one by one." if ".npz" in kinds else ""
-    return TouchesError(
-        f"{root} must hold pictures ending in {', '.join(_ENDINGS)}, got {got}. "
-        f"Convert them, or give another folder.{hint}"
-    )
+def _raised(error: OSError) -> None:
+    raise error
 
 
 def _natural_order(name: str) -> tuple[Any, ...]:
@@ -196,68 +169,27 @@ def _from_names(names: Sequence[str], pattern: re.Pattern[str]) -> Arrays:
 
     The file name is searched first, then the path relative to the folder.
     """
-    matches = [_matched(name, pattern) for name in names]
-    texts = {group: [m[group] for m in matches] for group in pattern.groupindex}
-    for group in texts:
-        if group in _NEEDED and not all(texts[group]):
-            odd = next(i for i, text in enumerate(texts[group]) if not text)
+    matches = [pattern.search(n.rpartition("/")[2]) or pattern.search(n) for n in names]
+    texts: dict[str, list[Any]] = {group: [] for group in pattern.groupindex}
+    for name, match in zip(names, matches, strict=True):
+        if match is None:
             raise TouchesError(
-                f"{names[odd]}: the group {group} of name_pattern must match something,"
-                f" got nothing with {pattern.pattern!r}. Correct either."
+                f"{name} must match name_pattern {pattern.pattern!r}, and does not. "
+                "Correct the pattern, move the file out of the folder, or name it as "
+                "no_contact if that is what it shows."
             )
+        for group, values in texts.items():
+            if group in _NEEDED and not match[group]:
+                raise TouchesError(
+                    f"{name}: the group {group} of name_pattern must match something, "
+                    f"got nothing with {pattern.pattern!r}. Correct either."
+                )
+            values.append(match[group])
     columns: Arrays = {}
     for column, axes in _POSITIONS.items():
         if all(axis in texts for axis in axes):
-            parts = [
-                _numbers(axis, texts.pop(axis), names, whole=False) for axis in axes
-            ]
+            parts = [_numbers(axis, texts.pop(axis), names) for axis in axes]
             columns[column] = np.stack(parts, axis=1)
-    columns.update(_columns(texts, names))
-    return columns
-
-
-def _from_folders(names: Sequence[str]) -> Arrays:
-    """Take labels from the levels of folders above each picture.
-
-    One level: its folder is the object. More: the first level is the category, the
-    whole relative folder the object. None at all: no labels.
-    """
-    depths = [min(name.count("/"), 2) for name in names]
-    if len(set(depths)) > 1:
-        _explain_mixed_depths(names, depths)
-    if depths[0] == 0:
-        return {}
-    labels = {"object": np.array([name.rpartition("/")[0] for name in names])}
-    if depths[0] > 1:
-        labels["category"] = np.array([name.partition("/")[0] for name in names])
-    return labels
-
-
-def _explain_mixed_depths(names: Sequence[str], depths: Sequence[int]) -> None:
-    usual = max(set(depths), key=depths.count)
-    odd = next(i for i, depth in enumerate(depths) if depth != usual)
-    where = ("lies in no folder", "lies in one folder", "lies in folders of folders")
-    raise TouchesError(
-        f"Pictures must all be labelled by folders in one way, but {names[odd]} "
-        f"{where[depths[odd]]} and {names[depths.index(usual)]} {where[usual]}. "
-        "Move it to the folder of its object, give a name_pattern, or name it as "
-        "no_contact if that is what it shows."
-    )
-
-
-def _matched(name: str, pattern: re.Pattern[str]) -> re.Match[str]:
-    found = pattern.search(name.rpartition("/")[2]) or pattern.search(name)
-    if found is None:
-        raise TouchesError(
-            f"{name} must match name_pattern {pattern.pattern!r}, and does not. "
-            "Correct the pattern, move the file out of the folder, or name it as "
-            "no_contact if that is what it shows."
-        )
-    return found
-
-
-def _columns(texts: dict[str, list[Any]], names: Sequence[str]) -> Arrays:
-    columns: Arrays = {}
     for group, values in texts.items():
         if group in _TEXT_GROUPS:
             columns[group] = np.array(values)
@@ -268,28 +200,50 @@ def _columns(texts: dict[str, list[Any]], names: Sequence[str]) -> Arrays:
     return columns
 
 
+def _from_folders(names: Sequence[str]) -> Arrays:
+    """Take labels from the levels of folders above each picture.
+
+    One level: its folder is the object. More: the first level is the category, the
+    whole relative folder the object. None at all: no labels.
+    """
+    depths = [min(name.count("/"), 2) for name in names]
+    usual = max(set(depths), key=depths.count)
+    odd = next((i for i, depth in enumerate(depths) if depth != usual), None)
+    if odd is not None:
+        where = ("in no folder", "in one folder", "in folders of folders")
+        raise TouchesError(
+            f"Pictures must all be labelled by folders in one way, but {names[odd]} "
+            f"lies {where[depths[odd]]} and {names[depths.index(usual)]} lies "
+            f"{where[usual]}. Move it to the folder of its object, give a "
+            "name_pattern, or name it as no_contact if that is what it shows."
+        )
+    if usual == 0:
+        return {}
+    labels = {"object": np.array([name.rpartition("/")[0] for name in names])}
+    if usual > 1:
+        labels["category"] = np.array([name.partition("/")[0] for name in names])
+    return labels
+
+
 def _numbers(
-    group: str, values: Sequence[str], names: Sequence[str], *, whole: bool
+    group: str, values: Sequence[str], names: Sequence[str], *, whole: bool = False
 ) -> Array:
-    pattern, what = (_NUMBER, "a number")
-    if whole:
-        pattern, what = (_WHOLE_NUMBER, "a whole number")
+    pattern, what = (_WHOLE_NUMBER if whole else _NUMBER), "a whole number"
     for value, name in zip(values, names, strict=True):
         if not pattern.fullmatch(value):
             raise TouchesError(
-                f"{name}: the group {group} of name_pattern must match {what}, got "
-                f"{value!r}. Correct the pattern or the file name."
+                f"{name}: the group {group} of name_pattern must match "
+                f"{what if whole else 'a number'}, got {value!r}. Correct the pattern "
+                "or the file name."
             )
-    if whole:
-        return np.array([int(value) for value in values], dtype=np.int64)
-    return np.array([float(value) for value in values])
+    return np.array(values).astype(np.int64 if whole else np.float64)
 
 
 def _numbers_or_text(values: Sequence[str | None]) -> Array:
     """Return numbers where every value is one; what did not match is NaN or ""."""
     present = [value for value in values if value is not None]
     if len(present) == len(values) and all(map(_WHOLE_NUMBER.fullmatch, present)):
-        return np.array([int(value) for value in present], dtype=np.int64)
+        return np.array(present).astype(np.int64)
     if present and all(map(_NUMBER.fullmatch, present)):
         return np.array([np.nan if v is None else float(v) for v in values])
     return np.array(["" if value is None else value for value in values])

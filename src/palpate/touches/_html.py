@@ -1,7 +1,7 @@
 """Touches as a notebook shows them: a small table, and the first few pictures."""
 
 import base64
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from html import escape
 
 import numpy as np
@@ -21,18 +21,16 @@ def touches_html(
 ) -> str:
     """Return a set of touches as HTML that loads nothing from elsewhere."""
     n_touches, n_rows, n_cols = images.shape
-    rows = [("touches", str(n_touches))]
-    rows.append(("images", f"{n_rows} x {n_cols} {images.dtype}"))
+    size = f"{n_rows} x {n_cols} {images.dtype}"
+    rows = [("touches", str(n_touches)), ("images", size)]
     for name, many in (("object", "objects"), ("category", "categories")):
         if name in columns:
             counts = np.unique_counts(columns[name])
-            each = (f"{_cut(name)} ({n})" for name, n in zip(*counts, strict=True))
-            rows.append(
-                (f"{len(counts.values)} {many}", _listed(each, len(counts.values)))
-            )
+            each = [f"{_cut(name)} ({n})" for name, n in zip(*counts, strict=True)]
+            rows.append((f"{len(each)} {many}", _listed(each)))
     for what, arrays in (("columns", columns), ("whole set", whole)):
-        each = (f"{_cut(name)} ({_kind(array)})" for name, array in arrays.items())
-        rows.append((what, _listed(each, len(arrays))))
+        each = [f"{_cut(name)} ({_kind(array)})" for name, array in arrays.items()]
+        rows.append((what, _listed(each)))
     table = "".join(
         f"<tr><th style='text-align:left'>{escape(name)}</th>"
         f"<td style='text-align:left'>{escape(value)}</td></tr>"
@@ -62,9 +60,9 @@ def png_address(image: Array, side: int) -> str:
 
     levels = np.asarray(image, dtype=np.float64)
     dead = np.isnan(levels)
-    if dead.any():
-        levels = np.where(dead, 0.0 if dead.all() else np.nanmin(levels), levels)
-    low, high = np.percentile(levels[~dead] if not dead.all() else levels, [0.5, 99.5])
+    live = np.zeros(1) if dead.all() else levels[~dead]
+    levels = np.where(dead, live.min(), levels)
+    low, high = np.percentile(live, [0.5, 99.5])
     with np.errstate(over="ignore", invalid="ignore"):
         grey = np.clip((levels - low) / max(high - low, 1e-12), 0, 1) * 255
     scale = side / max(grey.shape)
@@ -79,11 +77,10 @@ def png_address(image: Array, side: int) -> str:
     return "data:image/png;base64," + base64.b64encode(data).decode()
 
 
-def _listed(each: Iterable[str], count: int) -> str:
+def _listed(each: list[str]) -> str:
     """Return the first of some texts, and how many more there are."""
-    shown = [text for text, _ in zip(each, range(_NAMES), strict=False)]
-    more = [f"and {count - _NAMES} more"] if count > _NAMES else []
-    return ", ".join([*shown, *more]) or "none"
+    more = [f"and {len(each) - _NAMES} more"] if len(each) > _NAMES else []
+    return ", ".join(each[:_NAMES] + more) or "none"
 
 
 def _cut(name: object) -> str:

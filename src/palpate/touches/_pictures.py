@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from io import BytesIO
+from math import prod
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
@@ -140,7 +141,7 @@ def decode_pictures(
     They are decoded on all cores, into one array.
     """
     shape = (len(paths), header.n_rows, header.n_cols)
-    n_bytes = shape[0] * shape[1] * shape[2] * header.dtype.itemsize
+    n_bytes = prod(shape) * header.dtype.itemsize
     if n_bytes > max_bytes:
         raise TouchesError(
             f"{len(paths)} pictures of {header} must take at most {max_bytes} bytes, "
@@ -211,15 +212,17 @@ def _read_header(stream: IO[bytes]) -> Header:
         raise PictureError("a file that is neither JPEG nor PNG")
     kind = "PNG" if start == _PNG else "JPEG"
     try:
-        header = (_png_header if start == _PNG else _jpeg_header)(stream)
+        return (_png_header if start == _PNG else _jpeg_header)(stream)
     except PictureError:
         raise
     except Exception as error:
         # Pillow raises half a dozen kinds on damaged files.
         raise _damage(kind, stream, error) from error
-    if not header.n_rows or not header.n_cols:
-        raise PictureError(f"a {kind} of {header.n_cols} x {header.n_rows} pixels")
-    return header
+
+
+def _refuse_empty(kind: str, n_cols: int, n_rows: int) -> None:
+    if not n_cols or not n_rows:
+        raise PictureError(f"a {kind} of {n_cols} x {n_rows} pixels")
 
 
 def _damage(kind: str, stream: IO[bytes], error: Exception) -> PictureError:
@@ -291,6 +294,11 @@ def _jpeg_class() -> type["JpegImageFile"]:
         def getexif(self) -> Exif:
             return Exif()
 
+        def _open(self) -> None:
+            super()._open()
+            if self.layers:
+                _refuse_empty("JPEG", *self.size)
+
     return PlainJpeg
 
 
@@ -315,6 +323,7 @@ def _png_header(stream: IO[bytes]) -> Header:
         raise PictureError("a PNG with a transparent colour")
     stream.seek(16)
     n_cols, n_rows, depth = struct.unpack(">IIB", stream.read(9))
+    _refuse_empty("PNG", n_cols, n_rows)
     return Header("PNG", n_rows, n_cols, 16 if depth == 16 else 8)
 
 

@@ -6,16 +6,16 @@ the no-contact image are kept as the sensor gave them; differences are derived.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._types import Array
+from .._types import Array, Floats
 from ._archive import read_archive, write_archive
 from ._columns import (
     Arrays,
@@ -187,10 +187,9 @@ class Touches:
         parts = list(sets)
         if not parts:
             raise TouchesError("concatenate must be given touches, got an empty list.")
-        for part in parts:
-            if not isinstance(part, Touches):
-                kind = type(part).__name__
-                raise TypeError(f"concatenate must be given Touches, got {kind}.")
+        odd = [type(part).__name__ for part in parts if not isinstance(part, Touches)]
+        if odd:
+            raise TypeError(f"concatenate must be given Touches, got {odd[0]}.")
         images = joined_images([part.images for part in parts])
         columns = joined_columns([part._columns for part in parts])
         return Touches._of(images, columns, joined_whole([p._whole for p in parts]))
@@ -313,12 +312,11 @@ class Touches:
     def without(self, *names: str) -> Self:
         """Return these touches without the columns or whole-set entries named."""
         held = {**self._columns, **self._whole}
-        for name in names:
-            if name not in held:
-                raise TouchesError(
-                    f"without must be given names of this set "
-                    f"({', '.join(held) or 'it has none'}), got {name!r}."
-                )
+        if odd := [name for name in names if name not in held]:
+            raise TouchesError(
+                f"without must be given names of this set "
+                f"({', '.join(held) or 'it has none'}), got {odd[0]!r}."
+            )
         columns = {n: a for n, a in self._columns.items() if n not in names}
         whole = {n: a for n, a in self._whole.items() if n not in names}
         return self._of(self._images, columns, whole)
@@ -357,6 +355,43 @@ class Touches:
             )
             for rows in sorted(np.split(by_group, cuts), key=lambda rows: rows[0])
         ]
+
+
+@runtime_checkable
+class TouchSource(Protocol):
+    """Labelled touches whose images are read piece by piece.
+
+    `palpate.library.Selection` is one; the properties are as in `Touches`.
+    """
+
+    @property
+    def object(self) -> NDArray[np.str_] | None: ...
+
+    @property
+    def category(self) -> NDArray[np.str_] | None: ...
+
+    @property
+    def order(self) -> Array | None: ...
+
+    @property
+    def session(self) -> Array | None: ...
+
+    @property
+    def touch_id(self) -> NDArray[np.str_] | None: ...
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, rows: NDArray[np.intp]) -> TouchSource:
+        """Pick touches by their rows, which rise; no image is read."""
+        ...
+
+    def touches(self, rows: NDArray[np.intp]) -> Touches:
+        """Read the touches in these rows, which rise."""
+        ...
+
+    def features(self, key: str, encode: Callable[[Touches], Floats]) -> Floats:
+        """Return features of all touches, made by `encode` or kept under `key`."""
+        ...
 
 
 def read_folder(

@@ -6,6 +6,7 @@ FastAPI application (the extra `web`).
 
 from ._events import Event as Event
 from ._learning import LearningError as LearningError
+from ._learning import learn_job as learn_job
 from ._learning import remember_library as remember_library
 from ._serving import create_app, new_token
 from ._serving import open_socket as open_socket

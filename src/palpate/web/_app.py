@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
-from fastapi import FastAPI, Request, Response, WebSocket
+from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import FileResponse, JSONResponse, RedirectResponse
 from fastapi.staticfiles import StaticFiles
@@ -65,9 +65,9 @@ def build_app(
         },
     )
     app.state.session = session
-    hub = Hub(session)
     app.include_router(router)
     app.middleware("http")(_with_headers)
+    app.websocket("/ws")(Hub(session).serve)
 
     @app.get("/", include_in_schema=False)
     async def page(request: Request) -> Response:
@@ -76,10 +76,6 @@ def build_app(
         moved = RedirectResponse(request.url.path, status_code=303)
         moved.set_cookie(COOKIE, token, httponly=True, samesite="strict", path="/")
         return moved
-
-    @app.websocket("/ws")
-    async def websocket(socket: WebSocket) -> None:
-        await hub.serve(socket)
 
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
     app.add_middleware(RequestGuard, token=token, max_body=max_body, rate_hz=rate_hz)

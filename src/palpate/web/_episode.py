@@ -2,7 +2,6 @@
 
 import base64
 import time
-from collections.abc import Collection
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -43,25 +42,18 @@ class LiveTouch:
 class Neighbours:
     """Nearest learnt touches, each feature measured in its own spread.
 
-    Parameters
-    ----------
-    recogniser : ObjectRecogniser
-        Fitted; learnt from a library, it knows the ids of its touches.
-    stored_ids : collection of str
-        Ids of the touches in the library at hand.
+    `stored_ids` are those of the touches in the library at hand.
     """
 
-    def __init__(
-        self, recogniser: ObjectRecogniser, stored_ids: Collection[str]
-    ) -> None:
+    def __init__(self, recogniser: ObjectRecogniser, stored_ids: set[str]) -> None:
         memory = recogniser.memory_
         features = memory.features
         spread = features.std(axis=0)
         self._scale = np.where(spread > 0, spread, 1.0)
         self._features = features / self._scale
         self._labels = memory.labels
-        stored, ids = set(stored_ids), memory.touch_ids.tolist()
-        self._ids = [key if key in stored else None for key in ids]
+        ids = memory.touch_ids.tolist()
+        self._ids = [key if key in stored_ids else None for key in ids]
 
     def of(self, features: Floats) -> list[dict[str, Any]]:
         """Return the nearest touches of features (1, n_features), nearest first.
@@ -84,16 +76,9 @@ class Neighbours:
 class LiveEpisode:
     """Touches of one object, from the first to the decision and beyond.
 
-    Parameters
-    ----------
-    number : int
-        Its number in this session, from 1.
-    recogniser : ObjectRecogniser or None
-        What recognises; None collects touches without a belief.
-    error : float
-        Accepted share of wrong decisions.
-    neighbours : Neighbours, optional
-        Finds the learnt touches that are most similar to the last one, `nearest`.
+    Without a recogniser touches are collected without a belief; `neighbours` finds
+    the learnt touches most similar to the last one, `nearest`. `error` is the accepted
+    share of wrong decisions.
     """
 
     def __init__(
@@ -112,13 +97,7 @@ class LiveEpisode:
         self.open = True
 
     def add(self, image: Array) -> LiveTouch:
-        """Take in a touch and return it.
-
-        Raises
-        ------
-        ValueError
-            The recogniser cannot take this image; the episode is unchanged.
-        """
+        """Take in a touch and return it; one that is refused changes nothing."""
         touch = LiveTouch(len(self.touches) + 1, time.time())
         if self.recogniser is not None and self.belief is not None:
             evidence = self.recogniser.evidence(Touches(image[np.newaxis]))
@@ -159,13 +138,7 @@ class LiveEpisode:
         }
 
     def as_touches(self) -> Touches:
-        """Return the touches of the episode, with their times.
-
-        Raises
-        ------
-        ValueError
-            There is none yet.
-        """
+        """Return the touches of the episode, with their times."""
         if not self.touches:
             raise ValueError("The episode has no touch yet; touch something first.")
         times = np.array([touch.time_s for touch in self.touches])
@@ -178,11 +151,6 @@ def episode_report(episode: LiveEpisode) -> str:
     """Return one HTML page: the decision, and every touch with the belief after it.
 
     Nothing is loaded from elsewhere when it is looked at.
-
-    Raises
-    ------
-    ValueError
-        The episode has no touch yet.
     """
     if not episode.touches:
         raise ValueError("The episode has no touch yet; touch something first.")

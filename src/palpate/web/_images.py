@@ -26,10 +26,7 @@ _KINDS = ("image/png", "image/jpeg")
 class FramePainter:
     """Turns frames into JPEG or PNG bytes; keeps the range of what it has shown.
 
-    Parameters
-    ----------
-    image_shape : (int, int)
-        (n_rows, n_cols); at most 48 a side is an array, shown in false colour.
+    Images of at most 48 taxels a side are of an array, shown in false colour.
     """
 
     def __init__(self, image_shape: tuple[int, int]) -> None:
@@ -78,13 +75,7 @@ def thumbnail(image: Array) -> bytes:
 
 
 def read_picture(data: bytes, content_type: str) -> NDArray[np.uint8 | np.uint16]:
-    """Return the grey levels of a JPEG or PNG of at most 4 megapixels.
-
-    Raises
-    ------
-    TouchesError
-        It is no whole picture, or too large; the message says which.
-    """
+    """Return the grey levels of a JPEG or PNG of at most 4 megapixels, or explain."""
     if content_type.partition(";")[0].strip().lower() not in _KINDS:
         raise TouchesError(
             f"A picture must be image/png or image/jpeg, got {content_type!r}."
@@ -94,13 +85,7 @@ def read_picture(data: bytes, content_type: str) -> NDArray[np.uint8 | np.uint16
 
 
 def read_numbers(rows: Sequence[Sequence[float | None]]) -> NDArray[np.float32]:
-    """Return rows of taxels as an image; None is a dead taxel.
-
-    Raises
-    ------
-    ValueError
-        The rows are empty or of several lengths, or a number is too large.
-    """
+    """Return rows of taxels as an image, or explain; None is a dead taxel."""
     if len({len(row) for row in rows}) != 1 or not rows[0]:
         raise ValueError("The image must have rows of one length, at least 1.")
     with np.errstate(over="ignore"):
@@ -113,13 +98,7 @@ def read_numbers(rows: Sequence[Sequence[float | None]]) -> NDArray[np.float32]:
 def check_image(
     image: Array, shape: Sequence[int], dtype: np.dtype[Any] | None
 ) -> Array:
-    """Return an image of the right size as the right type, or explain.
-
-    Raises
-    ------
-    ValueError
-        It has another size, or values that the type cannot hold.
-    """
+    """Return an image of the right size as the right type, or explain."""
     if image.shape != tuple(shape):
         got = " x ".join(map(str, image.shape))
         raise ValueError(

@@ -23,6 +23,15 @@ from ..sensors import SensorMemory
 LEAST_OBJECTS, LEAST_TOUCHES = 2, 2
 # So many touches, spread over all, show what a sensor answers, read so many at once.
 _ENOUGH, _AT_ONCE = 200, 16
+_TOO_LITTLE = (
+    "Too little to learn: at least two objects with two touches each of {new} taxels. "
+    "The model of another sensor ({old}) stays."
+)
+_NOT_FURTHER = (
+    "The model must be of the sensor's {new} taxels to be learnt further, but it knows "
+    "{names} from images of {old}, and their touches are not in the library. Forget "
+    "those, or start with another --model."
+)
 
 
 class LearningError(ValueError):
@@ -36,31 +45,12 @@ def learn_apart(
     drop: Sequence[str] = (),
     image_shape: tuple[int, int] | None = None,
 ) -> dict[str, Any]:
-    """Learn what a library holds in another process, and wait for it.
+    """Learn what a library holds in another process, into the model file `output`.
 
-    Parameters
-    ----------
-    library : Path
-        Folder of the library.
-    output : Path
-        The model file to write.
-    base : Path or None
-        Model whose objects that are not of the library are kept.
-    drop : sequence of str
-        Objects of the base model that are not kept.
-    image_shape : (int, int), optional
-        Learn from touches of this size alone; by default of the newest one's.
-
-    Returns
-    -------
-    dict
-        `n_touches`, `objects`, and `kept`, those of the base model; no `objects`
-        where too little is left to be a model.
-
-    Raises
-    ------
-    LearningError
-        Learning failed; says why.
+    Kept are the objects of the model in `base` that are not of the library, but for
+    those to `drop`. Learnt are touches of `image_shape`, by default of the newest
+    one's. Returns `n_touches`, `objects`, and `kept`, those of the base model; no
+    `objects` where too little is left to be a model.
     """
     job = [library, output, base, list(drop), image_shape]
     done = subprocess.run(
@@ -99,9 +89,10 @@ def learn_job(
         if base is not None and Path(base).is_file():
             model = ObjectRecogniser.load(base)
             kept = _kept(model, opened, drop)
-        names = set() if touches is None else set(touches.object.tolist())
+        names = [] if touches is None else touches.object.tolist()
         if len({*kept, *names}) < LEAST_OBJECTS:
-            _refuse_to_empty(model, image_shape)
+            if model is not None and image_shape is not None:
+                _refuse_other_size(model, image_shape, _TOO_LITTLE)
             return {"objects": [], "n_touches": 0, "kept": kept}
         model = _learnt(model, kept, touches)
         if touches is not None:
@@ -169,33 +160,18 @@ def _learnt(base: ObjectRecogniser | None, kept: Sequence[str], touches: Any) ->
     if base is None or not kept:
         return ObjectRecogniser().fit(touches)
     if touches is not None:
-        _refuse_other_size(base, kept, touches.touches([0]).images.shape[1:])
+        shape = touches.touches([0]).images.shape[1:]
+        _refuse_other_size(base, shape, _NOT_FURTHER, ", ".join(map(repr, kept)))
     return base.replace_objects(touches, forget={*base.classes_.tolist()} - {*kept})
 
 
-def _refuse_to_empty(base: Any, image_shape: Any) -> None:
-    """A model of another sensor is not given up for having no touches of this one."""
-    if base is None or image_shape is None:
-        return
-    old, new = (f"{s[0]} x {s[1]}" for s in (base.encoder_.image_shape_, image_shape))
-    if old != new:
-        raise LearningError(
-            "Too little to learn: at least two objects with two touches each of "
-            f"{new} taxels. The model of another sensor ({old}) stays."
-        )
-
-
 def _refuse_other_size(
-    base: Any, kept: Sequence[str], image_shape: tuple[int, int]
+    base: ObjectRecogniser, image_shape: Sequence[int], sentence: str, names: str = ""
 ) -> None:
+    """Refuse to learn further a model of images of another size than these."""
     old, new = (f"{s[0]} x {s[1]}" for s in (base.encoder_.image_shape_, image_shape))
     if old != new:
-        raise LearningError(
-            f"The model must be of the sensor's {new} taxels to be learnt further, but "
-            f"it knows {', '.join(map(repr, kept))} from images of {old}, and their "
-            "touches are not in the library. Forget those, or start with another "
-            "--model."
-        )
+        raise LearningError(sentence.format(old=old, new=new, names=names))
 
 
 def _latest_baseline(library: TouchLibrary, touches: Selection) -> Array | None:

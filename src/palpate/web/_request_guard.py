@@ -27,22 +27,13 @@ _DROP_TIMES, _DROP_S = 10, 0.5
 class RequestGuard:
     """ASGI middleware that lets in whoever knows the token, within limits.
 
-    Parameters
-    ----------
-    app : ASGI application
-        What is guarded.
-    token : str
-        The secret.
-    max_body : int
-        Largest body of a request, in bytes.
-    rate_hz : float
-        Requests per second that one address may keep up; twice as many at once.
+    These are bytes of a body, and requests per second that one address may keep up,
+    twice as many at once.
     """
 
     def __init__(self, app: ASGIApp, token: str, max_body: int, rate_hz: float) -> None:
         self._app, self._token = app, token.encode()
-        self._max_body = max_body
-        self._rate_hz = rate_hz
+        self._max_body, self._rate_hz = max_body, rate_hz
         self._permits: dict[str, tuple[float, float]] = {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

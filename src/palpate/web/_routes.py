@@ -52,30 +52,26 @@ class Image(Order):
     ]
 
 
-class NamedImage(Image):
-    """One frame of numbers, of an object."""
-
-    object: Name
-
-
-class LessonOrder(Order):
-    """What to teach with the next touches of the sensor."""
-
-    object: Name
-    touches: Annotated[int, Field(ge=1, le=1000, description="How many.")] = 12
-
-
-class Renaming(Order):
-    """An object's name and its new one."""
-
-    object: Name
-    name: Name
-
-
 class OneObject(Order):
     """An object."""
 
     object: Name
+
+
+class LessonOrder(OneObject):
+    """What to teach with the next touches of the sensor."""
+
+    touches: Annotated[int, Field(ge=1, le=1000, description="How many.")] = 12
+
+
+class Renaming(OneObject):
+    """An object's name and its new one."""
+
+    name: Name
+
+
+class NamedImage(OneObject, Image):
+    """One frame of numbers, of an object."""
 
 
 class Placing(Order):
@@ -164,9 +160,8 @@ _PICTURE = {
 router = APIRouter(prefix="/api", responses=_REFUSALS)
 
 
-async def _session(request: Request) -> LiveSession:
-    session: LiveSession = request.app.state.session
-    return session
+async def _session(request: Request) -> Any:
+    return request.app.state.session
 
 
 Session = Annotated[LiveSession, Depends(_session)]

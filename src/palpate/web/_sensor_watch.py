@@ -39,24 +39,10 @@ TakeTouch = Callable[[Array, float], None]
 class SensorWatch:
     """Follows a sensor from `start` to `stop`.
 
-    Parameters
-    ----------
-    sensor : LiveSensor
-        Not connected yet.
-    take : callable
-        Called with the image of each touch and the time its last frame was taken
-        (`time.monotonic`), in a thread of its own.
-    listeners : Listeners
-        Sent frames ("frame") and what the sensor is like ("contact").
-    health : Health
-        Counts frames.
-    summary : {"peak", "mean"}
-        What stands for a touch, see `TouchDetector`.
-
-    Attributes
-    ----------
-    misfit : str
-        Why the model cannot recognise touches of this sensor; empty where it can.
+    `take` is called with the image of each touch and the time its last frame was
+    taken (`time.monotonic`), in a thread of its own; `listeners` are sent frames
+    ("frame") and what the sensor is like ("contact"). `misfit` says why the model
+    cannot recognise touches of this sensor; it is empty where it can.
     """
 
     def __init__(
@@ -100,15 +86,7 @@ class SensorWatch:
             thread.join(timeout=5.0)
 
     def take_baseline(self, *, force: bool = False, timeout_s: float = 3.0) -> None:
-        """Take the baseline, the frame of touching nothing, from the next frames.
-
-        Raises
-        ------
-        ContactError
-            Something touches the sensor, or it is not steady.
-        SensorError
-            Frames do not come.
-        """
+        """Take the baseline, the frame of touching nothing, from the next frames."""
         frames: list[Array] = []
         if not self.detector.touching or force:
             self._resting = frames
@@ -220,6 +198,7 @@ class SensorWatch:
     def _hand_on(self) -> None:
         while (found := self._found.get()) is not None:
             touch, ended_s = found
-            self._recent = [*self._recent[1 - _RECENT :], touch.image]
+            with self._lock:
+                self._recent = [*self._recent[1 - _RECENT :], touch.image]
             self._take(touch.image, ended_s)
             self._compare()

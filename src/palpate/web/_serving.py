@@ -59,15 +59,7 @@ def require_web() -> None:
 
 
 def open_socket(host: str, port: int) -> socket.socket:
-    """Return a socket that listens, or say what is in the way.
-
-    Raises
-    ------
-    ValueError
-        There is no such port.
-    OSError
-        The address is taken or not ours.
-    """
+    """Return a socket that listens, or say what is in the way."""
     if not 0 <= port <= LAST_PORT:
         raise ValueError(
             f"--port must be 0 to {LAST_PORT}, got {port}. 0 takes a free one."

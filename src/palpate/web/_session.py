@@ -16,7 +16,7 @@ from ._events import Event, Health, Listeners
 from ._images import check_image
 from ._learning import LearningError, learn_apart
 from ._sensor_watch import SensorWatch
-from ._teaching import Lesson, Teacher, checked_name
+from ._teaching import Teacher, checked_name
 
 LONGEST_EPISODE = 1000
 
@@ -170,7 +170,7 @@ class LiveSession:
     def stop_teaching(self) -> None:
         """End the lesson; what was stored stays."""
         with self._changing():
-            self._teacher().end()
+            self._teacher().lesson = None
 
     def undo(self) -> str:
         """Leave out the touch stored last in this session; return its object."""
@@ -316,25 +316,17 @@ class LiveSession:
     def _taken(self, image: Array, ended_s: float) -> None:
         """Take a touch of the sensor: into the lesson, else into the episode."""
         try:
-            lesson = self._stored(image)
-            if lesson is None:
+            with self._lock:
+                teaching = self.teacher is not None and self.teacher.lesson is not None
+                if teaching:
+                    self.message = self._teacher().take(image, self.baseline)
+            if not teaching:
                 self._recognise(image, ended_s)
-                self.trouble = ""
-                return
-            count = f"{len(lesson.ids)} of {lesson.wanted}"
-            self.message = f"Touch {count} of {lesson.name} is stored."
-            if len(lesson.ids) >= lesson.wanted:
-                self.message += " Learn to recognise it."
             self.trouble = ""
         except (ValueError, OSError, MemoryError) as error:
             self.message = self.trouble = str(error)
-        self._notify_state()
-
-    def _stored(self, image: Array) -> Lesson | None:
-        with self._lock:
-            if self.teacher is None or self.teacher.lesson is None:
-                return None
-            return self.teacher.take(image, self.baseline)
+        if teaching or self.trouble:
+            self._notify_state()
 
     def _recognise(self, image: Array, ended_s: float) -> None:
         with self._lock:
@@ -352,11 +344,12 @@ class LiveSession:
         if self.recogniser is None:
             self._notify_state()
             return
-        try:
-            self.learn(drop)
-        except LearningError:
-            self._drop_next = [*(self._drop_next or ()), *drop]
-            self._notify_state()
+        with self._lock:
+            try:
+                self.learn(drop)
+            except LearningError:
+                self._drop_next = [*(self._drop_next or ()), *drop]
+                self._notify_state()
 
     def _learn(self, drop: Sequence[str]) -> None:
         try:
@@ -364,12 +357,13 @@ class LiveSession:
         except (ValueError, OSError) as error:
             self.learn_error = str(error)
         finally:
-            self.learning = False
-            self._learn_lock.release()
+            with self._lock:
+                self.learning = False
+                self._learn_lock.release()
+                waiting, self._drop_next = self._drop_next, None
             self._notify_state()
-            if self._drop_next is not None:
-                drop, self._drop_next = self._drop_next, None
-                self._learn_again(drop)
+            if waiting is not None:
+                self._learn_again(waiting)
 
     def _learn_apart(self, drop: Sequence[str]) -> None:
         assert self.teacher is not None

@@ -10,7 +10,7 @@ import numpy as np
 
 from .._checks import check_count
 from .._types import Array
-from ..library import LibraryError, SensorDescription, TouchLibrary, TouchRow
+from ..library import LibraryError, SensorDescription, TouchLibrary, TouchRow, quoted
 from ..sensors import LiveSensor, SensorError
 from ..touches import Touches
 from ._learning import LEAST_TOUCHES, of_size
@@ -21,17 +21,7 @@ MOST_PER_LESSON = 1000
 
 @dataclass(eq=False)
 class Lesson:
-    """One object being taught.
-
-    Attributes
-    ----------
-    name : str
-        What the object is called.
-    wanted : int
-        Touches to take.
-    ids : list of str
-        Those stored so far, in their order.
-    """
+    """One object being taught: touches wanted, and the ids of those stored so far."""
 
     name: str
     wanted: int
@@ -43,21 +33,20 @@ class Lesson:
 
 
 class Teacher:
-    """Stores what is taught in a library.
+    """Stores what is taught with a sensor, if there is one, in a library.
 
-    Parameters
-    ----------
-    folder : path
-        The library; made where there is none, by `open` or when it is first needed.
-    sensor : LiveSensor or None
-        What the touches come from.
+    Where there is no library it is made, by `open` or when it is first needed.
     """
 
     def __init__(self, folder: str | Path, sensor: LiveSensor | None) -> None:
         self.folder = Path(folder)
         self._opened: TouchLibrary | None = None
         self._opening = threading.Lock()
-        self._sensor = sensor
+        self._sensor, self._described = sensor, SensorDescription("posted")
+        if sensor is not None:
+            self._described = SensorDescription(
+                sensor.name, unit=sensor.unit, geometry=sensor.geometry
+            )
         self._session = time.strftime("%Y-%m-%d %H:%M:%S")
         self._lessons = 0
         self._stored: list[str] = []
@@ -82,16 +71,8 @@ class Teacher:
         if self._opened is not None:
             self._opened.close()
 
-    def begin(self, name: str, wanted: int) -> Lesson:
-        """Start to teach an object; a lesson under way ends.
-
-        Raises
-        ------
-        ValueError
-            The name cannot be one, or it is too many touches.
-        SensorError
-            There is no sensor to wait for.
-        """
+    def begin(self, name: str, wanted: int) -> None:
+        """Start to teach an object; a lesson under way ends."""
         check_count("count", wanted)
         if wanted > MOST_PER_LESSON:
             raise ValueError(f"count must be at most {MOST_PER_LESSON}, got {wanted}.")
@@ -102,11 +83,6 @@ class Teacher:
             )
         self._lessons += 1
         self.lesson = Lesson(checked_name(name), wanted)
-        return self.lesson
-
-    def end(self) -> None:
-        """End the lesson; what was stored stays."""
-        self.lesson = None
 
     def store(self, name: str, image: Array, baseline: Array | None) -> str:
         """Store one touch of an object; return its id once it is on the disk."""
@@ -115,37 +91,35 @@ class Teacher:
             object=[checked_name(name)],
             time_s=[time.time()],
             no_contact=baseline,
-            geometry=None if self._sensor is None else self._sensor.geometry,
+            geometry=self._described.geometry,
         )
         (key,) = self.library.add(
             touches=touch,
             session=self._session,
             episode=f"lesson {self._lessons}",
-            sensor=_described(self._sensor),
+            sensor=self._described,
             progress=False,
         )
         self._stored.append(key)
         return key
 
-    def take(self, image: Array, baseline: Array | None) -> Lesson:
-        """Store one touch of the lesson; return the lesson, over when it is full."""
+    def take(self, image: Array, baseline: Array | None) -> str:
+        """Store one touch of the lesson, which ends when full; return what to say."""
         assert self.lesson is not None
         lesson = self.lesson
         lesson.ids.append(self.store(lesson.name, image, baseline))
-        if len(lesson.ids) >= lesson.wanted:
-            self.lesson = None
-        return lesson
+        count = f"{len(lesson.ids)} of {lesson.wanted}"
+        said = f"Touch {count} of {lesson.name} is stored."
+        if len(lesson.ids) < lesson.wanted:
+            return said
+        self.lesson = None
+        return f"{said} Learn to recognise it."
 
     def undo(self) -> str:
         """Leave the touch stored last by this teacher out; return its object.
 
         Touches that have been left out since are passed over; what others stored is
         never touched.
-
-        Raises
-        ------
-        LibraryError
-            There is none.
         """
         while self._stored:
             key = self._stored[-1]
@@ -164,11 +138,8 @@ class Teacher:
     def rename(self, old: str, new: str, *, learnt: bool) -> str:
         """Give an object another name; return that as it is kept.
 
-        Raises
-        ------
-        ValueError
-            The model has learnt it, from elsewhere, and the library has too few
-            touches of it to learn it by its new name.
+        Refused where the model has learnt it, from elsewhere, and the library has too
+        few touches of it to learn it by its new name.
         """
         tidy = checked_name(new)
         rows, size = self._rows(old), self.image_shape()
@@ -182,13 +153,7 @@ class Teacher:
         return tidy
 
     def forget(self, name: str, *, learnt: bool) -> None:
-        """Leave all touches of an object out.
-
-        Raises
-        ------
-        ValueError
-            It is not in the library, nor has the model learnt it.
-        """
+        """Leave all touches of an object out, of one that library or model know."""
         stored = name in self._counts()
         if not stored and not learnt:
             raise ValueError(f"There is no object {name!r}.")
@@ -211,16 +176,7 @@ class Teacher:
         return [row.id for row in self._rows(name, limit)[::-1]]
 
     def touches(self, name: str) -> Touches:
-        """Return the touches of an object.
-
-        Where they differ in size, those of the sensor's size, or else of the size of
-        the newest.
-
-        Raises
-        ------
-        LibraryError
-            It has none.
-        """
+        """Return an object's touches of the sensor's size, or else of the newest's."""
         rows = self._rows(name)
         if not rows:
             raise LibraryError(f"There is no object {name!r} in the library.")
@@ -228,16 +184,13 @@ class Teacher:
         size = sizes[-1]
         if self._sensor is not None and self._sensor.image_shape in sizes:
             size = self._sensor.image_shape
-        where, _ = _of_object(name)
-        chosen = self.library.select(f"{where} and {of_size(size)}")
-        return chosen.touches(np.flatnonzero(np.asarray(chosen.object) == name))
+        return self.library.touches(f"object = {quoted(name)} and {of_size(size)}")
 
     def known_ids(self) -> set[str]:
         """Return the ids of all touches, also those left out; none before it opens."""
         if self._opened is None:
             return set()
-        rows = self._opened.list(limit=None, retracted=True)
-        return {row.id for row in rows}
+        return {row.id for row in self._opened.list(limit=None, retracted=True)}
 
     def image_shape(self) -> tuple[int, int] | None:
         """Return the size of the images to learn: the sensor's, or the newest's."""
@@ -262,12 +215,8 @@ class Teacher:
         count = self._counts().get(name, 0)
         if not count:
             return []
-        where, exact = _of_object(name)
-        if exact:
-            offset = 0 if limit is None else max(0, count - limit)
-            return self.library.list(where, limit, offset)
-        rows = [r for r in self.library.list(where, limit=None) if r.object == name]
-        return rows if limit is None else rows[-limit:]
+        offset = 0 if limit is None else max(0, count - limit)
+        return self.library.list(f"object = {quoted(name)}", limit, offset)
 
 
 def checked_name(name: str) -> str:
@@ -284,22 +233,3 @@ def checked_name(name: str) -> str:
             "of objects it has not learnt."
         )
     return tidy
-
-
-def _described(sensor: LiveSensor | None) -> SensorDescription:
-    if sensor is None:
-        return SensorDescription("posted")
-    return SensorDescription(sensor.name, unit=sensor.unit, geometry=sensor.geometry)
-
-
-def _of_object(name: str) -> tuple[str, bool]:
-    """Return a filter of one object's touches, and whether it finds no others.
-
-    A filter cannot quote a text that holds both kinds of quotation marks; such an
-    object is sought by the pieces of its name, and others may hold those too.
-    """
-    for mark in "'\"":
-        if mark not in name:
-            return f"object = {mark}{name}{mark}", True
-    pieces = [f"object contains '{piece}'" for piece in name.split("'") if piece]
-    return " and ".join(pieces), False

@@ -20,13 +20,7 @@ MOST_CLIENTS = 64
 
 
 class Hub:
-    """Hands events of a session to all its websockets.
-
-    Parameters
-    ----------
-    session : LiveSession
-        Its events are sent on.
-    """
+    """Hands events of a session to all its websockets."""
 
     def __init__(self, session: LiveSession) -> None:
         self._session = session

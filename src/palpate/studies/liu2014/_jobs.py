@@ -114,6 +114,7 @@ def study_jobs(plan: Liu2014Plan, touches: Touches, data: str) -> list[Job]:
     ]
     jobs += _controls(plan, touches)
     if PAPER_PARTITIONS in encoded:
+        jobs += _equal_grids(plan, encoded[PAPER_PARTITIONS], coded(touches))
         jobs += _figures(plan, encoded[PAPER_PARTITIONS], touches)
     for job in jobs:
         job.row["data"] = data
@@ -186,6 +187,28 @@ def _table_2(
             "partitions": partitions,
         }
         yield from _jobs(row, encoded.features("FD+GE", plan.n), codes, method)
+
+
+def _equal_grids(plan: Liu2014Plan, encoded: Encoded, codes: Codes) -> Iterator[Job]:
+    """SVM and MKL on the same components, each with the same number of settings."""
+    costs = plan.equal_costs
+    methods: dict[str, Method] = {
+        "KPCA+SVM": GaussianSVM(plan.svm_widths, plan.svm_costs),
+        "KPCA+MKL-SVM, trace": MKL(costs),
+        "KPCA+MKL-SVM, variance": MKL(costs, "variance"),
+    }
+    width, kept = plan.widths[len(plan.widths) // 2], max(plan.components)
+    for name, method in methods.items():
+        row = {
+            "name": f"{name}, {len(costs)} settings",
+            "table": "equal grids",
+            "encoding": "FD+GE",
+            "classes": "all",
+            "n": plan.n,
+            "partitions": PAPER_PARTITIONS,
+        }
+        fused = Fused(method, (width,), (kept,))
+        yield from _jobs(row, encoded.features("FD+GE", plan.n), codes, fused)
 
 
 def _controls(plan: Liu2014Plan, touches: Touches) -> Iterator[Job]:

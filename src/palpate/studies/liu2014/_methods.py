@@ -196,9 +196,10 @@ class GaussianSVM:
 
 @dataclass(frozen=True)
 class MKL:
-    """The MKL-SVM over the paper's 22 kernels."""
+    """The MKL-SVM over the paper's 22 kernels; `normalize` as `MKLSVC` has it."""
 
     costs: Sequence[float]
+    normalize: str = "trace"
 
     @property
     def settings(self) -> Sequence[Setting]:
@@ -206,7 +207,8 @@ class MKL:
 
     def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
         # One pair of many that stops short of a gap of 1e-6 is still a machine.
-        machines = [MKLSVC(C=C, probability=False) for C in self.costs]
+        options: dict[str, Any] = {"normalize": self.normalize, "probability": False}
+        machines = [MKLSVC(C=C, **options) for C in self.costs]
         return np.stack([fitted(m, train, codes).predict(test) for m in machines])
 
 

@@ -1,8 +1,10 @@
 """What the Liu 2014 study measures, and the paper's figures to set beside it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
+
+import numpy as np
 
 from ..._checks import check_number, check_option
 from .._study import Plan
@@ -118,6 +120,17 @@ class Liu2014Plan(Plan):
             check_number("parts", number, low=1, high=12)
         if len(self.parts) < 2:
             raise ValueError(f"parts must be two or more, got {self.parts}.")
+
+    @property
+    def equal_costs(self) -> Sequence[float]:
+        """As many C of the MKL-SVM as the SVM has settings, small ones first.
+
+        From 0.1, where kernels of variance 1 fit loosely, to 30,000, where those of
+        trace 1 have long fitted every training touch.
+        """
+        n_settings = len(self.svm_widths) * len(self.svm_costs)
+        costs: Sequence[float] = np.logspace(4.5, -1, n_settings)[::-1].tolist()
+        return costs
 
     @property
     def protocols(self) -> tuple[str, ...]:

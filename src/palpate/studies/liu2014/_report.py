@@ -43,6 +43,7 @@ def tables(result: dict[str, Any]) -> list[Table]:
     rows = result["rows"]
     made = [
         _methods("Table 2", shared.held(rows, table="Table 2")),
+        _methods("Equal grids", shared.held(rows, table="equal grids")),
         _methods("Controls, and our moments", shared.held(rows, table="controls")),
         _class_sets(rows),
         _counts(rows),

@@ -5,38 +5,21 @@ its touches are best looked at. A chooser knows the places of all of them and th
 belief after those it has seen, never the images of the others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from .._checks import check_count
-from .._types import Floats
-from ..touches import Touches
-from ._informative import Stations, most_promising
-from ._place_geometry import freshness
-from ._placed_belief import PlacedBelief
-from ._touch_map import TouchMap
-
-if TYPE_CHECKING:
-    from ..recognition import Belief
-
-
-class Chooser(Protocol):
-    """Chooses the number of the recorded touch to look at next."""
-
-    def next_touch(self, belief: Any, used: Sequence[int]) -> int:
-        """Return the number of a touch that is not in `used`."""
-        ...
+from palpate import Touches
+from palpate.exploration import Stations, TouchMap, freshness, most_promising
+from palpate.recognition import Belief
 
 
 class _Ordered:
     """Looks at recorded touches in an order that is fixed beforehand."""
 
-    _order: NDArray[np.intp]
+    _order: np.ndarray
 
     def next_touch(self, belief: Any, used: Sequence[int]) -> int:
         """Return the next touch of the order."""
@@ -48,7 +31,7 @@ class RandomRecorded(_Ordered):
 
     def __init__(self, n_touches: int, random_state: int = 0) -> None:
         rng = np.random.default_rng(random_state)
-        self._order = rng.permutation(check_count("n_touches", n_touches))
+        self._order = rng.permutation(n_touches)
 
 
 class RasterRecorded(_Ordered):
@@ -75,7 +58,7 @@ class InformativeRecorded:
     Parameters
     ----------
     touch_map : TouchMap
-        With `n_turns=1`, or with more if the places are directions.
+        With `n_turns=1`: the places are in a frame that is known.
     places : array-like of shape (n_touches, n_dimensions)
         Places of the recorded touches, in the units of the map's.
     """
@@ -87,10 +70,10 @@ class InformativeRecorded:
                 "places are in a frame that is known."
             )
         self._map = touch_map
-        self._places: Floats = np.asarray(places, dtype=np.float64)
+        self._places = np.asarray(places, dtype=np.float64)
         self._stations = Stations(touch_map, self._places[:, np.newaxis])
 
-    def next_touch(self, belief: Belief | PlacedBelief, used: Sequence[int]) -> int:
+    def next_touch(self, belief: Belief, used: Sequence[int]) -> int:
         """Return the touch with the largest expected gain."""
         left = np.setdiff1d(np.arange(len(self._places)), list(used))
         gain = self.expected_gain(belief)[left]
@@ -98,7 +81,7 @@ class InformativeRecorded:
         fresh = freshness(self._places[left], touched, self._map.width_)
         return int(left[most_promising(gain, fresh)])
 
-    def expected_gain(self, belief: Belief | PlacedBelief) -> Floats:
+    def expected_gain(self, belief: Belief) -> np.ndarray:
         """Return the expected gain of each touch (nats), (n_touches,)."""
         shares = np.array(list(belief.posterior.values()))
         log_joint = np.log(np.maximum(shares, np.finfo(float).tiny))[:, None]
@@ -109,9 +92,9 @@ def look_at_recorded(
     touch_map: TouchMap,
     touches: Touches,
     places: ArrayLike,
-    chooser: Chooser,
+    chooser: Any,
     n_touches: int | None = None,
-) -> tuple[NDArray[np.intp], NDArray[np.str_], NDArray[np.str_]]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Look at recorded touches of one object in the order that is chosen.
 
     Returns
@@ -122,7 +105,7 @@ def look_at_recorded(
         The most probable object after each, by the images alone and with places.
     """
     where = np.asarray(places, dtype=np.float64)
-    n_most = len(touches) if n_touches is None else check_count("n_touches", n_touches)
+    n_most = len(touches) if n_touches is None else n_touches
     belief = touch_map.start()
     used: list[int] = []
     named: list[tuple[str, str]] = []
