@@ -6,6 +6,8 @@ known to the teacher, so the places and directions of touches are in the object'
 frame, as a `TouchMap` wants them.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -130,7 +132,7 @@ def put_down(
 
 
 def explore_to_learn(
-    things: Iterable[SimObject] = HOUSEHOLD,
+    things: Iterable[SimObject] | None = None,
     n_touches: int = 60,
     camera: DomeCamera | None = None,
     *,
@@ -148,8 +150,8 @@ def explore_to_learn(
 
     Parameters
     ----------
-    things : iterable of SimObject, default=HOUSEHOLD
-        What to touch; their names differ.
+    things : iterable of SimObject, optional
+        What to touch; their names differ. By default the ten household objects.
     n_touches : int, default=60
         Touches of each object; approaches that find nothing are not counted.
     camera : DomeCamera, optional
@@ -187,7 +189,7 @@ def explore_to_learn(
     EpisodeError
         `folder` is none, or holds other episodes than these.
     """
-    objects = list(things)
+    objects = list(HOUSEHOLD if things is None else things)
     refuse_same_names(objects)
     count = check_count("n_touches", n_touches)
     sessions = min(check_count("n_sessions", n_sessions), count)

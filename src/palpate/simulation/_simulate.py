@@ -4,6 +4,8 @@ How presses on an array differ is fixed by what a plain press rig and machined p
 are like, and stated with `simulate_presses`; nothing here knows what recognises them.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain, islice
@@ -29,7 +31,7 @@ _ATTEMPTS = 50
 
 
 def simulate_touches(
-    objects: Iterable[SimObject | str] | SimObject | str = HOUSEHOLD,
+    objects: Iterable[SimObject | str] | SimObject | str | None = None,
     n_touches: int = 60,
     camera: DomeCamera | TacTipPins | None = None,
     strategy: str = "hemisphere",
@@ -51,8 +53,9 @@ def simulate_touches(
 
     Parameters
     ----------
-    objects : SimObject, str, or an iterable of them, default=HOUSEHOLD
-        What to touch; a text names a built-in object.
+    objects : SimObject, str, or an iterable of them, optional
+        What to touch; a text names a built-in object. By default the ten
+        household objects.
     n_touches : int, default=60
         Touches of each object.
     camera : DomeCamera or TacTipPins, optional
@@ -122,7 +125,7 @@ def simulate_touches(
     >>> simulate_touches(["mug", "pen"], 2, random_state=0).images.shape
     (4, 120, 120)
     """
-    things = _found(objects)
+    things = _found(HOUSEHOLD if objects is None else objects)
     sensor = DomeCamera(image_shape=(120, 120)) if camera is None else camera
     usual = 10.0 if strategy == "above" else 80.0
     tilt = usual if max_tilt_deg is None else max_tilt_deg
@@ -167,7 +170,7 @@ def simulate_touches(
 
 
 def simulate_presses(
-    parts: Iterable[Part | str | int] | Part | str | int = PARTS,
+    parts: Iterable[Part | str | int] | Part | str | int | None = None,
     n_presses: int = 20,
     *,
     array: PressureArray | None = None,
@@ -184,8 +187,8 @@ def simulate_presses(
 
     Parameters
     ----------
-    parts : Part, str, int, or a list of them, default=PARTS
-        Parts, or names or numbers among `PARTS`.
+    parts : Part, str, int, or a list of them, optional
+        Parts, or names or numbers among `PARTS`, which are the default.
     n_presses : int, default=20
         Presses of each part (20 in Liu et al. 2014).
     array : PressureArray, optional
@@ -228,7 +231,7 @@ def simulate_presses(
     >>> simulate_presses(["bar10", "disc13"], 3, random_state=0).images.shape
     (6, 10, 10)
     """
-    found = find_parts(parts)
+    found = find_parts(PARTS if parts is None else parts)
     device: Any = PressureArray() if array is None else array
     if not isinstance(device, PressureArray):
         kind = type(array).__name__
