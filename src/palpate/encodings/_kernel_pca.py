@@ -20,11 +20,7 @@ from sklearn.base import (
 )
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from .._checks import (
-    check_option,
-    check_squarable,
-    check_width,
-)
+from .._checks import check_option, check_squarable, check_width
 from .._types import Floats
 from ._principal import Components, check_components
 
@@ -162,7 +158,12 @@ class KernelPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator
                 f"are all alike at sigma = {self.sigma_}. Choose another sigma."
             )
         values, vectors = _leading(centred, wanted)
-        n_kept = _count_kept(values, total, wanted)
+        n_kept = len(values)
+        if isinstance(wanted, float):
+            share = np.cumsum(values) / total
+            n_kept = min(int(np.searchsorted(share, wanted - 1e-12)) + 1, n_kept)
+        elif wanted is not None:
+            n_kept = min(wanted, n_kept)
         self.eigenvalues_ = values[:n_kept]
         self.explained_variance_ratio_ = self.eigenvalues_ / total
         self.n_components_ = n_kept
@@ -207,10 +208,3 @@ def _leading(centred: Floats, wanted: Components) -> tuple[Floats, Floats]:
     # The first of nearly equal entries decides, so that rounding does not.
     pivot = (size >= size.max(axis=0, initial=0) * (1 - 1e-6)).argmax(axis=0)
     return values, vectors * np.sign(vectors[pivot, np.arange(len(values))])
-
-
-def _count_kept(values: Floats, total: float, wanted: Components) -> int:
-    if isinstance(wanted, float):
-        share = np.cumsum(values) / total
-        return min(int(np.searchsorted(share, wanted - 1e-12)) + 1, len(values))
-    return len(values) if wanted is None else min(wanted, len(values))

@@ -126,19 +126,10 @@ class CentroidMoments(ImageEstimator):
 
 
 def sorted_taxels(images: ArrayLike, *, normalise: bool = False) -> Floats:
-    """Return each image's levels, largest first: all that is left without geometry.
+    """Return each image's levels, largest first, (n_touches, n_rows * n_cols).
 
-    What a recogniser reaches on these is what it does not owe to shape.
-
-    Parameters
-    ----------
-    images : array-like of shape (n_touches, n_rows, n_cols)
-    normalise : bool, default=False
-        Divide each image by the sum of the sizes of its levels first.
-
-    Returns
-    -------
-    levels : ndarray of shape (n_touches, n_rows * n_cols)
+    What a recogniser reaches on these is what it does not owe to shape. With
+    `normalise` each image is divided by the sum of the sizes of its levels first.
     """
     checked = check_images(images)
     if normalise:

@@ -110,16 +110,14 @@ def _counts_of(
     if len(parts) == 1:
         return [n_components]
     known = check_components(n_components)
-    return [_as_far_as_it_can(part, known) for part in parts]
-
-
-def _as_far_as_it_can(part: str, n_components: Components) -> Components:
-    principal = issubclass(ENCODINGS[part][0], PrincipalEncoder)
-    if isinstance(n_components, float) and not principal:
-        return None
-    if isinstance(n_components, int) and part == "scaled-pixels":
-        return isqrt(n_components) ** 2
-    return n_components
+    counts = [known] * len(parts)
+    for i, part in enumerate(parts):
+        principal = issubclass(ENCODINGS[part][0], PrincipalEncoder)
+        if isinstance(known, float) and not principal:
+            counts[i] = None
+        elif isinstance(known, int) and part == "scaled-pixels":
+            counts[i] = isqrt(known) ** 2
+    return counts
 
 
 def _make(part: str, n_components: Components, options: dict[str, Any]) -> Any:
@@ -134,20 +132,16 @@ def _make(part: str, n_components: Components, options: dict[str, Any]) -> Any:
     if kind is HuMoments:
         return HuMoments(min(count, N_MOMENTS), **chosen)
     if kind is ScaledPixels:
-        return ScaledPixels(_side_of(count), **chosen)
+        side = isqrt(count)
+        if side * side != count and side < PAPER_SIDE:
+            raise ValueError(
+                "n_components must be a square number for scaled pixels, got "
+                f"{count}. Use {side * side} or {(side + 1) ** 2}."
+            )
+        return ScaledPixels(min(side, PAPER_SIDE), **chosen)
     return make_pipeline(
         kind(**chosen), FunctionTransformer(_first, kw_args={"n": count})
     )
-
-
-def _side_of(count: int) -> int:
-    side = isqrt(count)
-    if side * side != count and side < PAPER_SIDE:
-        raise ValueError(
-            "n_components must be a square number for scaled pixels, got "
-            f"{count}. Use {side * side} or {(side + 1) ** 2}."
-        )
-    return min(side, PAPER_SIDE)
 
 
 def _first(features: Floats, n: int) -> Floats:

@@ -52,9 +52,6 @@ class PrincipalEncoder(ImageEstimator):
         Mean of the training touches.
     explained_variance_ratio_ : ndarray of shape (n_components_,)
         Share of the variance along each direction.
-    n_components_ : int
-    image_shape_ : tuple of int
-        (n_rows, n_cols) of the images seen by `fit`.
     """
 
     n_components: Components

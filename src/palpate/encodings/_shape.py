@@ -134,17 +134,10 @@ class FourierDescriptors(ImageEstimator):
 
 
 def outer_boundary(shape: NDArray[np.bool_]) -> Floats:
-    """Return the outer boundary of the largest component, as a closed walk.
+    """The outer boundary of the largest component as a closed walk, (n_points, 2).
 
-    Parameters
-    ----------
-    shape : ndarray of bool of shape (n_rows, n_cols)
-
-    Returns
-    -------
-    boundary : ndarray of shape (n_points, 2)
-        (column, row) of each point, neighbours being 8-connected; a part that is
-        one pixel thin is walked there and back. Empty for an empty image.
+    Points are (column, row), neighbours 8-connected; a part that is one pixel thin is
+    walked there and back. Empty for an empty image.
     """
     pixels = shape.astype(np.uint8)
     n_labels, labels, stats, _ = cv2.connectedComponentsWithStats(

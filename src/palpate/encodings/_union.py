@@ -62,7 +62,11 @@ class EncodingUnion(ImageEstimator):
         check_option("balanced", self.balanced, (False, True))
         self.encoders_ = [clone(encoder).fit(images, y) for encoder in encoders]
         for encoder in self.encoders_:
-            _refuse_complex(encoder, images[:1])
+            if np.iscomplexobj(encoder.transform(images[:1])):
+                raise ValueError(
+                    "encoders must give real features, got complex ones of "
+                    f"{encoder!r}. Choose a real output, such as 'abs' or 'noll'."
+                )
         self.scalers_ = []
         if self.balanced:
             self.scalers_ = [RootScaler().fit(part) for part in self._parts(images)]
@@ -114,14 +118,6 @@ def _check_encoders(encoders: object) -> list[Any]:
                 "one such as HuMoments(), or make it by encoder_named('hu')."
             )
     return listed
-
-
-def _refuse_complex(encoder: Any, images: Array) -> None:
-    if np.iscomplexobj(encoder.transform(images)):
-        raise ValueError(
-            f"encoders must give real features, got complex ones of {encoder!r}. "
-            "Choose a real output, such as 'abs' or 'noll'."
-        )
 
 
 class RootScaler(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):

@@ -210,13 +210,9 @@ class ZernikeMoments(ImageEstimator):
         self.centre_, self.radius_ = (row, col), radius
 
     def _layout(self) -> _Layout:
-        return _layout(
-            int(self.order),
-            self.output in ("noll", "noll_abs"),
-            self.weight,
-            bool(self.drop_constant),
-            bool(self.repeat_negative),
-        )
+        noll, skip = self.output in ("noll", "noll_abs"), bool(self.drop_constant)
+        both = bool(self.repeat_negative)
+        return _layout(int(self.order), noll, self.weight, skip, both)
 
     def _present(self, moments: NDArray[np.complex128]) -> Array:
         """Weigh the moments of m >= 0 and lay them out as columns."""

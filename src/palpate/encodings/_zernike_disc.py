@@ -61,19 +61,9 @@ class Disc(NamedTuple):
 
 
 def whole_nodes(disc: Disc, taxels: NDArray[np.intp], n_nodes: int) -> Nodes:
-    """Points and weights that integrate over whole taxels.
+    """Points and weights that integrate over whole taxels, (n_taxels, n_nodes**2) each.
 
-    Parameters
-    ----------
-    disc : Disc
-    taxels : ndarray of shape (n_taxels,)
-        Indices into the flattened frame.
-    n_nodes : int
-        Gauss-Legendre points along each side.
-
-    Returns
-    -------
-    x, y, weight : ndarrays of shape (n_taxels, n_nodes**2)
+    `taxels` are indices into the flattened frame; `n_nodes` points lie along each side.
     """
     node, weight = leggauss(n_nodes)
     half = disc.step / 2

@@ -56,15 +56,10 @@ def zernike_values(
 
 @lru_cache(maxsize=32)
 def legendre_weights(order: int) -> NDArray[np.complex128]:
-    """Write V(n, m) as sums of the products P_i(x) P_j(y).
+    """Weights of P_i(x) P_j(y) in V(n, m), at [degree, i, j]; none of i + j > order.
 
-    The weights are exact rationals, rounded once. Good to order 20: beyond it they
-    are so large, with both signs, that the sums lose their digits.
-
-    Returns
-    -------
-    weights : ndarray of shape (n_degrees, order + 1, order + 1)
-        Weight of P_i(x) P_j(y) at [degree, i, j], zero unless i + j <= order.
+    Exact rationals, rounded once. Good to order 20: beyond it they are so large, with
+    both signs, that the sums lose their digits.
     """
     monomials = np.stack(list(_monomial_weights(order)))
     to_legendre, scale = _powers_as_legendre(order)

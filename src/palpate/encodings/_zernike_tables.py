@@ -42,17 +42,9 @@ class Grid(NamedTuple):
 def zernike_moments(images: Array, grid: Grid) -> NDArray[np.complex128]:
     """Integrate images times conj(V(n, m)) over the disc, m >= 0, without weights.
 
-    Parameters
-    ----------
-    images : ndarray of shape (n_touches, n_rows, n_cols)
-        Finite, of any real type; converted in blocks.
-    grid : Grid
-
-    Returns
-    -------
-    moments : ndarray of shape (n_touches, n_degrees)
-        In the order of `zernike_degrees`. Lengths are in radii of the disc, so a
-        constant image of 1 has the moment pi at (0, 0).
+    Images are finite, of any real type. Returns (n_touches, n_degrees) in the order of
+    `zernike_degrees`. Lengths are in radii of the disc, so a constant image of 1 has
+    the moment pi at (0, 0).
     """
     method = dense_moments
     if grid.order <= HIGHEST_SEPARABLE_ORDER:
@@ -225,12 +217,7 @@ def _dense_taxels(grid: Grid) -> NDArray[np.intp]:
 
 @lru_cache(maxsize=16)
 def _dense_basis(grid: Grid, start: int, stop: int) -> Floats:
-    """Integrals of cosine and sine parts over taxels `start` to `stop` of the disc.
-
-    Returns
-    -------
-    basis : ndarray of shape (n_taxels, 2 * n_degrees)
-    """
+    """Parts over taxels `start` to `stop`, (n_taxels, 2 * n_degrees)."""
     return _basis_of(grid, _dense_taxels(grid)[start:stop])
 
 
@@ -250,12 +237,7 @@ def _basis_of(grid: Grid, taxels: NDArray[np.intp]) -> Floats:
     return basis
 
 
-def _integrate(
-    order: int,
-    x: Floats,
-    y: Floats,
-    weight: Floats,
-) -> Floats:
+def _integrate(order: int, x: Floats, y: Floats, weight: Floats) -> Floats:
     """Weighted sums of V(n, m) over each row of points, (n_rows, 2 * n_degrees)."""
     sums = [np.einsum("tk,tk->t", weight, v) for v in zernike_values(order, x, y)]
     return _parts(np.stack(sums, axis=1))

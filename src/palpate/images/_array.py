@@ -131,26 +131,18 @@ class ArrayCleanUp(ImageEstimator):
 
 
 def resize(images: ArrayLike, shape: tuple[int, int] = (33, 33)) -> Floats:
-    """Resize images by linear interpolation between taxel centres.
+    """Resize images by linear interpolation between taxel centres, (n_touches, *shape).
 
     Pixels are squares that tile the same field as the taxels; beyond the outermost
-    taxel centres the image continues unchanged. A side that shrinks is averaged
-    over a triangle as wide as two new pixels, so that no taxel is skipped.
-
-    Parameters
-    ----------
-    images : array-like of shape (n_touches, n_rows, n_cols)
-    shape : tuple of int, default=(33, 33)
-        Rows and columns of the result.
-
-    Returns
-    -------
-    resized : ndarray of shape (n_touches, *shape)
+    taxel centres the image continues unchanged. A side that shrinks is averaged over a
+    triangle as wide as two new pixels, so that no taxel is skipped.
     """
     checked = check_images(images)
-    n_rows, n_cols = _check_shape(shape)
-    down = _resize_matrix(checked.shape[1], n_rows)
-    across = _resize_matrix(checked.shape[2], n_cols)
+    sides = list(shape) if isinstance(shape, Iterable) else []
+    if len(sides) != 2:
+        raise ValueError(f"shape must be two integers (n_rows, n_cols), got {shape!r}.")
+    down = _resize_matrix(checked.shape[1], check_count("shape[0]", sides[0]))
+    across = _resize_matrix(checked.shape[2], check_count("shape[1]", sides[1]))
     return down @ checked @ across.T
 
 
@@ -159,18 +151,8 @@ def correct_gamma(
 ) -> Floats:
     """Return white x (image / white) ** gamma; negative levels become 0.
 
-    Parameters
-    ----------
-    images : array-like of shape (n_touches, n_rows, n_cols)
-    gamma : float, default=0.5
-        Below 1 raises low grey levels, as the paper wants.
-    white : float, optional
-        Grey level that stays where it is; by default each image's largest. It
-        scales the result alone: Otsu's thresholds split the same pixels.
-
-    Returns
-    -------
-    corrected : ndarray of shape (n_touches, n_rows, n_cols)
+    `white` is the grey level that stays where it is, by default each image's largest.
+    It scales the result alone: Otsu's thresholds split the same pixels.
     """
     checked = np.maximum(check_images(images), 0)
     exponent = check_positive("gamma", gamma)
@@ -195,15 +177,6 @@ def filter_noise(images: ArrayLike, n_sd: float = 2.0) -> Floats:
 
     The threshold is often negative on tactile images, most of which is empty: the
     filter then does nothing. It is kept because the paper has it.
-
-    Parameters
-    ----------
-    images : array-like of shape (n_touches, n_rows, n_cols)
-    n_sd : float, default=2.0
-
-    Returns
-    -------
-    filtered : ndarray of shape (n_touches, n_rows, n_cols)
     """
     checked = check_images(images)
     width = check_positive("n_sd", n_sd)
@@ -213,20 +186,12 @@ def filter_noise(images: ArrayLike, n_sd: float = 2.0) -> Floats:
 
 
 def otsu_threshold(images: ArrayLike) -> Floats:
-    """Return the threshold of each image that splits its grey levels best.
+    """Return each image's threshold that splits its grey levels best, (n_touches,).
 
-    The split maximises the variance between the two classes, over every gap
-    between neighbouring grey levels; no histogram is made, so any scale will do.
-
-    Parameters
-    ----------
-    images : array-like of shape (n_touches, n_rows, n_cols)
-
-    Returns
-    -------
-    thresholds : ndarray of shape (n_touches,)
-        The middle of the best gap (the lowest, where several are equally good);
-        NaN where the image is constant and so has no threshold.
+    The split maximises the variance between the two classes [1]_, over every gap
+    between neighbouring grey levels; no histogram is made, so any scale will do. It is
+    the middle of the best gap (the lowest, where several are equally good), and NaN
+    where the image is constant.
 
     References
     ----------
@@ -248,24 +213,12 @@ def binarise(
 ) -> NDArray[np.bool_]:
     """Threshold each of n x n partitions of each image by its own Otsu threshold.
 
-    A constant partition has no threshold: it is background, unless its level is
-    above the threshold of the whole image. Without that rule a part that covers a
-    whole partition would vanish there.
-
-    Parameters
-    ----------
-    images : array-like of shape (n_touches, n_rows, n_cols)
-    n_partitions : int, default=2
-        Partitions along each side. Where the side does not divide, the first
-        partitions are one pixel longer: 33 pixels make 17 and 16.
-    min_contrast : float, default=0.0
-        Partitions whose grey levels span at most this share of the span of the
-        whole image count as constant, at their mean level. With 0, as in the
-        paper, half of a partition of noise alone becomes foreground.
-
-    Returns
-    -------
-    binary : ndarray of bool of shape (n_touches, n_rows, n_cols)
+    A constant partition has no threshold: it is background, unless its level is above
+    the threshold of the whole image. Without that rule a part that covers a whole
+    partition would vanish there. Where a side does not divide, the first partitions are
+    one pixel longer: 33 pixels make 17 and 16. Partitions that span at most the share
+    `min_contrast` of the whole image's span count as constant; with 0, as in the paper,
+    half of a partition of noise alone becomes foreground.
     """
     checked = check_images(images)
     n_parts = check_count("n_partitions", n_partitions)
@@ -290,19 +243,9 @@ def stage_pictures(
 ) -> dict[str, Array]:
     """Return every stage of the clean-up of one image, as the paper's Fig. 10.
 
-    Parameters
-    ----------
-    image : array-like of shape (n_rows, n_cols)
-        NaN marks a dead taxel.
-    clean_up : ArrayCleanUp, optional
-        The chain to show, fitted or not; by default the paper's.
-
-    Returns
-    -------
-    pictures : dict of str to ndarray
-        In order "raw", "filled", "resized", "gamma", "filtered", "binary 1 x 1",
-        "binary 2 x 2", "binary 3 x 3"; and "binary n x n" where the chain uses
-        another n.
+    In order "raw", "filled", "resized", "gamma", "filtered", "binary 1 x 1", "binary 2
+    x 2", "binary 3 x 3"; and "binary n x n" where the chain, by default the paper's,
+    uses another n.
     """
     chain = ArrayCleanUp() if clean_up is None else clean_up
     raw = check_images(np.asarray(image)[np.newaxis], allow_nan=True)
@@ -312,13 +255,6 @@ def stage_pictures(
             stages["filtered"], n, min_contrast=chain.min_contrast
         )
     return {name: pictures[0] for name, pictures in stages.items()}
-
-
-def _check_shape(shape: object) -> tuple[int, int]:
-    sides = list(shape) if isinstance(shape, Iterable) else []
-    if len(sides) != 2:
-        raise ValueError(f"shape must be two integers (n_rows, n_cols), got {shape!r}.")
-    return check_count("shape[0]", sides[0]), check_count("shape[1]", sides[1])
 
 
 def _resize_matrix(n_in: int, n_out: int) -> Floats:

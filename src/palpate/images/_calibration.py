@@ -161,7 +161,11 @@ class TaxelCalibration(ImageEstimator):
         content["params"] = self.get_params()
         for name in _LEARNT:
             value = getattr(self, f"{name}_")
-            content[name] = _to_lists(value) if name in _NUMBERS else value
+            if name in _NUMBERS:
+                known, value = np.isfinite(value), value.astype(object)
+                value[~known] = None
+                value = value.tolist()
+            content[name] = value
         content["dead"] = self.dead_.tolist()
         text = json.dumps(content, indent=1, allow_nan=False)
         Path(path).write_text(text + "\n", encoding="utf-8")
@@ -237,7 +241,18 @@ def _read_calibration(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]
         learnt["highest_load_kpa"] = float(content["highest_load_kpa"])
     except (KeyError, TypeError, ValueError) as error:
         raise _bad(path, f"{error!r} while reading it") from error
-    _check(path, learnt)
+    dead = learnt["dead"]
+    for name in (*_NUMBERS, "dead"):
+        if learnt[name].shape != learnt["image_shape"]:
+            raise _bad(path, f"{name} is not of shape {learnt['image_shape']}")
+    # Infinity, "no saturation was seen", is written as null too.
+    missing = np.isnan(learnt["saturation_kpa"]) & ~dead
+    learnt["saturation_kpa"][missing] = np.inf
+    for name in _NUMBERS:
+        if np.isnan(learnt[name][~dead]).any():
+            raise _bad(path, f"{name} lacks values of taxels that are not dead")
+    if not (learnt["gain"][~dead] > 0).all():
+        raise _bad(path, "gain must be positive for taxels that are not dead")
     return params, learnt
 
 
@@ -260,30 +275,8 @@ def _read(path: Path) -> dict[str, Any]:
     return content
 
 
-def _check(path: str | Path, learnt: dict[str, Any]) -> None:
-    dead = learnt["dead"]
-    for name in (*_NUMBERS, "dead"):
-        if learnt[name].shape != learnt["image_shape"]:
-            raise _bad(path, f"{name} is not of shape {learnt['image_shape']}")
-    # Infinity, "no saturation was seen", is written as null too.
-    missing = np.isnan(learnt["saturation_kpa"]) & ~dead
-    learnt["saturation_kpa"][missing] = np.inf
-    for name in _NUMBERS:
-        if np.isnan(learnt[name][~dead]).any():
-            raise _bad(path, f"{name} lacks values of taxels that are not dead")
-    if not (learnt["gain"][~dead] > 0).all():
-        raise _bad(path, "gain must be positive for taxels that are not dead")
-
-
 def _bad(path: str | Path, reason: str) -> ValueError:
     return ValueError(
         f"path must be a calibration that save() wrote, got {path}: {reason}. "
         "Calibrate the array again."
     )
-
-
-def _to_lists(values: Floats) -> list[Any]:
-    objects = values.astype(object)
-    objects[~np.isfinite(values)] = None
-    lists: list[Any] = objects.tolist()
-    return lists

@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from .._types import Floats
+from .._types import Array, Floats
 
 # More loads than this (a slow ramp) are summarised in groups of neighbours.
 _MOST_LOADS = 25
@@ -16,21 +16,11 @@ _MAD_PER_SD = 0.6744897501960817
 
 
 def fit_taxels(readings: Floats, loads: Floats, least_gain: float) -> dict[str, Floats]:
-    """Fit every taxel and tell which are dead.
+    """Fit every taxel and tell which are dead: arrays (n_taxels,) by name.
 
-    Parameters
-    ----------
-    readings : ndarray of shape (n_frames, n_taxels)
-        Conductance; NaN where there is none.
-    loads : ndarray of shape (n_frames,)
-        In kPa, at least three different ones.
-    least_gain : float
-        Share of the median gain below which a taxel is dead.
-
-    Returns
-    -------
-    learnt : dict of str to ndarray of shape (n_taxels,)
-        "gain", "offset", "noise", "dead_zone_kpa", "saturation_kpa" and "dead".
+    Readings are conductances (n_frames, n_taxels), NaN where there is none; loads are
+    in kPa, at least three different ones. A taxel is dead below the share `least_gain`
+    of the median gain.
     """
     steps, group = _group_loads(loads)
     silent = np.isnan(readings).mean(axis=0) > 0.5
@@ -113,21 +103,11 @@ def _mean_error(
     return error
 
 
-def _ends(
-    loads: Floats,
-    levels: Floats,
-    first: NDArray[np.intp],
-    last: NDArray[np.intp],
-    gain: Floats,
-    offset: Floats,
-    noise: Floats,
-) -> dict[str, Floats]:
+def _ends(loads: Floats, levels: Floats, *lines: Array) -> dict[str, Floats]:
     """Dead zone and saturation: where the flat ends meet the line."""
     n_loads, n_taxels = levels.shape
     dead_zone, saturation = np.zeros(n_taxels), np.full(n_taxels, np.inf)
-    for taxel in range(n_taxels):
-        i, j = int(first[taxel]), int(last[taxel])
-        slope, start, sd = gain[taxel], offset[taxel], noise[taxel]
+    for taxel, (i, j, slope, start, sd) in enumerate(zip(*lines, strict=True)):
         if slope <= 0:
             continue
         line = start + slope * loads

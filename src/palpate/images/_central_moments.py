@@ -41,10 +41,6 @@ class CentralMoments:
 def central_moments(images: ArrayLike) -> CentralMoments:
     """Return the central moments of images to order 3 along x and y.
 
-    Parameters
-    ----------
-    images : array-like of shape (n_touches, n_rows, n_cols)
-
     Examples
     --------
     >>> from palpate.images import central_moments
@@ -63,8 +59,11 @@ def central_moments(images: ArrayLike) -> CentralMoments:
     return CentralMoments(mass, x, y, mu)
 
 
+@lru_cache(maxsize=16)
 def inscribed_mask(n_rows: int, n_cols: int) -> NDArray[np.bool_]:
     """Return which pixel centres lie in the largest disc about the frame's middle.
+
+    Read-only, since all callers share it.
 
     Examples
     --------
@@ -74,7 +73,12 @@ def inscribed_mask(n_rows: int, n_cols: int) -> NDArray[np.bool_]:
            [0, 1, 1, 1, 0],
            [0, 1, 1, 1, 0]])
     """
-    return inscribed(n_rows, n_cols).copy()
+    row = np.arange(n_rows) - (n_rows - 1) / 2
+    col = np.arange(n_cols) - (n_cols - 1) / 2
+    squared = row[:, np.newaxis] ** 2 + col**2
+    inside: NDArray[np.bool_] = squared <= (min(n_rows, n_cols) / 2) ** 2
+    inside.flags.writeable = False
+    return inside
 
 
 def above_least(images: ArrayLike, mask: NDArray[np.bool_]) -> Floats:
@@ -87,17 +91,6 @@ def above_least(images: ArrayLike, mask: NDArray[np.bool_]) -> Floats:
     least = np.where(mask, checked, np.inf).min(axis=(1, 2), keepdims=True)
     levels: Floats = (checked - least) * mask
     return levels
-
-
-@lru_cache(maxsize=16)
-def inscribed(n_rows: int, n_cols: int) -> NDArray[np.bool_]:
-    """Return `inscribed_mask`, read-only: all callers share it."""
-    row = np.arange(n_rows) - (n_rows - 1) / 2
-    col = np.arange(n_cols) - (n_cols - 1) / 2
-    squared = row[:, np.newaxis] ** 2 + col**2
-    inside: NDArray[np.bool_] = squared <= (min(n_rows, n_cols) / 2) ** 2
-    inside.flags.writeable = False
-    return inside
 
 
 def _powers(n: int) -> Floats:

@@ -48,7 +48,19 @@ def fill_dead_taxels(images: ArrayLike, *, dead: str = "fill") -> Floats:
     is_dead = np.isnan(checked)
     if not is_dead.any():
         return checked
-    _refuse(checked, is_dead, dead)
+    count = is_dead.sum(axis=(1, 2))
+    if dead == "refuse":
+        touch = int(np.flatnonzero(count)[0])
+        raise ValueError(
+            f"Images must have no dead taxels, got {count[touch]} NaN in touch "
+            f'{touch}. Pass dead="fill" to fill them from their neighbours.'
+        )
+    whole = np.flatnonzero(count == checked[0].size)
+    if len(whole):
+        raise ValueError(
+            f"Images must have at least one living taxel, got only NaN in touch "
+            f"{whole[0]}. Leave that touch out."
+        )
     filled = checked.copy()
     patterns, which = np.unique(
         is_dead.reshape(len(checked), -1), axis=0, return_inverse=True
@@ -58,22 +70,6 @@ def fill_dead_taxels(images: ArrayLike, *, dead: str = "fill") -> Floats:
             same = np.flatnonzero(which.ravel() == index)
             filled[same] = _solve(filled[same], pattern.reshape(checked.shape[1:]))
     return filled
-
-
-def _refuse(images: Floats, is_dead: NDArray[np.bool_], dead: str) -> None:
-    count = is_dead.sum(axis=(1, 2))
-    if dead == "refuse":
-        touch = int(np.flatnonzero(count)[0])
-        raise ValueError(
-            f"Images must have no dead taxels, got {count[touch]} NaN in touch "
-            f'{touch}. Pass dead="fill" to fill them from their neighbours.'
-        )
-    whole = np.flatnonzero(count == images[0].size)
-    if len(whole):
-        raise ValueError(
-            f"Images must have at least one living taxel, got only NaN in touch "
-            f"{whole[0]}. Leave that touch out."
-        )
 
 
 def _solve(images: Floats, is_dead: NDArray[np.bool_]) -> Floats:

@@ -28,7 +28,7 @@ from .._checks import (
 )
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
-from ._central_moments import inscribed
+from ._central_moments import inscribed_mask
 from ._rim import Circle, Rims, as_images, rims_near, typical_rim
 
 N_SAFE = 512
@@ -242,31 +242,18 @@ class DerivativeMagnitude(ImageEstimator):
         across = images[:, 1:-1, 2:] - images[:, 1:-1, :-2]
         magnitude: Floats = np.hypot(down, across)
         if self.region == "disc":
-            magnitude *= inscribed(*magnitude.shape[1:])
+            magnitude *= inscribed_mask(*magnitude.shape[1:])
         return magnitude
 
 
 def crop_discs(
     images: ArrayLike, rims: Rims, radius: float, size: int
 ) -> NDArray[np.float32]:
-    """Return the disc of `radius` about each rim's centre, zero outside.
+    """Return the disc of `radius` about each rim's centre, (n_touches, size, size).
 
-    Parameters
-    ----------
-    images : array-like of shape (n_touches, n_rows, n_cols)
-        Grey levels without NaN.
-    rims : Rims
-        One circle a touch; only the centres are used.
-    radius : float
-        Radius of the disc, in pixels of the images. Where the disc leaves the frame,
-        the frame's edge is repeated.
-    size : int
-        Rows and columns of the canvas. The rim's centre lies in its middle and the
-        disc touches its four sides.
-
-    Returns
-    -------
-    discs : ndarray of shape (n_touches, size, size)
+    Zero outside. `radius` is in pixels of the images, of `rims` only the centres are
+    used. The centre lies in the middle of the canvas and the disc touches its four
+    sides; where the disc leaves the frame, the frame's edge is repeated.
     """
     checked = as_images(images)
     if len(rims) != len(checked):
@@ -280,14 +267,10 @@ def crop_discs(
 
 
 def standardise_discs(discs: ArrayLike) -> NDArray[np.float32]:
-    """Bring each disc to mean 0 and variance 1, and its outside to 0.
+    """Bring each square disc to mean 0 and variance 1, and its outside to 0.
 
-    A constant disc becomes zeros: its levels spread by less than a millionth of
-    the largest.
-
-    Parameters
-    ----------
-    discs : array-like of shape (n_touches, size, size)
+    A constant disc becomes zeros: its levels spread by less than a millionth of the
+    largest.
     """
     images = as_images(discs)
     rows, cols = images.shape[1:]
@@ -300,12 +283,12 @@ def _crop(images: Array, rims: Rims, radius: float, size: int) -> NDArray[np.flo
     discs = np.empty((len(images), size, size), np.float32)
     for disc, image, row, col in zip(discs, images, rims.row, rims.col, strict=True):
         disc[:] = _mean_over_cells(image, (row, col), radius, size)
-    discs *= inscribed(size, size)
+    discs *= inscribed_mask(size, size)
     return discs
 
 
 def _standardise(images: Array) -> NDArray[np.float32]:
-    mask = inscribed(*images.shape[1:])
+    mask = inscribed_mask(*images.shape[1:])
     standard = np.zeros(images.shape, np.float32)
     for result, image in zip(standard, images, strict=True):
         levels = image[mask].astype(np.float64)
@@ -323,11 +306,17 @@ def _mean_over_cells(
 ) -> Floats:
     """Average `image` over a grid of `size` x `size` square cells about `centre`."""
     border = radius * (2 * np.arange(size + 1) / size - 1) + 0.5
-    top, row = _from_whole_pixel(border + centre[0])
-    left, col = _from_whole_pixel(border + centre[1])
+    row, col = border + centre[0], border + centre[1]
+    top, left = int(np.floor(row[0])), int(np.floor(col[0]))
+    row, col = row - top, col - left
     part = _part(image, top, int(np.ceil(row[-1])), left, int(np.ceil(col[-1])))
-    level = 0.0 if part.dtype == np.uint8 else float(part.mean())
-    total = _integral(part if part.dtype == np.uint8 else part - level)
+    level, depth = 0.0, cv2.CV_32S
+    if part.dtype != np.uint8:
+        level = float(part.mean())
+        part = part - level
+    if part.dtype != np.uint8 or part.size >= 2**31 // 255:
+        depth = cv2.CV_64F
+    total = np.asarray(cv2.integral(part, sdepth=depth))
     i = np.minimum(row.astype(int), part.shape[0] - 1)
     j = np.minimum(col.astype(int), part.shape[1] - 1)
     upper, lower = total[i], total[i + 1]
@@ -338,11 +327,6 @@ def _mean_over_cells(
     return sums / (2 * radius / size) ** 2 + level
 
 
-def _from_whole_pixel(border: Array) -> tuple[int, Array]:
-    first = int(np.floor(border[0]))
-    return first, border - first
-
-
 def _part(image: Array, top: int, height: int, left: int, width: int) -> Array:
     """Cut a rectangle; outside the frame its edge is repeated."""
     rows, cols = image.shape
@@ -351,8 +335,3 @@ def _part(image: Array, top: int, height: int, left: int, width: int) -> Array:
     row = np.clip(np.arange(top, top + height), 0, rows - 1)
     col = np.clip(np.arange(left, left + width), 0, cols - 1)
     return image[row[:, np.newaxis], col]
-
-
-def _integral(part: Array) -> Array:
-    fits = part.dtype == np.uint8 and part.size < 2**31 // 255
-    return np.asarray(cv2.integral(part, sdepth=cv2.CV_32S if fits else cv2.CV_64F))

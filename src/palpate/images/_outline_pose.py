@@ -153,15 +153,10 @@ def outline_wave(shapes: Array, centres: Floats, order: int) -> Waves:
 
 
 def doubt_of_angle(variance: Floats, symmetry: int) -> Floats:
-    """Return standard deviations in degrees, infinite where they tell nothing.
+    """Standard deviations in degrees of variances in square radians.
 
-    Parameters
-    ----------
-    variance : ndarray of shape (n_touches,)
-        In square radians.
-    symmetry : int
-        An angle drawn at random from the turns that look different has a standard
-        deviation of 360 / symmetry / sqrt(12) degrees.
+    Infinite where they tell nothing: an angle drawn at random from the turns that look
+    different has 360 / symmetry / sqrt(12) degrees.
     """
     if symmetry == 0:
         return np.full(len(variance), np.inf)

@@ -42,19 +42,9 @@ _ROUND_COPIES = 36
 def learn_template(
     images: Floats, centres: Floats, symmetry: int
 ) -> tuple[Floats, Floats]:
-    """Return a template of `symmetry`, and the poses of the presses on it.
+    """Return a template (size, size) of `symmetry` and poses (n, 3) of the presses.
 
-    Parameters
-    ----------
-    images : ndarray of shape (n_touches, n_rows, n_cols)
-    centres : ndarray of shape (n_touches, 2)
-        First guess of (x, y) of each, in taxels.
-    symmetry : int
-
-    Returns
-    -------
-    template : ndarray of shape (size, size)
-    poses : ndarray of shape (n_touches, 3)
+    `centres` are a first guess of (x, y) of each press, in taxels.
     """
     first = np.array([[0.0, *centres[0]]])
     template = symmetrise(_average(images[:1], first), symmetry)
@@ -72,22 +62,23 @@ def find_symmetry(images: Floats, centres: Floats) -> int:
     then imposed on it and tried on the other half. The highest symmetry that fits
     about as well as the best one is taken.
     """
-    halves = np.arange(len(images)) % 2 == 0
-    learnt = {}
-    for name, half in (("even", halves), ("odd", ~halves)):
-        learnt[name] = learn_template(images[half], centres[half], 1)
-    likeness = {
-        s: min(_likeness(template, s) for template, _ in learnt.values())
-        for s in SYMMETRIES
-    }
+    halves = [np.arange(len(images)) % 2 == k for k in (0, 1)]
+    learnt = [learn_template(images[half], centres[half], 1) for half in halves]
     error = {}
     for symmetry in SYMMETRIES:
-        if likeness[symmetry] < _LEAST_LIKENESS:
+        turned = [symmetrise(template, symmetry) for template, _ in learnt]
+        kept = [
+            (mean**2).sum() / (template**2).sum()
+            for mean, (template, _) in zip(turned, learnt, strict=True)
+        ]
+        if min(kept) < _LEAST_LIKENESS:
             continue
-        error[symmetry] = sum(
-            _unseen_error(images, centres, symmetry, halves == flag, learnt[name])
-            for name, flag in (("even", True), ("odd", False))
-        )
+        error[symmetry] = 0.0
+        for seen, template, (_, poses) in zip(halves, turned, learnt, strict=True):
+            poses, _ = refine(images[seen], template, poses, symmetry)
+            template = improve(images[seen], poses, symmetry)
+            _, errors = register(images[~seen], template, centres[~seen], symmetry)
+            error[symmetry] += float(errors.sum())
     return _choose_symmetry(error)
 
 
@@ -100,7 +91,7 @@ def improve(images: Floats, poses: Floats, symmetry: int) -> Floats:
     template = symmetrise(_average(images, poses), symmetry)
     for _ in range(2):
         drawn = render(template, poses, images.shape[1:])
-        plane = fit_planes(images, drawn, poses)
+        plane = _plane(_solve_planes(images, drawn, poses)[0], poses, images.shape[1:])
         plane = np.maximum(plane, 0.3 * np.median(plane, axis=(1, 2), keepdims=True))
         rest = _pull(plane * (images - plane * drawn), poses).sum(axis=0)
         weight = _pull(plane**2, poses).sum(axis=0)
@@ -156,12 +147,6 @@ def _pull(images: Floats, poses: Floats) -> Floats:
     return interpolate(images, np.stack([row, col]), "zero", "linear")
 
 
-def _likeness(template: Floats, symmetry: int) -> float:
-    """Share of the template's square that is left after symmetrising."""
-    kept = symmetrise(template, symmetry)
-    return float((kept**2).sum() / (template**2).sum())
-
-
 def _choose_symmetry(error: dict[int, float]) -> int:
     """Return the highest symmetry whose error on unseen presses is tolerable."""
     grid = [error[s] for s in error if s in _OF_THE_GRID]
@@ -176,41 +161,12 @@ def _choose_symmetry(error: dict[int, float]) -> int:
     return max((s for s in error if s and error[s] <= limit), default=1)
 
 
-def _unseen_error(
-    images: Floats,
-    centres: Floats,
-    symmetry: int,
-    seen: NDArray[np.bool_],
-    learnt: tuple[Floats, Floats],
-) -> float:
-    """Error on the unseen half of a template learnt on the other."""
-    template, poses = learnt
-    template = symmetrise(template, symmetry)
-    poses, _ = refine(images[seen], template, poses, symmetry)
-    template = improve(images[seen], poses, symmetry)
-    _, errors = register(images[~seen], template, centres[~seen], symmetry)
-    return float(errors.sum())
-
-
 def register(
     images: Floats, template: Floats, centres: Floats, symmetry: int
 ) -> tuple[Floats, Floats]:
-    """Find the pose of each press.
+    """Find the pose of each press, (n, 3), and its sum of squared residuals, (n,).
 
-    Parameters
-    ----------
-    images : ndarray of shape (n_touches, n_rows, n_cols)
-    template : ndarray of shape (size, size)
-    centres : ndarray of shape (n_touches, 2)
-        First guess of (x, y).
-    symmetry : int
-        Turns in which the template looks the same; 0 for all, the angle is then 0.
-
-    Returns
-    -------
-    poses : ndarray of shape (n_touches, 3)
-    errors : ndarray of shape (n_touches,)
-        Sum of squared residuals.
+    `centres` are a first guess of (x, y). For symmetry 0 the angle is 0.
     """
     start = _search(images, template, centres, symmetry)
     return refine(images, template, start, symmetry)
@@ -275,12 +231,6 @@ def render(template: Floats, poses: Floats, shape: tuple[int, ...]) -> Floats:
     where = np.stack([cos * y - sin * x, cos * x + sin * y])
     where = OVERSAMPLING * where + (len(template) - 1) / 2
     return interpolate(template[np.newaxis], where, "zero", "cubic")
-
-
-def fit_planes(images: Floats, drawn: Floats, poses: Floats) -> Floats:
-    """Return the plane that multiplies each drawn template to fit its image."""
-    weights, _ = _solve_planes(images, drawn, poses)
-    return _plane(weights, poses, images.shape[1:])
 
 
 def _search(images: Floats, template: Floats, centres: Floats, symmetry: int) -> Floats:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
@@ -130,7 +130,9 @@ class PressPose(BaseEstimator):
         self.labels_ = np.unique(labels)
         learnt = []
         for label in self.labels_.tolist():
-            chosen = _spread(np.flatnonzero(labels == label), most)
+            chosen = np.flatnonzero(labels == label)
+            if len(chosen) > most:
+                chosen = chosen[np.arange(most) * len(chosen) // most]
             part_angles = None if angles is None else angles[chosen]
             learnt.append(self._learn(images[chosen], label, part_angles))
         templates, symmetry, centroids, zeros, inflation = zip(*learnt, strict=True)
@@ -177,7 +179,12 @@ class PressPose(BaseEstimator):
                 "images. Leave that part out."
             )
         levels, outline = levels[pressed], outline[pressed]
-        symmetry = self._symmetry_of(label)
+        given = self.symmetry
+        if isinstance(given, Mapping):
+            given = given.get(label)
+        symmetry = given
+        if given is not None:
+            symmetry = check_count("symmetry", given, at_least=0)
         inflation = 1 + _OF_TEMPLATE / len(levels)
         if symmetry is None and len(levels) >= _LEAST_FOR_SYMMETRY:
             symmetry = find_symmetry(levels, outline)
@@ -190,14 +197,11 @@ class PressPose(BaseEstimator):
         if angles is None or symmetry == 0:
             zero = -template_angle(template, centroid, symmetry)
         else:
-            zero = _mean_angle(np.rad2deg(poses[:, 0]) - angles[pressed], symmetry)
+            # The circular mean of angles that repeat every 360 / symmetry.
+            apart = np.deg2rad(np.rad2deg(poses[:, 0]) - angles[pressed])
+            mean = np.exp(1j * apart * symmetry).mean()
+            zero = float(np.rad2deg(np.angle(mean)) / symmetry)
         return template, symmetry, centroid, zero, inflation
-
-    def _symmetry_of(self, label: object) -> int | None:
-        given = self.symmetry
-        if isinstance(given, Mapping):
-            given = given.get(label)
-        return None if given is None else check_count("symmetry", given, at_least=0)
 
     def _place(self, images: Floats, index: int) -> Floats:
         """(x, y, angle, sd of place, sd of angle) in taxels and degrees."""
@@ -235,19 +239,6 @@ def _turn(points: Floats, angles: Floats) -> Floats:
     cos, sin = np.cos(angles), np.sin(angles)
     x, y = points.T
     return np.column_stack([cos * x - sin * y, sin * x + cos * y])
-
-
-def _mean_angle(angles: Floats, symmetry: int) -> float:
-    """Circular mean in degrees of angles that repeat every 360 / symmetry."""
-    mean = np.exp(1j * np.deg2rad(angles) * symmetry).mean()
-    return float(np.rad2deg(np.angle(mean)) / symmetry)
-
-
-def _spread(indices: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """At most `most` of `indices`, evenly spaced."""
-    if len(indices) <= most:
-        return indices
-    return indices[np.arange(most) * len(indices) // most]
 
 
 def _check_labels(y: ArrayLike, n_touches: int) -> Array:

@@ -6,7 +6,7 @@ turns the image from the column axis towards the row axis: clockwise as displaye
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -73,10 +73,19 @@ def repose(
     shift = _per_touch("shift_px", shift_px, (n_touches, 2))
     factor = _per_touch("gain", gain, (n_touches,))
     rows, cols = (n_rows, n_cols) if shape is None else shape
-    grid = _centred_grid(check_count("shape[0]", rows), check_count("shape[1]", cols))
+    rows, cols = check_count("shape[0]", rows), check_count("shape[1]", cols)
+    grid = np.indices((rows, cols), dtype=np.float64)
+    grid -= [[[(rows - 1) / 2]], [[(cols - 1) / 2]]]
     reposed = np.empty((n_touches, *grid.shape[1:]))
-    for block in _blocks(n_touches, grid[0].size):
-        where = _source(grid, angle[block], shift[block], (n_rows, n_cols))
+    step = max(1, _BLOCK // grid[0].size)
+    for start in range(0, n_touches, step):
+        block = slice(start, start + step)
+        # Where each pixel of the new image was in the old one.
+        row, col = grid[:, None] - shift[block].T[:, :, None, None]
+        turn = angle[block][:, None, None]
+        old_row = np.cos(turn) * row - np.sin(turn) * col + (n_rows - 1) / 2
+        old_col = np.sin(turn) * row + np.cos(turn) * col + (n_cols - 1) / 2
+        where = np.stack([old_row, old_col])
         reposed[block] = interpolate(checked[block], where, edges, interpolation)
         reposed[block] *= factor[block, None, None]
     return reposed
@@ -94,90 +103,36 @@ def _per_touch(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
     return np.broadcast_to(given, shape)
 
 
-def _centred_grid(n_rows: int, n_cols: int) -> Floats:
-    """(row, column) of each pixel from the image's centre, (2, n_rows, n_cols)."""
-    grid = np.indices((n_rows, n_cols), dtype=np.float64)
-    grid[0] -= (n_rows - 1) / 2
-    grid[1] -= (n_cols - 1) / 2
-    return grid
-
-
-def _blocks(n_touches: int, n_pixels: int) -> Iterator[slice]:
-    size = max(1, _BLOCK // n_pixels)
-    for start in range(0, n_touches, size):
-        yield slice(start, start + size)
-
-
-def _source(
-    grid: Floats,
-    angle: Floats,
-    shift: Floats,
-    shape: tuple[int, int],
-) -> Floats:
-    """(row, column) in the old image of each pixel of the new, (2, n, rows, cols)."""
-    row, col = grid[:, None] - shift.T[:, :, None, None]
-    cos, sin = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
-    old_row, old_col = cos * row - sin * col, sin * row + cos * col
-    return np.stack([old_row + (shape[0] - 1) / 2, old_col + (shape[1] - 1) / 2])
-
-
 def interpolate(
-    images: Floats,
-    where: Floats,
-    edges: str = "zero",
-    interpolation: str = "linear",
+    images: Floats, where: Floats, edges: str, interpolation: str
 ) -> Floats:
-    """Return image levels at positions between pixels.
+    """Return image levels at positions between pixels, (n_touches, ...).
 
-    Parameters
-    ----------
-    images : ndarray of shape (n_touches, n_rows, n_cols)
-        Or of shape (1, n_rows, n_cols): one image for all.
-    where : ndarray of shape (2, n_touches, ...)
-        (row, column) of each wanted position; pixel centres are integers.
-    edges, interpolation : str
-        As in `repose`.
-
-    Returns
-    -------
-    levels : ndarray of shape (n_touches, ...)
+    `where` holds (row, column) of each, (2, n_touches, ...); pixel centres are
+    integers. A single image serves all touches. `edges` and `interpolation` are as in
+    `repose`.
     """
     # A turn by 90 degrees leaves rounding that would blur a pixel into the next.
     exact = where.round(12)
     base = np.floor(exact).astype(np.intp)
     first, weigh = _TAPS[interpolation]
     weights = weigh(exact - base)
-    n_taps = len(weights)
-    rows = [
-        _tap(base[0] + first + i, weights[i, 0], images, 1, edges)
-        for i in range(n_taps)
-    ]
-    cols = [
-        _tap(base[1] + first + i, weights[i, 1], images, 2, edges)
-        for i in range(n_taps)
-    ]
+    # Indices moved inside the image, and the weights of those that were outside.
+    taps: list[list[tuple[NDArray[np.intp], Floats]]] = [[], []]
+    for i, axis in product(range(len(weights)), (0, 1)):
+        index, weight = base[axis] + first + i, weights[i, axis]
+        inside = index.clip(0, images.shape[1 + axis] - 1)
+        if edges == "zero":
+            weight = np.where(inside == index, weight, 0.0)
+        taps[axis].append((inside, weight))
     touch = np.arange(len(images)).reshape(-1, *[1] * (where.ndim - 2))
     starts = touch * images[0].size
     levels, result = images.ravel(), np.zeros(where.shape[1:])
-    for row, row_weight in rows:
+    for row, row_weight in taps[0]:
         line = starts + row * images.shape[2]
-        for col, col_weight in cols:
+        for col, col_weight in taps[1]:
             result += row_weight * col_weight * levels[line + col]
     return result
-
-
-def _tap(
-    index: NDArray[np.intp],
-    weight: Floats,
-    images: Floats,
-    axis: int,
-    edges: str,
-) -> tuple[NDArray[np.intp], Floats]:
-    """Indices moved inside the image, and the weights of those that were outside."""
-    inside = index.clip(0, images.shape[axis] - 1)
-    if edges == "zero":
-        weight = np.where(inside == index, weight, 0.0)
-    return inside, weight
 
 
 def _linear(t: Floats) -> Floats:

@@ -7,7 +7,6 @@ shares and their level leave a matrix of rank below the number of kernels.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Self, cast
 
 import numpy as np
@@ -25,14 +24,10 @@ Solver = Callable[[Floats], Floats]
 class DenseKernels:
     """Kernel matrices of a batch of problems.
 
-    Parameters
-    ----------
-    kernels : ndarray of shape (n_problems, n_kernels, n_touches, n_touches)
-        Symmetric, positive semi-definite, contiguous.
-    labels : ndarray of shape (n_problems, n_touches)
-        +1, -1, or 0 for touches that take no part.
-    means : ndarray of shape (n_problems, n_kernels, n_touches), optional
-        Means of the rows that `centred` took out.
+    `kernels` (n_problems, n_kernels, n_touches, n_touches) are symmetric, positive
+    semi-definite and contiguous; `labels` (n_problems, n_touches) are +1, -1, or 0 for
+    touches that take no part; `means` (n_problems, n_kernels, n_touches) are the means
+    of the rows that `centred` took out.
     """
 
     crowded = False
@@ -74,7 +69,7 @@ class DenseKernels:
         return View(energies, missing, square, forces)
 
     def newton(self, task: Task, point: Point, view: View) -> DualNewton:
-        return DualNewton(task, point, view, self._factorise)
+        return DualNewton(self, task, point, view)
 
     def settled(self, task: Task, point: Point, share: float) -> Point:
         n, left = point.n_touches, point.left.copy()
@@ -110,13 +105,13 @@ class DenseKernels:
         stacked = self.kernels.reshape(n_problems, n_kernels * n, n)
         return (stacked @ signed[:, :, None]).reshape(n_problems, n_kernels, n)
 
-    def _factorise(self, diagonal: Floats, weights: Floats, pull: Pull) -> Solver:
+    def factorise(self, diagonal: Floats, weights: Floats, root: Floats) -> Solver:
+        """Return a solver of diagonal + sum_k d_k Y K_k Y + root' root."""
         n_problems, n_kernels, n, _ = self.kernels.shape
         flat = self.kernels.reshape(n_problems, n_kernels, n * n)
         matrix = (weights[:, None, :] @ flat).reshape(n_problems, n, n)
         matrix *= self.labels[:, :, None]
         matrix *= self.labels[:, None, :]
-        root = pull.root()
         matrix += root.transpose(0, 2, 1) @ root
         matrix[:, np.arange(n), np.arange(n)] += diagonal
         return _small_solver(matrix) if n < _LARGE else _large_solver(matrix)
@@ -127,7 +122,9 @@ def _small_solver(matrix: Floats) -> Solver:
         try:
             return cast(Floats, np.linalg.solve(matrix, right))
         except np.linalg.LinAlgError:
-            return cast(Floats, np.linalg.solve(_lifted(matrix), right))
+            size = np.abs(matrix).max(axis=(1, 2))[:, None, None]
+            lift = 1e-14 * np.maximum(size, 1e-300) * np.eye(matrix.shape[1])
+            return cast(Floats, np.linalg.solve(matrix + lift, right))
 
     return solve
 
@@ -165,51 +162,23 @@ def cholesky_solver(matrix: Floats) -> Solver:
     return solve
 
 
-def _lifted(matrix: Floats) -> Floats:
-    n = matrix.shape[1]
-    size = np.abs(matrix).max(axis=(1, 2))[:, None, None]
-    lifted: Floats = matrix + 1e-14 * np.maximum(size, 1e-300) * np.eye(n)
-    return lifted
+def _pull_root(forces: Floats, gain: Floats) -> Floats:
+    """R' F of the low-rank part F' R R' F of Newton's matrix: what moving shares does.
 
-
-@dataclass
-class Pull:
-    """The low-rank part of Newton's matrix: what moving the shares does.
-
-    It is F' (W - W 1 1' W / 1'W1) F with W = diag(`gain`) of shape (n_problems,
-    n_kernels) and F the `forces`.
+    R R' = W - W 1 1' W / 1'W1 with W = diag(`gain`), and F are the `forces`.
     """
-
-    forces: Floats
-    gain: Floats
-
-    def root(self) -> Floats:
-        """Return R' F, with R R' the matrix in brackets."""
-        root = np.sqrt(self.gain)
-        unit = root / np.sqrt(self.gain.sum(axis=1, keepdims=True))
-        scaled = root[:, :, None] * self.forces
-        scaled -= unit[:, :, None] * (unit[:, None, :] @ scaled)
-        return scaled
+    root = np.sqrt(gain)
+    unit = root / np.sqrt(gain.sum(axis=1, keepdims=True))
+    scaled = root[:, :, None] * forces
+    scaled -= unit[:, :, None] * (unit[:, None, :] @ scaled)
+    return scaled
 
 
 class DualNewton:
-    """The optimality conditions at one point, linearised and factorised once.
-
-    Parameters
-    ----------
-    task, point, view
-        The problems, where they are, and what they see there.
-    factorise : callable
-        (diagonal, weights, pull) -> solver of the matrix diagonal + sum_k d_k Y K_k Y
-        + pull for right-hand sides of shape (n_problems, n_touches, n_columns).
-    """
+    """The optimality conditions at one point, linearised and factorised once."""
 
     def __init__(
-        self,
-        task: Task,
-        point: Point,
-        view: View,
-        factorise: Callable[[Floats, Floats, Pull], Solver],
+        self, system: DenseKernels, task: Task, point: Point, view: View
     ) -> None:
         self._point, self._labels = point, task.labels
         n = point.n_touches
@@ -229,8 +198,8 @@ class DualNewton:
         self._excess = point.level - pulls - point.slack
         self._surplus = point.shares.sum(axis=1, keepdims=True) - 1
         diagonal = self._ratio[:, :n] + self._ratio[:, n : 2 * n]
-        pull = Pull(self._forces, self._gain)
-        self._solve = factorise(diagonal, task.weights(point), pull)
+        root = _pull_root(self._forces, self._gain)
+        self._solve = system.factorise(diagonal, task.weights(point), root)
         self._towards_bias: Floats | None = None
 
     def direction(self, target: Floats) -> Point:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._types import Array, Floats
-from ._problem import KernelSystem, Point, Solution, Task, View, dual_norm, norms
+from ._problem import KernelSystem, Point, Solution, Task, View, norms
 
 # A step goes this share of the way to the boundary.
 _SHARE_OF_WAY = 0.99
@@ -45,24 +45,10 @@ def solve_interior(
 ) -> Solution:
     """Solve multiple kernel learning for a batch of two-class problems.
 
-    Parameters
-    ----------
-    system : KernelSystem
-        Kernels and labels (+1, -1, or 0 for padding); both labels must occur in
-        each problem.
-    C : float
-        Price of a margin error.
-    norm : float, default=1
-        The p >= 1 of the constraint |d|_p <= 1; 1 selects few kernels.
-    tol : float, default=1e-6
-        Relative duality gap at which a problem is done.
-    max_iter : int, default=100
-
-    Returns
-    -------
-    Solution
-        The best machine met of each problem, even where the gap stayed above
-        `tol`.
+    Both labels must occur in each problem. `norm` is the p >= 1 of the constraint |d|_p
+    <= 1, of which 1 selects few kernels; a problem is done at the relative duality gap
+    `tol`. Returns the best machine met of each problem, even where its gap stayed
+    above.
 
     References
     ----------
@@ -86,12 +72,9 @@ def solve_interior(
             if not (remaining and going.any()):
                 break
             if 2 * going.sum() <= len(going):
-                best.keep(going)
-                task, point, view = (
-                    task.take(going),
-                    point.take(going),
-                    view.take(going),
-                )
+                best.rows = best.rows[going]
+                task, point = task.take(going), point.take(going)
+                view = view.take(going)
                 going = going[going]
             point = _advanced(task, point, view, going)
         best.n_iter = np.minimum(best.n_iter, max_iter)
@@ -175,7 +158,9 @@ def relative_gap(task: Task, point: Point, view: View) -> Floats:
 
 def _lower_bound(task: Task, point: Point, view: View) -> Floats:
     """The dual value; multipliers out of balance by rounding pay for it."""
-    energy = norms(view.energies, dual_norm(task.norm))
+    # The dual norm: 1/p + 1/q = 1.
+    power = np.inf if task.norm == 1 else task.norm / (task.norm - 1)
+    energy = norms(view.energies, power)
     imbalance = np.abs((task.labels * point.alpha).sum(axis=1))
     total = (task.real * point.alpha).sum(axis=1)
     bound: Floats = total - energy - np.abs(point.free[:, 0]) * imbalance
@@ -217,7 +202,7 @@ class Best:
         self.n_iter = np.zeros(n_problems, dtype=np.int64)
         self._tol = tol
         self._found_at = np.zeros(n_problems, dtype=np.int64)
-        self._rows = everywhere
+        self.rows = everywhere  # of the problems that are not done
 
     def improve(
         self, task: Task, point: Point, view: View, *, last: bool
@@ -227,7 +212,7 @@ class Best:
         The proof is left out, except for the `last` point, while all problems are
         far from their optimum by the sum of the products alone.
         """
-        rows = self._rows
+        rows = self.rows
         if not (last or _is_near(task, point, self._tol)):
             self.n_iter[rows] += 1
             self._found_at[rows] = self.n_iter[rows]
@@ -242,10 +227,6 @@ class Best:
         going = (self.gap[rows] > _AIM * self._tol) & (waited <= patience)
         self.n_iter[rows[going]] += 1
         return going
-
-    def keep(self, going: Array) -> None:
-        """Follow the batch as it drops the problems that are done."""
-        self._rows = self._rows[going]
 
     def solution(self, task: Task) -> Solution:
         """Return the machines, with tiny weights and multipliers set to zero."""

@@ -99,26 +99,18 @@ def check_kernels(kernels: object) -> list[Kernel]:
 def kernel_stack(
     kernels: Sequence[Kernel], left: Floats, right: Floats, mean: Floats
 ) -> Floats:
-    """Return all kernels between two sets of touches, or batches of such sets.
+    """Return all kernels between two sets, (..., n_kernels, n_left, n_right).
 
-    Parameters
-    ----------
-    kernels : sequence of kernels
-    left : ndarray of shape (..., n_left, n_features)
-        Touches less `mean`, which saves the digits of distances between touches
-        far from the origin.
-    right : ndarray of shape (..., n_right, n_features)
-        Others, less `mean` too; distances within `left` come out exactly 0 on the
-        diagonal if it is the same array.
-    mean : ndarray of shape (n_features,)
-
-    Returns
-    -------
-    ndarray of shape (..., n_kernels, n_left, n_right)
+    Sets (..., n_touches, n_features), or batches of them, come less `mean`, which saves
+    the digits of distances between touches far from the origin. Distances within `left`
+    are exactly 0 on the diagonal if `right` is the same array.
     """
     product = left @ right.swapaxes(-1, -2)
     stack = np.empty((*product.shape[:-2], len(kernels), *product.shape[-2:]))
-    squared = _squared_distances(left, right, product)
+    squared = -2 * product
+    squared += np.square(left).sum(axis=-1)[..., :, None]
+    squared += np.square(right).sum(axis=-1)[..., None, :]
+    np.maximum(squared, 0, out=squared)
     if left is right:
         n = product.shape[-1]
         squared[..., np.arange(n), np.arange(n)] = 0
@@ -142,13 +134,6 @@ def kernel_diagonals(
     with np.errstate(over="ignore"):
         _fill(diagonals, kernels, np.zeros((1, len(touches))), square[None])
     return diagonals[:, 0]
-
-
-def _squared_distances(left: Floats, right: Floats, product: Floats) -> Floats:
-    squared = -2 * product
-    squared += np.square(left).sum(axis=-1)[..., :, None]
-    squared += np.square(right).sum(axis=-1)[..., None, :]
-    return np.maximum(squared, 0, out=squared)
 
 
 def _fill(
@@ -246,16 +231,13 @@ class DenseBank(Bank):
 
     @property
     def n_columns(self) -> int:
-        """Coefficients of a machine: one per training touch."""
         return self.n_touches
 
     def batch_size(self, n_touches: int) -> int:
-        """How many problems of that size to hold at a time."""
         per_problem = 8 * len(self.scales) * n_touches**2
         return max(1, BLOCK_BYTES // per_problem)
 
     def system(self, index: Array, labels: Floats) -> DenseKernels:
-        """Return the problems of the touches of each row of `index`."""
         blocks = self.blocks(index)
         if self.normalize == "trace":
             # No kernel has a large constant part.
@@ -274,30 +256,14 @@ class DenseBank(Bank):
 
 
 class FeatureBank(DenseBank):
-    """A bank of kernels over training touches.
-
-    Parameters
-    ----------
-    kernels : sequence of kernels
-    touches : ndarray of shape (n_touches, n_features)
-    normalize : {"trace", "variance", None}
-
-    Attributes
-    ----------
-    mean : ndarray of shape (n_features,)
-    scales : ndarray of shape (n_kernels,)
-        Factor on each kernel.
-    """
+    """Kernels among training touches (n_touches, n_features), with a factor on each."""
 
     def __init__(
         self, kernels: Sequence[Kernel], touches: Floats, normalize: str | None
     ) -> None:
         self.kernels, self.normalize = kernels, normalize
-        self.mean = touches.mean(axis=0)
-        self.centred = touches - self.mean
         self.n_touches = len(touches)
-        diagonals = kernel_diagonals(kernels, self.centred, self.mean)
-        refuse_overflow(kernels, diagonals)
+        self.centred, self.mean, diagonals = centre(kernels, touches)
         mean = self._mean_kernel() if normalize == "variance" else None
         self.scales = kernel_scales(diagonals, mean, normalize)
 
@@ -318,17 +284,9 @@ class FeatureBank(DenseBank):
 
 
 class GivenBank(DenseBank):
-    """Kernel matrices computed by someone else.
+    """Kernel matrices (n_touches, n_touches, n_kernels) computed by someone else.
 
-    Parameters
-    ----------
-    stack : ndarray of shape (n_touches, n_touches, n_kernels)
-    normalize : {"trace", "variance", None}
-
-    Raises
-    ------
-    ValueError
-        For a matrix that is not symmetric or not positive semi-definite.
+    A matrix that is not symmetric or not positive semi-definite is refused.
     """
 
     def __init__(self, stack: Floats, normalize: str | None) -> None:
@@ -354,17 +312,11 @@ class GivenBank(DenseBank):
 def kernel_scales(
     diagonals: Floats, mean: Floats | None, normalize: str | None
 ) -> Floats:
-    """Return the factor on each kernel.
+    """Return the factor on each kernel of `diagonals` (n_kernels, n_touches).
 
-    Parameters
-    ----------
-    diagonals : ndarray of shape (n_kernels, n_touches)
-    mean : ndarray of shape (n_kernels,), optional
-        Mean of each kernel matrix, for "variance".
-    normalize : {"trace", "variance", None}
-        One over the trace, one over the variance in feature space (mean of the
-        diagonal less mean of the matrix), or 1. A kernel without trace, or for
-        "variance" a constant one, tells no touches apart and gets 0.
+    One over the trace; for "variance" one over that in feature space (mean of the
+    diagonal less `mean` of the matrix); or 1. A kernel without trace, or for "variance"
+    a constant one, tells no touches apart and gets 0.
     """
     if normalize is None:
         return np.ones(len(diagonals))
@@ -378,8 +330,11 @@ def kernel_scales(
     return np.where(says, 1 / np.where(says, amount, 1), 0)
 
 
-def check_given(X: object, n_train: int | None = None) -> Floats:
-    """Return precomputed kernels as (n_touches, n_train, n_kernels), or explain."""
+def check_given(X: object, wanted: tuple[int, int] | None = None) -> Floats:
+    """Return precomputed kernels as (n_touches, n_train, n_kernels), or explain.
+
+    With `wanted`, the latter two are insisted on; without, a square of touches.
+    """
     stack: Floats = check_array(
         X, dtype=[np.float64, np.float32], allow_nd=True, input_name="X"
     )
@@ -390,17 +345,12 @@ def check_given(X: object, n_train: int | None = None) -> Floats:
             "Precomputed kernels must have shape (n_touches, n_train_touches, "
             f"n_kernels), got {stack.shape}. Stack them with np.stack(..., axis=2)."
         )
-    wanted = stack.shape[0] if n_train is None else n_train
-    if stack.shape[1] != wanted:
+    n_train, n_kernels = wanted or (stack.shape[0], stack.shape[2])
+    if stack.shape[1] != n_train:
         raise ValueError(
-            f"X has {stack.shape[1]} features, but MKLSVC is expecting {wanted} "
+            f"X has {stack.shape[1]} features, but MKLSVC is expecting {n_train} "
             "features as input: precomputed kernels need a column per training touch."
         )
-    return stack
-
-
-def check_same_kernels(stack: Floats, n_kernels: int) -> Floats:
-    """Return precomputed kernels if there are as many as were learnt."""
     if stack.shape[2] != n_kernels:
         raise ValueError(
             f"X must hold the {n_kernels} kernels of the training touches, got "
@@ -409,7 +359,10 @@ def check_same_kernels(stack: Floats, n_kernels: int) -> Floats:
     return stack
 
 
-def refuse_overflow(kernels: Sequence[Kernel], diagonals: Floats) -> None:
+def centre(kernels: Sequence[Kernel], touches: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return touches less their mean, the mean, and k(x, x) of all kernels, finite."""
+    mean = touches.mean(axis=0)
+    diagonals = kernel_diagonals(kernels, touches - mean, mean)
     finite = np.isfinite(diagonals).all(axis=1)
     if not finite.all():
         raise ValueError(
@@ -417,6 +370,7 @@ def refuse_overflow(kernels: Sequence[Kernel], diagonals: Floats) -> None:
             f"{kernels[int(finite.argmin())]}. Scale the features first, for example "
             "with StandardScaler."
         )
+    return touches - mean, mean, diagonals
 
 
 def _refuse_not_a_kernel(matrix: Floats, k: int, rounding: float) -> None:

@@ -20,14 +20,7 @@ from scipy.linalg import eigh
 
 from ..._types import Array, Floats
 from ._dense import DenseKernels, cholesky_solver
-from ._kernels import (
-    Bank,
-    Kernel,
-    kernel_diagonals,
-    kernel_scales,
-    kernel_stack,
-    refuse_overflow,
-)
+from ._kernels import Bank, Kernel, centre, kernel_scales, kernel_stack
 from ._problem import (
     Point,
     Solution,
@@ -52,14 +45,8 @@ Blocks = Callable[[], Iterator[tuple[slice, Floats]]]
 class LandmarkFeatures:
     """Nystroem features of several kernels, from one matrix of distances.
 
-    Parameters
-    ----------
-    kernels : sequence of kernels
-    landmarks : ndarray of shape (n_landmarks, n_features)
-        Less `mean`.
-    mean : ndarray of shape (n_features,)
-    maps : list of ndarray of shape (n_landmarks, rank)
-        From kernel values at the landmarks to features, one per kernel.
+    `landmarks` (n_landmarks, n_features) come less `mean`; `maps` (n_landmarks, rank)
+    go from kernel values at the landmarks to features, one per kernel.
     """
 
     def __init__(
@@ -85,19 +72,16 @@ class LandmarkFeatures:
         for rows in row_blocks(len(centred), per_kernel + 2 * sum(self.ranks)):
             yield rows, self(centred[rows])
 
+    def sums(self, centred: Floats) -> Floats:
+        """Return the features summed over the touches."""
+        total = np.zeros(sum(self.ranks))
+        for _, part in self.blocks(centred):
+            total += part.sum(axis=0)
+        return total
+
 
 class NystroemBank(Bank):
-    """A bank of approximate kernels over training touches.
-
-    Parameters
-    ----------
-    kernels : sequence of kernels
-    touches : ndarray of shape (n_touches, n_features)
-    normalize : {"trace", "variance", None}
-    n_landmarks : int
-        Landmarks, drawn from the touches without replacement.
-    random : RandomState
-    """
+    """Approximate kernels among training touches, through landmarks drawn from them."""
 
     n_folds = 1
 
@@ -110,10 +94,7 @@ class NystroemBank(Bank):
         random: RandomState,
     ) -> None:
         self.kernels, self.n_touches = kernels, len(touches)
-        self.mean = touches.mean(axis=0)
-        self.centred = touches - self.mean
-        diagonals = kernel_diagonals(kernels, self.centred, self.mean)
-        refuse_overflow(kernels, diagonals)
+        self.centred, self.mean, diagonals = centre(kernels, touches)
         drawn = random.permutation(self.n_touches)[:n_landmarks]
         landmarks = self.centred[np.sort(drawn)]
         stack = kernel_stack(kernels, landmarks, landmarks, self.mean)
@@ -126,11 +107,9 @@ class NystroemBank(Bank):
 
     @property
     def n_columns(self) -> int:
-        """Coefficients of a machine: one per feature."""
         return sum(self.features.ranks)
 
     def batch_size(self, n_touches: int) -> int:
-        """One problem at a time."""
         return 1
 
     def system(self, index: Array, labels: Floats) -> LowRankKernels | DenseKernels:
@@ -157,10 +136,7 @@ class NystroemBank(Bank):
 
     def _again_and_again(self, centred: Floats, labels: Floats) -> LowRankKernels:
         """A problem whose features are computed whenever they are asked for."""
-        total = np.zeros(self.n_columns)
-        for _, part in self.features.blocks(centred):
-            total += part.sum(axis=0)
-        mean = total / len(centred)
+        mean = self.features.sums(centred) / len(centred)
 
         def blocks() -> Iterator[tuple[slice, Floats]]:
             for rows, part in self.features.blocks(centred):
@@ -185,9 +161,7 @@ class NystroemBank(Bank):
 
     def _mean_kernel(self) -> Floats:
         """Mean of each approximate kernel matrix: the squared mean feature."""
-        total = np.zeros(self.n_columns)
-        for _, part in self.features.blocks(self.centred):
-            total += part.sum(axis=0)
+        total = self.features.sums(self.centred)
         ends = np.cumsum(self.features.ranks)
         starts = ends - self.features.ranks
         squared: Floats = np.add.reduceat((total / self.n_touches) ** 2, starts)
@@ -207,17 +181,10 @@ def _whitening(kernel: Floats) -> Floats:
 class LowRankKernels:
     """Kernels of one problem as inner products of features.
 
-    Parameters
-    ----------
-    blocks : callable
-        Goes through the touches once: pairs of a slice and the features of those
-        touches, of shape (n_in_slice, n_columns), less `mean`.
-    mean : ndarray of shape (n_columns,)
-        Mean feature, taken out because it only adds to the bias.
-    ranks : sequence of int
-        Columns of each kernel, in order.
-    labels : ndarray of shape (1, n_touches)
-        +1, -1, or 0 for touches that take no part.
+    `blocks` goes through the touches once: pairs of a slice and the features
+    (n_in_slice, n_columns) of those touches, less `mean`, which only adds to the bias.
+    `ranks` are the columns of each kernel, in order. Labels (1, n_touches) are +1, -1
+    or 0, as ever.
     """
 
     def __init__(

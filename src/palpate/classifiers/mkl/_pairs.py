@@ -32,38 +32,23 @@ class Settings:
     max_iter: int
     calibrate: bool
 
-    def solve(self, system: Any) -> Solution:
-        """Solve the problems of `system` by the solver asked for."""
-        if self.solver == "simplemkl":
-            return solve_simplemkl(system, self.C, tol=self.tol, max_iter=self.max_iter)
-        return solve_interior(
-            system, self.C, norm=self.norm, tol=self.tol, max_iter=self.max_iter
-        )
-
-    def solve_roughly(self, system: Any) -> Solution:
-        """Solve well enough to calibrate by."""
-        tol = max(self.tol, _CALIBRATION_TOL)
-        return solve_interior(
-            system, self.C, norm=self.norm, tol=tol, max_iter=self.max_iter
-        )
+    def solve(self, system: Any, *, roughly: bool = False) -> Solution:
+        """Solve by the solver asked for, or well enough to calibrate by."""
+        limits: dict[str, Any] = {"tol": self.tol, "max_iter": self.max_iter}
+        if roughly:
+            limits["tol"] = max(self.tol, _CALIBRATION_TOL)
+        elif self.solver == "simplemkl":
+            return solve_simplemkl(system, self.C, **limits)
+        return solve_interior(system, self.C, norm=self.norm, **limits)
 
 
 class PairMachines:
     """The machines of all pairs, a row per pair.
 
-    Attributes
-    ----------
-    pairs : ndarray of shape (n_pairs, 2)
-    coefficients : ndarray of shape (n_pairs, n_columns)
-    weights : ndarray of shape (n_pairs, n_kernels)
-    bias, objective, gap : ndarray of shape (n_pairs,)
-    n_iter : ndarray of shape (n_pairs,)
-    sigmoids : ndarray of shape (n_pairs, 2)
-        Slope and offset of the probability of the second class; zero where
-        nothing was calibrated.
-    left_out : ndarray of shape (n_touches, n_classes)
-        Decision about each touch between its class and each other one, by a
-        machine that did not learn it; NaN where there is none.
+    `sigmoids` (n_pairs, 2) hold slope and offset of the probability of the second
+    class, zero where nothing was calibrated; `left_out` (n_touches, n_classes) the
+    decision about each touch between its class and each other one, by a machine that
+    did not learn it, NaN where there is none.
     """
 
     def __init__(
@@ -80,16 +65,7 @@ class PairMachines:
 
 
 def learn_pairs(bank: Bank, codes: Array, settings: Settings) -> PairMachines:
-    """Learn a machine for each pair of classes.
-
-    Parameters
-    ----------
-    bank : Bank
-        Kernels among the training touches.
-    codes : ndarray of int of shape (n_touches,)
-        Class of each touch, 0 to n_classes - 1, each at least once.
-    settings : Settings
-    """
+    """Learn a machine for each pair of the classes `codes`, each of which occurs."""
     n_classes = int(codes.max()) + 1
     n_kernels, n_touches = len(bank.scales), len(codes)
     machines = PairMachines(n_classes, n_kernels, bank.n_columns, n_touches)
@@ -107,18 +83,11 @@ def learn_pairs(bank: Bank, codes: Array, settings: Settings) -> PairMachines:
                 system, solution, folds[index], bank.n_folds, settings
             )
             machines.sigmoids[rows] = fit_sigmoids(scores, known)
-            _note_left_out(machines, rows, index, scores, known)
+            row, place = np.nonzero(known)
+            other = np.where(known[row, place] > 0, 0, 1)
+            columns = machines.pairs[rows[row], other]
+            machines.left_out[index[row, place], columns] = scores[row, place]
     return machines
-
-
-def _note_left_out(
-    machines: PairMachines, rows: Array, index: Array, scores: Floats, known: Floats
-) -> None:
-    """Write decisions to the row of the touch and the column of the other class."""
-    row, place = np.nonzero(known)
-    other = np.where(known[row, place] > 0, 0, 1)
-    columns = machines.pairs[rows[row], other]
-    machines.left_out[index[row, place], columns] = scores[row, place]
 
 
 def _batches(
@@ -175,7 +144,7 @@ def _left_out_scores(
     for fold in range(n_folds):
         out = (folds == fold) & (labels != 0)
         part = system.with_labels(np.where(out, 0, labels))
-        rest = settings.solve_roughly(part)
+        rest = settings.solve(part, roughly=True)
         scores = np.where(out, part.decisions(rest), scores)
         known = np.where(out, labels, known)
     return scores, known

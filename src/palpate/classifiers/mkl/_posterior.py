@@ -8,7 +8,6 @@ left out, and the pairs are coupled into one distribution.
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.special import expit, log_softmax, softmax
 
@@ -20,7 +19,7 @@ _NEWTON_STEPS = 50
 _SUREST = 1e-7
 
 
-def all_pairs(n_classes: int) -> NDArray[np.int64]:
+def all_pairs(n_classes: int) -> Array:
     """Return the pairs of classes (first, second), shape (n_pairs, 2)."""
     return np.stack(np.triu_indices(n_classes, 1), axis=1)
 
@@ -28,17 +27,9 @@ def all_pairs(n_classes: int) -> NDArray[np.int64]:
 def vote(decisions: Floats, pairs: Array, n_classes: int) -> Floats:
     """Return votes per class plus, below half a vote, how clear the decisions were.
 
-    Parameters
-    ----------
-    decisions : ndarray of shape (n_touches, n_pairs)
-    pairs : ndarray of shape (n_pairs, 2)
-    n_classes : int
-
-    Returns
-    -------
-    ndarray of shape (n_touches, n_classes)
-        A decision of exactly zero gives half a vote to either class. Equal votes
-        are told apart by the sum of the decisions in favour.
+    From decisions (n_touches, n_pairs) to (n_touches, n_classes). A decision of exactly
+    zero gives half a vote to either class. Equal votes are told apart by the sum of the
+    decisions in favour.
     """
     signed = np.zeros((len(pairs), n_classes))
     signed[np.arange(len(pairs)), pairs[:, 0]] = -1
@@ -50,20 +41,11 @@ def vote(decisions: Floats, pairs: Array, n_classes: int) -> Floats:
 
 
 def fit_sigmoids(scores: Floats, labels: Floats) -> Floats:
-    """Fit P(label +1) = 1 / (1 + exp(-(slope * score + offset))) to each row.
+    """Fit P(label +1) = 1 / (1 + exp(-(slope * score + offset))) to each row, [1]_.
 
-    Parameters
-    ----------
-    scores : ndarray of shape (n_pairs, n_touches)
-        Decisions about touches that were left out.
-    labels : ndarray of shape (n_pairs, n_touches)
-        +1, -1, or 0 for padding; both occur in each row.
-
-    Returns
-    -------
-    ndarray of shape (n_pairs, 2)
-        Slope and offset. The slope is never negative: decisions that are wrong
-        more often than right say nothing.
+    Labels (n_pairs, n_touches) are +1, -1, or 0 for padding; both occur in each row.
+    Returns slopes and offsets, (n_pairs, 2). The slope is never negative: decisions
+    that are wrong more often than right say nothing.
 
     References
     ----------
@@ -166,17 +148,10 @@ def _couple(second: Floats, pairs: Array, n_classes: int) -> Floats:
 def put_left_out(
     decisions: Floats, left_out: Floats, codes: Array, pairs: Array
 ) -> None:
-    """Replace decisions by those of machines that did not learn the touch.
+    """Replace decisions (n_touches, n_pairs) of the pairs of each touch's own class.
 
-    Parameters
-    ----------
-    decisions : ndarray of shape (n_touches, n_pairs)
-        Overwritten for the pairs of each touch's own class.
-    left_out : ndarray of shape (n_touches, n_classes)
-        Decision between the touch's class and each other one.
-    codes : ndarray of int of shape (n_touches,)
-        Class of each touch.
-    pairs : ndarray of shape (n_pairs, 2)
+    By those of machines that did not learn the touch: `left_out` (n_touches,
+    n_classes).
     """
     for number, (first, second) in enumerate(pairs):
         for own, other in ((first, second), (second, first)):
@@ -187,15 +162,10 @@ def put_left_out(
 def fit_temperature(chances: Floats, codes: Array) -> float:
     """Return the power of coupled probabilities with the least log loss.
 
-    Pairs of few touches are cautious, and coupling many of them more so; one power
-    for all classes, fitted to touches that were left out, makes up for it.
-
-    Parameters
-    ----------
-    chances : ndarray of shape (n_touches, n_classes)
-    codes : ndarray of int of shape (n_touches,)
-        The true classes. One touch in n + 2 is taken to be any other, so that
-        touches that are all recognised do not make the power infinite.
+    Pairs of few touches are cautious, and coupling many of them more so; one power for
+    all classes, fitted to touches that were left out, makes up for it. One touch in n +
+    2 is taken to be of another class, so that touches that are all recognised do not
+    make the power infinite.
     """
     if not len(chances):
         return 1.0

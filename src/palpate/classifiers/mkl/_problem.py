@@ -96,17 +96,11 @@ class Point:
 class View:
     """What one point sees, each computed once.
 
-    Attributes
-    ----------
-    energies : ndarray of shape (n_problems, n_kernels)
-        S_k of the multipliers.
-    missing : ndarray of shape (n_problems, n_touches)
-        What each margin lacks of 1.
-    square : ndarray of shape (n_problems,)
-        Half the squared length of the normal vector, over the weights.
-    pull : ndarray
-        What the multipliers do: the forces Y K_k Y a of shape (n_problems,
-        n_kernels, n_touches), or features' Y a of shape (n_problems, n_columns).
+    `energies` are S_k of the multipliers, (n_problems, n_kernels); `missing` is what
+    each margin lacks of 1, (n_problems, n_touches); `square` half the squared length of
+    the normal vector over the weights, (n_problems,). `pull` is what the multipliers
+    do: the forces Y K_k Y a (n_problems, n_kernels, n_touches), or features' Y a
+    (n_problems, n_columns).
     """
 
     energies: Floats
@@ -190,22 +184,12 @@ class Task:
 
 @dataclass
 class Solution:
-    """Machines of a batch of problems.
+    """Machines of a batch of problems; multipliers lie in [0, C].
 
-    Attributes
-    ----------
-    alpha : ndarray of shape (n_problems, n_touches)
-        Multipliers, in [0, C].
-    bias : ndarray of shape (n_problems,)
-    weights : ndarray of shape (n_problems, n_kernels)
-        Of p-norm 1.
-    normal : ndarray of shape (n_problems, n_columns)
-        Normal vectors; no columns where they are made of the multipliers.
-    objective : ndarray of shape (n_problems,)
-        J = 1'a - sum_k d_k S_k(a), within `gap` of the optimum.
-    gap : ndarray of shape (n_problems,)
-        Relative duality gap, proven by a feasible point of either side.
-    n_iter : ndarray of shape (n_problems,)
+    `weights` (n_problems, n_kernels) are of p-norm 1; `normal` (n_problems, n_columns)
+    has no columns where normal vectors are made of the multipliers; `objective` is J =
+    1'a - sum_k d_k S_k(a), within the relative `gap`, which a feasible point of either
+    side proves, of the optimum.
     """
 
     alpha: Floats
@@ -250,11 +234,6 @@ def norms(values: Floats, power: float) -> Floats:
         unit = values / np.where(lengths > 0, lengths, 1)[:, None]
         lengths = lengths * (unit**power).sum(axis=1) ** (1 / power)
     return lengths
-
-
-def dual_norm(norm: float) -> float:
-    """The q with 1/p + 1/q = 1."""
-    return np.inf if norm == 1 else norm / (norm - 1)
 
 
 def row_blocks(n_rows: int, values_per_row: int) -> Iterator[slice]:

@@ -52,17 +52,8 @@ def solve_simplemkl(
 ) -> Solution:
     """Solve multiple kernel learning for a batch of two-class problems.
 
-    Parameters
-    ----------
-    system : DenseKernels
-        Kernels and labels (+1, -1, or 0 for padding).
-    C : float
-        Price of a margin error.
-    tol : float, default=1e-2
-        Relative duality gap (J + max_k S_k - 1'a) / J at which a problem is done;
-        the published value.
-    max_iter : int, default=500
-        Most directions taken.
+    A problem is done at the relative duality gap (J + max_k S_k - 1'a) / J `tol`, of
+    which 0.01 is the published value, or after `max_iter` directions.
 
     References
     ----------
@@ -179,14 +170,7 @@ def _moved(weights: Floats, direction: Floats, step: float, to_end: bool) -> Flo
 
 
 class SingleKernelMachines:
-    """Machines of a batch of problems, for weights that change little by little.
-
-    Parameters
-    ----------
-    system : DenseKernels
-        Kernels and labels of the batch.
-    C : float
-    """
+    """Machines of a batch of problems, for weights that change little by little."""
 
     def __init__(self, system: DenseKernels, C: float) -> None:
         self._whole = self._system = system
@@ -199,21 +183,21 @@ class SingleKernelMachines:
 
     def evaluate(self, rows: Array, weights: Floats) -> tuple[Floats, Floats]:
         """Return J (n_rows,) and the energies (n_rows, n_kernels) at `weights`."""
-        self._follow(rows)
+        if 2 * len(rows) <= len(self._rows):
+            # The others are done: nobody asks about them any more.
+            keep = np.isin(self._rows, rows)
+            self._rows, self._system = self._rows[keep], self._system.take(keep)
         here = np.isin(self._rows, rows)
         full = np.full((len(self._rows), weights.shape[1]), 1 / weights.shape[1])
         full[here] = weights
-        self._solve(_summed(self._system, full))
+        n_problems, n_kernels, n, _ = self._system.kernels.shape
+        flat = self._system.kernels.reshape(n_problems, n_kernels, n * n)
+        summed = (full[:, None, :] @ flat).reshape(n_problems, 1, n, n)
+        self._solve(DenseKernels(summed, self._system.labels))
         alpha = self._alpha[self._rows]
         energies = _view(self._system, alpha, self._bias[self._rows], full)[2].energies
         values = alpha.sum(axis=1) - (full * energies).sum(axis=1)
         return values[here], energies[here]
-
-    def _follow(self, rows: Array) -> None:
-        """Drop problems that nobody asks about any more."""
-        if 2 * len(rows) <= len(self._rows):
-            keep = np.isin(self._rows, rows)
-            self._rows, self._system = self._rows[keep], self._system.take(keep)
 
     def _solve(self, summed: DenseKernels) -> None:
         """Bring multipliers and biases of the current problems up to date."""
@@ -244,14 +228,6 @@ class SingleKernelMachines:
         gap = _gap(self._whole, self._alpha, self._bias, self._C, weights)
         normal = self._whole.pulls(self._alpha)
         return Solution(self._alpha, self._bias, weights, normal, values, gap, n_iter)
-
-
-def _summed(system: DenseKernels, weights: Floats) -> DenseKernels:
-    """The summed kernel as the only one."""
-    n_problems, n_kernels, n, _ = system.kernels.shape
-    flat = system.kernels.reshape(n_problems, n_kernels, n * n)
-    summed = (weights[:, None, :] @ flat).reshape(n_problems, 1, n, n)
-    return DenseKernels(summed, system.labels)
 
 
 def _guess(

@@ -36,7 +36,6 @@ from ._kernels import (
     Kernel,
     check_given,
     check_kernels,
-    check_same_kernels,
     kernel_stack,
 )
 from ._landmarks import LandmarkFeatures, NystroemBank
@@ -255,11 +254,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
 
     def predict(self, X: ArrayLike) -> Array:
         """Return the label with most votes of each touch."""
-        decisions = self.decision_function(X)
-        if len(self.classes_) == 2:
-            winners = (decisions > 0).astype(int)
-        else:
-            winners = decisions.argmax(axis=1)
+        winners = self._winners(self.pair_decisions(X))
         labels: Array = self.classes_[winners]
         return labels
 
@@ -267,13 +262,9 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
     def predict_proba(self, X: ArrayLike) -> Floats:
         """Return calibrated probabilities, shape (n_touches, n_classes)."""
         decisions = self.pair_decisions(X)
-        n_classes = len(self.classes_)
-        if n_classes == 2:
-            winners = (decisions[:, 0] > 0).astype(int)
-        else:
-            winners = vote(decisions, self.pairs_, n_classes).argmax(axis=1)
         chances = couple(decisions, self.sigmoids_, self.pairs_)
-        return side_with_votes(sharpen(chances, self.temperature_), winners)
+        sharpened = sharpen(chances, self.temperature_)
+        return side_with_votes(sharpened, self._winners(decisions))
 
     @available_if(_has_probability)
     def predict_log_proba(self, X: ArrayLike) -> Floats:
@@ -287,6 +278,12 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         tags.input_tags.pairwise = self._is_given()
         tags.input_tags.three_d_array = self._is_given()
         return tags
+
+    def _winners(self, decisions: Floats) -> Array:
+        if len(self.classes_) == 2:
+            return (decisions[:, 0] > 0).astype(int)
+        votes = vote(decisions, self.pairs_, len(self.classes_))
+        return np.asarray(votes.argmax(axis=1))
 
     def _is_given(self) -> bool:
         """Whether the kernels come computed."""
@@ -350,8 +347,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
 
     def _validated_touches(self, X: ArrayLike) -> Floats:
         if self._is_given():
-            stack = check_given(X, self.n_features_in_)
-            return check_same_kernels(stack, self.weights_.shape[1])
+            return check_given(X, (self.n_features_in_, self.weights_.shape[1]))
         touches: Floats = validate_data(self, X, dtype=np.float64, reset=False)
         return check_squarable("X", touches)
 
