@@ -53,10 +53,8 @@ def bench_decode(
 ) -> list[Row]:
     """Measure reading a folder of 640 x 480 JPEGs beside a plain Pillow loop.
 
-    Of real touches `bathtip/originals` are read; without any, `n_pictures` are drawn,
-    as many as there are real ones. Of `repeats` runs of each side the fastest counts.
-    There is a row of CPU time and one of wall time, with the peaks of memory in MiB
-    beside that of the resulting array. Ours also finds, labels and checks the files.
+    Without real touches (`bathtip/originals`) `n_pictures` are drawn; the fastest of
+    `repeats` counts. Rows have CPU and wall time and peaks of memory in MiB.
     """
     real = real_touches(data)
     with tempfile.TemporaryDirectory() as scratch:

@@ -53,14 +53,10 @@ def bench_encodings(
     seconds: float = 0.3,
     names: list[str] | None = None,
 ) -> list[Row]:
-    """Time each stage on its own, then each encoding.
+    """Time each stage on its own, then each encoding, by default all there are.
 
-    Of real touches a few of `bathtip/originals` are read. Encodings are those called
-    `names`, by default all that `encoder_named` knows; their rows hold `ours_ms`
-    of the encoding alone; `touch_ms` from decoded array to vector without finding the
-    rim (crop, standardise, encode); `share_decode`, `share_rim`, `share_crop` and
-    `share_encode`, of everything in per cent. `peer` is another package that encodes
-    the same disc.
+    Rows of encodings hold `ours_ms` of encoding alone, `touch_ms` of crop, standardise
+    and encode, and the share of each stage in per cent of everything.
     """
     real = real_touches(data)
     pictures, kind = _pictures(real), "drawn" if real is None else "real"
@@ -83,12 +79,7 @@ def bench_zernike(
     seconds: float = 0.5,
     random_state: int = 0,
 ) -> list[Row]:
-    """Time the encoding of square images, alone and in a batch.
-
-    Images have `size` taxels a side, and the disc is inscribed; a batch holds
-    `n_touches`. Milliseconds are those of one image. All work in float64 whatever the
-    type of the images.
-    """
+    """Time an image of `size` taxels a side, alone and in a batch, all in float64."""
     rng = np.random.default_rng(random_state)
     grey = rng.integers(1, 256, size=(n_touches, size, size), dtype=np.uint8)
     rows = []

@@ -41,12 +41,7 @@ Rows = list[Row]
 def bench_library(
     sizes: tuple[int, ...] = SIZES, *, seconds: float = 0.5, random_state: int = 0
 ) -> Rows:
-    """Measure a library and exact and indexed likelihoods at several sizes.
-
-    `sizes` are touches in the library, over 50 objects. Rows also have, per kind,
-    `touches_per_s`, `bytes_per_touch`, `megabytes`, `build_s`, `equal_decisions` and
-    `error_nats`.
-    """
+    """Measure libraries of `sizes` touches, and exact and indexed likelihoods."""
     real = _real_features()
     kind = "random" if real is None else "resampled real"
     rows: Rows = []

@@ -29,11 +29,7 @@ def bench_likelihood(
     seconds: float = 0.3,
     random_state: int = 0,
 ) -> list[Row]:
-    """Time the log-likelihoods of new touches, alone and in batches.
-
-    Milliseconds are those of one touch against all stored touches; `error_nats` is our
-    largest difference from the density written out in float64.
-    """
+    """Time log-likelihoods per touch; `error_nats` is our largest from float64."""
     rng = np.random.default_rng(random_state)
     rows = []
     with one_thread():
@@ -59,16 +55,11 @@ def _rows(
     reference = peers["scipy cdist + logsumexp, float64"](new)
     error = float(np.abs(model.log_likelihood(new) - reference).max())
     ours = cpu_ms(lambda: model.log_likelihood(new), seconds) / len(new)
-    return [
-        row(
-            name,
-            ours,
-            peer,
-            cpu_ms(partial(measure, new), seconds) / len(new),
-            error_nats=error,
-        )
+    times = {
+        peer: cpu_ms(partial(measure, new), seconds) / len(new)
         for peer, measure in peers.items()
-    ]
+    }
+    return [row(name, ours, peer, ms, error_nats=error) for peer, ms in times.items()]
 
 
 def _peers(stored: Floats, labels: Array) -> dict[str, Measure]:

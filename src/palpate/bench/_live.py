@@ -25,12 +25,10 @@ _NO_PEER = "no other tool shows a belief over objects live"
 
 
 def bench_live(seconds: float = 8.0) -> list[Row]:
-    """Measure the live loop at 640 x 480, 30 frames offered a second.
+    """Measure the live loop at 640 x 480, 30 frames offered, for some seconds each.
 
-    Each stream is watched for some `seconds`. Milliseconds are those per frame that
-    reached the client (33.3 is all of 30 a second), from a touch's last frame to its
-    belief at the client (median and greatest), and per frame of a 16 x 16 array at
-    100 Hz, with `n_lost`.
+    Milliseconds per frame at the client (33.3 is all), from a touch to its belief
+    there, and per frame of a 16 x 16 array at 100 Hz.
     """
     with one_thread():
         return [*_watched(seconds), _array_row(seconds)]
@@ -97,10 +95,7 @@ def _page_rows(page: Any, seconds: float) -> list[Row]:
     taken_s, cpu_s = time.monotonic() - began_s, time.process_time() - began_cpu_s
     seen, known = max(1, n_frames), to_belief_ms or [float("nan")]
     kib = n_bytes / seen / 1024
-    streamed: dict[str, Any] = {
-        "frames_per_s": n_frames / taken_s,
-        "kib_per_frame": kib,
-    }
+    streamed = {"frames_per_s": n_frames / taken_s, "kib_per_frame": kib}
     frame, touched = (f"{_STREAM} {what} page" for what in _WAYS)
     median, counted = float(np.median(known)), {"n_touches": len(to_belief_ms)}
     return [

@@ -64,11 +64,7 @@ print(json.dumps(dict(ms=1e3 * spent, gap=machine.gap_[0], peak=peak_mib() / 102
 def bench_mkl(
     *, seconds: float = 1.0, large: bool = True, random_state: int = 0
 ) -> list[Row]:
-    """Time learning from given kernel matrices, and from features.
-
-    With `large` also from 10,000 and from 100,000 touches, in processes of their own,
-    which takes about a minute.
-    """
+    """Time learning from kernels and features; `large`: from 10^5 touches, a minute."""
     case = _draw(random_state)
     rows = []
     with one_thread():

@@ -1,7 +1,6 @@
 """CPU time of simulated touches: of a dome camera, by stage; of pressure arrays."""
 
 from collections.abc import Callable
-from functools import partial
 from itertools import count, cycle
 
 import numpy as np
@@ -27,22 +26,14 @@ Approach = tuple[PlacedObject, SensorPose]
 
 
 def bench_simulate(seconds: float = 0.5) -> list[Row]:
-    """Time touches of the ten household objects from random sides, noise included.
-
-    A touch is all of it; its stages are the rays, the contact (everything else of a
-    press) and the picture. Placing an object and building its ray tree are not
-    counted: that is done once.
-    """
+    """Time household touches: all, rays, contact (the rest of a press), picture."""
     with one_thread():
         approaches = _approaches()
         return [_dome_row(shape, approaches, seconds) for shape in _SHAPES]
 
 
 def bench_simulate_array(seconds: float = 0.5) -> list[Row]:
-    """Time a press, the mean over the 12 parts, unevenness and noise included.
-
-    Presses differ in place and angle every time, so that nothing is timed twice.
-    """
+    """Time a press, the mean over 12 parts at ever new places and angles."""
     with one_thread():
         return [_array_row(size, seconds) for size in _ARRAY_SIZES]
 
@@ -71,12 +62,11 @@ def _dome_row(
 ) -> Row:
     camera, rng = DomeCamera(image_shape=shape), np.random.default_rng(0)
     presses = cycle([camera.press(placed, pose) for placed, pose in approaches])
-    in_turn, n_approaches = cycle(approaches), len(approaches)
+    in_turn = cycle(approaches)
 
     def each_ms(stage: Callable[[], object]) -> float:
         """Time a stage for every approach, so that each run times the same mix."""
-        every = partial(_repeat, stage, n_approaches)
-        return cpu_ms(every, seconds) / n_approaches
+        return cpu_ms(lambda: [stage() for _ in approaches], seconds) / len(approaches)
 
     whole = each_ms(lambda: camera.touch(*next(in_turn), rng=rng))
     rays = each_ms(lambda: gap_map(*next(in_turn), camera.membrane))
@@ -90,11 +80,6 @@ def _dome_row(
         contact_ms=whole - rays - picture,
         picture_ms=picture,
     )
-
-
-def _repeat(stage: Callable[[], object], times: int) -> None:
-    for _ in range(times):
-        stage()
 
 
 def _array_row(size: int, seconds: float) -> Row:

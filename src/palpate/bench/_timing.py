@@ -37,12 +37,9 @@ def peak_mib():
 
 
 def cpu_ms(function: Callable[[], object], seconds: float = 0.5) -> float:
-    """Return the CPU time of one call of `function`, in milliseconds.
+    """Return the CPU milliseconds of a call, the median of up to ten runs.
 
-    The function is called once unmeasured (tables, caches), then repeated until
-    about `seconds` of CPU time are spent, at least once. The repetitions are split
-    into up to ten runs and the median run counts, so that one interruption does
-    not.
+    After an unmeasured call runs repeat it until `seconds` are spent, at least once.
     """
     function()
     once = _run(function, 1)
@@ -70,10 +67,7 @@ def one_thread() -> Iterator[None]:
 
 
 def measured_apart(code: str, *arguments: object) -> dict[str, Any]:
-    """Run code in a process of its own, so that its peak of memory is its own.
-
-    It finds `json`, `sys`, `time` and `peak_mib()`, and prints one JSON object.
-    """
+    """Run code after `_PEAK` in a process of its own; return the JSON it prints."""
     command = [sys.executable, "-c", _PEAK + code, *map(str, arguments)]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     found: dict[str, Any] = json.loads(done.stdout)
@@ -89,17 +83,7 @@ def real_touches(data: str | Path | None) -> Path | None:
 def drawn_dome(
     rng: np.random.Generator | None, widths_px: tuple[float, float] = (70.0, 70.0)
 ) -> Picture:
-    """Draw a dome on a bright ground with a dent at a random place.
-
-    As JPEG it is as large as a picture of a real one, 60 KiB.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator, optional
-        None draws the dome without contact or noise.
-    widths_px : tuple of float
-        Of the dent, across and along its random direction.
-    """
+    """Draw a dome with a random dent (across, along), or untouched without `rng`."""
     rows, cols = np.mgrid[:N_ROWS, :N_COLS].astype(np.float32)
     levels = np.where(np.hypot(rows - 240, cols - 320) < 220, 60, 245)
     if rng is not None:
@@ -128,11 +112,7 @@ def row(
     peer_ms: float | None = None,
     **extra: Any,
 ) -> Row:
-    """Return one row of a benchmark; `ratio` is how much faster ours is.
-
-    Leave out `peer_ms` and pass `reason="..."` where the peer is absent: its ratio is
-    None then. Further keywords (`reason`, `n_touches`, ...) become columns.
-    """
+    """Return a row, its `ratio` how much faster ours is; `extra` become columns."""
     if peer_ms is None and "reason" not in extra:
         raise ValueError(f"reason must be given for {name!r}: {peer} was not timed.")
     return {

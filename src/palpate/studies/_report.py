@@ -84,11 +84,7 @@ def pivot(
     show: Callable[[Row | None], str],
     names: Mapping[str, str] = MappingProxyType({}),
 ) -> list[list[str]]:
-    """Return a line of text for each combination of the entries `keys`.
-
-    After these (under other `names` where there are any) comes a cell for each of
-    `columns`, the entries that a column's rows have.
-    """
+    """Return lines: a combination of the entries `keys`, then a cell per column."""
     rows, columns, lines = list(rows), list(columns), []
     for known in different(rows, *keys):
         mine = held(rows, **dict(zip(keys, known, strict=True)))
@@ -105,11 +101,7 @@ def panels(
     pictures: bool = False,
     **shared: Any,
 ) -> tuple["Figure", Any]:
-    """Return a figure of a size in inches and its axes, (n_rows, n_columns).
-
-    Those of pictures have no ticks, others no frame above and on the right; `shared`
-    is `sharex` and `sharey` of matplotlib.
-    """
+    """Return a figure (size in inches) and its axes, shape (n_rows, n_columns)."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=size, layout="constrained")

@@ -49,10 +49,7 @@ class Work:
     def done(
         self, function: Callable[..., Any], tasks: Sequence[Iterable[Any]], what: str
     ) -> list[Any]:
-        """Return `function(*task)` of each task, `what` being the bar's name.
-
-        Each runs on one thread, so that sums round alike everywhere.
-        """
+        """Return `function(*task)` of each, on one thread so that sums round alike."""
         alone = [(function, *task) for task in tasks]
         return in_parallel(
             on_one_thread, alone, what, n_jobs=self.workers, show=self.progress
@@ -76,11 +73,10 @@ def on_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What a paper's subpackage brings.
+    """What a paper's subpackage brings; `captions` are those of the pictures, by name.
 
     `measure(plan, data, work)` returns `rows`, `skipped` and what else the result
-    holds; `tables`, `pictures` and the `introduction` of its page are made of a result.
-    `captions` are those of the pictures, by name.
+    holds; `tables`, `pictures` and the `introduction` of its page are made of it.
     """
 
     plan: type[Plan]
@@ -110,39 +106,23 @@ class Study:
         plan: Plan | None = None,
         **changes: Any,
     ) -> dict[str, Any]:
-        """Run the study.
+        """Run the study, on recorded touches too if `data` or PALPATE_DATA names them.
 
-        Parameters
-        ----------
-        data : path, optional
-            Folder of recorded touches; by default the one that PALPATE_DATA names.
-        quick : bool, default=False
-            A first look: few repetitions, small grids.
-        workers : int, default=-1
-            Processes, as joblib counts them; but for timings no figure depends on it.
-        seed : int, default=0
-            Of everything that is drawn: touches, poses, halves, partitions.
-        progress : bool, optional
-            Show a bar on standard error; by default where it is a terminal.
-        plan : Plan, optional
-            Every size; takes the place of `quick`, `seed` and `changes`.
-        **changes
-            Entries of the plan, such as the `protocol` of "liu2014".
+        `quick` is a first look: few repetitions, small grids. `workers` are processes
+        as joblib counts them; but for timings no figure depends on it. `seed` is that
+        of everything drawn: touches, poses, halves, partitions. `progress` shows a bar
+        on standard error, by default where it is a terminal. `changes` are entries of
+        the plan, such as the `protocol` of "liu2014"; a whole `plan` takes the place of
+        `quick`, `seed` and `changes`.
 
-        Returns
-        -------
-        result : dict
-            `study`; `rows`, each with `name`, `paper` (or None), `ours`, `sd`, `data`,
-            `table` and what else tells it from the others, in per cent unless `unit`
-            says otherwise; `skipped`, a sentence for each kind of rows that is missing;
-            what the study adds (`paired`, `duplicates`; `confusion`, `unseen`);
-            `plan`; `seconds`.
+        Returns `study`; `rows`, each with `name`, `paper` (or None), `ours`, `sd`,
+        `data`, `table` and what else tells it from the others, in per cent unless
+        `unit` says otherwise; `skipped`, a sentence for each kind of rows that is
+        missing; what the study adds (`paired`, `duplicates`; `confusion`, `unseen`);
+        `plan`; `seconds`.
 
-        Raises
-        ------
-        ValueError
-            For an option that the study does not have, a size that makes no sense, or
-            a folder without the recorded touches.
+        Raises ValueError for an option that the study does not have, a size that makes
+        no sense, or a folder without the recorded touches.
         """
         settled = self._plan(quick, {"seed": seed, **changes}) if plan is None else plan
         if workers != -1:
@@ -161,15 +141,7 @@ class Study:
         return self._experiment.tables(result)
 
     def write_report(self, path: str | Path, result: dict[str, Any]) -> Path:
-        """Write tables and pictures as one `.html` that loads nothing from elsewhere.
-
-        Raises
-        ------
-        ValueError
-            The path does not end in `.html`, or its folder is missing.
-        ImportError
-            matplotlib is not installed.
-        """
+        """Write tables and pictures as one `.html` that loads nothing else."""
         from ..evaluation import check_report_path
 
         one = self._experiment

@@ -30,16 +30,8 @@ BATHTIP = Archive(
 def recorded_touches(data: str | Path | None, archive: Archive) -> Touches | str:
     """Return the touches of an archive, or the sentence that says what is left out.
 
-    Parameters
-    ----------
-    data : path or None
-        Folder of recorded touches; by default the one that PALPATE_DATA names.
-    archive : Archive
-
-    Raises
-    ------
-    ValueError
-        When `data` is given and the archive is not in it.
+    They are in `data`, by default the folder of PALPATE_DATA; a ValueError says that a
+    folder given by name does not hold them.
     """
     place, what, source = archive
     named = data if data is not None else os.environ.get("PALPATE_DATA")

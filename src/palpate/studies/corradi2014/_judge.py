@@ -82,10 +82,7 @@ class Encoded:
 
 
 def encode(name: str, known: Images, asked: Images | None, counts: Counts) -> Encoded:
-    """Encode images by the encoding called `name`, for all its component counts.
-
-    `asked` are the same touches as they look when they test, None if no different.
-    """
+    """Encode images, and as they look when `asked` if different, for all counts."""
     if name == "scaled-pixels":
         encoders = {n: encoder_named(name, n).fit(known) for n in counts}
     else:
@@ -104,12 +101,7 @@ def encode(name: str, known: Images, asked: Images | None, counts: Counts) -> En
 
 
 def classifier(name: str, seed: int) -> Any:
-    """Return one of the paper's four classifiers, unfitted.
-
-    Distances of 1-NN are between features as they are; the network and the support
-    vector machines get features of mean 0 and variance 1; densities per feature do
-    not notice their scale. The paper says nothing of scaling.
-    """
+    """Return a classifier of the paper, unfitted; it says nothing of scaling."""
     if name == "1-NN":
         return KNeighborsClassifier(1, algorithm="kd_tree")
     if name == "naive Bayes":
@@ -128,10 +120,7 @@ def answers(name: str, train: Floats, codes: Codes, test: Floats, seed: int) -> 
 
 
 def _directions(centred: Floats, n_components: int) -> Floats:
-    """Return the first principal directions of any variance, (n_features, n or fewer).
-
-    From the smaller of covariance and inner products.
-    """
+    """Return principal directions of any variance, (n_features, n or fewer)."""
     n_touches, n_features = centred.shape
     wide = n_features > n_touches
     square = centred @ centred.T if wide else centred.T @ centred
@@ -183,12 +172,10 @@ def judge(shapes: Shapes, variant: str, name: str, plan: Corradi2014Plan) -> Jud
 
 
 def corrected_t_test(differences: Floats) -> tuple[float, float, float]:
-    """Return mean difference, its standard error and p of no difference.
+    """Return mean, standard error and p of no difference; (n_runs, n_folds) given.
 
-    `differences` (n_runs, n_folds) are those of two methods on the same folds. Folds
-    of repeated cross-validation share touches, so the variance of their mean is taken
-    as (1 / n + n_test / n_train) times theirs (Nadeau and Bengio 2003, "Inference for
-    the generalization error", doi:10.1023/A:1024068626366).
+    The variance is (1 / n + n_test / n_train) times theirs, as folds share touches
+    (Nadeau and Bengio 2003, doi:10.1023/A:1024068626366).
     """
     n, n_folds = differences.size, differences.shape[1]
     mean = float(differences.mean())
@@ -199,11 +186,7 @@ def corrected_t_test(differences: Floats) -> tuple[float, float, float]:
 
 
 def holm(p_values: list[float]) -> list[float]:
-    """Return p values that hold for all tests together.
-
-    By the step-down rule of Holm 1979, "A simple sequentially rejective multiple test
-    procedure", Scand. J. Statist. 6(2).
-    """
+    """Return p values of all tests together (Holm 1979, Scand. J. Statist. 6(2))."""
     order = np.argsort(p_values)
     scaled = np.asarray(p_values)[order] * np.arange(len(order), 0, -1)
     held = np.minimum(np.maximum.accumulate(scaled), 1.0)

@@ -38,37 +38,15 @@ COUNTS: dict[str, tuple[int, ...]] = {
 class Corradi2014Plan(Plan):
     """Sizes of the study; the defaults are the whole of it.
 
-    Parameters
-    ----------
-    n_touches : int, default=50
-        Simulated touches of each shape, half of them to choose with.
-    encodings : tuple of str
-        Names of encodings, see `palpate.encodings.encoder_named`.
-    runs : int, default=20
-        Runs of randomised fivefold cross-validation.
-    slow_runs : int, default=3
-        Runs for the network and the support vector machines.
-    choice_runs : int, default=20
-        Runs that choose the number of components for 1-NN.
-    slow_choice_runs : int, default=1
-        The same for the other classifiers.
-    choice_step : int, default=1
-        Every so many of the numbers of components are tried.
-    thinning : int, default=2
-        To name the categories of unseen objects, every so many training touches are
-        learnt; fewer by half for the paper's classifiers, and once more by half
-        where something is chosen.
-    recorded_step : int, default=1
-        Of the recorded touches every so many are used.
-    recorded_upright : bool, default=True
-        Whether the recorded shapes are named upright too, and not only with their
-        test touches turned.
-    fold_limit : int, default=5
-        Most folds of unseen objects.
-    candidates : tuple of str
-        Encodings among which inner folds choose the best for unseen objects; the
-        first is the one to beat.
-    seed : int, default=0
+    Half of the `n_touches` of each simulated shape choose with. `runs` are of
+    randomised fivefold cross-validation, `slow_runs` those for the network and the
+    support vector machines; `choice_runs` choose the number of components for 1-NN,
+    `slow_choice_runs` for the others; every `choice_step`-th number is tried. To name
+    categories of unseen objects, in at most `fold_limit` folds, every `thinning`-th
+    training touch is learnt, fewer by half for the paper's classifiers, and once more
+    where something is chosen. Every `recorded_step`-th recorded touch is used; with
+    `recorded_upright` shapes are named upright too, not only with test touches turned.
+    Inner folds choose among `candidates`; the first is the one to beat.
     """
 
     n_touches: int = 50

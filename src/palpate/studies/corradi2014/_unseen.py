@@ -105,9 +105,8 @@ def compare_fold(
 ) -> dict[str, Any]:
     """Choose among candidates without fold `k`'s objects, then test them all on it.
 
-    Returns `chosen`; `inner`, the share that inner folds got right per candidate; and
-    `right`, that after each number of touches, also of the foundation as its paper
-    has it.
+    Returns `chosen`, `inner` (per cent of inner folds) and `right`, after each number
+    of touches, also of the foundation as its paper has it.
     """
     test, known = np.flatnonzero(seen.fold == k), np.flatnonzero(seen.fold != k)
     train = known[:: plan.thinning]
@@ -116,7 +115,10 @@ def compare_fold(
         inner[name] = _inner(seen, name, parts, known, plan)
         posterior = _log_posterior(seen, name, parts, train, test)
         right[name] = _right_after(seen, posterior, test)
-    density = _density(seen, features[FOUNDATION][0], train, test)
+    # The foundation's own classifier.
+    old, new = _zernike_pca(features[FOUNDATION][0], train, test)
+    scores = KernelDensityBayes().fit(old, seen.codes[train]).log_likelihood(new)
+    density = scores - logsumexp(scores, axis=1, keepdims=True)
     right[f"{FOUNDATION}, kernel density"] = _right_after(seen, density, test)
     chosen = max(inner, key=lambda name: inner[name])
     return {"chosen": chosen, "inner": inner, "right": right}
@@ -196,14 +198,6 @@ def _log_posterior(
     model.fit(old, seen.codes[train], groups=seen.objects[train])
     log_posterior: Floats = model.predict_log_proba(new)
     return log_posterior
-
-
-def _density(seen: Recording, moments: Floats, train: Codes, test: Codes) -> Floats:
-    """Posterior of the foundation's own classifier."""
-    old, new = _zernike_pca(moments, train, test)
-    scores = KernelDensityBayes().fit(old, seen.codes[train]).log_likelihood(new)
-    normed: Floats = scores - logsumexp(scores, axis=1, keepdims=True)
-    return normed
 
 
 def _zernike_pca(moments: Floats, train: Codes, test: Codes) -> tuple[Floats, Floats]:

@@ -84,10 +84,8 @@ def _measure(
         "confusion": {one.data: confusions(answered, one, plan) for one in sets},
         "unseen": {
             data: {
-                preset: {
-                    name: curve.round(4).tolist() for name, curve in curves.items()
-                }
-                for preset, curves in found.items()
+                p: {name: curve.round(4).tolist() for name, curve in curves.items()}
+                for p, curves in found.items()
             }
             for data, found in unseen.items()
         },

@@ -67,13 +67,11 @@ def sight(
     orders: int = 20,
     seed: int = 0,
 ) -> dict[str, dict[int, Floats]]:
-    """Recognise by touch, by one photograph and by both, with the preset `default`.
+    """Recognise by touch, by one photograph and by both: `right[sense][k]`, by object.
 
-    With the label "object" the last touches of each recording are tested, and every
-    other photograph is learnt; with "category" those of objects that were neither
-    touched nor seen before. Touches without a photograph are left out; each order comes
-    with a photograph at random. Returns `right[sense][k]`, the share right after `k`
-    touches (0 for sight) of each object that has as many.
+    The label "object" tests the last touches of each recording and learns every other
+    photograph, "category" tests objects neither touched nor seen before. Each order
+    comes with a random photograph; sight alone is k = 0.
     """
     both = touches[np.isin(labels(touches), photographs.object)]
     shown = np.isin(photographs.object, labels(both))
@@ -94,9 +92,8 @@ def moved(
 ) -> dict[str, dict[str, Any]]:
     """Learn all objects, and the moved ones on one side of their move alone.
 
-    The touches have an `order`, and the rim's place in a column: it says when the
-    camera moved, and is not recognised by. Returns, for each of `WAYS`, what
-    `palpate.evaluation.evaluate` says of the moved objects' touches on the other side.
+    The rim's column only says when the camera moved. Returns, for each of `WAYS`, what
+    `evaluate` says of the moved objects' touches on the other side.
     """
     early = before_the_move(touches)
     mine = np.isin(labels(touches), MOVED)
@@ -121,10 +118,7 @@ def before_the_move(touches: Touches) -> NDArray[np.bool_]:
 
 
 def jump_of(centres: NDArray[Any]) -> int:
-    """Return where a series of centres breaks into two levels, in its middle.
-
-    Where the distances to the median of either side sum to the least.
-    """
+    """Return where centres break into two levels, nearest to their medians."""
     n = len(centres)
     at = range(n // 8, n - n // 8)
     return at[int(np.argmin([_apart(centres[:k]) + _apart(centres[k:]) for k in at]))]
@@ -220,7 +214,11 @@ def _fused(
     rng: np.random.Generator,
 ) -> Iterator[tuple[str, int, list[bool]]]:
     """Yield sense, number of touches and what was right, object by object."""
-    kinds = _kinds(fold, label)
+    kinds = {
+        name: kind
+        for part in (fold.train, fold.test)
+        for name, kind in zip(labels(part), labels(part, label), strict=True)
+    }
     kind_of = np.array([kinds[name] for name in seen.object])
     # Objects: half of the photographs; categories: those of the known objects.
     learnt = np.isin(seen.object, labels(fold.train))
@@ -247,12 +245,3 @@ def _fused(
                 hits.setdefault(("both", k), []).append(both == kinds[name])
         for (sense, k), found in hits.items():
             yield sense, k, found
-
-
-def _kinds(fold: Fold, label: str) -> dict[str, str]:
-    """Return the label of every object."""
-    return {
-        name: kind
-        for part in (fold.train, fold.test)
-        for name, kind in zip(labels(part), labels(part, label), strict=True)
-    }

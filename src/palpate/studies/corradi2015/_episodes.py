@@ -54,11 +54,7 @@ class Answered(NamedTuple):
 
 @dataclass(frozen=True)
 class Compared:
-    """One partition to be answered by recognisers of features, or by `default`.
-
-    The paper's also answers for the test touches without contact. `label` is what
-    `default` learns, from the images on; without, it does not take part.
-    """
+    """A partition to be answered by recognisers and, given a `label`, by `default`."""
 
     experiment: str
     data: str
@@ -176,11 +172,7 @@ def category_folds(
 def unseen_beliefs(
     plan: Corradi2015Plan, objects: Objects, preset: str, n_touches: int
 ) -> dict[str, Floats]:
-    """Return the mean posterior over the known objects after each touch.
-
-    One array (n_touches, n_known) for each object that was not learnt; all touches
-    of the known ones are.
-    """
+    """Return the mean posterior (n_touches, n_known) for each object never learnt."""
     recogniser = ObjectRecogniser(preset, random_state=plan.seed).fit(objects.known)
     codes = coded(objects.unseen)
     longest = min(n_touches, int(np.bincount(codes).min()))
@@ -195,11 +187,7 @@ def unseen_beliefs(
 def draw_partition(
     codes: Codes, n_train: int, n_test: int, few_train: int, seed: Sequence[int]
 ) -> Partition:
-    """Draw the training and test touches of every object at random.
-
-    Objects of fewer than `n_train` + `n_test` touches give `few_train`, or what is
-    left beside the test touches.
-    """
+    """Draw touches to learn (`few_train` where too few) and to test, by object."""
     rng = np.random.default_rng(seed)
     train, episodes = [], []
     for code in range(codes.max() + 1):

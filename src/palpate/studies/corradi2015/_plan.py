@@ -37,34 +37,14 @@ LATER_SIGHT: dict[tuple[str, str], dict[int, float]] = {
 class Corradi2015Plan(Plan):
     """Sizes of the study; the defaults are the whole of it.
 
-    Parameters
-    ----------
-    partitions : int, default=100
-        Random partitions into training and test touches.
-    default_partitions : int, default=10
-        How many of them the preset `default` answers, and the controls.
-    later_partitions : int, default=5
-        Partitions of all objects; `default` answers the first.
-    n_train, n_test : int
-        Touches of each object to learn from and to recognise.
-    few_train : int, default=45
-        To learn from, where an object has fewer than `n_train` + `n_test` touches.
-    touches : tuple of int
-        Numbers of touches after which figures are given.
-    n_simulated : int, default=90
-        Simulated touches of each object.
-    orders : int, default=20
-        Orders of the touches of objects that were not learnt.
-    clusters : tuple of int
-        Numbers of clusters to choose from, inside the training touches.
-    components : tuple of int
-        Components of each object's mixture.
-    timed : tuple of int
-        Numbers of touches at which learning and recognising are timed.
-    later : bool, default=True
-        Whether all objects, and categories, are recognised too, with a photograph
-        beside the touches, and across a move of the camera.
-    seed : int, default=0
+    Of the random `partitions`, `default` and the controls answer `default_partitions`;
+    `later_partitions` are of all objects. `n_train` and `n_test` touches of each object
+    are learnt and recognised, `few_train` learnt where there are fewer than both.
+    Figures are given after each number of `touches`, timings for learning `timed` ones.
+    Objects never learnt are touched in `orders`. `clusters` are chosen from inside the
+    training touches; `components` are those of each object's mixture. `later` is
+    whether all objects and categories are recognised too, with a photograph, and across
+    a move of the camera.
     """
 
     partitions: int = 100

@@ -58,11 +58,7 @@ class Densities:
 
 
 class _Clustered:
-    """What counts touches in k-means clusters.
-
-    The number of clusters is the one of `clusters` that recognises best a third of the
-    training touches, learnt from the others.
-    """
+    """What counts touches in so many k-means clusters as recognise best."""
 
     clusters: Sequence[int]
     seed: int
@@ -78,10 +74,7 @@ class _Clustered:
         raise NotImplementedError
 
     def choose(self, train: Floats, codes: Codes) -> int:
-        """Return the number of clusters, the smallest among equals.
-
-        What counts is the share right over all numbers of touches.
-        """
+        """Return the number with most right on a third held out, ties smallest."""
         candidates = sorted(self.clusters)
         if len(candidates) == 1:
             return candidates[0]
@@ -103,10 +96,7 @@ class _Clustered:
 
 @dataclass(frozen=True)
 class ClusterBayes(_Clustered):
-    """Naive Bayes over k-means clusters: how often each object met each cluster.
-
-    One is added to every count.
-    """
+    """Naive Bayes over k-means clusters; one is added to every count."""
 
     clusters: Sequence[int]
     seed: int = 0
@@ -125,11 +115,7 @@ class ClusterBayes(_Clustered):
 
 @dataclass(frozen=True)
 class Mixtures:
-    """A Gaussian mixture per object, full covariances.
-
-    They are lifted by a thousandth of the mean variance: without, they are often
-    singular (see `facts`).
-    """
+    """A full Gaussian mixture per object, lifted as it often is singular (`facts`)."""
 
     components: int
     seed: int = 0
@@ -147,11 +133,7 @@ class Mixtures:
         return _added_up(np.stack(found, axis=1), episodes, 0.0)
 
     def facts(self, train: Floats, codes: Codes) -> dict[str, float]:
-        """Return how under-determined the mixtures are.
-
-        `features`, `parameters` to learn for one object, and `singular`, the share of
-        objects in per cent with a covariance that is singular without the lift.
-        """
+        """Return numbers of features and parameters, and per cent singular unlifted."""
         known = principal_components(train).transform(train)
         singular = [
             _is_singular(known[codes == code], self.components, self.seed)
@@ -168,11 +150,7 @@ class Mixtures:
 
 @dataclass(frozen=True)
 class BagOfTouches(_Clustered):
-    """Histograms over clusters of features, compared by their chi-squared distance.
-
-    As in Pezzementi et al. 2011 (doi:10.1109/TRO.2011.2125350): the touches so far
-    make a histogram, the nearest object's is the answer.
-    """
+    """Nearest histogram over clusters, chi-squared (doi:10.1109/TRO.2011.2125350)."""
 
     features: str
     clusters: Sequence[int]
@@ -230,9 +208,8 @@ def _histograms(words: Array, codes: Codes, n_clusters: int) -> Floats:
 
 
 def _mixture(touches: Floats, components: int, lift: float, seed: int) -> Any:
-    return fitted(
-        GaussianMixture(components, reg_covar=lift, random_state=seed), touches
-    )
+    mixture = GaussianMixture(components, reg_covar=lift, random_state=seed)
+    return fitted(mixture, touches)
 
 
 def _is_singular(touches: Floats, components: int, seed: int) -> bool:

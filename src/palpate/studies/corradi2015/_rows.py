@@ -47,7 +47,12 @@ def experiment_rows(answered: Iterable[Answered], plan: Corradi2015Plan) -> list
             fact: float(np.mean([one.facts[fact] for one in some]))
             for fact in some[0].facts
         }
-        curve = _idle_curve(some) if name in IDLE.values() else accuracy(some)
+        if name in IDLE.values():
+            # Of all touches without contact, however they fell.
+            right = np.concatenate([one.answers[:, 0] == one.truth for one in some])
+            curve = np.array([[right.mean()]])
+        else:
+            curve = accuracy(some)
         for k in plan.touches:
             if k <= curve.shape[1]:
                 paper = _FIGURES.get((experiment, name), {}).get(k)
@@ -83,11 +88,7 @@ def confusion(answered: Iterable[Answered], k: int, n_labels: int) -> Floats:
 def confusions(
     answered: Iterable[Answered], objects: Objects, plan: Corradi2015Plan
 ) -> dict[str, Any]:
-    """Return the confusion matrices of the paper's recogniser, and its worst pairs.
-
-    Rows are the objects touched, columns the answers, both as `names`; shares of
-    1. A pair's share is that of both mistakes among both objects' episodes.
-    """
+    """Return shares of answers (columns) per object (rows), and the worst pairs."""
     mine = [a for a in answered if a[:3] == ("ten objects", objects.data, MAIN)]
     names = np.unique(labels(objects.known)).tolist()
     after = sorted({min(k, plan.n_test) for k in CONFUSED_AFTER})
@@ -160,12 +161,6 @@ def timing_rows(touches: Touches, data: str, sizes: Sequence[int]) -> list[Row]:
         if len(values) >= size:
             rows += _learning(values[:size])
     return [{**row, "data": data, "table": "timings", "unit": "ms"} for row in rows]
-
-
-def _idle_curve(answered: Iterable[Answered]) -> Floats:
-    """Return the share right of all touches without contact, however they fell."""
-    right = np.concatenate([one.answers[:, 0] == one.truth for one in answered])
-    return np.array([[right.mean()]])
 
 
 def _learning(values: Floats) -> list[Row]:

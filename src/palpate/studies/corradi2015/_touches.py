@@ -31,10 +31,7 @@ UNSEEN_CATEGORIES = ("ball", "box", "can", "mug", "stapler")
 
 @dataclass(frozen=True)
 class Objects:
-    """Touches of ten objects to learn, and of others that are never learnt.
-
-    `every` holds all recorded objects, for the first author's later experiments.
-    """
+    """Touches to learn, others never learnt, and `every` recorded object if any."""
 
     data: str
     known: Touches
@@ -43,11 +40,7 @@ class Objects:
 
 
 def simulated_objects(plan: Corradi2015Plan, workers: int) -> Objects:
-    """Touch the paper's ten objects and its five unseen ones in simulation.
-
-    The camera stays as it is from object to object, so that its place and exposure
-    tell nothing.
-    """
+    """Touch the ten objects and five unseen ones with a camera that never drifts."""
     touches = simulate_touches(
         HOUSEHOLD + UNSEEN,
         plan.n_simulated,
@@ -80,10 +73,7 @@ class Encoded:
 
 
 class Encoder:
-    """The study's features on the largest disc that all of some touches show.
-
-    Those of the bags of touches are left out without `bags`.
-    """
+    """Features on the largest disc that all touches show; `bags` adds those of bags."""
 
     def __init__(self, touches: Touches, *, bags: bool = True) -> None:
         self.bags = bags
@@ -124,11 +114,7 @@ class Encoder:
 
 
 def polar_fourier(discs: NDArray[np.float32]) -> Floats:
-    """Return magnitudes of Fourier coefficients along circles about the middle.
-
-    Turning the image shifts each circle, which leaves magnitudes alone. Shape
-    (n_touches, 8 circles x 9 frequencies).
-    """
+    """Return Fourier magnitudes along 8 circles, blind to turning, (n_touches, 72)."""
     half = (discs.shape[1] - 1) / 2
     radius = half * (np.arange(N_RINGS) + 0.5) / N_RINGS
     angle = 2 * np.pi * np.arange(N_ANGLES) / N_ANGLES
@@ -140,12 +126,10 @@ def polar_fourier(discs: NDArray[np.float32]) -> Floats:
 
 
 def moment_normalised(pressed: NDArray[np.float32]) -> Floats:
-    """Return what is pressed, moved, turned and scaled to a standard place.
+    """Move, turn and scale what is pressed (n_touches, size, size); (n_touches, 256).
 
-    `pressed` (n_touches, size, size) is how far each pixel is from the image without
-    contact. The centroid comes to the middle, the main axis to the columns with the
-    longer tail to the right, and the standard deviation to one size; 16 x 16 values of
-    sum 1, or zeros where nothing is pressed. Shape (n_touches, 256).
+    The centroid comes to the middle, the main axis to the columns with the longer tail
+    to the right, the deviation to one size; sum 1, zeros where nothing is pressed.
     """
     return np.stack([_normalised(image) for image in pressed])
 

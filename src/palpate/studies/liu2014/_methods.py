@@ -50,10 +50,7 @@ class Half:
 
 @dataclass(frozen=True)
 class Twofold:
-    """Twofold cross-validation of a method; inner folds choose its setting.
-
-    If `scaled`, features get mean 0 and variance 1 on the training touches.
-    """
+    """Twofold cross-validation, inner folds choosing; `scaled` ones are z-scored."""
 
     scaled: bool
     inner_folds: int
@@ -107,12 +104,7 @@ class Twofold:
 
 
 def nested_figure(settings: Sequence[Setting], runs: Sequence[list[Half]]) -> Row:
-    """Return what the settings chosen inside the training halves achieve.
-
-    `ours` and `sd` are mean and standard deviation over runs in per cent (None after a
-    single run), `chosen` is the most frequent setting, and `chosen_share` the share of
-    halves that chose it.
-    """
+    """Return mean and deviation over runs, %, the setting most chosen and its share."""
     shares = np.array([_pooled(run, [half.chosen for half in run]) for run in runs])
     chosen = np.array([half.chosen for run in runs for half in run])
     counts = np.bincount(chosen, minlength=len(settings))
@@ -205,11 +197,7 @@ class MKL(_Machines):
 
 @dataclass(frozen=True)
 class Fused:
-    """Kernel PCA before a classifier.
-
-    The widths are fitted with as many components as the largest setting; fewer are
-    its first columns. `scaling` is that of `KernelPCA`.
-    """
+    """Kernel PCA (`scaling` as `KernelPCA` has it) before a classifier."""
 
     classifier: Method
     widths: Sequence[float]
@@ -233,6 +221,7 @@ class Fused:
                 max(self.components), sigma=width * unit, scaling=self.scaling
             ).fit(train)
             old, new = fusion.transform(train), fusion.transform(test)
+            # Fewer components are the first columns of the most.
             for kept in self.components:
                 found.append(
                     self.classifier.answers(old[:, :kept], codes, new[:, :kept])

@@ -45,39 +45,16 @@ FIGURES: dict[tuple[str, str], float] = {
 class Liu2014Plan(Plan):
     """Sizes and grids of the study; the defaults are the whole of it.
 
-    Parameters
-    ----------
-    parts : tuple of int
-        Part numbers of the paper's Table 1.
-    n_presses : int, default=20
-        Simulated presses of each part.
-    runs : int, default=10
-        Runs of twofold cross-validation.
-    counts : tuple of int
-        Numbers n of Fourier descriptors in Figs 12 to 14.
-    n : int, default=40
-        Number of descriptors in Table 2.
-    partitions : tuple of int
-        n of the n x n partitions that are thresholded each by itself; 2 is the
-        paper's best, and the only one with the whole set of rows.
-    loads_kgf, covers_mm : tuple of float
-        Loads (at the paper's cover) and covers (at the paper's load).
-    inner_folds : int, default=3
-        Folds inside the training half that choose the parameters.
-    widths : tuple of float
-        Kernel widths of kernel PCA, in median distances of the training touches.
-    components : tuple of int
-        Numbers of components kept.
-    svm_widths, svm_costs : tuple of float
-        Kernel widths (in median distances) and C of the SVM.
-    mkl_costs : tuple of float
-        C of the MKL-SVM; larger, as its kernels have trace 1.
-    presses : mapping
-        Further numbers for `simulate_presses`, to see what a condition does:
-        `{"tilt_sd_deg": 0.2}`.
-    protocol : {"both", "nested", "paper"}, default="both"
-        Parameters chosen inside the training half, or on the runs reported.
-    seed : int, default=0
+    `parts` are numbers of the paper's Table 1, each pressed `n_presses` times, in
+    `runs` of twofold cross-validation; `n` is the number of descriptors in Table 2,
+    `counts` those of Figs 12 to 14. Of the n x n `partitions` thresholded each by
+    itself, 2 is the paper's best, the only one with all rows. `loads_kgf` are at the
+    paper's cover, `covers_mm` at its load. `inner_folds` choose `widths` of kernel PCA
+    and of the SVM (median distances of the training touches), numbers of `components`,
+    and C: `mkl_costs` are larger, as its kernels have trace 1. `presses` are further
+    numbers for `simulate_presses`, such as `{"tilt_sd_deg": 0.2}`. `protocol`:
+    parameters chosen "nested" in the training half, on the runs reported as the "paper"
+    did, or "both".
     """
 
     parts: tuple[int, ...] = CLASS_SETS["all"]
