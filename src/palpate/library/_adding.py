@@ -102,9 +102,9 @@ def _store_sheet(store: Store, sheet: Sheet) -> None:
 def _matched(store: Store, sheet: Sheet) -> Sheet:
     """Return a sheet whose touches have the ids under which they are stored already.
 
-    A touch is another's return when the image is the same, all that tells touches
-    apart is the same but for former names of the object and for cells that were
-    empty or numbers, and both go by one name now.
+    A touch is another's return when the image is the same, all that tells touches apart
+    too but for former names and cells that were empty or numbers, and both have one
+    name.
     """
     labels = sheet.values.get("object", [None] * len(sheet.ids))
     found = {label: find_object(store, label) for label in set(labels)}

@@ -216,11 +216,7 @@ class _Dataset:
 def _lerobot_frames(
     touches: Touches, episode: int, first: int, task: int
 ) -> dict[str, Array]:
-    """Return the frames of an episode by feature; the first is number `first` of all.
-
-    `timestamp` is seconds since the first touch, or the number of the touch where
-    times are not known.
-    """
+    """Return frames by feature; where times are not known, they count touches."""
     n_touches = len(touches)
     number = np.arange(n_touches, dtype=np.int64)
     time_s = touches.columns.get("time_s", number)

@@ -139,10 +139,7 @@ def _set_aside(folder: Path, *paths: Path) -> None:
 
 
 def _enter_all(store: Store) -> tuple[int, int]:
-    """Enter all files that the database does not know, in the order of time.
-
-    Returns how many touches it gained, and how many changes.
-    """
+    """Enter unknown files by time; return how many touches and changes were gained."""
     known = changes.known_changes(store)
     before = store.count("SELECT count(*) FROM touches")
     steps: list[tuple[float, str, Path]] = []

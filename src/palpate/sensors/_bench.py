@@ -194,11 +194,7 @@ class SimulatedSensor:
 
 
 class _Line:
-    """Everything about moving along one straight line towards one object.
-
-    `first_mm` is how far along it the dome touches, `hard_mm` how far its rigid
-    body gets; infinity where nothing is ahead.
-    """
+    """A line towards an object: touched at `first_mm`, rigid body at `hard_mm`."""
 
     def __init__(
         self, camera: DomeCamera, target: PlacedObject, base: SensorPose

@@ -25,35 +25,12 @@ _DOME_NOISE, _ARRAY_NOISE = 1.0, 0.5
 class SimulatedStream(PlayedSensor):
     """Plays simulated touches of one object after the other, live.
 
-    Parameters
-    ----------
-    name : str, default="mug"
-        What lies on the desk at first: a built-in object, which a dome camera
-        touches, or a built-in part, which is pressed on a pressure array.
-    image_shape : (int, int), optional
-        By default 120 x 120 for the dome; the array has its own 10 x 10.
-    rate_hz : float, default=25
-        Frames per second.
-    hold, gap, ramp : int, default=6, 8, 3
-        Frames that a touch is held, of nothing between two, and of the way in.
-    random_state : int, default=0
-        Seed of touches and noise.
-
-    Attributes
-    ----------
-    objects : tuple of str
-        What can be placed on the desk: whatever the same sensor can touch.
-
-    Notes
-    -----
-    Each touch is simulated as `simulate_touches` or `simulate_presses` does, while
-    frames of nothing are played. The way in and out is a blend of the two pictures.
-    Noise has a standard deviation of 1 grey level (dome) or half of one (array).
-
-    Raises
-    ------
-    ValueError
-        There is no such object; the message lists all.
+    The object is a built-in one, touched by a dome camera of `image_shape` (by default
+    120 x 120), or a built-in part, pressed on a pressure array of 10 x 10. `objects`
+    are all that the same sensor can touch. While frames of nothing are played, each
+    touch is simulated as `simulate_touches` or `simulate_presses` does. The way in and
+    out is a blend of the two pictures. Noise has a standard deviation of 1 grey level
+    (dome) or half of one (array); `random_state` is the seed of touches and noise.
     """
 
     def __init__(
