@@ -178,10 +178,8 @@ class TouchMap:
         prior : mapping of str to float, optional
             How probable each object is, see `ObjectRecogniser.start`.
         """
-        classes = self.recogniser.classes_
-        return PlacedBelief(
-            self, None if prior is None else given_prior(prior, classes)
-        )
+        known = self.recogniser.classes_
+        return PlacedBelief(self, None if prior is None else given_prior(prior, known))
 
     @property
     def sequence_calibration(self) -> SequenceCalibration:

@@ -35,10 +35,13 @@ def add_touches(
 ) -> list[str]:
     """Store touches and return their ids, in their order; see `TouchLibrary.add`."""
     ids: list[str] = []
+    n_bytes = max(1, touches.images[0].nbytes)
+    step = max(1, min(_TOUCHES_PER_FILE, _BYTES_PER_FILE // n_bytes))
     try:
         recording = _recording(store, touches, sensor)
         with Progress(len(touches), "Adding touches", progress) as bar:
-            for part in _parts(touches):
+            for start in range(0, len(touches), step):
+                part = touches[start : start + step]
                 sheet = _matched(store, sheet_of(part, recording, time.time()))
                 _store_sheet(store, sheet)
                 ids += [key.hex() for key in sheet.ids]
@@ -69,13 +72,6 @@ def _recording(
         "dtype": touches.images.dtype.str,
         "whole": {n: publish(arrays, packed([array])) for n, array in whole.items()},
     }
-
-
-def _parts(touches: Touches) -> Iterator[Touches]:
-    n_bytes = max(1, touches.images[0].nbytes)
-    step = max(1, min(_TOUCHES_PER_FILE, _BYTES_PER_FILE // n_bytes))
-    for start in range(0, len(touches), step):
-        yield touches[start : start + step]
 
 
 def _store_sheet(store: Store, sheet: Sheet) -> None:

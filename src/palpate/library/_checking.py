@@ -138,14 +138,12 @@ def image_files(
 def image_problem(
     store: Store, key: int, name: str, state: str = _KEPT
 ) -> list[Problem]:
-    """Return what is wrong with a file of images that touches stand in, if anything.
-
-    Wide columns have no checksum of their own: touches with such are lost as well.
-    """
+    """Return what is wrong with a file of images that touches stand in, if anything."""
     rows = touches_in(store, key, state)
     fault = _fault(store, IMAGES, name) if rows else None
     if fault is None:
         return []
+    # Wide columns have no checksum of their own: touches with such are lost as well.
     wide = {n for n, columns in layouts(store).items() if any(c.wide for c in columns)}
     lost = [r.key.hex() for r in rows if r.layout in wide or not _is_whole(store, r)]
     if state != _KEPT and not lost:

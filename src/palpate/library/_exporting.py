@@ -129,10 +129,8 @@ def _arrow(pa: Any, name: str, array: Array) -> Any:
     try:
         if array.ndim == 1:
             return pa.array(native)
-        flat = np.ascontiguousarray(native).reshape(-1)
-        return pa.FixedSizeListArray.from_arrays(
-            pa.array(flat), int(np.prod(array.shape[1:]))
-        )
+        flat = pa.array(np.ascontiguousarray(native).reshape(-1))
+        return pa.FixedSizeListArray.from_arrays(flat, int(np.prod(array.shape[1:])))
     except (pa.ArrowException, ValueError, TypeError) as error:
         raise LibraryError(
             f"Column {name!r} must have a type that Parquet holds, got "

@@ -33,14 +33,12 @@ def common_kind(store: Store, numbers: Numbers) -> tuple[int, int, str]:
             "See `palpate library list`, and widen --where."
         )
     if len(found) > 1:
-        kinds = "; ".join(
-            f"{n_rows} x {n_cols} {dtype}" for n_rows, n_cols, dtype in found
-        )
+        kinds = "; ".join("{} x {} {}".format(*kind) for kind in found)
         raise LibraryError(
             f"Touches must have one image size and type, got {kinds}. Choose one with "
             f'--where, for example "sensor = NAME" or "n_rows = {found[0][0]}".'
         )
-    n_rows, n_cols, dtype = found[0]
+    [(n_rows, n_cols, dtype)] = found
     return n_rows, n_cols, dtype
 
 

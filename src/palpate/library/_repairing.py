@@ -187,9 +187,7 @@ def _entered(store: Store, enter: Callable[..., Any], *what: Any) -> bool:
 def _mend_changes(store: Store) -> int:
     """Write damaged files of changes anew; set aside those that say nothing."""
     known, files = changes.known_changes(store), changes.change_files(store)
-    bad = [
-        name for name, brief in known.items() if changes.file_fault(store, name, brief)
-    ]
+    bad = [name for name in known if changes.file_fault(store, name, known[name])]
     _set_aside(store.folder, *(files[n] for n in bad if n in files))
     for name in bad:
         changes.write_again(store, name)

@@ -144,9 +144,8 @@ class SimulatedBench:
         place = self.centre_mm + arm
         turn = np.array([[cos, -sin], [sin, cos]])
         place[:2] = self.centre_mm[:2] + turn @ arm[:2] + slid_mm
-        return PlacedObject(
-            first.thing, first.rotation, first.yaw_rad + turned_rad, place
-        )
+        yaw_rad = first.yaw_rad + turned_rad
+        return PlacedObject(first.thing, first.rotation, yaw_rad, place)
 
 
 class SimulatedSensor:

@@ -227,11 +227,9 @@ class TouchDetector:
 
 
 def _moving(stack: Floats, least: float) -> bool:
-    """Tell whether frames go somewhere, by more than their noise.
-
-    Noise is what second differences show (for noise alone their variance is six
-    times that of a frame), so that a steady way down is no noise.
-    """
+    """Tell whether frames go somewhere, by more than their noise."""
+    # Second differences show noise (of noise alone their variance is six times that of
+    # a frame), so that a steady way down is no noise.
     bends = stack[2:] - 2 * stack[1:-1] + stack[:-2]
     noise = float(np.median([_rms(bend) for bend in bends])) / np.sqrt(6)
     first, second = np.array_split(stack, 2)

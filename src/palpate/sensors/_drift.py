@@ -68,11 +68,7 @@ class SensorMemory:
 
 
 def baseline_warning(memory: SensorMemory, no_contact: Array) -> str:
-    """Return a sentence if the present baseline has left tolerance, else nothing.
-
-    `memory` is of the sensor that the model learnt from. Accepted is a root mean square
-    difference of a quarter of what a touch changes.
-    """
+    """Return a sentence if rest is off by over a quarter of a touch, else nothing."""
     known, found = memory.no_contact.shape, no_contact.shape
     if known != found:
         return (

@@ -59,8 +59,7 @@ class SimulatedStream(PlayedSensor):
             self._rest_image = np.zeros(shape, dtype=np.uint8)
         # Fields of noise, (n_frames, n_rows, n_cols), that are played round.
         size = _NOISE_FRAMES, *self._rest_image.shape
-        level = _DOME_NOISE if dome else _ARRAY_NOISE
-        noise = self._rng.normal(scale=level, size=size)
+        noise = self._rng.normal(scale=_DOME_NOISE if dome else _ARRAY_NOISE, size=size)
         self._noise = np.rint(noise).astype(np.int16)
         self._pool: ThreadPoolExecutor | None = None
         self._made: tuple[str, Future[Array]] | None = None
@@ -104,12 +103,12 @@ class SimulatedStream(PlayedSensor):
     def _touched(self, name: str) -> Array:
         seed = int(self._rng.integers(2**31))
         if isinstance(self._device, DomeCamera):
-            touches = simulate_touches(
+            made = simulate_touches(
                 name, 1, self._device, drift=False, random_state=seed
             )
         else:
-            touches = simulate_presses(name, 1, array=self._device, random_state=seed)
-        return np.asarray(touches.images[0])
+            made = simulate_presses(name, 1, array=self._device, random_state=seed)
+        return np.asarray(made.images[0])
 
     def _with_noise(self, image: Array) -> Array:
         noise = self._noise[self._number % _NOISE_FRAMES]
