@@ -145,19 +145,12 @@ def gather(
     max_faults: int = MAX_FAULTS,
     clock: Clock = time.monotonic,
 ) -> list[TouchRecord]:
-    """Touch an object many times, to learn it.
+    """Touch an object `n_touches` times, to learn it: as `explore`, without a belief.
 
-    As `explore`, without a belief: it ends after `n_touches` touches. Give the
-    records to `as_touches` with the object's name. A folder that was begun goes on;
-    of one that holds more, the attempts up to that touch are returned.
-
-    Raises
-    ------
-    EpisodeError
-        `folder` holds another episode, touches of another size, or is damaged.
-    RobotError
-        Too few of five attempts for each touch that is wanted were touches, or
-        `max_faults` faults came in a row. What was recorded stays.
+    A folder that was begun goes on; of one that holds more, the attempts up to that
+    touch are returned. Raises `EpisodeError` as `explore` does or where its touches are
+    of another size, `RobotError` after `max_faults` faults in a row or where five
+    attempts for each touch wanted were not enough; what was recorded stays.
     """
     check_count("n_touches", n_touches)
     check_count("max_faults", max_faults)

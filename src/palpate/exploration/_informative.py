@@ -42,9 +42,8 @@ _LEAST = np.float32(1e-30)
 class Stations:
     """Rings of places round the objects, and the touches that may come of each.
 
-    A candidate in the world is a station on the object: turning the object by a step
-    moves it one station back along its ring. `places` are the stations, (n_rings,
-    n_turns, n_dimensions), `touch_map.n_turns` on each ring, a step apart.
+    Turning an object by a step moves a candidate one station back along its ring.
+    `places` are the stations, (n_rings, `touch_map.n_turns`, n_dimensions).
     """
 
     def __init__(self, touch_map: TouchMap, places: Floats) -> None:
@@ -62,10 +61,7 @@ class Stations:
         self._back = (turn[:, None] - turn) % n_turns
 
     def expected_gain(self, log_joint: Floats, n_touches: int) -> Floats:
-        """Return the expected gain (nats) of each candidate, (n_rings * n_turns,).
-
-        `log_joint` (n_objects, n_turns) is the belief after `n_touches`.
-        """
+        """Return gains (nats), (n_rings * n_turns,), by belief (n_objects, n_turns)."""
         joint = np.exp(log_joint).astype(np.float32)
         turned = joint[:, self._back]
         weight = np.float32(self._map.sequence_calibration.weight(n_touches + 1))

@@ -61,9 +61,8 @@ def turned_back(places: Floats, n_turns: int) -> Floats:
     angle = np.arange(n_turns) * (2 * np.pi / n_turns)
     cos, sin = np.cos(angle), np.sin(angle)
     x, y, z = places.T[:, :, None]
-    return np.stack(
-        [cos * x + sin * y, cos * y - sin * x, np.repeat(z, n_turns, axis=1)], axis=-1
-    )
+    height = np.repeat(z, n_turns, axis=1)
+    return np.stack([cos * x + sin * y, cos * y - sin * x, height], axis=-1)
 
 
 def squared_distances(one: Floats, other: Floats) -> Floats:

@@ -139,12 +139,7 @@ def as_touches(
     """Return the records that are touches, ready to be learnt or recognised.
 
     Columns: `position_mm` and `direction`, both (n_touches, 3), `force_n`, `order`
-    (number of the attempt), and the labels given.
-
-    Raises
-    ------
-    ValueError
-        None of the records is a touch.
+    (number of the attempt), and the labels given. ValueError where there is none.
     """
     order = [number for number, record in enumerate(history) if record.touched]
     if not order:

@@ -216,10 +216,7 @@ class SimulatedRobot:
 
 
 class MissingFrames:
-    """Numbers of the frames that do not arrive, for a `SimulatedSensor`.
-
-    All frames of an attempt whose fault is "no frame".
-    """
+    """Numbers of the frames that do not arrive: all of an attempt with "no frame"."""
 
     def __init__(self, robot: SimulatedRobot) -> None:
         self._robot = robot

@@ -42,17 +42,7 @@ QUICK_GUARD = Guard(air_step_mm=2.0, limit_n=5.0)
 
 @dataclass(frozen=True, eq=False)
 class Stand:
-    """What is needed to touch one simulated object.
-
-    Attributes
-    ----------
-    thing : SimObject
-        What stands there.
-    hemisphere : Hemisphere
-        About where its middle should be.
-    robot, sensor : SimulatedRobot, SimulatedSensor
-        The arm, above the object at first, and the dome it carries.
-    """
+    """A simulated object, the hemisphere about its middle, the arm and its dome."""
 
     thing: SimObject
     hemisphere: Hemisphere

@@ -53,6 +53,16 @@ _ELSEWHERE = 1e-3
 _TINY = 1e-6
 
 
+def _all_pairs(closeness: Floats, touches: Floats) -> Floats:
+    """Sums over training touches, for each station and touch."""
+    return closeness @ touches.T
+
+
+def _row_by_row(closeness: Floats, touches: Floats) -> Floats:
+    """Sums over training touches, of station i for touch i."""
+    return np.asarray((closeness * touches).sum(axis=1))
+
+
 class TouchMap:
     """Which touches are met where on each object.
 
@@ -131,11 +141,9 @@ class TouchMap:
         return self
 
     def _choose(self) -> None:
-        """Set the kernels, then the weights, with the least log loss of episodes.
-
-        Each touch of theirs is judged by a map without its block (or session). How the
-        object is turned is unknown in them as it is in real ones.
-        """
+        """Set the kernels, then the weights, with the least log loss of episodes."""
+        # Each touch of theirs is judged by a map without its block (or session). How
+        # the object is turned is unknown in them as it is in real ones.
         episodes = _episodes(self)
         losses = {}
         for width, share in product(WIDTHS, BANDWIDTHS):
@@ -153,7 +161,8 @@ class TouchMap:
         """Return log r of training touches at their places, turned every way."""
         left_out, ratios = self.left_out(), []
         for stations in turned_back(self.places_, self.n_turns).swapaxes(0, 1):
-            ratios.append(self._ratio(*left_out, self.closeness(stations), _row_by_row))
+            close = self.closeness(stations)
+            ratios.append(self.station_ratio(*left_out, close, _row_by_row))
         return np.stack(ratios, axis=-1)
 
     @property
@@ -169,10 +178,8 @@ class TouchMap:
         prior : mapping of str to float, optional
             How probable each object is, see `ObjectRecogniser.start`.
         """
-        classes = self.recogniser.classes_
-        return PlacedBelief(
-            self, None if prior is None else given_prior(prior, classes)
-        )
+        known = self.recogniser.classes_
+        return PlacedBelief(self, None if prior is None else given_prior(prior, known))
 
     @property
     def sequence_calibration(self) -> SequenceCalibration:
@@ -216,23 +223,18 @@ class TouchMap:
         return self._nearness(self._squared), allowed
 
     def station_ratio(
-        self, nearness: Floats, allowed: Floats, closeness: Floats
+        self,
+        nearness: Floats,
+        allowed: Floats,
+        closeness: Floats,
+        summed: Callable[[Floats, Floats], Floats] = _all_pairs,
     ) -> Floats:
         """Return log r of touches at stations, (n_stations, n_objects, n_touches).
 
         `nearness` holds N of the touches and `allowed` 0 where a training touch does
         not count for one, (n_touches, n_training); `closeness` is from `closeness`.
+        r is the weighted mean over the plain mean, 1 where nothing counts.
         """
-        return self._ratio(nearness, allowed, closeness, _all_pairs)
-
-    def _ratio(
-        self,
-        nearness: Floats,
-        allowed: Floats,
-        closeness: Floats,
-        summed: Callable[[Floats, Floats], Floats],
-    ) -> Floats:
-        """Log of the weighted mean over the plain mean; 0 where nothing counts."""
         near, ratios = nearness * allowed, []
         for rows in self.rows_of_object:
             close, free = closeness[:, rows], allowed[:, rows]
@@ -328,16 +330,6 @@ class PlacedBelief(Belief):
         weight = self._map.sequence_calibration.weight(self._n_informative)
         joint = self._placed * weight + prior[:, np.newaxis]
         self.log_joint: Floats = joint - logsumexp(joint)
-
-
-def _all_pairs(closeness: Floats, touches: Floats) -> Floats:
-    """Sums over training touches, for each station and touch."""
-    return closeness @ touches.T
-
-
-def _row_by_row(closeness: Floats, touches: Floats) -> Floats:
-    """Sums over training touches, of station i for touch i."""
-    return np.asarray((closeness * touches).sum(axis=1))
 
 
 def _episodes(touch_map: TouchMap) -> Episodes:

@@ -35,10 +35,13 @@ def add_touches(
 ) -> list[str]:
     """Store touches and return their ids, in their order; see `TouchLibrary.add`."""
     ids: list[str] = []
+    n_bytes = max(1, touches.images[0].nbytes)
+    step = max(1, min(_TOUCHES_PER_FILE, _BYTES_PER_FILE // n_bytes))
     try:
         recording = _recording(store, touches, sensor)
         with Progress(len(touches), "Adding touches", progress) as bar:
-            for part in _parts(touches):
+            for start in range(0, len(touches), step):
+                part = touches[start : start + step]
                 sheet = _matched(store, sheet_of(part, recording, time.time()))
                 _store_sheet(store, sheet)
                 ids += [key.hex() for key in sheet.ids]
@@ -71,13 +74,6 @@ def _recording(
     }
 
 
-def _parts(touches: Touches) -> Iterator[Touches]:
-    n_bytes = max(1, touches.images[0].nbytes)
-    step = max(1, min(_TOUCHES_PER_FILE, _BYTES_PER_FILE // n_bytes))
-    for start in range(0, len(touches), step):
-        yield touches[start : start + step]
-
-
 def _store_sheet(store: Store, sheet: Sheet) -> None:
     """Store the touches of a sheet that are not in the library yet."""
     found = store.among(
@@ -102,9 +98,9 @@ def _store_sheet(store: Store, sheet: Sheet) -> None:
 def _matched(store: Store, sheet: Sheet) -> Sheet:
     """Return a sheet whose touches have the ids under which they are stored already.
 
-    A touch is another's return when the image is the same, all that tells touches
-    apart is the same but for former names of the object and for cells that were
-    empty or numbers, and both go by one name now.
+    A touch is another's return when the image is the same, all that tells touches apart
+    too but for former names and cells that were empty or numbers, and both have one
+    name.
     """
     labels = sheet.values.get("object", [None] * len(sheet.ids))
     found = {label: find_object(store, label) for label in set(labels)}

@@ -46,11 +46,6 @@ def packed(arrays: Sequence[Array]) -> bytes:
     return stream.getvalue()
 
 
-def header_size(array: Array) -> int:
-    """Return how many bytes `packed` writes before the values of `array`."""
-    return len(packed([array])) - array.nbytes
-
-
 def publish(folder: Path, content: bytes) -> str:
     """Put a file in place and return its name; afterwards it is on the disk."""
     name = hashlib.sha256(content).hexdigest()

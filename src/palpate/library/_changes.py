@@ -90,8 +90,8 @@ def file_fault(store: Store, name: str, brief: dict[str, Any]) -> str | None:
 def write_again(store: Store, name: str) -> None:
     """Write the file of a change anew, as far as the database still knows it.
 
-    Of a retraction these are the touches that it still leaves out, of a restoration
-    all that are in: carried out in their order, all changes end where they did.
+    Of a retraction these are the touches that it still leaves out, of a restoration all
+    that are in: carried out in their order, all changes end where they did.
     """
     brief = known_changes(store)[name]
     content = {n: v for n, v in brief.items() if n != "digest"}

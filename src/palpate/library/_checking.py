@@ -29,20 +29,11 @@ _RETRACTED = f"t.retraction IS NOT NULL AND t.retraction NOT IN ({SET_ASIDE})"
 
 
 class Problem(NamedTuple):
-    """Something found by a check.
+    """Something found by a check: its kind, the file concerned, and a sentence.
 
-    Attributes
-    ----------
-    kind : str
-        "database", "disk", "version", "image", "array", "change", "file without
-        touches" or "partial file".
-    path : str
-        The file concerned.
-    what : str
-        What is wrong, in a sentence.
-    touches : list of str
-        Ids of the touches that it concerns: their image cannot be read or, of an
-        array, they are read without it.
+    `kind` is "database", "disk", "version", "image", "array", "change", "file without
+    touches" or "partial file". Of the `touches` with these ids the image cannot be read
+    or, of an array, they are read without it.
     """
 
     kind: str
@@ -105,8 +96,12 @@ def check_library(folder: str | Path, *, progress: bool | None = None) -> CheckR
 
 def _checked(store: Store, progress: bool | None) -> CheckReport:
     problems = database_problems(store)
-    lost, remarks = _image_problems(store, progress)
-    problems += lost
+    found: dict[str, list[Problem]] = {_KEPT: [], _RETRACTED: []}
+    for key, name in image_files(store, "Checking files", progress):
+        for state, bad in found.items():
+            bad += image_problem(store, key, name, state)
+    problems += found[_KEPT]
+    remarks = found[_RETRACTED]
     known = left_out(store)
     for problem in array_problems(store):
         noted = Path(problem.path).stem in known
@@ -129,17 +124,6 @@ def database_problems(store: Store) -> list[Problem]:
     return [Problem("database", FILE_NAME, f"SQLite says: {t}", []) for t in found]
 
 
-def _image_problems(
-    store: Store, progress: bool | None
-) -> tuple[list[Problem], list[Problem]]:
-    """Return what is wrong with images of touches, and of retracted ones."""
-    found: dict[str, list[Problem]] = {_KEPT: [], _RETRACTED: []}
-    for key, name in image_files(store, "Checking files", progress):
-        for state, problems in found.items():
-            problems += image_problem(store, key, name, state)
-    return found[_KEPT], found[_RETRACTED]
-
-
 def image_files(
     store: Store, what: str, progress: bool | None
 ) -> Iterator[tuple[int, str]]:
@@ -154,14 +138,12 @@ def image_files(
 def image_problem(
     store: Store, key: int, name: str, state: str = _KEPT
 ) -> list[Problem]:
-    """Return what is wrong with a file of images that touches stand in, if anything.
-
-    Wide columns have no checksum of their own: touches with such are lost as well.
-    """
+    """Return what is wrong with a file of images that touches stand in, if anything."""
     rows = touches_in(store, key, state)
     fault = _fault(store, IMAGES, name) if rows else None
     if fault is None:
         return []
+    # Wide columns have no checksum of their own: touches with such are lost as well.
     wide = {n for n, columns in layouts(store).items() if any(c.wide for c in columns)}
     lost = [r.key.hex() for r in rows if r.layout in wide or not _is_whole(store, r)]
     if state != _KEPT and not lost:
@@ -229,11 +211,11 @@ def _change_problems(store: Store) -> Iterator[Problem]:
     for name, brief in known.items():
         fault = file_fault(store, name, brief)
         if fault is not None:
-            yield _change_problem(
-                name,
+            what = (
                 f"It must be as it was written, got: {fault}. The database knows this "
-                f"{brief['action']}; --repair writes its file anew.",
+                f"{brief['action']}; --repair writes its file anew."
             )
+            yield Problem("change", f"{CHANGES}/{name}.json", what, [])
     for name in sorted(files.keys() - known.keys()):
         try:
             action = read_change(files[name])["action"]
@@ -243,18 +225,11 @@ def _change_problems(store: Store) -> Iterator[Problem]:
             )
         except (OSError, ValueError) as error:
             what = f"It must be a change, got: {error}. --repair sets it aside."
-        yield _change_problem(name, what)
-
-
-def _change_problem(name: str, what: str) -> Problem:
-    return Problem("change", f"{CHANGES}/{name}.json", what, [])
+        yield Problem("change", f"{CHANGES}/{name}.json", what, [])
 
 
 def spare_files(store: Store) -> list[Path]:
-    """Return files of images that the database does not know.
-
-    A killed writer left them before it acknowledged them, or the database was lost.
-    """
+    """Return files of images that the database does not know (any more, or yet)."""
     known = {row[0].hex() for row in store.rows("SELECT name FROM files")}
     paths = sorted((store.folder / IMAGES).glob("*/*.npy"))
     return [path for path in paths if path.stem not in known]

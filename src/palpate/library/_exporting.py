@@ -129,10 +129,8 @@ def _arrow(pa: Any, name: str, array: Array) -> Any:
     try:
         if array.ndim == 1:
             return pa.array(native)
-        flat = np.ascontiguousarray(native).reshape(-1)
-        return pa.FixedSizeListArray.from_arrays(
-            pa.array(flat), int(np.prod(array.shape[1:]))
-        )
+        flat = pa.array(np.ascontiguousarray(native).reshape(-1))
+        return pa.FixedSizeListArray.from_arrays(flat, int(np.prod(array.shape[1:])))
     except (pa.ArrowException, ValueError, TypeError) as error:
         raise LibraryError(
             f"Column {name!r} must have a type that Parquet holds, got "
@@ -216,11 +214,7 @@ class _Dataset:
 def _lerobot_frames(
     touches: Touches, episode: int, first: int, task: int
 ) -> dict[str, Array]:
-    """Return the frames of an episode by feature; the first is number `first` of all.
-
-    `timestamp` is seconds since the first touch, or the number of the touch where
-    times are not known.
-    """
+    """Return frames by feature; where times are not known, they count touches."""
     n_touches = len(touches)
     number = np.arange(n_touches, dtype=np.int64)
     time_s = touches.columns.get("time_s", number)

@@ -318,12 +318,8 @@ class TouchLibrary:
 
 
 def _make(place: Path) -> None:
-    """Make an empty library; several programs may try at once.
-
-    Files are looked for before the database: a writer stores its first file when the
-    database is there, so files without one mean that it was lost.
-    """
-    if holds_files(place):
+    """Make an empty library; several programs may try at once."""
+    if holds_files(place):  # Its database comes first: without one it was lost.
         return
     try:
         place.mkdir(parents=True, exist_ok=True)

@@ -46,10 +46,7 @@ class SensorDescription(NamedTuple):
 
 
 class ObjectRow(NamedTuple):
-    """One object of a library; retracted touches do not count.
-
-    `n_episodes` counts different pairs of session and episode.
-    """
+    """An object, its touches not retracted, and its pairs of session and episode."""
 
     name: str
     category: str | None
@@ -128,10 +125,7 @@ def list_touches(
 
 
 def list_objects(store: Store) -> list[ObjectRow]:
-    """Return all objects with touches that are not retracted, sorted by name.
-
-    The category is the object's own, else that of one merged into it.
-    """
+    """Return objects with touches by name; a category may be of one merged into it."""
     rows = store.rows(
         "WITH given AS (SELECT object, session, episode, count(*) AS n FROM touches "
         "WHERE retraction IS NULL GROUP BY object, session, episode), "

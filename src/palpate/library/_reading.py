@@ -33,14 +33,12 @@ def common_kind(store: Store, numbers: Numbers) -> tuple[int, int, str]:
             "See `palpate library list`, and widen --where."
         )
     if len(found) > 1:
-        kinds = "; ".join(
-            f"{n_rows} x {n_cols} {dtype}" for n_rows, n_cols, dtype in found
-        )
+        kinds = "; ".join("{} x {} {}".format(*kind) for kind in found)
         raise LibraryError(
             f"Touches must have one image size and type, got {kinds}. Choose one with "
             f'--where, for example "sensor = NAME" or "n_rows = {found[0][0]}".'
         )
-    n_rows, n_cols, dtype = found[0]
+    [(n_rows, n_cols, dtype)] = found
     return n_rows, n_cols, dtype
 
 
@@ -50,11 +48,7 @@ def read_touches(
     max_bytes: int = NO_LIMIT,
     in_memory: int = IN_MEMORY,
 ) -> Touches:
-    """Return touches with all their columns; see `TouchLibrary.touches`.
-
-    Beyond `in_memory` bytes the images are mapped to a temporary file, so that the
-    system may put its pages aside.
-    """
+    """Return touches with all columns; beyond `in_memory` bytes in a mapped file."""
     n_rows, n_cols, dtype = common_kind(store, numbers)
     n_bytes = len(numbers) * n_rows * n_cols * np.dtype(dtype).itemsize
     if n_bytes > max_bytes:
@@ -70,20 +64,14 @@ def read_touches(
 
 
 def read_images(folder: Path, rows: Sequence[StoredTouch]) -> Array:
-    """Return images of one kind from their files alone, without the database.
-
-    Each is checked against its digest; shape (n_touches, n_rows, n_cols).
-    """
+    """Return images (n_touches, n_rows, n_cols) from files alone, digests checked."""
     return np.concatenate([_run_of_images(folder, run) for run in _runs(rows)])
 
 
 def read_columns(
     store: Store, numbers: Numbers, images: Array | None = None
 ) -> dict[str, Array]:
-    """Return the columns of touches, one row each, and fill `images` with theirs.
-
-    Without these no file is read, and columns that stand in files are left out.
-    """
+    """Return columns and fill `images`; without these, none that stand in files."""
     used = {row[0] for row in distinct(store, "t.layout", numbers)}
     known = {key: layout for key, layout in layouts(store).items() if key in used}
     columns = _columns_of(known)
@@ -109,11 +97,7 @@ def read_columns(
 
 
 def read_whole(store: Store, numbers: Numbers) -> dict[str, Array]:
-    """Return what is the same for all touches: geometry, no-contact image and more.
-
-    Entries that differ between recordings are left out, and, with a warning, those
-    whose file is missing or altered.
-    """
+    """Return what is the same for all touches; warn of files lost or altered."""
     rows = distinct(store, "r.geometry, r.whole", numbers)
     geometries = {row[0] for row in rows}
     if len(geometries - {None}) > 1:

@@ -139,10 +139,7 @@ def _set_aside(folder: Path, *paths: Path) -> None:
 
 
 def _enter_all(store: Store) -> tuple[int, int]:
-    """Enter all files that the database does not know, in the order of time.
-
-    Returns how many touches it gained, and how many changes.
-    """
+    """Enter unknown files by time; return how many touches and changes were gained."""
     known = changes.known_changes(store)
     before = store.count("SELECT count(*) FROM touches")
     steps: list[tuple[float, str, Path]] = []
@@ -190,9 +187,7 @@ def _entered(store: Store, enter: Callable[..., Any], *what: Any) -> bool:
 def _mend_changes(store: Store) -> int:
     """Write damaged files of changes anew; set aside those that say nothing."""
     known, files = changes.known_changes(store), changes.change_files(store)
-    bad = [
-        name for name, brief in known.items() if changes.file_fault(store, name, brief)
-    ]
+    bad = [name for name in known if changes.file_fault(store, name, known[name])]
     _set_aside(store.folder, *(files[n] for n in bad if n in files))
     for name in bad:
         changes.write_again(store, name)

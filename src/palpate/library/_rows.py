@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ._array_files import header_size
+from ._array_files import packed
 from ._sheet import CELLS, Column, Sheet, canonical
 from ._store import AT_ONCE, LibraryError, Store, holders
 from ._where import COLUMNS
@@ -60,8 +60,8 @@ _HEAL = (
 class StoredTouch(NamedTuple):
     """What the database knows of a touch: where its image is, and its plain values.
 
-    Its image is the one of this `number` in `file`, where images begin at `offset`;
-    `digest` is its SHA-256. `layout` is the key of its columns, `extra` the values of
+    The image is the one of this `number` in `file`, where images begin at `offset`,
+    with SHA-256 `digest`. `layout` is the key of its columns, `extra` the values of
     those that are no cells, as JSON; `cells` stand in the order of `CELLS`.
     """
 
@@ -154,10 +154,7 @@ def id_bytes(key: str) -> bytes:
 def write_rows(
     store: Store, sheet: Sheet, name: str, healed: Collection[bytes] = ()
 ) -> None:
-    """Enter touches that stand in the file `name`; those in the library already stay.
-
-    `healed` are ids of touches whose own file has been lost.
-    """
+    """Enter touches of the file `name`: new ones, and `healed`, which lost theirs."""
     rows = list(_rows(store, sheet, name))
     store.run_many(_INSERT + "NOTHING", [r for r in rows if r[0] not in healed])
     store.run_many(_INSERT + _HEAL, [r for r in rows if r[0] in healed])
@@ -169,7 +166,7 @@ def _rows(store: Store, sheet: Sheet, name: str) -> Iterator[tuple[Any, ...]]:
     file = {
         "name": bytes.fromhex(name),
         "n_touches": len(sheet.ids),
-        "offset": header_size(sheet.images),
+        "offset": len(packed([sheet.images])) - sheet.images.nbytes,
     }
     keys = (
         _key(store, "layouts", layout, "columns"),

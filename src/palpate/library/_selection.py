@@ -112,9 +112,8 @@ class Selection:
         known_ids, known = _cached(cache)
         missing = np.flatnonzero(~np.isin(ids, known_ids))
         if len(missing):
-            _encode_new(
-                self._store, cache, self._numbers[missing], ids[missing], encode
-            )
+            numbers = self._numbers[missing]
+            _encode_new(self._store, cache, numbers, ids[missing], encode)
             known_ids, known = _cached(cache)
         features: Floats = known[np.searchsorted(known_ids, ids)]
         return features

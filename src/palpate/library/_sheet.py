@@ -61,10 +61,9 @@ class Column(NamedTuple):
 class Sheet:
     """Some touches as they are stored together in one file.
 
-    `layout` holds all columns in their order, `values` the plain values per touch of
-    those that are not wide, `recording` what is the same for all, as the table of
-    recordings has it; `added_s` is in seconds since 1970, `ids` have 16 bytes each,
-    `digests` are the SHA-256 of the images.
+    `values` are the plain values per touch of the columns in `layout` that are not
+    wide, `recording` a row of that table, the same for all; `added_s` counts from 1970,
+    `ids` have 16 bytes each, `digests` are the SHA-256 of the images.
     """
 
     layout: list[Column]
@@ -142,10 +141,7 @@ def read_sheet(arrays: Sequence[Array]) -> Sheet:
 
 
 def column_array(columns: Sequence[Column], cells: Sequence[Any]) -> Array:
-    """Return cells as one array of the type that holds all of `columns`.
-
-    None is NaN among numbers and empty among text; numbers among text become text.
-    """
+    """Return cells as one array; None is NaN or "", numbers among text become text."""
     dtypes = {np.dtype(column.dtype) for column in columns}
     is_text = any(dtype.kind == "U" for dtype in dtypes)
     if any(cell is None for cell in cells):
@@ -204,10 +200,7 @@ def _cells(name: str, array: Array) -> list[Any]:
 def identity(
     digest: bytes, cells: dict[str, Any], wide: dict[str, Array], row: int
 ) -> bytes:
-    """Return the id of a touch: of its image and of what tells it from others.
-
-    `cells` are its plain values; of the columns in `wide`, `row` is the touch's.
-    """
+    """Return the id of a touch: of its image, plain `cells` and its `row` of `wide`."""
     known = {n: cells[n] for n in IDENTITY if n in cells}
     whole = {n: _whole_numbers(cell) for n, cell in known.items() if cell is not None}
     parts = [digest, canonical(whole).encode()]

@@ -70,10 +70,7 @@ class DatabaseDamaged(LibraryError):
 
 
 class DatabaseUnavailable(LibraryError):
-    """The disk is full, fails or may not be written to.
-
-    Nothing is known to be wrong with the library: no reason to repair it.
-    """
+    """The disk is full, fails or is read-only; the library itself may be sound."""
 
 
 class DatabaseBusy(DatabaseUnavailable):
@@ -125,10 +122,7 @@ class Store:
         return int(self.rows(sql, values)[0][0])
 
     def among(self, sql: str, keys: Sequence[Any]) -> list[tuple[Any, ...]]:
-        """Return the rows of a query in which `IN (?)` stands for any number of keys.
-
-        They are asked for `AT_ONCE` at a time, in their order.
-        """
+        """Return rows of a query whose `IN (?)` stands for any number of keys."""
         found = []
         for start in range(0, len(keys), AT_ONCE):
             piece = keys[start : start + AT_ONCE]
@@ -201,9 +195,9 @@ class Store:
     def _open_alone(self, error: DatabaseUnavailable) -> None:
         """Open where there is no room, or no leave, for the shared index of the log.
 
-        A connection that locks out all others keeps that index in its own memory. A
-        database that may not be written to at all is read as it stands, but only
-        when nothing is left in its log.
+        A connection that locks out all others keeps it in its own memory. A database
+        that may not be written to is read as it stands, when nothing is left in its
+        log.
         """
         log = self.path.with_name(f"{self.path.name}-wal")
         try:

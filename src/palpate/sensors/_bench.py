@@ -144,9 +144,8 @@ class SimulatedBench:
         place = self.centre_mm + arm
         turn = np.array([[cos, -sin], [sin, cos]])
         place[:2] = self.centre_mm[:2] + turn @ arm[:2] + slid_mm
-        return PlacedObject(
-            first.thing, first.rotation, first.yaw_rad + turned_rad, place
-        )
+        yaw_rad = first.yaw_rad + turned_rad
+        return PlacedObject(first.thing, first.rotation, yaw_rad, place)
 
 
 class SimulatedSensor:
@@ -194,11 +193,7 @@ class SimulatedSensor:
 
 
 class _Line:
-    """Everything about moving along one straight line towards one object.
-
-    `first_mm` is how far along it the dome touches, `hard_mm` how far its rigid
-    body gets; infinity where nothing is ahead.
-    """
+    """A line towards an object: touched at `first_mm`, rigid body at `hard_mm`."""
 
     def __init__(
         self, camera: DomeCamera, target: PlacedObject, base: SensorPose

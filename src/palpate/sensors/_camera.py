@@ -150,13 +150,7 @@ def camera_names() -> list[tuple[str, str]]:
 
 
 def find_camera(camera: str) -> str:
-    """Return the path (or number) of the camera that `camera` means.
-
-    Raises
-    ------
-    SensorError
-        No camera has that name or path, or several have; lists those there are.
-    """
+    """Return the path (or number) of the one camera that `camera` means, or explain."""
     if camera.isdigit():
         return camera
     if os.sep in camera:

@@ -32,14 +32,9 @@ class SensorError(RuntimeError):
 class Frame:
     """One reading of a sensor at one time.
 
-    Attributes
-    ----------
-    image : ndarray of shape (n_rows, n_cols)
-        Read-only, in the sensor's unit.
-    time_s : float
-        When it was taken, on the clock of `time.monotonic` (seconds).
-    number : int
-        Its number since the sensor was connected, from 0; a gap is a frame lost.
+    `image` (n_rows, n_cols) is read-only, in the sensor's unit; `time_s` is on the
+    clock of `time.monotonic`; `number` counts from 0 on connecting: a gap is a frame
+    lost.
     """
 
     image: Array

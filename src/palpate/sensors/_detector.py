@@ -35,16 +35,9 @@ class ContactError(ValueError):
 class DetectedTouch:
     """One touch, found in a stream of frames.
 
-    Attributes
-    ----------
-    image : ndarray of shape (n_rows, n_cols)
-        What stands for it: the frame of greatest change, or the mean over the hold.
-    began_s, ended_s : float
-        On the clock of the frames (seconds).
-    change : float
-        The greatest change, in the sensor's unit.
-    n_frames : int
-        Frames from beginning to end.
+    `image` (n_rows, n_cols) stands for it: the frame of greatest change, or the mean
+    over the hold. It lasted from `began_s` to `ended_s` on the clock of the frames,
+    `n_frames` in all; `change` is its greatest, in the sensor's unit.
     """
 
     image: Array
@@ -234,11 +227,9 @@ class TouchDetector:
 
 
 def _moving(stack: Floats, least: float) -> bool:
-    """Tell whether frames go somewhere, by more than their noise.
-
-    Noise is what second differences show (for noise alone their variance is six
-    times that of a frame), so that a steady way down is no noise.
-    """
+    """Tell whether frames go somewhere, by more than their noise."""
+    # Second differences show noise (of noise alone their variance is six times that of
+    # a frame), so that a steady way down is no noise.
     bends = stack[2:] - 2 * stack[1:-1] + stack[:-2]
     noise = float(np.median([_rms(bend) for bend in bends])) / np.sqrt(6)
     first, second = np.array_split(stack, 2)

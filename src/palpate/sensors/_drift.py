@@ -23,18 +23,11 @@ _NAMED = 3
 class SensorMemory:
     """What touches tell of the sensor that made them.
 
-    Attributes
-    ----------
-    no_contact : ndarray of shape (n_rows, n_cols)
-        Its baseline when they were made.
-    touch_change : float
-        Median over touches of their root mean square difference from the
-        baseline.
-    response, response_var : ndarray of shape (n_rows, n_cols) or (0, 0)
-        Mean over touches, and the variance of that mean, of the share that each
-        taxel has in a touch's change; empty for sensors of over 4096 taxels.
-    n_touches : int
-        Number of touches.
+    `no_contact` (n_rows, n_cols) is its baseline, `touch_change` the median over
+    touches of their root mean square difference from it. `response` is the mean over
+    touches of the share that each taxel has in a touch's change, `response_var` the
+    variance of that mean, both (n_rows, n_cols), or (0, 0) for sensors of over 4096
+    taxels.
     """
 
     no_contact: Floats
@@ -75,11 +68,7 @@ class SensorMemory:
 
 
 def baseline_warning(memory: SensorMemory, no_contact: Array) -> str:
-    """Return a sentence if the present baseline has left tolerance, else nothing.
-
-    `memory` is of the sensor that the model learnt from. Accepted is a root mean square
-    difference of a quarter of what a touch changes.
-    """
+    """Return a sentence if rest is off by over a quarter of a touch, else nothing."""
     known, found = memory.no_contact.shape, no_contact.shape
     if known != found:
         return (
@@ -99,9 +88,8 @@ def baseline_warning(memory: SensorMemory, no_contact: Array) -> str:
 def gain_warning(memory: SensorMemory, now: SensorMemory) -> str:
     """Return a sentence if taxels answer otherwise than they did, else nothing.
 
-    The memories are of the touches that were learnt and of recent ones, 10 at least.
-    A taxel is named whose share in touches differs by a factor of 2, up or down, and
-    by 4 standard errors.
+    Asks for 10 touches learnt and 10 recent ones. A taxel is named whose share in
+    touches differs by a factor of 2, up or down, and by 4 standard errors.
     """
     if min(memory.n_touches, now.n_touches) < _ENOUGH_TOUCHES:
         return ""

@@ -213,8 +213,7 @@ def _step(line: bytes) -> float:
     if b"e" in line.lower():
         return 0.0
     numbers = line.replace(b",", b" ").split()
-    n_decimals = max(len(number.partition(b".")[2]) for number in numbers)
-    return 10.0**-n_decimals
+    return 10.0 ** -max(len(number.partition(b".")[2]) for number in numbers)
 
 
 def _is_check(written: bytes, values: bytes) -> bool:

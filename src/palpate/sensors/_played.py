@@ -27,9 +27,8 @@ _ARRAY_SIDE = 48
 class PlayedSensor(LiveSensor):
     """Base of sensors that play touches of what is placed on the desk.
 
-    Made as a `LiveSensor` is, with the `objects` that can be placed, the frames per
-    second, and of each touch the frames that it is held, those of nothing before it,
-    and those of the way in (and as many of the way out).
+    Made as a `LiveSensor` is, with the `objects` that can be placed. A touch is `gap`
+    frames of nothing, `ramp` of the way in, `hold` held, and `ramp` of the way out.
     """
 
     queue_length = 256
@@ -55,13 +54,7 @@ class PlayedSensor(LiveSensor):
         self._due_s = 0.0
 
     def place(self, name: str | None) -> None:
-        """Put something else on the desk, or nothing; the touch under way ends.
-
-        Raises
-        ------
-        ValueError
-            It is not one of `objects`.
-        """
+        """Put one of `objects` on the desk, or nothing; the touch under way ends."""
         if name is not None:
             check_option("name", name, self.objects)
         with self._lock:
@@ -108,13 +101,10 @@ class PlayedSensor(LiveSensor):
         if rest is None:
             return [touch] * self._hold
         shares = np.arange(1, self._ramp + 1) / (self._ramp + 1)
-        way_in = [self._between(rest, touch, float(share)) for share in shares]
+        way = touch.astype(np.float64) - rest  # a blend, not physics
+        way_in = [as_kind(rest + float(share) * way, self.dtype) for share in shares]
         held = [touch] * self._hold
         return [rest] * self._gap + way_in + held + way_in[::-1]
-
-    def _between(self, rest: Array, touch: Array, share: float) -> Array:
-        """Return a picture of part of the way in; a blend, not physics."""
-        return as_kind(rest + share * (touch.astype(np.float64) - rest), self.dtype)
 
 
 class ReplaySensor(PlayedSensor):

@@ -25,35 +25,12 @@ _DOME_NOISE, _ARRAY_NOISE = 1.0, 0.5
 class SimulatedStream(PlayedSensor):
     """Plays simulated touches of one object after the other, live.
 
-    Parameters
-    ----------
-    name : str, default="mug"
-        What lies on the desk at first: a built-in object, which a dome camera
-        touches, or a built-in part, which is pressed on a pressure array.
-    image_shape : (int, int), optional
-        By default 120 x 120 for the dome; the array has its own 10 x 10.
-    rate_hz : float, default=25
-        Frames per second.
-    hold, gap, ramp : int, default=6, 8, 3
-        Frames that a touch is held, of nothing between two, and of the way in.
-    random_state : int, default=0
-        Seed of touches and noise.
-
-    Attributes
-    ----------
-    objects : tuple of str
-        What can be placed on the desk: whatever the same sensor can touch.
-
-    Notes
-    -----
-    Each touch is simulated as `simulate_touches` or `simulate_presses` does, while
-    frames of nothing are played. The way in and out is a blend of the two pictures.
-    Noise has a standard deviation of 1 grey level (dome) or half of one (array).
-
-    Raises
-    ------
-    ValueError
-        There is no such object; the message lists all.
+    The object is a built-in one, touched by a dome camera of `image_shape` (by default
+    120 x 120), or a built-in part, pressed on a pressure array of 10 x 10. `objects`
+    are all that the same sensor can touch. While frames of nothing are played, each
+    touch is simulated as `simulate_touches` or `simulate_presses` does. The way in and
+    out is a blend of the two pictures. Noise has a standard deviation of 1 grey level
+    (dome) or half of one (array); `random_state` is the seed of touches and noise.
     """
 
     def __init__(
@@ -82,8 +59,7 @@ class SimulatedStream(PlayedSensor):
             self._rest_image = np.zeros(shape, dtype=np.uint8)
         # Fields of noise, (n_frames, n_rows, n_cols), that are played round.
         size = _NOISE_FRAMES, *self._rest_image.shape
-        level = _DOME_NOISE if dome else _ARRAY_NOISE
-        noise = self._rng.normal(scale=level, size=size)
+        noise = self._rng.normal(scale=_DOME_NOISE if dome else _ARRAY_NOISE, size=size)
         self._noise = np.rint(noise).astype(np.int16)
         self._pool: ThreadPoolExecutor | None = None
         self._made: tuple[str, Future[Array]] | None = None
@@ -127,12 +103,12 @@ class SimulatedStream(PlayedSensor):
     def _touched(self, name: str) -> Array:
         seed = int(self._rng.integers(2**31))
         if isinstance(self._device, DomeCamera):
-            touches = simulate_touches(
+            made = simulate_touches(
                 name, 1, self._device, drift=False, random_state=seed
             )
         else:
-            touches = simulate_presses(name, 1, array=self._device, random_state=seed)
-        return np.asarray(touches.images[0])
+            made = simulate_presses(name, 1, array=self._device, random_state=seed)
+        return np.asarray(made.images[0])
 
     def _with_noise(self, image: Array) -> Array:
         noise = self._noise[self._number % _NOISE_FRAMES]
