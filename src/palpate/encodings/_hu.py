@@ -129,5 +129,4 @@ def _hu(moments: CentralMoments) -> Floats:
 
 
 def _signed_log(values: Floats) -> Floats:
-    logs: Floats = np.sign(values) * np.log10(1 + np.abs(values) / _SMALLEST)
-    return logs
+    return np.sign(values) * np.log10(1 + np.abs(values) / _SMALLEST)

@@ -128,8 +128,7 @@ class CentroidMoments(ImageEstimator):
 def sorted_taxels(images: ArrayLike, *, normalise: bool = False) -> Floats:
     """Return each image's levels, largest first, (n_touches, n_rows * n_cols).
 
-    What a recogniser reaches on these is what it does not owe to shape. With
-    `normalise` each image is divided by the sum of the sizes of its levels first.
+    With `normalise` over the sum of their sizes; they tell what is not owed to shape.
     """
     checked = check_images(images)
     if normalise:

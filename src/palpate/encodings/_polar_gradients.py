@@ -98,8 +98,7 @@ class PolarGradients(ImageEstimator):
         """Return the sizes, (n_touches, 6 * n_rings * (n_harmonics + 1))."""
         sizes = np.abs(self._harmonics(images))
         sizes /= self.scale_[:, np.newaxis, np.newaxis]
-        result: Floats = sizes.reshape(len(images), -1)
-        return result
+        return sizes.reshape(len(images), -1)
 
     def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
         return check_levels(check_images(X, shape=shape))

@@ -40,11 +40,10 @@ class Grid(NamedTuple):
 
 
 def zernike_moments(images: Array, grid: Grid) -> NDArray[np.complex128]:
-    """Integrate images times conj(V(n, m)) over the disc, m >= 0, without weights.
+    """Integrate images times conj(V(n, m)) over the disc, (n_touches, n_degrees).
 
-    Images are finite, of any real type. Returns (n_touches, n_degrees) in the order of
-    `zernike_degrees`. Lengths are in radii of the disc, so a constant image of 1 has
-    the moment pi at (0, 0).
+    Degrees are `zernike_degrees`, lengths radii: an image of 1 has the moment pi at (0,
+    0).
     """
     method = dense_moments
     if grid.order <= HIGHEST_SEPARABLE_ORDER:
@@ -92,10 +91,7 @@ def dense_moments(images: Array, grid: Grid) -> Floats:
 def quartered_moments(images: Array, grid: Grid) -> Floats:
     """Cosine then sine parts of all moments, through a quarter of the basis.
 
-    About the centre of a frame every cosine or sine part of a polynomial is even or
-    odd from left to right and from top to bottom. So an image is folded into four
-    quarters, one for each kind of symmetry, and a part of the basis is multiplied
-    with one of them.
+    Each part is even or odd across and down, so it meets one of four folded images.
     """
     quarters, taxels, n_parts = _quarters(grid)
     parts = np.empty((len(images), n_parts))
@@ -180,11 +176,7 @@ def _parts(values: NDArray[np.complex128]) -> Floats:
 
 
 def _legendre_sums(centres: Floats, step: float, order: int, exact: bool) -> Floats:
-    """P_i integrated over each taxel's side, or at its centre times the side.
-
-    Taxels beyond the disc are moved to its edge, lest their values overflow before
-    the mask removes them.
-    """
+    """P_i integrated over each taxel's side, or at its centre times the side."""
     node, weight = leggauss(order // 2 + 1) if exact else (np.zeros(1), np.full(1, 2.0))
     points = np.clip(centres[:, None] + step / 2 * node, -1, 1)
     sums: Floats = np.einsum("tgi,g->ti", legvander(points, order), weight * step / 2)

@@ -16,11 +16,10 @@ _MAD_PER_SD = 0.6744897501960817
 
 
 def fit_taxels(readings: Floats, loads: Floats, least_gain: float) -> dict[str, Floats]:
-    """Fit every taxel and tell which are dead: arrays (n_taxels,) by name.
+    """Fit every taxel to loads in kPa, and tell which are dead: arrays by name.
 
-    Readings are conductances (n_frames, n_taxels), NaN where there is none; loads are
-    in kPa, at least three different ones. A taxel is dead below the share `least_gain`
-    of the median gain.
+    Readings are conductances (n_frames, n_taxels), NaN where there is none; a taxel is
+    dead below the share `least_gain` of the median gain.
     """
     steps, group = _group_loads(loads)
     silent = np.isnan(readings).mean(axis=0) > 0.5

@@ -42,10 +42,7 @@ _ROUND_COPIES = 36
 def learn_template(
     images: Floats, centres: Floats, symmetry: int
 ) -> tuple[Floats, Floats]:
-    """Return a template (size, size) of `symmetry` and poses (n, 3) of the presses.
-
-    `centres` are a first guess of (x, y) of each press, in taxels.
-    """
+    """Return a template (size, size) and poses (n, 3), from rough centres (x, y)."""
     first = np.array([[0.0, *centres[0]]])
     template = symmetrise(_average(images[:1], first), symmetry)
     poses = first
@@ -58,9 +55,8 @@ def learn_template(
 def find_symmetry(images: Floats, centres: Floats) -> int:
     """Return in how many turns the part looks the same, 0 for all.
 
-    Each half of the presses teaches a template without symmetry; each symmetry is
-    then imposed on it and tried on the other half. The highest symmetry that fits
-    about as well as the best one is taken.
+    The highest symmetry that, imposed on a template of half the presses, fits the other
+    half about as well as the best one.
     """
     halves = [np.arange(len(images)) % 2 == k for k in (0, 1)]
     learnt = [learn_template(images[half], centres[half], 1) for half in halves]
@@ -85,8 +81,7 @@ def find_symmetry(images: Floats, centres: Floats) -> int:
 def improve(images: Floats, poses: Floats, symmetry: int) -> Floats:
     """Return the template that fits presses at known poses.
 
-    The average of the presses, turned back, is blurred by interpolation; two rounds
-    of averaging what it leaves unexplained sharpen it again.
+    Averaging blurs; two rounds of averaging what is left unexplained sharpen it again.
     """
     template = symmetrise(_average(images, poses), symmetry)
     for _ in range(2):
@@ -164,10 +159,7 @@ def _choose_symmetry(error: dict[int, float]) -> int:
 def register(
     images: Floats, template: Floats, centres: Floats, symmetry: int
 ) -> tuple[Floats, Floats]:
-    """Find the pose of each press, (n, 3), and its sum of squared residuals, (n,).
-
-    `centres` are a first guess of (x, y). For symmetry 0 the angle is 0.
-    """
+    """Find poses (n, 3), from rough centres, and sums of squared residuals (n,)."""
     start = _search(images, template, centres, symmetry)
     return refine(images, template, start, symmetry)
 
@@ -205,9 +197,8 @@ def pose_variances(
 ) -> Floats:
     """Return the variances of angle, x and y, (n_touches, 3), infinite for a disc.
 
-    Errors may differ from taxel to taxel and hang together within blocks of 2 x 2,
-    as those of a part's edge do (a cluster-robust covariance). However well a press
-    fits, a ten-thousandth of its energy counts as noise of all taxels.
+    A covariance that is robust to errors that hang together in blocks of 2 x 2 taxels;
+    a ten-thousandth of a press's energy counts as noise in any case.
     """
     free = _free(symmetry)
     slopes = _slopes(images, template, poses, free)

@@ -106,11 +106,10 @@ def _per_touch(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
 def interpolate(
     images: Floats, where: Floats, edges: str, interpolation: str
 ) -> Floats:
-    """Return image levels at positions between pixels, (n_touches, ...).
+    """Return levels at positions `where`, (2, n_touches, ...), as (n_touches, ...).
 
-    `where` holds (row, column) of each, (2, n_touches, ...); pixel centres are
-    integers. A single image serves all touches. `edges` and `interpolation` are as in
-    `repose`.
+    Positions are (row, column), pixel centres integers. One image may serve all
+    touches.
     """
     # A turn by 90 degrees leaves rounding that would blur a pixel into the next.
     exact = where.round(12)
