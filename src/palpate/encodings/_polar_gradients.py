@@ -150,8 +150,6 @@ def _channels(image: Array, sigma: float, grid: Grid) -> NDArray[np.float32]:
     )
 
 
-def _turned(
-    first: Array, second: Array, cos: Floats, sin: Floats
-) -> tuple[Array, Array]:
+def _turned(x: Array, y: Array, cos: Floats, sin: Floats) -> tuple[Array, Array]:
     """Components relative to the direction with this cosine and sine."""
-    return first * cos + second * sin, second * cos - first * sin
+    return x * cos + y * sin, y * cos - x * sin

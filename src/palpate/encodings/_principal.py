@@ -32,7 +32,6 @@ from ._pixels import ScaledPixels
 from ._zernike import ZernikeMoments
 
 Components = int | float | None
-_REAL_OUTPUTS = ("abs", "noll", "noll_abs")
 _FOLDS = 5
 _LEARNT_FROM = 600
 
@@ -117,7 +116,7 @@ class ZernikePCA(PrincipalEncoder):
         self.drop_constant, self.repeat_negative = drop_constant, repeat_negative
 
     def _first(self) -> ZernikeMoments:
-        check_option("output", self.output, _REAL_OUTPUTS)
+        check_option("output", self.output, ("abs", "noll", "noll_abs"))
         options = self.get_params(deep=False)
         del options["n_components"]
         return ZernikeMoments(**options)

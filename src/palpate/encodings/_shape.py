@@ -136,9 +136,7 @@ class FourierDescriptors(ImageEstimator):
 def outer_boundary(shape: NDArray[np.bool_]) -> Floats:
     """The largest component's outer boundary (column, row) as a closed walk, (n, 2)."""
     pixels = shape.astype(np.uint8)
-    n_labels, labels, stats, _ = cv2.connectedComponentsWithStats(
-        pixels, connectivity=8
-    )
+    n_labels, labels, stats, _ = cv2.connectedComponentsWithStats(pixels)
     if n_labels == 1:
         return np.empty((0, 2))
     largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())

@@ -9,6 +9,7 @@ it where the disc sits in the middle of the frame, else in blocks.
 """
 
 from functools import lru_cache
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -75,16 +76,16 @@ def separable_moments(images: Array, grid: Grid) -> Floats:
 
 def dense_moments(images: Array, grid: Grid) -> Floats:
     """Cosine then sine parts of all moments, through the basis itself."""
-    taxels = _dense_taxels(grid)
+    taxels, flat = _dense_taxels(grid), images.reshape(len(images), -1)
     n_parts = 2 * len(zernike_degrees(grid.order))
     parts = np.zeros((len(images), n_parts))
     step = max(1, _BASIS_AT_ONCE // n_parts)
     for start in range(0, len(taxels), step):
         basis = _dense_basis(grid, start, start + step)
-        for i in range(0, len(images), 64):
-            block = images[i : i + 64].reshape(len(images[i : i + 64]), -1)
-            levels = block[:, taxels[start : start + step]].astype(np.float64)
-            parts[i : i + 64] += levels @ basis
+        for i in range(0, len(images), _IMAGES_AT_ONCE):
+            rows = slice(i, i + _IMAGES_AT_ONCE)
+            levels = flat[rows, taxels[start : start + step]].astype(np.float64)
+            parts[rows] += levels @ basis
     return parts
 
 
@@ -166,9 +167,8 @@ def _table(grid: Grid) -> _Table:
     weights = legendre_weights(order)[:, i, j].T
     cut = np.flatnonzero(disc.is_cut()) if grid.exact else np.empty(0, dtype=np.intp)
     rows = _cut_integrals(disc, cut, order)[:, i, j] @ _parts(weights)
-    return _Table(
-        halves, across, j * (order + 1) + i, cut, np.vstack([_parts(weights), rows])
-    )
+    both = np.vstack([_parts(weights), rows])
+    return _Table(halves, across, j * (order + 1) + i, cut, both)
 
 
 def _parts(values: NDArray[np.complex128]) -> Floats:
@@ -272,10 +272,9 @@ def _quarters(grid: Grid) -> tuple[list[_Quarter], NDArray[np.intp], int]:
     down = np.concatenate([np.ones_like(m), -np.ones_like(m)])
     across = np.concatenate([sign, -sign])
     quarters = []
-    for vertical in (1, -1):
-        for horizontal in (1, -1):
-            columns = np.flatnonzero((down == vertical) & (across == horizontal))
-            part = np.ascontiguousarray(basis[:, columns], dtype)
-            quarters.append(_Quarter(vertical, horizontal, columns, part))
+    for vertical, horizontal in product((1, -1), repeat=2):
+        columns = np.flatnonzero((down == vertical) & (across == horizontal))
+        part = np.ascontiguousarray(basis[:, columns], dtype)
+        quarters.append(_Quarter(vertical, horizontal, columns, part))
     width = disc.n_cols - left
     return quarters, (row - top) * width + (col - left), len(down)

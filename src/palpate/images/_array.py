@@ -119,10 +119,8 @@ class ArrayCleanUp(ImageEstimator):
         yield "gamma", corrected
         filtered = filter_noise(corrected, self.n_sd)
         yield "filtered", filtered
-        yield (
-            "binary",
-            binarise(filtered, self.n_partitions, min_contrast=self.min_contrast),
-        )
+        binary = binarise(filtered, self.n_partitions, min_contrast=self.min_contrast)
+        yield "binary", binary
 
     def __sklearn_tags__(self) -> Tags:
         tags = super().__sklearn_tags__()

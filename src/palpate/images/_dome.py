@@ -20,12 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import clone
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import (
-    check_count,
-    check_number,
-    check_option,
-    check_positive,
-)
+from .._checks import check_count, check_number, check_option, check_positive
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
 from ._central_moments import inscribed_mask

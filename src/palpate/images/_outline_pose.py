@@ -79,12 +79,8 @@ def press_pose(images: ArrayLike, pitch_mm: float, symmetry: int = 1) -> Poses:
     order = check_count("symmetry", symmetry, at_least=0)
     shapes = [outlines(filled, n, g) for n, g in product(_PARTITIONS, _GAMMAS)]
     places = np.stack([outline_centres(shape) for shape in shapes])
-    waves = np.stack(
-        [
-            outline_wave(shape, place, max(order, 1))
-            for shape, place in zip(shapes, places, strict=True)
-        ]
-    )
+    pairs = zip(shapes, places, strict=True)
+    waves = np.stack([outline_wave(*pair, max(order, 1)) for pair in pairs])
     of_place, of_wave = _pixel_variances(shapes[0], places[0])
     sd = np.sqrt(places.var(axis=0).sum(axis=1) + of_place)
     angle, sd_deg = _angle(waves, of_wave, order)

@@ -17,6 +17,8 @@ from scipy.ndimage import distance_transform_edt
 from .._types import Floats
 from ._repose import interpolate, repose
 
+Pair = tuple[Floats, Floats]
+
 OVERSAMPLING = 2
 # Penalty on the plane's rise over `_PLANE_TAXELS`, so that tilt is not unlimited.
 _PLANE_PRECISION, _PLANE_TAXELS = 0.3, 3.0
@@ -39,9 +41,7 @@ _LEAST_LIKENESS = 0.8
 _ROUND_COPIES = 36
 
 
-def learn_template(
-    images: Floats, centres: Floats, symmetry: int
-) -> tuple[Floats, Floats]:
+def learn_template(images: Floats, centres: Floats, symmetry: int) -> Pair:
     """Return a template (size, size) and poses (n, 3), from rough centres (x, y)."""
     first = np.array([[0.0, *centres[0]]])
     template = symmetrise(_average(images[:1], first), symmetry)
@@ -156,17 +156,13 @@ def _choose_symmetry(error: dict[int, float]) -> int:
     return max((s for s in error if s and error[s] <= limit), default=1)
 
 
-def register(
-    images: Floats, template: Floats, centres: Floats, symmetry: int
-) -> tuple[Floats, Floats]:
+def register(images: Floats, template: Floats, centres: Floats, symmetry: int) -> Pair:
     """Find poses (n, 3), from rough centres, and sums of squared residuals (n,)."""
     start = _search(images, template, centres, symmetry)
     return refine(images, template, start, symmetry)
 
 
-def refine(
-    images: Floats, template: Floats, start: Floats, symmetry: int
-) -> tuple[Floats, Floats]:
+def refine(images: Floats, template: Floats, start: Floats, symmetry: int) -> Pair:
     """Improve poses by damped Gauss-Newton steps; returns as `register` does."""
     free = _free(symmetry)
     poses, damping = start.copy(), np.full((len(start), 1), 1e-3)
@@ -270,9 +266,7 @@ def _residuals(images: Floats, template: Floats, poses: Floats) -> Floats:
     return np.concatenate([misfit.reshape(len(images), -1), penalty], axis=1)
 
 
-def _solve_planes(
-    images: Floats, drawn: Floats, poses: Floats
-) -> tuple[Floats, Floats]:
+def _solve_planes(images: Floats, drawn: Floats, poses: Floats) -> Pair:
     """Plane of each image by penalised least squares, and the template's square."""
     x, y = _offsets(poses, images.shape[1:])
     parts = np.stack([drawn, drawn * x / _PLANE_TAXELS, drawn * y / _PLANE_TAXELS])
@@ -304,7 +298,7 @@ def _sum_blocks(values: Floats, shape: tuple[int, ...]) -> Floats:
     return np.concatenate([blocks.reshape(n, k, -1), rest], axis=2)
 
 
-def _offsets(poses: Floats, shape: tuple[int, ...]) -> tuple[Floats, Floats]:
+def _offsets(poses: Floats, shape: tuple[int, ...]) -> Pair:
     """X and y of the taxels from each pose's origin, (n, 1, cols) and (n, rows, 1)."""
     rows = np.arange(shape[0]) - (shape[0] - 1) / 2
     cols = np.arange(shape[1]) - (shape[1] - 1) / 2

@@ -78,14 +78,9 @@ class Rims:
     @classmethod
     def of(cls, circles: Iterable[Circle]) -> Rims:
         """Gather circles, one a touch."""
-        row, col, radius, visible, score = zip(*map(_IN_ORDER, circles), strict=True)
-        return cls(
-            np.array(row, float),
-            np.array(col, float),
-            np.array(radius, float),
-            np.array(visible, bool),
-            np.array(score, float),
-        )
+        columns = zip(*map(_IN_ORDER, circles), strict=True)
+        kinds = (float, float, float, bool, float)
+        return cls(*(np.array(v, kind) for v, kind in zip(columns, kinds, strict=True)))
 
     def __len__(self) -> int:
         return len(self.row)
@@ -151,10 +146,7 @@ def find_rims(
         If `images` are no finite images.
     """
     checked = as_images(images)
-    if near is None:
-        near = typical_rim(checked, no_contact=no_contact)
-    else:
-        near = _checked(near)
+    near = _checked(near) or typical_rim(checked, no_contact=no_contact)
     return rims_near(checked, near)
 
 
