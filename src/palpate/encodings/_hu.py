@@ -87,8 +87,7 @@ class HuMoments(ImageEstimator):
         invariants = _hu(central_moments(seen))[:, : self.n_components]
         if not self.log:
             return invariants
-        sizes = np.log10(1 + np.abs(invariants) / _SMALLEST)
-        return np.asarray(np.sign(invariants) * sizes)
+        return np.sign(invariants) * np.log10(1 + np.abs(invariants) / _SMALLEST)
 
     def get_feature_names_out(self, input_features: object = None) -> Array:
         """Return "hu1" to "hu7"."""
@@ -127,7 +126,3 @@ def _hu(moments: CentralMoments) -> Floats:
         fourth.imag,
     ]
     return np.stack(invariants, axis=1)
-
-
-def _signed_log(values: Floats) -> Floats:
-    return np.sign(values) * np.log10(1 + np.abs(values) / _SMALLEST)

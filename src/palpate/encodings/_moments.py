@@ -125,10 +125,7 @@ class CentroidMoments(ImageEstimator):
 
 
 def sorted_taxels(images: ArrayLike, *, normalise: bool = False) -> Floats:
-    """Return each image's levels, largest first, (n_touches, n_rows * n_cols).
-
-    With `normalise` over the sum of their sizes; they tell what is not owed to shape.
-    """
+    """Return each image's levels, largest first, (n_touches, n_rows * n_cols)."""
     checked = check_images(images)
     if normalise:
         checked = checked / _size(checked, "total")[:, None, None]

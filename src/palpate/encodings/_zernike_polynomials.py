@@ -46,9 +46,8 @@ def zernike_values(
 ) -> Iterator[NDArray[np.complex128]]:
     """Yield V(n, m) at the points (x, y), in the order of `zernike_degrees`."""
     z = x + 1j * y
-    yield from _recurrence(
-        order, np.ones_like(z), lambda v: z * v, lambda v: z.conj() * v
-    )
+    one = np.ones_like(z)
+    return _recurrence(order, one, lambda v: z * v, lambda v: z.conj() * v)
 
 
 @lru_cache(maxsize=32)

@@ -79,10 +79,7 @@ def find_symmetry(images: Floats, centres: Floats) -> int:
 
 
 def improve(images: Floats, poses: Floats, symmetry: int) -> Floats:
-    """Return the template that fits presses at known poses.
-
-    Averaging blurs; two rounds of averaging what is left unexplained sharpen it again.
-    """
+    """Return the template of presses at known poses: an average, sharpened twice."""
     template = symmetrise(_average(images, poses), symmetry)
     for _ in range(2):
         drawn = render(template, poses, images.shape[1:])

@@ -130,10 +130,7 @@ def refine(
 
 
 def _edge_points(small: NDArray[np.uint8]) -> NDArray[np.float32] | None:
-    """Return row, col and unit gradient (row, col) of the strongest edge points.
-
-    They exceed three times the median gradient, or one per cent of the range a pixel.
-    """
+    """Row, col and unit gradient of points steeper than thrice the median, or 1 %."""
     smooth = cv2.GaussianBlur(small, (5, 5), 1.0, borderType=cv2.BORDER_REPLICATE)
     dx, dy = cv2.spatialGradient(smooth)
     some = np.abs(dx[::3, ::3]) + np.abs(dy[::3, ::3])
