@@ -12,8 +12,6 @@ from .._types import Array, Floats
 from ..images import CentralMoments, above_least, central_moments, inscribed_mask
 
 N_MOMENTS = 7
-LEVELS = ("above-least", "raw")
-REGIONS = ("disc", "frame")
 # Sizes at which the logarithm starts: below lies rounding error.
 _SMALLEST = 1e-12
 
@@ -75,8 +73,8 @@ class HuMoments(ImageEstimator):
                 f"n_components must be at most 7, got {self.n_components}. "
                 "There are seven Hu moments."
             )
-        check_option("region", self.region, REGIONS)
-        check_option("levels", self.levels, LEVELS)
+        check_option("region", self.region, ("disc", "frame"))
+        check_option("levels", self.levels, ("above-least", "raw"))
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the moments, shape (n_touches, n_components)."""
@@ -87,7 +85,9 @@ class HuMoments(ImageEstimator):
         raw = self.levels == "raw"
         seen = images * mask if raw else _relative(images, mask)
         invariants = _hu(central_moments(seen))[:, : self.n_components]
-        return _signed_log(invariants) if self.log else invariants
+        if not self.log:
+            return invariants
+        return np.sign(invariants) * np.log10(1 + np.abs(invariants) / _SMALLEST)
 
     def get_feature_names_out(self, input_features: object = None) -> Array:
         """Return "hu1" to "hu7"."""
@@ -126,8 +126,3 @@ def _hu(moments: CentralMoments) -> Floats:
         fourth.imag,
     ]
     return np.stack(invariants, axis=1)
-
-
-def _signed_log(values: Floats) -> Floats:
-    logs: Floats = np.sign(values) * np.log10(1 + np.abs(values) / _SMALLEST)
-    return logs

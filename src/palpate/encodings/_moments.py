@@ -18,7 +18,6 @@ from .._checks import check_count, check_images, check_option, check_positive
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
 
-_NORMALISATIONS = ("energy", "total", None)
 # Powers of the coordinates lose all digits to cancellation beyond this order.
 _HIGHEST_ORDER = 20
 
@@ -86,7 +85,7 @@ class CentroidMoments(ImageEstimator):
         if order > _HIGHEST_ORDER:
             raise ValueError(f"order must be at most {_HIGHEST_ORDER}, got {order}.")
         check_positive("width", self.width)
-        check_option("normalise", self.normalise, _NORMALISATIONS)
+        check_option("normalise", self.normalise, ("energy", "total", None))
         check_positive("centre_power", self.centre_power)
         degrees = [(n, m) for n in range(order + 1) for m in range(n % 2, n + 1, 2)]
         self.degrees_ = np.array(degrees)
@@ -126,11 +125,7 @@ class CentroidMoments(ImageEstimator):
 
 
 def sorted_taxels(images: ArrayLike, *, normalise: bool = False) -> Floats:
-    """Return each image's levels, largest first, (n_touches, n_rows * n_cols).
-
-    What a recogniser reaches on these is what it does not owe to shape. With
-    `normalise` each image is divided by the sum of the sizes of its levels first.
-    """
+    """Return each image's levels, largest first, (n_touches, n_rows * n_cols)."""
     checked = check_images(images)
     if normalise:
         checked = checked / _size(checked, "total")[:, None, None]

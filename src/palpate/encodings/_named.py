@@ -43,9 +43,7 @@ ENCODINGS: dict[str, tuple[type, dict[str, Any]]] = {
 
 
 def encoder_named(
-    name: str,
-    n_components: Components | Iterable[Components] = None,
-    **options: Any,
+    name: str, n_components: Components | Iterable[Components] = None, **options: Any
 ) -> Any:
     """Return an unfitted encoder of images by its name.
 
@@ -90,8 +88,7 @@ def encoder_named(
                 f"joined by '+', got {name!r}."
             )
     counts = _counts_of(parts, n_components)
-    chosen = zip(parts, counts, strict=True)
-    made = [_make(part, count, options) for part, count in chosen]
+    made = [_make(*chosen, options) for chosen in zip(parts, counts, strict=True)]
     return made[0] if len(made) == 1 else EncodingUnion(made)
 
 

@@ -98,8 +98,7 @@ class PolarGradients(ImageEstimator):
         """Return the sizes, (n_touches, 6 * n_rings * (n_harmonics + 1))."""
         sizes = np.abs(self._harmonics(images))
         sizes /= self.scale_[:, np.newaxis, np.newaxis]
-        result: Floats = sizes.reshape(len(images), -1)
-        return result
+        return sizes.reshape(len(images), -1)
 
     def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
         return check_levels(check_images(X, shape=shape))
@@ -151,8 +150,6 @@ def _channels(image: Array, sigma: float, grid: Grid) -> NDArray[np.float32]:
     )
 
 
-def _turned(
-    first: Array, second: Array, cos: Floats, sin: Floats
-) -> tuple[Array, Array]:
+def _turned(x: Array, y: Array, cos: Floats, sin: Floats) -> tuple[Array, Array]:
     """Components relative to the direction with this cosine and sine."""
-    return first * cos + second * sin, second * cos - first * sin
+    return x * cos + y * sin, y * cos - x * sin

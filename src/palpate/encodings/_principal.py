@@ -32,7 +32,6 @@ from ._pixels import ScaledPixels
 from ._zernike import ZernikeMoments
 
 Components = int | float | None
-_REAL_OUTPUTS = ("abs", "noll", "noll_abs")
 _FOLDS = 5
 _LEARNT_FROM = 600
 
@@ -40,18 +39,9 @@ _LEARNT_FROM = 600
 class PrincipalEncoder(ImageEstimator):
     """Encode images by the principal components of another encoding.
 
-    Subclasses have a parameter `n_components` and say in `_first` which encoder.
-
-    Attributes
-    ----------
-    first_ : estimator
-        What encodes the images.
-    components_ : ndarray of shape (n_components_, n_features)
-        The directions, by falling variance.
-    mean_ : ndarray of shape (n_features,)
-        Mean of the training touches.
-    explained_variance_ratio_ : ndarray of shape (n_components_,)
-        Share of the variance along each direction.
+    Subclasses say in `_first` which: it becomes `first_`. Of its features `mean_`,
+    `components_` (n_components_, n_features) and `explained_variance_ratio_` are
+    learnt.
     """
 
     n_components: Components
@@ -126,7 +116,7 @@ class ZernikePCA(PrincipalEncoder):
         self.drop_constant, self.repeat_negative = drop_constant, repeat_negative
 
     def _first(self) -> ZernikeMoments:
-        check_option("output", self.output, _REAL_OUTPUTS)
+        check_option("output", self.output, ("abs", "noll", "noll_abs"))
         options = self.get_params(deep=False)
         del options["n_components"]
         return ZernikeMoments(**options)

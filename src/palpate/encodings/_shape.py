@@ -134,15 +134,9 @@ class FourierDescriptors(ImageEstimator):
 
 
 def outer_boundary(shape: NDArray[np.bool_]) -> Floats:
-    """The outer boundary of the largest component as a closed walk, (n_points, 2).
-
-    Points are (column, row), neighbours 8-connected; a part that is one pixel thin is
-    walked there and back. Empty for an empty image.
-    """
+    """The largest component's outer boundary (column, row) as a closed walk, (n, 2)."""
     pixels = shape.astype(np.uint8)
-    n_labels, labels, stats, _ = cv2.connectedComponentsWithStats(
-        pixels, connectivity=8
-    )
+    n_labels, labels, stats, _ = cv2.connectedComponentsWithStats(pixels)
     if n_labels == 1:
         return np.empty((0, 2))
     largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())

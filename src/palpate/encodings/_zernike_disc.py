@@ -61,10 +61,7 @@ class Disc(NamedTuple):
 
 
 def whole_nodes(disc: Disc, taxels: NDArray[np.intp], n_nodes: int) -> Nodes:
-    """Points and weights that integrate over whole taxels, (n_taxels, n_nodes**2) each.
-
-    `taxels` are indices into the flattened frame; `n_nodes` points lie along each side.
-    """
+    """Points and weights over whole taxels (flat indices), (n_taxels, n_nodes**2)."""
     node, weight = leggauss(n_nodes)
     half = disc.step / 2
     row, col = np.divmod(taxels, disc.n_cols)
@@ -77,8 +74,7 @@ def whole_nodes(disc: Disc, taxels: NDArray[np.intp], n_nodes: int) -> Nodes:
 class Chords(NamedTuple):
     """Lines along x that fill the parts inside the disc of taxels that its rim cuts.
 
-    Integrating over x along each line and summing with `weight` integrates over the
-    part. All arrays have shape (n_taxels, n_lines).
+    All arrays are (n_taxels, n_lines); sums with `weight` over lines integrate.
     """
 
     y: Floats
@@ -90,9 +86,8 @@ class Chords(NamedTuple):
 def cut_chords(disc: Disc, taxels: NDArray[np.intp], order: int) -> Chords:
     """Chords that integrate polynomials of degree `order` to rounding error.
 
-    Each taxel is split where the rim crosses its edges. Between, y = sin(t) makes
-    the ends of the chords analytic in t (the square root at the top and bottom of
-    the disc disappears), so Gauss-Legendre points in t converge at once.
+    Each taxel is split where the rim crosses its edges; between, y = sin(t) makes the
+    chords' ends analytic in t, so that Gauss-Legendre points converge at once.
     """
     row, col = np.divmod(taxels, disc.n_cols)
     half = disc.step / 2

@@ -31,10 +31,7 @@ def signed_degrees(order: int) -> list[tuple[int, int]]:
 
 
 def noll_degrees(order: int) -> list[tuple[int, int]]:
-    """(n, m) in the order of Noll's index j = 1, 2, ...; m < 0 means a sine.
-
-    Within an order |m| grows, and cosines have even j.
-    """
+    """(n, m) in the order of Noll's index j = 1, 2, ...; m < 0 is a sine, of odd j."""
     degrees: list[tuple[int, int]] = []
     for n in range(order + 1):
         for m in range(n % 2, n + 1, 2):
@@ -49,17 +46,15 @@ def zernike_values(
 ) -> Iterator[NDArray[np.complex128]]:
     """Yield V(n, m) at the points (x, y), in the order of `zernike_degrees`."""
     z = x + 1j * y
-    yield from _recurrence(
-        order, np.ones_like(z), lambda v: z * v, lambda v: z.conj() * v
-    )
+    one = np.ones_like(z)
+    return _recurrence(order, one, lambda v: z * v, lambda v: z.conj() * v)
 
 
 @lru_cache(maxsize=32)
 def legendre_weights(order: int) -> NDArray[np.complex128]:
     """Weights of P_i(x) P_j(y) in V(n, m), at [degree, i, j]; none of i + j > order.
 
-    Exact rationals, rounded once. Good to order 20: beyond it they are so large, with
-    both signs, that the sums lose their digits.
+    Exact rationals, rounded once; beyond order 20 their sums lose digits.
     """
     monomials = np.stack(list(_monomial_weights(order)))
     to_legendre, scale = _powers_as_legendre(order)
@@ -73,10 +68,7 @@ def legendre_weights(order: int) -> NDArray[np.complex128]:
 
 
 def _monomial_weights(order: int) -> Iterator[NDArray[np.complex128]]:
-    """Yield the weight of x^a y^b at [a, b] of each V(n, m): whole numbers.
-
-    To order 20 none needs more than 53 bits, so floating point is exact.
-    """
+    """Yield weights of x^a y^b at [a, b] of each V(n, m): whole, exact to order 20."""
 
     def times(a: Array, sign: int) -> Array:
         product = np.zeros_like(a)

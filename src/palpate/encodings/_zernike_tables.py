@@ -9,6 +9,7 @@ it where the disc sits in the middle of the frame, else in blocks.
 """
 
 from functools import lru_cache
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -40,11 +41,10 @@ class Grid(NamedTuple):
 
 
 def zernike_moments(images: Array, grid: Grid) -> NDArray[np.complex128]:
-    """Integrate images times conj(V(n, m)) over the disc, m >= 0, without weights.
+    """Integrate images times conj(V(n, m)) over the disc, (n_touches, n_degrees).
 
-    Images are finite, of any real type. Returns (n_touches, n_degrees) in the order of
-    `zernike_degrees`. Lengths are in radii of the disc, so a constant image of 1 has
-    the moment pi at (0, 0).
+    Degrees are `zernike_degrees`, lengths radii: an image of 1 has the moment pi at (0,
+    0).
     """
     method = dense_moments
     if grid.order <= HIGHEST_SEPARABLE_ORDER:
@@ -76,26 +76,23 @@ def separable_moments(images: Array, grid: Grid) -> Floats:
 
 def dense_moments(images: Array, grid: Grid) -> Floats:
     """Cosine then sine parts of all moments, through the basis itself."""
-    taxels = _dense_taxels(grid)
+    taxels, flat = _dense_taxels(grid), images.reshape(len(images), -1)
     n_parts = 2 * len(zernike_degrees(grid.order))
     parts = np.zeros((len(images), n_parts))
     step = max(1, _BASIS_AT_ONCE // n_parts)
     for start in range(0, len(taxels), step):
         basis = _dense_basis(grid, start, start + step)
-        for i in range(0, len(images), 64):
-            block = images[i : i + 64].reshape(len(images[i : i + 64]), -1)
-            levels = block[:, taxels[start : start + step]].astype(np.float64)
-            parts[i : i + 64] += levels @ basis
+        for i in range(0, len(images), _IMAGES_AT_ONCE):
+            rows = slice(i, i + _IMAGES_AT_ONCE)
+            levels = flat[rows, taxels[start : start + step]].astype(np.float64)
+            parts[rows] += levels @ basis
     return parts
 
 
 def quartered_moments(images: Array, grid: Grid) -> Floats:
     """Cosine then sine parts of all moments, through a quarter of the basis.
 
-    About the centre of a frame every cosine or sine part of a polynomial is even or
-    odd from left to right and from top to bottom. So an image is folded into four
-    quarters, one for each kind of symmetry, and a part of the basis is multiplied
-    with one of them.
+    Each part is even or odd across and down, so it meets one of four folded images.
     """
     quarters, taxels, n_parts = _quarters(grid)
     parts = np.empty((len(images), n_parts))
@@ -170,9 +167,8 @@ def _table(grid: Grid) -> _Table:
     weights = legendre_weights(order)[:, i, j].T
     cut = np.flatnonzero(disc.is_cut()) if grid.exact else np.empty(0, dtype=np.intp)
     rows = _cut_integrals(disc, cut, order)[:, i, j] @ _parts(weights)
-    return _Table(
-        halves, across, j * (order + 1) + i, cut, np.vstack([_parts(weights), rows])
-    )
+    both = np.vstack([_parts(weights), rows])
+    return _Table(halves, across, j * (order + 1) + i, cut, both)
 
 
 def _parts(values: NDArray[np.complex128]) -> Floats:
@@ -180,11 +176,7 @@ def _parts(values: NDArray[np.complex128]) -> Floats:
 
 
 def _legendre_sums(centres: Floats, step: float, order: int, exact: bool) -> Floats:
-    """P_i integrated over each taxel's side, or at its centre times the side.
-
-    Taxels beyond the disc are moved to its edge, lest their values overflow before
-    the mask removes them.
-    """
+    """P_i integrated over each taxel's side, or at its centre times the side."""
     node, weight = leggauss(order // 2 + 1) if exact else (np.zeros(1), np.full(1, 2.0))
     points = np.clip(centres[:, None] + step / 2 * node, -1, 1)
     sums: Floats = np.einsum("tgi,g->ti", legvander(points, order), weight * step / 2)
@@ -280,10 +272,9 @@ def _quarters(grid: Grid) -> tuple[list[_Quarter], NDArray[np.intp], int]:
     down = np.concatenate([np.ones_like(m), -np.ones_like(m)])
     across = np.concatenate([sign, -sign])
     quarters = []
-    for vertical in (1, -1):
-        for horizontal in (1, -1):
-            columns = np.flatnonzero((down == vertical) & (across == horizontal))
-            part = np.ascontiguousarray(basis[:, columns], dtype)
-            quarters.append(_Quarter(vertical, horizontal, columns, part))
+    for vertical, horizontal in product((1, -1), repeat=2):
+        columns = np.flatnonzero((down == vertical) & (across == horizontal))
+        part = np.ascontiguousarray(basis[:, columns], dtype)
+        quarters.append(_Quarter(vertical, horizontal, columns, part))
     width = disc.n_cols - left
     return quarters, (row - top) * width + (col - left), len(down)

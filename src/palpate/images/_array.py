@@ -119,10 +119,8 @@ class ArrayCleanUp(ImageEstimator):
         yield "gamma", corrected
         filtered = filter_noise(corrected, self.n_sd)
         yield "filtered", filtered
-        yield (
-            "binary",
-            binarise(filtered, self.n_partitions, min_contrast=self.min_contrast),
-        )
+        binary = binarise(filtered, self.n_partitions, min_contrast=self.min_contrast)
+        yield "binary", binary
 
     def __sklearn_tags__(self) -> Tags:
         tags = super().__sklearn_tags__()
@@ -131,11 +129,9 @@ class ArrayCleanUp(ImageEstimator):
 
 
 def resize(images: ArrayLike, shape: tuple[int, int] = (33, 33)) -> Floats:
-    """Resize images by linear interpolation between taxel centres, (n_touches, *shape).
+    """Resize images linearly between taxel centres, (n_touches, *shape).
 
-    Pixels are squares that tile the same field as the taxels; beyond the outermost
-    taxel centres the image continues unchanged. A side that shrinks is averaged over a
-    triangle as wide as two new pixels, so that no taxel is skipped.
+    A side that shrinks is averaged over a triangle two new pixels wide.
     """
     checked = check_images(images)
     sides = list(shape) if isinstance(shape, Iterable) else []
@@ -151,8 +147,7 @@ def correct_gamma(
 ) -> Floats:
     """Return white x (image / white) ** gamma; negative levels become 0.
 
-    `white` is the grey level that stays where it is, by default each image's largest.
-    It scales the result alone: Otsu's thresholds split the same pixels.
+    `white` is the level that stays where it is, by default each image's largest.
     """
     checked = np.maximum(check_images(images), 0)
     exponent = check_positive("gamma", gamma)
@@ -173,10 +168,9 @@ def correct_gamma(
 
 
 def filter_noise(images: ArrayLike, n_sd: float = 2.0) -> Floats:
-    """Return the images with levels below mean - n_sd x standard deviation set to 0.
+    """Return images with levels below mean - n_sd x standard deviation set to 0.
 
-    The threshold is often negative on tactile images, most of which is empty: the
-    filter then does nothing. It is kept because the paper has it.
+    Often there are none, as most of a tactile image is empty; the paper has this step.
     """
     checked = check_images(images)
     width = check_positive("n_sd", n_sd)
@@ -186,23 +180,10 @@ def filter_noise(images: ArrayLike, n_sd: float = 2.0) -> Floats:
 
 
 def otsu_threshold(images: ArrayLike) -> Floats:
-    """Return each image's threshold that splits its grey levels best, (n_touches,).
+    """Return each image's threshold of most variance between classes, (n_touches,).
 
-    The split maximises the variance between the two classes [1]_, over every gap
-    between neighbouring grey levels; no histogram is made, so any scale will do. It is
-    the middle of the best gap (the lowest, where several are equally good), and NaN
-    where the image is constant.
-
-    References
-    ----------
-    .. [1] N. Otsu, "A threshold selection method from gray-level histograms", IEEE
-       Trans. Syst. Man Cybern. 9(1), 1979. doi:10.1109/TSMC.1979.4310076
-
-    Examples
-    --------
-    >>> from palpate.images import otsu_threshold
-    >>> otsu_threshold([[[0, 0, 1], [0, 9, 9]]])
-    array([5.])
+    The middle of the best gap between grey levels (the lowest of equals), NaN for a
+    constant image. N. Otsu, IEEE SMC 9(1), 1979. doi:10.1109/TSMC.1979.4310076
     """
     checked = check_images(images)
     return _threshold_rows(checked.reshape(len(checked), -1))
@@ -213,12 +194,9 @@ def binarise(
 ) -> NDArray[np.bool_]:
     """Threshold each of n x n partitions of each image by its own Otsu threshold.
 
-    A constant partition has no threshold: it is background, unless its level is above
-    the threshold of the whole image. Without that rule a part that covers a whole
-    partition would vanish there. Where a side does not divide, the first partitions are
-    one pixel longer: 33 pixels make 17 and 16. Partitions that span at most the share
-    `min_contrast` of the whole image's span count as constant; with 0, as in the paper,
-    half of a partition of noise alone becomes foreground.
+    Partitions that span at most the share `min_contrast` of the image's span are
+    constant: background, or where their level is above the whole image's threshold,
+    foreground.
     """
     checked = check_images(images)
     n_parts = check_count("n_partitions", n_partitions)
@@ -243,9 +221,7 @@ def stage_pictures(
 ) -> dict[str, Array]:
     """Return every stage of the clean-up of one image, as the paper's Fig. 10.
 
-    In order "raw", "filled", "resized", "gamma", "filtered", "binary 1 x 1", "binary 2
-    x 2", "binary 3 x 3"; and "binary n x n" where the chain, by default the paper's,
-    uses another n.
+    In order "raw", "filled", "resized", "gamma", "filtered", "binary 1 x 1" to "3 x 3".
     """
     chain = ArrayCleanUp() if clean_up is None else clean_up
     raw = check_images(np.asarray(image)[np.newaxis], allow_nan=True)

@@ -16,11 +16,10 @@ _MAD_PER_SD = 0.6744897501960817
 
 
 def fit_taxels(readings: Floats, loads: Floats, least_gain: float) -> dict[str, Floats]:
-    """Fit every taxel and tell which are dead: arrays (n_taxels,) by name.
+    """Fit every taxel to loads in kPa, and tell which are dead: arrays by name.
 
-    Readings are conductances (n_frames, n_taxels), NaN where there is none; loads are
-    in kPa, at least three different ones. A taxel is dead below the share `least_gain`
-    of the median gain.
+    Readings are conductances (n_frames, n_taxels), NaN where there is none; a taxel is
+    dead below the share `least_gain` of the median gain.
     """
     steps, group = _group_loads(loads)
     silent = np.isnan(readings).mean(axis=0) > 0.5
@@ -39,9 +38,8 @@ def fit_taxels(readings: Floats, loads: Floats, least_gain: float) -> dict[str, 
     typical = np.median(alive) if len(alive) else np.inf
     dead = silent | (gain <= 0) | (gain < least_gain * typical)
     dead |= gain * span < 5 * noise
-    return {name: np.where(dead, np.nan, value) for name, value in learnt.items()} | {
-        "dead": dead
-    }
+    learnt = {name: np.where(dead, np.nan, value) for name, value in learnt.items()}
+    return learnt | {"dead": dead}
 
 
 def _median(values: Floats) -> Floats:
@@ -76,9 +74,8 @@ def _best_segment(
     for i in range(n_loads - 2):
         for j in range(i + 2, n_loads):
             slope = np.median(slopes[(low >= i) & (high <= j)], axis=0)
-            start = np.median(
-                levels[i : j + 1] - slope * loads[i : j + 1, None], axis=0
-            )
+            rest = levels[i : j + 1] - slope * loads[i : j + 1, None]
+            start = np.median(rest, axis=0)
             error = _mean_error(loads, levels, i, j, slope, start)
             n_ends = (i > 0) + (j < n_loads - 1)
             # Bayesian information criterion of Laplace noise; flat ends cost double.

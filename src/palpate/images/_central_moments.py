@@ -20,16 +20,10 @@ ORDER = 3
 
 @dataclass(frozen=True)
 class CentralMoments:
-    """Moments of a set of images about each image's own centroid.
+    """Moments of images about each image's own centroid (`x`, `y`).
 
-    Attributes
-    ----------
-    mass : ndarray of shape (n_touches,)
-        Sum of the levels.
-    x, y : ndarray of shape (n_touches,)
-        Centroid, in pixels from the middle of the frame; 0 where the mass is 0.
-    mu : ndarray of shape (n_touches, 4, 4)
-        `mu[:, q, p]` is the sum of level * (x - centroid)^p * (y - centroid)^q.
+    The centroid is in pixels from the middle of the frame, 0 where the `mass` (sum of
+    levels) is; `mu[:, q, p]` sums level * (x - centroid)^p * (y - centroid)^q.
     """
 
     mass: Floats
@@ -39,14 +33,7 @@ class CentralMoments:
 
 
 def central_moments(images: ArrayLike) -> CentralMoments:
-    """Return the central moments of images to order 3 along x and y.
-
-    Examples
-    --------
-    >>> from palpate.images import central_moments
-    >>> central_moments([[[0, 1, 1, 0]]]).mu[0, 0]
-    array([2. , 0. , 0.5, 0. ])
-    """
+    """Return the central moments of images to order 3 along x and y."""
     checked = check_images(images)
     _, n_rows, n_cols = checked.shape
     down, across = _powers(n_rows), _powers(n_cols)
@@ -61,18 +48,7 @@ def central_moments(images: ArrayLike) -> CentralMoments:
 
 @lru_cache(maxsize=16)
 def inscribed_mask(n_rows: int, n_cols: int) -> NDArray[np.bool_]:
-    """Return which pixel centres lie in the largest disc about the frame's middle.
-
-    Read-only, since all callers share it.
-
-    Examples
-    --------
-    >>> from palpate.images import inscribed_mask
-    >>> inscribed_mask(3, 5).astype(int)
-    array([[0, 1, 1, 1, 0],
-           [0, 1, 1, 1, 0],
-           [0, 1, 1, 1, 0]])
-    """
+    """Which pixel centres lie in the frame's inscribed disc; shared, so read-only."""
     row = np.arange(n_rows) - (n_rows - 1) / 2
     col = np.arange(n_cols) - (n_cols - 1) / 2
     squared = row[:, np.newaxis] ** 2 + col**2
@@ -82,11 +58,7 @@ def inscribed_mask(n_rows: int, n_cols: int) -> NDArray[np.bool_]:
 
 
 def above_least(images: ArrayLike, mask: NDArray[np.bool_]) -> Floats:
-    """Return levels above each image's least level in the mask, zero outside it.
-
-    Moments of these do not notice a shift of all levels, and exist for
-    standardised images too, whose own levels sum to zero.
-    """
+    """Return levels above each image's least level in the mask, zero outside it."""
     checked = check_images(images)
     least = np.where(mask, checked, np.inf).min(axis=(1, 2), keepdims=True)
     levels: Floats = (checked - least) * mask
@@ -96,8 +68,7 @@ def above_least(images: ArrayLike, mask: NDArray[np.bool_]) -> Floats:
 def _powers(n: int) -> Floats:
     """Return 1, x, x^2, x^3 of pixel centres from the middle, (n, 4)."""
     from_middle = np.arange(n) - (n - 1) / 2
-    powers: Floats = (from_middle[:, None] ** np.arange(ORDER + 1)).astype(np.float64)
-    return powers
+    return (from_middle[:, None] ** np.arange(ORDER + 1)).astype(np.float64)
 
 
 def _shift(centre: Floats) -> Floats:
@@ -106,5 +77,4 @@ def _shift(centre: Floats) -> Floats:
     gap = order[:, None] - order
     binomial = pascal(ORDER + 1, kind="lower").astype(float)
     powers = (-centre[:, None, None]) ** np.maximum(gap, 0)
-    shift: Floats = np.where(gap >= 0, binomial * powers, 0.0)
-    return shift
+    return np.where(gap >= 0, binomial * powers, 0.0)

@@ -78,7 +78,10 @@ def _solve(images: Floats, is_dead: NDArray[np.bool_]) -> Floats:
     n_dead = int(is_dead.sum())
     diagonal, known = np.zeros(n_dead), np.zeros((n_dead, len(images)))
     pairs: list[Array] = []
-    for here, there in _neighbours():
+    # Slices that pair each taxel with its right and lower neighbour, and the reverse.
+    every, head, tail = slice(None), slice(None, -1), slice(1, None)
+    across = [((every, head), (every, tail)), ((head, every), (tail, every))]
+    for here, there in across + [(there, here) for here, there in across]:
         unknown = number[here][is_dead[here]]
         neighbour = number[there][is_dead[here]]
         np.add.at(diagonal, unknown, 1)
@@ -92,10 +95,3 @@ def _solve(images: Floats, is_dead: NDArray[np.bool_]) -> Floats:
     solved = images.copy()
     solved[:, is_dead] = spsolve(matrix, known).reshape(n_dead, -1).T
     return solved
-
-
-def _neighbours() -> list[tuple[tuple[slice, slice], tuple[slice, slice]]]:
-    """Slices of an image that pair each taxel with one neighbour, four times."""
-    every, head, tail = slice(None), slice(None, -1), slice(1, None)
-    across = [((every, head), (every, tail)), ((head, every), (tail, every))]
-    return across + [(there, here) for here, there in across]

@@ -20,12 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import clone
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import (
-    check_count,
-    check_number,
-    check_option,
-    check_positive,
-)
+from .._checks import check_count, check_number, check_option, check_positive
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
 from ._central_moments import inscribed_mask
@@ -249,11 +244,9 @@ class DerivativeMagnitude(ImageEstimator):
 def crop_discs(
     images: ArrayLike, rims: Rims, radius: float, size: int
 ) -> NDArray[np.float32]:
-    """Return the disc of `radius` about each rim's centre, (n_touches, size, size).
+    """Return the disc of `radius` pixels about each rim, (n_touches, size, size).
 
-    Zero outside. `radius` is in pixels of the images, of `rims` only the centres are
-    used. The centre lies in the middle of the canvas and the disc touches its four
-    sides; where the disc leaves the frame, the frame's edge is repeated.
+    Zero outside; where the disc leaves the frame, the frame's edge is repeated.
     """
     checked = as_images(images)
     if len(rims) != len(checked):
@@ -267,11 +260,7 @@ def crop_discs(
 
 
 def standardise_discs(discs: ArrayLike) -> NDArray[np.float32]:
-    """Bring each square disc to mean 0 and variance 1, and its outside to 0.
-
-    A constant disc becomes zeros: its levels spread by less than a millionth of the
-    largest.
-    """
+    """Bring each square disc to mean 0 and variance 1; flat discs and outsides to 0."""
     images = as_images(discs)
     rows, cols = images.shape[1:]
     if rows != cols:

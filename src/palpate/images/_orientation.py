@@ -23,15 +23,10 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Orientations:
-    """How each image of a set is elongated.
+    """Direction of the long axis, -180 to 180, and anisotropy of images, (n_touches,).
 
-    Attributes
-    ----------
-    angle_deg : ndarray of shape (n_touches,)
-        Direction of the long axis, from -180 to 180; the long tail points there.
-    anisotropy : ndarray of shape (n_touches,)
-        (a - b) / (a + b) of the largest and least second moments a and b: 0 for
-        what looks alike in two directions at right angles, 1 for a line.
+    The long tail points to `angle_deg`; the anisotropy (a - b) / (a + b) of the largest
+    and least second moments is 1 for a line, 0 for what looks alike at right angles.
     """
 
     angle_deg: Floats
@@ -82,21 +77,8 @@ class OrientationRegulariser(ImageEstimator):
 def orientations(images: ArrayLike) -> Orientations:
     """Return direction and anisotropy of each image, from its central moments.
 
-    Parameters
-    ----------
-    images : array-like of shape (n_touches, n_rows, n_cols)
-
-    Returns
-    -------
-    Orientations
-
-    Notes
-    -----
-    Levels count from the least one in the inscribed disc, so that neither
-    brightness nor contrast matters. Second moments give an axis; which of its two
-    ends is meant, the third moment along it settles: the tail that reaches further
-    points towards `angle_deg`. Without a direction (a blank image, a disc), angle
-    and anisotropy are 0.
+    Levels count from the least one in the inscribed disc. The third moment along the
+    axis of the second ones tells its ends apart. Without a direction, both are 0.
     """
     checked = check_images(images)
     mask = inscribed_mask(*checked.shape[1:])

@@ -63,54 +63,24 @@ class Poses:
 
 
 def press_pose(images: ArrayLike, pitch_mm: float, symmetry: int = 1) -> Poses:
-    """Estimate the pose of a part of known symmetry from single presses.
+    """Estimate poses of a part of known symmetry from presses (n_touches, rows, cols).
 
-    The press is made binary by Otsu's thresholds, much as in `ArrayCleanUp`; place is
-    the outline's centroid, and the angle is that of the wave with `symmetry` crests
-    around it: 0 when the part reaches farthest along the columns. A bar at 0 lies
-    along x; a square at 0 stands on a corner.
+    Place is the centroid of the outline, much as of `ArrayCleanUp`; the angle is that
+    of the wave with `symmetry` crests around it (symmetry 0: none), 0 when the part
+    reaches farthest along the columns: a bar at 0 lies along x, a square at 0 stands on
+    a corner. A part longer than the array is placed where its visible piece is. NaN is
+    a dead taxel.
 
-    Parameters
-    ----------
-    images : array-like of shape (n_touches, n_rows, n_cols)
-        NaN marks a dead taxel.
-    pitch_mm : float
-        Distance of neighbouring taxels, in mm.
-    symmetry : int, default=1
-        In how many turns the part looks the same; 0 when every turn does.
-
-    Returns
-    -------
-    poses : Poses
-
-    Notes
-    -----
     The variances are those over nine outlines (1, 2 and 3 partitions, three gammas),
-    and what pixels at the edge may each be wrong by, as if independent. So they show
-    what the outline leaves open, not a miscalibration of the array. A part longer
-    than the array is placed where its visible piece is.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from palpate.images import press_pose
-    >>> bar = np.zeros((1, 10, 10))
-    >>> bar[0, 2:4, 1:9] = 100
-    >>> poses = press_pose(bar, pitch_mm=2.0, symmetry=2)
-    >>> poses.x_mm.round(6) + 0, poses.y_mm.round(6), poses.angle_deg.round(6) + 0
-    (array([0.]), array([-4.]), array([0.]))
+    and what pixels at the edge may each be wrong by, as if independent.
     """
     filled = fill_dead_taxels(check_images(images, allow_nan=True))
     pitch = check_positive("pitch_mm", pitch_mm)
     order = check_count("symmetry", symmetry, at_least=0)
     shapes = [outlines(filled, n, g) for n, g in product(_PARTITIONS, _GAMMAS)]
     places = np.stack([outline_centres(shape) for shape in shapes])
-    waves = np.stack(
-        [
-            outline_wave(shape, place, max(order, 1))
-            for shape, place in zip(shapes, places, strict=True)
-        ]
-    )
+    pairs = zip(shapes, places, strict=True)
+    waves = np.stack([outline_wave(*pair, max(order, 1)) for pair in pairs])
     of_place, of_wave = _pixel_variances(shapes[0], places[0])
     sd = np.sqrt(places.var(axis=0).sum(axis=1) + of_place)
     angle, sd_deg = _angle(waves, of_wave, order)
@@ -155,8 +125,7 @@ def outline_wave(shapes: Array, centres: Floats, order: int) -> Waves:
 def doubt_of_angle(variance: Floats, symmetry: int) -> Floats:
     """Standard deviations in degrees of variances in square radians.
 
-    Infinite where they tell nothing: an angle drawn at random from the turns that look
-    different has 360 / symmetry / sqrt(12) degrees.
+    Infinite from 360 / symmetry / sqrt(12) degrees, those of an angle drawn at random.
     """
     if symmetry == 0:
         return np.full(len(variance), np.inf)
@@ -173,10 +142,7 @@ def within_period(angle: Floats, period: float) -> Floats:
 def _pixel_variances(
     shapes: NDArray[np.bool_], centres: Floats
 ) -> tuple[Floats, Floats]:
-    """Variances of place (square taxels) and wave left open by pixels at the edge.
-
-    How much of each the part covers may be anything between nothing and all.
-    """
+    """Variances of place (square taxels) and wave, as edge pixels may count or not."""
     cross = generate_binary_structure(2, 1)[np.newaxis]
     edge = (shapes & ~binary_erosion(shapes, cross)) * _COVERAGE_VARIANCE
     y, x = _grid(shapes.shape[1:])

@@ -17,6 +17,8 @@ from scipy.ndimage import distance_transform_edt
 from .._types import Floats
 from ._repose import interpolate, repose
 
+Pair = tuple[Floats, Floats]
+
 OVERSAMPLING = 2
 # Penalty on the plane's rise over `_PLANE_TAXELS`, so that tilt is not unlimited.
 _PLANE_PRECISION, _PLANE_TAXELS = 0.3, 3.0
@@ -39,13 +41,8 @@ _LEAST_LIKENESS = 0.8
 _ROUND_COPIES = 36
 
 
-def learn_template(
-    images: Floats, centres: Floats, symmetry: int
-) -> tuple[Floats, Floats]:
-    """Return a template (size, size) of `symmetry` and poses (n, 3) of the presses.
-
-    `centres` are a first guess of (x, y) of each press, in taxels.
-    """
+def learn_template(images: Floats, centres: Floats, symmetry: int) -> Pair:
+    """Return a template (size, size) and poses (n, 3), from rough centres (x, y)."""
     first = np.array([[0.0, *centres[0]]])
     template = symmetrise(_average(images[:1], first), symmetry)
     poses = first
@@ -58,9 +55,8 @@ def learn_template(
 def find_symmetry(images: Floats, centres: Floats) -> int:
     """Return in how many turns the part looks the same, 0 for all.
 
-    Each half of the presses teaches a template without symmetry; each symmetry is
-    then imposed on it and tried on the other half. The highest symmetry that fits
-    about as well as the best one is taken.
+    The highest symmetry that, imposed on a template of half the presses, fits the other
+    half about as well as the best one.
     """
     halves = [np.arange(len(images)) % 2 == k for k in (0, 1)]
     learnt = [learn_template(images[half], centres[half], 1) for half in halves]
@@ -83,11 +79,7 @@ def find_symmetry(images: Floats, centres: Floats) -> int:
 
 
 def improve(images: Floats, poses: Floats, symmetry: int) -> Floats:
-    """Return the template that fits presses at known poses.
-
-    The average of the presses, turned back, is blurred by interpolation; two rounds
-    of averaging what it leaves unexplained sharpen it again.
-    """
+    """Return the template of presses at known poses: an average, sharpened twice."""
     template = symmetrise(_average(images, poses), symmetry)
     for _ in range(2):
         drawn = render(template, poses, images.shape[1:])
@@ -161,20 +153,13 @@ def _choose_symmetry(error: dict[int, float]) -> int:
     return max((s for s in error if s and error[s] <= limit), default=1)
 
 
-def register(
-    images: Floats, template: Floats, centres: Floats, symmetry: int
-) -> tuple[Floats, Floats]:
-    """Find the pose of each press, (n, 3), and its sum of squared residuals, (n,).
-
-    `centres` are a first guess of (x, y). For symmetry 0 the angle is 0.
-    """
+def register(images: Floats, template: Floats, centres: Floats, symmetry: int) -> Pair:
+    """Find poses (n, 3), from rough centres, and sums of squared residuals (n,)."""
     start = _search(images, template, centres, symmetry)
     return refine(images, template, start, symmetry)
 
 
-def refine(
-    images: Floats, template: Floats, start: Floats, symmetry: int
-) -> tuple[Floats, Floats]:
+def refine(images: Floats, template: Floats, start: Floats, symmetry: int) -> Pair:
     """Improve poses by damped Gauss-Newton steps; returns as `register` does."""
     free = _free(symmetry)
     poses, damping = start.copy(), np.full((len(start), 1), 1e-3)
@@ -205,9 +190,8 @@ def pose_variances(
 ) -> Floats:
     """Return the variances of angle, x and y, (n_touches, 3), infinite for a disc.
 
-    Errors may differ from taxel to taxel and hang together within blocks of 2 x 2,
-    as those of a part's edge do (a cluster-robust covariance). However well a press
-    fits, a ten-thousandth of its energy counts as noise of all taxels.
+    A covariance that is robust to errors that hang together in blocks of 2 x 2 taxels;
+    a ten-thousandth of a press's energy counts as noise in any case.
     """
     free = _free(symmetry)
     slopes = _slopes(images, template, poses, free)
@@ -279,9 +263,7 @@ def _residuals(images: Floats, template: Floats, poses: Floats) -> Floats:
     return np.concatenate([misfit.reshape(len(images), -1), penalty], axis=1)
 
 
-def _solve_planes(
-    images: Floats, drawn: Floats, poses: Floats
-) -> tuple[Floats, Floats]:
+def _solve_planes(images: Floats, drawn: Floats, poses: Floats) -> Pair:
     """Plane of each image by penalised least squares, and the template's square."""
     x, y = _offsets(poses, images.shape[1:])
     parts = np.stack([drawn, drawn * x / _PLANE_TAXELS, drawn * y / _PLANE_TAXELS])
@@ -313,7 +295,7 @@ def _sum_blocks(values: Floats, shape: tuple[int, ...]) -> Floats:
     return np.concatenate([blocks.reshape(n, k, -1), rest], axis=2)
 
 
-def _offsets(poses: Floats, shape: tuple[int, ...]) -> tuple[Floats, Floats]:
+def _offsets(poses: Floats, shape: tuple[int, ...]) -> Pair:
     """X and y of the taxels from each pose's origin, (n, 1, cols) and (n, rows, 1)."""
     rows = np.arange(shape[0]) - (shape[0] - 1) / 2
     cols = np.arange(shape[1]) - (shape[1] - 1) / 2

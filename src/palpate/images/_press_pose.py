@@ -157,15 +157,8 @@ class PressPose(BaseEstimator):
         for index in np.unique(which):
             found[which == index] = self._place(images[which == index], int(index))
         x, y_down, angle, sd, sd_deg = found.T
-        pitch = self.pitch_mm
-        return Poses(
-            x_mm=x * pitch,
-            y_mm=y_down * pitch,
-            angle_deg=angle,
-            sd_mm=sd * pitch,
-            sd_deg=sd_deg,
-            symmetry=self.symmetry_[which],
-        )
+        x_mm, y_mm, sd_mm = (taxels * self.pitch_mm for taxels in (x, y_down, sd))
+        return Poses(x_mm, y_mm, angle, sd_mm, sd_deg, self.symmetry_[which])
 
     def _learn(
         self, images: Floats, label: object, angles: Floats | None
@@ -179,16 +172,15 @@ class PressPose(BaseEstimator):
                 "images. Leave that part out."
             )
         levels, outline = levels[pressed], outline[pressed]
-        given = self.symmetry
-        if isinstance(given, Mapping):
-            given = given.get(label)
-        symmetry = given
-        if given is not None:
-            symmetry = check_count("symmetry", given, at_least=0)
+        symmetry = self.symmetry
+        if isinstance(symmetry, Mapping):
+            symmetry = symmetry.get(label)
         inflation = 1 + _OF_TEMPLATE / len(levels)
-        if symmetry is None and len(levels) >= _LEAST_FOR_SYMMETRY:
+        if symmetry is not None:
+            symmetry = check_count("symmetry", symmetry, at_least=0)
+        elif len(levels) >= _LEAST_FOR_SYMMETRY:
             symmetry = find_symmetry(levels, outline)
-        elif symmetry is None:
+        else:
             symmetry, inflation = 1, np.inf
         template, poses = learn_template(levels, outline, symmetry)
         centroid = np.zeros(2)

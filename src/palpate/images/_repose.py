@@ -6,6 +6,7 @@ turns the image from the column axis towards the row axis: clockwise as displaye
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import product
 
 import numpy as np
@@ -106,11 +107,10 @@ def _per_touch(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
 def interpolate(
     images: Floats, where: Floats, edges: str, interpolation: str
 ) -> Floats:
-    """Return image levels at positions between pixels, (n_touches, ...).
+    """Return levels at positions `where`, (2, n_touches, ...), as (n_touches, ...).
 
-    `where` holds (row, column) of each, (2, n_touches, ...); pixel centres are
-    integers. A single image serves all touches. `edges` and `interpolation` are as in
-    `repose`.
+    Positions are (row, column), pixel centres integers. One image may serve all
+    touches.
     """
     # A turn by 90 degrees leaves rounding that would blur a pixel into the next.
     exact = where.round(12)
@@ -135,10 +135,6 @@ def interpolate(
     return result
 
 
-def _linear(t: Floats) -> Floats:
-    return np.stack([1 - t, t])
-
-
 def _cubic(t: Floats) -> Floats:
     """Keys' weights, with a = -1/2, of the pixels at -1, 0, 1 and 2."""
     return np.stack(
@@ -152,4 +148,7 @@ def _cubic(t: Floats) -> Floats:
 
 
 # Name: (offset of the first pixel, weights of the pixels at a fraction of a step).
-_TAPS = {"linear": (0, _linear), "cubic": (-1, _cubic)}
+_TAPS: dict[str, tuple[int, Callable[[Floats], Floats]]] = {
+    "linear": (0, lambda t: np.stack([1 - t, t])),
+    "cubic": (-1, _cubic),
+}

@@ -78,14 +78,9 @@ class Rims:
     @classmethod
     def of(cls, circles: Iterable[Circle]) -> Rims:
         """Gather circles, one a touch."""
-        row, col, radius, visible, score = zip(*map(_IN_ORDER, circles), strict=True)
-        return cls(
-            np.array(row, float),
-            np.array(col, float),
-            np.array(radius, float),
-            np.array(visible, bool),
-            np.array(score, float),
-        )
+        columns = zip(*map(_IN_ORDER, circles), strict=True)
+        kinds = (float, float, float, bool, float)
+        return cls(*(np.array(v, kind) for v, kind in zip(columns, kinds, strict=True)))
 
     def __len__(self) -> int:
         return len(self.row)
@@ -108,26 +103,11 @@ _IN_ORDER = attrgetter(*(field.name for field in fields(Circle)))
 
 
 def find_rim(image: ArrayLike, *, near: Circle | None = None) -> Circle:
-    """Find the rim of one image.
+    """Find the rim of one finite image (n_rows, n_cols) of any integer or float type.
 
-    Parameters
-    ----------
-    image : array-like of shape (n_rows, n_cols)
-        Grey levels of any integer or float type; their unit does not matter.
-    near : Circle, optional
-        A rim of the same device, such as that of its no-contact frame. The radius is
-        held within about a per cent of it; the centre may lie anywhere within half a
-        radius of it and is not drawn towards it.
-
-    Returns
-    -------
-    Circle
-        Where no rim is visible, `near` or else the inscribed disc, marked as such.
-
-    Raises
-    ------
-    ValueError
-        If the image is not two-dimensional or holds NaN or infinity.
+    The radius is held within about a per cent of `near`'s, the centre anywhere within
+    half a radius. Where no rim is visible: `near` or the inscribed disc, marked as
+    such.
     """
     grey = np.asarray(image)
     if grey.ndim != 2:
@@ -166,10 +146,7 @@ def find_rims(
         If `images` are no finite images.
     """
     checked = as_images(images)
-    if near is None:
-        near = typical_rim(checked, no_contact=no_contact)
-    else:
-        near = _checked(near)
+    near = _checked(near) or typical_rim(checked, no_contact=no_contact)
     return rims_near(checked, near)
 
 
@@ -183,11 +160,10 @@ def typical_rim(
 ) -> Circle | None:
     """Return the rim that a set of touches has in common, or None where it has none.
 
-    It is the rim of the no-contact frame if that is visible. Otherwise it is the
-    median over at most 64 touches, evenly spread: at least half of these must show a
-    rim, of one size (median deviation of the radius below 2 %) and at one place
-    (median deviation of the centre below 15 % of the radius), which tells the rim
-    of a device from the round edges of what touches it.
+    That of the no-contact frame if visible; else the median over at most 64 touches,
+    half of which must show rims of one size (median deviation below 2 %) and place
+    (below 15 % of the radius): so a device's rim differs from round edges of what
+    touches it.
     """
     checked = as_images(images)
     if no_contact is not None:

@@ -47,10 +47,9 @@ _SIN, _COS = np.sin(_ANGLE).astype(np.float32), np.cos(_ANGLE).astype(np.float32
 class Fit(NamedTuple):
     """A fitted circle and the evidence for it.
 
-    `support` is the share of the rays across the circle, inside the frame, that have
-    a sharp edge on it; `arc` the share of a full turn that these rays cover;
-    `balance` is 1/2 where the edges surround the centre evenly and 0 where they all
-    lie on one line through it, so that the centre is not known along that line.
+    `support` is the share of the rays inside the frame with a sharp edge on the circle,
+    `arc` the share of a full turn that these rays cover, and `balance` from 0 (edges on
+    one line through the centre) to 1/2 (evenly around it).
     """
 
     circle: Triple
@@ -114,9 +113,7 @@ def refine(
 ) -> Fit | None:
     """Fit the circle near `start` to sub-pixel edges; None where there are too few.
 
-    With `radius`, the radius is held as if known to 0.3 %, against edges whose errors
-    are all of one cause: a real rim strays from a circle by a pixel or two whatever
-    the number of rays.
+    With `radius`, it is held as if known to 0.3 %, against errors all of one cause.
     """
     rays = _Rays(image, start, sign)
     if len(rays.sin) < MIN_EDGES:
@@ -133,11 +130,7 @@ def refine(
 
 
 def _edge_points(small: NDArray[np.uint8]) -> NDArray[np.float32] | None:
-    """Return row, col and unit gradient (row, col) of the strongest edge points.
-
-    The threshold is about three times the median gradient, which noise alone sets,
-    and at least one per cent of the grey levels' range a pixel.
-    """
+    """Row, col and unit gradient of points steeper than thrice the median, or 1 %."""
     smooth = cv2.GaussianBlur(small, (5, 5), 1.0, borderType=cv2.BORDER_REPLICATE)
     dx, dy = cv2.spatialGradient(smooth)
     some = np.abs(dx[::3, ::3]) + np.abs(dy[::3, ::3])
@@ -218,10 +211,7 @@ class _Rays:
         return offset
 
     def edges(self, circle: Array, width: float) -> Array:
-        """Each ray's steepest edge near `circle`: row, col, slope, usual slope, ray.
-
-        Nearness weighs with a parabola that ends at 2.5 times `width` of the band.
-        """
+        """Each ray's steepest edge near `circle`: row, col, slope, usual slope, ray."""
         reach = 2.5 * max(width * self.half, 0.03 * self.radius, 1.5)
         away = self.offset - self.predict(circle).astype(np.float32)[:, None]
         likely = self.slope * np.maximum(1 - (away / np.float32(reach)) ** 2, 0)
