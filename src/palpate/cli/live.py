@@ -49,7 +49,10 @@ def live(
         need_baseline(session)
         try:
             while episodes == 0 or len(done) < episodes:
-                episode = _episode(session, found, touches, timeout, quiet=as_json)
+                ended = done[-1]["number"] if done else 0
+                episode = _episode(
+                    session, found, touches, timeout, ended, quiet=as_json
+                )
                 if episode is None:
                     break
                 done.append(episode)
@@ -66,13 +69,16 @@ def _episode(
     found: "queue.Queue[dict[str, Any]]",
     most: int,
     timeout_s: float,
+    ended: int,
     *,
     quiet: bool,
 ) -> Episode | None:
-    """Follow one episode to its decision; None where no touch comes."""
+    """Follow the episode after number `ended` to its decision; None without a touch."""
     if not quiet:
         print("Touch an object.")
     while (episode := _next_touch(session, found, timeout_s)) is not None:
+        if episode["number"] <= ended:  # a touch that was on its way when it ended
+            continue
         touch = episode["touches"][-1]
         if not quiet:
             print(belief_line(touch["number"], touch["posterior"]), flush=True)

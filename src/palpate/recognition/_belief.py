@@ -34,22 +34,10 @@ Costs = Mapping[str, Mapping[str, float]]
 class Judge:
     """What a belief is made by: all that a recogniser has learnt beside its encoding.
 
-    Attributes
-    ----------
-    classes : ndarray of str, shape (n_objects,)
-        Names of the known objects.
-    log_prior : ndarray of shape (n_objects,)
-        Before the first touch (nats).
-    floor : float
-        Least probability that one touch leaves to all objects together.
-    sequence_calibration : SequenceCalibration
-        How the evidence of an episode adds up.
-    unknown_scale : UnknownScale
-        What episodes of known objects look like.
-    senses : mapping of str to Modality
-        Other senses.
-    memory : Memory
-        The training touches, for `Belief.explain`.
+    The `classes` (n_objects,) by name, their `log_prior` (n_objects,) before the first
+    touch (nats), the `floor` that one touch leaves to all of them together, how the
+    evidence of an episode adds up, what episodes of known objects look like, other
+    senses, and the training touches (`memory`), for `Belief.explain`.
     """
 
     classes: NDArray[np.str_]

@@ -92,13 +92,7 @@ class SequenceCalibration:
 
 
 def as_touches(given: Any) -> Touches:
-    """Return touches, one image or several images as `Touches`, or explain.
-
-    Parameters
-    ----------
-    given : Touches, sequence of Touches, or array-like
-        An image (n_rows, n_cols) or images (n_touches, n_rows, n_cols).
-    """
+    """Return touches, lists of them, an image or images as `Touches`, or explain."""
     if isinstance(given, Touches):
         return given
     if isinstance(given, list) and given and isinstance(given[0], Touches):

@@ -59,15 +59,10 @@ class ModelFileError(ValueError):
 
 
 def write_model(path: str | Path, model: object) -> Path:
-    """Write `model` to `path`, all or nothing.
+    """Write `model` to `path` (`.palpate`), all or nothing.
 
-    Parameters
-    ----------
-    path : str or Path
-        Ending in `.palpate`; an existing file is replaced in one step.
-    model : estimator or dataclass
-        Its parameters and learnt attributes must be arrays, plain values, or
-        instances of the classes in `KNOWN_CLASSES`.
+    Its parameters and learnt attributes must be arrays, plain values, or instances of
+    the classes in `KNOWN_CLASSES`.
     """
     target = check_model_path(path)
     tensors: Tensors = {}
@@ -107,18 +102,8 @@ def check_model_path(path: str | Path) -> Path:
 def read_model(path: str | Path, also: type) -> Any:
     """Return the model that `write_model` wrote, or say what is wrong with it.
 
-    Parameters
-    ----------
-    path : str or Path
-        A `.palpate` file of this format or of format 3.
-    also : type
-        The class of the model itself, beside `KNOWN_CLASSES`.
-
-    Raises
-    ------
-    ModelFileError
-        If the file is missing, damaged, truncated, of another version, or names
-        a class that is not known.
+    Of this format or of format 3; `also` is the class of the model itself, beside
+    `KNOWN_CLASSES`. Raises `ModelFileError`.
     """
     source = Path(path)
     if not source.is_file():

@@ -37,23 +37,12 @@ FINE_TAXELS = 24
 
 @dataclass(frozen=True)
 class Preset:
-    """A recipe for a recogniser.
+    """A recipe for a recogniser, with a `summary` for people.
 
-    Attributes
-    ----------
-    summary : str
-        One sentence for people.
-    encoders : callable
-        Touches -> {name: unfitted encoder}; of several the best is chosen on
-        altered validation touches.
-    classifier : callable
-        Returns an unfitted classifier.
-    floor : float
-        Least probability that one touch leaves to all objects together.
-    calibrates_sequence : bool
-        Whether it is learnt how touches add up; else they simply do.
-    skips_no_contact : bool
-        Whether touches that look like the no-contact frame say nothing.
+    `encoders` gives unfitted encoders by name, of which the best is chosen on altered
+    validation touches; `classifier` an unfitted classifier; `floor` is the least
+    probability that one touch leaves to all objects together. It may calibrate how
+    touches add up, and skip those that look like the no-contact frame.
     """
 
     summary: str
