@@ -267,8 +267,7 @@ class KernelDensityBayes(BayesRule):
         if len(points) == 1:
             return np.ones(points.shape[1])
         variances = points.var(axis=0, ddof=1) * self.scale**2
-        precisions: Floats = 1 / np.maximum(variances, self.min_variance)
-        return precisions
+        return np.asarray(1 / np.maximum(variances, self.min_variance))
 
     def _precision(self, place: int) -> Floats | None:
         return None if self.precisions_ is None else self.precisions_[place]
@@ -287,10 +286,7 @@ class KernelDensityBayes(BayesRule):
     def _without(
         self, place: int, met: NDArray[np.bool_], group: NDArray[np.intp]
     ) -> Floats:
-        """Return log densities of one object at some of the stored touches.
-
-        Each without the touches of its own group.
-        """
+        """Return one object's log densities at touches `met`, without their groups."""
         rows = self._rows()[place]
         groups = group[met], group[rows]
         precision = self._precision(place)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count
+from .._extras import needed
 from .._types import Array, Floats
 from ._kernel_density import KernelDensityBayes
 from ._kernel_sums import (
@@ -123,7 +124,7 @@ class KernelDensityIndex:
         most = MOST_CELLS if n_cells is None else check_count("n_cells", n_cells)
         self.classes_ = model.classes_
         self.n_near = check_count("n_near", n_near)
-        faiss = _faiss()
+        faiss = needed("faiss", "index", "KernelDensityIndex")
         weights, packed, sizes, starts = [], [], [], [0]
         for place, rows in enumerate(self.model._rows()):
             points, precision = model.points_[rows], model._precision(place)
@@ -193,8 +194,7 @@ class KernelDensityIndex:
         counts = np.diff(np.append(self.starts_, cells.shape[1]))
         relative = np.exp(cells - np.repeat(top, counts, axis=1))
         sums = np.add.reduceat(relative, self.starts_, axis=1)
-        result: Floats = top.astype(np.float64) + np.log(sums)
-        return result
+        return np.asarray(top.astype(np.float64) + np.log(sums))
 
     def _refined(
         self, x: NDArray[np.float32], place: int, cells: Array, shared: Floats
@@ -204,10 +204,9 @@ class KernelDensityIndex:
         own = cells[first : np.append(self.starts_, len(cells))[place + 1]]
         n_near = min(self.n_near, len(own))
         order = np.argpartition(-own, n_near - 1)
-        ends = self.ends_[first + order[:n_near]]
-        begins = np.where(
-            first + order[:n_near] > 0, self.ends_[first + order[:n_near] - 1], 0
-        )
+        nearest = first + order[:n_near]
+        ends = self.ends_[nearest]
+        begins = np.where(nearest > 0, self.ends_[nearest - 1], 0)
         near = np.concatenate(
             [self.packed_[b:e] @ x for b, e in zip(begins, ends, strict=True)]
         )
@@ -220,17 +219,6 @@ class KernelDensityIndex:
 def _log_sum(exponents: NDArray[np.float32]) -> float:
     top = exponents.max()
     return float(top + np.log(np.exp(exponents - top).sum()))
-
-
-def _faiss() -> Any:
-    try:
-        import faiss
-    except ImportError as error:
-        raise ImportError(
-            "KernelDensityIndex needs the package 'faiss', which is not installed: "
-            "pip install palpate[index]"
-        ) from error
-    return faiss
 
 
 def _cells(faiss: Any, points: Floats, n_cells: int, seed: int) -> NDArray[np.intp]:
@@ -269,5 +257,4 @@ def _weights(
 
 def _posterior(log_likelihood: Floats) -> Floats:
     shifted = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
-    result: Floats = shifted / shifted.sum(axis=1, keepdims=True)
-    return result
+    return np.asarray(shifted / shifted.sum(axis=1, keepdims=True))

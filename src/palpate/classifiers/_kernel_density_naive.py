@@ -168,8 +168,7 @@ class KernelDensityNaiveBayes(BayesRule):
 
 def _scott(values: Floats) -> Floats:
     """Return the bandwidth that is best for Gaussian values, per feature."""
-    widths: Floats = (4 / 3) ** 0.2 * _deviations(values) * len(values) ** -0.2
-    return widths
+    return np.asarray((4 / 3) ** 0.2 * _deviations(values) * len(values) ** -0.2)
 
 
 def _silverman(values: Floats) -> Floats:
@@ -179,15 +178,13 @@ def _silverman(values: Floats) -> Floats:
     robust = (high - low) / GAUSSIAN_IQR
     # Half of the values may be equal; the deviation alone is left to go by.
     spread = np.where(robust > 0, np.minimum(spread, robust), spread)
-    widths: Floats = 0.9 * spread * len(values) ** -0.2
-    return widths
+    return np.asarray(0.9 * spread * len(values) ** -0.2)
 
 
 def _deviations(values: Floats) -> Floats:
     if len(values) == 1:
         return np.ones(values.shape[1])
-    deviations: Floats = values.std(axis=0, ddof=1)
-    return deviations
+    return np.asarray(values.std(axis=0, ddof=1))
 
 
 RULES: dict[str, Callable[[Floats], Floats]] = {

@@ -10,7 +10,7 @@ without a single further fit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from typing import Self
 
 import numpy as np
@@ -220,8 +220,7 @@ class KernelRidgeClassifier(BayesRule):
         squared += (centred**2).sum(axis=1)[:, np.newaxis]
         squared += self.squared_norms_
         kernel = self._kernel(np.maximum(squared, 0, out=squared))
-        result: Floats = kernel @ self.coefficients_ + 1 / len(self.classes_)
-        return result
+        return np.asarray(kernel @ self.coefficients_ + 1 / len(self.classes_))
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return log p(touch | object) up to a constant per touch (nats).
@@ -287,8 +286,7 @@ def _left_out(
 
 
 def _log_counts(codes: Array, n_classes: int) -> Floats:
-    counts: Floats = np.log(np.maximum(np.bincount(codes, minlength=n_classes), 1))
-    return counts
+    return np.asarray(np.log(np.maximum(np.bincount(codes, minlength=n_classes), 1)))
 
 
 def _log_posterior(
@@ -297,8 +295,7 @@ def _log_posterior(
     """Log posterior under equal priors; `shape` is (temperature, bend)."""
     temperature, bend = shape
     bent = temperature * scores / (1 + bend * np.abs(scores))
-    log_posterior: Floats = log_softmax(bent - log_counts, axis=1)
-    return log_posterior
+    return np.asarray(log_softmax(bent - log_counts, axis=1))
 
 
 def _loss(
@@ -342,15 +339,12 @@ def _learn_from_landmarks(
     group: NDArray[np.intp],
     ridge: float,
 ) -> tuple[Floats, Floats]:
-    """Solve the ridge regression of `target` (n_touches, n_outputs) on landmarks.
+    """Return coefficients (n_landmarks, n_outputs) and left-out answers to `target`.
 
-    The kernel is replaced by that of its projection onto some of the touches (Nystroem
-    features, C. K. I. Williams and M. Seeger, "Using the Nystroem method to speed up
-    kernel machines", NIPS 13, 2001), so memory grows with the touches, not with their
-    square. Returns coefficients (n_landmarks, n_outputs): scores of a touch are its
-    kernel with the landmarks times these; and what every touch would be given, had its
-    group never been learnt: with features F of the group, Q = (F_all^T F_all + ridge
-    I)^-1 and residuals r it is target - (I - F Q F^T)^-1 r.
+    Nystroem features: Williams and Seeger, "Using the Nystroem method to speed up
+    kernel machines", NIPS 13, 2001. With features F and residuals r of a group, Q =
+    (F_all^T F_all + ridge I)^-1, its answer, never learnt, is target - (I - F Q F^T)^-1
+    r.
     """
     n_landmarks = len(own_kernel)
     root = cholesky(own_kernel + _JITTER * np.eye(n_landmarks), lower=True)
@@ -361,7 +355,8 @@ def _learn_from_landmarks(
 
     inner = ridge * np.eye(n_landmarks)
     outer = np.zeros((n_landmarks, target.shape[1]))
-    for rows in _pieces(len(target)):
+    for start in range(0, len(target), _TOUCHES_AT_ONCE):
+        rows = np.arange(start, min(len(target), start + _TOUCHES_AT_ONCE))
         some = features(rows)
         inner += some.T @ some
         outer += some.T @ target[rows]
@@ -384,11 +379,6 @@ def _residual_without(
         return np.asarray(np.linalg.solve(np.eye(len(some)) - hat, residual))
     others = cho_factor(inner - some.T @ some)
     return np.asarray(residual + some @ cho_solve(others, some.T @ residual))
-
-
-def _pieces(n: int) -> Iterator[NDArray[np.intp]]:
-    for start in range(0, n, _TOUCHES_AT_ONCE):
-        yield np.arange(start, min(n, start + _TOUCHES_AT_ONCE))
 
 
 def _members(group: NDArray[np.intp]) -> list[NDArray[np.intp]]:

@@ -37,11 +37,10 @@ _LARGEST = 1e15  # beyond it a pair is computed exactly whatever the tile says
 def make_tiles(
     points: Floats, precisions: Floats | None, dtype: str
 ) -> tuple[Tiles, Floats]:
-    """Pack the whitened touches of one object, (n_touches, n_directions), into tiles.
+    """Pack whitened touches (n_touches, n_directions) of one object, rows of p and b.
 
-    `precisions` (n_directions,) weigh the squared differences; None is all ones.
-    Returns tiles (n_tiles, TILE, n_directions + 1), whose rows hold p and b of one
-    touch, and the largest length of p and largest size of b, for `is_precise`.
+    Returns tiles (n_tiles, TILE, n_directions + 1) and the largest |p| and |b|;
+    `precisions` (n_directions,) weigh the squared differences, None is all ones.
     """
     mean = points.mean(axis=0)
     from_mean = points - mean
@@ -64,8 +63,7 @@ def count_tiles(counts: NDArray[np.intp]) -> NDArray[np.intp]:
 def tile_log_sums(x: Floats, tiles: Tiles, tile_counts: NDArray[np.intp]) -> Floats:
     """Return log of the sum of exp(x'p + b) per object, (n_touches, n_objects).
 
-    Of whitened touches `x` (n_touches, n_directions) and the tiles of all objects, one
-    object after the other, `tile_counts` (n_objects,) of each.
+    Objects have `tile_counts` (n_objects,) tiles each, one object after the other.
     """
     extended = np.ones((len(x), x.shape[1] + 1), dtype=tiles.dtype)
     extended[:, :-1] = np.clip(x, -_LARGEST, _LARGEST)
@@ -80,15 +78,13 @@ def tile_log_sums(x: Floats, tiles: Tiles, tile_counts: NDArray[np.intp]) -> Flo
     top = np.maximum.reduceat(largest, starts, axis=0)
     sums *= np.exp(largest - top[owner])
     totals = np.add.reduceat(sums, starts, axis=0, dtype=np.float64)
-    result: Floats = (top + np.log(totals)).T
-    return result
+    return np.asarray((top + np.log(totals)).T)
 
 
 def squared_distances(x: Floats, means: Floats, precisions: Floats | None) -> Floats:
     """Return (x - m)' P (x - m) in float64, shape (n_touches, n_objects)."""
     if precisions is None:
-        result: Floats = cdist(x, means, "sqeuclidean")
-        return result
+        return np.asarray(cdist(x, means, "sqeuclidean"))
     squared = (x - means[:, np.newaxis]) ** 2
     return (squared @ precisions[:, :, np.newaxis])[..., 0].T
 
@@ -104,8 +100,7 @@ def is_precise(
     unit = np.finfo(dtype).eps / 2
     lengths = np.sqrt((x**2).sum(axis=1, keepdims=True))
     bound = lengths * reaches[:, 0] + reaches[:, 1]
-    precise: NDArray[np.bool_] = (x.shape[1] + 5) * unit * bound < max_error
-    return precise
+    return np.asarray((x.shape[1] + 5) * unit * bound < max_error)
 
 
 def exact_log_sums(
@@ -114,11 +109,10 @@ def exact_log_sums(
     precisions: Floats | None,
     groups: tuple[Array, Array] | None = None,
 ) -> Floats:
-    """Return log of the sum of Gaussians around `points`, differences in float64.
+    """Return log of the sum of Gaussians around `points`, in float64, (len(x),).
 
-    Slower than tiles, and right at any distance. With `groups` of the touches `x`
-    and of the `points`, pairs within one group do not count; a touch of which no
-    pair counts gets minus infinity. Shape (len(x),).
+    Pairs within one of the `groups` (of `x`, of `points`) do not count; none left is
+    -inf.
     """
     if precisions is not None:
         weights = np.sqrt(precisions)
@@ -142,10 +136,9 @@ def blocks_of(n_touches: int) -> list[slice]:
 
 
 def _sums_of_tiles(extended: Tiles, tiles: Tiles) -> tuple[Tiles, Tiles]:
-    """Return each tile's largest exponent and its sum relative to that.
+    """Return each tile's largest exponent, and sum over it, (n_tiles, n_touches).
 
-    Both of shape (n_tiles, n_touches). A sum has at most `TILE` terms, so float32
-    costs it less than 2e-6 nats.
+    At most `TILE` terms: float32 costs a sum less than 2e-6 nats.
     """
     # Sums are products with ones: BLAS adds up several times faster than numpy.
     ones = np.ones(TILE, dtype=tiles.dtype)

@@ -15,11 +15,7 @@ from sklearn.metrics.pairwise import pairwise_kernels
 from sklearn.svm import SVC
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import (
-    check_option,
-    check_positive,
-    check_squarable,
-)
+from .._checks import check_option, check_positive, check_squarable
 from .._types import Array, Floats
 from ._touch_classifier import as_touches, labelled_touches
 
@@ -131,8 +127,7 @@ class OnePerLabelSVC(ClassifierMixin, BaseEstimator):
             degree=3,
             coef0=0,
         )
-        values: Floats = kernel @ self.coefficients_ + self.intercepts_
-        return values
+        return np.asarray(kernel @ self.coefficients_ + self.intercepts_)
 
     def predict(self, X: ArrayLike) -> Array:
         """Return the winning label of each touch."""
@@ -155,13 +150,7 @@ class OnePerLabelSVC(ClassifierMixin, BaseEstimator):
 
 
 def winning(values: Floats) -> NDArray[np.intp]:
-    """Return the number of the label that wins each touch.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n_touches, n_labels)
-        Decision values; positive ones claim the touch.
-    """
+    """Return the label that wins each touch, by decisions (n_touches, n_labels)."""
     claims = values > 0
     last_claim = claims.shape[1] - 1 - claims[:, ::-1].argmax(axis=1)
     winners: NDArray[np.intp] = np.where(

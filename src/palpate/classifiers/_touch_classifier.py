@@ -73,8 +73,7 @@ class BayesRule(ClassifierMixin, BaseEstimator):
 
     def predict_log_proba(self, X: ArrayLike) -> Floats:
         """Return the log posterior of the objects, (n_touches, n_objects)."""
-        log_posterior: Floats = log_softmax(self._log_joint(X), axis=1)
-        return log_posterior
+        return np.asarray(log_softmax(self._log_joint(X), axis=1))
 
     def predict_proba(self, X: ArrayLike) -> Floats:
         """Return the posterior of the objects, (n_touches, n_objects)."""
@@ -177,10 +176,9 @@ class FromProbabilities(BayesRule):
 def labelled_touches(
     estimator: BaseEstimator, X: ArrayLike, y: ArrayLike, *, reset: bool = True
 ) -> tuple[Floats, Array]:
-    """Return `X` as touches and `y` as their labels, or explain.
+    """Return `X` as touches and `y` as labels, or raise as `validate_data` does.
 
-    Raises what scikit-learn's `validate_data` raises; not `reset`, the touches must be
-    like those of `fit`.
+    Not `reset`, the touches must be like those of `fit`.
     """
     check_label_kinds(y)
     touches, labels = validate_data(estimator, X, y, dtype=np.float64, reset=reset)
@@ -189,16 +187,12 @@ def labelled_touches(
 
 
 def as_touches(estimator: BaseEstimator, X: ArrayLike) -> Floats:
-    """Return `X` as touches like those of `fit`, (n_touches, n_features).
-
-    Raises what scikit-learn's `validate_data` raises.
-    """
+    """Return `X` (n_touches, n_features) as in `fit`, or raise as `validate_data`."""
     n_features = getattr(estimator, "n_features_in_", -1)
     named = hasattr(estimator, "feature_names_in_")
     if not named and are_plain_vectors(X, n_features):
         return np.asarray(X)
-    touches: Floats = validate_data(estimator, X, dtype=np.float64, reset=False)
-    return touches
+    return np.asarray(validate_data(estimator, X, dtype=np.float64, reset=False))
 
 
 def as_groups(groups: ArrayLike | None, n_touches: int) -> NDArray[np.intp]:
@@ -211,14 +205,12 @@ def as_groups(groups: ArrayLike | None, n_touches: int) -> NDArray[np.intp]:
             f"groups must have one entry per training touch ({n_touches}), "
             f"got shape {given.shape}."
         )
-    codes: NDArray[np.intp] = np.unique(given, return_inverse=True)[1]
-    return codes
+    return np.asarray(np.unique(given, return_inverse=True)[1])
 
 
 def _log_probability(classifier: Any, touches: Floats) -> Floats:
     probability = np.clip(classifier.predict_proba(touches), _LEAST_PROBABILITY, None)
-    log_probability: Floats = np.log(probability)
-    return log_probability
+    return np.asarray(np.log(probability))
 
 
 def _rank_within(labels: Array, group: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -14,39 +14,19 @@ ROUNDING = 1e-12
 
 
 class Whitening(NamedTuple):
-    """Where touches are, how far they spread, and along which directions.
+    """Where touches are, how far they spread, and along which directions."""
 
-    Attributes
-    ----------
-    centre : ndarray of shape (n_features,)
-        Mean of the training touches.
-    spread : ndarray of shape (n_features,)
-        Their standard deviation.
-    varies : ndarray of bool, shape (n_features,)
-        Whether the feature varied by more than rounding.
-    rotation : ndarray of shape (n_varying, n_directions) or None
-        Turns standardised features into uncorrelated directions of unit variance.
-    log_volume : float
-        Logarithm of the volume of the unit cell, in units of the features.
-    """
-
-    centre: Floats
-    spread: Floats
-    varies: NDArray[np.bool_]
-    rotation: Floats | None
-    log_volume: float
+    centre: Floats  # (n_features,), mean of the training touches
+    spread: Floats  # (n_features,), their standard deviation
+    varies: NDArray[np.bool_]  # (n_features,), by more than rounding
+    rotation: Floats | None  # (n_varying, n_directions), to unit variance
+    log_volume: float  # of the unit cell, in units of the features
 
 
 def learn_whitening(touches: Floats, *, full: bool) -> Whitening:
-    """Learn from `touches`; `full` also removes correlations.
+    """Learn from `touches`, with unbiased variances (n - 1); refuse infinite ones.
 
-    Variances are unbiased (n - 1). With `full`, directions whose variance is zero
-    up to rounding (fewer touches than features, repeated features) are left out.
-
-    Raises
-    ------
-    ValueError
-        If a variance is not a finite number.
+    With `full`, correlations go too, and directions without variance up to rounding.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         centre = touches.mean(axis=0)

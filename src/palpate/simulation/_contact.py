@@ -25,9 +25,8 @@ def footprint(
 ) -> tuple[NDArray[np.bool_], int, int]:
     """Tell which cells' centres lie inside an odd number of closed loops.
 
-    Corners of loops are (column, row) in cells, (0, 0) the first cell's outer corner.
-    Returned is the smallest piece of the grid that holds them, and the row and column
-    at which it starts; what lies outside the grid is cut off.
+    Corners are (column, row) in cells from the outer corner of the first; returned is
+    the smallest piece of the grid that holds them, with its first row and column.
     """
     limits = np.array([n_cols, n_rows])
     corners = np.concatenate(loops)
@@ -53,8 +52,7 @@ def unevenness(
 ) -> Floats:
     """Draw a smooth random surface of mean 0 and standard deviation 1.
 
-    White noise on coarse knots is smoothed by a Gaussian, so that heights are alike
-    over about `UNEVENNESS_LENGTH_MM` (covariance exp(-d² / (2 length²))).
+    Its covariance is exp(-d² / (2 length²)), with `UNEVENNESS_LENGTH_MM`.
     """
     by_row, by_col = (_smoothing(n, step_mm) for n in shape)
     noise = rng.standard_normal((by_row.shape[1], by_col.shape[1]))
@@ -64,11 +62,9 @@ def unevenness(
 def contact_pressure(
     inside: NDArray[np.bool_], gap_mm: Floats, stiffness: float, total: float
 ) -> Floats:
-    """Solve for the pressure (kPa) of a rigid face on a bed of springs (kPa per mm).
+    """Solve stiffness max(0, depth - gap) (kPa) of cells `inside`, to sum to `total`.
 
-    pressure = stiffness max(0, depth - gap) on the cells `inside`, with the depth at
-    which the pressures sum to `total`. The sum is convex in the depth, so Newton's
-    steps, started with every cell touching, go down to it and end after a few.
+    The sum is convex in the depth, so Newton's steps from all touching go down to it.
     """
     gaps = gap_mm[inside]
     needed = total / stiffness
@@ -90,11 +86,8 @@ def window_weights(
 ) -> tuple[Floats, Floats]:
     """Factor the map from pressure on a grid to mean stress over square windows.
 
-    The stress in taxel (t, u) is the sum over k, i, j of
-    scale[k] factors[k, t, i] factors[k, u, j] pressure[i, j]: few k suffice, since
-    the map is smooth, and nothing wraps round as it would in a Fourier transform.
-    `cells` lie from one taxel to the next; `n_taxels` is that of the longer side.
-    Returned are scale, (rank,), and factors, (rank, n_taxels, n_taxels * cells).
+    Taxel (t, u): sum over k, i, j of scale[k] factors[k, t, i] factors[k, u, j]
+    pressure[i, j], with scale (rank,) and factors (rank, n_taxels, n_taxels * cells).
     """
     step = pitch_mm / cells
     # Distances of cell centres from taxel centres, in half cells.
@@ -114,12 +107,10 @@ def window_weights(
 def window_influence(
     x_mm: Floats, y_mm: Floats, sensing_mm: float, depth_mm: float
 ) -> Floats:
-    """Return the mean vertical stress over a window due to a unit force, in 1/mm².
+    """Return mean stress (1/mm²) in a window, due to a unit force at (x, y) above it.
 
-    The force acts on the surface at (x, y) from above the middle of a square window
-    of side `sensing_mm` at `depth_mm`. By reciprocity it is the stress below the
-    corner of a loaded rectangle (Love 1929, doi:10.1098/rsta.1929.0009), added over
-    the four corners.
+    By reciprocity: the stress below a loaded rectangle's corner, over four corners
+    (Love 1929, doi:10.1098/rsta.1929.0009).
     """
     half = sensing_mm / 2
     corners = (

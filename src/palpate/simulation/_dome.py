@@ -27,37 +27,17 @@ _MOST_PIXELS = 8_000_000
 
 @dataclass(frozen=True, eq=False)
 class DomePress:
-    """One press of a dome on an object.
+    """One press of a dome on an object; without a touch all numbers are zero."""
 
-    Attributes
-    ----------
-    stopped_by : {"force", "depth", "sleeve", "nothing"}
-        What ended it: the force asked for; the depth asked for or the greatest one;
-        the rigid sleeve that holds the dome meeting the object; or nothing was
-        within reach, and all else is zero.
-    travel_mm : float
-        How far the sensor moved from its pose to the end.
-    depth_mm : float
-        Of that, how far it moved on after first touching.
-    force_n : float
-        Force along the axis on the whole sensor. Less than asked for where the
-        greatest depth came first; where the sleeve did, what was asked for, most of
-        it on the sleeve. The dome's own share is `contact.force_n`.
-    area_mm2 : float
-        Contact area, seen along the axis.
-    contact : Contact
-        Forces and displacements of the nodes.
-    gap_mm : ndarray of shape (n_nodes, n_nodes)
-        Way to go, after first touching, before each node touches.
-    """
-
-    stopped_by: str
-    travel_mm: float
-    depth_mm: float
+    stopped_by: str  # "force", "depth", "sleeve" (that holds the dome) or "nothing"
+    travel_mm: float  # from its pose to the end
+    depth_mm: float  # of that, after first touching
+    # Along the axis on the whole sensor, a sleeve too: less than asked for only where
+    # the greatest depth came first. The dome's own share is `contact.force_n`.
     force_n: float
-    area_mm2: float
+    area_mm2: float  # seen along the axis
     contact: Contact
-    gap_mm: Floats
+    gap_mm: Floats  # way to go after first touching, (n_nodes, n_nodes)
 
     @property
     def touched(self) -> bool:

@@ -168,8 +168,7 @@ def _refuse_size(file: Path, extent_mm: Floats, unit: str) -> None:
 def _stable_rotations(mesh: Mesh) -> tuple[Floats, ...]:
     """Return rotations in which a mesh rests on the ground, largest base first.
 
-    A face of the convex hull is a base when the centre of mass is above its inside;
-    of bases within 10 degrees of each other the largest counts.
+    A base has the centre of mass above it; within 10 degrees the largest counts.
     """
     hull = mesh.convex_hull
     found: list[Floats] = []

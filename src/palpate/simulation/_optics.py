@@ -30,26 +30,14 @@ _RIM_SHARE = 0.975
 
 @dataclass(frozen=True)
 class Lighting:
-    """How the membrane is lit and how it answers.
+    """How the membrane is lit and how it answers."""
 
-    Parameters
-    ----------
-    n_leds : int, default=8
-        LEDs evenly spaced on a ring about the lens.
-    ring_radius_mm : float, default=9.0
-        Radius of that ring.
-    diffuse, specular, ambient : float
-        Weights of the Lambert part, the highlight and the light from all sides.
-    shininess : float
-        Exponent of the highlight.
-    """
-
-    n_leds: int = 8
+    n_leds: int = 8  # evenly spaced on a ring about the lens
     ring_radius_mm: float = 9.0
-    diffuse: float = 0.19
-    specular: float = 1.0
-    ambient: float = 0.0
-    shininess: float = 10.0
+    diffuse: float = 0.19  # weight of the Lambert part
+    specular: float = 1.0  # weight of the highlight
+    ambient: float = 0.0  # weight of the light from all sides
+    shininess: float = 10.0  # exponent of the highlight
 
     @property
     def led_mm(self) -> NDArray[np.float32]:
@@ -61,16 +49,12 @@ class Lighting:
 
 @dataclass(frozen=True)
 class View:
-    """Where a camera stands behind a dome, and what its picture covers.
-
-    Distance from the lens to the tip of the undented dome, offset of the lens from its
-    axis; the rim's middle (row, column) and radius in heights of the picture.
-    """
+    """Where a camera stands behind a dome, and what its picture covers."""
 
     image_shape: tuple[int, int]
-    distance_mm: float
-    offset_mm: tuple[float, float]
-    disc_centre: tuple[float, float]
+    distance_mm: float  # from the lens to the tip of the undented dome
+    offset_mm: tuple[float, float]  # of the lens from the dome's axis
+    disc_centre: tuple[float, float]  # row, column of the rim's middle, in heights
     disc_radius: float
 
 
@@ -151,10 +135,7 @@ class Optics:
         self._ahead = self._sphere(x, y) - self._depths[:, None, None]
 
     def _met_undented(self) -> tuple[Plane, NDArray[np.bool_]]:
-        """Exact depth where rays meet the sphere, and the rays that do so at its rim.
-
-        There the sphere is too steep to search along the ray, and is not dented.
-        """
+        """Exact depth where rays meet the sphere, and those at its steep rim."""
         radius = self._membrane.radius_mm
         rim = self._view.distance_mm - radius
         shift_x, shift_y = self._view.offset_mm
@@ -205,21 +186,11 @@ def shade(
     lighting: Lighting,
     distance_mm: float,
 ) -> Plane:
-    """Return the light that surface points send to the camera.
+    """Return the light that points (x, y, z), slope (dz/dx, dz/dy), send the camera.
 
-    `point_mm` holds x, y and depth z of the points, `slope` dz/dx and dz/dy there, all
-    of one shape; at `distance_mm` an LED gives 1.
-
-    Notes
-    -----
-    Lambert plus a Blinn-Phong highlight [1]_ with inverse squares for the LEDs, and
-    the cosine to the fourth of the lens. No shadows and no light from one part of
-    the membrane to another but the constant `ambient`.
-
-    References
-    ----------
-    .. [1] J. F. Blinn, "Models of light reflection for computer synthesized
-       pictures", SIGGRAPH 1977. doi:10.1145/563858.563893
+    Lambert plus a Blinn-Phong highlight (J. F. Blinn, SIGGRAPH 1977,
+    doi:10.1145/563858.563893), inverse squares, the lens's cosine to the fourth; no
+    shadows. At `distance_mm` an LED gives 1.
     """
     x, y, z = point_mm
     to_camera = 1 / np.sqrt(x * x + y * y + z * z)
@@ -245,11 +216,7 @@ def shade(
 
 
 def sampled(values: Plane, x: Any, y: Any, membrane: Membrane) -> Plane:
-    """Return values of a membrane's grid at places x, y about its axis.
-
-    Linear between nodes; outside the grid, the value of its edge. x and y are
-    vectors or planes of one shape.
-    """
+    """Return grid values at places x, y about the axis, linear, edges repeated."""
     return np.asarray(_remapped(values, *_cells(x, y, membrane)).reshape(x.shape))
 
 

@@ -214,12 +214,10 @@ class SensorPose:
 
 
 def gap_map(placed: PlacedObject, pose: SensorPose, membrane: Membrane) -> Floats:
-    """How far (mm) the sensor can move from a pose until each node of its dome touches.
+    """How far (mm) a sensor moves until each node touches, (n_nodes, n_nodes).
 
-    Of shape (n_nodes, n_nodes): infinity where nothing is ahead or outside the dome,
-    negative where the object already reaches into it. Subtract the least to press.
-    One ray per node, from the level of the rim: of an object that is behind that level
-    nothing is seen. Only the first surface along the axis counts.
+    Infinity where nothing is ahead, negative in the dome. One ray per node, from the
+    level of the rim, to the first surface: subtract the least to press.
     """
     x, y = np.meshgrid(membrane.node_mm, membrane.node_mm)
     inside = np.isfinite(membrane.drop_mm)
@@ -233,11 +231,7 @@ def gap_map(placed: PlacedObject, pose: SensorPose, membrane: Membrane) -> Float
 def sleeve_gap(
     placed: PlacedObject, pose: SensorPose, rim_radius_mm: float, sleeve_mm: float
 ) -> float:
-    """How far the sensor can move until the rigid edge that holds its dome touches.
-
-    The edge is a ring of `sleeve_mm` outwards from the rim, at its level, which is
-    one radius behind the tip; infinity where it meets nothing.
-    """
+    """How far (mm) until the ring, `sleeve_mm` wide, around the rim touches, or inf."""
     angle = np.arange(_SLEEVE_RAYS) * (2 * np.pi / _SLEEVE_RAYS)
     radius = rim_radius_mm + sleeve_mm * np.linspace(0.05, 1, 3)[:, None]
     x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()

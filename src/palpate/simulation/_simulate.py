@@ -404,10 +404,7 @@ class _Draw:
 
 
 def _press_all(
-    array: PressureArray,
-    draw: _Draw,
-    parts: list[Part],
-    seeds: list[SeedSequence],
+    array: PressureArray, draw: _Draw, parts: list[Part], seeds: list[SeedSequence]
 ) -> list[tuple[Frame, Press]]:
     """Press each part once, on one thread so that sums round alike everywhere."""
     pressed = []

@@ -22,12 +22,10 @@ Solver = Callable[[Floats], Floats]
 
 
 class DenseKernels:
-    """Kernel matrices of a batch of problems.
+    """Kernels (n_problems, n_kernels, n_touches, n_touches) of a batch, contiguous.
 
-    `kernels` (n_problems, n_kernels, n_touches, n_touches) are symmetric, positive
-    semi-definite and contiguous; `labels` (n_problems, n_touches) are +1, -1, or 0 for
-    touches that take no part; `means` (n_problems, n_kernels, n_touches) are the means
-    of the rows that `centred` took out.
+    `labels` (n_problems, n_touches) are +1, -1, or 0 for no part; `means` (n_problems,
+    n_kernels, n_touches) are those of the rows that `centred` took out.
     """
 
     crowded = False
@@ -88,8 +86,7 @@ class DenseKernels:
             return solution.bias
         signed = self.labels * solution.alpha
         taken = (self.means @ signed[:, :, None])[:, :, 0]
-        bias: Floats = solution.bias - (solution.weights * taken).sum(axis=1)
-        return bias
+        return np.asarray(solution.bias - (solution.weights * taken).sum(axis=1))
 
     def with_labels(self, labels: Floats) -> Self:
         """Return the same kernels with some labels set to 0."""
@@ -139,10 +136,7 @@ def _large_solver(matrix: Floats) -> Solver:
 
 
 def cholesky_solver(matrix: Floats) -> Solver:
-    """Factorise one matrix, lifting its diagonal as far as rounding makes necessary.
-
-    Scaled to a diagonal of ones first, so that the lift suits every row.
-    """
+    """Factorise one matrix, scaled to a diagonal of ones and lifted where need be."""
     unit = np.sqrt(np.maximum(matrix.diagonal(), np.finfo(float).tiny))
     scaled = matrix / unit[:, None] / unit
     for lift in (0.0, 1e-15, 1e-13, 1e-11):

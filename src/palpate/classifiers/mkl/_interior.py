@@ -43,22 +43,12 @@ def solve_interior(
     tol: float = 1e-6,
     max_iter: int = 100,
 ) -> Solution:
-    """Solve multiple kernel learning for a batch of two-class problems.
+    """Solve a batch of two-class problems, both labels in each; return the best met.
 
-    Both labels must occur in each problem. `norm` is the p >= 1 of the constraint |d|_p
-    <= 1, of which 1 selects few kernels; a problem is done at the relative duality gap
-    `tol`. Returns the best machine met of each problem, even where its gap stayed
-    above.
-
-    References
-    ----------
-    .. [1] F. R. Bach, G. R. G. Lanckriet and M. I. Jordan, "Multiple kernel
-       learning, conic duality, and the SMO algorithm", ICML, 2004.
-       doi:10.1145/1015330.1015424
-    .. [2] M. Kloft et al., "lp-norm multiple kernel learning", J. Mach. Learn.
-       Res. 12, 2011.
-    .. [3] S. Mehrotra, "On the implementation of a primal-dual interior point
-       method", SIAM J. Optim. 2(4), 1992. doi:10.1137/0802028
+    `norm` is the p >= 1 of |d|_p <= 1, `tol` the relative duality gap. From F. R. Bach
+    et al., ICML 2004, doi:10.1145/1015330.1015424; M. Kloft et al., "lp-norm multiple
+    kernel learning", JMLR 12, 2011; S. Mehrotra, SIAM J. Optim. 2(4), 1992,
+    doi:10.1137/0802028.
     """
     whole = task = Task(system, C, norm)
     # Where rounding ends the path some quotients are 0 / 0; such steps are not
@@ -144,8 +134,7 @@ def _reach(point: Point, move: Point) -> Floats:
     """Return the longest step that keeps everything positive, (n_problems, 1)."""
     left = (move.left / point.left).min(axis=1)
     right = (move.right / point.right).min(axis=1)
-    longest: Floats = (1 / np.maximum(-np.minimum(left, right), 1e-12))[:, None]
-    return longest
+    return np.asarray((1 / np.maximum(-np.minimum(left, right), 1e-12))[:, None])
 
 
 def relative_gap(task: Task, point: Point, view: View) -> Floats:
@@ -163,16 +152,14 @@ def _lower_bound(task: Task, point: Point, view: View) -> Floats:
     energy = norms(view.energies, power)
     imbalance = np.abs((task.labels * point.alpha).sum(axis=1))
     total = (task.real * point.alpha).sum(axis=1)
-    bound: Floats = total - energy - np.abs(point.free[:, 0]) * imbalance
-    return bound
+    return np.asarray(total - energy - np.abs(point.free[:, 0]) * imbalance)
 
 
 def _upper_bound(task: Task, point: Point, view: View) -> Floats:
-    """The least of two primal values.
+    """The lesser of two primal values, (n_problems,).
 
-    One takes the hyperplane as it is, with the hinge as margin error. The other
-    takes the iteration's margin errors and widens the hyperplane until every
-    margin is met, which a large C would make dear otherwise.
+    Hinges as errors, or the point's errors and a hyperplane widened until margins are
+    met.
     """
     square, missing = view.square, view.missing
     as_it_is = square + task.C * np.maximum(missing, 0).sum(axis=1)
@@ -180,8 +167,7 @@ def _upper_bound(task: Task, point: Point, view: View) -> Floats:
     wider = 1 / (1 - np.minimum(short, 0.5))
     errors = (task.real * point.errors).sum(axis=1)
     widened = square * wider**2 + task.C * errors * wider
-    bound: Floats = np.where(short < 0.5, np.minimum(as_it_is, widened), as_it_is)
-    return bound
+    return np.asarray(np.where(short < 0.5, np.minimum(as_it_is, widened), as_it_is))
 
 
 def _is_near(task: Task, point: Point, tol: float) -> bool:
@@ -209,8 +195,7 @@ class Best:
     ) -> NDArray[np.bool_]:
         """Note what is better; return which problems should go on.
 
-        The proof is left out, except for the `last` point, while all problems are
-        far from their optimum by the sum of the products alone.
+        No proof, but for the `last` point, while the products alone say all are far.
         """
         rows = self.rows
         if not (last or _is_near(task, point, self._tol)):

@@ -101,9 +101,7 @@ def kernel_stack(
 ) -> Floats:
     """Return all kernels between two sets, (..., n_kernels, n_left, n_right).
 
-    Sets (..., n_touches, n_features), or batches of them, come less `mean`, which saves
-    the digits of distances between touches far from the origin. Distances within `left`
-    are exactly 0 on the diagonal if `right` is the same array.
+    Sets come less `mean`, to save digits; within one array the distance to itself is 0.
     """
     product = left @ right.swapaxes(-1, -2)
     stack = np.empty((*product.shape[:-2], len(kernels), *product.shape[-2:]))
@@ -125,10 +123,7 @@ def kernel_stack(
 def kernel_diagonals(
     kernels: Sequence[Kernel], touches: Floats, mean: Floats
 ) -> Floats:
-    """Return k(x, x) of each touch, shape (n_kernels, n_touches).
-
-    `touches` come less `mean`, as in `kernel_stack`.
-    """
+    """Return k(x, x) of touches less `mean`, shape (n_kernels, n_touches)."""
     square = ((touches + mean) ** 2).sum(axis=1)
     diagonals = np.empty((len(kernels), 1, len(touches)))
     with np.errstate(over="ignore"):
@@ -153,10 +148,7 @@ def _fill(
 def _fill_gaussians(
     places: list[Floats], kernels: Sequence[Kernel], squared: Floats
 ) -> None:
-    """Widest first: half the width is the fourth power, cheaper than exponentials.
-
-    A few in a row at most, since each time the rounding grows fourfold.
-    """
+    """Widest first: half the width is the fourth power, of fourfold rounding."""
     known: dict[float, tuple[Floats, int]] = {}
     gaussians = [
         (kernel.sigma, place)
@@ -224,10 +216,7 @@ class DenseBank(Bank):
 
     @abstractmethod
     def blocks(self, index: Array) -> Floats:
-        """Return the scaled kernels among the touches of each row of `index`.
-
-        Shape (n_rows, n_kernels, n_index, n_index).
-        """
+        """Return scaled kernels by rows of `index`, (n_rows, n_kernels, n, n)."""
 
     @property
     def n_columns(self) -> int:
@@ -284,10 +273,7 @@ class FeatureBank(DenseBank):
 
 
 class GivenBank(DenseBank):
-    """Kernel matrices (n_touches, n_touches, n_kernels) computed by someone else.
-
-    A matrix that is not symmetric or not positive semi-definite is refused.
-    """
+    """Kernels (n_touches, n_touches, n_kernels) given, refused if they are none."""
 
     def __init__(self, stack: Floats, normalize: str | None) -> None:
         self._values = np.ascontiguousarray(stack, dtype=np.float64)
@@ -314,9 +300,8 @@ def kernel_scales(
 ) -> Floats:
     """Return the factor on each kernel of `diagonals` (n_kernels, n_touches).
 
-    One over the trace; for "variance" one over that in feature space (mean of the
-    diagonal less `mean` of the matrix); or 1. A kernel without trace, or for "variance"
-    a constant one, tells no touches apart and gets 0.
+    One over the trace, for "variance" over the mean of the diagonal less `mean` of the
+    matrix, or 1; 0 for kernels that tell no touches apart.
     """
     if normalize is None:
         return np.ones(len(diagonals))

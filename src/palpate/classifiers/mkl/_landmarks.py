@@ -145,10 +145,7 @@ class NystroemBank(Bank):
         return LowRankKernels(blocks, mean, self.features.ranks, labels)
 
     def machines(
-        self,
-        system: LowRankKernels | DenseKernels,
-        index: Array,
-        solution: Solution,
+        self, system: LowRankKernels | DenseKernels, index: Array, solution: Solution
     ) -> tuple[Floats, Floats]:
         """Return the normal vector (1, n_columns) and the bias (1,)."""
         if isinstance(system, LowRankKernels):
@@ -164,8 +161,7 @@ class NystroemBank(Bank):
         total = self.features.sums(self.centred)
         ends = np.cumsum(self.features.ranks)
         starts = ends - self.features.ranks
-        squared: Floats = np.add.reduceat((total / self.n_touches) ** 2, starts)
-        return squared
+        return np.asarray(np.add.reduceat((total / self.n_touches) ** 2, starts))
 
 
 def _whitening(kernel: Floats) -> Floats:
@@ -174,17 +170,14 @@ def _whitening(kernel: Floats) -> Floats:
     real = values > _RANK_TOLERANCE * max(values[-1], np.finfo(float).tiny)
     if not real.any():
         return np.zeros((len(kernel), 1))
-    whitening: Floats = vectors[:, real] / np.sqrt(values[real])
-    return whitening
+    return np.asarray(vectors[:, real] / np.sqrt(values[real]))
 
 
 class LowRankKernels:
-    """Kernels of one problem as inner products of features.
+    """Kernels of one problem as inner products of features; labels (1, n_touches).
 
-    `blocks` goes through the touches once: pairs of a slice and the features
-    (n_in_slice, n_columns) of those touches, less `mean`, which only adds to the bias.
-    `ranks` are the columns of each kernel, in order. Labels (1, n_touches) are +1, -1
-    or 0, as ever.
+    `blocks` yields slices of touches and their features (n_in_slice, n_columns) less
+    `mean`; `ranks` are the columns of each kernel, in order.
     """
 
     def __init__(
@@ -205,8 +198,7 @@ class LowRankKernels:
 
     def normal(self, task: Task, point: Point) -> Floats:
         weights = np.repeat(task.weights(point), self.ranks, axis=1)
-        normal: Floats = weights * point.pulls
-        return normal
+        return np.asarray(weights * point.pulls)
 
     def view(self, task: Task, point: Point) -> View:
         pull = self.gather((self.labels * point.alpha)[0])
@@ -240,8 +232,7 @@ class LowRankKernels:
 
     def true_bias(self, solution: Solution) -> Floats:
         """Return the bias that belongs to the features as they were."""
-        bias: Floats = solution.bias - solution.normal @ self._mean
-        return bias
+        return np.asarray(solution.bias - solution.normal @ self._mean)
 
     def with_labels(self, labels: Floats) -> Self:
         """Return the same kernels with some labels set to 0."""
@@ -281,9 +272,8 @@ class LowRankKernels:
 class PrimalNewton:
     """The optimality conditions at one point, linearised and factorised once.
 
-    Multipliers, pulls, shares and their level are eliminated by hand, which leaves
-    the normal vector and the bias. The normal vector is weights times pulls, so a
-    step of it is divided between the two: weights take what is along their pull.
+    Only the normal vector and the bias are left to solve for. The vector is weights
+    times pulls: of its steps weights take what is along their pull.
     """
 
     def __init__(

@@ -45,10 +45,9 @@ class Settings:
 class PairMachines:
     """The machines of all pairs, a row per pair.
 
-    `sigmoids` (n_pairs, 2) hold slope and offset of the probability of the second
-    class, zero where nothing was calibrated; `left_out` (n_touches, n_classes) the
-    decision about each touch between its class and each other one, by a machine that
-    did not learn it, NaN where there is none.
+    `sigmoids` (n_pairs, 2) are slope and offset for the second class, zero if
+    uncalibrated; `left_out` (n_touches, n_classes) decisions of machines that did not
+    learn the touch.
     """
 
     def __init__(
@@ -115,10 +114,9 @@ def _batches(
 
 
 def _folds(codes: Array) -> NDArray[np.int64]:
-    """Part of each touch: each class in order, cut into five blocks.
+    """Part of each touch: each class cut into five blocks, since neighbours are alike.
 
-    Neighbours in a recording are alike, so whole blocks are left out. The only
-    touch of a class is in no part: -1.
+    The only touch of a class is in no part: -1.
     """
     folds = np.empty(len(codes), dtype=np.int64)
     for code in np.unique(codes):
@@ -132,10 +130,9 @@ def _folds(codes: Array) -> NDArray[np.int64]:
 def _left_out_scores(
     system: Any, solution: Solution, folds: Array, n_folds: int, settings: Settings
 ) -> tuple[Floats, Floats]:
-    """Return decisions of machines that did not learn the touch, and their labels.
+    """Return decisions of machines that did not learn the touch, and labels, or 0.
 
-    Labels are 0 where there is no such decision. The only touch of a class has to
-    do with the decision of the machine that learnt it.
+    For the only touch of a class the machine that learnt it must do.
     """
     labels = system.labels
     lone = (folds == -1) & (labels != 0)

@@ -25,33 +25,24 @@ def all_pairs(n_classes: int) -> Array:
 
 
 def vote(decisions: Floats, pairs: Array, n_classes: int) -> Floats:
-    """Return votes per class plus, below half a vote, how clear the decisions were.
+    """Return votes (n_touches, n_classes) of decisions (n_touches, n_pairs).
 
-    From decisions (n_touches, n_pairs) to (n_touches, n_classes). A decision of exactly
-    zero gives half a vote to either class. Equal votes are told apart by the sum of the
-    decisions in favour.
+    Zero gives each class half a vote; sums of decisions, below half a vote, break ties.
     """
     signed = np.zeros((len(pairs), n_classes))
     signed[np.arange(len(pairs)), pairs[:, 0]] = -1
     signed[np.arange(len(pairs)), pairs[:, 1]] = 1
     votes = (np.sign(decisions) @ signed + n_classes - 1) / 2
     clear = decisions @ signed
-    clarified: Floats = votes + clear / (3 * (np.abs(clear) + 1))
-    return clarified
+    return np.asarray(votes + clear / (3 * (np.abs(clear) + 1)))
 
 
 def fit_sigmoids(scores: Floats, labels: Floats) -> Floats:
-    """Fit P(label +1) = 1 / (1 + exp(-(slope * score + offset))) to each row, [1]_.
+    """Fit P(label +1) = 1 / (1 + exp(-(slope * score + offset))) per row, (n_pairs, 2).
 
-    Labels (n_pairs, n_touches) are +1, -1, or 0 for padding; both occur in each row.
-    Returns slopes and offsets, (n_pairs, 2). The slope is never negative: decisions
-    that are wrong more often than right say nothing.
-
-    References
-    ----------
-    .. [1] H.-T. Lin, C.-J. Lin and R. C. Weng, "A note on Platt's probabilistic
-       outputs for support vector machines", Mach. Learn. 68, 2007.
-       doi:10.1007/s10994-007-5018-6
+    Labels (n_pairs, n_touches) are +1, -1, or 0 for padding; slopes never negative.
+    H.-T. Lin et al., "A note on Platt's probabilistic outputs for support vector
+    machines", Mach. Learn. 68, 2007, doi:10.1007/s10994-007-5018-6.
     """
     counted = np.abs(labels)
     n_plus = (labels > 0).sum(axis=1, keepdims=True)
@@ -91,8 +82,7 @@ def _shortened(
 
     def loss(at: Floats) -> Floats:
         z = (inputs @ at[:, :, None])[:, :, 0]
-        shortened: Floats = (counted * (np.logaddexp(0, z) - target * z)).sum(axis=1)
-        return shortened
+        return np.asarray((counted * (np.logaddexp(0, z) - target * z)).sum(axis=1))
 
     before = loss(sigmoid)
     length = np.ones((len(sigmoid), 1))
@@ -105,16 +95,10 @@ def _shortened(
 
 
 def couple(decisions: Floats, sigmoids: Floats, pairs: Array) -> Floats:
-    """Return one distribution over classes per touch, (n_touches, n_classes).
+    """Return p (n_touches, n_classes) of least sum of (r_ji p_i - r_ij p_j)^2.
 
-    The probabilities p minimise sum over pairs of (r_ji p_i - r_ij p_j)^2, with
-    r_ij what the sigmoid of the pair says for class i.
-
-    References
-    ----------
-    .. [1] T.-F. Wu, C.-J. Lin and R. C. Weng, "Probability estimates for
-       multi-class classification by pairwise coupling", J. Mach. Learn. Res. 5,
-       2004.
+    r_ij is what the sigmoid says for class i. T.-F. Wu et al., "Probability estimates
+    for multi-class classification by pairwise coupling", JMLR 5, 2004.
     """
     n_classes = int(pairs.max()) + 1
     second = expit(decisions * sigmoids[:, 0] + sigmoids[:, 1])
@@ -141,18 +125,13 @@ def _couple(second: Floats, pairs: Array, n_classes: int) -> Floats:
     right[n_classes] = 1
     solved = np.linalg.solve(system, right)[:, :n_classes, 0]
     solved = np.maximum(solved, 0)
-    shares: Floats = solved / solved.sum(axis=1, keepdims=True)
-    return shares
+    return np.asarray(solved / solved.sum(axis=1, keepdims=True))
 
 
 def put_left_out(
     decisions: Floats, left_out: Floats, codes: Array, pairs: Array
 ) -> None:
-    """Replace decisions (n_touches, n_pairs) of the pairs of each touch's own class.
-
-    By those of machines that did not learn the touch: `left_out` (n_touches,
-    n_classes).
-    """
+    """Replace decisions (n_touches, n_pairs) of own pairs by those `left_out`."""
     for number, (first, second) in enumerate(pairs):
         for own, other in ((first, second), (second, first)):
             mine = codes == own
@@ -162,10 +141,8 @@ def put_left_out(
 def fit_temperature(chances: Floats, codes: Array) -> float:
     """Return the power of coupled probabilities with the least log loss.
 
-    Pairs of few touches are cautious, and coupling many of them more so; one power for
-    all classes, fitted to touches that were left out, makes up for it. One touch in n +
-    2 is taken to be of another class, so that touches that are all recognised do not
-    make the power infinite.
+    Coupled pairs are too cautious. One touch in n + 2 counts as another class's, so
+    that no power is infinite.
     """
     if not len(chances):
         return 1.0
@@ -184,16 +161,11 @@ def fit_temperature(chances: Floats, codes: Array) -> float:
 def sharpen(chances: Floats, power: float) -> Floats:
     """Raise probabilities to a power and let them sum to one again."""
     logs = np.log(np.maximum(chances, np.finfo(float).tiny))
-    sharpened: Floats = softmax(power * logs, axis=1)
-    return sharpened
+    return np.asarray(softmax(power * logs, axis=1))
 
 
 def side_with_votes(probabilities: Floats, winners: Array) -> Floats:
-    """Move probabilities as little as possible so that the winner has the largest.
-
-    Where coupling and votes disagree, the winner and the classes above it share
-    their mean (the nearest distribution, by squares, that agrees with the votes).
-    """
+    """Return the nearest distribution, by squares, whose largest is the winner."""
     rows = np.arange(len(winners))
     chance = probabilities.copy()
     order = np.argsort(-chance, axis=1)
@@ -213,5 +185,4 @@ def side_with_votes(probabilities: Floats, winners: Array) -> Floats:
     chance = np.where(joined, level[:, None], chance)
     # A hair more, so that the winner is the largest for whoever looks.
     chance[rows[changed], winners[changed]] = level[changed] * (1 + 1e-9)
-    sided: Floats = chance / chance.sum(axis=1, keepdims=True)
-    return sided
+    return np.asarray(chance / chance.sum(axis=1, keepdims=True))

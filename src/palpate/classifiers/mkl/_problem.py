@@ -26,24 +26,15 @@ BLOCK_BYTES = 32 * 2**20
 class Point:
     """A point of the iteration, or a direction in which to move it.
 
-    Attributes
-    ----------
-    left : ndarray of shape (n_problems, 2 * n_touches + n_kernels)
-        Multipliers a, their room C - a, and shares e = d^p of the kernels, which
-        sum to 1: all positive.
-    right : ndarray of the same shape
-        The multipliers of those bounds: all positive, and each product of left and
-        right is zero at the optimum. The middle ones are the margin errors.
-    free : ndarray of shape (n_problems, 2 + n_columns)
-        Bias, multiplier of the sum of the shares, and where kernels are products
-        of features the pulls, features' Y a. They are unknowns of their own there,
-        so that rounding of the multipliers does not reach the margins.
-    n_touches : int
+    Where kernels are products of features the pulls are unknowns of their own, so that
+    rounding of the multipliers does not reach the margins.
     """
 
+    # Multipliers a, room C - a, shares e = d^p of sum 1; each (n_problems, ...) > 0.
     left: Floats
+    # Multipliers of those bounds, > 0: in the middle margin errors; left * right -> 0.
     right: Floats
-    free: Floats
+    free: Floats  # bias, multiplier of the sum of the shares, pulls features' Y a
     n_touches: int
 
     @property
@@ -94,19 +85,12 @@ class Point:
 
 @dataclass
 class View:
-    """What one point sees, each computed once.
+    """What one point sees, each computed once."""
 
-    `energies` are S_k of the multipliers, (n_problems, n_kernels); `missing` is what
-    each margin lacks of 1, (n_problems, n_touches); `square` half the squared length of
-    the normal vector over the weights, (n_problems,). `pull` is what the multipliers
-    do: the forces Y K_k Y a (n_problems, n_kernels, n_touches), or features' Y a
-    (n_problems, n_columns).
-    """
-
-    energies: Floats
-    missing: Floats
-    square: Floats
-    pull: Floats
+    energies: Floats  # S_k of the multipliers, (n_problems, n_kernels)
+    missing: Floats  # what each margin lacks of 1, (n_problems, n_touches)
+    square: Floats  # half the squared length of the normal vector over the weights
+    pull: Floats  # Y K_k Y a (n_problems, n_kernels, n_touches), or features' Y a
 
     def take(self, keep: Array) -> "View":
         return View(*(part[keep] for part in vars(self).values()))
@@ -116,10 +100,7 @@ class Newton(Protocol):
     """The optimality conditions at one point, linearised and factorised once."""
 
     def direction(self, target: Floats) -> Point:
-        """Return the step that changes the products of left and right by `target`.
-
-        To first order, that is, and it removes all other residuals.
-        """
+        """Return the step that changes the products by `target`, to first order."""
 
 
 class KernelSystem(Protocol):
@@ -184,19 +165,13 @@ class Task:
 
 @dataclass
 class Solution:
-    """Machines of a batch of problems; multipliers lie in [0, C].
-
-    `weights` (n_problems, n_kernels) are of p-norm 1; `normal` (n_problems, n_columns)
-    has no columns where normal vectors are made of the multipliers; `objective` is J =
-    1'a - sum_k d_k S_k(a), within the relative `gap`, which a feasible point of either
-    side proves, of the optimum.
-    """
+    """Machines of a batch: multipliers in [0, C], weights of p-norm 1."""
 
     alpha: Floats
     bias: Floats
     weights: Floats
-    normal: Floats
-    objective: Floats
+    normal: Floats  # (n_problems, n_columns), none if made of the multipliers
+    objective: Floats  # J = 1'a - sum_k d_k S_k(a), within the relative, proven `gap`
     gap: Floats
     n_iter: NDArray[np.int64]
 
@@ -212,24 +187,21 @@ def balanced(labels: Floats, alpha: Floats) -> Floats:
     plus = np.where(labels > 0, real, 0).sum(axis=1, keepdims=True)
     minus = np.where(labels < 0, real, 0).sum(axis=1, keepdims=True)
     least = np.minimum(plus, minus)
-    pulling: Floats = real * np.where(labels > 0, least / plus, least / minus)
-    return pulling
+    return np.asarray(real * np.where(labels > 0, least / plus, least / minus))
 
 
 def without_small(shares: Floats, least: float) -> Floats:
     """Leave out shares below `least` of the largest; the others sum to 1."""
     largest = shares.max(axis=1, keepdims=True)
     kept = np.where(shares < least * largest, 0, shares)
-    rest: Floats = kept / kept.sum(axis=1, keepdims=True)
-    return rest
+    return np.asarray(kept / kept.sum(axis=1, keepdims=True))
 
 
 def norms(values: Floats, power: float) -> Floats:
     """The p-norm of each row of non-negative values; `power` may be infinite."""
     if power == 1:
-        lengths: Floats = values.sum(axis=1)
-        return lengths
-    lengths = values.max(axis=1)
+        return np.asarray(values.sum(axis=1))
+    lengths: Floats = values.max(axis=1)
     if np.isfinite(power):
         unit = values / np.where(lengths > 0, lengths, 1)[:, None]
         lengths = lengths * (unit**power).sum(axis=1) ** (1 / power)

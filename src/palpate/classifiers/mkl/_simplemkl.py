@@ -50,15 +50,10 @@ Walk = Generator[Floats, Answer, tuple[Floats, int]]
 def solve_simplemkl(
     system: DenseKernels, C: float, *, tol: float = 1e-2, max_iter: int = 500
 ) -> Solution:
-    """Solve multiple kernel learning for a batch of two-class problems.
+    """Solve a batch of two-class problems in at most `max_iter` directions each.
 
-    A problem is done at the relative duality gap (J + max_k S_k - 1'a) / J `tol`, of
-    which 0.01 is the published value, or after `max_iter` directions.
-
-    References
-    ----------
-    .. [1] A. Rakotomamonjy, F. R. Bach, S. Canu and Y. Grandvalet, "SimpleMKL",
-       J. Mach. Learn. Res. 9, 2008.
+    Done at the gap (J + max_k S_k - 1'a) / J `tol`, 0.01 as published: A. Rakotomamonjy
+    et al., "SimpleMKL", J. Mach. Learn. Res. 9, 2008.
     """
     machines = SingleKernelMachines(system, C)
     walks = [
@@ -165,8 +160,7 @@ def _moved(weights: Floats, direction: Floats, step: float, to_end: bool) -> Flo
     if to_end:
         reached = (direction < 0) & (moved <= 1e-12)
         moved[reached] = 0
-    shares: Floats = moved / moved.sum()
-    return shares
+    return np.asarray(moved / moved.sum())
 
 
 class SingleKernelMachines:
@@ -233,10 +227,7 @@ class SingleKernelMachines:
 def _guess(
     system: DenseKernels, state: Array, C: float
 ) -> tuple[Floats, Floats, Array]:
-    """Solve for the free multipliers (state 1) with the others at 0 or C (2).
-
-    Also returns the state that the answer speaks for.
-    """
+    """Solve for free multipliers (state 1), others at 0 or C (2), and for states."""
     labels = system.labels
     n_problems, n = labels.shape
     free = state == 1
@@ -292,11 +283,7 @@ def _gap(
 
 
 def _view(
-    system: DenseKernels,
-    alpha: Floats,
-    bias: Floats,
-    weights: Floats,
-    C: float = 1.0,
+    system: DenseKernels, alpha: Floats, bias: Floats, weights: Floats, C: float = 1.0
 ) -> tuple[Task, Point, View]:
     left = np.concatenate([alpha, C - alpha, weights], axis=1)
     free = np.stack([bias, np.zeros(len(bias))], axis=1)

@@ -255,8 +255,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
     def predict(self, X: ArrayLike) -> Array:
         """Return the label with most votes of each touch."""
         winners = self._winners(self.pair_decisions(X))
-        labels: Array = self.classes_[winners]
-        return labels
+        return np.asarray(self.classes_[winners])
 
     @available_if(_has_probability)
     def predict_proba(self, X: ArrayLike) -> Floats:
