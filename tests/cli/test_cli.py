@@ -85,6 +85,7 @@ def test_recognise_draws_the_belief_for_people(palpate, archive, model):
 
 
 def test_evaluate_prints_json_and_writes_the_report(palpate, archive, tmp_path):
+    pytest.importorskip("matplotlib", reason='needs the extra "plot"')
     report = tmp_path / "r.html"
     done = palpate(
         "evaluate",

@@ -121,6 +121,7 @@ def test_what_is_wrong_is_one_sentence(palpate, monkeypatch, tmp_path, words, me
 
 
 def test_serve_prints_an_address_that_opens_and_ends_when_told():
+    pytest.importorskip("fastapi", reason='needs the extra "web"')
     process = subprocess.Popen(
         [sys.executable, "-m", "palpate", "serve", "--port", "0", "--json"],
         stdout=subprocess.PIPE,
