@@ -233,6 +233,8 @@ def test_doctor_says_what_to_type(palpate, monkeypatch, name, command, code):
         return known(asked)
 
     monkeypatch.setattr(metadata, "version", version)
+    # What is to be typed stays in one line, however long the rest is.
+    monkeypatch.setenv("PALPATE_DATA", "/a/folder/with/a/rather/long/name/indeed")
     done = palpate("doctor")
     assert done.returncode == code
     (line,) = (line for line in done.stdout.splitlines() if f" {name} " in line)

@@ -8,7 +8,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Literal
 
 BAR_WIDTH = 24
 SHOWN = 3
@@ -37,14 +37,18 @@ def belief_line(touch: int, posterior: dict[str, float]) -> str:
     return f"  touch {touch:3d}  {bar} {share:4.2f} {name}   {others}"
 
 
-def table(title: str, columns: list[str], rows: list[list[str]]) -> None:
-    """Print a table on standard output."""
+def table(
+    title: str, columns: list[str], rows: list[list[str]], whole: str = ""
+) -> None:
+    """Print a table on standard output; the column `whole` is not wrapped."""
     from rich.console import Console
     from rich.table import Table
 
     drawn = Table(title=title, title_justify="left")
     for number, column in enumerate(columns):
-        drawn.add_column(column, justify="left" if number == 0 else "right")
+        side: Literal["left", "right"] = "left" if number == 0 else "right"
+        kept = column == whole
+        drawn.add_column(column, justify=side, no_wrap=kept, overflow="fold")
     for row in rows:
         drawn.add_row(*row)
     Console(markup=False, emoji=False).print(drawn)

@@ -26,7 +26,7 @@ def doctor(as_json: AsJson = False) -> None:
         print_json({"healthy": healthy, "cores": os.cpu_count(), "checks": checks})
     else:
         rows = [[c["name"], c["found"], c["fix"]] for c in checks]
-        table("palpate doctor", ["what", "found", "to do"], rows)
+        table("palpate doctor", ["what", "found", "to do"], rows, whole="to do")
         print(
             "Healthy." if healthy else "Something palpate needs is missing; see above."
         )
@@ -71,5 +71,5 @@ def _data() -> dict[str, Any]:
     if not folder:
         fix = "optional: name the folder of recorded touches"
     else:
-        fix = "" if Path(folder).is_dir() else f"{folder} is not a folder"
+        fix = "" if Path(folder).is_dir() else "name a folder that exists"
     return _check("PALPATE_DATA", folder or "not set", fix, needed=False)
