@@ -289,7 +289,7 @@ def test_a_lost_whole_set_array_is_named(tmp_path):
 
 def test_a_newer_library_is_neither_read_nor_repaired(filled):
     database = sqlite3.connect(filled / "library.sqlite")
-    database.execute("PRAGMA user_version = 2")
+    database.execute("PRAGMA user_version = 3")
     database.close()
     assert [p.kind for p in check_library(filled).problems] == ["version"]
     with pytest.raises(LibraryError, match="Update palpate"):

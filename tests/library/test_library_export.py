@@ -1,6 +1,7 @@
 """Exports are read back by other people's readers; bags are written by rosbags."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -213,6 +214,32 @@ def test_images_of_a_bag_are_touches(bag, rng):
     assert touches.images.dtype == np.uint16
     assert touches.object.tolist() == ["cup"] * 3
     assert touches.columns["time_s"].tolist() == [7.25, 8.25, 9.25]
+
+
+def test_a_digest_of_all_messages_is_kept(bag, tmp_path):
+    """Bags in SQLite have no checksum: the library keeps one of what was read."""
+    images = np.zeros((2, 2, 3), np.uint8)
+    messages = [_image(image, "mono8", stamp=n) for n, image in enumerate(images)]
+    touches = read_bag(bag(*messages), "/pad")
+    digest = touches.whole["set_bag_sha256"].item()
+    assert re.fullmatch("[0-9a-f]{64}", digest)
+    assert read_bag(bag(*messages), "/pad").whole["set_bag_sha256"] == digest
+    for row, stamp in ((1, 1), (0, 2)):
+        images[1, 0, 0] = row
+        altered = bag(messages[0], _image(images[1], "mono8", stamp=stamp))
+        assert read_bag(altered, "/pad").whole["set_bag_sha256"] != digest
+    with TouchLibrary.open(tmp_path / "lab", create=True) as library:
+        library.add(touches)
+        assert library.touches().whole["set_bag_sha256"] == digest
+
+
+def test_a_fourth_channel_of_a_bag_is_left_out(bag):
+    """Its value must not matter; blue comes first in bgra8: 0.114 * 255 = 29.07."""
+    bgra = np.array([[[255, 0, 0, 0], [255, 0, 0, 255]]], dtype=np.uint8)
+    found = read_bag(bag(_image(bgra, "bgra8")), "/pad").images.tolist()
+    assert found == [[[29, 29]]]
+    found = read_bag(bag(_image(bgra, "rgba8")), "/pad").images.tolist()
+    assert found == [[[76, 76]]]
 
 
 def test_byte_order_and_colour_are_understood(bag):

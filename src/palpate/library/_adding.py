@@ -17,11 +17,12 @@ from typing import Any
 from .._progress import Progress
 from ..touches import Touches
 from ._array_files import file_path, packed, publish
-from ._changes import find_object, renamings
+from ._changes import find_object, next_time, renamings
 from ._listing import SensorDescription
 from ._rows import FROM, SET_ASIDE, write_rows
 from ._sheet import IDENTITY, Sheet, identity, sheet_of
 from ._store import ARRAYS, IMAGES, LibraryError, Store
+from ._where import COLUMNS
 
 _TOUCHES_PER_FILE = 256
 _BYTES_PER_FILE = 32 * 2**20
@@ -61,7 +62,8 @@ def _recording(
     """Return what is the same for all of `touches`; arrays go to files."""
     known = (sensor or SensorDescription(""))._replace(geometry=touches.geometry)
     described = known._asdict()
-    n_rows, n_cols = touches.images.shape[1:]
+    n_rows, n_cols, *channels = touches.images.shape[1:]
+    _refuse_other_channels(store, known.name, channels)
     arrays = store.folder / ARRAYS
     whole = {n: array for n, array in touches.whole.items() if n != "geometry"}
     return {
@@ -69,9 +71,22 @@ def _recording(
         **described,
         "n_rows": n_rows,
         "n_cols": n_cols,
-        "dtype": touches.images.dtype.str,
+        "dtype": "".join(f"({n},)" for n in channels) + touches.images.dtype.str,
         "whole": {n: publish(arrays, packed([array])) for n, array in whole.items()},
     }
+
+
+def _refuse_other_channels(store: Store, sensor: str, channels: list[int]) -> None:
+    """Refuse grey touches of a sensor that gave colour before, and the reverse."""
+    sql = f"SELECT DISTINCT {COLUMNS['n_channels']} FROM recordings r WHERE sensor = ?"
+    before = store.one(sql, [sensor])
+    now = channels[0] if channels else None
+    if before is not None and before[0] != now:
+        was, got = (f"{n or 'no'} channels" for n in (before[0], now))
+        raise LibraryError(
+            f"Images of sensor {sensor!r} must have {was} like those in the library, "
+            f"got {got}. Convert them, or give the sensor another name."
+        )
 
 
 def _store_sheet(store: Store, sheet: Sheet) -> None:
@@ -92,6 +107,9 @@ def _store_sheet(store: Store, sheet: Sheet) -> None:
     kept = sheet.picked(sorted(new.values()))
     name = publish(images, packed(kept.arrays()))
     with store.writing():
+        if (now := next_time(store)) > kept.added_s:  # another changed names since
+            kept = replace(kept, added_s=now)
+            name = publish(images, packed(kept.arrays()))
         write_rows(store, kept, name, lost)
 
 

@@ -9,8 +9,13 @@ Every message of the chosen topic is one touch:
 
 `time_s` is the stamp in the message's header, or the time of recording where there
 is none (both in seconds since 1970); `order` counts the messages.
+
+A bag in SQLite (`.db3`) has no checksum, and one in MCAP may lack it: a flipped bit in
+a message is read as it stands. `set_bag_sha256`, of times and messages as they were
+read, is kept with the touches: the bag can be compared with it from then on.
 """
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +67,7 @@ def read_bag(
     bag = Path(path)
     try:
         with highlevel.AnyReader([bag], default_typestore=types) as reader:
-            images, times = _messages(reader, topic, max_bytes)
+            images, times, digest = _messages(reader, topic, max_bytes)
     except LibraryError:
         raise
     except Exception as error:  # rosbags raises many kinds on damaged bags
@@ -77,12 +82,13 @@ def read_bag(
         order=np.arange(len(images)),
         time_s=np.array(times),
         set_topic=np.array(topic),
+        set_bag_sha256=np.array(digest),
     )
 
 
 def _messages(
     reader: Any, topic: str, max_bytes: int
-) -> tuple[list[Array], list[float]]:
+) -> tuple[list[Array], list[float], str]:
     chosen = [c for c in reader.connections if c.topic == topic]
     if not chosen:
         listed = ", ".join(sorted({c.topic for c in reader.connections})) or "none"
@@ -90,7 +96,9 @@ def _messages(
     images: list[Array] = []
     times: list[float] = []
     n_bytes = 0
+    digest = hashlib.sha256()
     for connection, recorded_ns, raw in reader.messages(connections=chosen):
+        digest.update(f"{recorded_ns} {len(raw)} ".encode() + bytes(raw))
         message = reader.deserialize(raw, connection.msgtype)
         where = f"message {len(images)} of {topic}"
         image = _image(message, connection.msgtype, where)
@@ -110,7 +118,7 @@ def _messages(
         times.append(_seconds(message, recorded_ns))
     if not images:
         raise LibraryError(f"topic must have messages, got none in {topic!r}.")
-    return images, times
+    return images, times, digest.hexdigest()
 
 
 def _image(message: Any, kind: str, where: str) -> Array:

@@ -8,33 +8,37 @@ import hashlib
 import json
 import secrets
 import time
-import unicodedata
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from .._checks import one_spelling
 from .._durable import write_text
 from ._rows import id_bytes, read_rows
 from ._sheet import canonical
-from ._store import CHANGES, LibraryError, Store, is_unicode, room_for
+from ._store import CHANGES, LibraryError, Store, from_json, is_unicode, room_for
+
+_LAST = "SELECT name FROM changes ORDER BY id DESC LIMIT 1"
 
 
 def make_change(store: Store, **content: Any) -> int:
     """Record a change and carry it out; return how many rows it concerned."""
-    now = time.time()
-    name = f"{int(now * 1e6):017d}-{secrets.token_hex(4)}"
-    content["time_s"] = now
-    content["digest"] = _digest(content)
+    name = ""
     try:
         with store.writing():
+            now = max(time.time(), next_time(store, "touches", "added_s"))
+            now = content["time_s"] = max(now, next_time(store))
+            content["after"] = (store.one(_LAST) or [None])[0]
+            name = f"{int(now * 1e6):017d}-{secrets.token_hex(4)}"
+            content["digest"] = _digest(content)
             n_changed = apply_change(store, name, content)
             if n_changed:
                 _write_change(store, name, content)
             else:
                 store.run("DELETE FROM changes WHERE name = ?", [name])
     except LibraryError:
-        with suppress(OSError):
+        with suppress(OSError):  # without a name there is no such file
             _path(store, name).unlink()
         raise
     return n_changed
@@ -65,6 +69,15 @@ def read_change(path: Path) -> dict[str, Any]:
     return content
 
 
+def readable_changes(files: dict[str, Path]) -> dict[str, dict[str, Any]]:
+    """Return the changes in those files that hold one, by name."""
+    found = {}
+    for name, path in files.items():
+        with suppress(OSError, ValueError):
+            found[name] = read_change(path)
+    return found
+
+
 def change_files(store: Store) -> dict[str, Path]:
     """Return the files of all changes by name."""
     return {path.stem: path for path in sorted((store.folder / CHANGES).glob("*.json"))}
@@ -73,7 +86,23 @@ def change_files(store: Store) -> dict[str, Path]:
 def known_changes(store: Store) -> dict[str, dict[str, Any]]:
     """Return what the database keeps of each change, by name."""
     rows = store.rows("SELECT name, content FROM changes ORDER BY id")
-    return {name: json.loads(text) for name, text in rows}
+    return {name: from_json(text) for name, text in rows}
+
+
+def told_changes(contents: dict[str, dict[str, Any]]) -> set[str]:
+    """Return the changes that somebody was told of, or may have been: the last one.
+
+    Each names the one it came `after`. One that no later one leads to was written by
+    a killed writer and never entered a database.
+    """
+    names = sorted(contents, key=lambda name: contents[name]["time_s"])
+    told = set()
+    while names:
+        told.add(name := names.pop())
+        after = contents[name].get("after", "")  # older files do not say
+        while names and (after is None or after in names[:-1]):
+            names.pop()
+    return told
 
 
 def file_fault(store: Store, name: str, brief: dict[str, Any]) -> str | None:
@@ -106,13 +135,62 @@ def write_again(store: Store, name: str) -> None:
         _write_change(store, name, content)
 
 
+def next_time(store: Store, table: str = "changes", column: str = "time_s") -> float:
+    """Return the earliest time that comes after what was entered last."""
+    last = store.one(f"SELECT {column} FROM {table} ORDER BY rowid DESC LIMIT 1")
+    return last[0] + 2e-6 if last else 0.0
+
+
+class Names:
+    """What objects were called and are called, from all changes of names."""
+
+    def __init__(self, store: Store) -> None:
+        rows = store.rows(
+            "SELECT time_s, action, content FROM changes "
+            "WHERE action IN ('rename', 'merge') ORDER BY id"
+        )
+        contents = ((time_s, act, from_json(text)) for time_s, act, text in rows)
+        self._known = [
+            (time_s, action, c.get("old", c.get("source")), c.get("new", c.get("into")))
+            for time_s, action, c in contents
+        ]
+
+    def now(self, label: str | None, since_s: float) -> str | None:
+        """Return what an object is called that had this name at a time."""
+        for time_s, action, old, new in self._known:
+            if old == label and (time_s > since_s or action == "merge"):
+                label, since_s = new, time_s  # a merged name stays with its object
+        return label
+
+    def before(self, name: str | None, time_s: float) -> str | None:
+        """Return what an object, not what it was merged into, was called at a time."""
+        for changed_s, action, old, new in reversed(self._known):
+            if action == "rename" and changed_s > time_s and new == name:
+                name = old
+        return name
+
+
+def retract_again(store: Store, after: int) -> None:
+    """Leave out touches with numbers `after` this one as known changes say."""
+    rows = store.rows("SELECT lower(hex(id)) FROM touches WHERE number > ?", [after])
+    new = {row[0] for row in rows}
+    for key, name, action in store.rows(
+        "SELECT id, name, action FROM changes WHERE action IN ('retract', 'restore') "
+        "ORDER BY id"
+    ):
+        with suppress(OSError, ValueError):
+            ids = [i for i in read_change(_path(store, name))["ids"] if i in new]
+            with store.writing():
+                _leave_out(store, key if action == "retract" else None, ids)
+
+
 def renamings(store: Store) -> list[tuple[str, str]]:
     """Return the old and the new name of every rename and merge, newest first."""
     rows = store.rows(
         "SELECT content FROM changes WHERE action IN ('rename', 'merge') "
         "ORDER BY id DESC"
     )
-    known = [json.loads(row[0]) for row in rows]
+    known = [from_json(row[0]) for row in rows]
     return [(c.get("old", c.get("source")), c.get("new", c.get("into"))) for c in known]
 
 
@@ -121,8 +199,8 @@ def find_object(store: Store, name: str | None) -> tuple[int, str] | None:
     row = store.one(
         "SELECT o.id, o.name FROM objects given "
         "JOIN objects o ON o.id = coalesce(given.merged_into, given.id) "
-        "WHERE given.name = ?",
-        [name],
+        "WHERE given.id = ?",
+        [store.key_of("objects", "name", name)],
     )
     return None if row is None else (int(row[0]), str(row[1]))
 
@@ -131,6 +209,8 @@ def known_object(store: Store, name: str) -> tuple[int, str]:
     """Return key and present name of an object, or say that there is none."""
     is_name = isinstance(name, str) and is_unicode(name)
     found = find_object(store, name) if is_name else None
+    if found is None and is_name and (spelling := one_spelling(name)):
+        found = find_object(store, spelling)
     if found is None:
         known = [r[0] for r in store.rows("SELECT name FROM objects ORDER BY name")]
         listed = ", ".join(map(repr, known[:20])) + ", ..." * (len(known) > 20)
@@ -157,7 +237,7 @@ def chosen_ids(
         return [row[0] for row in rows]
     given = [ids] if isinstance(ids, str) else list(ids or [])
     for key in given:
-        if store.one("SELECT 1 FROM touches WHERE id = ?", [id_bytes(key)]) is None:
+        if store.key_of("touches", "id", id_bytes(key)) is None:
             raise LibraryError(
                 f"ids must be of touches in the library, got {key!r}. "
                 "See `palpate library list`."
@@ -166,7 +246,7 @@ def chosen_ids(
 
 
 def _rename(store: Store, change: int, content: dict[str, Any]) -> int:
-    old, new = content["old"], _checked_name(content["new"])
+    old, new = content["old"], content["new"]
     key, _ = known_object(store, old)
     if store.one("SELECT id FROM objects WHERE name = ?", [new]):
         raise LibraryError(
@@ -192,9 +272,11 @@ def _merge(store: Store, change: int, content: dict[str, Any]) -> int:
 
 def _leave_out(store: Store, change: int | None, ids: list[str]) -> int:
     """Retract touches by a change; take retracted ones back in where it is None."""
+    numbers = [store.key_of("touches", "id", bytes.fromhex(key)) for key in ids]
     return store.run_many(
-        "UPDATE touches SET retraction = ? WHERE id = ? AND (retraction IS NULL) = ?",
-        [(change, bytes.fromhex(key), change is not None) for key in ids],
+        "UPDATE touches SET retraction = ? "
+        "WHERE number = ? AND (retraction IS NULL) = ?",
+        [(change, number, change is not None) for number in numbers],
     )
 
 
@@ -208,16 +290,16 @@ _ACTIONS: dict[str, Callable[[Store, int, dict[str, Any]], int]] = {
 }
 
 
-def _checked_name(name: object) -> str:
+def checked_name(name: object) -> str:
     """Return a new name of an object, or say what is wrong with it."""
     if not isinstance(name, str) or not name.strip():
         raise LibraryError(f"The new name must be a text, got {name!r}. Give one.")
-    if any(unicodedata.category(letter) in ("Cc", "Cs") for letter in name):
+    if (spelling := one_spelling(name)) is None:
         raise LibraryError(
             "The new name must be of letters that can be printed, got "
             f"{name!r}. Leave out line breaks and control characters."
         )
-    return name
+    return spelling
 
 
 def _brief(content: dict[str, Any]) -> dict[str, Any]:

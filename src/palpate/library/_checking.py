@@ -1,29 +1,50 @@
 """Is everything there, is it as it was written, and what can be made of the rest."""
 
-import json
 from collections.abc import Iterator
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from .._durable import PARTIAL
 from .._progress import Progress
 from ._array_files import file_path, read_file
-from ._changes import change_files, file_fault, known_changes, read_change
-from ._reading import read_images
-from ._rows import SET_ASIDE, StoredTouch, layouts, stored_touches
+from ._changes import (
+    Names,
+    change_files,
+    file_fault,
+    known_changes,
+    read_change,
+    readable_changes,
+    told_changes,
+)
+from ._reading import is_whole
+from ._rows import (
+    FROM,
+    SET_ASIDE,
+    StoredTouch,
+    damaged_touches,
+    layouts,
+    plain_cells,
+    recordings,
+    stored_touches,
+)
+from ._seals import SEALED
+from ._sheet import CELLS, read_sheet
 from ._store import (
     ARRAYS,
     CHANGES,
     FILE_NAME,
     IMAGES,
+    DatabaseDamaged,
     DatabaseUnavailable,
     LibraryError,
     NewerLibrary,
     Store,
+    from_json,
 )
 
 _SHOWN = 20
+NO_SHEET = (LibraryError, ValueError, KeyError, TypeError, AttributeError)
 _KEPT = "t.retraction IS NULL"
 _RETRACTED = f"t.retraction IS NOT NULL AND t.retraction NOT IN ({SET_ASIDE})"
 
@@ -32,8 +53,8 @@ class Problem(NamedTuple):
     """Something found by a check: its kind, the file concerned, and a sentence.
 
     `kind` is "database", "disk", "version", "image", "array", "change", "file without
-    touches" or "partial file". Of the `touches` with these ids the image cannot be read
-    or, of an array, they are read without it.
+    touches", "partial file" or "unprotected". Of the `touches` with these ids the image
+    or the row cannot be read or, of an array, they are read without it.
     """
 
     kind: str
@@ -95,7 +116,9 @@ def check_library(folder: str | Path, *, progress: bool | None = None) -> CheckR
 
 
 def _checked(store: Store, progress: bool | None) -> CheckReport:
-    problems = database_problems(store)
+    if problems := database_problems(store):
+        return CheckReport(False, 0, 0, problems)
+    problems = row_problems(store)
     found: dict[str, list[Problem]] = {_KEPT: [], _RETRACTED: []}
     for key, name in image_files(store, "Checking files", progress):
         for state, bad in found.items():
@@ -108,6 +131,9 @@ def _checked(store: Store, progress: bool | None) -> CheckReport:
         (remarks if noted else problems).append(problem)
     problems += _change_problems(store)
     remarks += _leftovers(store)
+    if not store.sealed:
+        what = "Rows are not protected by seals until the library is next written to."
+        remarks.append(Problem("unprotected", FILE_NAME, what, []))
     # What should be there, its files, and what is set aside.
     aside = f"coalesce(retraction IN ({SET_ASIDE}), 0)"
     [counts] = store.rows(
@@ -119,9 +145,66 @@ def _checked(store: Store, progress: bool | None) -> CheckReport:
 
 
 def database_problems(store: Store) -> list[Problem]:
-    """Return what SQLite finds wrong with the database."""
-    found = [text for (text,) in store.rows("PRAGMA quick_check(5)") if text != "ok"]
-    return [Problem("database", FILE_NAME, f"SQLite says: {t}", []) for t in found]
+    """Return what SQLite, and the seals of its rows, find wrong with the database."""
+    rows = store.rows("PRAGMA integrity_check(5)")
+    found = [f"SQLite says: {text}" for (text,) in rows if text != "ok"]
+    try:
+        touches = [] if found else [*damaged_touches(store).values()]
+        keys = {} if found or not store.sealed else {t: store.broken(t) for t in SEALED}
+    except DatabaseDamaged as error:
+        return [Problem("database", FILE_NAME, str(error), [])]
+    for table, broken in keys.items():
+        if broken:
+            found.append(
+                f"{len(broken)} rows of {table} must be as they were written, got "
+                "others; --repair makes them anew from the files."
+            )
+    return [Problem("database", FILE_NAME, what, touches) for what in found]
+
+
+def row_problems(store: Store) -> list[Problem]:
+    """Name touches whose rows are not what the sheet in their file says."""
+    names, known, whole = Names(store), layouts(store), recordings(store)
+    columns = ", ".join(f't."{name}"' for name in CELLS[1:])
+    problems = []
+    for key, name in store.rows("SELECT id, name FROM files ORDER BY id"):
+        try:
+            sheet = read_sheet(read_file(store.folder / IMAGES, name.hex()))
+        except NO_SHEET:
+            continue  # such a file is a problem of its own
+        cells, extras = plain_cells(sheet)
+        places = {touch: place for place, touch in enumerate(sheet.ids)}
+        rows = store.rows(
+            "SELECT t.id, t.place, t.image, t.extra, t.layout, t.recording, o.name, "
+            f"{columns} {FROM} WHERE t.file = ?",
+            [key],
+        )
+        wrong = []
+        for touch, place, *got in rows:
+            got[2:4] = known[got[2]], whole[got[3]]
+            if places.get(touch) == place:
+                label = names.now(cells[0][place], sheet.added_s)
+                given = [column[place] for column in cells[1:]]
+                said = [sheet.digests[place], extras[place], sheet.layout]
+                if got == [*said, sheet.recording, label, *_as_stored(given)]:
+                    continue
+            wrong.append(touch.hex())
+        if wrong:
+            what = (
+                f"{len(wrong)} touches must be as {name.hex()[:12]}.npy says, got "
+                "other values; --repair makes the database anew from the files."
+            )
+            problems.append(Problem("database", FILE_NAME, what, wrong))
+    return problems
+
+
+def _as_stored(cells: list[Any]) -> Iterator[Any]:
+    """Yield cells, from the second on, as SQLite keeps them: some as real numbers."""
+    for name, cell in zip(CELLS[1:], cells, strict=True):
+        if name in ("time_s", "force_n") and isinstance(cell, str):
+            with suppress(ValueError):
+                cell = float(cell)
+        yield cell
 
 
 def image_files(
@@ -144,8 +227,7 @@ def image_problem(
     if fault is None:
         return []
     # Wide columns have no checksum of their own: touches with such are lost as well.
-    wide = {n for n, columns in layouts(store).items() if any(c.wide for c in columns)}
-    lost = [r.key.hex() for r in rows if r.layout in wide or not _is_whole(store, r)]
+    lost = [row.key.hex() for row in rows if not is_whole(store, row)]
     if state != _KEPT and not lost:
         return []
     end = "are lost." if state == _KEPT else "that are retracted cannot come back."
@@ -173,17 +255,11 @@ def _short(store: Store, path: Path) -> str:
     return path.relative_to(store.folder).as_posix()
 
 
-def _is_whole(store: Store, row: StoredTouch) -> bool:
-    with suppress(LibraryError):
-        return bool(len(read_images(store.folder, [row])))
-    return False
-
-
 def array_problems(store: Store) -> list[Problem]:
     """Return what is wrong with arrays of whole recordings."""
     users: dict[str, dict[int, str]] = {}
     for key, whole in store.rows("SELECT id, whole FROM recordings ORDER BY id"):
-        for entry, name in json.loads(whole).items():
+        for entry, name in from_json(whole).items():
             users.setdefault(name, {})[key] = entry
     problems = []
     for name, entries in sorted(users.items()):
@@ -202,12 +278,13 @@ def array_problems(store: Store) -> list[Problem]:
 def left_out(store: Store) -> set[str]:
     """Return the names of arrays that an earlier repair found lost."""
     rows = store.rows("SELECT content FROM changes WHERE action = 'leave_out'")
-    return {name for (text,) in rows for name in json.loads(text)["arrays"]}
+    return {name for (text,) in rows for name in from_json(text)["arrays"]}
 
 
 def _change_problems(store: Store) -> Iterator[Problem]:
     """Name what the database and the files of changes do not agree on."""
     known, files = known_changes(store), change_files(store)
+    told = told_changes(known | readable_changes(files))
     for name, brief in known.items():
         fault = file_fault(store, name, brief)
         if fault is not None:
@@ -219,9 +296,10 @@ def _change_problems(store: Store) -> Iterator[Problem]:
     for name in sorted(files.keys() - known.keys()):
         try:
             action = read_change(files[name])["action"]
+            done = "carries it out" if name in told else "sets it aside"
             what = (
-                f"The database lacks this {action}: it has been lost and made anew, or "
-                "a writer was killed. --repair carries it out."
+                f"The database lacks this {action}: it has been lost and "
+                f"made anew, or a writer was killed. --repair {done}."
             )
         except (OSError, ValueError) as error:
             what = f"It must be a change, got: {error}. --repair sets it aside."

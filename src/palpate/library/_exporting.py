@@ -1,8 +1,9 @@
 """Touches of a library in other forms: archive, Parquet file, LeRobotDataset.
 
-A Parquet file has one row per touch: `image` is a list of n_rows * n_cols values, row
-by row, in the sensor's own type; columns keep their names, vectors become lists. What
-describes the whole set stands in the schema's metadata under `palpate`, as JSON.
+A Parquet file has one row per touch: `image` is a list of n_rows * n_cols values (times
+n_channels where images have these), row by row, in the sensor's own type; columns keep
+their names, vectors become lists. What describes the whole set stands in the schema's
+metadata under `palpate`, as JSON.
 
 A LeRobotDataset (format v3.0) is the layout of robot learning's most used recordings:
 `data/` holds frames, `meta/info.json` their features, `meta/episodes/` where each
@@ -25,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from .._durable import PARTIAL
+from .._durable import PARTIAL, flush_all, flush_folder
 from .._extras import needed
 from .._types import Array, Floats
 from ..touches import Touches
@@ -63,7 +64,9 @@ def export_touches(store: Store, numbers: Numbers, path: Path) -> int:
     try:
         with room_for(f"{len(numbers)} touches", path, fix):
             _WRITERS[kind](partial, store, numbers)
+            flush_all(partial)
             partial.replace(path)
+            flush_folder(path.absolute().parent)
     finally:  # what a failed export has left; a finished one has another name
         if partial.is_dir():
             shutil.rmtree(partial, ignore_errors=True)
@@ -111,11 +114,10 @@ def _write_tables(path: Path, tables: Iterable[Any], **options: Any) -> None:
 def _parquet_table(touches: Touches) -> Any:
     pa = needed("pyarrow", "parquet", "Writing Parquet")
     columns = {"image": touches.images, **touches.columns}
-    n_rows, n_cols = touches.images.shape[1:]
+    sides = ("n_rows", "n_cols", "n_channels")
     about = {
         "format": 1,
-        "n_rows": n_rows,
-        "n_cols": n_cols,
+        **dict(zip(sides, touches.images.shape[1:], strict=False)),
         "dtype": touches.images.dtype.str,
         "whole": {name: array.tolist() for name, array in touches.whole.items()},
     }

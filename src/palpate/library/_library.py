@@ -10,7 +10,7 @@ from .._durable import flush_folder
 from .._types import Array
 from ..touches import Touches
 from ._adding import add_touches
-from ._changes import chosen_ids, known_object, make_change
+from ._changes import checked_name, chosen_ids, known_object, make_change
 from ._checking import CheckReport, check_library
 from ._exporting import export_touches
 from ._listing import (
@@ -24,9 +24,9 @@ from ._listing import (
     numbers_of,
     stats_of,
 )
-from ._reading import IN_MEMORY, read_array, read_images, read_touches
+from ._reading import IN_MEMORY, read_array, read_images, read_touches, with_images
 from ._repairing import RepairReport, repair_library
-from ._rows import FROM, read_one
+from ._rows import FROM, Numbers, read_one, without_damaged
 from ._selection import Selection
 from ._store import FILE_NAME, LibraryError, Store, holds_files, is_unicode
 
@@ -95,9 +95,7 @@ class TouchLibrary:
 
     def __len__(self) -> int:
         """Return the number of touches that are not retracted."""
-        return self._store.count(
-            "SELECT count(*) FROM touches WHERE retraction IS NULL"
-        )
+        return self.count()
 
     def __repr__(self) -> str:
         return f"TouchLibrary({str(self.folder)!r})"
@@ -142,7 +140,8 @@ class TouchLibrary:
         ------
         LibraryError
             The disk is full or the folder cannot be written to; the message says
-            how many touches are stored.
+            how many touches are stored. Or the sensor gave images with other channels
+            before; nothing is stored then.
         """
         if not isinstance(touches, Touches):
             raise TypeError(
@@ -164,6 +163,7 @@ class TouchLibrary:
         offset: int = 0,
         *,
         retracted: bool = False,
+        damaged: str = "raise",
     ) -> list[TouchRow]:
         """Return what is known of touches, in the order added, without images.
 
@@ -175,8 +175,10 @@ class TouchLibrary:
             So many rows (None is all) after so many others.
         retracted : bool, default=False
             Show retracted touches too.
+        damaged : {"raise", "skip"}
+            As for `touches`.
         """
-        return list_touches(self._store, where, limit, offset, retracted)
+        return list_touches(self._store, where, limit, offset, retracted, damaged)
 
     def count(self, where: str | None = None) -> int:
         """Return how many touches meet a filter."""
@@ -184,7 +186,7 @@ class TouchLibrary:
         return self._store.count(f"SELECT count(*) {FROM} WHERE {sql}", values)
 
     def image(self, id: str) -> Array:
-        """Return the image of one touch, shape (n_rows, n_cols), retracted or not."""
+        """Return the image of one touch, (n_rows, n_cols[, n_channels])."""
         image: Array = read_images(self.folder, [read_one(self._store, id)])[0]
         return image
 
@@ -193,6 +195,7 @@ class TouchLibrary:
 
         One that is missing or altered is passed over with a warning.
         """
+        without_damaged(self._store, "raise")
         chosen = "" if session is None else "AND t.session IS ? "
         rows = self._store.rows(
             "SELECT json_extract(r.whole, '$.no_contact') AS name FROM touches t "
@@ -205,6 +208,7 @@ class TouchLibrary:
 
     def sensors(self) -> Sensors:
         """Return the sensors that took the touches, in the order first met."""
+        without_damaged(self._store, "raise", 0)
         rows = self._store.rows(
             "SELECT sensor, kind, unit, pitch_mm, geometry FROM recordings "
             "WHERE sensor IS NOT NULL ORDER BY id"
@@ -217,6 +221,7 @@ class TouchLibrary:
         *,
         max_bytes: int = MAX_BYTES,
         in_memory: int = IN_MEMORY,
+        damaged: str = "raise",
     ) -> Touches:
         """Return touches that are not retracted, in the order added.
 
@@ -229,12 +234,16 @@ class TouchLibrary:
         in_memory : int, default=256 MiB
             Images that take more bytes are mapped to a temporary file rather than
             held in memory.
+        damaged : {"raise", "skip"}
+            What becomes of touches whose row or image is damaged: all are refused,
+            or a warning says how many are left out. Whether one with a damaged row
+            meets the filter cannot be known, so any in the library counts.
 
         Raises
         ------
         LibraryError
-            None is found, they differ in size, type or geometry, or an image is
-            missing or altered; the message names it and the fix.
+            None is found, they differ in size, type or geometry, or a row or an image
+            is missing or altered; the message names the touches and the fix.
 
         Notes
         -----
@@ -243,15 +252,20 @@ class TouchLibrary:
         image) are left out; see `no_contact`. So are, with a warning, those whose
         file is missing or altered.
         """
-        numbers = numbers_of(self._store, where)
+        numbers = self._numbers(where, damaged)
         return read_touches(self._store, numbers, max_bytes, in_memory)
 
-    def select(self, where: str | None = None) -> Selection:
+    def select(self, where: str | None = None, *, damaged: str = "raise") -> Selection:
         """Return touches as a source that reads images only as they are needed.
 
-        `ObjectRecogniser.fit` and `add_object` take it in place of `Touches`.
+        `ObjectRecogniser.fit` and `add_object` take it in place of `Touches`; `damaged`
+        is as for `touches`.
         """
-        return Selection(self._store, numbers_of(self._store, where))
+        return Selection(self._store, self._numbers(where, damaged))
+
+    def _numbers(self, where: str | None, damaged: str) -> Numbers:
+        numbers = numbers_of(self._store, where, damaged)
+        return with_images(self._store, numbers) if damaged == "skip" else numbers
 
     def export(self, path: str | Path, where: str | None = None) -> int:
         """Write touches in another form and return how many there are.
@@ -269,7 +283,7 @@ class TouchLibrary:
     def rename_object(self, old: str, new: str) -> None:
         """Give an object another name; the old one is free afterwards."""
         _, now = known_object(self._store, old)
-        make_change(self._store, action="rename", old=now, new=new)
+        make_change(self._store, action="rename", old=now, new=checked_name(new))
 
     def merge_objects(self, source: str, into: str) -> None:
         """Make two objects one; touches added as `source` go there as well."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from .._checks import check_option, check_positive
 from ..touches import GEOMETRIES
-from ._rows import FROM, Numbers, layouts, read_rows
+from ._rows import FROM, Numbers, layouts, read_rows, shape_of, without_damaged
 from ._store import ARRAYS, FEATURES, FILE_NAME, IMAGES, Store
 from ._where import Condition, parse_where
 
@@ -58,7 +58,8 @@ class TouchRow(NamedTuple):
     """One touch of a library without its image.
 
     `time_s` is the touch's own time, `added_s` when it was added (both seconds; the
-    latter since 1970), `force_n` in newtons; `reason` says why it is retracted.
+    latter since 1970), `force_n` in newtons; `n_channels` is None where images have no
+    axis of channels; `reason` says why it is retracted.
     """
 
     id: str
@@ -72,10 +73,16 @@ class TouchRow(NamedTuple):
     force_n: float | None
     n_rows: int
     n_cols: int
+    n_channels: int | None
     dtype: str
     added_s: float
     retracted: bool
     reason: str | None
+
+    @property
+    def image_shape(self) -> tuple[int, ...]:
+        """(n_rows, n_cols[, n_channels]) of its image."""
+        return shape_of(self.n_rows, self.n_cols, self.n_channels)
 
 
 class Stats(NamedTuple):
@@ -91,9 +98,16 @@ class Stats(NamedTuple):
     feature_bytes: int
 
 
-def condition(store: Store, where: str | None, *, retracted: bool = False) -> Condition:
-    """Return a filter as SQL; retracted touches are left out unless asked for."""
-    kept = "1" if retracted else "t.retraction IS NULL"
+def condition(
+    store: Store, where: str | None, damaged: str = "raise", *, retracted: bool = False
+) -> Condition:
+    """Return a filter as SQL; retracted touches are left out unless asked for.
+
+    Damaged rows are refused, or left out and told where `damaged` is "skip"; it may be
+    "unseen" where the caller looks at the rows that it finds.
+    """
+    kept = "1" if damaged == "unseen" else without_damaged(store, damaged)
+    kept += "" if retracted else " AND t.retraction IS NULL"
     if where is not None and not isinstance(where, str):
         raise TypeError(
             f"where must be a filter or None, got {type(where).__name__}. Write for "
@@ -106,19 +120,35 @@ def condition(store: Store, where: str | None, *, retracted: bool = False) -> Co
     return Condition(f"{kept} AND {parsed.sql}", parsed.values)
 
 
-def numbers_of(store: Store, where: str | None) -> Numbers:
+def numbers_of(store: Store, where: str | None, damaged: str = "raise") -> Numbers:
     """Return the numbers of the touches that meet a filter, in the order added."""
-    sql, values = condition(store, where)
+    sql, values = condition(store, where, damaged)
     rows = store.rows(f"SELECT t.number {FROM} WHERE {sql} ORDER BY t.number", values)
     return np.fromiter((row[0] for row in rows), dtype=np.int64, count=len(rows))
 
 
 def list_touches(
-    store: Store, where: str | None, limit: int | None, offset: int, retracted: bool
+    store: Store,
+    where: str | None,
+    limit: int | None,
+    offset: int,
+    retracted: bool,
+    damaged: str,
 ) -> list[TouchRow]:
     """Return what is known of touches, newest last, without reading an image."""
-    sql, values = condition(store, where, retracted=retracted)
-    some = [*values, -1 if limit is None else limit, offset]
+    some = [-1 if limit is None else limit, offset]
+    if where is None and damaged == "raise":  # rows that are not shown are no matter
+        sql, values = condition(store, None, "unseen", retracted=retracted)
+        query = (
+            f"SELECT number FROM touches t WHERE {sql} ORDER BY number LIMIT ? OFFSET ?"
+        )
+        found = store.rows(query, some)
+        page = bool(found) and len(found) == limit
+        ends = (found[-1][0], found[0][0] if offset else 1) if page else ()
+        without_damaged(store, damaged, *ends)
+    else:
+        sql, values = condition(store, where, damaged, retracted=retracted)
+    some = [*values, *some]
     tail = f"WHERE {sql} ORDER BY t.number LIMIT ? OFFSET ?"
     rows = read_rows(store, TouchRow._fields, tail, some)
     return [TouchRow._make((*known, bool(gone), why)) for *known, gone, why in rows]
@@ -126,6 +156,7 @@ def list_touches(
 
 def list_objects(store: Store) -> list[ObjectRow]:
     """Return objects with touches by name; a category may be of one merged into it."""
+    without_damaged(store, "raise")
     rows = store.rows(
         "WITH given AS (SELECT object, session, episode, count(*) AS n FROM touches "
         "WHERE retraction IS NULL GROUP BY object, session, episode), "
@@ -141,6 +172,7 @@ def list_objects(store: Store) -> list[ObjectRow]:
 
 def stats_of(store: Store) -> Stats:
     """Return how much there is, in touches and in bytes."""
+    without_damaged(store, "raise")
     [row] = store.rows(
         "SELECT count(*), count(retraction), (SELECT count(*) FROM files), "
         "(SELECT count(*) FROM (SELECT DISTINCT session FROM touches)) FROM touches"

@@ -1,6 +1,5 @@
 """Reading touches back: rows from the database, images from the files."""
 
-import json
 import os
 import tempfile
 import warnings
@@ -13,33 +12,53 @@ from typing import Any
 import numpy as np
 
 from .._types import Array
-from ..touches import Touches
+from ..touches import FORMER, Touches
 from ._array_files import file_path, read_file, read_values
-from ._rows import Numbers, StoredTouch, distinct, layouts, plain_values, rows_at
+from ._rows import (
+    DTYPE,
+    Numbers,
+    StoredTouch,
+    distinct,
+    layouts,
+    plain_values,
+    rows_at,
+    shape_of,
+)
 from ._sheet import Column, column_array, image_digest, read_sheet
-from ._store import ARRAYS, IMAGES, LibraryError, Store
+from ._store import ARRAYS, IMAGES, LibraryError, Store, from_json
+from ._where import COLUMNS
 
 IN_MEMORY = 256 * 2**20
 NO_LIMIT = 2**62
 _FIX = "`palpate library check --repair` sets such touches aside and keeps the rest."
 
 
-def common_kind(store: Store, numbers: Numbers) -> tuple[int, int, str]:
-    """Return rows, columns and type of all images, or say what is mixed."""
-    found = sorted(distinct(store, "r.n_rows, r.n_cols, r.dtype", numbers))
+def common_kind(store: Store, numbers: Numbers) -> tuple[tuple[int, ...], str]:
+    """Return the shape and type of all images, or say what is mixed."""
+    what = f"r.n_rows, r.n_cols, {COLUMNS['n_channels']}, {DTYPE}, r.whole"
+    rows = distinct(store, what, numbers)
+    found = sorted({(shape_of(*sides), dtype) for *sides, dtype, _ in rows})
     if not found:
         raise LibraryError(
             "The selection must hold at least one touch, got none. "
             "See `palpate library list`, and widen --where."
         )
     if len(found) > 1:
-        kinds = "; ".join("{} x {} {}".format(*kind) for kind in found)
+        kinds = "; ".join(f"{' x '.join(map(str, s))} {dtype}" for s, dtype in found)
+        mixed = len({len(shape) for shape, _ in found}) > 1
+        one = "n_channels is null" if mixed else f"n_rows = {found[0][0][0]}"
         raise LibraryError(
             f"Touches must have one image size and type, got {kinds}. Choose one with "
-            f'--where, for example "sensor = NAME" or "n_rows = {found[0][0]}".'
+            f'--where, for example "sensor = NAME" or "{one}".'
         )
-    [(n_rows, n_cols, dtype)] = found
-    return n_rows, n_cols, dtype
+    wholes = [_entries(row[-1]) for row in rows]
+    for name in ("channels", "pads"):
+        if len({entries.get(name) for entries in wholes}) > 1:
+            raise LibraryError(
+                f"Touches must have the same {name}, got several. Choose those of one "
+                'sensor or session with --where, for example "sensor = NAME".'
+            )
+    return found[0]
 
 
 def read_touches(
@@ -49,14 +68,14 @@ def read_touches(
     in_memory: int = IN_MEMORY,
 ) -> Touches:
     """Return touches with all columns; beyond `in_memory` bytes in a mapped file."""
-    n_rows, n_cols, dtype = common_kind(store, numbers)
-    n_bytes = len(numbers) * n_rows * n_cols * np.dtype(dtype).itemsize
+    size, dtype = common_kind(store, numbers)
+    shape = (len(numbers), *size)
+    n_bytes = prod(shape) * np.dtype(dtype).itemsize
     if n_bytes > max_bytes:
         raise LibraryError(
             f"Images of {len(numbers)} touches must take at most {max_bytes} bytes, "
             f"got {n_bytes}. Choose fewer with --where, or raise max_bytes."
         )
-    shape = (len(numbers), n_rows, n_cols)
     mapped = n_bytes > in_memory
     images = _mapped(shape, dtype, store.folder) if mapped else np.empty(shape, dtype)
     columns = read_columns(store, numbers, images)
@@ -64,8 +83,32 @@ def read_touches(
 
 
 def read_images(folder: Path, rows: Sequence[StoredTouch]) -> Array:
-    """Return images (n_touches, n_rows, n_cols) from files alone, digests checked."""
+    """Return images, (n_touches, *image_shape), of files alone, digests checked."""
     return np.concatenate([_run_of_images(folder, run) for run in _runs(rows)])
+
+
+def with_images(store: Store, numbers: Numbers) -> Numbers:
+    """Return the touches whose images are whole, and tell how many are left out."""
+    whole = [is_whole(store, row) for rows in rows_at(store, numbers) for row in rows]
+    if not all(whole):
+        warnings.warn(
+            f"{whole.count(False)} touches are left out: their images in "
+            f"{store.folder} are missing or altered.",
+            stacklevel=3,
+        )
+    some: Numbers = numbers[np.array(whole, bool)]
+    return some
+
+
+def is_whole(store: Store, row: StoredTouch) -> bool:
+    """Tell whether the image of a touch, and its wide columns, can be read."""
+    try:
+        read_images(store.folder, [row])
+        if any(column.wide for column in layouts(store)[row.layout]):
+            read_file(store.folder / IMAGES, row.file.hex())
+    except LibraryError:
+        return False
+    return True
 
 
 def read_columns(
@@ -106,13 +149,18 @@ def read_whole(store: Store, numbers: Numbers) -> dict[str, Array]:
             f"{', '.join(sorted(geometries - {None}))}. Choose one with --where, for "
             'example "geometry = array".'
         )
-    entries = [json.loads(row[1]) for row in rows]
+    entries = [_entries(row[1]) for row in rows]
     same = {n: h for n, h in entries[0].items() if all(e.get(n) == h for e in entries)}
     read = {n: read_array(store, n, h) for n, h in same.items()}
     whole = {n: array for n, array in read.items() if array is not None}
     if len(geometries) == 1 and None not in geometries:
         whole["geometry"] = np.array(geometries.pop())
     return whole
+
+
+def _entries(whole: str) -> dict[str, str]:
+    """Return the names of files by what they hold, some under former names."""
+    return {FORMER.get(n, n): file for n, file in from_json(whole).items()}
 
 
 def read_array(store: Store, entry: str, name: str) -> Array | None:
@@ -147,7 +195,7 @@ def _run_of_images(folder: Path, run: list[StoredTouch]) -> Array:
     """Return neighbouring images of one file, each checked against its digest."""
     first = run[0]
     path = file_path(folder / IMAGES, first.file.hex())
-    size, dtype = (first.n_rows, first.n_cols), np.dtype(first.dtype)
+    size, dtype = first.image_shape, np.dtype(first.dtype)
     start = first.offset + first.number * prod(size) * dtype.itemsize
     try:
         images = read_values(path, start, (len(run), *size), dtype)

@@ -4,14 +4,26 @@ import secrets
 import time
 from collections.abc import Callable
 from contextlib import closing, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from .._durable import PARTIAL, flush_folder
 from . import _changes as changes
 from . import _checking as checking
-from ._array_files import read_file
-from ._rows import MISSING, SET_ASIDE, write_rows
+from ._array_files import file_path, packed, publish, read_file
+from ._reading import is_whole, read_images
+from ._rows import (
+    MISSING,
+    SET_ASIDE,
+    StoredTouch,
+    layouts,
+    move_rows,
+    plain_values,
+    recordings,
+    write_rows,
+)
+from ._seals import SEALED
 from ._sheet import Sheet, read_sheet
 from ._store import (
     FILE_NAME,
@@ -22,12 +34,39 @@ from ._store import (
     NewerLibrary,
     Store,
     holds_files,
+    room_for,
 )
 
 DAMAGED = "damaged"
 _STALE_S = 86_400.0
 _LOGS = ("-wal", "-shm", "-journal")
-_NO_SHEET = (LibraryError, ValueError, KeyError, TypeError, AttributeError)
+_KEYS = ("object", "layout", "recording", "file", "retraction")
+# What the old database knows, by names and digests: keys may be others, and its
+# indexes damaged.
+_CARRY = """
+INSERT OR IGNORE INTO objects (name, category) SELECT name, category
+    FROM old.objects NOT INDEXED;
+UPDATE objects SET merged_into = (
+    SELECT n.id FROM old.objects g JOIN old.objects r ON r.id = g.merged_into
+    JOIN main.objects n ON n.name = r.name WHERE g.name = objects.name)
+    WHERE merged_into IS NULL;
+INSERT OR IGNORE INTO recordings ({recordings}) SELECT {recordings}
+    FROM old.recordings NOT INDEXED;
+INSERT OR IGNORE INTO layouts (columns) SELECT columns FROM old.layouts NOT INDEXED;
+INSERT OR IGNORE INTO files (name, n_touches, offset)
+    SELECT name, n_touches, offset FROM old.files NOT INDEXED;
+INSERT OR IGNORE INTO touches ({touches}, object, layout, recording, file, retraction)
+    SELECT {touches},
+    (SELECT n.id FROM objects n JOIN old.objects o USING (name) WHERE o.id = t.object),
+    (SELECT n.id FROM layouts n JOIN old.layouts o USING (columns)
+        WHERE o.id = t.layout),
+    (SELECT n.id FROM recordings n JOIN old.recordings o USING (digest)
+        WHERE o.id = t.recording),
+    (SELECT n.id FROM files n JOIN old.files o USING (name) WHERE o.id = t.file),
+    (SELECT n.id FROM changes n JOIN old.changes o USING (name)
+        WHERE o.id = t.retraction)
+    FROM old.touches t WHERE number NOT IN ({damaged}) ORDER BY number
+"""
 
 
 class RepairReport(NamedTuple):
@@ -37,7 +76,8 @@ class RepairReport(NamedTuple):
     counts touches that it did not know (any more), `n_set_aside` those retracted
     since their image is gone, `n_restored` those whose image is back; `n_changes`
     counts changes carried out or written anew, `n_left_out` arrays of whole
-    recordings (no-contact images) that are gone.
+    recordings (no-contact images) that are gone, `n_unacknowledged` changes set aside
+    that a killed writer never told anyone of, since later ones are known.
     """
 
     rebuilt: bool
@@ -46,6 +86,7 @@ class RepairReport(NamedTuple):
     n_restored: int
     n_changes: int = 0
     n_left_out: int = 0
+    n_unacknowledged: int = 0
 
 
 def repair_library(folder: str | Path, *, progress: bool | None = None) -> RepairReport:
@@ -53,7 +94,8 @@ def repair_library(folder: str | Path, *, progress: bool | None = None) -> Repai
 
     A database that is damaged or lost is made anew from the image files, which carry
     all labels, and from the recorded changes; the old one is set aside when the new
-    one is complete. Changes that a sound database lacks are carried out. Touches
+    one is complete. Changes that a sound database lacks are carried out, unless it
+    knows later ones: those were never acknowledged, and are set aside. Touches
     whose image is missing or altered are retracted with that reason, and come back
     when it does or when they are added again. Nobody else may be writing meanwhile.
 
@@ -73,8 +115,9 @@ def repair_library(folder: str | Path, *, progress: bool | None = None) -> Repai
     folder = Path(folder)
     gained = _make_anew(folder) if _is_damaged(folder) else None
     with closing(Store(folder)) as store:
-        n_recovered, n_changes = gained or _enter_all(store)
-        n_changes += _mend_changes(store)
+        n_recovered, n_changes = gained or _enter_all(store, anew=False)
+        n_mended, n_aside = _mend_changes(store)
+        n_changes += n_mended
         lost, found = _lost_and_found(store, progress)
         if lost:
             changes.make_change(store, action="retract", ids=lost, reason=MISSING)
@@ -82,7 +125,7 @@ def repair_library(folder: str | Path, *, progress: bool | None = None) -> Repai
             changes.make_change(store, action="restore", ids=found)
         n_left_out = _leave_out_arrays(store)
         _sweep(folder)
-    counts = n_recovered, len(lost), len(found), n_changes, n_left_out
+    counts = n_recovered, len(lost), len(found), n_changes, n_left_out, n_aside
     return RepairReport(gained is not None, *counts)
 
 
@@ -90,7 +133,9 @@ def _is_damaged(folder: Path) -> bool:
     """Tell whether the database is damaged; a failing disk is no damage."""
     try:
         with closing(Store(folder)) as store:
-            return bool(checking.database_problems(store))
+            return bool(
+                checking.database_problems(store) or checking.row_problems(store)
+            )
     except (NewerLibrary, DatabaseUnavailable):
         raise
     except LibraryError as error:
@@ -105,8 +150,9 @@ def _make_anew(folder: Path) -> tuple[int, int]:
     partial = folder / f"{PARTIAL}{secrets.token_hex(8)}.sqlite"
     try:
         with closing(Store(folder, create=True, name=partial.name)) as store:
-            gained = _enter_all(store)
-            store.rows("PRAGMA wal_checkpoint(TRUNCATE)")
+            gained = _enter_all(store, anew=True)
+            _carry_over(store, path)
+            store.rows("PRAGMA main.wal_checkpoint(TRUNCATE)")
         _set_aside(folder, *_with_logs(path))
         partial.replace(path)
         flush_folder(folder)
@@ -138,37 +184,90 @@ def _set_aside(folder: Path, *paths: Path) -> None:
         path.replace(away / path.name)
 
 
-def _enter_all(store: Store) -> tuple[int, int]:
-    """Enter unknown files by time; return how many touches and changes were gained."""
+def _carry_over(store: Store, path: Path) -> None:
+    """Take in what an old database alone still knows: touches without a sound file."""
+    plain = [n for n in SEALED["touches"][1:] if n not in _KEYS]
+    try:
+        with closing(Store(path.parent)) as old:
+            if not old.sealed or any(old.broken(t) for t in SEALED if t != "touches"):
+                return
+            damaged = ", ".join(map(str, old.broken("touches")))
+        store.rows("ATTACH ? AS old", [str(path)])
+        with store.writing():
+            for statement in _CARRY.split(";"):
+                store.run(
+                    statement.format(
+                        damaged=damaged,
+                        touches=", ".join(plain),
+                        recordings=", ".join(SEALED["recordings"][1:]),
+                    )
+                )
+    except DatabaseUnavailable:
+        raise
+    except LibraryError:
+        return
+
+
+def _enter_all(store: Store, *, anew: bool) -> tuple[int, int]:
+    """Enter unknown files by time; return how many touches and changes were gained.
+
+    A change that the database does not know is carried out unless somebody was told
+    of a later one, but not of it: then it stays where it is.
+    """
     known = changes.known_changes(store)
+    found = changes.readable_changes(changes.change_files(store))
+    told = changes.told_changes(found | known) - set(known)
     before = store.count("SELECT count(*) FROM touches")
-    steps: list[tuple[float, str, Path]] = []
+    steps: list[tuple[float, str, str]] = []
     for path in checking.spare_files(store):
         if sheet := _sheet_in(store, path.stem):
-            steps.append((sheet.added_s, "touches", path))
-    for name, path in changes.change_files(store).items():
-        if name not in known:
-            with suppress(OSError, ValueError):
-                steps.append((changes.read_change(path)["time_s"], "change", path))
+            steps.append((sheet.added_s, "touches", path.stem))
+    steps += ((found[name]["time_s"], "change", name) for name in told)
     n_changes = 0
-    for _, kind, path in sorted(steps):
+    for _, kind, name in sorted(steps):
         if kind == "change":
-            change = path.stem, changes.read_change(path)
-            if _entered(store, changes.apply_change, *change):
-                n_changes += 1
-            else:  # it is noted all the same
-                with store.writing():
-                    changes.enter_change(store, *change)
-        elif sheet := _sheet_in(store, path.stem):
-            _entered(store, write_rows, sheet, path.stem)
+            n_changes += _carried_out(store, name, found[name], anew=anew)
+        elif sheet := _sheet_in(store, name):
+            named = sheet if anew else _named_as_now(store, sheet)
+            _entered(store, write_rows, named, name)
+    changes.retract_again(store, before)
     return store.count("SELECT count(*) FROM touches") - before, n_changes
+
+
+def _carried_out(
+    store: Store, name: str, content: dict[str, Any], *, anew: bool
+) -> bool:
+    """Carry out a change: in its place among all others, or as one made now."""
+    if anew:
+        touches_alone = content["action"] in ("retract", "restore")
+        enter = changes.enter_change if touches_alone else changes.apply_change
+        return _entered(store, enter, name, content)
+    again = {n: v for n, v in content.items() if n not in ("time_s", "digest")}
+    try:
+        n_changed = changes.make_change(store, **again)
+    except (DatabaseUnavailable, DatabaseDamaged):
+        raise
+    except checking.NO_SHEET:
+        return False
+    _set_aside(store.folder, changes.change_files(store)[name])
+    return bool(n_changed)
+
+
+def _named_as_now(store: Store, sheet: Sheet) -> Sheet:
+    """Return touches that enter late under the present names of their objects."""
+    labels = sheet.values.get("object")
+    if labels is None:
+        return sheet
+    names = changes.Names(store)
+    now = [names.now(label, sheet.added_s) for label in labels]
+    return replace(sheet, values={**sheet.values, "object": now})
 
 
 def _sheet_in(store: Store, name: str) -> Sheet | None:
     """Return the touches in a file, or None where it is not what it should be."""
     try:
         return read_sheet(read_file(store.folder / IMAGES, name))
-    except _NO_SHEET:
+    except checking.NO_SHEET:
         return None
 
 
@@ -179,21 +278,28 @@ def _entered(store: Store, enter: Callable[..., Any], *what: Any) -> bool:
             enter(store, *what)
     except (DatabaseUnavailable, DatabaseDamaged):
         raise
-    except _NO_SHEET:
+    except checking.NO_SHEET:
         return False
     return True
 
 
-def _mend_changes(store: Store) -> int:
-    """Write damaged files of changes anew; set aside those that say nothing."""
+def _mend_changes(store: Store) -> tuple[int, int]:
+    """Write damaged files of changes anew, set aside those that are not known.
+
+    Return how many there are of each, of the latter those that are changes at all.
+    """
     known, files = changes.known_changes(store), changes.change_files(store)
     bad = [name for name in known if changes.file_fault(store, name, known[name])]
     _set_aside(store.folder, *(files[n] for n in bad if n in files))
     for name in bad:
         changes.write_again(store, name)
-    unknown = (path for name, path in files.items() if name not in known)
+    unknown = [path for name, path in files.items() if name not in known]
+    n_changes = 0
+    for path in unknown:
+        with suppress(OSError, ValueError):
+            n_changes += bool(changes.read_change(path))
     _set_aside(store.folder, *unknown)
-    return len(bad)
+    return len(bad), n_changes
 
 
 def _lost_and_found(store: Store, progress: bool | None) -> tuple[list[str], list[str]]:
@@ -203,10 +309,53 @@ def _lost_and_found(store: Store, progress: bool | None) -> tuple[list[str], lis
     for key, name in checking.image_files(store, "Reading files", progress):
         for problem in checking.image_problem(store, key, name):
             lost += problem.touches
+            _write_sheets_again(store, key, name)
         rows = checking.touches_in(store, key, f"t.retraction IN ({SET_ASIDE})")
         if rows and _sheet_in(store, name) is not None:
             found += [row.key.hex() for row in rows]
     return lost, found
+
+
+def _write_sheets_again(store: Store, file: int, name: str) -> None:
+    """Write touches whose images are whole, in a file that is not, to new files."""
+    rows = checking.touches_in(store, file, "1")
+    whole = [row for row in rows if is_whole(store, row)]
+    names, described, layout_of = (
+        changes.Names(store),
+        recordings(store),
+        layouts(store),
+    )
+    mended = False
+    groups: dict[tuple[int, int, float], list[tuple[StoredTouch, str | None]]] = {}
+    for row in whole:
+        [(recording, added_s, label)] = store.rows(
+            "SELECT t.recording, t.added_s, given.name FROM touches t "
+            "LEFT JOIN objects given ON given.id = t.object WHERE t.id = ?",
+            [row.key],
+        )
+        same = groups.setdefault((row.layout, recording, added_s), [])
+        same.append((row, names.before(label, added_s)))
+    for (layout, recording, added_s), pairs in groups.items():
+        touches, labels = [row for row, _ in pairs], [label for _, label in pairs]
+        values = plain_values(touches)
+        cells = {c.name: [v.get(c.name) for v in values] for c in layout_of[layout]}
+        sheet = Sheet(
+            layout_of[layout],
+            cells | ({"object": labels} if "object" in cells else {}),
+            {},
+            read_images(store.folder, touches),
+            described[recording],
+            added_s,
+            [row.key for row in touches],
+            [row.digest for row in touches],
+        )
+        with room_for("touches", store.folder, "Free space and repair again."):
+            new = publish(store.folder / IMAGES, packed(sheet.arrays()))
+        with store.writing():
+            move_rows(store, sheet, new)
+        mended = mended or new == name
+    if not mended:
+        _set_aside(store.folder, file_path(store.folder / IMAGES, name))
 
 
 def _leave_out_arrays(store: Store) -> int:

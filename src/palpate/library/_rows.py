@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import warnings
 from collections.abc import Collection, Iterator, Sequence
 from functools import cache
 from typing import Any, NamedTuple
@@ -9,12 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import check_option
 from ._array_files import packed
+from ._seals import SEALED
 from ._sheet import CELLS, Column, Sheet, canonical
-from ._store import AT_ONCE, LibraryError, Store, holders
+from ._store import AT_ONCE, LibraryError, Store, from_json, holders
 from ._where import COLUMNS
 
 Numbers = NDArray[np.int64]
+_SHOWN = 20
 MISSING = "its image is missing or altered"
 # Retractions that a repair made, since it found no image.
 SET_ASIDE = (
@@ -29,10 +33,11 @@ _JOINED = (
     f"{FROM} LEFT JOIN files f ON f.id = t.file "
     "LEFT JOIN changes c ON c.id = t.retraction "
 )
+DTYPE = "substr(r.dtype, instr(r.dtype, ')') + 1)"
 # Where each field of `StoredTouch` and `TouchRow` stands.
 _FIELDS = {
     **COLUMNS,
-    "dtype": "r.dtype",
+    "dtype": DTYPE,
     "key": "t.id",
     "file": "f.name",
     "offset": "f.offset",
@@ -50,9 +55,10 @@ _INSERT = (
     "time_s, force_n, press, frame, source_path, extra, layout, recording, file, "
     f"place, image, added_s) VALUES {holders(19)} ON CONFLICT (id) DO "
 )
+_HEALED = [f'"{n}"' for n in (*CELLS[1:], "extra", "layout", "recording", "file")]
 _HEAL = (
-    "UPDATE SET extra = excluded.extra, layout = excluded.layout, "
-    "file = excluded.file, place = excluded.place, "
+    f"UPDATE SET {', '.join(f'{n} = excluded.{n}' for n in _HEALED)}, "
+    "place = excluded.place, "
     f"retraction = iif(retraction IN ({SET_ASIDE}), NULL, retraction)"
 )
 
@@ -72,10 +78,21 @@ class StoredTouch(NamedTuple):
     digest: bytes
     n_rows: int
     n_cols: int
+    n_channels: int | None
     dtype: str
     layout: int
     extra: str | None
     cells: tuple[Any, ...]
+
+    @property
+    def image_shape(self) -> tuple[int, ...]:
+        """(n_rows, n_cols[, n_channels]) of its image."""
+        return shape_of(self.n_rows, self.n_cols, self.n_channels)
+
+
+def shape_of(*sides: int | None) -> tuple[int, ...]:
+    """Return the shape of an image; the number of channels is None without any."""
+    return tuple(n for n in sides if n is not None)
 
 
 _NAMED = StoredTouch._fields[:-1]
@@ -84,7 +101,7 @@ _CELLS = tuple("own_sensor" if name == "sensor" else name for name in CELLS)
 
 def plain_values(rows: Sequence[StoredTouch]) -> list[dict[str, Any]]:
     """Return all plain values of each touch by the name of their column."""
-    extras = json.loads(f"[{','.join(row.extra or '{}' for row in rows)}]")
+    extras = from_json(f"[{','.join(row.extra or '{}' for row in rows)}]")
     return [
         dict(zip(CELLS, row.cells, strict=True)) | extra
         for row, extra in zip(rows, extras, strict=True)
@@ -120,19 +137,71 @@ def rows_at(store: Store, numbers: Numbers) -> Iterator[list[StoredTouch]]:
 
 def read_one(store: Store, key: str) -> StoredTouch:
     """Return the row of the touch with this id, or say that there is none."""
-    found = stored_touches(store, "WHERE t.id = ?", [id_bytes(key)])
-    if not found:
+    number = store.key_of("touches", "id", id_bytes(key))
+    if number is None:
         raise LibraryError(
             f"id must be that of a touch in the library, got {key!r}. "
             "See `palpate library list`."
         )
-    return found[0]
+    return stored_touches(store, "WHERE t.number = ?", [number])[0]
+
+
+def damaged_touches(
+    store: Store, last: int | None = None, first: int = 1
+) -> dict[int, str]:
+    """Return touches whose rows are damaged, ids by numbers, from `first` to `last`.
+
+    A row is damaged when its seal is broken or that of a row it refers to.
+    """
+    if not store.sealed:
+        return {}
+    bad = {
+        table: _listed(store.broken(table)) for table in SEALED if table != "touches"
+    }
+    numbers = store.broken("touches", last, first)
+    if not numbers and not any(len(keys) > 2 for keys in bad.values()):
+        return {}
+    found = store.rows(
+        "SELECT number, lower(hex(id)) FROM touches "
+        f"WHERE number IN {_listed(numbers)} "
+        f"OR object IN (SELECT id FROM objects WHERE id IN {bad['objects']} "
+        f"OR merged_into IN {bad['objects']}) OR recording IN {bad['recordings']} "
+        f"OR layout IN {bad['layouts']} OR file IN {bad['files']} "
+        f"OR retraction IN {bad['changes']} ORDER BY number"
+    )
+    return dict(found)
+
+
+def _listed(keys: Sequence[int]) -> str:
+    return f"({', '.join(map(str, keys))})"
+
+
+def without_damaged(
+    store: Store, damaged: str, last: int | None = None, first: int = 1
+) -> str:
+    """Return SQL that leaves damaged touches out, or refuse them; `damaged` says which.
+
+    Whether one meets a filter cannot be known: of all touches none may be damaged.
+    """
+    check_option("damaged", damaged, ("raise", "skip"))
+    found = damaged_touches(store, last, first)
+    if not found:
+        return "1"
+    some = ", ".join([*found.values()][:_SHOWN]) + ", ..." * (len(found) > _SHOWN)
+    told = f"{len(found)} touches are damaged in {store.path}: {some}."
+    if damaged == "raise":
+        raise LibraryError(
+            f"Rows must be as they were written, got others: {told} Restore them with "
+            '`palpate library check --repair`, or leave them out with damaged="skip".'
+        )
+    warnings.warn(f"{told} They are left out.", stacklevel=2)
+    return f"t.number NOT IN {_listed([*found])}"
 
 
 def layouts(store: Store) -> dict[int, list[Column]]:
     """Return the columns of touches by the key of their layout."""
     rows = store.rows("SELECT id, columns FROM layouts ORDER BY id")
-    return {key: Column.all_of(json.loads(text)) for key, text in rows}
+    return {key: Column.all_of(from_json(text)) for key, text in rows}
 
 
 def distinct(store: Store, what: str, numbers: Numbers) -> list[tuple[Any, ...]]:
@@ -163,37 +232,67 @@ def write_rows(
 def _rows(store: Store, sheet: Sheet, name: str) -> Iterator[tuple[Any, ...]]:
     """Return what `_INSERT` names of each touch."""
     layout = {"columns": json.dumps([list(column) for column in sheet.layout])}
-    file = {
-        "name": bytes.fromhex(name),
-        "n_touches": len(sheet.ids),
-        "offset": len(packed([sheet.images])) - sheet.images.nbytes,
-    }
     keys = (
         _key(store, "layouts", layout, "columns"),
         _recording_key(store, sheet.recording),
-        _key(store, "files", file, "name"),
+        _file_key(store, sheet, name),
     )
-    scalar = {c.name for c in sheet.layout if c.shape == () and c.name in sheet.values}
-    blank = [None] * len(sheet.ids)
-    cells = [sheet.values[n] if n in scalar else blank for n in CELLS]
-    more = [n for n in sheet.values if n not in CELLS or n not in scalar]
+    cells, extras = plain_cells(sheet)
     objects = {
         label: _object_key(store, label, category)
         for label, category in dict(zip(*cells[:2], strict=True)).items()
         if label is not None
     }
     for row, (key, label) in enumerate(zip(sheet.ids, cells[0], strict=True)):
-        extra = {n: sheet.values[n][row] for n in more}
         yield (
             key,
             objects.get(label),
             *(column[row] for column in cells[1:]),
-            canonical(extra) if extra else None,
+            extras[row],
             *keys,
             row,
             sheet.digests[row],
             sheet.added_s,
         )
+
+
+def plain_cells(sheet: Sheet) -> tuple[list[list[Any]], list[str | None]]:
+    """Return the columns of `CELLS`, and the other plain values of each touch."""
+    scalar = {c.name for c in sheet.layout if c.shape == () and c.name in sheet.values}
+    blank = [None] * len(sheet.ids)
+    cells = [sheet.values[n] if n in scalar else blank for n in CELLS]
+    more = [n for n in sheet.values if n not in CELLS or n not in scalar]
+    places = range(len(sheet.ids))
+    extras = ({n: sheet.values[n][row] for n in more} for row in places)
+    return cells, [canonical(extra) if extra else None for extra in extras]
+
+
+def move_rows(store: Store, sheet: Sheet, name: str) -> None:
+    """Note that touches stand in the file `name`, and change nothing else of them."""
+    key = _file_key(store, sheet, name)
+    store.run_many(
+        "UPDATE touches SET file = ?, place = ? WHERE id = ?",
+        [(key, place, touch) for place, touch in enumerate(sheet.ids)],
+    )
+
+
+def recordings(store: Store) -> dict[int, dict[str, Any]]:
+    """Return what is the same for all touches of a recording, by its key."""
+    rows = store.rows(f"SELECT id, {_RECORDED}, whole FROM recordings")
+    names = _RECORDED.split(", ")
+    return {
+        key: dict(zip(names, known, strict=True)) | {"whole": from_json(whole)}
+        for key, *known, whole in rows
+    }
+
+
+def _file_key(store: Store, sheet: Sheet, name: str) -> int:
+    file = {
+        "name": bytes.fromhex(name),
+        "n_touches": len(sheet.ids),
+        "offset": len(packed([sheet.images])) - sheet.images.nbytes,
+    }
+    return _key(store, "files", file, "name")
 
 
 def _object_key(store: Store, name: str, category: str | None) -> int:
@@ -215,5 +314,5 @@ def _recording_key(store: Store, recording: dict[str, Any]) -> int:
 
 def _key(store: Store, table: str, values: dict[str, Any], unique: str) -> int:
     """Return the key of the row with this unique value, entering it where it lacks."""
-    found = store.one(f"SELECT id FROM {table} WHERE {unique} = ?", [values[unique]])
-    return store.insert(table, values) if found is None else int(found[0])
+    found = store.key_of(table, unique, values[unique])
+    return store.insert(table, values) if found is None else found

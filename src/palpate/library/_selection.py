@@ -9,13 +9,14 @@ of its content; a damaged one is computed again.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._types import Array, Floats
-from ..touches import Touches
+from ..touches import FORMER, Touches
 from ._array_files import packed, publish, read_file
 from ._reading import common_kind, read_columns, read_images, read_touches, read_whole
 from ._rows import Numbers, StoredTouch, rows_at
@@ -70,6 +71,11 @@ class Selection:
         return self.columns.get("session")
 
     @property
+    def subject(self) -> Array | None:
+        """Person or unit of each touch, shape (n_touches,), or None."""
+        return self.columns.get("subject")
+
+    @property
     def touch_id(self) -> NDArray[np.str_]:
         """Id of each touch, shape (n_touches,): 32 hexadecimal digits."""
         return np.array([key.hex() for key in self._ids()])
@@ -113,7 +119,9 @@ class Selection:
         missing = np.flatnonzero(~np.isin(ids, known_ids))
         if len(missing):
             numbers = self._numbers[missing]
-            _encode_new(self._store, cache, numbers, ids[missing], encode)
+            layout = {n: a for n, a in self.whole.items() if n in FORMER.values()}
+            encode_some = partial(_encoded, self._store.folder, encode, layout)
+            _encode_new(self._store, cache, numbers, ids[missing], encode_some)
             known_ids, known = _cached(cache)
         features: Floats = known[np.searchsorted(known_ids, ids)]
         return features
@@ -151,14 +159,17 @@ def _cached(cache: Path) -> tuple[Array, Floats]:
 
 
 def _encode_new(
-    store: Store, cache: Path, numbers: Numbers, ids: Array, encode: Encode
+    store: Store,
+    cache: Path,
+    numbers: Numbers,
+    ids: Array,
+    encode: Callable[[list[StoredTouch]], Floats],
 ) -> None:
     """Encode touches; what is done is kept now and then, should this be stopped."""
     from joblib import Parallel, delayed
 
     parts = Parallel(return_as="generator")(
-        delayed(_encoded)(store.folder, rows, encode)
-        for rows in rows_at(store, numbers)
+        delayed(encode)(rows) for rows in rows_at(store, numbers)
     )
     waiting: list[Floats] = []
     n_kept = n_done = 0
@@ -174,6 +185,9 @@ def _encode_new(
             waiting, n_kept = [], n_done
 
 
-def _encoded(folder: Path, rows: list[StoredTouch], encode: Encode) -> Floats:
+def _encoded(
+    folder: Path, encode: Encode, layout: dict[str, Array], rows: list[StoredTouch]
+) -> Floats:
     """Encode some touches; runs wherever joblib sends it, without the database."""
-    return np.asarray(encode(Touches(read_images(folder, rows))), dtype=np.float64)
+    touches = Touches(read_images(folder, rows), **layout)
+    return np.asarray(encode(touches), dtype=np.float64)

@@ -123,7 +123,7 @@ def sheet_of(touches: Touches, recording: dict[str, Any], added_s: float) -> She
 def read_sheet(arrays: Sequence[Array]) -> Sheet:
     """Return the sheet that `Sheet.arrays` wrote; many errors where it is none."""
     images, *blocks, text = arrays
-    if images.ndim != 3 or text.dtype != np.uint8:
+    if images.ndim not in (3, 4) or text.dtype != np.uint8:
         raise ValueError("no images, or no sheet after them")
     sheet = json.loads(text.tobytes())
     if sheet["format"] != 1:

@@ -4,6 +4,7 @@ Write-ahead logging with `synchronous=FULL`: once a transaction has ended, it is
 the disk. Readers never wait for writers; writers wait for one another.
 """
 
+import json
 import os
 import sqlite3
 import threading
@@ -12,11 +13,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from ._seals import SEALED, seal, seal_all, triggers
+
 FILE_NAME = "library.sqlite"
 IMAGES, ARRAYS, CHANGES, FEATURES = "images", "arrays", "changes", "features"
-VERSION = 1
+VERSION = 2  # from 2 on, rows have seals
 PATIENCE_S = 60.0
 AT_ONCE = 512  # so many touches stand in one query, and in one task of a worker
+_ROWS_AT_ONCE = 4096
 _APPLICATION = 0x70616C70  # "palp"
 
 _TABLES = """
@@ -56,9 +60,7 @@ CREATE TABLE touches (
     place INTEGER NOT NULL,
     image BLOB NOT NULL,
     added_s REAL NOT NULL,
-    retraction INTEGER REFERENCES changes (id));
-CREATE INDEX touches_of_object ON touches (object, retraction, session, episode);
-"""
+    retraction INTEGER REFERENCES changes (id))"""
 
 
 class LibraryError(ValueError):
@@ -85,14 +87,18 @@ class Store:
     """The folder of a library and the connection to its database.
 
     One thread uses the connection at a time. `create` makes the tables where there
-    are none; `name` is another database while a repair makes it anew.
+    are none; `name` is another database while a repair makes it anew. `sealed` tells
+    whether its rows have seals.
     """
+
+    sealed = False
 
     def __init__(
         self, folder: Path, *, create: bool = False, name: str = FILE_NAME
     ) -> None:
         self.folder, self.path = folder, folder / name
         self._lock = threading.RLock()
+        self._seen: dict[str, tuple[int, list[int]]] = {}
         self._process = os.getpid()
         if not create and not self.path.is_file():
             raise _missing(self.path)
@@ -130,6 +136,59 @@ class Store:
             found += self.rows(many, piece)
         return found
 
+    def key_of(self, table: str, column: str, value: Any) -> int | None:
+        """Return the key of the row with a unique value; its index may be damaged."""
+        key = SEALED[table][0]
+        found = self.one(f"SELECT {key} FROM {table} WHERE {column} = ?", [value])
+        if found is None:
+            return None
+        sql = f"SELECT {column} FROM {table} NOT INDEXED WHERE {key} = ?"
+        if self.one(sql, found) != (value,):
+            raise self._rows_missing(table)
+        return int(found[0])
+
+    def broken(self, table: str, last: int | None = None, first: int = 1) -> list[int]:
+        """Return the keys of rows whose seal is broken, from `first` up to `last`.
+
+        From the first row on, each is read once in the life of the store.
+
+        Raises
+        ------
+        DatabaseDamaged
+            Rows are missing.
+        """
+        with self._lock:
+            seen, found = self._seen.get(table, (0, []))
+            part = first > seen + 1
+            if part:
+                seen, found = first - 1, []
+            key, columns = SEALED[table][0], ", ".join(SEALED[table])
+            [(n_rows, end)] = self.rows(
+                f"SELECT (SELECT count(*) FROM {table} "
+                f"INDEXED BY sqlite_autoindex_{table}_1), max({key}) FROM {table}"
+            )
+            if n_rows != (end or 0):
+                raise self._rows_missing(table)
+            end = n_rows if last is None else min(last, n_rows)
+            while seen < end:
+                rows = self.rows(
+                    f"SELECT {columns}, seal FROM {table} NOT INDEXED "
+                    f"WHERE {key} > ? AND {key} <= ? ORDER BY {key}",
+                    [seen, min(seen + _ROWS_AT_ONCE, end)],
+                )
+                keys = range(seen + 1, seen + 1 + len(rows))
+                if not rows or [row[0] for row in rows] != [*keys]:
+                    raise self._rows_missing(table)
+                found += [row[0] for row in rows if seal(*row[:-1]) != row[-1]]
+                seen += len(rows)
+                if not part:
+                    self._seen[table] = seen, found
+            return found
+
+    def _rows_missing(self, table: str) -> "DatabaseDamaged":
+        start = f"{self.path} must be a sound database, got missing rows of {table}. "
+        return DatabaseDamaged(start + _REBUILD)
+
     def run(self, sql: str, values: Sequence[Any] = ()) -> int:
         """Run one statement inside `writing` and return how many rows it changed."""
         return self._connection.execute(sql, values).rowcount
@@ -146,7 +205,17 @@ class Store:
     @contextmanager
     def writing(self) -> Iterator[None]:
         """Run a transaction: when the block has ended, all of it is on the disk."""
-        with self._lock, self._explained():
+        with self._lock:
+            if not self.sealed:
+                with self._transaction():
+                    self._seal_rows()
+                self._watch()
+            with self._transaction():
+                yield
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        with self._explained():
             self._connection.execute("BEGIN IMMEDIATE")
             try:
                 yield
@@ -168,6 +237,10 @@ class Store:
             yield
         except sqlite3.Error as error:
             raise _explained(self.path, error) from error
+        except UnicodeDecodeError as error:  # in what SQLite quotes of the database
+            raise DatabaseDamaged(
+                f"{self.path} must be a sound database, got: {error}. {_REBUILD}"
+            ) from error
         except UnicodeEncodeError as error:
             raise LibraryError(
                 f"Texts must be such as UTF-8 can hold, got {error.object[:80]!r}. "
@@ -218,6 +291,8 @@ class Store:
             run("PRAGMA synchronous = FULL")
             run("PRAGMA foreign_keys = ON")
             run("PRAGMA trusted_schema = OFF")
+            run("PRAGMA temp_store = MEMORY")
+            self._connection.create_function("seal_of", -1, seal, deterministic=True)
             if self.count("PRAGMA user_version") == 0 and create:
                 run("PRAGMA journal_mode = WAL")
                 self._make_tables()
@@ -234,15 +309,33 @@ class Store:
                 "another one, or an empty file. Give another folder, or rebuild it "
                 "from its images with `palpate library check --repair`."
             )
+        if version == VERSION:
+            self._watch()
+
+    def _watch(self) -> None:
+        """Seal rows that are written; texts that are none break their seal alone."""
+        with self._explained():
+            for statement in triggers():
+                self._connection.execute(statement)
+        self._connection.text_factory = lambda text: text.decode(
+            errors="backslashreplace"
+        )
+        self.sealed = True
+
+    def _seal_rows(self) -> None:
+        if self.count("PRAGMA user_version") < VERSION:
+            for statement in seal_all():
+                self.run(statement)
+            self.run(f"PRAGMA user_version = {VERSION}")
 
     def _make_tables(self) -> None:
-        with self.writing():
+        with self._transaction():
             if self.one("SELECT 1 FROM sqlite_master"):
                 return  # another process was faster, or it is another database
             for statement in _TABLES.split(";"):
                 self.run(statement)
             self.run(f"PRAGMA application_id = {_APPLICATION}")
-            self.run(f"PRAGMA user_version = {VERSION}")
+            self._seal_rows()
 
 
 def holders(n_values: int) -> str:
@@ -259,6 +352,16 @@ def holds_files(library: Path) -> bool:
     """Tell whether touches or changes have ever been stored in a library."""
     kinds = (f"{IMAGES}/[0-9a-f][0-9a-f]/*.npy", f"{CHANGES}/*-*.json")
     return any(next(library.glob(kind), None) is not None for kind in kinds)
+
+
+def from_json(text: str) -> Any:
+    """Return what stands in a cell as JSON, or say that the database is damaged."""
+    try:
+        return json.loads(text)
+    except ValueError as error:
+        raise DatabaseDamaged(
+            f"A cell of the database must be JSON, got {text[:80]!r}. {_REBUILD}"
+        ) from error
 
 
 @contextmanager
@@ -306,7 +409,10 @@ def _explained(path: Path, error: sqlite3.Error) -> LibraryError:
     name = "_".join(getattr(error, "sqlite_errorname", "").split("_")[:2])
     start = f"{path} must be a sound database, got: {error}. "
     unusable = f"{path} must be readable and writable, got: {error}. "
-    if name in ("SQLITE_CORRUPT", "SQLITE_NOTADB"):
+    broken_seal = (
+        error.sqlite_errorname == "SQLITE_CONSTRAINT_TRIGGER" if name else False
+    )
+    if broken_seal or name in ("SQLITE_CORRUPT", "SQLITE_NOTADB"):
         return DatabaseDamaged(start + _REBUILD)
     if name in ("SQLITE_BUSY", "SQLITE_LOCKED"):
         return DatabaseBusy(unusable + _WAIT)

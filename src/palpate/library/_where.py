@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Collection
 from itertools import accumulate
 from typing import Any, NamedTuple
+from unicodedata import normalize
 
 from ._sheet import CELLS
 from ._store import LibraryError, holders, is_unicode
@@ -23,6 +24,8 @@ COLUMNS = {
     "id": "lower(hex(t.id))",
     "added_s": "t.added_s",
     **{name: f"r.{name}" for name in _RECORDED},
+    # The type of images with channels begins with their number: "(3,)|u1".
+    "n_channels": "iif(r.dtype LIKE '(%', CAST(substr(r.dtype, 2) AS INTEGER), NULL)",
     "x_mm": "json_extract(t.extra, '$.position_mm[0]')",
     "y_mm": "json_extract(t.extra, '$.position_mm[1]')",
     "z_mm": "json_extract(t.extra, '$.position_mm[2]')",
@@ -65,7 +68,7 @@ def parse_where(text: str, extra: Collection[str] = ()) -> Condition:
             f"--where must be text that UTF-8 can hold, got {text[:80]!r}. Give it in "
             "the encoding of the terminal."
         )
-    parser = _Parser(text, extra)
+    parser = _Parser(normalize("NFC", text), extra)  # as names of objects are spelt
     condition = parser.either(0)
     parser.end()
     if _depth(condition.sql) > _DEEPEST_SQL:
