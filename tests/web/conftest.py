@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.sensors import ReplaySensor
+from palpate.sensors import LiveSensor, ReplaySensor
 from palpate.web import LiveSession, create_app, learn_job, new_token
 
 pytest.importorskip("fastapi", reason='pip install "palpate[web]"')
@@ -71,20 +71,42 @@ def learning_here(monkeypatch):
     monkeypatch.setattr("palpate.web._session.learn_apart", learn_job)
 
 
-@contextmanager
-def serving(session, token=None, **limits):
-    """Run the application of a session on a free port; give its address and token."""
-    import uvicorn
+class HandSensor(LiveSensor):
+    """An array that reads whatever a test says, and does not know its baseline."""
 
-    from palpate.web import open_socket
+    def __init__(self, geometry="array"):
+        super().__init__("hand", "count", (SIDE, SIDE), np.uint8, geometry)
+        self.pressed = False
+
+    def _open(self):
+        pass
+
+    def _grab(self):
+        time.sleep(0.005)
+        image = np.full((SIDE, SIDE), 20, np.uint8)
+        if self.pressed:
+            image[3:7, 4:9] = 200
+        return [image]
+
+    def _close(self):
+        pass
+
+
+@pytest.fixture
+def hand():
+    """Give a sensor that is pressed by setting `pressed`."""
+    return HandSensor()
+
+
+@contextmanager
+def serving(session, token=None, port=0, **limits):
+    """Run the application of a session, on a free port; give address and token."""
+    from palpate.web import open_socket, server_of
 
     token = token or new_token()
-    opened = open_socket("127.0.0.1", 0)
+    opened = open_socket("127.0.0.1", port)
     app = create_app(session, token, **limits)
-    config = uvicorn.Config(
-        app, log_level="error", access_log=False, ws="websockets-sansio"
-    )
-    server = uvicorn.Server(config)
+    server = server_of(app, log_level="error")
     server.install_signal_handlers = lambda: None
     thread = threading.Thread(target=server.run, args=([opened],), daemon=True)
     thread.start()

@@ -116,6 +116,19 @@ def _check_nearest(client):
     assert shown.headers["content-type"] == "image/png"
 
 
+def test_objects_are_made_one_only_where_that_is_said(client, drawn):
+    teach(client, drawn, "disc", 2)
+    teach(client, drawn, "bar", 3)
+    order = {"object": "bar", "name": "disc"}
+    refused = client.post("/api/objects/rename", json=order)
+    assert refused.status_code == 422
+    assert "must not be taken" in refused.json()["detail"]
+    merged = client.post("/api/objects/rename", json={**order, "merge": True})
+    assert merged.status_code == 200
+    objects = client.get("/api/state").json()["library"]["objects"]
+    assert objects == [{"name": "disc", "n_touches": 5}]
+
+
 def test_what_is_acknowledged_is_in_the_library(client, drawn):
     ids = teach(client, drawn, "disc", 3)
     library = TouchLibrary.open(client.session.teacher.folder)
@@ -134,8 +147,65 @@ def test_an_object_is_exported_as_an_archive(client, drawn, tmp_path):
     ids = client.get("/api/objects/touches", params={"object": "bar"}).json()
     assert len(ids) == 3
     missing = client.get("/api/objects/archive", params={"object": "hat"})
-    assert missing.status_code == 422
+    assert missing.status_code == 404
     assert "no object 'hat'" in missing.json()["detail"]
+
+
+@pytest.mark.parametrize(
+    ("body", "image"),
+    [
+        (b'{"image":[[1,2],[3,4]]}', [[1, 2], [3, 4]]),
+        (
+            b' { "image" : [ [1.5 , null]\r\n,\t[-3e2,NaN] ] } ',
+            [[1.5, None], [-300, None]],
+        ),
+        (b'{"object": "[[\\"image\\": [[9]]", "image": [[7]]}', [[7]]),
+        (b'{"image": [[7]], "object": "]],[9]"}', [[7]]),
+    ],
+    ids=["plain", "blanks", "name before", "name after"],
+)
+def test_numbers_are_read_however_json_is_written(client, body, image):
+    """The name of an object may look like rows; it is none."""
+    path = "/api/teach/touch" if b"object" in body else "/api/touch"
+    headers = {"Content-Type": "application/json"}
+    answer = client.post(path, content=body, headers=headers)
+    assert answer.status_code == 200
+    library = client.session.teacher.library
+    if path == "/api/teach/touch":
+        got = library.image(answer.json()["id"])
+        (row,) = library.list()
+        assert row.object == json.loads(body)["object"]
+    else:
+        got = client.session.episode.images[-1]
+    np.testing.assert_array_equal(got, np.array(image, np.float32))
+
+
+@pytest.mark.parametrize("kind", ["<u1", ">u2", "<f4", ">f8"])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_arrays_are_touches_too(client, kind, order):
+    image = np.asarray([[1, 2, 3], [4, 5, 6]], kind, order=order)
+    written = io.BytesIO()
+    np.save(written, image)
+    headers = {"Content-Type": "application/x-npy"}
+    answer = client.post(
+        "/api/touch/picture", content=written.getvalue(), headers=headers
+    )
+    assert answer.status_code == 200
+    got = client.session.episode.images[-1]
+    np.testing.assert_array_equal(got, image)
+    assert got.dtype == image.dtype.newbyteorder("=")
+
+
+def npy(image, cut=None):
+    written = io.BytesIO()
+    np.save(written, np.asarray(image))
+    return written.getvalue()[:cut]
+
+
+def test_a_small_order_is_no_place_for_much(shared):
+    answer = shared.post("/api/teach", content=b" " * 70_000)
+    assert answer.status_code == 413
+    assert "at most 65536 bytes" in answer.json()["detail"]
 
 
 def test_pictures_are_touches_too(client, drawn):
@@ -190,10 +260,16 @@ def bomb(n_rows, n_cols):
         ),
         (bomb(30_000, 30_000), "image/png", "pixels"),
         (bomb(12, 12), "image/png", "decoded|damaged|cut"),
-        (b"GIF89a", "image/gif", "image/png or image/jpeg"),
-        (b"x", "", "image/png or image/jpeg"),
+        (b"GIF89a", "image/gif", "image/png, image/jpeg or"),
+        (b"x", "", "image/png, image/jpeg or"),
+        (npy(np.eye(3), cut=-1), "application/x-npy", "numpy.save"),
+        (npy(np.eye(3)) + b"x", "application/x-npy", "numpy.save"),
+        (npy(np.eye(3), cut=20), "application/x-npy", "numpy.save"),
+        (npy(np.zeros(4)), "application/x-npy", "n_rows, n_cols"),
+        (npy([["a"]]), "application/x-npy", "whole numbers or floats"),
+        (npy([[np.inf]]), "application/x-npy", "finite"),
+        (npy(np.eye(2)).replace(b"(2, 2)", b"(9, 9)"), "application/x-npy", "other"),
     ],
-    ids=["empty", "text", "cut png", "cut jpeg", "bomb", "short", "gif", "untyped"],
 )
 @pytest.mark.parametrize("path", ["/api/touch/picture", "/api/teach/touch/picture"])
 def test_hostile_pictures_are_refused(shared, path, content, kind, message):
@@ -219,6 +295,14 @@ def test_hostile_pictures_are_refused(shared, path, content, kind, message):
         b'{"image": [["a"]]}',
         b'{"image": [[1e39]]}',
         b'{"image": 3, "more": 4}',
+        b'{"image": [[1]], "more": 4}',
+        b'{"image": [[1]], "image": 4}',
+        b'{"image": [[1] [2]]}',
+        b'{"image": [[1], 2]}',
+        b'{"image": [[true]]}',
+        b'{"image": [[' + b"9" * 5000 + b"]]}",
+        b'{"image": [[' + b"[" * 50_000 + b"]]}",
+        b'{"image": [[1]]',
         json.dumps({"image": [[0] * 4097]}).encode() * 2,
     ],
 )
@@ -260,8 +344,6 @@ def test_what_this_server_cannot_do_is_said(client):
         ("/api/zero", {"force": False}, "no sensor"),
         ("/api/place", {"object": "mug"}, "cannot be chosen"),
         ("/api/teach/undo", None, "no touch to undo"),
-        ("/api/objects/forget", {"object": "hat"}, "no object 'hat'"),
-        ("/api/objects/rename", {"object": "hat", "name": "cap"}, "'hat'"),
         ("/api/episode/archive", None, "no touch yet"),
     ]:
         method = "GET" if path.endswith("archive") else "POST"
@@ -269,6 +351,15 @@ def test_what_this_server_cannot_do_is_said(client):
         assert answer.status_code in (409, 422), path
         assert words in answer.json()["detail"]
     assert client.get("/api/touches/zz/picture").status_code == 404
+    for path, body in [
+        ("objects/forget", {"object": "hat"}),
+        ("objects/rename", {"object": "hat", "name": "cap"}),
+        ("objects/touches?object=hat", None),
+    ]:
+        method = "GET" if body is None else "POST"
+        answer = client.request(method, f"/api/{path}", json=body)
+        assert answer.status_code == 404, path
+        assert "no object 'hat'" in answer.json()["detail"]
 
 
 def test_without_a_library_nothing_is_taught(make_session, connected):

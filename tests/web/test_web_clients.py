@@ -5,6 +5,7 @@ import socket
 import threading
 import time
 
+import httpx
 import pytest
 from websockets.sync.client import connect
 
@@ -43,11 +44,24 @@ def stopped_reader(address, token):
     return raw
 
 
-def test_twenty_pages_and_one_that_stops_reading(make_session, serving):
-    session = make_session()
+def test_twenty_pages_one_that_stops_reading_and_one_that_sends_much(
+    make_session, serving
+):
+    session, refused = make_session(), []
     session.watch.sensor.rate_hz = 60.0
+    rows = [[0.25] * 2000] * 1300  # 15 MB of JSON, of a size that is refused at last
+    much = json.dumps({"image": rows}).encode()
     with serving(session) as (address, token):
         slow = stopped_reader(address, token)
+        bearer = {"Authorization": f"Bearer {token}"}
+        posting = threading.Thread(
+            target=lambda: refused.append(
+                httpx.post(
+                    f"{address}/api/touch", content=much, headers=bearer, timeout=60
+                )
+            )
+        )
+        posting.start()
         found = []
         readers = [
             threading.Thread(target=lambda: found.append(heads(address, token, 3.0)))
@@ -57,7 +71,9 @@ def test_twenty_pages_and_one_that_stops_reading(make_session, serving):
             reader.start()
         for reader in readers:
             reader.join(20)
+        posting.join(60)
         slow.close()
+    assert "must have 12 x 12 taxels, got 1300 x 2000" in refused[0].text
     assert len(found) == N_CLIENTS
     for frames in found:
         numbers = [frame["number"] for frame in frames]

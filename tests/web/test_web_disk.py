@@ -59,7 +59,8 @@ def database_error():
     return caught.value
 
 
-def test_a_database_without_room_lacks_room(client, monkeypatch, database_error):
+def test_a_database_without_room_lacks_room(client, drawn, monkeypatch, database_error):
+    client.session.post_lesson("cup", drawn.images[0])
     causes = [database_error, None]
 
     def refuse(*given, **named):

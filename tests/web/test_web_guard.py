@@ -1,12 +1,16 @@
 """Nobody comes in without the token, and nobody brings too much."""
 
 import json
+import socket
 
+import cv2
+import numpy as np
 import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from palpate.web import create_app, new_token
+from palpate.library import TouchLibrary
+from palpate.web import checked_token, create_app, kept_token, new_token, qr_code
 
 TOKEN = "right-token"
 BEARER = {"Authorization": f"Bearer {TOKEN}"}
@@ -54,8 +58,9 @@ def test_with_a_wrong_token_everything_is_refused(client, wrong):
         assert answer.status_code == 403, path
     header = {"Authorization": b"Bearer " + wrong.encode()}
     assert client.get("/api/state", headers=header).status_code == 403
-    cookie = {"Cookie": b"palpate_token=" + wrong.encode()}
-    assert client.get("/api/state", headers=cookie).status_code in (401, 403)
+    name = f"palpate_token_{client.base_url.port}=".encode()
+    cookie = {"Cookie": name + wrong.encode()}
+    assert client.get("/api/state", headers=cookie).status_code == 403
 
 
 @pytest.mark.parametrize("query", ["", "?token=wrong"])
@@ -69,10 +74,11 @@ def test_the_right_token_opens_by_header_query_and_cookie(client):
     assert client.get(f"/api/state?token={TOKEN}").status_code == 200
     page = client.get(f"/?token={TOKEN}")
     assert page.status_code == 200
-    assert page.url.query == b""  # the token is not left in the address
     assert "<title>palpate" in page.text
     assert client.get("/static/app.js").status_code == 200  # by the cookie
-    cookie = {"Cookie": f"palpate_token={client.cookies['palpate_token']}"}
+    (name,) = client.cookies
+    assert name == f"palpate_token_{client.base_url.port}"  # cookies know no ports
+    cookie = {"Cookie": f"{name}={client.cookies[name]}"}
     with connect(socket_address(client), additional_headers=cookie) as socket:
         assert json.loads(socket.recv())["kind"] == "state"
 
@@ -89,6 +95,96 @@ def test_pages_of_other_sites_are_refused(client):
     assert client.post("/api/episode/start", headers=foreign).status_code == 403
     own = {**BEARER, "Origin": str(client.base_url)}
     assert client.post("/api/episode/start", headers=own).status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [
+        ("127.0.0.1:{port}", 200),
+        ("[::1]:{port}", 200),
+        ("192.168.7.9", 200),  # a number was not looked up: no rebinding
+        ("LOCALHOST:{port}", 200),
+        (socket.gethostname(), 200),
+        ("rebound.example:{port}", 403),
+        ("127.0.0.1.rebound.example", 403),
+        ("localhost@rebound.example", 403),
+        ("[", 403),
+        ("", 403),
+    ],
+)
+def test_only_names_of_this_server_are_answered(client, host, status):
+    headers = {**BEARER, "Host": host.format(port=client.base_url.port)}
+    assert client.get("/api/health", headers=headers).status_code == status
+
+
+def test_a_name_that_was_given_is_answered(make_session, connected):
+    with connected(make_session(sensor=False), names=["desk.example"]) as client:
+        for host, status in (("desk.example", 200), ("other.example", 403)):
+            headers = {"Host": host}
+            assert client.get("/api/health", headers=headers).status_code == status
+
+
+def test_the_token_changes_nothing_from_an_address(client):
+    client.cookies.clear()
+    answer = client.post("/api/episode/start", params={"token": TOKEN})
+    assert answer.status_code == 403
+    assert "Authorization: Bearer" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("token", [None, "wrong"])
+def test_a_browser_is_asked_for_the_token_by_a_page(client, token):
+    client.cookies.clear()
+    params = {} if token is None else {"token": token}
+    browser = {"Accept": "text/html,application/xhtml+xml"}
+    page = client.get("/", params=params, headers=browser)
+    assert page.status_code == (401 if token is None else 403)
+    assert page.headers["content-type"].startswith("text/html")
+    assert 'name="token"' in page.text
+    assert client.get("/static/style.css").status_code == 200  # what it looks like
+
+
+def test_who_comes_from_another_site_gets_the_page_and_the_cookie_at_once(client):
+    """A strict cookie is not sent along with a redirect that another site caused."""
+    client.cookies.clear()
+    headers = {"Sec-Fetch-Site": "cross-site", "Accept": "text/html"}
+    page = client.get(f"/?token={TOKEN}", headers=headers, follow_redirects=False)
+    assert page.status_code == 200
+    assert "set-cookie" in page.headers
+
+
+@pytest.mark.parametrize("path", ["/", "/static/app.js", "/api/state"])
+@pytest.mark.parametrize("headers", [{}, BEARER], ids=["refused", "answered"])
+def test_every_answer_says_what_a_browser_may_do(client, path, headers):
+    client.cookies.clear()
+    rules = client.get(path, headers=headers).headers
+    assert rules["content-security-policy"].startswith("default-src 'none'")
+    assert rules["x-content-type-options"] == "nosniff"
+    assert rules["cross-origin-resource-policy"] == "same-origin"
+
+
+def test_half_a_request_is_not_waited_for(client, monkeypatch):
+    monkeypatch.setattr("palpate.web._patience.HEAD_S", 0.2)
+    monkeypatch.setattr("palpate.web._request_guard._PART_S", 0.2)
+    # What rests on a connection after an answer has uvicorn's 5 s.
+    place = client.base_url.host, client.base_url.port
+    whole = f"GET /static/style.css HTTP/1.1\r\nHost: {place[0]}\r\n\r\n".encode()
+    for sent in (b"", b"GET / HTTP/1.1\r\nHo", whole + b"GET /"):
+        with socket.create_connection(place, timeout=30) as half:
+            half.sendall(sent)
+            while half.recv(65536):  # to its end, or TimeoutError
+                pass
+    head = whole[:-2].replace(b"GET", b"POST") + b"Content-Length: 9\r\n\r\n1234"
+    with socket.create_connection(place, timeout=30) as half:
+        half.sendall(head)
+        assert half.recv(65536).startswith(b"HTTP/1.1 408")
+
+
+def test_a_slow_request_that_ends_in_time_is_answered(client):
+    place = client.base_url.host, client.base_url.port
+    with socket.create_connection(place, timeout=5) as slow:
+        for part in (b"GET /static/style.css HT", b"TP/1.1\r\nHost: ::1\r\n", b"\r\n"):
+            slow.sendall(part)
+        assert slow.recv(100).startswith(b"HTTP/1.1 403")  # ::1 needs brackets
 
 
 def test_nothing_may_be_loaded_from_elsewhere(client):
@@ -122,6 +218,36 @@ def test_too_many_requests_are_slowed_down(make_session, connected):
     assert codes[:10] == [200] * 10  # twice the rate at once
     assert 429 in codes
     assert answers[codes.index(429)].headers["retry-after"] == "1"
+
+
+def test_a_library_keeps_its_token_for_its_owner_alone(tmp_path):
+    TouchLibrary.open(tmp_path / "library", create=True).close()
+    token = kept_token(tmp_path / "library")
+    assert kept_token(tmp_path / "library") == token
+    kept = tmp_path / "library" / "page.token"
+    assert kept.stat().st_mode & 0o777 == 0o600
+    kept.chmod(0o644)  # others may have read it: it is no secret any more
+    assert kept_token(tmp_path / "library") != token
+    assert kept.stat().st_mode & 0o777 == 0o600
+    with TouchLibrary.open(tmp_path / "library") as library:
+        assert library.check().ok
+
+
+@pytest.mark.parametrize("token", ["short", "x" * 15, "x" * 201, "a b" * 9, "é" * 20])
+def test_a_token_that_is_easily_guessed_or_sent_wrongly_is_refused(token):
+    with pytest.raises(ValueError, match=r"16 to 200 letters.*Leave it out") as refused:
+        checked_token(token)
+    assert token not in str(refused.value)
+
+
+def test_the_address_is_drawn_as_a_code_that_phones_read():
+    # One address, since OpenCV's reader misses about 1 % of faultless codes.
+    words = "http://192.168.7.9:8765/?token=Zq3vN0tK8yRw5bXe1LhUj7SdPa2Gc6Mf"
+    lines = qr_code(words).split("\n")
+    halves = {" ": (0, 0), "▄": (0, 1), "▀": (1, 0), "█": (1, 1)}
+    rows = [[halves[one][half] for one in line] for line in lines for half in (0, 1)]
+    drawn = np.kron(np.array(rows, np.uint8) * 255, np.ones((8, 8), np.uint8))
+    assert cv2.QRCodeDetector().detectAndDecode(drawn)[0] == words
 
 
 def test_tokens_are_long_and_never_alike():

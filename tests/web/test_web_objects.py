@@ -170,7 +170,8 @@ def test_thumbnails_are_asked_for_without_listing_everything(folder, monkeypatch
     monkeypatch.setattr(TouchLibrary, "list", spy)
     ids = session.teacher.ids("disc", 5)
     assert len(ids) == 5
-    assert session.teacher.ids("hat", 5) == []
+    with pytest.raises(LibraryError, match="no object 'hat'"):
+        session.teacher.ids("hat", 5)
     assert max(listed) <= 5
     session.stop()
 

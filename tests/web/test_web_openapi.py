@@ -44,6 +44,14 @@ def test_every_answer_is_one_that_was_promised(api_schema, mode):
     assert len(tried) > 15
 
 
+def test_it_says_how_the_token_is_sent(api_schema):
+    schema = api_schema.raw_schema
+    ((name, scheme),) = schema["components"]["securitySchemes"].items()
+    assert (scheme["type"], scheme["scheme"]) == ("http", "bearer")
+    for path in schema["paths"].values():
+        assert all(way["security"] == [{name: []}] for way in path.values())
+
+
 def test_a_name_that_goes_says_which_one_to_use(api_schema):
     paths = api_schema.raw_schema["paths"]
     old, new = paths["/api/zero"]["post"], paths["/api/baseline"]["post"]

@@ -273,6 +273,221 @@ def test_without_the_token_there_is_no_page(page, make_session, serving):
         assert page.goto(f"{address}/").status == 401
 
 
+def test_the_token_is_asked_for_and_then_known(page, make_session, serving):
+    with serving(make_session()) as (address, token):
+        page.goto(f"{address}/")
+        page.get_by_label("Token").fill("wrong")
+        page.keyboard.press("Enter")
+        expect(page.get_by_role("alert")).to_contain_text("token is wrong")
+        page.get_by_label("Token").fill(token)
+        page.get_by_role("button", name="Open").click()
+        expect(page.locator("#rate")).to_contain_text("Hz", timeout=PATIENT)
+        assert "token" not in page.url
+        page.goto(f"{address}/")
+        expect(page.locator("#rate")).to_contain_text("Hz", timeout=PATIENT)
+
+
+def test_a_server_that_starts_again_is_found_if_the_token_is_the_same(
+    page, make_session, serving
+):
+    with ExitStack() as stack:
+        with serving(make_session(), "the-first-token") as (address, token):
+            relay = Relay(int(address.rsplit(":", 1)[1]))
+            stack.enter_context(closing(relay))
+            page.goto(f"http://127.0.0.1:{relay.port}/?token={token}")
+            expect(page.locator("#rate")).to_contain_text("Hz", timeout=PATIENT)
+            page.select_option("#placed", "disc")
+            expect(page.locator("#contact")).to_have_text("touching")
+        expect(page.locator("#offline")).to_be_visible()
+        expect(page.locator("#contact")).to_have_text("no connection")
+        expect(page.locator("#rate")).to_have_text("–")
+        expect(page.locator("#screen")).not_to_have_class(re.compile("touching"))
+        with serving(make_session(), "another-token") as (address, _):
+            relay.target = int(address.rsplit(":", 1)[1])
+            expect(page.locator("#refused")).to_contain_text("token has changed")
+            expect(page.locator("#offline")).to_be_hidden()
+        port = _cookie_port(page)
+        with serving(make_session(), "the-first-token", port=port) as (address, _):
+            relay.target = int(address.rsplit(":", 1)[1])
+            expect(page.locator("#rate")).to_contain_text("Hz", timeout=PATIENT)
+            expect(page.locator("#refused")).to_be_hidden()
+
+
+def _cookie_port(page):
+    """Return the port of the server whose token the browser keeps."""
+    (cookie,) = page.context.cookies()
+    return int(cookie["name"].rsplit("_", 1)[1])
+
+
+def press(page, hand):
+    hand.pressed = True
+    expect(page.locator("#contact")).to_have_text("touching")
+    time.sleep(0.2)  # a press of a single frame is none
+    hand.pressed = False
+    expect(page.locator("#contact")).to_have_text("no contact")
+
+
+def test_the_first_baseline_is_tried_by_a_press(page, hand, serving, tmp_path):
+    session = LiveSession(hand, library=tmp_path / "library")
+    hand.pressed = True
+    with serving(session) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        button = page.locator("#baseline")
+        expect(page.locator("#contact")).to_have_text("no baseline")
+        expect(button).to_have_text("Nothing touches it: take baseline")
+        button.click()
+        expect(page.locator("#status")).to_contain_text("may press the sensor")
+        expect(button).to_have_text("Take baseline anyway")
+        button.click()  # it insists, wrongly
+        expect(page.locator("#press-text")).to_contain_text("Now press the sensor")
+        hand.pressed = False
+        expect(page.locator("#contact")).to_have_text("touching")
+        time.sleep(0.2)
+        hand.pressed = True
+        expect(page.locator("#press-text")).to_contain_text("reads lower")
+        expect(page.locator("#press-keep")).to_be_hidden()
+        page.click("#press-undo")
+        expect(page.locator("#press")).to_be_hidden()
+        hand.pressed = False
+        time.sleep(0.1)
+        expect(button).to_have_text("Nothing touches it: take baseline")
+        button.click()
+        expect(page.locator("#press-text")).to_contain_text("Now press the sensor")
+        press(page, hand)
+        expect(page.locator("#press-text")).to_contain_text("look like your press")
+        expect(page.locator("#press-picture")).to_have_js_property("naturalWidth", 96)
+        assert session.episode.touches == []
+        page.click("#press-keep")
+        expect(page.locator("#press")).to_be_hidden()
+        press(page, hand)
+        expect(page.locator("#strip li")).to_have_count(1)
+
+
+@pytest.fixture
+def taught(make_session, drawn, learning_here):
+    """A session that has learnt the disc and the bar."""
+    session = make_session()
+    session.teacher.library.add(drawn[drawn.object != "both"])
+    session.watch.sensor.rate_hz = 60.0
+    session.learn(wait=True)
+    return session
+
+
+def seen(page, selector):
+    """Whether something is wholly in the window, without scrolling to it."""
+    box = page.locator(selector).bounding_box()
+    size = page.viewport_size
+    return box["y"] >= 0 and box["y"] + box["height"] <= size["height"]
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (390, 844)], ids=["desk", "phone"])
+def test_the_steps_and_the_next_button_are_always_in_sight(page, taught, serving, size):
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    with serving(taught) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        expect(page.locator("#step-1")).to_contain_text("taken")
+        expect(page.locator("#step-2")).to_contain_text("2 learnt")
+        page.fill("#name", "coin")
+        page.press("#wanted", "Enter")
+        expect(page.locator("#step-2")).to_contain_text("coin: 0 of 12")
+        expect(page.locator("#belief")).to_be_hidden()  # the lesson is in its place
+        expect(page.locator("#stop")).to_be_focused()
+        for place in (0, 10_000):
+            page.evaluate(f"window.scrollTo(0, {place})")
+            assert all(seen(page, one) for one in ("#steps", "#stop"))
+        page.evaluate("window.scrollTo(0, 0)")
+        assert size[0] < 1000 or seen(page, "#progress-text")
+        page.select_option("#placed", "disc")
+        expect(page.locator("#lesson-strip li")).not_to_have_count(0)
+        expect(page.locator("#belief")).to_be_visible(timeout=PATIENT)  # it is over
+        page.select_option("#placed", "")
+        page.locator("#learn").scroll_into_view_if_needed()
+        assert seen(page, "#learn")
+        assert seen(page, "#fresh")
+
+
+def test_an_unknown_object_is_taught_with_the_touches_just_made(
+    page, taught, serving, drawn
+):
+    with serving(taught) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        for image in drawn.images[drawn.object == "disc"][:3]:
+            taught.post_touch(image.T[::-1] // 2 + 100)  # like nothing learnt
+        expect(page.locator("#decision")).to_have_text("I do not know this one")
+        expect(page.locator("#if-one")).to_be_visible()
+        expect(page.locator("#bars")).to_have_class("doubtful")
+        expect(page.locator("#step-3")).to_contain_text("unknown")
+        page.click("#teach-this")
+        expect(page.locator("#first-touches")).to_contain_text("the 3 you just made")
+        expect(page.locator("#name")).to_be_focused()
+        page.keyboard.type("lid")
+        page.keyboard.press("Enter")
+        expect(page.locator("#step-2")).to_contain_text("lid: 3 of 12")
+        expect(page.locator("#lesson-strip li")).to_have_count(3)
+        page.click("#stop")
+        expect(page.locator("#belief")).to_be_visible()
+
+
+def test_of_a_long_episode_the_last_dozen_pictures_are_loaded(
+    page, taught, serving, drawn
+):
+    asked = []
+    page.on("request", lambda one: "/picture" in one.url and asked.append(one.url))
+    with serving(taught) as (address, token):
+        for number in range(60):
+            taught.post_touch(drawn.images[number % 30])
+        page.goto(f"{address}/?token={token}")
+        expect(page.locator("#strip li")).to_have_count(12)
+        expect(page.locator("#strip li").last).to_have_text("60")
+        time.sleep(0.5)  # for requests that should not be
+        assert len([url for url in asked if "/episode/" in url]) == 12
+        # Thumbnails stand under their columns.
+        columns, thumbs = page.evaluate(
+            """() => [document.querySelectorAll('#history rect'),
+            document.querySelectorAll('#strip img')].map((all) => [...new Set(
+            [...all].map((one) => one.getBoundingClientRect())
+            .map((box) => Math.round(box.x + box.width / 2)))])"""
+        )
+        assert len(columns) == len(thumbs) == 12
+        # A pixel of rounding either way.
+        assert all(abs(a - b) <= 2 for a, b in zip(columns, thumbs, strict=True))
+        before = page.locator("#bars li .name").first.evaluate(
+            "one => getComputedStyle(one, '::before').backgroundColor"
+        )
+        page.reload()
+        name = page.locator("#bars li .name").first
+        expect(name).not_to_have_text("")
+        again = name.evaluate("e => getComputedStyle(e, '::before').backgroundColor")
+        assert again == before
+
+
+def test_names_that_are_taken_make_objects_one_and_the_focus_stays(
+    page, taught, serving
+):
+    with serving(taught) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        page.get_by_role("button", name="Rename disc").click()
+        page.fill("#new-name", "coin")
+        page.keyboard.press("Enter")
+        expect(page.get_by_role("button", name="Rename coin")).to_be_focused()
+        page.get_by_role("button", name="Rename coin").click()
+        page.fill("#new-name", "bar")
+        expect(page.locator("#rename-note")).to_contain_text("bar already")
+        page.get_by_role("button", name="Make them one").click()
+        card = page.locator("li.object")
+        expect(card).to_have_count(1, timeout=PATIENT)
+        expect(card.locator(".meta")).to_contain_text("60 touches")
+
+
+def test_a_button_that_cannot_be_pressed_says_why(page, hand, serving, tmp_path):
+    with serving(LiveSession(hand, library=tmp_path / "library")) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        for name in ("start", "undo", "learn"):
+            expect(page.locator(f"#{name}")).to_be_disabled()
+        for reason in ("take the baseline first", "nothing was taught", "two objects"):
+            expect(page.locator("#why-not")).to_contain_text(reason)
+
+
 LONG = "a_very_long_recording_of_things_that_were_touched_again_and_again_and_again"
 
 

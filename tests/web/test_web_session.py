@@ -84,6 +84,78 @@ def test_the_baseline_is_refused_while_touching(make_session, drawn):
         LiveSession().take_baseline()
 
 
+def press_once(sensor, session):
+    sensor.pressed = True
+    assert waited(lambda: session.watch.detector.touching)
+    time.sleep(0.1)  # a press of a single frame is none
+    sensor.pressed = False
+    assert waited(lambda: not session.watch.detector.touching)
+
+
+def test_a_test_press_is_shown_and_not_stored(hand, tmp_path):
+    with LiveSession(hand, library=tmp_path / "library") as session:
+        with pytest.raises(SensorError, match="no test press"):
+            session.press_difference()
+        session.take_baseline(ask_press=True)
+        asked = session.to_dict()["sensor"]["press"]
+        assert asked == {"found": False, "lower": False, "number": 0}
+        press_once(hand, session)
+        assert waited(lambda: session.watch.press is not None)
+        assert session.to_dict()["sensor"]["press"]["found"]
+        difference = session.press_difference()
+        assert difference.max() == 180
+        assert (difference > 0).sum() == 20
+        session.end_press()
+        assert session.to_dict()["sensor"]["press"] is None
+        assert session.episode.touches == []
+        press_once(hand, session)
+        assert waited(lambda: len(session.episode.touches) == 1)
+
+
+def test_a_first_baseline_of_a_pressed_array_is_refused(hand):
+    hand.pressed = True
+    with LiveSession(hand) as session:
+        with pytest.raises(ContactError, match="row 4 column 6, where 20 neighbouring"):
+            session.take_baseline()
+        assert session.baseline is None
+        session.take_baseline(force=True, ask_press=True)  # somebody insists
+        hand.pressed = False
+        assert waited(lambda: session.watch.detector.touching)
+        hand.pressed = True
+        assert waited(lambda: session.watch.press is not None)
+        assert session.to_dict()["sensor"]["press"]["lower"]
+        session.end_press(undo=True)
+        assert session.baseline is None
+        hand.pressed = False
+        session.take_baseline()
+        assert (session.baseline == 20).all()
+
+
+def test_a_lesson_ends_the_test_press(hand, tmp_path):
+    with LiveSession(hand, library=tmp_path / "library") as session:
+        session.take_baseline(ask_press=True)
+        session.teach("cup", 1)
+        press_once(hand, session)
+        assert waited(lambda: session.teacher.lesson is None)
+        assert session.teacher.library.count() == 1
+
+
+def test_the_touches_of_an_episode_begin_a_lesson(make_session, drawn):
+    session = make_session()
+    with session:
+        for image in drawn.images[:3]:
+            session.post_touch(image)
+        session.teach("disc", 2, keep_episode=True)
+        assert session.teacher.lesson is None  # two were wanted
+        kept = session.teacher.library.touches("object = disc")
+        np.testing.assert_array_equal(kept.images, drawn.images[:2])
+        session.post_touch(drawn.images[5])
+        session.teach("bar", 4, keep_episode=True)
+        assert session.to_dict()["lesson"] == {"name": "bar", "wanted": 4, "done": 1}
+        assert session.episode.touches == []
+        session.stop_teaching()
+
+
 def test_a_sensor_that_has_changed_since_learning_is_told_of(model, drawn):
     same = LiveSession(ReplaySensor(drawn), model=model)
     assert same.to_dict()["sensor"]["warnings"] == []

@@ -8,10 +8,15 @@ from ._events import Event as Event
 from ._learning import LearningError as LearningError
 from ._learning import learn_job as learn_job
 from ._learning import remember_library as remember_library
+from ._serving import address_of as address_of
+from ._serving import checked_token as checked_token
 from ._serving import create_app, new_token
+from ._serving import kept_token as kept_token
 from ._serving import open_socket as open_socket
+from ._serving import qr_code as qr_code
 from ._serving import require_web as require_web
 from ._serving import run_app as run_app
+from ._serving import server_of as server_of
 from ._session import LiveSession
 
 __all__ = ["LiveSession", "create_app", "new_token"]

@@ -6,41 +6,35 @@ for what was not asked well, 507 where the disk has no room.
 
 import errno
 import sqlite3
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Collection
 from contextlib import asynccontextmanager
-from pathlib import Path
 
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import FileResponse, JSONResponse, RedirectResponse
+from fastapi.responses import FileResponse, JSONResponse
 from fastapi.staticfiles import StaticFiles
-from starlette.middleware.base import RequestResponseEndpoint
+from pydantic import ValidationError
 
 from ..sensors import ContactError, SensorError
 from ._learning import LearningError
-from ._request_guard import COOKIE, RequestGuard
+from ._request_guard import STATIC, RequestGuard, cookie_name
 from ._routes import router
 from ._session import LiveSession
+from ._teaching import MissingObjectError
 from ._websocket import Hub
 
-STATIC = Path(__file__).parent / "static"
-_RULES = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; "
-    "img-src 'self' blob: data:; connect-src 'self'; base-uri 'none'; "
-    "form-action 'none'; frame-ancestors 'none'"
-)
-_HEADERS = {
-    "Content-Security-Policy": _RULES,
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cache-Control": "no-store",
-}
+_COOKIE_S = 30 * 24 * 3600
 _NOT_NOW = (ContactError, SensorError, LearningError)
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 
 def build_app(
-    session: LiveSession, token: str, *, max_body: int, rate_hz: float
+    session: LiveSession,
+    token: str,
+    *,
+    max_body: int,
+    rate_hz: float,
+    names: Collection[str],
 ) -> FastAPI:
     """Return the application; `palpate.web.create_app` explains the arguments."""
 
@@ -61,40 +55,39 @@ def build_app(
         lifespan=lifespan,
         exception_handlers={
             RequestValidationError: _malformed,
+            ValidationError: _malformed,
             **dict.fromkeys((*_NOT_NOW, ValueError, TypeError, OSError), _refused),
         },
     )
     app.state.session = session
     app.include_router(router)
-    app.middleware("http")(_with_headers)
     app.websocket("/ws")(Hub(session).serve)
 
     @app.get("/", include_in_schema=False)
     async def page(request: Request) -> Response:
-        if "token" not in request.query_params:
-            return FileResponse(STATIC / "index.html")
-        moved = RedirectResponse(request.url.path, status_code=303)
-        moved.set_cookie(COOKIE, token, httponly=True, samesite="strict", path="/")
-        return moved
+        # No redirect: a browser that comes from another site would not send the cookie
+        # along. The page takes the token out of its address.
+        shown = FileResponse(STATIC / "index.html")
+        if "token" in request.query_params:
+            name = cookie_name(request)
+            shown.set_cookie(
+                name, token, max_age=_COOKIE_S, httponly=True, samesite="strict"
+            )
+        return shown
 
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
-    app.add_middleware(RequestGuard, token=token, max_body=max_body, rate_hz=rate_hz)
+    app.add_middleware(
+        RequestGuard, token=token, max_body=max_body, rate_hz=rate_hz, names=names
+    )
     return app
-
-
-async def _with_headers(
-    request: Request, call_next: RequestResponseEndpoint
-) -> Response:
-    response = await call_next(request)
-    for name, value in _HEADERS.items():
-        response.headers.setdefault(name, value)
-    return response
 
 
 async def _refused(request: Request, error: Exception) -> JSONResponse:
     status, detail = 507 if _lacks_room(error) else 422, str(error)
     if isinstance(error, _NOT_NOW):
         status = 409
+    elif isinstance(error, MissingObjectError):
+        status = 404
     elif isinstance(error, OSError):
         reason = error.strerror or error
         status, detail = 507, f"The disk cannot be written to: {reason}. Free space."
@@ -103,7 +96,7 @@ async def _refused(request: Request, error: Exception) -> JSONResponse:
 
 async def _malformed(request: Request, error: Exception) -> JSONResponse:
     """Say what is wrong with a request, in valid JSON and without repeating it."""
-    assert isinstance(error, RequestValidationError)
+    assert isinstance(error, RequestValidationError | ValidationError)
     detail = [
         {key: str(one[key]) for key in ("msg", "type")}
         | {"loc": [*map(str, one["loc"])]}

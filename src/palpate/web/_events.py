@@ -3,10 +3,12 @@
 Events are sent from whatever thread they happen in.
 """
 
+import json
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from threading import Lock
 from typing import Any
 
@@ -27,6 +29,11 @@ class Event:
     kind: str
     values: dict[str, Any] = field(default_factory=dict)
     picture: bytes = b""
+
+    @cached_property
+    def text(self) -> str:
+        """Kind and values as JSON, written once for all who are sent it."""
+        return json.dumps({"kind": self.kind, **self.values}, default=str)
 
 
 Listener = Callable[[Event], None]

@@ -6,7 +6,12 @@ through the same decoder as folders of touches, in memory: sizes are known befor
 anything is decoded, and a picture that is cut or altered is refused.
 """
 
+import io
+import json
+import re
+import time
 from collections.abc import Sequence
+from types import NoneType
 from typing import Any
 
 import cv2
@@ -14,23 +19,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._types import Array
-from ..touches import TouchesError, decode_bytes
+from ..touches import TouchesError, as_shown, decode_bytes
 
 ARRAY_SIDE = 48
 MAX_PIXELS = 4_000_000
 _QUALITY = 80
 _THUMBNAIL = 96
-_KINDS = ("image/png", "image/jpeg")
+NPY = "application/x-npy"
+KINDS = ("image/png", "image/jpeg", NPY)
+# Of a body of JSON: where its rows begin, where the next does, and where they end; how
+# long a row may be, and all that is not rows (bytes).
+_BEGIN = re.compile(rb'(?<!\\)("image"\s*:)\s*\[\s*(?=\[)')
+_NEXT, _END = re.compile(rb"\s*,\s*(?=\[)"), re.compile(rb"\s*\]")
+_LONGEST_ROW, _LONGEST_REST = 2**18, 2**16
+# After each row of a body over so many bytes others may go on.
+_LONG_BODY, _PAUSE_S = 2**18, 2e-4
+_BODY = 'The body must be {"image": [[0, 1], [2, null]]} with rows of numbers'
 
 
 class FramePainter:
     """Turns frames into JPEG or PNG bytes; keeps the range of what it has shown.
 
-    Images of at most 48 taxels a side are of an array, shown in false colour.
+    Images of at most 48 taxels a side are of an array, shown in false colour unless
+    they have three colours of their own.
     """
 
-    def __init__(self, image_shape: tuple[int, int]) -> None:
-        self.coloured = max(image_shape) <= ARRAY_SIDE
+    def __init__(self, image_shape: tuple[int, ...]) -> None:
+        self.coloured = len(image_shape) == 2 and max(image_shape) <= ARRAY_SIDE
         self.content_type = "image/png" if self.coloured else "image/jpeg"
         self._low, self._high = float("inf"), float("-inf")
 
@@ -46,6 +61,8 @@ class FramePainter:
         """Return a frame as it is shown: blue, green and red, or grey."""
         if self.coloured:
             return self._false_colour(image)
+        if image.ndim == 3:  # OpenCV writes blue first
+            image = np.ascontiguousarray(image[..., ::-1])
         return image if image.dtype == np.uint8 else self._stretched(image)
 
     def _false_colour(self, image: Array) -> NDArray[np.uint8]:
@@ -65,33 +82,95 @@ class FramePainter:
         return (share * 255).astype(np.uint8)
 
 
-def thumbnail(image: Array) -> bytes:
-    """Return one touch as a small PNG, stretched to its own range."""
-    painter = FramePainter(image.shape)
-    scale = _THUMBNAIL / max(image.shape)
-    size = tuple(max(1, round(side * scale)) for side in image.shape[::-1])
+def thumbnail(image: Array, channels: Sequence[str] | None = None) -> bytes:
+    """Return one touch as a small PNG, stretched to its own range.
+
+    In colour where its channels are, in false colour or grey where they are others.
+    """
+    shown = as_shown(image[np.newaxis], channels)[0]
+    painter = FramePainter(shown.shape)
+    n_rows, n_cols = shown.shape[:2]
+    scale = _THUMBNAIL / max(n_rows, n_cols)
+    size = max(1, round(n_cols * scale)), max(1, round(n_rows * scale))
     how = cv2.INTER_NEAREST if painter.coloured else cv2.INTER_AREA
-    return _png(cv2.resize(painter.levels(image), size, interpolation=how))
+    return _png(cv2.resize(painter.levels(shown), size, interpolation=how))
 
 
-def read_picture(data: bytes, content_type: str) -> NDArray[np.uint8 | np.uint16]:
-    """Return the grey levels of a JPEG or PNG of at most 4 megapixels, or explain."""
-    if content_type.partition(";")[0].strip().lower() not in _KINDS:
+def read_picture(data: bytes, content_type: str) -> Array:
+    """Return the grey levels of a JPEG or PNG of at most 4 megapixels, or explain.
+
+    Or numbers as `numpy.save` writes them, (n_rows, n_cols), as they are.
+    """
+    kind = content_type.partition(";")[0].strip().lower()
+    if kind not in KINDS:
         raise TouchesError(
-            f"A picture must be image/png or image/jpeg, got {content_type!r}."
+            f"A picture must be {', '.join(KINDS[:-1])} or {NPY}, got {content_type!r}."
         )
-    levels: NDArray[np.uint8 | np.uint16] = decode_bytes(data, max_pixels=MAX_PIXELS)
+    if kind == NPY:
+        return _read_npy(data)
+    levels: Array = decode_bytes(data, max_pixels=MAX_PIXELS)
     return levels
 
 
-def read_numbers(rows: Sequence[Sequence[float | None]]) -> NDArray[np.float32]:
-    """Return rows of taxels as an image, or explain; None is a dead taxel."""
-    if len({len(row) for row in rows}) != 1 or not rows[0]:
-        raise ValueError("The image must have rows of one length, at least 1.")
+def _read_npy(data: bytes) -> Array:
+    file = io.BytesIO(data)
+    try:
+        if np.lib.format.read_magic(file)[0] != 1:
+            raise ValueError
+        shape, by_column, kind = np.lib.format.read_array_header_1_0(file)
+        if len(shape) != 2 or kind.kind not in "iuf":
+            raise ValueError
+        image = np.frombuffer(data, kind, offset=file.tell())
+        image = image.reshape(shape, order="F" if by_column else "C")
+    except ValueError:
+        raise TouchesError(
+            "The array must be whole numbers or floats of shape (n_rows, n_cols) as "
+            f"numpy.save writes them, got {len(data)} other bytes. Send a PNG instead."
+        ) from None
+    return _finite(np.ascontiguousarray(image.astype(kind.newbyteorder("="))))
+
+
+def read_json(body: bytes) -> tuple[dict[str, Any], NDArray[np.float32]]:
+    """Return a JSON object without its `image`, and that; null is a dead taxel.
+
+    Rows are read one by one: a call that reads megabytes at once would hold up every
+    other thread.
+    """
+    begun = _BEGIN.search(body, 0, _LONGEST_REST)
+    if begun is None:
+        raise ValueError(f"{_BODY}, got none.")
+    more: re.Match[bytes] | None = begun
+    rows: list[NDArray[np.float32]] = []
+    try:
+        while more is not None:
+            start = more.end()
+            stop = body.find(b"]", start, start + _LONGEST_ROW) + 1
+            rows.append(_row(json.loads(body[start:stop])))
+            if len(body) > _LONG_BODY:
+                time.sleep(_PAUSE_S)
+            more = _NEXT.match(body, stop)
+        ended = _END.match(body, stop)
+        if ended is None or len(body) - ended.end() > _LONGEST_REST:
+            raise ValueError
+        rest = json.loads(body[: begun.end(1)] + b"null" + body[ended.end() :])
+        if rest.pop("image") is not None or len({len(row) for row in rows}) != 1:
+            raise ValueError
+    except (ValueError, OverflowError, RecursionError):
+        wrong = f"{_BODY} of one length, got something else at row {len(rows) + 1}."
+        raise ValueError(wrong) from None
+    return rest, _finite(np.stack(rows))
+
+
+def _row(values: list[object]) -> NDArray[np.float32]:
+    if not values or not {type(value) for value in values} <= {int, float, NoneType}:
+        raise ValueError
     with np.errstate(over="ignore"):
-        image = np.array(rows, dtype=np.float32)
+        return np.array(values, dtype=np.float32)
+
+
+def _finite(image: Array) -> Array:
     if np.isinf(image).any():
-        raise ValueError("The image must be finite (null for a dead taxel).")
+        raise ValueError("The image must be finite (null or NaN for a dead taxel).")
     return image
 
 
@@ -102,7 +181,7 @@ def check_image(
     if image.shape != tuple(shape):
         got = " x ".join(map(str, image.shape))
         raise ValueError(
-            f"The image must have {shape[0]} x {shape[1]} taxels, got {got}."
+            f"The image must have {' x '.join(map(str, shape))} taxels, got {got}."
         )
     if dtype is None or dtype == image.dtype:
         return image

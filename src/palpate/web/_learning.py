@@ -43,7 +43,7 @@ def learn_apart(
     output: Path,
     base: Path | None,
     drop: Sequence[str] = (),
-    image_shape: tuple[int, int] | None = None,
+    image_shape: tuple[int, ...] | None = None,
 ) -> dict[str, Any]:
     """Learn what a library holds in another process, into the model file `output`.
 
@@ -71,8 +71,10 @@ def learn_apart(
 
 
 def of_size(image_shape: Sequence[int]) -> str:
-    """Return a filter of the touches whose images have (n_rows, n_cols)."""
-    return f"n_rows = {image_shape[0]} and n_cols = {image_shape[1]}"
+    """Return a filter of the touches whose images have this shape."""
+    n_rows, n_cols, *more = image_shape
+    channels = f"= {more[0]}" if more else "is null"
+    return f"n_rows = {n_rows} and n_cols = {n_cols} and n_channels {channels}"
 
 
 def learn_job(
@@ -80,7 +82,7 @@ def learn_job(
     output: str | Path,
     base: str | Path | None = None,
     drop: Sequence[str] = (),
-    image_shape: tuple[int, int] | None = None,
+    image_shape: tuple[int, ...] | None = None,
 ) -> dict[str, Any]:
     """Do what `learn_apart` does, in this process."""
     with TouchLibrary.open(library) as opened:
@@ -131,7 +133,7 @@ def _taught(library: TouchLibrary, image_shape: Sequence[int] | None) -> Any:
         newest = library.list(limit=1, offset=max(0, len(library) - 1))
         if not newest:
             return None
-        image_shape = newest[0].n_rows, newest[0].n_cols
+        image_shape = newest[0].image_shape
     where = f"object is not null and {of_size(image_shape)}"
     if not library.list(where, limit=1):
         return None
@@ -169,7 +171,8 @@ def _refuse_other_size(
     base: ObjectRecogniser, image_shape: Sequence[int], sentence: str, names: str = ""
 ) -> None:
     """Refuse to learn further a model of images of another size than these."""
-    old, new = (f"{s[0]} x {s[1]}" for s in (base.encoder_.image_shape_, image_shape))
+    shapes = (base.encoder_.image_shape_, image_shape)
+    old, new = (" x ".join(map(str, shape)) for shape in shapes)
     if old != new:
         raise LearningError(sentence.format(old=old, new=new, names=names))
 

@@ -1,38 +1,76 @@
 """Who may come in, and how much they may bring: token, body size and rate.
 
-Everything is asked for the token alike: pages, API and websocket. It comes as
-`Authorization: Bearer TOKEN`, as `?token=TOKEN`, or as the cookie that the page sets
-the first time; it is compared in constant time. A request that a page of another
-site makes is refused by its `Origin`.
+Everything but the look of the page that asks for it needs the token: pages, API and
+websocket. It comes as `Authorization: Bearer TOKEN`, as the cookie that the page sets
+the first time, or, where nothing is changed, as `?token=TOKEN`; it is compared in
+constant time. A request that a page of another site makes is refused by its `Origin`,
+one for a name that is not this server's (DNS rebinding) by its `Host`. A browser that
+is refused gets a page with a field for the token. Every answer forbids what the page
+does not need.
 """
 
 import asyncio
 import hmac
+import socket
 import time
+from collections.abc import Collection
 from contextlib import suppress
+from ipaddress import ip_address
+from pathlib import Path
+from string import Template
 from urllib.parse import urlsplit
 
+from starlette.datastructures import MutableHeaders
 from starlette.requests import ClientDisconnect, HTTPConnection, Request
-from starlette.responses import JSONResponse
+from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-COOKIE = "palpate_token"
+STATIC = Path(__file__).parent / "static"
+_RULES = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; "
+    "img-src 'self' blob: data:; connect-src 'self'; base-uri 'none'; "
+    "form-action 'self'; frame-ancestors 'none'"
+)
+_HEADERS = {
+    "Content-Security-Policy": _RULES,
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+# What the page that asks for the token looks like; everybody may have it.
+_OPEN = ("/static/style.css", "/static/icon.svg")
 _MOST_CLIENTS = 1000
 _MOST_FIELDS = 100
 _MORE_HEADERS = {401: {"WWW-Authenticate": "Bearer"}, 429: {"Retry-After": "1"}}
 # Of a body that is too large so much more is read, and so long, before the refusal.
 _DROP_TIMES, _DROP_S = 10, 0.5
+# Bodies are images at these addresses; elsewhere they are a few words, which are read
+# in the event loop.
+_IMAGES, _FEW_WORDS = ("/api/touch", "/api/teach/touch"), 2**16
+# A body of which nothing comes for so long is given up.
+_PART_S = 20.0
 
 
 class RequestGuard:
     """ASGI middleware that lets in whoever knows the token, within limits.
 
     These are bytes of a body, and requests per second that one address may keep up,
-    twice as many at once.
+    twice as many at once. `names` are those of this server beside its machine's own.
     """
 
-    def __init__(self, app: ASGIApp, token: str, max_body: int, rate_hz: float) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        token: str,
+        max_body: int,
+        rate_hz: float,
+        names: Collection[str] = (),
+    ) -> None:
         self._app, self._token = app, token.encode()
+        own = socket.gethostname().lower()
+        self._names = {"localhost", own, f"{own}.local", *map(str.lower, names)}
         self._max_body, self._rate_hz = max_body, rate_hz
         self._permits: dict[str, tuple[float, float]] = {}
 
@@ -42,26 +80,61 @@ class RequestGuard:
             await self._app(scope, receive, send)
             return
         refusal = self._refusal(HTTPConnection(scope))
+        if scope["type"] == "websocket":
+            if refusal is None:
+                await self._app(scope, receive, send)
+            else:
+                reason = {"code": 1008, "reason": refusal[1]}
+                await send({"type": "websocket.close", **reason})
+            return
+
+        async def send_with_rules(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in _HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
         if refusal is not None:
-            await _refuse(scope, receive, send, *refusal)
-        elif scope["type"] == "websocket":
-            await self._app(scope, receive, send)
-        else:
-            with suppress(ClientDisconnect):
-                await self._within_size(scope, receive, send)
+            await _refuse(scope, receive, send_with_rules, *refusal)
+            return
+        with suppress(ClientDisconnect):
+            await self._within_size(scope, receive, send_with_rules)
 
     def _refusal(self, asked: HTTPConnection) -> tuple[int, str] | None:
         """Return status and sentence where somebody must stay out."""
         if not self._in_time(asked):
             return 429, "Too many requests; slow down."
-        given = _given_token(asked)
+        if not self._is_ours(asked.headers.get("host", "")):
+            return 403, (
+                "Host must be a name of this server, got another. Start palpate serve "
+                "with --name NAME, or use its address."
+            )
+        if _from_elsewhere(asked):
+            return 403, "Requests from pages of other sites are refused."
+        if asked.scope["path"] in _OPEN:
+            return None
+        in_address = _token_in_address(asked)
+        if in_address and asked.scope.get("method", "GET") not in ("GET", "HEAD"):
+            return 403, (
+                "The token must not be in the address of a request that changes "
+                "something. Send it as Authorization: Bearer TOKEN."
+            )
+        given = _bearer(asked) or in_address or asked.cookies.get(cookie_name(asked))
         if given is None:
             return 401, "The token is missing; open the address palpate serve printed."
         if not hmac.compare_digest(given.encode(), self._token):
             return 403, "The token is wrong; open the address palpate serve printed."
-        if _from_elsewhere(asked):
-            return 403, "Requests from pages of other sites are refused."
         return None
+
+    def _is_ours(self, host: str) -> bool:
+        """Whether a request names this server: by a number, or by a name it has."""
+        with suppress(ValueError):
+            name = urlsplit(f"//{host}").hostname or ""
+            if name in self._names:
+                return True
+            return bool(ip_address(name))
+        return False
 
     def _in_time(self, asked: HTTPConnection) -> bool:
         """Take a permit of an address; they come back at the rate, up to twice it."""
@@ -76,9 +149,16 @@ class RequestGuard:
 
     async def _within_size(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Hand on a request whose body is read here, up to the limit."""
-        body = await self._body(Request(scope, receive))
+        images = scope["path"].startswith(_IMAGES)
+        most = self._max_body if images else min(self._max_body, _FEW_WORDS)
+        try:
+            body = await self._body(Request(scope, receive), most)
+        except TimeoutError:
+            detail = f"The body stopped coming for {_PART_S:g} s. Send it again."
+            await _refuse(scope, receive, send, 408, detail)
+            return
         if body is None:
-            detail = f"The body must be at most {self._max_body} bytes."
+            detail = f"The body must be at most {most} bytes."
             await _refuse(scope, receive, send, 413, detail)
             return
         read = False
@@ -92,39 +172,48 @@ class RequestGuard:
 
         await self._app(scope, receive_read, send)
 
-    async def _body(self, request: Request) -> bytes | None:
-        """Return the body of a request, None where it is too large.
+    async def _body(self, request: Request, most: int) -> bytes | None:
+        """Return the body of a request, None where it is over `most` bytes.
 
         Of such a one more is read for a while, and dropped: a client that is still
         sending does not read the answer.
         """
+        now_s = asyncio.get_running_loop().time
         length = request.headers.get("content-length", "")
-        too_large = length.isdecimal() and int(length) > self._max_body
+        too_large = length.isdecimal() and int(length) > most
         body, n_dropped = bytearray(), 0
-        with suppress(TimeoutError):
-            async with asyncio.timeout(_DROP_S if too_large else None) as limit:
+        try:
+            async with asyncio.timeout(_DROP_S if too_large else _PART_S) as limit:
                 async for part in request.stream():
-                    if not too_large and len(body) + len(part) > self._max_body:
+                    if not too_large and len(body) + len(part) > most:
                         too_large = True
-                        now_s = asyncio.get_running_loop().time()
-                        limit.reschedule(now_s + _DROP_S)
+                        limit.reschedule(now_s() + _DROP_S)
                     if not too_large:
                         body += part
+                        limit.reschedule(now_s() + _PART_S)
                         continue
                     n_dropped += len(part)
-                    if n_dropped > _DROP_TIMES * self._max_body:
+                    if n_dropped > _DROP_TIMES * most:
                         break
+        except TimeoutError:
+            if not too_large:
+                raise
         return None if too_large else bytes(body)
 
 
-def _given_token(asked: HTTPConnection) -> str | None:
-    """Return the token that came with a request, or None."""
+def cookie_name(asked: HTTPConnection) -> str:
+    """Return the cookie's name: cookies are of all ports of a host alike."""
+    return f"palpate_token_{(asked.scope.get('server') or ('', 0))[1]}"
+
+
+def _bearer(asked: HTTPConnection) -> str:
     kind, _, given = asked.headers.get("authorization", "").partition(" ")
-    if kind.lower() == "bearer" and given:
-        return given.strip()
+    return given.strip() if kind.lower() == "bearer" else ""
+
+
+def _token_in_address(asked: HTTPConnection) -> str | None:
     few = asked.scope["query_string"].count(b"&") < _MOST_FIELDS
-    in_address = asked.query_params.get("token") if few else None
-    return in_address or asked.cookies.get(COOKIE)
+    return asked.query_params.get("token") if few else None
 
 
 def _from_elsewhere(asked: HTTPConnection) -> bool:
@@ -141,9 +230,10 @@ def _from_elsewhere(asked: HTTPConnection) -> bool:
 async def _refuse(
     scope: Scope, receive: Receive, send: Send, status: int, detail: str
 ) -> None:
-    if scope["type"] == "websocket":
-        await send({"type": "websocket.close", "code": 1008, "reason": detail})
-        return
     headers = {"Connection": "close", **_MORE_HEADERS.get(status, {})}
-    answer = JSONResponse({"detail": detail}, status, headers)
+    answer: Response = JSONResponse({"detail": detail}, status, headers)
+    asked = Request(scope)
+    if asked.method == "GET" and "text/html" in asked.headers.get("accept", ""):
+        page = Template((STATIC / "sign-in.html").read_text(encoding="utf-8"))
+        answer = HTMLResponse(page.substitute(detail=detail), status, headers)
     await answer(scope, receive, send)

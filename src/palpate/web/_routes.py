@@ -6,18 +6,21 @@ thread of its own; what a session refuses becomes a clear answer in `_app`.
 
 import asyncio
 import tempfile
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
-from urllib.parse import quote
 
 from fastapi import APIRouter, Depends, HTTPException, Query, Request, Response
+from fastapi.responses import FileResponse, JSONResponse
+from fastapi.security import HTTPBearer
 from pydantic import BaseModel, ConfigDict, Field
+from starlette.background import BackgroundTask
 
 from .._types import Array
-from ..library import LibraryError
+from ..library import LibraryError, quoted
 from ..touches import Touches
 from ._episode import LiveTouch, episode_report
-from ._images import read_numbers, read_picture, thumbnail
+from ._images import KINDS, read_json, read_picture, thumbnail
 from ._session import LiveSession
 from ._teaching import Teacher
 
@@ -62,12 +65,18 @@ class LessonOrder(OneObject):
     """What to teach with the next touches of the sensor."""
 
     touches: Annotated[int, Field(ge=1, le=1000, description="How many.")] = 12
+    keep_episode: Annotated[
+        bool, Field(description="The touches of the episode become its first.")
+    ] = False
 
 
 class Renaming(OneObject):
     """An object's name and its new one."""
 
     name: Name
+    merge: Annotated[
+        bool, Field(description="Make it one with the object of that name.")
+    ] = False
 
 
 class NamedImage(OneObject, Image):
@@ -85,6 +94,10 @@ class BaselineOrder(Order):
 
     force: Annotated[
         bool, Field(description="Take it although something seems to touch.")
+    ] = False
+    ask_press: Annotated[
+        bool,
+        Field(description="Then only try touches, until press/keep or press/undo."),
     ] = False
 
 
@@ -140,8 +153,9 @@ class State(BaseModel):
 _REFUSALS: dict[int | str, dict[str, Any]] = {
     400: {"model": Answer, "description": "A body that cannot be read."},
     401: {"model": Answer, "description": "No token."},
-    403: {"model": Answer, "description": "Wrong token."},
+    403: {"model": Answer, "description": "Wrong token, name of server, or origin."},
     404: {"model": Answer, "description": "There is no such thing."},
+    408: {"model": Answer, "description": "The body stopped coming."},
     409: {"model": Answer, "description": "Not now, or not with this server."},
     413: {"model": Answer, "description": "Too large."},
     422: {"description": "Not what was asked for."},
@@ -152,12 +166,19 @@ _PICTURE = {
     "requestBody": {
         "required": True,
         "content": {
-            kind: {"schema": {"type": "string", "format": "binary"}}
-            for kind in ("image/png", "image/jpeg")
+            kind: {"schema": {"type": "string", "format": "binary"}} for kind in KINDS
         },
     }
 }
-router = APIRouter(prefix="/api", responses=_REFUSALS)
+
+
+def _numbers(what: type[Image]) -> dict[str, Any]:
+    content = {"application/json": {"schema": what.model_json_schema()}}
+    return {"requestBody": {"required": True, "content": content}}
+
+
+_TOKEN = HTTPBearer(auto_error=False, description="The token that the server printed.")
+router = APIRouter(prefix="/api", responses=_REFUSALS, dependencies=[Depends(_TOKEN)])
 
 
 async def _session(request: Request) -> Any:
@@ -178,6 +199,11 @@ async def _picture(request: Request) -> Array:
     return await asyncio.to_thread(read_picture, await request.body(), kind)
 
 
+async def _posted(request: Request) -> tuple[dict[str, Any], Array]:
+    return await asyncio.to_thread(read_json, await request.body())
+
+
+Posted = Annotated[tuple[dict[str, Any], Array], Depends(_posted)]
 StoredTouches = Annotated[Teacher, Depends(_teacher)]
 Picture = Annotated[Array, Depends(_picture)]
 NameQuery = Annotated[str, Query(alias="object", min_length=1, max_length=80)]
@@ -186,7 +212,7 @@ NameQuery = Annotated[str, Query(alias="object", min_length=1, max_length=80)]
 @router.get("/state", response_model=State, tags=["state"])
 def state(session: Session) -> Any:
     """Return everything the page shows but pictures."""
-    return session.to_dict()
+    return JSONResponse(session.to_dict())
 
 
 @router.get("/health", tags=["state"])
@@ -198,8 +224,28 @@ def health(session: Session) -> dict[str, Any]:
 @router.post("/baseline", tags=["sensor"])
 def baseline(order: BaselineOrder, session: Session) -> Done:
     """Take the baseline, the frame of touching nothing; refused in contact."""
-    session.take_baseline(force=order.force)
+    session.take_baseline(force=order.force, ask_press=order.ask_press)
     return Done(message="The baseline is taken.")
+
+
+@router.post("/baseline/keep", tags=["sensor"])
+def keep_baseline(session: Session) -> Done:
+    """End the trial of a baseline: touches count from now on."""
+    session.end_press()
+    return Done(message="The baseline is kept.")
+
+
+@router.post("/baseline/undo", tags=["sensor"])
+def undo_baseline(session: Session) -> Done:
+    """Go back to the baseline before the last one, none where there was none."""
+    session.end_press(undo=True)
+    return Done(message="The baseline is undone.")
+
+
+@router.get("/baseline/press", tags=["sensor"], response_class=Response)
+def press(session: Session) -> Response:
+    """Return the last test press, as its difference from the baseline, as a PNG."""
+    return _shown(session.press_difference())
 
 
 @router.post("/zero", tags=["sensor"], deprecated=True)
@@ -218,26 +264,36 @@ def place(order: Placing, session: Session) -> Done:
 @router.get("/episode", response_model=EpisodeState, tags=["episode"])
 def episode(session: Session) -> Any:
     """Return the episode: its touches, the belief after each, the decision."""
-    return session.episode.to_dict()
+    return JSONResponse(session.episode.to_dict())
 
 
 @router.post("/episode/start", response_model=EpisodeState, tags=["episode"])
 def start(session: Session) -> Any:
     """Begin a new episode."""
     session.begin_episode()
-    return session.episode.to_dict()
+    return JSONResponse(session.episode.to_dict())
 
 
 @router.post("/episode/end", response_model=EpisodeState, tags=["episode"])
 def end(session: Session) -> Any:
     """End the episode; the next touch begins a new one."""
-    return session.end_episode()
+    return JSONResponse(session.end_episode())
 
 
-@router.post("/touch", response_model=EpisodeState, tags=["episode"])
-def touch(image: Image, session: Session) -> Any:
-    """Take one touch, as numbers, into the episode; return the belief."""
-    return session.post_touch(read_numbers(image.image))
+@router.post(
+    "/touch",
+    response_model=EpisodeState,
+    tags=["episode"],
+    openapi_extra=_numbers(Image),
+)
+def touch(posted: Posted, session: Session) -> Any:
+    """Take one touch, as numbers, into the episode; return the belief.
+
+    Of more than some thousand taxels, send `touch/picture`: that is read at once.
+    """
+    rest, image = posted
+    Order.model_validate(rest)
+    return JSONResponse(session.post_touch(image))
 
 
 @router.post(
@@ -247,8 +303,8 @@ def touch(image: Image, session: Session) -> Any:
     openapi_extra=_PICTURE,
 )
 def touch_picture(picture: Picture, session: Session) -> Any:
-    """Take one touch, as PNG or JPEG, into the episode; return the belief."""
-    return session.post_touch(picture)
+    """Take one touch, as PNG, JPEG or npy, into the episode; return the belief."""
+    return JSONResponse(session.post_touch(picture))
 
 
 @router.get("/episode/archive", tags=["episode"], response_class=Response)
@@ -261,8 +317,10 @@ def archive(session: Session) -> Response:
 @router.get("/episode/report", tags=["episode"], response_class=Response)
 def report(session: Session) -> Response:
     """Download a page that shows the episode by itself."""
-    page = episode_report(session.episode).encode()
-    return _download(page, "text/html", f"episode-{session.episode.number}.html")
+    name = f"attachment; filename=episode-{session.episode.number}.html"
+    headers = {"Content-Disposition": name}
+    page = episode_report(session.episode)
+    return Response(page, media_type="text/html", headers=headers)
 
 
 @router.get(
@@ -279,7 +337,7 @@ def episode_picture(number: int, session: Session) -> Response:
 @router.post("/teach", tags=["teach"])
 def teach(order: LessonOrder, session: Session) -> Done:
     """Store the next touches of the sensor as touches of an object."""
-    session.teach(order.object, order.touches)
+    session.teach(order.object, order.touches, keep_episode=order.keep_episode)
     return Done(message=f"Touch {order.object} {order.touches} times.")
 
 
@@ -296,15 +354,17 @@ def undo(session: Session) -> Done:
     return Done(message=f"The last touch of {session.undo()} is undone.")
 
 
-@router.post("/teach/touch", tags=["teach"])
-def teach_touch(image: NamedImage, session: Session) -> Stored:
+@router.post("/teach/touch", tags=["teach"], openapi_extra=_numbers(NamedImage))
+def teach_touch(posted: Posted, session: Session) -> Stored:
     """Store one touch, as numbers, of an object; answered once on the disk."""
-    return Stored(id=session.post_lesson(image.object, read_numbers(image.image)))
+    rest, image = posted
+    name = OneObject.model_validate(rest).object
+    return Stored(id=session.post_lesson(name, image))
 
 
 @router.post("/teach/touch/picture", tags=["teach"], openapi_extra=_PICTURE)
 def teach_picture(picture: Picture, name: NameQuery, session: Session) -> Stored:
-    """Store one touch, as PNG or JPEG, of an object."""
+    """Store one touch, as PNG, JPEG or npy, of an object."""
     return Stored(id=session.post_lesson(name, picture))
 
 
@@ -318,7 +378,7 @@ def learn(session: Session) -> Done:
 @router.post("/objects/rename", tags=["objects"])
 def rename(order: Renaming, session: Session) -> Done:
     """Give an object of the library another name."""
-    session.rename(order.object, order.name)
+    session.rename(order.object, order.name, merge=order.merge)
     return Done(message=f"{order.object} is called {order.name} now.")
 
 
@@ -349,26 +409,27 @@ def stored(
 def picture(key: str, teacher: StoredTouches) -> Response:
     """Return a stored touch as a small PNG."""
     try:
-        image = teacher.library.image(key)
+        image, channels = teacher.library.image(key), None
+        if image.ndim == 3:
+            touch = teacher.library.select(f"id = {quoted(key)}")
+            channels = touch.whole["channels"].tolist()
     except LibraryError as error:
         raise HTTPException(404, str(error)) from error
-    shown = _shown(image)
+    shown = _shown(image, channels)
     shown.headers["Cache-Control"] = "private, max-age=86400, immutable"
     return shown
 
 
-def _shown(image: Array) -> Response:
-    return Response(thumbnail(image), media_type="image/png")
+def _shown(image: Array, channels: list[str] | None = None) -> Response:
+    return Response(thumbnail(image, channels), media_type="image/png")
 
 
 def _archive(touches: Touches, name: str) -> Response:
-    with tempfile.TemporaryDirectory(prefix="palpate-") as folder:
+    with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="palpate-"))
         path = Path(folder) / "touches.npz"
         touches.save(path)
-        content = path.read_bytes()
-    return _download(content, "application/octet-stream", name)
-
-
-def _download(content: bytes, kind: str, name: str) -> Response:
-    held = f"attachment; filename*=UTF-8''{quote(name, safe='')}"
-    return Response(content, media_type=kind, headers={"Content-Disposition": held})
+        sent = BackgroundTask(stack.pop_all().close)
+    return FileResponse(
+        path, media_type="application/octet-stream", filename=name, background=sent
+    )

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .._types import Array
+from .._types import Array, Floats
 from ..recognition import ObjectRecogniser
 from ..sensors import (
     DetectedTouch,
@@ -62,6 +62,8 @@ class SensorWatch:
         self._recent: list[Array] = []
         self._warnings: list[str] = []
         self._resting: list[Array] | None = None
+        self._asking, self._n_presses = False, 0
+        self.press: Array | None = None
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._found: queue.Queue[tuple[DetectedTouch, float] | None] = queue.Queue()
@@ -85,8 +87,14 @@ class SensorWatch:
         for thread in self._threads:
             thread.join(timeout=5.0)
 
-    def take_baseline(self, *, force: bool = False, timeout_s: float = 3.0) -> None:
-        """Take the baseline, the frame of touching nothing, from the next frames."""
+    def take_baseline(
+        self, *, force: bool = False, ask_press: bool = False, timeout_s: float = 3.0
+    ) -> None:
+        """Take the baseline, the frame of touching nothing, from the next frames.
+
+        With `ask_press` touches are then only tried, the last one is `press`, until
+        `end_press` or `undo_baseline`.
+        """
         frames: list[Array] = []
         if not self.detector.touching or force:
             self._resting = frames
@@ -97,12 +105,33 @@ class SensorWatch:
         else:  # is refused with the reason
             frames = [self.sensor.read_latest().image] * _BASELINE_FRAMES
         if len(frames) < _BASELINE_FRAMES:
-            raise SensorError(f"{self.sensor.name} gave too few frames for a baseline.")
+            name, why = self.sensor.name, self.sensor.lost
+            raise SensorError(f"{name} gave too few frames for a baseline. {why}")
         with self._lock:
             self.detector.step = self.sensor.step
             self.detector.take_baseline(frames, force=force)
-            self._recent = []
+            self._recent, self.press = [], None
+            self._asking = ask_press
         self._compare()
+
+    def undo_baseline(self) -> None:
+        """Go back to the baseline before, none where there was none."""
+        with self._lock:
+            self.detector.undo_baseline()
+        self.end_press()
+        self._compare()
+
+    def end_press(self) -> None:
+        """Take touches as they are meant again."""
+        self._asking, self.press = False, None
+
+    def press_difference(self) -> Floats:
+        """Return how the test press differs from the baseline, upwards, or explain."""
+        press, baseline = self.press, self.detector.baseline
+        if press is None or baseline is None:
+            raise SensorError("There was no test press. Press the sensor once.")
+        difference: Floats = np.abs(press.astype(np.float64) - baseline)
+        return difference
 
     def to_dict(self) -> dict[str, Any]:
         """Return what the sensor is like now, as plain values."""
@@ -116,12 +145,20 @@ class SensorWatch:
             "baseline": has_baseline,
             "zero": has_baseline,  # the name before; goes with the next release
             "touching": self.detector.touching,
+            "press": self._press_to_dict() if self._asking else None,
             "offer": self.detector.baseline_offer(time.monotonic()),
             "warnings": list(self._warnings),
             "desk": None
             if desk is None
             else {"objects": list(desk.objects), "placed": desk.placed},
         }
+
+    def _press_to_dict(self) -> dict[str, Any]:
+        """Return what is known of the test press; an array reads higher if pressed."""
+        press, baseline, lower = self.press, self.detector.baseline, False
+        if press is not None and baseline is not None and self._painter.coloured:
+            lower = bool(np.nanmean(press.astype(np.float64) - baseline) < 0)
+        return {"found": press is not None, "lower": lower, "number": self._n_presses}
 
     def compare_with(self, model: ObjectRecogniser | None) -> None:
         """Compare the sensor with what it was when a model learnt, from now on."""
@@ -133,7 +170,7 @@ class SensorWatch:
         if learnt is not None and learnt != given:
             self.misfit = (
                 f"The model must be of images of {given[0]} x {given[1]} taxels, which "
-                f"{self.sensor.name} gives, got one of {learnt[0]} x {learnt[1]}. "
+                f"{self.sensor.name} gives, got one of {' x '.join(map(str, learnt))}. "
                 "Learn from touches of this sensor, or start with the sensor that the "
                 "model learnt from."
             )
@@ -180,7 +217,9 @@ class SensorWatch:
         with self._lock:
             self.detector.step = self.sensor.step
             touch = self.detector.update(frame)
-        if touch is not None:
+        if touch is not None and self._asking:
+            self.press, self._n_presses = touch.image, self._n_presses + 1
+        elif touch is not None:
             self._found.put((touch, frame.time_s))
 
     def _show(self, frame: Frame) -> None:

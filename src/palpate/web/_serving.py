@@ -1,18 +1,30 @@
 """Serving a session: its application, its token, and the socket it listens on."""
 
+import os
+import re
 import secrets
 import socket
+from collections.abc import Collection
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
 
 from .._extras import needed
 from ._session import LiveSession
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
+    from uvicorn import Server
 
 MAX_BODY = 16 * 2**20
 RATE_HZ = 200.0
 LAST_PORT = 65535
+TOKEN_FILE = "page.token"
+_TOKEN = re.compile(r"[\w.~-]{16,200}", re.ASCII)
+# An address of documentation (RFC 5737): nothing is sent to it.
+_ELSEWHERE = ("192.0.2.1", 9)
 
 
 def create_app(
@@ -21,6 +33,7 @@ def create_app(
     *,
     max_body: int = MAX_BODY,
     rate_hz: float = RATE_HZ,
+    names: Collection[str] = (),
 ) -> "FastAPI":
     """Return the web application of a session.
 
@@ -29,12 +42,15 @@ def create_app(
     session : LiveSession
         Started and stopped with the application.
     token : str
-        What everybody must know: as `Authorization: Bearer TOKEN`, as `?token=TOKEN`,
-        or as the cookie that the page sets. See `new_token`.
+        What everybody must know: as `Authorization: Bearer TOKEN`, as the cookie that
+        the page sets, or, to read, as `?token=TOKEN`. See `new_token`.
     max_body : int, default=16 MiB
         Largest body of a request, in bytes.
     rate_hz : float, default=200
         Requests per second that one address may keep up.
+    names : collection of str
+        Names of this server beside localhost and its machine's: those of a proxy.
+        Requests for others are refused; addresses of numbers are always right.
 
     Raises
     ------
@@ -44,12 +60,59 @@ def create_app(
     require_web()
     from ._app import build_app
 
-    return build_app(session, token, max_body=max_body, rate_hz=rate_hz)
+    return build_app(session, token, max_body=max_body, rate_hz=rate_hz, names=names)
 
 
 def new_token() -> str:
     """Return a token that nobody guesses: 192 random bits."""
     return secrets.token_urlsafe(24)
+
+
+def checked_token(token: str) -> str:
+    """Return a token that somebody chose, or say what it must be."""
+    if not _TOKEN.fullmatch(token):
+        raise ValueError(
+            "token must be 16 to 200 letters, digits or any of . _ ~ -, got another "
+            f"text of {len(token)} characters. Leave it out for one nobody guesses."
+        )
+    return token
+
+
+def kept_token(library: str | Path) -> str:
+    """Return the token kept with a library, a new one where others may read it."""
+    path = Path(library) / TOKEN_FILE
+    private = os.name != "posix" or (path.exists() and not path.stat().st_mode & 0o077)
+    if private and path.is_file():
+        kept = path.read_text(encoding="utf-8").strip()
+        if _TOKEN.fullmatch(kept):
+            return kept
+    token = new_token()
+    path.unlink(missing_ok=True)
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(token)
+    return token
+
+
+def address_of(host: str, port: int) -> str:
+    """Return where a browser finds a server that listens on a host and a port."""
+    if host in ("0.0.0.0", "::"):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+            try:
+                asked.connect(_ELSEWHERE)
+                host = asked.getsockname()[0]
+            except OSError:  # no network
+                host = "127.0.0.1"
+    return f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+
+
+def qr_code(text: str) -> str:
+    """Return a text as a QR code of half blocks, for a dark terminal."""
+    modules = cv2.QRCodeEncoder.create().encode(text) > 0
+    light = np.pad(modules, (2, 2 + len(modules) % 2), constant_values=True)
+    lines = zip(light[::2].tolist(), light[1::2].tolist(), strict=True)
+    rows = (zip(top, bottom, strict=True) for top, bottom in lines)
+    return "\n".join("".join(" ▄▀█"[2 * a + b] for a, b in row) for row in rows)
 
 
 def require_web() -> None:
@@ -79,17 +142,25 @@ def open_socket(host: str, port: int) -> socket.socket:
     return opened
 
 
-def run_app(app: Any, opened: socket.socket) -> None:
-    """Run an ASGI application on a socket until the process is told to end."""
+def server_of(app: Any, *, log_level: str = "warning") -> "Server":
+    """Return the server of an ASGI application; it is not running yet."""
     import uvicorn
+
+    from ._patience import PatientProtocol
 
     config = uvicorn.Config(
         app,
-        log_level="warning",
+        log_level=log_level,
         access_log=False,  # its lines would hold the token
+        http=PatientProtocol,
         ws="websockets-sansio",
         ws_max_size=2**16,
         timeout_graceful_shutdown=3,
         server_header=False,
     )
-    uvicorn.Server(config).run(sockets=[opened])
+    return uvicorn.Server(config)
+
+
+def run_app(app: Any, opened: socket.socket) -> None:
+    """Run an ASGI application on a socket until the process is told to end."""
+    server_of(app).run(sockets=[opened])

@@ -160,11 +160,18 @@ class LiveSession:
             self.episode.open = False
             return self.episode.to_dict()
 
-    def teach(self, name: str, wanted: int) -> None:
-        """Store the next touches of the sensor as touches of an object."""
+    def teach(self, name: str, wanted: int, *, keep_episode: bool = False) -> None:
+        """Store the next touches of the sensor as touches of an object.
+
+        With `keep_episode` those of the episode become its first, up to `wanted`.
+        """
         with self._changing():
-            self._teacher().begin(name, wanted)
+            teacher = self._teacher()
+            teacher.begin(name, wanted)
+            self._watched().end_press()
             self.message = self.trouble = ""
+            for image in self.episode.images[:wanted] if keep_episode else ():
+                self.message = teacher.take(image, self.baseline)
             self._new_episode()
 
     def stop_teaching(self) -> None:
@@ -179,10 +186,14 @@ class LiveSession:
             self.message = f"The last touch of {name} is undone."
             return name
 
-    def rename(self, old: str, new: str) -> None:
-        """Give an object of the library another name, and learn it by that name."""
+    def rename(self, old: str, new: str, *, merge: bool = False) -> None:
+        """Give an object of the library another name, and learn it by that name.
+
+        With `merge` it becomes one with the object that has the name already.
+        """
         with self._lock:
-            tidy = self._teacher().rename(old, new, learnt=self._knows(old))
+            learnt = self._knows(old)
+            tidy = self._teacher().rename(old, new, learnt=learnt, merge=merge)
             self.message = f"{old} is called {tidy} now."
         self._learn_again([old])
 
@@ -224,13 +235,30 @@ class LiveSession:
         if wait:
             thread.join()
 
-    def take_baseline(self, *, force: bool = False) -> None:
+    def take_baseline(self, *, force: bool = False, ask_press: bool = False) -> None:
         """Take the frame of touching nothing; see `SensorWatch.take_baseline`."""
-        if self.watch is None:
-            raise SensorError("There is no sensor here to take a baseline of.")
-        self.watch.take_baseline(force=force)
+        self._watched().take_baseline(force=force, ask_press=ask_press)
         self.message = "The baseline is taken."
         self._notify_state()
+
+    def end_press(self, *, undo: bool = False) -> None:
+        """End the trial of a baseline, and go back to the one before with `undo`."""
+        watch = self._watched()
+        if undo:
+            watch.undo_baseline()
+            self.message = "The baseline is undone."
+        else:
+            watch.end_press()
+        self._notify_state()
+
+    def press_difference(self) -> Array:
+        """Return how the test press differs from the baseline."""
+        return self._watched().press_difference()
+
+    def _watched(self) -> SensorWatch:
+        if self.watch is None:
+            raise SensorError("There is no sensor here to take a baseline of.")
+        return self.watch
 
     def place(self, name: str | None) -> None:
         """Put something else before a replayed or simulated sensor, or nothing."""

@@ -19,6 +19,13 @@ LONGEST_NAME = 80
 MOST_PER_LESSON = 1000
 
 
+class MissingObjectError(LibraryError):
+    """There is no object of that name."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"There is no object {name!r} in the library. Teach it first.")
+
+
 @dataclass(eq=False)
 class Lesson:
     """One object being taught: touches wanted, and the ids of those stored so far."""
@@ -135,7 +142,7 @@ class Teacher:
             "`palpate library retract` leaves older ones out."
         )
 
-    def rename(self, old: str, new: str, *, learnt: bool) -> str:
+    def rename(self, old: str, new: str, *, learnt: bool, merge: bool = False) -> str:
         """Give an object another name; return that as it is kept.
 
         Refused where the model has learnt it, from elsewhere, and the library has too
@@ -143,20 +150,23 @@ class Teacher:
         """
         tidy = checked_name(new)
         rows, size = self._rows(old), self.image_shape()
-        n_usable = sum((row.n_rows, row.n_cols) == size for row in rows)
-        if learnt and rows and n_usable < LEAST_TOUCHES:
+        n_usable = sum(row.image_shape == size for row in rows)
+        if learnt and not merge and n_usable < LEAST_TOUCHES:
             raise ValueError(
                 f"{old!r} must have at least {LEAST_TOUCHES} touches in the library to "
                 f"be learnt by another name, got {n_usable}. Teach it some more first."
             )
-        self.library.rename_object(old, tidy)
+        if merge:
+            self.library.merge_objects(old, tidy)
+        else:
+            self.library.rename_object(old, tidy)
         return tidy
 
     def forget(self, name: str, *, learnt: bool) -> None:
         """Leave all touches of an object out, of one that library or model know."""
         stored = name in self._counts()
         if not stored and not learnt:
-            raise ValueError(f"There is no object {name!r}.")
+            raise MissingObjectError(name)
         if stored:
             self.library.retract(object=name, reason="forgotten on the page")
 
@@ -177,10 +187,7 @@ class Teacher:
 
     def touches(self, name: str) -> Touches:
         """Return an object's touches of the sensor's size, or else of the newest's."""
-        rows = self._rows(name)
-        if not rows:
-            raise LibraryError(f"There is no object {name!r} in the library.")
-        sizes = [(row.n_rows, row.n_cols) for row in rows]
+        sizes = [row.image_shape for row in self._rows(name)]
         size = sizes[-1]
         if self._sensor is not None and self._sensor.image_shape in sizes:
             size = self._sensor.image_shape
@@ -192,19 +199,19 @@ class Teacher:
             return set()
         return {row.id for row in self._opened.list(limit=None, retracted=True)}
 
-    def image_shape(self) -> tuple[int, int] | None:
+    def image_shape(self) -> tuple[int, ...] | None:
         """Return the size of the images to learn: the sensor's, or the newest's."""
         if self._sensor is not None:
             return self._sensor.image_shape
         newest = self.newest_type()
         return None if newest is None else newest[0]
 
-    def newest_type(self) -> tuple[tuple[int, int], np.dtype[Any]] | None:
+    def newest_type(self) -> tuple[tuple[int, ...], np.dtype[Any]] | None:
         """Return size and type of the newest touch's image, or None."""
         rows = self.library.list(limit=1, offset=max(0, len(self.library) - 1))
         if not rows:
             return None
-        return (rows[0].n_rows, rows[0].n_cols), np.dtype(rows[0].dtype)
+        return rows[0].image_shape, np.dtype(rows[0].dtype)
 
     def _counts(self) -> dict[str, int]:
         """Return how many touches each object has, sorted by name."""
@@ -214,7 +221,7 @@ class Teacher:
         """Return the newest touches of an object, all without a limit, in order."""
         count = self._counts().get(name, 0)
         if not count:
-            return []
+            raise MissingObjectError(name)
         offset = 0 if limit is None else max(0, count - limit)
         return self.library.list(f"object = {quoted(name)}", limit, offset)
 

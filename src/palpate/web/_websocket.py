@@ -5,7 +5,6 @@ One that stops reading misses frames; when its queue is full it is let go.
 """
 
 import asyncio
-import json
 from collections import deque
 from contextlib import suppress
 
@@ -35,7 +34,8 @@ class Hub:
         client = _Client(socket, asyncio.get_running_loop())
         self._clients.add(client)
         self._session.listeners.add(client.receive)
-        client.put(Event("state", self._session.to_dict()))
+        state = await asyncio.to_thread(self._session.to_dict)
+        await asyncio.to_thread(client.receive, Event("state", state))
         listening = asyncio.create_task(client.listen())
         sending = asyncio.create_task(client.send())
         try:
@@ -62,7 +62,8 @@ class _Client:
         self._full = False
 
     def receive(self, event: Event) -> None:
-        """Take an event from another thread."""
+        """Take an event from another thread, where its text is written too."""
+        _ = event.text
         self._loop.call_soon_threadsafe(self.put, event)
 
     def put(self, event: Event) -> None:
@@ -96,11 +97,10 @@ class _Client:
                 self.put(Event("pong"))
 
     async def _send_one(self, event: Event) -> None:
-        head = json.dumps({"kind": event.kind, **event.values}, default=str)
         async with asyncio.timeout(_PATIENCE_S):
             if not event.picture:
-                await self._socket.send_text(head)
+                await self._socket.send_text(event.text)
                 return
-            text = head.encode()
+            text = event.text.encode()
             length = len(text).to_bytes(4, "big")
             await self._socket.send_bytes(length + text + event.picture)

@@ -3,7 +3,7 @@
 import { addTouch, showEpisode, showNearest, startBelief } from "./belief.js";
 import { find, say, show } from "./dom.js";
 import { showObjects } from "./objects.js";
-import { drawFrame, showHealth, showSensor, startSensor } from "./sensor.js";
+import { drawFrame, showHealth, showOffline, showSensor, startSensor } from "./sensor.js";
 import { listen } from "./socket.js";
 import { showTeach, startTeach } from "./teach.js";
 
@@ -30,14 +30,17 @@ const handlers = {
   },
 };
 
+history.replaceState(null, "", location.pathname); // the token need not be seen
 startSensor();
 startBelief();
 startTeach();
 listen({
   event: (news) => handlers[news.kind]?.(news),
   frame: drawFrame,
-  online(whether) {
-    show(find("offline"), !whether);
+  online(whether, refused) {
+    show(find("offline"), !whether && !refused);
+    show(find("refused"), !whether && refused);
     document.body.dataset.online = String(whether);
+    if (!whether) showOffline();
   },
 });

@@ -1,20 +1,28 @@
 // The belief: bars, unknown score, its history over the episode, and the decision.
 
 import { get, post } from "./api.js";
-import { find, make, percent, say, show, text } from "./dom.js";
+import { find, make, percent, pictures, say, show, step, text } from "./dom.js";
+import { teachThese } from "./teach.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const SHOWN = 6;
 const HUES = 7;
 const FEW = 4;
 const OTHERS = "var(--c7)";
+const WINDOW = 12;
+const RESTED_MS = 20000;
 
 let episode = null;
 let announced = "";
-const hues = new Map();
+let hues = new Map();
+let resting = 0;
 
 export function startBelief() {
-  find("fresh").addEventListener("click", () => post("episode/start"));
+  find("fresh").addEventListener("click", () => {
+    teachThese(0);
+    post("episode/start");
+  });
+  find("teach-this").addEventListener("click", () => teachThese(episode.touches.length));
 }
 
 export function showEpisode(whole) {
@@ -45,6 +53,15 @@ function draw() {
   const { touches } = episode;
   const last = touches.at(-1);
   const n = touches.length;
+  hues = coloured(Object.keys(last?.posterior ?? {}));
+  show(find("rested"), false);
+  clearTimeout(resting);
+  if (n && episode.open) resting = setTimeout(() => show(find("rested"), true), RESTED_MS);
+  const unknown = episode.decision === "unknown";
+  show(find("stranger"), unknown && !find("teaching").hidden && !find("lesson").hidden);
+  show(find("if-one"), unknown);
+  find("bars").classList.toggle("doubtful", unknown);
+  step(3, unknown ? "unknown" : episode.decision ?? (n ? `${n} touch${n === 1 ? "" : "es"}` : ""), episode.decision !== null);
   text(find("count"), n === 0 ? "no touch yet" : `${n} touch${n === 1 ? "" : "es"}${episode.open ? "" : ", ended"}`);
   drawDecision(n);
   drawBars(last?.posterior ?? {});
@@ -72,10 +89,18 @@ function ranked(posterior) {
   return Object.entries(posterior).sort((a, b) => b[1] - a[1]);
 }
 
-function hue(name) {
-  if (!hues.has(name)) hues.set(name, `var(--c${hues.size % HUES})`);
-  return hues.get(name);
+// A colour belongs to a name; where two want the same, the later one takes the next.
+function coloured(names) {
+  const taken = new Map();
+  for (const name of names.sort()) {
+    let wish = [...name].reduce((sum, letter) => (31 * sum + letter.codePointAt(0)) % 9973, 7) % HUES;
+    for (let tries = 0; tries < HUES && [...taken.values()].includes(wish); tries += 1) wish = (wish + 1) % HUES;
+    taken.set(name, wish);
+  }
+  return taken;
 }
+
+const hue = (name) => `var(--c${hues.get(name)})`;
 
 function drawBars(posterior) {
   const list = find("bars");
@@ -120,9 +145,11 @@ function drawUnknownScore(last) {
 }
 
 function drawHistory() {
-  const { touches } = episode;
+  const touches = episode.touches.slice(-WINDOW);
   const believed = touches.filter((touch) => touch.unknown !== null);
   show(find("history"), touches.length > 0);
+  const from = touches.length < episode.touches.length ? `: the last ${WINDOW} of ${episode.touches.length}` : "";
+  text(find("history-title"), `Belief after each touch${from}`);
   const chart = find("history").querySelector("svg");
   show(chart, believed.length > 0);
   drawColumns(chart, believed);
@@ -131,16 +158,18 @@ function drawHistory() {
 
 function drawColumns(chart, touches) {
   const top = ranked(touches.at(-1)?.posterior ?? {}).slice(0, SHOWN).map(([name]) => name);
-  const slots = Math.max(8, touches.length);
-  chart.setAttribute("viewBox", `0 0 ${slots} 1`);
+  chart.setAttribute("viewBox", `0 0 ${WINDOW} 1`);
   chart.replaceChildren(...touches.flatMap((touch, at) => column(touch, at, top)));
   const described = touches.map((touch) => {
     const [[name, share]] = ranked(touch.posterior);
-    return `touch ${touch.number}: ${name} ${percent(share)}`;
+    return `touch ${touch.number}: ${strange(touch) ? "unknown, else " : ""}${name} ${percent(share)}`;
   });
   chart.setAttribute("aria-label", `Belief after each touch. ${described.slice(-20).join("; ")}.`);
 }
 
+const strange = (touch) => touch.unknown > touch.limit;
+
+// What is like none of the objects stands in grey, under a mark.
 function column(touch, at, top) {
   let above = 0;
   const parts = top.map((name) => [hue(name), touch.posterior[name] ?? 0]);
@@ -150,22 +179,21 @@ function column(touch, at, top) {
     const place = { x: at + 0.06, y: above, width: 0.88, height: share };
     for (const [name, value] of Object.entries(place)) block.setAttribute(name, value);
     block.style.fill = fill;
+    if (strange(touch)) block.style.opacity = "0.25";
     above += share;
     return block;
-  });
+  }).concat(strange(touch) ? [mark(at)] : []);
+}
+
+function mark(at) {
+  const band = document.createElementNS(SVG, "rect");
+  for (const [name, value] of Object.entries({ x: at + 0.06, y: 0, width: 0.88, height: 0.12 })) band.setAttribute(name, value);
+  band.style.fill = "var(--warn)";
+  return band;
 }
 
 function drawStrip(touches) {
-  const strip = find("strip");
-  if (strip.dataset.episode !== String(episode.number) || touches.length < strip.children.length) {
-    strip.replaceChildren();
-    strip.dataset.episode = String(episode.number);
-  }
-  for (const touch of touches.slice(strip.children.length)) {
-    strip.append(make("li", {}, make("img", {
-      class: "thumb", alt: `Touch ${touch.number}`,
-      src: `/api/episode/touches/${touch.number}/picture?episode=${episode.number}` }),
-    String(touch.number)));
-    strip.scrollLeft = strip.scrollWidth;
-  }
+  pictures(find("strip"), touches.map(({ number }) => ({
+    key: `${episode.number} ${number}`, label: String(number), alt: `Touch ${number}`,
+    src: `/api/episode/touches/${number}/picture?episode=${episode.number}` })));
 }

@@ -22,6 +22,20 @@ export function show(element, whether) {
   if (element.hidden === whether) element.hidden = !whether;
 }
 
+// A row of pictures; those that stay are not loaded again.
+export function pictures(list, items) {
+  const old = new Map([...list.children].map((item) => [item.dataset.key, item]));
+  list.replaceChildren(...items.map(({ key, label, alt, src }) => old.get(key) ?? make("li", { "data-key": key },
+    make("img", { class: "thumb", alt, src }), label)));
+}
+
+// What one of the three steps is like, and whether it is done.
+export function step(number, words, done) {
+  const item = find(`step-${number}`);
+  text(item.querySelector("span"), words);
+  item.classList.toggle("done", done);
+}
+
 export const percent = (share) =>
   share > 0.9995 && share < 1 ? ">99.9 %" : `${(100 * share).toFixed(share < 0.0995 ? 1 : 0)} %`;
 

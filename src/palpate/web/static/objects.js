@@ -5,6 +5,7 @@ import { find, make, show, text } from "./dom.js";
 
 const THUMBNAILS = 8;
 const cards = new Map();
+let wanted = null;
 
 export function showObjects({ library, model }) {
   const objects = library ? library.objects : [];
@@ -25,6 +26,7 @@ export function showObjects({ library, model }) {
     if (find("list").children[at] !== card) find("list").insertBefore(card, find("list").children[at] ?? null);
     update(card, one, learnt.has(one.name), names.has(one.name));
   });
+  if (cards.has(wanted)) focusOn(wanted);
 }
 
 function makeCard(name, manage) {
@@ -41,10 +43,13 @@ function makeCard(name, manage) {
 function update(card, { name, n_touches: count }, learnt, stored) {
   const state = learnt ? "learnt" : count > 1 ? "not learnt yet" : "too few to learn";
   const [, meta, thumbs] = card.children;
-  const touches = stored ? `${count} touch${count === 1 ? "" : "es"}, ` : "in the model, ";
+  const touches = stored ? `${count} touch${count === 1 ? "" : "es"}, ` : "in the model alone, so it cannot be renamed, ";
   text(meta, touches + state);
   const [renaming, , exporting] = card.querySelectorAll(".row > *");
-  if (renaming) renaming.disabled = !stored;
+  if (renaming) {
+    renaming.disabled = !stored;
+    renaming.title = stored ? "" : "Only the model knows it: teach it here to rename it.";
+  }
   if (exporting) show(exporting, stored);
   if (stored && card.dataset.count !== String(count)) {
     card.dataset.count = String(count);
@@ -67,13 +72,29 @@ async function asked(dialog) {
 }
 
 async function rename(name) {
+  const field = find("new-name");
+  const merging = () => field.value.trim() !== name && cards.has(field.value.trim());
+  const show = () => {
+    text(find("rename-note"), merging() ? `There is ${field.value.trim()} already: the touches of both become one object.` : "");
+    text(find("rename-ok"), merging() ? "Make them one" : "Rename");
+  };
   text(find("rename-title"), `Rename ${name}`);
-  find("new-name").value = name;
-  if (await asked(find("rename"))) await post("objects/rename", { object: name, name: find("new-name").value });
+  field.value = name;
+  field.oninput = show;
+  show();
+  if (!await asked(find("rename"))) return;
+  const order = { object: name, name: field.value, merge: merging() };
+  if (await post("objects/rename", order)) focusOn(field.value.trim());
 }
 
 async function forget(name) {
   text(find("forget-title"), `Forget ${name}?`);
   text(find("forget-text"), `Its touches are left out from now on, and ${name} is no longer recognised.`);
-  if (await asked(find("forget"))) await post("objects/forget", { object: name });
+  if (await asked(find("forget")) && await post("objects/forget", { object: name })) focusOn(null);
+}
+
+// A card that is gone takes the focus with it: it goes to the one that came, or the list.
+function focusOn(name) {
+  wanted = name === null || cards.has(name) ? null : name;
+  (cards.get(name)?.querySelector("button") ?? find("objects-title")).focus();
 }

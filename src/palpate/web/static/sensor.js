@@ -1,14 +1,18 @@
 // The live image, the contact indicator, the baseline, frame rate and latency.
 
 import { post } from "./api.js";
-import { find, make, say, show, text } from "./dom.js";
+import { find, make, say, show, step, text } from "./dom.js";
 
 let drawing = false;
 let waiting = null;
 let insist = false;
+let refused = false;
+let known = false;
 
 export function startSensor() {
   find("baseline").addEventListener("click", takeBaseline);
+  find("press-keep").addEventListener("click", () => post("baseline/keep"));
+  find("press-undo").addEventListener("click", () => post("baseline/undo"));
   find("placed").addEventListener("change", ({ target }) =>
     post("place", { object: target.value === "" ? null : target.value }));
 }
@@ -34,17 +38,23 @@ export async function drawFrame(head, picture) {
 
 export function showSensor(sensor) {
   show(find("sensor"), sensor !== null);
+  show(find("step-1"), sensor !== null);
   if (!sensor) {
     text(find("sensor-name"), "no sensor: touches come through the API");
     return;
   }
   text(find("sensor-name"), `${sensor.name}, ${sensor.shape[0]} × ${sensor.shape[1]}, ${sensor.unit}`);
-  if (sensor.lost) lost();
+  known = sensor.baseline;
+  if (sensor.lost) off("sensor lost");
   else touching(sensor.touching);
   note(find("lost"), sensor.lost);
   note(find("offer"), sensor.offer);
   insist = sensor.offer !== "" && sensor.touching;
-  text(find("baseline"), insist ? "Take baseline anyway" : "Take baseline");
+  text(find("baseline"), insist || refused ? "Take baseline anyway"
+    : sensor.baseline ? "Take baseline" : "Nothing touches it: take baseline");
+  find("baseline").classList.toggle("primary", !sensor.baseline);
+  showPress(sensor.press);
+  step(1, sensor.press ? "try it" : sensor.baseline ? "taken" : "to be taken", sensor.baseline && !sensor.press);
   showWarnings(sensor.warnings);
   showDesk(sensor.desk);
 }
@@ -69,13 +79,19 @@ function paint(bitmap, array) {
 
 function touching(whether) {
   const pill = find("contact");
-  text(pill, whether ? "touching" : "no contact");
+  text(pill, whether ? "touching" : known ? "no contact" : "no baseline");
   pill.className = whether ? "pill on" : "pill";
   find("screen").classList.toggle("touching", whether);
 }
 
-function lost() {
-  text(find("contact"), "sensor lost");
+export function showOffline() {
+  off("no connection");
+  text(find("rate"), "–");
+}
+
+function off(words) {
+  touching(false);
+  text(find("contact"), words);
   find("contact").className = "pill off";
 }
 
@@ -105,7 +121,26 @@ function showDesk(desk) {
   if (document.activeElement !== select) select.value = desk.placed ?? "";
 }
 
+function showPress(press) {
+  show(find("press"), press !== null);
+  if (!press) return;
+  text(find("press-text"), !press.found
+    ? "Now press the sensor once and let go. If it says “touching” while nothing does, something pressed it before: undo the baseline."
+    : press.lower ? "The press reads lower than the baseline: something seems to have pressed the sensor when it was taken. Undo it."
+      : "This is what changed. Does it look like your press?");
+  const picture = find("press-picture");
+  show(picture, press.found);
+  if (press.found && picture.dataset.number !== String(press.number)) {
+    picture.dataset.number = String(press.number);
+    picture.src = `/api/baseline/press?number=${press.number}`;
+  }
+  show(find("press-keep"), press.found && !press.lower);
+  text(find("press-undo"), press.found ? "No, undo it" : "Undo the baseline");
+}
+
 async function takeBaseline() {
-  const done = await post("baseline", { force: insist });
+  const done = await post("baseline", { force: insist || refused, ask_press: true });
+  refused = done === null;
   if (done) say(done.message);
+  else text(find("baseline"), "Take baseline anyway");
 }

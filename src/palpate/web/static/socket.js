@@ -11,19 +11,25 @@ export function listen({ event, frame, online }) {
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
       wait = FIRST_MS;
-      online(true);
+      online(true, "");
     };
     socket.onmessage = ({ data }) => {
       if (typeof data === "string") event(JSON.parse(data));
       else frame(...parted(data));
     };
-    socket.onclose = () => {
-      online(false);
+    socket.onclose = async () => {
+      online(false, await refused());
       setTimeout(open, wait);
       wait = Math.min(LONGEST_MS, 2 * wait);
     };
   };
   open();
+}
+
+// Whether the server answers, but wants another token.
+async function refused() {
+  const answer = await fetch("/api/health").catch(() => null);
+  return answer?.status === 401 || answer?.status === 403;
 }
 
 function parted(data) {

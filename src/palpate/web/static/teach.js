@@ -1,7 +1,10 @@
 // Teaching: a name, so many touches, undo, learn.
 
-import { post } from "./api.js";
-import { find, make, show, text } from "./dom.js";
+import { get, post } from "./api.js";
+import { find, make, pictures, show, step, text } from "./dom.js";
+
+const SHOWN = 12;
+let keeping = 0;
 
 export function startTeach() {
   find("lesson").addEventListener("submit", begin);
@@ -10,30 +13,64 @@ export function startTeach() {
   find("learn").addEventListener("click", () => post("learn"));
 }
 
+// The touches just made become the first of the object that is named next.
+export function teachThese(count) {
+  keeping = count;
+  show(find("first-touches"), count > 0);
+  text(find("first-touches"), `Its first touches are the ${count} you just made. Say what it is.`);
+  if (count) find("name").focus();
+}
+
 export function showTeach({ library, lesson, learning, learn_error: error, model, sensor }) {
   show(find("no-library"), library === null);
   show(find("teaching"), library !== null);
   text(find("learnt"), learning ? "learning…"
     : model ? `${model.objects.length} objects learnt` : "nothing learnt yet");
   find("learnt").className = model && !learning ? "pill on" : "pill";
-  if (library === null) return;
-  show(find("progress"), lesson !== null);
+  show(find("learn"), library !== null && lesson === null);
   show(find("stop"), lesson !== null);
-  show(find("lesson"), sensor !== null);
+  show(find("progress"), lesson !== null);
+  show(find("belief"), lesson === null);
+  document.body.dataset.lesson = String(lesson !== null);
+  step(2, lesson ? `${lesson.name}: ${lesson.done} of ${lesson.wanted}` : learning ? "learning…"
+    : model ? `${model.objects.length} learnt` : "", model !== null && !lesson);
+  if (library === null) return;
+  show(find("lesson"), sensor !== null && lesson === null);
   if (lesson) showLesson(lesson);
-  const enough = library.objects.filter((one) => one.n_touches > 1).length > 1;
-  find("undo").disabled = library.undoable === 0;
-  find("learn").disabled = learning || (!enough && !model);
-  find("learn").classList.toggle("primary", stale(library, model) && !learning);
+  showButtons(library, model, learning, sensor);
   show(find("learn-error"), error !== "");
   text(find("learn-error"), error);
   showKnown(library.objects);
 }
 
-function showLesson({ name, wanted, done }) {
+// Each button that cannot be pressed has its reason beside it.
+function showButtons(library, model, learning, sensor) {
+  const enough = library.objects.filter((one) => one.n_touches > 1).length > 1;
+  const why = [];
+  find("start").disabled = sensor !== null && !sensor.baseline;
+  if (find("start").disabled) why.push("Start: take the baseline first.");
+  find("undo").disabled = library.undoable === 0;
+  if (find("undo").disabled) why.push("Undo: nothing was taught since the server started.");
+  find("learn").disabled = learning || (!enough && !model);
+  if (learning) why.push("Learn: it is learning.");
+  else if (find("learn").disabled) why.push("Learn: two objects need two touches each.");
+  find("learn").classList.toggle("primary", stale(library, model) && !learning);
+  text(find("why-not"), why.join(" "));
+}
+
+async function showLesson({ name, wanted, done }) {
   text(find("progress-text"), `Touch ${name}: ${done} of ${wanted} are stored.`);
   find("bar").max = wanted;
   find("bar").value = done;
+  const list = find("lesson-strip");
+  const now = `${name} ${done}`;
+  if (list.dataset.shown === now) return;
+  list.dataset.shown = now;
+  const few = Math.min(SHOWN, done);
+  const ids = few ? await get(`objects/touches?object=${encodeURIComponent(name)}&limit=${few}`) : [];
+  if (!ids || list.dataset.shown !== now) return;
+  pictures(list, ids.reverse().map(({ id }, at) => ({ key: id, alt: `Touch ${done - few + at + 1} of ${name}`,
+    label: String(done - few + at + 1), src: `/api/touches/${id}/picture` })));
 }
 
 // Whether the library holds an object that the model does not know.
@@ -52,6 +89,10 @@ function showKnown(objects) {
 
 async function begin(event) {
   event.preventDefault();
-  const order = { object: find("name").value, touches: Number(find("wanted").value) };
-  if (await post("teach", order)) find("lesson").reset();
+  const order = { object: find("name").value, touches: Number(find("wanted").value), keep_episode: keeping > 0 };
+  if (!await post("teach", order)) return;
+  find("lesson").reset();
+  teachThese(0);
+  find("stop").focus();
+  find("teach").scrollIntoView({ block: "nearest" });
 }
