@@ -15,9 +15,9 @@ from numpy.testing import assert_array_equal
 from palpate import Touches
 from palpate.touches import TouchesError
 
-LABEL = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1).map(
-    lambda text: text + "."
-)
+NAME = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1)
+PRINTED = st.characters(codec="utf-8", exclude_categories=("Cc", "Zl", "Zp"))
+LABEL = st.text(PRINTED, min_size=1).map(lambda text: text + ".")
 PLAIN = st.one_of(
     hnp.boolean_dtypes(),
     hnp.integer_dtypes(),
@@ -48,7 +48,7 @@ def sets_of_touches(draw):
     images = any_array(draw, draw(IMAGES), (n, n_rows, n_cols))
     if images.dtype.kind == "f":
         images = np.where(np.isinf(images), images.dtype.type(1), images)
-    names = draw(st.lists(LABEL.map("x".__add__), max_size=3, unique=True))
+    names = draw(st.lists(NAME.map("x{}.".format), max_size=3, unique=True))
     columns = {}
     for name in names:
         tail = draw(st.lists(st.integers(0, 3), max_size=2))

@@ -122,3 +122,19 @@ def test_every_image_can_be_shown(image):
 def test_a_repr_needs_no_opencv(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
     assert repr(Touches(np.zeros((1, 2, 2)))).startswith("<Touches: 1 of 2 x 2")
+
+
+def test_colour_is_shown_in_colour_and_other_channels_as_their_mean():
+    image = np.zeros((1, 4, 4, 3), np.uint8)
+    image[..., :2, 0] = image[..., 2:, 2] = 200
+    (shown,) = pictures(Touches(image, channels=["r", "g", "b"]))
+    assert shown[48, 10].tolist() == [0, 0, 255]
+    assert shown[48, 85].tolist() == [255, 0, 0]
+    (mean,) = pictures(Touches(image, channels=["x", "y", "z"]))
+    assert len(np.unique(mean)) == 1
+    html = Touches(image, channels=["r", "g", "b"])._repr_html_()
+    assert "4 x 4 x 3 uint8" in html
+    assert "channels (3 text)" in html
+    dead = np.where(image > 0, image, np.nan)
+    (marked,) = pictures(Touches(dead, channels=["r", "g", "b"]))
+    assert (marked == [60, 60, 220]).all()

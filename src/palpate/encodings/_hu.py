@@ -67,6 +67,13 @@ class HuMoments(ImageEstimator):
         self.region, self.levels = region, levels
         self.log = log
 
+    @property
+    def blind_to(self) -> frozenset[str]:
+        """Shifts; turns on the disc; gain where levels are divided by their mean."""
+        turns = {"turns"} if self.region == "disc" else set()
+        gain = {"gain"} if self.levels == "above-least" else set()
+        return frozenset({"shifts"} | turns | gain)
+
     def _learn(self, images: Array) -> None:
         if check_count("n_components", self.n_components) > N_MOMENTS:
             raise ValueError(
@@ -79,9 +86,9 @@ class HuMoments(ImageEstimator):
     def transform_checked(self, images: Array) -> Floats:
         """Return the moments, shape (n_touches, n_components)."""
         images = images.astype(np.float64, copy=False)
-        mask = np.ones(self.image_shape_, dtype=bool)
+        mask = np.ones(images.shape[1:], dtype=bool)
         if self.region == "disc":
-            mask = inscribed_mask(*self.image_shape_)
+            mask = inscribed_mask(*images.shape[1:])
         raw = self.levels == "raw"
         seen = images * mask if raw else _relative(images, mask)
         invariants = _hu(central_moments(seen))[:, : self.n_components]

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_images, check_option, check_positive
-from .._image_estimator import ImageEstimator
+from .._image_estimator import ImageEstimator, by_channel
 from .._types import Array, Floats
 
 # Powers of the coordinates lose all digits to cancellation beyond this order.
@@ -80,6 +80,12 @@ class CentroidMoments(ImageEstimator):
         self.order, self.width = order, width
         self.normalise, self.centre_power = normalise, centre_power
 
+    @property
+    def blind_to(self) -> frozenset[str]:
+        """Shifts and turns, and gain where presses are normalised."""
+        both = frozenset({"shifts", "turns"})
+        return both if self.normalise is None else both | {"gain"}
+
     def _learn(self, images: Array) -> None:
         order = check_count("order", self.order, at_least=0)
         if order > _HIGHEST_ORDER:
@@ -103,20 +109,22 @@ class CentroidMoments(ImageEstimator):
         A press turned by an angle a from the column axis towards the row axis has
         its moments multiplied by exp(-i m a).
         """
-        return self._moments_of(self._images(X))
+        return by_channel(self._moments_of, self._images(X))
 
     def _moments_of(self, images: Array) -> NDArray[np.complex128]:
         images = images.astype(np.float64, copy=False)
-        scale = self.width * min(self.image_shape_) / 2
-        levels = images / _size(images, self.normalise)[:, None, None]
+        scale = self.width * min(images.shape[1:]) / 2
+        levels = images / size_of(images, self.normalise)[:, None, None]
         row, col = _centroid(levels, self.centre_power)
         power = np.arange(self.patterns_.shape[1])
-        down = _windowed_powers(self.image_shape_[0], row, scale, power)
-        across = _windowed_powers(self.image_shape_[1], col, scale, power)
+        down = _windowed_powers(images.shape[1], row, scale, power)
+        across = _windowed_powers(images.shape[2], col, scale, power)
         products = across @ levels.transpose(0, 2, 1) @ down.transpose(0, 2, 1)
         flat = products.reshape(len(images), -1) / scale
         # Conjugated, as moments are integrals against the pattern's conjugate.
-        return flat @ self.patterns_.conj().reshape(len(self.patterns_), -1).T
+        moments: NDArray[np.complex128]
+        moments = flat @ self.patterns_.conj().reshape(len(self.patterns_), -1).T
+        return moments
 
     def get_feature_names_out(self, input_features: object = None) -> Array:
         """Return "moment<n>,<m>" for each moment."""
@@ -128,11 +136,11 @@ def sorted_taxels(images: ArrayLike, *, normalise: bool = False) -> Floats:
     """Return each image's levels, largest first, (n_touches, n_rows * n_cols)."""
     checked = check_images(images)
     if normalise:
-        checked = checked / _size(checked, "total")[:, None, None]
+        checked = checked / size_of(checked, "total")[:, None, None]
     return np.sort(checked.reshape(len(checked), -1), axis=1)[:, ::-1]
 
 
-def _size(images: Floats, normalise: str | None) -> Floats:
+def size_of(images: Floats, normalise: str | None) -> Floats:
     """What each image is divided by, 1 where that would be 0."""
     if normalise is None:
         return np.ones(len(images))

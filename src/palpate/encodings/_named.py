@@ -11,9 +11,11 @@ from sklearn.preprocessing import FunctionTransformer
 
 from .._checks import check_count
 from .._types import Floats
+from ._edge_histograms import EdgeHistograms
 from ._hu import N_MOMENTS, HuMoments
 from ._moments import CentroidMoments
-from ._pixels import PAPER_SIDE, ScaledPixels, TaxelVector
+from ._pad_shapes import PadShapes
+from ._pixels import PAPER_SIDE, GridLevels, ScaledPixels, TaxelVector
 from ._polar_gradients import PolarGradients
 from ._principal import (
     Components,
@@ -22,6 +24,7 @@ from ._principal import (
     ZernikePCA,
     check_components,
 )
+from ._rings import RingPatterns, RingQuantiles
 from ._union import EncodingUnion
 from ._zernike import ZernikeMoments
 
@@ -39,6 +42,11 @@ ENCODINGS: dict[str, tuple[type, dict[str, Any]]] = {
     "centroid-moments": (CentroidMoments, {}),
     "polar-gradients": (PolarGradients, {}),
     "taxels": (TaxelVector, {}),
+    "grid-levels": (GridLevels, {}),
+    "edge-histograms": (EdgeHistograms, {}),
+    "ring-patterns": (RingPatterns, {}),
+    "ring-quantiles": (RingQuantiles, {}),
+    "pad-shapes": (PadShapes, {}),
 }
 
 
@@ -51,8 +59,9 @@ def encoder_named(
     ----------
     name : str
         "hu", "log-hu", "zernike", "zernike-noll", "zernike-noll-abs", "zernike-pca",
-        "oriented-pca", "scaled-pixels", "centroid-moments", "polar-gradients" or
-        "taxels", or several joined by "+": their features side by side.
+        "oriented-pca", "scaled-pixels", "centroid-moments", "polar-gradients",
+        "taxels", "grid-levels", "edge-histograms", "ring-patterns", "ring-quantiles"
+        or "pad-shapes", or several joined by "+": their features side by side.
     n_components : int, float or sequence of these, optional
         How many features, or as many as there are: principal components (or the
         share of the variance), moments from the first, or pixels, of which there

@@ -1,15 +1,19 @@
-"""Levels as features: every taxel, or the turned image averaged to a few cells."""
+"""Levels as features: every taxel, or the image averaged to a few cells."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from .._checks import check_count, check_number
-from .._image_estimator import ImageEstimator
+from .._checks import check_count, check_finite, check_number, check_option
+from .._image_estimator import ImageEstimator, by_channel
 from .._types import Array, Floats
 from ..images import OrientationRegulariser
+from ._moments import size_of
 
 PAPER_SIDE = 13
+# The median of so many training images is a baseline.
+_LOOKED_AT = 200
 
 
 class ScaledPixels(ImageEstimator):
@@ -54,6 +58,11 @@ class ScaledPixels(ImageEstimator):
         self.side = side
         self.min_anisotropy = min_anisotropy
 
+    @property
+    def blind_to(self) -> frozenset[str]:
+        """Turns, where images are turned."""
+        return frozenset() if self.min_anisotropy is None else frozenset({"turns"})
+
     def _learn(self, images: Array) -> None:
         side = check_count("side", self.side)
         self.regulariser_ = None
@@ -71,6 +80,116 @@ class ScaledPixels(ImageEstimator):
             images = self.regulariser_.transform_checked(images)
         means: Floats = self.down_ @ images @ self.across_.T
         return means.reshape(len(images), -1)
+
+
+class GridLevels(ImageEstimator, by_channel=False):
+    """Encode an image as it is: mean levels over a grid, roots, blurred or not.
+
+    Parameters
+    ----------
+    cells : int, default=32
+        Most cells along the longer side; cells are nearly square. Images that have no
+        more taxels are left as they are.
+    blur : float, default=0.0
+        Standard deviation, in cells, of the Gaussian that smooths what comes out.
+    root : bool, default=True
+        Take signed square roots, so that strong levels do not drown faint ones.
+    unit : bool, default=False
+        Divide each touch, all channels together, by its norm; zeros stay.
+    baseline : {"median"}, image or None, default=None
+        What is taken off each image before its roots: a frame of no contact as large as
+        the images, or the median of the training images, pixel by pixel; None nothing.
+
+    Attributes
+    ----------
+    down_, across_ : ndarray of shape (n_cells, n_rows or n_cols)
+        Share of each pixel in each cell, along both sides.
+    smooth_down_, smooth_across_ : ndarray of shape (n_cells, n_cells)
+        Weights of the blur, along both sides.
+    baseline_ : ndarray of shape (n_cells, n_cells) or (n_cells, n_cells, n_channels)
+        Mean levels of the baseline; 0 without one.
+
+    Notes
+    -----
+    It is blind to nothing, or to gain if `unit`; what is finer than cells and `blur`
+    it does not see.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate.encodings import GridLevels
+    >>> GridLevels(2).fit_transform(np.arange(16.0).reshape(1, 4, 4) ** 2).round(2)
+    array([[ 3.24,  4.95, 10.7 , 12.67]])
+    """
+
+    def __init__(
+        self,
+        cells: int = 32,
+        blur: float = 0.0,
+        root: bool = True,
+        unit: bool = False,
+        baseline: str | ArrayLike | None = None,
+    ) -> None:
+        self.cells, self.blur = cells, blur
+        self.root, self.unit = root, unit
+        self.baseline = baseline
+
+    @property
+    def blind_to(self) -> frozenset[str]:
+        """Gain, where touches are divided by their norm."""
+        return frozenset({"gain"}) if self.unit else frozenset()
+
+    def _learn(self, images: Array) -> None:
+        self._lay_grid(images.shape[1:3])
+        self.baseline_ = np.zeros(1)
+        if isinstance(self.baseline, str):
+            check_option("baseline", self.baseline, ("median",))
+            spread = np.linspace(0, len(images) - 1, _LOOKED_AT).astype(int)
+            some = by_channel(self._means, images[np.unique(spread)])
+            self.baseline_ = np.median(some, axis=0)
+        elif self.baseline is not None:
+            frame = check_finite(np.asarray(self.baseline)[np.newaxis])
+            if frame.shape[1:] != images.shape[1:]:
+                raise ValueError(
+                    f"baseline must be an image of shape {images.shape[1:]} like the "
+                    f"others, got {frame.shape[1:]}. Crop or resize it."
+                )
+            self.baseline_ = by_channel(self._means, frame)[0]
+
+    def _lay_grid(self, sides: tuple[int, ...]) -> None:
+        cells = check_count("cells", self.cells)
+        blur = check_number("blur", self.blur, low=0, high=cells)
+        check_option("root", self.root, (False, True))
+        check_option("unit", self.unit, (False, True))
+        size = max(max(sides) / cells, 1)
+        self.down_, self.across_ = (
+            _averages(n, max(round(n / size), 1)) for n in sides
+        )
+        self.smooth_down_, self.smooth_across_ = (
+            _gaussian(len(cells), blur) for cells in (self.down_, self.across_)
+        )
+
+    def transform_checked(self, images: Array) -> Floats:
+        """Return the levels, cell by cell, (n_touches, n_cells)."""
+        differences = by_channel(self._means, images) - self.baseline_
+        levels = by_channel(self._levels, differences)
+        if self.unit:
+            levels = levels / size_of(levels[:, np.newaxis], "energy")[:, np.newaxis]
+        return levels
+
+    def _means(self, images: Array) -> Floats:
+        """Mean levels of the cells, (n_touches, n_cells, n_cells)."""
+        levels: Floats = images.astype(np.float64, copy=False)
+        if len(self.down_) < images.shape[1] or len(self.across_) < images.shape[2]:
+            levels = self.down_ @ levels @ self.across_.T
+        return levels
+
+    def _levels(self, levels: Floats) -> Floats:
+        if self.root:
+            levels = np.sign(levels) * np.sqrt(np.abs(levels))
+        if self.blur:
+            levels = self.smooth_down_ @ levels @ self.smooth_across_.T
+        return levels.reshape(len(levels), -1)
 
 
 class TaxelVector(ImageEstimator):
@@ -100,3 +219,11 @@ def _averages(n: int, n_cells: int) -> Floats:
     high = np.minimum(border[1:, None], pixel + 1)
     shares: Floats = np.maximum(high - low, 0) * (n_cells / n)
     return shares
+
+
+def _gaussian(n_cells: int, std: float) -> Floats:
+    """Weights of a blur along one side, (n_cells, n_cells); rows sum to 1."""
+    apart = np.subtract.outer(np.arange(n_cells), np.arange(n_cells))
+    weights: Floats = np.exp(-(apart**2) / (2 * max(std, 1e-3) ** 2))
+    weights /= weights.sum(axis=1, keepdims=True)
+    return weights

@@ -75,6 +75,8 @@ class PolarGradients(ImageEstimator):
     (2, 120)
     """
 
+    blind_to = frozenset({"turns"})
+
     def __init__(
         self, n_rings: int = 14, n_harmonics: int = 16, smoothing: float = 0.025
     ) -> None:
@@ -100,8 +102,8 @@ class PolarGradients(ImageEstimator):
         sizes /= self.scale_[:, np.newaxis, np.newaxis]
         return sizes.reshape(len(images), -1)
 
-    def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
-        return check_levels(check_images(X, shape=shape))
+    def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
+        return check_levels(check_images(X, shape=shape, channels=True))
 
     def _harmonics(self, images: Array) -> NDArray[np.complex128]:
         """Fourier coefficients, (n_touches, 6, n_rings, n_harmonics + 1)."""

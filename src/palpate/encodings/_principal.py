@@ -46,6 +46,12 @@ class PrincipalEncoder(ImageEstimator):
 
     n_components: Components
 
+    @property
+    def blind_to(self) -> frozenset[str]:
+        """What the encoding is blind to whose components these are."""
+        blind: frozenset[str] = self._first().blind_to
+        return blind
+
     def transform_checked(self, images: Array) -> Floats:
         """Return the scores, shape (n_touches, n_components_)."""
         features = self.first_.transform_checked(images) - self.mean_

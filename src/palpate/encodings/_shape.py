@@ -45,6 +45,8 @@ class ShapeGeometry(ImageEstimator):
     array([[4., 0.]])
     """
 
+    blind_to = frozenset({"shifts", "turns", "gain"})
+
     def __init__(self, edges: str = "all") -> None:
         self.edges = edges
 
@@ -64,7 +66,8 @@ class ShapeGeometry(ImageEstimator):
     def _edge_variance(self, shapes: NDArray[np.bool_]) -> Floats:
         solid = shapes if self.edges == "all" else binary_fill_holes(shapes, _FLOOD)
         edge = solid & ~binary_erosion(solid, _CROSS)
-        row, col = np.indices(self.image_shape_)
+        _, n_rows, n_cols = shapes.shape
+        row, col = np.indices((n_rows, n_cols))
         distance = np.hypot(
             row - _mean(row, shapes)[:, None, None],
             col - _mean(col, shapes)[:, None, None],
@@ -106,6 +109,8 @@ class FourierDescriptors(ImageEstimator):
     >>> FourierDescriptors(n=9).fit_transform(square).round(2)
     array([[1.  , 0.  , 0.17, 0.  , 0.17, 0.  , 1.  , 0.  , 0.  ]])
     """
+
+    blind_to = frozenset({"shifts", "turns", "gain"})
 
     def __init__(self, n: int = 40, resample: int | None = None) -> None:
         self.n = n

@@ -15,7 +15,7 @@ from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
 
 
-class EncodingUnion(ImageEstimator):
+class EncodingUnion(ImageEstimator, by_channel=False):
     """Encode images by several encoders and join the vectors.
 
     Parameters
@@ -50,6 +50,13 @@ class EncodingUnion(ImageEstimator):
         self.encoders = encoders
         self.balanced = balanced
 
+    @property
+    def blind_to(self) -> frozenset[str]:
+        """What all of its encoders are blind to."""
+        nothing: frozenset[str] = frozenset()
+        each = [getattr(part, "blind_to", nothing) for part in self.encoders]
+        return frozenset.intersection(*each) if each else nothing
+
     def fit(self, X: ArrayLike, y: object = None) -> Self:
         """Fit every encoder to the images; `y` is passed on."""
         images = self._checked(X)
@@ -65,7 +72,7 @@ class EncodingUnion(ImageEstimator):
         self.scalers_ = []
         if self.balanced:
             self.scalers_ = [RootScaler().fit(part) for part in self._parts(images)]
-        self.image_shape_ = (images.shape[1], images.shape[2])
+        self.image_shape_ = images.shape[1:]
         return self
 
     def transform_checked(self, images: Array) -> Floats:
@@ -84,9 +91,9 @@ class EncodingUnion(ImageEstimator):
             for encoder in self.encoders_
         ]
 
-    def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
+    def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
         # Which levels are too large, each encoder says itself.
-        return check_image_shape(X, shape=shape)
+        return check_image_shape(X, shape=shape, channels=True)
 
     def _images(self, X: ArrayLike) -> Array:
         images = super()._images(X)

@@ -138,12 +138,19 @@ class ZernikeMoments(ImageEstimator):
         self.drop_constant, self.repeat_negative = drop_constant, repeat_negative
         self.precision = precision
 
+    @property
+    def blind_to(self) -> frozenset[str]:
+        """Turns: magnitudes of moments in the inscribed disc."""
+        magnitudes = self.output == "abs" and self.disc == "inscribed"
+        return frozenset({"turns"}) if magnitudes else frozenset()
+
     def transform_checked(self, images: Array) -> Array:
         """Return the moments, shape (n_touches, n_features).
 
         Sums that are not finite are refused.
         """
-        disc = Disc(*self.image_shape_, *self.centre_, self.radius_)
+        _, n_rows, n_cols = images.shape
+        disc = Disc(n_rows, n_cols, *self.centre_, self.radius_)
         exact, single = self.method == "exact", self.precision == "single"
         moments = zernike_moments(images, Grid(disc, int(self.order), exact, single))
         if not np.isfinite(moments).all():
@@ -159,13 +166,14 @@ class ZernikeMoments(ImageEstimator):
         check_is_fitted(self, "image_shape_")
         return np.array([f"zernike{n},{m}" for n, m in self.indices_], dtype=object)
 
-    def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
-        return check_image_shape(X, shape=shape)
+    def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
+        return check_image_shape(X, shape=shape, channels=True)
 
     def _images(self, X: ArrayLike) -> Array:
         images = super()._images(X)
-        # To this order NaN shows in the moments, which are sooner looked through.
-        if self.order > HIGHEST_SEPARABLE_ORDER:
+        # To this order NaN shows in the moments, which are sooner looked through, but
+        # which count channels as touches.
+        if self.order > HIGHEST_SEPARABLE_ORDER or images.ndim > 3:
             check_finite(images)
         return images
 

@@ -12,6 +12,8 @@ from ._central_moments import CentralMoments as CentralMoments
 from ._central_moments import above_least as above_least
 from ._central_moments import central_moments as central_moments
 from ._central_moments import inscribed_mask as inscribed_mask
+from ._channels import ChannelMean
+from ._channels import grey as grey
 from ._dead_taxels import fill_dead_taxels
 from ._dome import DerivativeMagnitude, DomeCrop
 from ._dome import crop_discs as crop_discs
@@ -28,6 +30,7 @@ from ._rim import typical_rim as typical_rim
 
 __all__ = [
     "ArrayCleanUp",
+    "ChannelMean",
     "Circle",
     "DerivativeMagnitude",
     "DomeCrop",

@@ -98,8 +98,8 @@ class ArrayCleanUp(ImageEstimator):
         other: Self = clone(self).fit(X, no_contact=no_contact)
         return other
 
-    def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
-        return check_images(X, shape=shape, allow_nan=True)
+    def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
+        return check_images(X, shape=shape, allow_nan=True, channels=True)
 
     def _learn(self, images: Array) -> None:
         self.transform_checked(images[:1])

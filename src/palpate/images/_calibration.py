@@ -18,6 +18,7 @@ from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_images, check_number, check_option
+from .._durable import write_text
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
 from ._calibration_fit import fit_taxels
@@ -168,7 +169,7 @@ class TaxelCalibration(ImageEstimator):
             content[name] = value
         content["dead"] = self.dead_.tolist()
         text = json.dumps(content, indent=1, allow_nan=False)
-        Path(path).write_text(text + "\n", encoding="utf-8")
+        write_text(Path(path), text + "\n")
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -185,7 +186,7 @@ class TaxelCalibration(ImageEstimator):
             setattr(calibration, f"{name}_", value)
         return calibration
 
-    def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
+    def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
         return check_images(X, shape=shape, allow_nan=True)
 
     def _on_the_line(self, frames: Array) -> Floats:

@@ -20,14 +20,15 @@ def fill_dead_taxels(images: ArrayLike, *, dead: str = "fill") -> Floats:
 
     Parameters
     ----------
-    images : array-like of shape (n_touches, n_rows, n_cols)
-        NaN marks a dead taxel; each image may have its own.
+    images : array-like of shape (n_touches, n_rows, n_cols[, n_channels])
+        NaN marks a dead taxel; each image may have its own. Channels are filled one by
+        one.
     dead : {"fill", "refuse"}, default="fill"
         "refuse" raises instead of filling.
 
     Returns
     -------
-    filled : ndarray of shape (n_touches, n_rows, n_cols)
+    filled : ndarray of the shape of `images`
         A copy where anything was filled. No value lies outside the range of the
         living taxels of its image.
 
@@ -43,6 +44,9 @@ def fill_dead_taxels(images: ArrayLike, *, dead: str = "fill") -> Floats:
     >>> fill_dead_taxels([[[1.0, float("nan"), 3.0]]])
     array([[[1., 2., 3.]]])
     """
+    if np.ndim(images) == 4:
+        channels = np.moveaxis(np.asarray(images), -1, 0)
+        return np.stack([fill_dead_taxels(one, dead=dead) for one in channels], -1)
     checked = check_images(images, allow_nan=True)
     check_option("dead", dead, ("fill", "refuse"))
     is_dead = np.isnan(checked)

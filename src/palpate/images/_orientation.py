@@ -70,7 +70,7 @@ class OrientationRegulariser(ImageEstimator):
         found = orientations(images)
         angle = np.where(found.anisotropy >= self.min_anisotropy, found.angle_deg, 0.0)
         turned = repose(images, -angle, edges="nearest")
-        turned *= inscribed_mask(*self.image_shape_)
+        turned *= inscribed_mask(*images.shape[1:])
         return turned
 
 

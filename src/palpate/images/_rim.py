@@ -184,7 +184,7 @@ def typical_rim(
     return Circle(row, col, radius, True, float(np.median(seen.score)))
 
 
-def as_images(X: ArrayLike, *, shape: tuple[int, int] | None = None) -> Array:
+def as_images(X: ArrayLike, *, shape: tuple[int, ...] | None = None) -> Array:
     """Return `X` as finite images; 8-bit ones stay so, to save memory and time."""
     images = check_image_shape(X, shape=shape)
     if images.dtype == np.uint8:

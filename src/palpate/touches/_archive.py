@@ -27,6 +27,7 @@ from ._columns import (
     Arrays,
     TouchesError,
     belongs_to_whole,
+    check_layout,
     checked_images,
     sorted_out,
 )
@@ -59,7 +60,9 @@ def read_archive(path: Path, max_bytes: int) -> tuple[Array, Arrays, Arrays]:
             arrays = _inflated(archive, max_bytes)
         images = checked_images(arrays.pop("images"))
         names = arrays.pop(_WHOLE_NAMES, np.array([], dtype=np.str_)).ravel()
-        return images, *sorted_out(arrays, images, [str(name) for name in names])
+        sorted_arrays = sorted_out(arrays, images, [str(name) for name in names])
+        check_layout(images, *sorted_arrays)
+        return images, *sorted_arrays
 
 
 def write_archive(path: Path, images: Array, columns: Arrays, whole: Arrays) -> None:

@@ -1,9 +1,9 @@
 """What a set of touches may hold: checked, picked from and joined.
 
-A name decides first: `no_contact`, `frame_index`, `geometry` and names beginning
-with `set_` belong to the whole set; the names in `COLUMNS` are columns and must
-have one row per touch. Any other array is a column when it has one row per
-touch, and belongs to the whole set when it does not.
+A name decides first: the names in `WHOLE` and those beginning with `set_` belong to
+the whole set; the names in `COLUMNS` are columns and must have one row per touch. Any
+other array is a column when it has one row per touch, and belongs to the whole set when
+it does not.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import check_option
+from .._checks import check_option, one_spelling
 from .._types import Array
 
 Arrays = dict[str, Array]
@@ -22,8 +22,12 @@ Arrays = dict[str, Array]
 LABELS = ("object", "category")
 NUMBERS = ("order", "position_mm", "position_raw", "force_n", "time_s")
 FLAT = (*LABELS, "order", "session", "time_s", "sensor", "episode", "press", "frame")
-COLUMNS = frozenset((*FLAT, *NUMBERS, "source_path"))
-WHOLE = frozenset(("no_contact", "frame_index", "geometry"))
+COLUMNS = frozenset((*FLAT, *NUMBERS, "source_path", "press_frames"))
+# How the last axis of images, and the arrays within one picture, are described.
+LAYOUT = ("channels", "pads", "pad_names")
+WHOLE = frozenset(("no_contact", "frame_index", "geometry", *LAYOUT))
+# Names that archives had before these were settled.
+FORMER = {f"set_{name}": name for name in LAYOUT}
 GEOMETRIES = ("dome", "array", "plane", "none")
 PLAIN_KINDS = "biufcSUMm"
 _TAXELS_AT_ONCE = 2**22
@@ -49,13 +53,13 @@ def frozen(array: Array) -> Array:
 
 
 def checked_images(images: ArrayLike) -> Array:
-    """Return images (n_touches, n_rows, n_cols) read-only, or explain."""
+    """Return images (n_touches, n_rows, n_cols[, n_channels]) read-only, or explain."""
     array = plain_array("images", images)
-    if array.ndim != 3:
+    if array.ndim not in (3, 4):
         hint = " For one touch pass images[np.newaxis]." if array.ndim == 2 else ""
         raise TouchesError(
-            "images must have shape (n_touches, n_rows, n_cols), "
-            f"got {array.shape}.{hint}"
+            "images must have shape (n_touches, n_rows, n_cols) or (n_touches, n_rows, "
+            f"n_cols, n_channels), got {array.shape}.{hint}"
         )
     if 0 in array.shape:
         raise TouchesError(
@@ -78,9 +82,15 @@ def sorted_out(
     """
     columns: Arrays = {}
     whole: Arrays = {}
-    for name, value in given.items():
+    for given_name, value in given.items():
         if value is None:
             continue
+        name = FORMER.get(given_name, given_name)
+        if name != given_name and given.get(name) is not None:
+            raise TouchesError(
+                f"{name} must be given once, got {given_name} as well, which is its "
+                "former name. Leave that out."
+            )
         array = plain_array(name, value)
         long = array.ndim > 0 and len(array) == len(images) and name not in whole_names
         if belongs_to_whole(name):
@@ -102,6 +112,11 @@ def plain_array(name: str, value: ArrayLike) -> Array:
         ) from error
     if array.dtype.kind == "T":  # numpy's own variable-width text has no plain file
         array = np.array(array.tolist())
+    if array.dtype.kind == "U" and isinstance(value, list | tuple | str):
+        texts = [value] if isinstance(value, str) else value
+        for text in texts:  # numpy would drop it without a word
+            if isinstance(text, str) and text.endswith("\0"):
+                raise _unprintable(name, text)
     if array.dtype.kind not in PLAIN_KINDS:
         raise TouchesError(
             f"{name} must hold plain numbers or text, got an array of {array.dtype}. "
@@ -210,10 +225,11 @@ def joined_whole(parts: Sequence[Arrays]) -> Arrays:
                     f"Add it there, or drop it with touches.without({name!r})."
                 )
             if not _same(part[name], parts[0][name]):
+                drop = f"Drop it with touches.without({name!r}), or keep"
+                keep = "Keep" if name == "channels" else drop
                 raise TouchesError(
                     f"{name} must be the same in every set, got another one in set "
-                    f"{number}. Drop it with touches.without({name!r}), or keep the "
-                    "sets apart."
+                    f"{number}. {keep} the sets apart."
                 )
     return dict(parts[0])
 
@@ -246,10 +262,108 @@ def _checked_labels(name: str, array: Array) -> Array:
             f"{name} must not be empty, got an empty label at touch {empty.argmax()}. "
             "Label that touch or leave it out."
         )
+    given = text.tolist()
+    spelt = {label: one_spelling(label) for label in set(given)}
+    for label, spelling in spelt.items():
+        if spelling is None:
+            raise _unprintable(name, label)
+    if all(label == spelling for label, spelling in spelt.items()):
+        return text
+    return np.array([spelt[label] for label in given], dtype=np.str_)
+
+
+def _unprintable(name: str, text: str) -> TouchesError:
+    return TouchesError(
+        f"{name} must be of letters that can be printed, got {text!r}. Leave out line "
+        "breaks and control characters."
+    )
+
+
+def check_layout(images: Array, columns: Arrays, whole: Arrays) -> None:
+    """Refuse channels, pads and frames of presses that do not suit the images."""
+    names, pads = whole.get("channels"), whole.get("pads")
+    if images.ndim == 4 and (names is None or len(names) != images.shape[3]):
+        raise TouchesError(
+            f"channels must name each of the {images.shape[3]} channels of images of "
+            f"shape {images.shape}, got {_listed(names)}. Name them in their order, "
+            'such as channels=["r", "g", "b"].'
+        )
+    if images.ndim == 3 and names is not None:
+        raise TouchesError(
+            f"channels must be left out for images without an axis of channels, got "
+            f"{_listed(names)} for images of shape {images.shape}. Leave them out, or "
+            "give images (n_touches, n_rows, n_cols, n_channels)."
+        )
+    if "pad_names" in whole and (pads is None or len(pads) != len(whole["pad_names"])):
+        n_pads = "no pads" if pads is None else f"{len(pads)} pads"
+        raise TouchesError(
+            f"pad_names must name each of the pads, got {_listed(whole['pad_names'])} "
+            f"for {n_pads}. Give as many names as pads, or leave them out."
+        )
+    frames = columns.get("press_frames")
+    if frames is None:
+        return
+    if 0 in frames.shape or frames.shape[2:] != images.shape[1:]:
+        raise TouchesError(
+            "press_frames must hold for each touch at least one frame of "
+            f"{_size(images)} taxels like the images, got shape {frames.shape}. "
+            "Crop them, call them something else, or leave them out."
+        )
+    _refuse_odd_levels("press_frames", frames)
+
+
+def _checked_names(name: str, array: Array) -> Array:
+    """Return names as text that tells them apart."""
+    given = array.tolist()
+    try:
+        text = np.char.decode(array, "utf-8") if array.dtype.kind == "S" else array
+    except UnicodeDecodeError:
+        text = np.empty(0)
+    names = [str(one).strip() for one in text.tolist()] if text.ndim == 1 else []
+    if text.dtype.kind != "U" or not all(names) or not 0 < len(set(names)) == len(text):
+        raise TouchesError(
+            f"{name} must be different texts in a list, none of them empty, got "
+            f"{given!r}. Name each once."
+        )
     return text
 
 
+def _checked_pads(array: Array, images: Array) -> Array:
+    """Return boxes that lie within the picture and apart from one another."""
+    if array.dtype.kind not in "iu" or array.ndim != 2 or array.shape[1:] != (4,):
+        raise TouchesError(
+            "pads must be integers (n_pads, 4), first row, first column, rows and "
+            f"columns of each, got shape {array.shape} of {array.dtype}. "
+            "Give one such row for each pad."
+        )
+    taken: Array = np.zeros(images.shape[1:3], dtype=bool)
+    for number, (row, col, n_rows, n_cols) in enumerate(array.tolist()):
+        box = slice(row, row + n_rows), slice(col, col + n_cols)
+        fits = row + n_rows <= taken.shape[0] and col + n_cols <= taken.shape[1]
+        what = ""
+        if min(n_rows, n_cols) < 1:
+            what = "that has no taxel"
+        elif min(row, col) < 0 or not fits:
+            what = f"that leaves the picture of {_size(taken[None])} taxels"
+        elif taken[box].any():
+            what = "that overlaps another one"
+        if what:
+            raise TouchesError(
+                "pads must lie apart within the picture, got pad "
+                f"{number}, {[row, col, n_rows, n_cols]}, {what}. "
+                "Correct its first row, first column, rows or columns."
+            )
+        taken[box] = True
+    if not len(array):
+        raise TouchesError("pads must hold at least one pad, got none. Leave them out.")
+    return array
+
+
 def _checked_whole(name: str, array: Array, images: Array) -> Array:
+    if name == "pads":
+        return _checked_pads(array, images)
+    if name in LAYOUT:
+        return _checked_names(name, array)
     if name == "no_contact":
         if array.shape != images.shape[1:]:
             raise TouchesError(
@@ -279,9 +393,10 @@ def _refuse_odd_levels(name: str, images: Array) -> None:
         return
     step = max(1, _TAXELS_AT_ONCE // max(1, images[0].size))
     for start in range(0, len(images), step):
-        bad = np.isinf(images[start : start + step]).any(axis=(1, 2))
+        some = images[start : start + step]
+        bad = np.isinf(some).reshape(len(some), -1).any(axis=1)
         if bad.any():
-            where = f" in touch {start + bad.argmax()}" if name == "images" else ""
+            where = "" if name == "no_contact" else f" in touch {start + bad.argmax()}"
             raise TouchesError(
                 f"{name} must not be infinite, got infinity{where}. "
                 "Clip saturated taxels; mark dead ones as NaN."
@@ -303,6 +418,10 @@ def _same(one: Array, other: Array) -> bool:
 def _row(column: Array) -> str:
     row = " x ".join(map(str, column.shape[1:]))
     return f"{row} {column.dtype} a row" if row else str(column.dtype)
+
+
+def _listed(names: Array | None) -> str:
+    return "none" if names is None else repr(names.tolist())
 
 
 def _size(images: Array) -> str:

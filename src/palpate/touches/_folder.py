@@ -12,6 +12,7 @@ import numpy as np
 from .._types import Array
 from ._columns import WHOLE, Arrays, TouchesError
 from ._pictures import (
+    RGB,
     Header,
     common_header,
     decode_picture,
@@ -34,6 +35,7 @@ def folder_arrays(
     root: Path,
     name_pattern: str | None,
     no_contact: str | PathLike[str] | None,
+    colour: bool,
     max_pixels: int,
     max_bytes: int,
     progress: bool | None,
@@ -48,30 +50,34 @@ def folder_arrays(
     except TouchesError as error:
         raise TouchesError(f"{root}: {error}") from error
     paths = [root / name for name in names]
-    header = common_header(paths, max_pixels=max_pixels)
-    whole: Arrays = {}
+    header = common_header(paths, max_pixels=max_pixels, colour=colour)
+    whole: Arrays = {"channels": np.array(RGB)} if colour else {}
     if no_contact is not None:
         whole["no_contact"] = _like(Path(no_contact), header, max_pixels)
     images = decode_pictures(paths, header, max_bytes=max_bytes, progress=progress)
     return {"images": images, **whole, **columns, "source_path": np.array(names)}
 
 
-def no_contact_picture(path: Path, images: Array, max_pixels: int) -> Array:
+def no_contact_picture(
+    path: Path, images: Array, channels: tuple[str, ...] | None, max_pixels: int
+) -> Array:
     """Return a picture of no contact that suits the images of an archive."""
     n_bits = {"uint8": 8, "uint16": 16}.get(images.dtype.name)
-    if n_bits is None:
+    if n_bits is None or channels not in (None, RGB):
+        named = "" if channels is None else f" and channels {', '.join(channels)}"
         raise TouchesError(
             "no_contact must have the unit of the images, got a picture for images "
-            f"of {images.dtype}. "
+            f"of {images.dtype}{named}. "
             "Use touches.with_columns(no_contact=image) if they share one."
         )
-    n_rows, n_cols = images.shape[1:]
-    return _like(path, Header("PNG", n_rows, n_cols, n_bits), max_pixels)
+    n_rows, n_cols = images.shape[1:3]
+    like = Header("PNG", n_rows, n_cols, n_bits, channels is not None)
+    return _like(path, like, max_pixels)
 
 
 def _like(path: Path, like: Header, max_pixels: int) -> Array:
     """Return the picture of no contact, which must be as large and deep as `like`."""
-    header = picture_header(path, max_pixels=max_pixels)
+    header = picture_header(path, max_pixels=max_pixels, colour=like.colour)
     if header._replace(format=like.format) != like:
         raise TouchesError(
             f"no_contact must be {like.n_cols} x {like.n_rows} {like.n_bits}-bit like "

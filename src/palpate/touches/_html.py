@@ -1,12 +1,13 @@
 """Touches as a notebook shows them: a small table, and the first few pictures."""
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from html import escape
 
 import numpy as np
 
 from .._types import Array
+from ._pictures import RGB
 
 PICTURES = 8
 SIDE_PX = 96
@@ -20,8 +21,8 @@ def touches_html(
     images: Array, columns: Mapping[str, Array], whole: Mapping[str, Array]
 ) -> str:
     """Return a set of touches as HTML that loads nothing from elsewhere."""
-    n_touches, n_rows, n_cols = images.shape
-    size = f"{n_rows} x {n_cols} {images.dtype}"
+    n_touches = len(images)
+    size = f"{' x '.join(map(str, images.shape[1:]))} {images.dtype}"
     rows = [("touches", str(n_touches)), ("images", size)]
     for name, many in (("object", "objects"), ("category", "categories")):
         if name in columns:
@@ -37,12 +38,27 @@ def touches_html(
         for name, value in rows
     )
     labels = columns.get("object", np.full(n_touches, ""))
+    shown = as_shown(images[:PICTURES], whole.get("channels"))
     pictures = "".join(
         f"<div style='{_EVEN}'><img src='{png_address(image, SIDE_PX)}' alt='touch'>"
         f"<br><small>{escape(_cut(label)[:16])}</small></div>"
-        for image, label in zip(images[:PICTURES], labels[:PICTURES], strict=True)
+        for image, label in zip(shown, labels[:PICTURES], strict=True)
     )
     return f"<div><table>{table}</table><div>{pictures}</div></div>"
+
+
+def as_shown(images: Array, channels: Collection[str] | None) -> Array:
+    """Return images (n_touches, n_rows, n_cols[, n_channels]) as people look at them.
+
+    With channels "r", "g" and "b" these three in that order, else the mean over all;
+    images without an axis of channels stay as they are.
+    """
+    if channels is None or images.ndim == 3:
+        return images
+    names = list(channels)
+    if set(RGB) <= set(names):
+        return images[..., [names.index(name) for name in RGB]]
+    return np.asarray(images.mean(axis=-1, dtype=np.float64))
 
 
 def png_address(image: Array, side: int) -> str:
@@ -50,7 +66,7 @@ def png_address(image: Array, side: int) -> str:
 
     Parameters
     ----------
-    image : ndarray of shape (n_rows, n_cols)
+    image : ndarray of shape (n_rows, n_cols), or (n_rows, n_cols, 3) in colour
         Contrast is stretched from its 0.5th to its 99.5th percentile; dead taxels
         (NaN) are red.
     side : int
@@ -59,19 +75,24 @@ def png_address(image: Array, side: int) -> str:
     import cv2
 
     levels = np.asarray(image, dtype=np.float64)
-    dead = np.isnan(levels)
-    live = np.zeros(1) if dead.all() else levels[~dead]
-    levels = np.where(dead, live.min(), levels)
+    is_nan = np.isnan(levels)
+    live = np.zeros(1) if is_nan.all() else levels[~is_nan]
+    levels = np.where(is_nan, live.min(), levels)
+    dead: Array = np.any(np.atleast_3d(is_nan), axis=2)
     low, high = np.percentile(live, [0.5, 99.5])
     with np.errstate(over="ignore", invalid="ignore"):
         grey = np.clip((levels - low) / max(high - low, 1e-12), 0, 1) * 255
-    scale = side / max(grey.shape)
-    size = (max(1, round(grey.shape[1] * scale)), max(1, round(grey.shape[0] * scale)))
+    n_rows, n_cols = levels.shape[:2]
+    scale = side / max(n_rows, n_cols)
+    size = (max(1, round(n_cols * scale)), max(1, round(n_rows * scale)))
     how = cv2.INTER_AREA if scale < 1 else cv2.INTER_NEAREST
     drawn = cv2.resize(np.nan_to_num(grey).astype(np.uint8), size, interpolation=how)
+    if levels.ndim == 3:
+        drawn = cv2.cvtColor(drawn, cv2.COLOR_RGB2BGR)
     if dead.any():
         marked = cv2.resize(dead.astype(np.float32), size, interpolation=how) > 0
-        drawn = cv2.cvtColor(drawn, cv2.COLOR_GRAY2BGR)
+        if levels.ndim == 2:
+            drawn = cv2.cvtColor(drawn, cv2.COLOR_GRAY2BGR)
         drawn[marked] = _DEAD
     data = cv2.imencode(".png", drawn)[1].tobytes()
     return "data:image/png;base64," + base64.b64encode(data).decode()

@@ -1,4 +1,4 @@
-"""JPEG and PNG pictures: their headers, whether they are whole, and their grey levels.
+"""JPEG and PNG pictures: their headers, whether they are whole, and their levels.
 
 Pillow reads the headers, so that the size is known before anything is decoded, and
 tests a PNG's checksums; OpenCV decodes, but fills what is missing with grey and says so
@@ -8,8 +8,9 @@ give a wrong picture that nothing can tell. (Decoding with Pillow too would doub
 time, and finds as few of them.)
 
 Pictures are taken as stored: Exif orientation is never applied, for it would turn
-some touches of a set and not others. Colour becomes its luma (ITU-R BT.601); 1-, 2-
-and 4-bit greys are spread over 0-255; 16 bits stay 16 bits.
+some touches of a set and not others. Colour becomes its luma (ITU-R BT.601) unless
+colours are asked for; 1-, 2- and 4-bit greys are spread over 0-255; 16 bits stay
+16 bits.
 """
 
 import os
@@ -43,6 +44,8 @@ _FRAME_OR_END = re.compile(rb"\xff[\xc0-\xc3\xc5-\xc7\xc9-\xcb\xcd-\xcf\xd9]")
 _HUFFMAN_FRAME = rb"\xff[\xc0-\xc2].."
 _END_OF_IMAGE = b"\xff\xd9"
 _ALPHA = (4, 6)
+_GREY = (0, 4)
+RGB = ("r", "g", "b")
 _CUT_SHORT = "a file that is cut short"
 # Room for comments, colour profiles and previews beside the pixels themselves.
 _MORE_BYTES = 32 * 2**20
@@ -55,24 +58,42 @@ class PictureError(Exception):
 
 
 class Header(NamedTuple):
-    """What must be the same for all pictures of a set."""
+    """What must be the same for all pictures of a set.
+
+    `colour` counts only where colours are asked for; it is False elsewhere.
+    """
 
     format: str
     n_rows: int
     n_cols: int
     n_bits: int
+    colour: bool = False
 
     def __str__(self) -> str:
-        return f"{self.n_cols} x {self.n_rows} {self.n_bits}-bit {self.format}"
+        kind = f"{'colour ' * self.colour}{self.format}"
+        return f"{self.n_cols} x {self.n_rows} {self.n_bits}-bit {kind}"
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Type of the grey levels."""
+        """Type of the levels."""
         return np.dtype(np.uint16 if self.n_bits == 16 else np.uint8)
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(n_rows, n_cols), and three channels of a colour picture."""
+        return (self.n_rows, self.n_cols, *([len(RGB)] if self.colour else []))
 
-def decode_bytes(data: bytes, *, max_pixels: int = 50_000_000) -> Array:
-    """Return the grey levels of a JPEG or PNG in memory, (n_rows, n_cols).
+    def checked(self, colour: bool) -> "Header":
+        """Return it as it counts; refuse a grey picture where colours are asked for."""
+        if colour and not self.colour:
+            raise PictureError(f"{self} in grey where colour is asked for")
+        return self if colour else self._replace(colour=False)
+
+
+def decode_bytes(
+    data: bytes, *, max_pixels: int = 50_000_000, colour: bool = False
+) -> Array:
+    """Return the levels of a JPEG or PNG in memory, (n_rows, n_cols[, 3]).
 
     Parameters
     ----------
@@ -80,11 +101,14 @@ def decode_bytes(data: bytes, *, max_pixels: int = 50_000_000) -> Array:
         The whole file.
     max_pixels : int
         Larger pictures are refused before they are decoded.
+    colour : bool, default=False
+        Return red, green and blue; a picture in grey is refused.
 
     Returns
     -------
     ndarray of uint8, of uint16 for a PNG of 16 bits
-        Luma where the picture has colours, as stored: Exif orientation is not applied.
+        Luma where the picture has colours, unless these are asked for, as stored: Exif
+        orientation is not applied.
 
     Raises
     ------
@@ -92,16 +116,17 @@ def decode_bytes(data: bytes, *, max_pixels: int = 50_000_000) -> Array:
         It is no such picture, too large, cut short or altered.
     """
     try:
-        header = _read_header(BytesIO(data))
+        header = _read_header(BytesIO(data)).checked(colour)
         _refuse_large("A picture", header, max_pixels)
-        return _grey_levels(data, header)
+        return _levels(data, header)
     except PictureError as error:
         raise TouchesError(f"A picture must be a JPEG or PNG, got {error}.") from error
 
 
-def common_header(paths: Sequence[Path], *, max_pixels: int) -> Header:
+def common_header(paths: Sequence[Path], *, max_pixels: int, colour: bool) -> Header:
     """Return the header that all pictures share; the error names who differs."""
-    headers = [picture_header(path, max_pixels=max_pixels) for path in paths]
+    limits: dict[str, Any] = {"max_pixels": max_pixels, "colour": colour}
+    headers = [picture_header(path, **limits) for path in paths]
     (most, n_most), *others = Counter(headers).most_common()
     if others:
         odd = next(i for i, header in enumerate(headers) if header != most)
@@ -113,11 +138,11 @@ def common_header(paths: Sequence[Path], *, max_pixels: int) -> Header:
     return most
 
 
-def picture_header(path: Path, *, max_pixels: int) -> Header:
+def picture_header(path: Path, *, max_pixels: int, colour: bool) -> Header:
     """Return the header of one picture without decoding it."""
     try:
         with _opened(path, max_pixels) as file:
-            header = _read_header(file)
+            header = _read_header(file).checked(colour)
     except (OSError, PictureError) as error:
         raise refusal(path, error) from error
     _refuse_large(str(path), header, max_pixels)
@@ -125,10 +150,10 @@ def picture_header(path: Path, *, max_pixels: int) -> Header:
 
 
 def decode_picture(path: Path, header: Header) -> Array:
-    """Return the grey levels of one picture that must have this header."""
+    """Return the levels of one picture that must have this header."""
     try:
         with _opened(path, header.n_rows * header.n_cols) as file:
-            return _grey_levels(file.read(), header)
+            return _levels(file.read(), header)
     except (OSError, PictureError) as error:
         raise refusal(path, error) from error
 
@@ -136,11 +161,11 @@ def decode_picture(path: Path, header: Header) -> Array:
 def decode_pictures(
     paths: Sequence[Path], header: Header, *, max_bytes: int, progress: bool | None
 ) -> Array:
-    """Return the grey levels of all pictures, (n_pictures, n_rows, n_cols).
+    """Return the levels of all pictures, (n_pictures, n_rows, n_cols[, 3]).
 
     They are decoded on all cores, into one array.
     """
-    shape = (len(paths), header.n_rows, header.n_cols)
+    shape = (len(paths), *header.shape)
     n_bytes = prod(shape) * header.dtype.itemsize
     if n_bytes > max_bytes:
         raise TouchesError(
@@ -230,38 +255,43 @@ def _damage(kind: str, stream: IO[bytes], error: Exception) -> PictureError:
     return PictureError(f"a damaged {kind} ({error})" if stream.read(1) else _CUT_SHORT)
 
 
-def _grey_levels(data: bytes, header: Header) -> Array:
-    """Decode a whole picture to (n_rows, n_cols), of the type that `header` gives."""
+def _levels(data: bytes, header: Header) -> Array:
+    """Decode a whole picture to the shape and type that `header` gives."""
     stream = BytesIO(data)
-    found = _read_header(stream)
+    found = _read_header(stream).checked(header.colour)
     if found != header:
         raise PictureError(f"{found} after {header}: the file changed meanwhile")
     if header.format == "PNG":
         _refuse_broken_png(data)
     else:
         _refuse_cut_jpeg(data, stream.tell())
-    levels = _decoded(data, see_through=header.format == "PNG" and data[25] in _ALPHA)
-    shape = (header.n_rows, header.n_cols)
-    if levels is None or levels.shape != shape or levels.dtype != header.dtype:
+    see_through = header.format == "PNG" and data[25] in _ALPHA
+    levels = _decoded(data, see_through=see_through, colour=header.colour)
+    if levels is None or levels.shape != header.shape or levels.dtype != header.dtype:
         raise PictureError("a picture that cannot be decoded")
     return levels
 
 
-def _decoded(data: bytes, *, see_through: bool) -> Array | None:
+def _decoded(data: bytes, *, see_through: bool, colour: bool) -> Array | None:
     import cv2
 
     as_stored = cv2.IMREAD_IGNORE_ORIENTATION
-    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | as_stored
+    kind = cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE
+    flags = kind | cv2.IMREAD_ANYDEPTH | as_stored
     coded = np.frombuffer(data, np.uint8)
     try:
         if not see_through:
-            return cv2.imdecode(coded, flags)
+            levels = cv2.imdecode(coded, flags)
+            if levels is None or not colour:
+                return levels
+            return cv2.cvtColor(levels, cv2.COLOR_BGR2RGB)
         levels = cv2.imdecode(coded, cv2.IMREAD_UNCHANGED | as_stored)
         if levels is None or levels.ndim != 3 or levels.shape[2] != 4:
             return None
         if levels[..., 3].min() < 2 ** (8 * levels.itemsize) - 1:
             raise PictureError("a picture with transparent parts")
-        return cv2.cvtColor(levels, cv2.COLOR_BGRA2GRAY)
+        meant = cv2.COLOR_BGRA2RGB if colour else cv2.COLOR_BGRA2GRAY
+        return cv2.cvtColor(levels, meant)
     except cv2.error:
         return None
 
@@ -282,7 +312,7 @@ def _jpeg_header(stream: IO[bytes]) -> Header:
     pattern = _HUFFMAN_FRAME + re.escape(frame)
     if not re.search(pattern, stream.read(n_bytes), re.DOTALL):
         raise PictureError("a lossless or arithmetic-coded JPEG")
-    return Header("JPEG", image.height, image.width, image.bits)
+    return Header("JPEG", image.height, image.width, image.bits, image.layers > 1)
 
 
 @cache
@@ -322,9 +352,10 @@ def _png_header(stream: IO[bytes]) -> Header:
     if b"tRNS" in kinds:
         raise PictureError("a PNG with a transparent colour")
     stream.seek(16)
-    n_cols, n_rows, depth = struct.unpack(">IIB", stream.read(9))
+    n_cols, n_rows, depth, kind = struct.unpack(">IIBB", stream.read(10))
     _refuse_empty("PNG", n_cols, n_rows)
-    return Header("PNG", n_rows, n_cols, 16 if depth == 16 else 8)
+    n_bits = 16 if depth == 16 else 8
+    return Header("PNG", n_rows, n_cols, n_bits, kind not in _GREY)
 
 
 def _refuse_broken_png(data: bytes) -> None:

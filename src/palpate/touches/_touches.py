@@ -21,6 +21,7 @@ from ._columns import (
     Arrays,
     TouchesError,
     belongs_to_whole,
+    check_layout,
     checked_column,
     checked_images,
     frozen,
@@ -32,6 +33,7 @@ from ._columns import (
     sorted_out,
 )
 from ._folder import folder_arrays, no_contact_picture
+from ._frames import SUMMARIES, frame_summaries
 
 MAX_PIXELS = 50_000_000
 MAX_BYTES = 4 * 2**30
@@ -55,24 +57,34 @@ class Touches:
 
     Parameters
     ----------
-    images : array-like of shape (n_touches, n_rows, n_cols)
+    images : array-like of shape (n_touches, n_rows, n_cols[, n_channels])
         Integers or floats in the sensor's own unit, negative values included. NaN
-        marks a dead taxel and is kept; infinity is refused.
+        marks a dead taxel, or a gap between pads, and is kept; infinity is refused.
     object : array-like of shape (n_touches,), optional
         What was touched: text, or integers, which become text.
     category : array-like of shape (n_touches,), optional
         The kind of thing it is.
-    no_contact : array-like of shape (n_rows, n_cols), optional
+    no_contact : array-like of shape (n_rows, n_cols[, n_channels]), optional
         The image of the sensor touching nothing.
     geometry : {"dome", "array", "plane", "none"}, optional
         How taxels lie; "none" says that their places mean nothing. Absent means
         find out.
+    channels : array-like of shape (n_channels,), optional
+        What the last axis of images holds, in its order: ["r", "g", "b"] for colour,
+        ["x", "y", "z"] for forces. Needed where images have that axis.
+    pads : array-like of shape (n_pads, 4), optional
+        Arrays that lie side by side in one picture, in taxels: first row, first
+        column, rows, columns. They must not overlap or leave the picture.
+    pad_names : array-like of shape (n_pads,), optional
+        What the pads are called, such as ["thumb", "index"].
     **columns : array-like
         `order`, `session`, `position_mm`, `position_raw`, `force_n`, `time_s`,
         `sensor`, `episode`, `press`, `frame` and `source_path` must have n_touches
-        rows. `frame_index` and names beginning with `set_` belong to the whole set.
-        Any other array is a column when it has n_touches rows, else it belongs to
-        the whole set. None counts as absent.
+        rows, and so must `press_frames` (n_touches, n_frames, n_rows, n_cols[,
+        n_channels]), the frames of each press. `frame_index` and names beginning with
+        `set_` belong to the whole set; `set_channels`, `set_pads` and `set_pad_names`
+        are read as `channels`, `pads` and `pad_names`. Any other array is a column when
+        it has n_touches rows, else it belongs to the whole set. None counts as absent.
 
     Raises
     ------
@@ -107,12 +119,17 @@ class Touches:
         category: ArrayLike | None = None,
         no_contact: ArrayLike | None = None,
         geometry: ArrayLike | None = None,
+        channels: ArrayLike | None = None,
+        pads: ArrayLike | None = None,
+        pad_names: ArrayLike | None = None,
         **columns: ArrayLike | None,
     ) -> None:
         given = {"object": object, "category": category, **columns}
         given.update(no_contact=no_contact, geometry=geometry)
+        given.update(channels=channels, pads=pads, pad_names=pad_names)
         self._images = checked_images(images)
         self._columns, self._whole = sorted_out(given, self._images)
+        check_layout(self._images, self._columns, self._whole)
 
     @classmethod
     def load(
@@ -121,6 +138,7 @@ class Touches:
         *,
         name_pattern: str | None = None,
         no_contact: str | PathLike[str] | None = None,
+        colour: bool = False,
         max_pixels: int = MAX_PIXELS,
         max_bytes: int = MAX_BYTES,
         progress: bool | None = None,
@@ -136,6 +154,8 @@ class Touches:
         no_contact : path, optional
             Picture of the sensor touching nothing; it takes the place of one in
             the archive, and is no touch when it lies in the folder.
+        colour : bool, default=False
+            For folders: see `read_folder`.
         max_pixels, max_bytes, progress
             As for `read_folder`; `max_bytes` counts for archives too, before anything
             is inflated.
@@ -148,7 +168,8 @@ class Touches:
         place = Path(path)
         if place.is_dir():
             limits = (max_pixels, max_bytes, progress)
-            return cls(**folder_arrays(place, name_pattern, no_contact, *limits))
+            how = (name_pattern, no_contact, colour)
+            return cls(**folder_arrays(place, *how, *limits))
         if place.suffix.lower() != ".npz":
             got = "another kind of file" if place.exists() else "nothing there"
             raise TouchesError(
@@ -160,10 +181,16 @@ class Touches:
                 f"name_pattern must be left out for an archive, got {name_pattern!r} "
                 f"with {place}. Archives carry their labels."
             )
+        if colour:
+            raise TouchesError(
+                f"colour must be left out for an archive, got {colour!r} with {place}. "
+                "Archives carry the names of their channels."
+            )
         touches = cls._of(*read_archive(place, max_bytes))
         if no_contact is None:
             return touches
-        image = no_contact_picture(Path(no_contact), touches.images, max_pixels)
+        like = touches.images, touches.channels
+        image = no_contact_picture(Path(no_contact), *like, max_pixels)
         return touches.with_columns(no_contact=image)
 
     def save(self, path: str | PathLike[str]) -> None:
@@ -208,7 +235,7 @@ class Touches:
 
     @property
     def images(self) -> Array:
-        """Images of shape (n_touches, n_rows, n_cols), as the sensor gave them."""
+        """Images (n_touches, n_rows, n_cols[, n_channels]), as the sensor gave them."""
         return self._images
 
     @property
@@ -242,13 +269,18 @@ class Touches:
         return self._columns.get("session")
 
     @property
+    def subject(self) -> Array | None:
+        """Person or unit of each touch, shape (n_touches,), or None."""
+        return self._columns.get("subject")
+
+    @property
     def touch_id(self) -> NDArray[np.str_] | None:
         """Where each touch lies in a library, shape (n_touches,), or None."""
         return self._columns.get("touch_id")
 
     @property
     def no_contact(self) -> Array | None:
-        """Image of no contact, shape (n_rows, n_cols), or None."""
+        """Image of no contact, shape (n_rows, n_cols[, n_channels]), or None."""
         return self._whole.get("no_contact")
 
     @property
@@ -256,6 +288,23 @@ class Touches:
         """How taxels lie ("dome", "array", "plane" or "none"), or None."""
         geometry = self._whole.get("geometry")
         return None if geometry is None else str(geometry)
+
+    @property
+    def channels(self) -> tuple[str, ...] | None:
+        """What the last axis of images holds, in its order, or None without one."""
+        names = self._whole.get("channels")
+        return None if names is None else tuple(names.tolist())
+
+    @property
+    def pads(self) -> Array | None:
+        """First row, first column, rows, columns of each pad, (n_pads, 4), or None."""
+        return self._whole.get("pads")
+
+    @property
+    def pad_names(self) -> tuple[str, ...] | None:
+        """What the pads are called, or None."""
+        names = self._whole.get("pad_names")
+        return None if names is None else tuple(names.tolist())
 
     def __len__(self) -> int:
         return len(self._images)
@@ -270,14 +319,14 @@ class Touches:
         return (self[touch] for touch in range(len(self)))
 
     def __repr__(self) -> str:
-        n_rows, n_cols = self._images.shape[1:]
+        size = " x ".join(map(str, self._images.shape[1:]))
         counted = {"object": "objects", "category": "categories", "session": "sessions"}
         kinds = [
             f"{n} {one if n == 1 else many}"
             for one, many in counted.items()
             if one in self._columns and (n := len(np.unique(self._columns[one])))
         ]
-        line = f"<Touches: {len(self)} of {n_rows} x {n_cols} {self._images.dtype}; "
+        line = f"<Touches: {len(self)} of {size} {self._images.dtype}; "
         line += ", ".join(kinds) or "no labels"
         held = {"columns": self._columns, "whole set": self._whole}
         held = {what: names for what, names in held.items() if names}
@@ -295,7 +344,8 @@ class Touches:
     def with_columns(self, **columns: ArrayLike) -> Self:
         """Return these touches with columns added or replaced.
 
-        Names of the whole set (`no_contact`, `geometry`, `set_...`) are welcome.
+        Names of the whole set (`no_contact`, `geometry`, `pads`, `set_...`) are
+        welcome.
         """
         for name, value in columns.items():
             if name == "images":
@@ -307,7 +357,9 @@ class Touches:
                 checked_column(name, plain_array(name, value), len(self))
         added, changed = sorted_out(columns, self._images)
         kept = {name: a for name, a in self._whole.items() if name not in added}
-        return self._of(self._images, {**self._columns, **added}, {**kept, **changed})
+        parts = {**self._columns, **added}, {**kept, **changed}
+        check_layout(self._images, *parts)
+        return self._of(self._images, *parts)
 
     def without(self, *names: str) -> Self:
         """Return these touches without the columns or whole-set entries named."""
@@ -319,7 +371,37 @@ class Touches:
             )
         columns = {n: a for n, a in self._columns.items() if n not in names}
         whole = {n: a for n, a in self._whole.items() if n not in names}
+        check_layout(self._images, columns, whole)
         return self._of(self._images, columns, whole)
+
+    def with_frame_summaries(self) -> Self:
+        """Return these touches with summaries of `press_frames` as their images.
+
+        Images get a channel for each summary: "peak", the frame of greatest total load
+        (in the sensor's unit); "hold", the mean of the frames whose load above that of
+        the first frame is at least 80 % of the peak's; "loading", the peak frame minus
+        the first one, per frame between them, 0 where the peak is the first. Of images
+        with channels each gets its own ("peak r"). NaN stays NaN. `no_contact` becomes
+        that of touching nothing all along; `press_frames` are left out.
+
+        Raises
+        ------
+        TouchesError
+            The touches have no `press_frames`.
+        """
+        frames = self._columns.get("press_frames")
+        if frames is None:
+            raise TouchesError(
+                "with_frame_summaries must have press_frames, got touches without. "
+                "Give them: touches.with_columns(press_frames=frames)."
+            )
+        names = [f" {name}" for name in self.channels or ()] or [""]
+        channels = [f"{summary}{name}" for summary in SUMMARIES for name in names]
+        whole: dict[str, Any] = {**self._whole, "channels": channels}
+        if self.no_contact is not None:
+            whole["no_contact"] = frame_summaries(self.no_contact[None, None])[0]
+        columns = {n: a for n, a in self._columns.items() if n != "press_frames"}
+        return type(self)(frame_summaries(frames), **columns, **whole)
 
     def differences(self) -> Array:
         """Return images minus the no-contact image, signed floats of the same shape.
@@ -377,6 +459,9 @@ class TouchSource(Protocol):
     def session(self) -> Array | None: ...
 
     @property
+    def subject(self) -> Array | None: ...
+
+    @property
     def touch_id(self) -> NDArray[np.str_] | None: ...
 
     def __len__(self) -> int: ...
@@ -399,6 +484,7 @@ def read_folder(
     *,
     name_pattern: str | None = None,
     no_contact: str | PathLike[str] | None = None,
+    colour: bool = False,
     max_pixels: int = MAX_PIXELS,
     max_bytes: int = MAX_BYTES,
     progress: bool | None = None,
@@ -406,8 +492,8 @@ def read_folder(
     r"""Read all JPEG and PNG pictures in a folder and the folders in it.
 
     Pictures come in natural order of their paths (`img_2` before `img_10`), as
-    stored: colour becomes grey, 16 bits stay 16 bits, Exif orientation is not
-    applied. Hidden files and files of other kinds are skipped.
+    stored: colour becomes grey unless `colour` is set, 16 bits stay 16 bits, Exif
+    orientation is not applied. Hidden files and files of other kinds are skipped.
 
     Parameters
     ----------
@@ -424,6 +510,8 @@ def read_folder(
         in no folder have no labels.
     no_contact : path, optional
         Picture of the sensor touching nothing, as large and deep as the others.
+    colour : bool, default=False
+        Read pictures in colour, as channels "r", "g" and "b"; one in grey is refused.
     max_pixels : int, default=50_000_000
         Largest picture to decode, in pixels.
     max_bytes : int, default=4 GiB
@@ -449,5 +537,5 @@ def read_folder(
     >>> pattern = r"img_(?P<n>\d+)_name_(?P<object>\w+?)_at_(?P<x>\d+)_"
     >>> touches = read_folder("originals", name_pattern=pattern)  # doctest: +SKIP
     """
-    limits = (max_pixels, max_bytes, progress)
-    return Touches(**folder_arrays(Path(path), name_pattern, no_contact, *limits))
+    how = (name_pattern, no_contact, colour, max_pixels, max_bytes, progress)
+    return Touches(**folder_arrays(Path(path), *how))

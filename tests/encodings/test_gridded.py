@@ -1,0 +1,242 @@
+"""Levels on a grid, edges, rings and pads against facts known without the code."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate.encodings import (
+    EdgeHistograms,
+    GridLevels,
+    PadShapes,
+    RingPatterns,
+    RingQuantiles,
+    encoder_named,
+)
+
+
+@pytest.fixture
+def smooth(rng):
+    """Twenty smooth images of 96 x 96: three Gaussian bumps each."""
+    row, col = np.mgrid[:96, :96]
+    images = np.zeros((20, 96, 96))
+    for _ in range(3):
+        centre, width = (
+            rng.uniform(25, 70, (20, 2, 1, 1)),
+            rng.uniform(5, 15, (20, 1, 1)),
+        )
+        squared = (row - centre[:, 0]) ** 2 + (col - centre[:, 1]) ** 2
+        images += np.exp(-squared / (2 * width**2))
+    return images
+
+
+def as_if_alike(encoder, images, changed):
+    """Mean distance of changed images to themselves over that to the others."""
+    before, after = encoder.fit(images).transform(images), encoder.transform(changed)
+    apart = np.linalg.norm(before[:, None] - after, axis=2)
+    own = np.trace(apart) / len(apart)
+    return own / apart[~np.eye(len(apart), dtype=bool)].mean()
+
+
+def test_cells_are_means_of_equal_squares():
+    image = np.arange(32.0).reshape(1, 8, 4)
+    cells = GridLevels(4, root=False).fit_transform(image)
+    assert_allclose(cells, [[2.5, 4.5, 10.5, 12.5, 18.5, 20.5, 26.5, 28.5]])
+
+
+def test_few_taxels_are_left_as_they_are_and_roots_keep_signs():
+    image = np.array([[[4.0, -9.0, 0.0]]])
+    assert_allclose(GridLevels().fit_transform(image), [[2, -3, 0]])
+
+
+def test_blur_of_one_point_is_a_gaussian():
+    image = np.zeros((1, 21, 21))
+    image[0, 10, 10] = 1
+    blurred = GridLevels(blur=1.5).fit_transform(image).reshape(21, 21)
+    row, col = np.mgrid[-10:11, -10:11]
+    gauss = np.exp(-(row**2 + col**2) / (2 * 1.5**2))
+    # Five cells from the border 2e-4 of a Gaussian is cut off and made up for.
+    assert_allclose(blurred[5:16, 5:16], (gauss / gauss.sum())[5:16, 5:16], rtol=1e-3)
+
+
+def test_blur_keeps_what_is_even():
+    assert_allclose(GridLevels(blur=2.0).fit_transform(np.full((1, 5, 9), 4)), 2)
+
+
+def test_unit_length_is_of_all_channels_together():
+    colour = np.zeros((2, 3, 3, 2))
+    colour[0, 1, 1] = 3, 4
+    unit = GridLevels(root=False, unit=True).fit_transform(colour)
+    assert_allclose(sorted(unit[0])[-2:], [0.6, 0.8])
+    assert_allclose(unit[1], 0)
+
+
+@pytest.mark.parametrize(
+    ("image", "direction"),
+    [
+        pytest.param(np.tile(np.arange(64.0), (64, 1)), 0, id="across"),
+        pytest.param(np.tile(np.arange(64.0)[:, None], 64), 90, id="down"),
+        pytest.param(np.add.outer(np.arange(64.0), np.arange(64.0)), 45, id="oblique"),
+    ],
+)
+def test_a_slope_votes_for_its_direction_alone(image, direction):
+    """Of 4 directions (22.5, 67.5...) 0 and 90 degrees lie between two, as does 45."""
+    votes = EdgeHistograms(4).fit_transform(image[np.newaxis]).reshape(7, 7, 4, 4)
+    middle = votes[3, 3, 0]
+    near = [(direction // 45 - 1) % 4, direction // 45]
+    assert_allclose(middle[near], middle[near[0]], rtol=1e-4)
+    assert_allclose(np.delete(middle, near), 0, atol=1e-6)
+    # Eight equal votes in a block of length 1.
+    assert_allclose(middle[near[0]], 1 / np.sqrt(8), rtol=1e-3)
+
+
+def test_edges_are_blind_to_sign_and_gain(smooth):
+    encoder = EdgeHistograms()
+    features = encoder.fit_transform(smooth)
+    assert_allclose(encoder.transform(-5 * smooth), features, atol=1e-4)
+
+
+@pytest.mark.parametrize("shape", [(14, 41), (10, 10), (300, 200)])
+def test_edges_of_any_size_have_cells_enough(shape):
+    features = EdgeHistograms().fit_transform(np.ones((1, *shape)))
+    n_cells = {(14, 41): 4 * 12, (10, 10): 16, (300, 200): 12 * 8}[shape]
+    rows = {(14, 41): 4, (10, 10): 4, (300, 200): 12}[shape]
+    assert features.shape == (1, (rows - 1) * (n_cells // rows - 1) * 36)
+
+
+@pytest.mark.parametrize("encoder", [RingPatterns(), RingQuantiles()], ids=repr)
+def test_rings_are_blind_to_quarter_turns(encoder, smooth):
+    features = encoder.fit_transform(smooth)
+    turned = encoder.transform(np.rot90(smooth, axes=(1, 2)))
+    # Sums in another order, after which a place may fall on the other side.
+    assert_allclose(turned, features, atol=0.05)
+
+
+@pytest.mark.parametrize("encoder", [RingPatterns(), RingQuantiles()], ids=repr)
+def test_rings_tell_a_shift(encoder, smooth):
+    assert as_if_alike(encoder, smooth, np.roll(smooth, 12, axis=1)) > 0.4
+
+
+@pytest.mark.parametrize("encoder", [GridLevels(), EdgeHistograms()], ids=repr)
+@pytest.mark.parametrize("change", ["shift", "turn"])
+def test_grids_tell_shifts_and_turns(encoder, change, smooth):
+    moved = np.roll(smooth, 20, axis=1)
+    changed = np.rot90(smooth, axes=(1, 2)) if change == "turn" else moved
+    assert as_if_alike(encoder, smooth, changed) > 0.5
+
+
+def test_patterns_of_a_flat_a_bright_and_a_dark_place():
+    """On a flat disc all places are as high as the pixel; on a peak none is."""
+    features = RingPatterns(1, (2,), 8).fit_transform(np.full((1, 40, 40), 7.0))
+    assert_allclose(features, [[0] * 8 + [1, 0]])
+    row, col = np.mgrid[:101, :101]
+    cone = -np.hypot(row - 50.0, col - 50)[np.newaxis]
+    peak = RingPatterns(16, (4,), 8, contrast=0).fit_transform(cone).reshape(16, 10)
+    # Within three pixels of the top some pixels see nothing that is higher.
+    assert peak[0, 0] > 0
+    assert_allclose(peak[4:, 0], 0)
+    # On a slope nearly half of the places are higher.
+    assert_allclose((peak[8:, 3:5] ** 2).sum(axis=1), 1, atol=0.1)
+
+
+def test_contrast_hides_faint_texture(rng):
+    slope = np.tile(np.linspace(0, 1, 96), (1, 96, 1))
+    noisy = slope + 0.001 * rng.standard_normal((1, 96, 96))
+    moved = []
+    for contrast in (0.06, 0.0):
+        encoder = RingPatterns(1, (5,), contrast=contrast).fit(slope)
+        moved.append(
+            np.linalg.norm(encoder.transform(noisy) - encoder.transform(slope))
+        )
+    assert moved[0] < 0.5 * moved[1]
+
+
+def test_quantiles_of_rings_of_levels():
+    row, col = np.mgrid[:64, :64] - 31.5
+    rings = (np.hypot(row, col) >= 16) * 10.0
+    levels = RingQuantiles(2, 3).fit_transform(rings[np.newaxis]).reshape(2, 2, 3)[0]
+    assert_allclose(levels, [[0, 0, 0], [10, 10, 10]])
+
+
+def test_gradient_of_a_slope_is_its_steepness():
+    slope = np.tile(3.0 * np.arange(64), (1, 64, 1))
+    gradient = RingQuantiles(4, 1).fit_transform(slope).reshape(2, 4)[1]
+    assert_allclose(gradient, 3)
+
+
+PADS = [[0, 0, 5, 4], [0, 5, 5, 4]]
+NAMES = ["load", "row", "col", "down", "across", "area", "quarter", "half"]
+NAMES += ["largest", "mean"]
+
+
+def test_shape_numbers_of_a_bar_and_an_empty_pad():
+    """A bar of three taxels of level 4 down the second column of four."""
+    hand = np.zeros((1, 5, 9))
+    hand[0, 1:4, 1], hand[0, :, 4] = 4, np.nan
+    features = PadShapes(PADS).fit_transform(hand)[0]
+    bar = dict(zip(NAMES, features, strict=False))
+    half = 2.5
+    assert_allclose(bar["load"], np.sqrt(12))
+    assert_allclose([bar["row"], bar["col"]], [0, -0.5 / half], atol=1e-12)
+    assert_allclose([bar["down"], bar["across"]], [np.sqrt(2 / 3) / half, 0], atol=1e-7)
+    assert_allclose([bar["area"], bar["quarter"], bar["half"]], 3 / 20)
+    assert_allclose([bar["largest"], bar["mean"]], 2)
+    assert_allclose(features[17:34], 0)
+    assert_allclose(features[34:36], [1, 0])
+    assert_allclose(features[36:], features[:5])
+
+
+def test_covariance_and_axes_of_a_diagonal():
+    features = PadShapes().fit_transform(np.eye(9)[np.newaxis])[0]
+    spread = np.sqrt(60 / 9) / 4.5
+    assert_allclose(features[[3, 4, 10]], spread)
+    assert_allclose(features[[11, 12]], [np.sqrt(2) * spread, 0], atol=1e-7)
+    assert_allclose(features[13:], 0, atol=1e-12)
+
+
+def test_hand_of_six_pads_without_load_is_zeros():
+    boxes = [[0, 7 * k, 13, 6] for k in range(6)]
+    features = PadShapes(boxes).fit_transform(np.full((2, 14, 41), np.nan))
+    assert features.shape == (2, 6 * 17 + 6 + 15 * 5)
+    assert_allclose(features, 0)
+
+
+@pytest.mark.parametrize(
+    ("encoder", "error", "message"),
+    [
+        (GridLevels(0), ValueError, "cells must be at least 1, got 0"),
+        (GridLevels(blur=-1), ValueError, "blur must be finite and between 0"),
+        (
+            GridLevels(root="no"),
+            ValueError,
+            "root must be one of False, True, got 'no'",
+        ),
+        (EdgeHistograms(0), ValueError, "n_orientations must be at least 1"),
+        (EdgeHistograms(cell=17), ValueError, "cell must be at most 16, got 17"),
+        (RingPatterns(17), ValueError, "n_rings must be at most 16, got 17"),
+        (RingPatterns(radii=()), ValueError, "at least one radius, got none"),
+        (RingPatterns(radii=(2, 30)), ValueError, "radii must be .* 25, got 30"),
+        (RingPatterns(n_points=3), ValueError, "n_points must be .* got 3"),
+        (RingQuantiles(n_quantiles=1.5), TypeError, "n_quantiles must be an integer"),
+        (PadShapes([1, 2, 3, 4]), ValueError, r"shape \(n_pads, 4\).* shape \(4,\)"),
+        (PadShapes([[0, 0, 2.5, 1]]), ValueError, "must be integers .* got float64"),
+        (PadShapes([[0, 0, 4, 4], [5, 5, 6, 5]]), ValueError, r"got \[5, 5, 6, 5\]"),
+        (PadShapes(np.empty((0, 4), int)), ValueError, "got none"),
+    ],
+)
+def test_bad_parameters_are_refused_at_fit(encoder, error, message, touches):
+    with pytest.raises(error, match=message):
+        encoder.fit(touches)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("grid-levels", GridLevels),
+        ("edge-histograms", EdgeHistograms),
+        ("ring-patterns", RingPatterns),
+        ("ring-quantiles", RingQuantiles),
+        ("pad-shapes", PadShapes),
+    ],
+)
+def test_by_name(name, kind):
+    assert type(encoder_named(name)) is kind
