@@ -32,6 +32,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from palpate import Touches
+from palpate._durable import write_text
 from palpate.evaluation import spread
 from palpate.exploration import (
     QUICK_GUARD,
@@ -330,7 +331,7 @@ def main() -> None:
         )
     if asked.out:
         kept = {"preset": asked.preset, "rows": rows + _others(asked, rows)}
-        asked.out.write_text(json.dumps(kept, indent=1) + "\n")
+        write_text(asked.out, json.dumps(kept, indent=1) + "\n")
 
 
 if __name__ == "__main__":

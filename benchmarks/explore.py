@@ -23,6 +23,7 @@ import numpy as np
 from exploration_pictures import draw
 from exploration_tables import fill
 from palpate import Touches
+from palpate._durable import write_text
 from palpate.evaluation import run_episodes, spread
 from palpate.recognition import ObjectRecogniser, adapt
 from palpate.simulation import HOUSEHOLD, UNSEEN, DomeCamera, simulate_touches
@@ -223,7 +224,7 @@ def main() -> None:
         rows = measure(data, asked.preset, asked.runs or usual)
         cpu_s = round(time.process_time() - began)
         kept[name] = {"preset": asked.preset, "cpu_s": cpu_s, "rows": rows}
-        asked.out.write_text(json.dumps(kept, indent=1) + "\n")
+        write_text(asked.out, json.dumps(kept, indent=1) + "\n")
         for row in rows:
             print(name, json.dumps(row), flush=True)
 

@@ -19,15 +19,15 @@ from palpate.simulation import DomeCamera
 
 OUTPUT = Path(__file__).parents[1] / "docs" / "images" / "pipeline.png"
 OBJECTS = ("ball", "box", "mug", "pen", "stapler")
-TRUTH = "stapler"
-N_TOUCHES = 4
+TRUTH = "mug"
+N_TOUCHES = 6
 BLUE, GREY, ORANGE = "#4c78a8", "#b8b8b8", "#f58518"
 
 
 def main() -> None:
     """Learn five simulated objects, touch one of them, and draw each step."""
     camera = DomeCamera(image_shape=(120, 120), n_nodes=32)
-    train = simulate_touches(OBJECTS, 20, camera, random_state=0)
+    train = simulate_touches(OBJECTS, 30, camera, random_state=0)
     test = simulate_touches((TRUTH,), N_TOUCHES, camera, random_state=1)
     recogniser = ObjectRecogniser().fit(train)
     figure, columns = plt.subplots(

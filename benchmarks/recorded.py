@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate import Touches
+from palpate._durable import write_text
 from palpate.evaluation import Plan, evaluate, roc_area, split_touches
 from palpate.images import correct_gamma
 from palpate.recognition import doubts
@@ -41,7 +42,7 @@ def main(folder: Path, out: Path, sections: list[str]) -> None:
     result = json.loads(out.read_text()) if out.exists() else {}
     for name in sections or measures:
         result[name] = measures[name]()
-        out.write_text(json.dumps(result, indent=1) + "\n")
+        write_text(out, json.dumps(result, indent=1) + "\n")
 
 
 def one_each(touches: Touches, number: int) -> NDArray[np.bool_]:

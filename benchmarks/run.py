@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from palpate import __version__
+from palpate._durable import write_text
 from palpate.bench import BENCHES, run_bench
 
 RESULTS = Path(__file__).parent / "results.json"
@@ -30,7 +31,7 @@ def main(names: list[str]) -> None:
             "day": datetime.now(UTC).date().isoformat(),
             "rows": rows,
         }
-        RESULTS.write_text(json.dumps(stored, indent=1) + "\n")
+        write_text(RESULTS, json.dumps(stored, indent=1) + "\n")
 
 
 if __name__ == "__main__":

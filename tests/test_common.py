@@ -5,6 +5,7 @@ estimators of images (3-D arrays), so those get the checks below.
 """
 
 import pickle
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,11 +15,17 @@ from sklearn.exceptions import NotFittedError
 
 from palpate.encodings import (
     CentroidMoments,
+    EdgeHistograms,
     EncodingUnion,
     FourierDescriptors,
+    GridLevels,
     HuMoments,
     OrientedPCA,
+    PadShapes,
     PolarGradients,
+    RingPatterns,
+    RingQuantiles,
+    RootScaler,
     ScaledPixels,
     ShapeGeometry,
     TaxelVector,
@@ -35,6 +42,7 @@ from palpate.recognition import read_model, write_model
 
 ENCODERS = [
     CentroidMoments(),
+    EdgeHistograms(),
     FourierDescriptors(),
     ShapeGeometry(),
     TaxelVector(),
@@ -42,10 +50,16 @@ ENCODERS = [
     EncodingUnion([ShapeGeometry(), ZernikeMoments(order=4)], balanced=True),
     ZernikeMoments(),
     ZernikeMoments(output="noll", method="sample"),
+    GridLevels(),
+    GridLevels(4, blur=0.7, root=False, unit=True),
     HuMoments(),
     HuMoments(levels="raw", log=True),
     OrientedPCA(),
+    PadShapes(),
+    PadShapes([[0, 0, 4, 10], [5, 0, 5, 6]]),
     PolarGradients(n_rings=3, n_harmonics=4),
+    RingPatterns(),
+    RingQuantiles(),
     ScaledPixels(),
     ScaledPixels(4, min_anisotropy=None),
     ZernikePCA(),
@@ -130,3 +144,85 @@ def test_text_and_empty_sets_are_refused(encoder):
         clone(encoder).fit(np.array([[["a"]]]))
     with pytest.raises(ValueError, match="at least one touch"):
         clone(encoder).fit(np.zeros((0, 4, 4)))
+
+
+def changes_of(encoder, before, after):
+    """How far images move in the encoding, as a share of how far they lie apart."""
+    fitted = clone(encoder).fit(before)
+    features, moved = fitted.transform(before), fitted.transform(after)
+    apart = np.linalg.norm(features - features.mean(axis=0), axis=1).mean()
+    return np.linalg.norm(features - moved, axis=1).mean() / apart
+
+
+# A quarter turn and a whole taxel resample nothing.
+ALTERED = {
+    "turns": lambda images: np.rot90(images, axes=(1, 2)),
+    "shifts": lambda images: np.roll(images, (1, 2), axis=(1, 2)),
+    "gain": lambda images: 2 * images,
+}
+
+
+# Beside an area in taxels, small moments count for nothing until they are balanced;
+# pads lie beside what is pressed here.
+told = [
+    e
+    for e in ENCODERS
+    if getattr(e, "balanced", True) and getattr(e, "pads", None) is None
+]
+
+
+@pytest.mark.parametrize("encoder", told, ids=repr)
+@pytest.mark.parametrize("change", ALTERED)
+def test_encoder_is_blind_to_what_it_says(encoder, change, touches):
+    pressed = np.pad(np.where(touches > 0.3, touches, 0), [(0, 0), (6, 6), (6, 6)])
+    moved = changes_of(encoder, pressed, ALTERED[change](pressed))
+    # Interpolation moves images of 22 x 22 taxels by up to 0.16 where they are turned.
+    assert (moved < 0.2) == (change in encoder.blind_to)
+
+
+COLOUR = [e for e in [*ENCODERS, *CLEANERS] if not isinstance(e, DomeCrop)]
+
+
+@pytest.mark.parametrize("encoder", COLOUR, ids=repr)
+def test_channels_are_transformed_one_by_one(encoder, touches):
+    """What is learnt is learnt from all channels as if they were touches."""
+    colour = np.stack([touches, touches[::-1] ** 2, 3 * touches], axis=-1)
+    fitted = clone(encoder).fit(colour)
+    assert fitted.image_shape_ == (10, 10, 3)
+    made = fitted.transform(colour)
+    assert_array_equal(fitted.transform_checked(colour), made)
+    if isinstance(encoder, EncodingUnion):
+        parts = [clone(part).fit_transform(colour) for part in encoder.encoders]
+        expected = np.hstack(parts)
+        if encoder.balanced:
+            expected = np.hstack([RootScaler().fit_transform(p) for p in parts])
+    else:
+        planes = np.concatenate(np.split(colour, 3, axis=-1))[..., 0]
+        grey = clone(encoder)
+        if getattr(encoder, "unit", False):
+            grey.set_params(unit=False)
+        apart = np.split(grey.fit(planes).transform(planes), 3)
+        joined = np.hstack if made.ndim == 2 else partial(np.stack, axis=-1)
+        expected = joined(apart)
+        if getattr(encoder, "unit", False):
+            expected = expected / np.linalg.norm(expected, axis=1, keepdims=True)
+    # Touches in another order: rounding only.
+    assert_allclose(made, expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("encoder", COLOUR, ids=repr)
+def test_channels_other_than_learnt_are_refused(encoder, touches):
+    colour = np.stack([touches, touches], axis=-1)
+    fitted = clone(encoder).fit(colour)
+    with pytest.raises(ValueError, match=r"10 x 10 taxels, .* fitted on 10 x 10 x 2"):
+        fitted.transform(touches)
+    with pytest.raises(ValueError, match=r"10 x 10 x 1 taxels, .* fitted on 10 x 10 x"):
+        fitted.transform(colour[..., :1])
+    colour[3, 0, 0, 1] = np.inf
+    with pytest.raises(ValueError, match=r"touch 3 \(1 of 12"):
+        fitted.transform(colour)
+
+
+def test_what_takes_grey_images_alone_says_how_to_make_them(touches):
+    with pytest.raises(ValueError, match=r"one channel, X\[..., 0\], or their mean"):
+        DomeCrop().fit(touches[..., np.newaxis])

@@ -84,3 +84,31 @@ def test_results_keep_the_order_of_their_tasks():
         (3, 1),
         (2, 1),
     ]
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        OSError(errno.ENOSPC, "No space left on device"),
+        ValueError("I/O error: No space left on device (os error 28)"),
+    ],
+)
+def test_a_full_disk_is_reported_by_the_name_that_was_asked_for(tmp_path, error):
+    """The second is how safetensors says it."""
+    target = tmp_path / "model.palpate"
+    write_text(target, "old")
+    with pytest.raises(OSError, match="No space left") as caught, replacing(target):
+        raise error
+    assert caught.value.filename == str(target)
+    assert caught.value.errno == errno.ENOSPC
+    assert [path.name for path in tmp_path.iterdir()] == ["model.palpate"]
+
+
+def test_a_place_that_cannot_be_written_to_is_named(tmp_path):
+    """Not by the temporary name; a file where a folder should be stands for it."""
+    (tmp_path / "file").write_text("")
+    target = tmp_path / "file" / "kept"
+    with pytest.raises(OSError, match="Not a directory") as caught:
+        write_text(target, "new")
+    assert caught.value.filename == str(target)
+    assert PARTIAL not in str(caught.value)

@@ -3,6 +3,7 @@
 Only numpy is imported here, so that `import palpate` stays cheap.
 """
 
+import unicodedata
 from collections.abc import Iterable
 from numbers import Integral, Number, Real
 from typing import Any
@@ -14,6 +15,17 @@ from numpy.typing import ArrayLike, NDArray
 # larger levels leave single precision.
 LARGEST_TO_SQUARE = 1e150
 LARGEST_LEVEL = 1e37
+
+
+# Line breaks, and what a terminal would obey: control characters.
+_NOT_PRINTED = ("Cc", "Cs", "Zl", "Zp")
+
+
+def one_spelling(text: str) -> str | None:
+    """Return a name in its one spelling (NFC), or None where it cannot be printed."""
+    if any(unicodedata.category(letter) in _NOT_PRINTED for letter in text):
+        return None
+    return unicodedata.normalize("NFC", text)
 
 
 def check_count(name: str, value: object, *, at_least: int = 1) -> int:
@@ -75,14 +87,19 @@ def are_plain_vectors(X: object, n_features: int) -> bool:
 
 
 def check_images(
-    X: ArrayLike, *, shape: tuple[int, int] | None = None, allow_nan: bool = False
+    X: ArrayLike,
+    *,
+    shape: tuple[int, ...] | None = None,
+    allow_nan: bool = False,
+    channels: bool = False,
 ) -> NDArray[np.float64]:
     """Return `X` as float images (n_touches, n_rows, n_cols), or explain.
 
     With `shape`, also insist on the image size the encoder was fitted on; NaN
-    marks a dead taxel and is refused unless `allow_nan`.
+    marks a dead taxel and is refused unless `allow_nan`; a last axis of channels is
+    refused unless `channels`.
     """
-    images = check_image_shape(X, shape=shape)
+    images = check_image_shape(X, shape=shape, channels=channels)
     return check_finite(images.astype(np.float64, copy=False), allow_nan=allow_nan)
 
 
@@ -91,7 +108,7 @@ def check_finite(images: NDArray[Any], *, allow_nan: bool = False) -> NDArray[An
     if np.isfinite(images).all():
         return images
     bad = np.isinf(images) if allow_nan else ~np.isfinite(images)
-    touches = np.flatnonzero(bad.any(axis=(1, 2)))
+    touches = np.flatnonzero(bad.any(axis=tuple(range(1, bad.ndim))))
     if len(touches):
         fix = "" if allow_nan else " Fill dead taxels (NaN) first."
         raise ValueError(
@@ -102,17 +119,19 @@ def check_finite(images: NDArray[Any], *, allow_nan: bool = False) -> NDArray[An
 
 
 def check_image_shape(
-    X: ArrayLike, *, shape: tuple[int, int] | None = None
+    X: ArrayLike, *, shape: tuple[int, ...] | None = None, channels: bool = False
 ) -> NDArray[Any]:
     """Return `X` as real images of its own type, of `shape` if given, or explain."""
     images = _as_array(X)
     if images.dtype.kind not in "biuf":
         raise TypeError(f"Images must be numbers, got an array of {images.dtype}.")
-    if images.ndim != 3:
-        hint = " For one touch pass X[np.newaxis]." if images.ndim == 2 else ""
+    if images.ndim not in ((3, 4) if channels else (3,)):
+        hints = {2: " For one touch pass X[np.newaxis]."}
+        if not channels:
+            hints[4] = " Pass one channel, X[..., 0], or their mean, X.mean(axis=-1)."
         raise ValueError(
             "Expected images of shape (n_touches, n_rows, n_cols), "
-            f"got an array of shape {images.shape}.{hint}"
+            f"got an array of shape {images.shape}.{hints.get(images.ndim, '')}"
         )
     if 0 in images.shape:
         raise ValueError(f"Expected at least one touch, got shape {images.shape}.")
@@ -120,7 +139,7 @@ def check_image_shape(
         got = " x ".join(map(str, images.shape[1:]))
         raise ValueError(
             f"Images have {got} taxels, but the encoder was fitted on "
-            f"{shape[0]} x {shape[1]}; resize them or fit again."
+            f"{' x '.join(map(str, shape))}; resize them or fit again."
         )
     return images
 
@@ -129,7 +148,7 @@ def check_levels(images: NDArray[Any]) -> NDArray[Any]:
     """Return `images` if single precision holds sums of their levels, or explain."""
     if images.dtype.kind != "f":
         return images
-    size = np.abs(images).max(axis=(1, 2))
+    size = np.abs(images).max(axis=tuple(range(1, images.ndim)))
     if size.max() > LARGEST_LEVEL:
         touch = int(np.argmax(size > LARGEST_LEVEL))
         raise ValueError(

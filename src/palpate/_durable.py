@@ -7,6 +7,7 @@ or the new one, never a part. Temporary names begin with `PARTIAL`.
 
 import errno
 import os
+import re
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -29,8 +30,8 @@ def replacing(target: Path) -> Iterator[BinaryIO]:
     Raises
     ------
     OSError
-        The folder is missing, read-only or full. Nothing is left behind then, nor
-        where the block itself raises.
+        The folder is missing, read-only or full; the error names `target`. Nothing is
+        left behind then, nor where the block itself raises.
     """
     place = target.resolve()
     partial = place.with_name(f"{PARTIAL}{secrets.token_hex(8)}")
@@ -40,10 +41,23 @@ def replacing(target: Path) -> Iterator[BinaryIO]:
             file.flush()
             os.fsync(file.fileno())
         partial.replace(place)
+    except Exception as error:
+        number = _disk_error(error, partial)
+        if number is None:
+            raise
+        raise OSError(number, os.strerror(number), str(target)) from error
     finally:
         with suppress(OSError):
             partial.unlink()
     flush_folder(place.parent)
+
+
+def _disk_error(error: Exception, partial: Path) -> int | None:
+    """Return the number of what the disk said, to Python or to a library in Rust."""
+    if isinstance(error, OSError):
+        return error.errno if error.filename in (None, str(partial)) else None
+    said = re.search(r"\(os error (\d+)\)", str(error))
+    return int(said[1]) if said else None
 
 
 def write_bytes(target: Path, content: bytes) -> None:
@@ -55,6 +69,16 @@ def write_bytes(target: Path, content: bytes) -> None:
 def write_text(target: Path, content: str) -> None:
     """Put `content` into `target` as UTF-8, whole or not at all; see `replacing`."""
     write_bytes(target, content.encode())
+
+
+def flush_all(path: Path) -> None:
+    """Flush a file, or everything in a folder, that others have written."""
+    for part in [path, *path.rglob("*")] if path.is_dir() else [path]:
+        if part.is_dir():
+            flush_folder(part)
+            continue
+        with part.open("rb+") as file:
+            os.fsync(file.fileno())
 
 
 def flush_folder(folder: Path) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Self
+from collections.abc import Callable
+from functools import partial, wraps
+from typing import Any, Self
 
+import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils import Tags
@@ -16,6 +19,10 @@ from ._types import Array
 class ImageEstimator(TransformerMixin, BaseEstimator):
     """An estimator of images, fitted to images of one size.
 
+    An image of several channels is transformed channel by channel, by what was learnt
+    from all channels together: so `_learn` and `transform_checked` of a subclass know
+    grey images alone, unless it is declared with `by_channel=False`.
+
     `transform` is the door: it checks the images, then calls `transform_checked`. A
     subclass says there what it makes of them, checks its parameters and learns in
     `_learn`, and says in `_checked` what images it takes if not finite ones.
@@ -23,24 +30,36 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
     Attributes
     ----------
     image_shape_ : tuple of int
-        (n_rows, n_cols) of the images seen by `fit`.
+        (n_rows, n_cols) of the images seen by `fit`, or (n_rows, n_cols, n_channels).
     """
 
-    image_shape_: tuple[int, int]
+    image_shape_: tuple[int, ...]
+    _by_channel = True
+
+    def __init_subclass__(cls, by_channel: bool = True, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        cls._by_channel = by_channel
+        if by_channel and "transform_checked" in vars(cls):
+            cls.transform_checked = _by_channel(cls.transform_checked)  # type: ignore[method-assign]
+
+    @property
+    def blind_to(self) -> frozenset[str]:
+        """What the result does not change under: "shifts", "turns", "gain"."""
+        return frozenset()
 
     def fit(self, X: ArrayLike, y: object = None) -> Self:
         """Check the parameters, learn from images and note their size.
 
         Parameters
         ----------
-        X : array-like of shape (n_touches, n_rows, n_cols)
+        X : array-like of shape (n_touches, n_rows, n_cols) or (..., n_channels)
         y : object, optional
             Ignored.
 
         Returns
         -------
         self
-            With `image_shape_`, (n_rows, n_cols) of the images.
+            With `image_shape_`, the size of the images.
 
         Raises
         ------
@@ -49,14 +68,15 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
             listed.
         """
         images = self._checked(X)
-        self._learn(images)
-        self.image_shape_ = (images.shape[1], images.shape[2])
+        self._learn(planes_of(images) if self._by_channel else images)
+        self.image_shape_ = images.shape[1:]
         return self
 
     def transform(self, X: ArrayLike) -> Array:
         """Check images `X` of the size that `fit` saw, and transform them.
 
-        What is returned, and its shape, `transform_checked` says.
+        What is returned, and its shape, `transform_checked` says; of several channels,
+        their vectors side by side, or images with a last axis of channels.
 
         Raises
         ------
@@ -70,7 +90,7 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
 
         Parameters
         ----------
-        images : ndarray of shape (n_touches, n_rows, n_cols)
+        images : ndarray of shape (n_touches, n_rows, n_cols) or (..., n_channels)
             Finite, of any real type and of the size that `fit` saw.
         """
         raise NotImplementedError
@@ -78,9 +98,9 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
     def _learn(self, images: Array) -> None:
         """Check the parameters and learn what there is to learn."""
 
-    def _checked(self, X: ArrayLike, shape: tuple[int, int] | None = None) -> Array:
+    def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
         """Return `X` as images that this takes, of `shape` if given, or explain."""
-        return check_images(X, shape=shape)
+        return check_images(X, shape=shape, channels=True)
 
     def _images(self, X: ArrayLike) -> Array:
         """Return `X` as images of the size that `fit` saw, or explain."""
@@ -93,3 +113,31 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
         tags.input_tags.two_d_array = False
         tags.input_tags.three_d_array = True
         return tags
+
+
+def planes_of(images: Array) -> Array:
+    """Return channels as touches of their own, (n_touches * n_channels, rows, cols)."""
+    if images.ndim == 3:
+        return images
+    return np.moveaxis(images, 3, 1).reshape(-1, *images.shape[1:3])
+
+
+def by_channel(transform: Callable[[Array], Array], images: Array) -> Array:
+    """Return what `transform` makes of grey images, also of images with channels."""
+    made = transform(planes_of(images))
+    if images.ndim == 3:
+        return made
+    apart = made.reshape(len(images), images.shape[3], *made.shape[1:])
+    if made.ndim == 2:
+        return apart.reshape(len(images), -1)
+    return np.moveaxis(apart, 1, 3)
+
+
+def _by_channel(transform: Callable[[Any, Array], Array]) -> Any:
+    """Return the method `transform` for images of any number of channels."""
+
+    @wraps(transform)
+    def transform_checked(self: Any, images: Array) -> Array:
+        return by_channel(partial(transform, self), images)
+
+    return transform_checked

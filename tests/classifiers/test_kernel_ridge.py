@@ -191,3 +191,29 @@ def test_memory_of_many_touches_does_not_grow_with_their_square(rng):
     # The kernel of all touches alone would take 512 MB.
     assert peak < 40e6
     assert machine.score(X, labels) > 0.75
+
+
+def uneven(rng, n_each=(80, 10), spread=0.9):
+    """Touches of two overlapping labels, one taught eight times as often."""
+    labels = np.repeat(["common", "rare"], n_each)
+    centre = np.repeat([[0.0, 0.0], [2.0, 0.0]], n_each, axis=0)
+    return centre + spread * rng.normal(size=(sum(n_each), 2)), labels
+
+
+def test_posterior_is_the_one_under_equal_priors_however_unequal_the_touches(rng):
+    machine = KernelRidgeClassifier().fit(*uneven(rng))
+    X, labels = uneven(rng, (400, 400))
+    right = machine.predict(X) == labels
+    common, rare = (right[labels == name].mean() for name in machine.classes_)
+    # Both are 2.2 standard deviations apart: 87 % of either are on their own side.
+    assert rare > 0.7
+    assert abs(common - rare) < 0.2
+    posterior = machine.predict_proba(X)[np.arange(800), (labels == "rare").astype(int)]
+    assert -np.log(posterior).mean() < 0.45
+
+
+def test_every_label_adds_the_same_to_what_is_minimised():
+    from palpate.classifiers import fair_shares
+
+    shares = fair_shares(np.array([0, 0, 0, 2]))
+    assert_allclose(shares, [1 / 6, 1 / 6, 1 / 6, 1 / 2])

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from palpate import Touches
 from palpate.library import TouchLibrary
@@ -185,3 +186,17 @@ def test_a_lost_database_is_not_replaced(palpate, folder, archive):
     assert palpate("library", "check", folder).returncode == 1
     assert "made anew" in palpate("library", "check", folder, "--repair").stdout
     assert "cup" in palpate("library", "list", folder, "--objects").stdout
+
+
+def test_pictures_are_kept_in_colour_where_asked(palpate, tmp_path):
+    pictures = tmp_path / "in"
+    (pictures / "cup").mkdir(parents=True)
+    flat = np.full((4, 6, 3), [200, 100, 50], np.uint8)
+    Image.fromarray(flat).save(pictures / "cup" / "1.png")
+    added = palpate("library", "add", tmp_path / "lab", pictures, "--colour")
+    assert added.returncode == 0, added.stderr
+    done = palpate("library", "list", tmp_path / "lab", "--json")
+    assert json.loads(done.stdout)["rows"][0]["n_channels"] == 3
+    done = palpate("learn", tmp_path / "lab", "--colour", "-o", tmp_path / "m.palpate")
+    assert done.returncode == 1
+    assert "--colour must be left out for a library" in done.stderr

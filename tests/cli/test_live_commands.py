@@ -1,6 +1,7 @@
 """`palpate record`, `live` and `serve`: the same loop, in the terminal."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -244,10 +245,33 @@ def test_what_learn_makes_of_a_library_knows_its_touches_and_sensor(
 def test_serve_warns_when_it_listens_to_the_network(palpate, monkeypatch):
     monkeypatch.setattr("palpate.web.run_app", lambda app, opened: opened.close())
     said = palpate("serve", "--port", "0", "--host", "0.0.0.0")
-    assert said.stdout.startswith("Open http://127.0.0.1:")
+    address, code = said.stdout.split("\n", 1)
+    assert re.match(r"Open http://[\d.]+:\d+/\?token=", address)
+    assert "0.0.0.0" not in address  # no browser goes there
+    assert "█" in code
     assert "everybody on that network who knows the token" in said.stderr
     quiet = palpate("serve", "--port", "0")
     assert quiet.stderr == ""
+    assert "█" not in quiet.stdout
+
+
+def test_the_token_is_the_one_that_was_chosen_or_kept(palpate, monkeypatch, tmp_path):
+    monkeypatch.setattr("palpate.web.run_app", lambda app, opened: opened.close())
+
+    def token_of(words):
+        return json.loads(palpate(*words).stdout)["token"]
+
+    words = ["serve", "--port", "0", "--json"]
+    kept = [*words, "--library", tmp_path / "l"]
+    assert token_of(kept) == token_of(kept)
+    assert token_of(words) != token_of(words)
+    chosen = "a-token-of-my-own"
+    assert token_of([*words, "--token", chosen]) == chosen
+    monkeypatch.setenv("PALPATE_TOKEN", chosen)
+    assert token_of(kept) == chosen
+    refused = palpate(*words, "--token", "short")
+    assert refused.returncode == 1
+    assert "16 to 200 letters" in refused.stderr
 
 
 def test_the_core_of_the_loop_needs_none_of_the_extras():

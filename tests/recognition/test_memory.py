@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from palpate import Touches
-from palpate.recognition import ObjectRecogniser
+from palpate.recognition import ObjectRecogniser, without_copies
 
 NAMES = ("ball", "mug", "pen")
 DATA = Path(__file__).parent / "data"
@@ -116,7 +116,7 @@ def test_sessions_are_remembered():
     touches = drawn(0).with_columns(session=np.tile(["mon", "tue"], 18))
     memory = ObjectRecogniser().fit(touches).memory_
     assert set(memory.sessions) == {"mon", "tue"}
-    assert len(set(memory.blocks)) == 6
+    assert len(set(memory.blocks)) == 2
     assert set(ObjectRecogniser().fit(drawn(0)).memory_.sessions) == {""}
 
 
@@ -138,3 +138,36 @@ def test_models_of_format_3_are_read_and_answer_the_same(preset, tmp_path):
     if preset == "default":
         assert model.pose_ is not None
         assert model.start().update_sense("sight", [3.0, 0.0]).best == "pin"
+
+
+def test_copies_are_left_out_together():
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(20, 5))
+    features[15:] = features[:5] + 1e-3 * rng.normal(size=(5, 5))
+    objects = np.repeat(["cup"], 20)
+    blocks = np.repeat(np.arange(5), 4)
+    joined = without_copies(features, objects, blocks)
+    # Touches 15 to 19 are those of 0 to 4, which lie in the first two blocks.
+    assert joined.tolist() == [*blocks[:15], 0, 0, 0, 0, 1]
+
+
+def test_touches_that_are_all_alike_keep_their_blocks():
+    features, objects = np.zeros((10, 3)), np.repeat(["cup"], 10)
+    blocks = np.repeat(np.arange(5), 2)
+    assert without_copies(features, objects, blocks).tolist() == blocks.tolist()
+
+
+WAYS = {
+    "fit": lambda model, touches, odd: model.fit(touches.with_columns(object=odd)),
+    "y": lambda model, touches, odd: model.fit(touches.images, odd),
+    "add": lambda model, touches, odd: model.add_object("unknown", touches[:4]),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_nothing_may_be_called_unknown(way):
+    touches = drawn(0)
+    odd = np.where(touches.object == touches.object[0], "unknown", touches.object)
+    learnt = ObjectRecogniser().fit(touches)
+    with pytest.raises(ValueError, match="name must not be 'unknown'"):
+        WAYS[way](learnt, touches, odd)

@@ -126,7 +126,7 @@ def test_numbers_tell_how_many_frames_are_missing():
     ],
 )
 def test_a_line_that_is_no_frame_is_counted_and_skipped(line):
-    framing = LineFraming((1, 2))
+    framing = LineFraming((1, 2), checksum=True)
     assert framing.feed(line) == []
     assert framing.n_damaged == 1
     assert len(framing.feed(write_line(np.array([[4.0, 5.0]])))) == 1
@@ -135,6 +135,13 @@ def test_a_line_that_is_no_frame_is_counted_and_skipped(line):
 def test_lines_without_checksum_are_read_where_asked_for():
     (frame,) = LineFraming((2, 2), checksum=False).feed(b"1 2\t3,nan\r\n")
     assert_array_equal(frame, [[1, 2], [3, np.nan]])
+
+
+def test_lines_without_checksum_are_read_until_one_with_it_came():
+    framing = LineFraming((1, 2))
+    assert len(framing.feed(b"1,2\n3,4\n")) == 2
+    assert len(framing.feed(b"$0,12*1F\n5,6\n")) == 1
+    assert framing.n_damaged == 1
 
 
 def test_endless_garbage_takes_no_memory():

@@ -333,3 +333,9 @@ def test_real_pictures_are_replayed_as_the_camera_wrote_them(data_folder):
     check_sensor(sensor)
     assert sensor.image_shape == (480, 640)
     assert sensor.no_contact().shape == (480, 640)
+
+
+def test_touches_with_channels_are_not_replayed():
+    colour = Touches(np.zeros((1, 4, 4, 3)), channels=["r", "g", "b"])
+    with pytest.raises(SensorError, match=r"without channels.*got channels r, g, b"):
+        ReplaySensor(colour)

@@ -10,9 +10,11 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from palpate.sensors import (
+    AddressError,
     SensorError,
     SerialArraySensor,
     check_sensor,
+    open_sensor,
     write_binary,
     write_line,
 )
@@ -141,3 +143,93 @@ def test_an_array_tells_the_step_of_its_numbers(terminal):
     assert SerialArraySensor("/dev/nowhere", (4, 4), framing="binary").step == 1
     pressed = {"framing": "binary", "dtype": np.float32}
     assert SerialArraySensor("/dev/nowhere", (4, 4), **pressed).step == 0
+
+
+def plain_line(image, number):
+    """What `Serial.println` of numbers with commas between writes."""
+    return ",".join(map(str, image.ravel())).encode() + b"\r\n"
+
+
+def one_byte(image, number):
+    return write_binary(image.astype(np.uint8), number)
+
+
+def test_numbers_that_are_just_printed_are_read_but_for_a_cut_first_line(terminal):
+    with SerialArraySensor(terminal.port, (2, 2)) as sensor:
+        os.write(terminal.master, b"2,13,14,15\r\n11,12,13,14\r\n")  # was 12
+        assert_array_equal(sensor.read_next().image, [[11, 12], [13, 14]])
+        assert sensor.n_dropped == 0
+
+
+@pytest.mark.parametrize(
+    ("write", "options", "message"),
+    [
+        (
+            plain_line,
+            {"image_shape": (16, 16)},
+            "128 values, expected 256: --shape 8x16",
+        ),
+        (
+            as_line,
+            {"image_shape": (8, 8)},
+            "128 values, expected 64: --shape 8x16 or --shape 16x8",
+        ),
+        (plain_line, {"checksum": True}, "no checksum: --no-checksum"),
+        (write_binary, {}, "look like binary: --framing binary"),
+        (as_line, {"framing": "binary"}, "look like lines: --framing line"),
+        (
+            write_binary,
+            {"framing": "binary", "image_shape": (16, 8)},
+            "128: --shape 8x16.",
+        ),
+        (one_byte, {"framing": "binary"}, "uint8, expected uint16: dtype=uint8"),
+        (lambda image, number: bytes(range(128, 250)) * 9, {}, "check --baud"),
+    ],
+)
+def test_bytes_that_are_no_frames_say_why(terminal, write, options, message):
+    terminal.play(endless((8, 16), write), 50)
+    with SerialArraySensor(
+        terminal.port, **{"image_shape": (8, 16), **options}
+    ) as array:
+        deadline = time.monotonic() + 10
+        while not array.lost and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert message in array.lost
+        assert array.n_frames == 0
+
+
+@pytest.mark.parametrize(
+    ("write", "shape", "framing", "checksum"),
+    [
+        (as_line, (4, 4), "line", True),
+        (plain_line, (4, 4), "line", False),
+        (write_binary, (3, 5), "binary", None),
+        (one_byte, (3, 5), "binary", None),
+    ],
+)
+def test_an_array_is_found_by_what_it_writes(terminal, write, shape, framing, checksum):
+    terminal.play(endless(shape, write), 100)
+    with open_sensor(f"serial:{terminal.port}?shape=auto") as array:
+        assert (array.image_shape, array.framing) == (shape, framing)
+        assert array.checksum == checksum
+        assert array.read_next().image.max() < 200
+    with pytest.raises(AddressError, match=r"such as 16x16, or auto, got 'four'"):
+        open_sensor(f"serial:{terminal.port}", image_shape="four")
+
+
+@pytest.mark.parametrize(
+    ("written", "message"),
+    [
+        (
+            [plain_line(np.ones((3, 5), int), 0)] * 9,
+            "15 values: --shape 3x5 or --shape 5x3",
+        ),
+        ([bytes(range(128, 250))] * 9, "check --baud"),
+        ([], "check its cable"),
+    ],
+)
+def test_what_cannot_be_found_is_said(terminal, monkeypatch, written, message):
+    monkeypatch.setattr("palpate.sensors._serial._LISTEN_S", 0.4)
+    terminal.play(written, 100)
+    with pytest.raises(SensorError, match=message):
+        open_sensor(f"serial:{terminal.port}", image_shape="auto")

@@ -166,3 +166,50 @@ def test_real_touches_played_with_gaps_are_all_found(data_folder):
         for number, frame in enumerate([zero, image, image, image, zero]):
             found += detector.update(Frame(frame, number / 25, number)) is not None
     assert found == (change > detector.begin).sum()
+
+
+def hill(shape, row, col):
+    at = np.indices(shape)
+    return 200 * np.exp(-((at[0] - row) ** 2 + (at[1] - col) ** 2) / 4)
+
+
+@pytest.mark.parametrize(
+    ("rest", "pressed"),
+    [
+        pytest.param(np.zeros((16, 16)), False, id="nothing"),
+        pytest.param(hill((16, 16), 5, 9), True, id="a press"),
+        pytest.param(30 + hill((8, 8), 3, 3), True, id="a press on an offset"),
+        pytest.param(np.add.outer(np.arange(16.0), np.arange(16.0)), False, id="slope"),
+        pytest.param(np.eye(1, 256, 40).reshape(16, 16) * 200, False, id="one taxel"),
+        pytest.param(np.indices((16, 16)).sum(0) % 2 * 9.0, False, id="chequers"),
+        pytest.param(hill((120, 160), 60, 60), False, id="a picture"),
+    ],
+)
+def test_a_first_baseline_that_looks_like_a_press_is_asked_about(rest, pressed, rng):
+    """A camera sees a scene, where nothing tells; an array at rest is even."""
+    frames = [rest + rng.normal(scale=0.5, size=rest.shape) for _ in range(10)]
+    detector = TouchDetector()
+    if pressed:
+        with pytest.raises(ContactError, match="may press the sensor around row"):
+            detector.take_baseline(frames)
+        assert detector.baseline is None
+        detector.take_baseline(frames, force=True)
+    else:
+        detector.take_baseline(frames)
+    np.testing.assert_allclose(detector.baseline, rest, atol=1)  # 6 errors of a mean
+
+
+def test_a_baseline_is_undone_with_its_noise(rng):
+    detector = TouchDetector()
+    noises = []
+    for scale in (1.0, 3.0):
+        frames = rng.normal(scale=scale, size=(10, 6, 6))
+        detector.take_baseline(list(frames))
+        noises.append((detector.baseline, detector.noise))
+    detector.undo_baseline()
+    assert detector.noise == noises[0][1]
+    np.testing.assert_array_equal(detector.baseline, noises[0][0])
+    first = TouchDetector()
+    first.take_baseline([np.zeros((4, 4))] * 3)
+    first.undo_baseline()
+    assert first.baseline is None

@@ -49,16 +49,12 @@ def _watched(seconds: float) -> list[Row]:
 
 
 def _read_page(session: Any, seconds: float) -> list[Row]:
-    import uvicorn
     from websockets.sync.client import connect
 
-    from ..web import create_app, open_socket
+    from ..web import create_app, open_socket, server_of
 
     opened = open_socket("127.0.0.1", 0)
-    config = uvicorn.Config(
-        create_app(session, "bench"), log_level="error", ws="websockets-sansio"
-    )
-    server = uvicorn.Server(config)
+    server = server_of(create_app(session, "bench"), log_level="error")
     thread = threading.Thread(target=server.run, args=([opened],), daemon=True)
     thread.start()
     while not server.started:

@@ -16,6 +16,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.linalg.lapack import dpotrf, dtrtri
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import log_softmax
 from sklearn.metrics.pairwise import euclidean_distances
@@ -31,6 +32,9 @@ _SHAPED_BY = 10_000
 _TOUCHES_AT_ONCE = 2000
 # Keeps the landmarks' own kernel positive definite, where two of them are the same.
 _JITTER = 1e-8
+
+# Temperature, bend and lean of a posterior.
+Shape = tuple[float, float, float]
 
 # Rows of touches, some of them -> their kernel with the landmarks.
 KernelOf = Callable[[NDArray[np.intp]], Floats]
@@ -69,9 +73,9 @@ class KernelRidgeClassifier(BayesRule):
         Scores s enter the softmax as temperature s / (1 + bend |s|): regression
         scores of sure touches are too large for a factor alone.
     log_counts_ : ndarray of shape (n_classes,)
-        Logarithms of the numbers of training touches. The scores lean towards
-        frequent labels; these are subtracted, so that posteriors are those under
-        equal priors.
+        Logarithms of the numbers of training touches, times what the scores lean
+        towards frequent labels; subtracted, so that posteriors are those under equal
+        priors.
     left_out_scores_ : ndarray of shape (n_touches, n_classes)
         Regression scores of each training touch with its group left out.
     mean_ : ndarray of shape (n_features,)
@@ -182,8 +186,8 @@ class KernelRidgeClassifier(BayesRule):
         n_touches = check_count("max_touches", self.max_touches, at_least=2)
         if len(centred) <= n_touches:
             kernel = self._kernel(euclidean_distances(centred, squared=True))
-            inverse, self.coefficients_ = _solve(kernel, target, self.ridge_)
-            left_out = _left_out(inverse, self.coefficients_, target, group)
+            root, self.coefficients_ = _solve(kernel, target, self.ridge_)
+            left_out = _left_out(root, self.coefficients_, target, group)
             self.touches_ = centred
         else:
             n_landmarks = check_count("n_landmarks", self.n_landmarks, at_least=2)
@@ -201,10 +205,10 @@ class KernelRidgeClassifier(BayesRule):
             self.touches_ = marks
         self.squared_norms_ = (self.touches_**2).sum(axis=1)
         self.left_out_scores_ = left_out
-        self.log_counts_ = _log_counts(codes, target.shape[1])
         some = _thin(codes, _SHAPED_BY)
         shape, self.log_loss_ = _best_shape(left_out[some], codes[some])
-        self.temperature_, self.bend_ = shape
+        self.temperature_, self.bend_, lean = shape
+        self.log_counts_ = lean * _log_counts(codes, target.shape[1])
 
     def _kernel(self, squared: Floats) -> Floats:
         """Turn squared distances into the kernel, in place."""
@@ -236,7 +240,7 @@ class KernelRidgeClassifier(BayesRule):
         return self._log_posterior(self.left_out_scores_)
 
     def _log_posterior(self, scores: Floats) -> Floats:
-        shape = (self.temperature_, self.bend_)
+        shape = (self.temperature_, self.bend_, 1.0)
         return _log_posterior(shape, scores, self.log_counts_)
 
     def predict_log_proba(self, X: ArrayLike) -> Floats:
@@ -267,21 +271,24 @@ def _one_hot(codes: Array, n_classes: int) -> Floats:
 
 
 def _solve(kernel: Floats, target: Floats, ridge: float) -> tuple[Floats, Floats]:
-    """Return (inverse of kernel + ridge, dual coefficients)."""
-    regular = kernel + ridge * np.eye(len(kernel))
-    inverse = cho_solve(cho_factor(regular), np.eye(len(kernel)), check_finite=False)
-    return inverse, inverse @ target
+    """Return R with R^T R = inverse of (kernel + ridge), and the dual coefficients."""
+    regular = np.asfortranarray(kernel) + ridge * np.eye(len(kernel))
+    factor, failed = dpotrf(regular, lower=1, clean=1, overwrite_a=1)
+    if failed:
+        raise np.linalg.LinAlgError("The kernel is not positive definite.")
+    root = dtrtri(factor, lower=1, overwrite_c=1)[0]
+    return root, root.T @ (root @ target)
 
 
 def _left_out(
-    inverse: Floats, coefficients: Floats, target: Floats, group: Array
+    root: Floats, coefficients: Floats, target: Floats, group: Array
 ) -> Floats:
     """Scores of every touch had its group never been learnt."""
     n_classes = target.shape[1]
     scores: Floats = target + 1 / n_classes
     for members in _members(group):
-        block = inverse[np.ix_(members, members)]
-        scores[members] -= np.linalg.solve(block, coefficients[members])
+        mine = root[:, members]
+        scores[members] -= np.linalg.solve(mine.T @ mine, coefficients[members])
     return scores
 
 
@@ -289,20 +296,24 @@ def _log_counts(codes: Array, n_classes: int) -> Floats:
     return np.asarray(np.log(np.maximum(np.bincount(codes, minlength=n_classes), 1)))
 
 
-def _log_posterior(
-    shape: tuple[float, float], scores: Floats, log_counts: Floats
-) -> Floats:
-    """Log posterior under equal priors; `shape` is (temperature, bend)."""
-    temperature, bend = shape
+def _log_posterior(shape: Shape, scores: Floats, log_counts: Floats) -> Floats:
+    """Log posterior under equal priors; `shape` is (temperature, bend, lean)."""
+    temperature, bend, lean = shape
     bent = temperature * scores / (1 + bend * np.abs(scores))
-    return np.asarray(log_softmax(bent - log_counts, axis=1))
+    return np.asarray(log_softmax(bent - lean * log_counts, axis=1))
 
 
-def _loss(
-    shape: tuple[float, float], scores: Floats, codes: Array, log_counts: Floats
-) -> float:
+def _loss(shape: Shape, scores: Floats, codes: Array, log_counts: Floats) -> float:
     log_posterior = _log_posterior(shape, scores, log_counts)
-    return float(-log_posterior[np.arange(len(codes)), codes].mean())
+    own = log_posterior[np.arange(len(codes)), codes]
+    return float(-own @ fair_shares(codes))
+
+
+def fair_shares(codes: Array) -> Floats:
+    """Return the share of each touch in a mean to which all labels add the same."""
+    counts = np.bincount(codes)
+    shares: Floats = 1 / (counts[codes] * np.count_nonzero(counts))
+    return shares
 
 
 def _best_temperature(scores: Floats, codes: Array) -> tuple[float, float]:
@@ -310,24 +321,29 @@ def _best_temperature(scores: Floats, codes: Array) -> tuple[float, float]:
     log_counts = _log_counts(codes, scores.shape[1])
 
     def loss(log_factor: float) -> float:
-        return _loss((float(np.exp(log_factor)), 0.0), scores, codes, log_counts)
+        return _loss((float(np.exp(log_factor)), 0.0, 1.0), scores, codes, log_counts)
 
     found = minimize_scalar(loss, bounds=(-3, 6), method="bounded")
     return float(np.exp(found.x)), float(found.fun)
 
 
-def _best_shape(scores: Floats, codes: Array) -> tuple[tuple[float, float], float]:
-    """Return (temperature, bend) with the least log loss, and that loss (nats)."""
+def _best_shape(scores: Floats, codes: Array) -> tuple[Shape, float]:
+    """Return (temperature, bend, lean) with the least log loss, and that loss (nats).
+
+    The lean counts where labels have unequal numbers of touches, and is 1 elsewhere.
+    """
     log_counts = _log_counts(codes, scores.shape[1])
 
-    def shape(raw: Array) -> tuple[float, float]:
-        log_temperature, log_bend = np.clip(raw, -8, 6)
-        return float(np.exp(log_temperature)), float(np.exp(log_bend))
+    def shape(raw: Array) -> Shape:
+        log_temperature, log_bend, lean = np.clip([*raw, 1.0][:3], -8, 6)
+        return float(np.exp(log_temperature)), float(np.exp(log_bend)), max(lean, 0.0)
 
     def loss(raw: Array) -> float:
         return _loss(shape(raw), scores, codes, log_counts)
 
-    start = np.log([_best_temperature(scores, codes)[0], 0.5])
+    start = [*np.log([_best_temperature(scores, codes)[0], 0.5])]
+    if np.ptp(log_counts) > 0:
+        start.append(1.0)
     found = minimize(loss, start, method="Nelder-Mead")
     return shape(found.x), float(found.fun)
 

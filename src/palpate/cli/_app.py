@@ -4,6 +4,7 @@ Nothing heavy is imported here: each verb imports what it needs when it runs, so
 that `palpate --help` answers at once.
 """
 
+import errno
 import os
 import sys
 from typing import Annotated
@@ -13,6 +14,7 @@ import typer
 from .. import __version__
 from ._options import option
 from .bench import bench
+from .benchmark import benchmark
 from .demo import demo
 from .doctor import doctor
 from .evaluate import evaluate
@@ -34,7 +36,10 @@ app = typer.Typer(
     help="Recognise things by touch: learn objects from touches, recognise them "
     "touch by touch, and say when something is unknown.",
 )
-VERBS = (learn, recognise, evaluate, demo, study, bench, doctor, serve, record, live)
+VERBS = (
+    *(learn, recognise, evaluate, benchmark, demo, study, bench),
+    *(doctor, serve, record, live),
+)
 for verb in VERBS:
     app.command()(verb)
 app.add_typer(simulate, name="simulate")
@@ -42,6 +47,7 @@ app.add_typer(library, name="library")
 app.add_typer(explore, name="explore")
 
 # What a verb may fail with; anything else is a fault of palpate and shows where.
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES)
 FAILURES = (ValueError, TypeError, OSError, RuntimeError, ImportError, MemoryError)
 
 
@@ -73,5 +79,15 @@ def main() -> None:
     except FAILURES as error:
         if os.environ.get("PALPATE_DEBUG"):
             raise
-        print(f"palpate: {error}", file=sys.stderr)
+        print(f"palpate: {_sentence(error)}", file=sys.stderr)
         sys.exit(1)
+
+
+def _sentence(error: BaseException) -> str:
+    """Return what went wrong; what the disk says, as a sentence with the fix."""
+    if not isinstance(error, OSError) or error.errno not in _NO_ROOM:
+        return str(error)
+    return (
+        f"{error.filename or 'The disk'} must be a place with room that may be written "
+        f"to, got: {error.strerror}. Free space, or give another place."
+    )

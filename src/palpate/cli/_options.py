@@ -44,6 +44,17 @@ def checked_workers(workers: int | None) -> int | None:
     return workers
 
 
+def counts(text: str) -> tuple[int, ...]:
+    """Return whole numbers that were given with commas, or say how to write them."""
+    try:
+        return tuple(int(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(
+            f"--touches must be whole numbers with commas, got {text!r}; "
+            "write --touches 1,5,15."
+        ) from None
+
+
 def option(*names_and_help: str, **more: Any) -> Any:
     """Return an option of the command line: its names, then what it does, as text.
 
@@ -94,6 +105,9 @@ NamePattern = Annotated[
 NoContact = Annotated[
     Path | None, option("--no-contact", "The image of the sensor touching nothing.")
 ]
+Colour = Annotated[
+    bool | None, option("--colour", "Read pictures of a folder in red, green and blue.")
+]
 Where = Annotated[
     str | None,
     option(
@@ -126,6 +140,13 @@ class Learning:
             "rule an object out. Default: the preset's."
         ),
     ] = None
+    presentation: Annotated[
+        str,
+        option(
+            "How objects come: any (angle and place), turned (any angle), shifted (any "
+            "place), fixed (always the same), or auto: found out."
+        ),
+    ] = "auto"
     seed: Seed = 0
 
 
@@ -136,6 +157,7 @@ class Reading:
     where: Where = None
     name_pattern: NamePattern = None
     no_contact: NoContact = None
+    colour: Colour = None
     max_megapixels: Annotated[float, option("Larger pictures are refused unread.")] = 50
 
     def touches(self, path: Path) -> "Touches":
@@ -163,7 +185,8 @@ class Reading:
         if not TouchLibrary.is_library(path):
             return None
         fix = "Give it to `palpate library add`, which keeps what it finds."
-        self.refuse(f"for a library such as {path}", fix, "name_pattern", "no_contact")
+        fields = "name_pattern", "no_contact", "colour"
+        self.refuse(f"for a library such as {path}", fix, *fields)
         return TouchLibrary.open(path)
 
     def refuse(self, where: str, fix: str, *names: str) -> None:
@@ -187,6 +210,7 @@ class Reading:
             path,
             name_pattern=self.name_pattern,
             no_contact=self.no_contact,
+            colour=bool(self.colour),
             max_pixels=int(self.max_megapixels * 1e6),
         )
 

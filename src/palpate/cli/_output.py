@@ -25,7 +25,13 @@ def answer(as_json: bool, values: dict[str, Any], *lines: object) -> None:
         print_json(values)
         return
     for line in lines:
-        print(line)
+        print(printable(str(line)))
+
+
+def printable(text: str) -> str:
+    """Return text in which what a terminal would obey is written out."""
+    kept = (c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
+    return "".join(kept)
 
 
 def belief_line(touch: int, posterior: dict[str, float]) -> str:
@@ -50,7 +56,7 @@ def table(
         kept = column == whole
         drawn.add_column(column, justify=side, no_wrap=kept, overflow="fold")
     for row in rows:
-        drawn.add_row(*row)
+        drawn.add_row(*map(printable, row))
     Console(markup=False, emoji=False).print(drawn)
 
 

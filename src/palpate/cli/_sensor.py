@@ -36,7 +36,10 @@ class SensorOptions:
 
     image_shape: Annotated[
         str | None,
-        option("--shape", "Rows x columns of an array (16x16) or a camera (480x640)."),
+        option(
+            "--shape",
+            "Rows x columns of a camera (480x640) or an array (16x16, auto).",
+        ),
     ] = None
     rate_hz: Annotated[
         float | None, option("--rate", "Frames per second, where chosen.")
@@ -49,7 +52,7 @@ class SensorOptions:
         bool | None,
         option(
             "--checksum/--no-checksum",
-            "Refuse serial lines without a checksum. Default: refuse.",
+            "Refuse serial lines without a checksum. Default: once one with it came.",
         ),
     ] = None
     hold: Annotated[
@@ -76,6 +79,14 @@ class SensorOptions:
 
 def need_baseline(session: "LiveSession") -> None:
     """Take the frame of no contact where the sensor does not know it."""
+    from ..sensors import ContactError
+
     if session.baseline is None:
         print("Leave the sensor alone: taking its baseline.", file=sys.stderr)
-        session.take_baseline()
+        try:
+            session.take_baseline()
+        except ContactError as error:
+            question = f"{error} Does nothing touch it?"
+            if not sys.stdin.isatty() or not typer.confirm(question, err=True):
+                raise
+            session.take_baseline(force=True)

@@ -11,6 +11,7 @@ from ._options import (
     Reading,
     Report,
     Working,
+    counts,
     grouped,
     option,
 )
@@ -50,7 +51,7 @@ def evaluate(
 
     plan = Plan(
         **vars(how),
-        touches=_counts(touches),
+        touches=counts(touches),
         orders=orders,
         train_touches=train_touches,
         error=error,
@@ -81,16 +82,6 @@ def evaluate(
         print(report)
 
 
-def _counts(text: str) -> tuple[int, ...]:
-    try:
-        return tuple(int(part) for part in text.split(","))
-    except ValueError:
-        raise ValueError(
-            f"--touches must be whole numbers with commas, got {text!r}; "
-            "write --touches 1,5,15."
-        ) from None
-
-
 def _print_figures(figures: dict[str, Any]) -> None:
     keys = list(figures["accuracy"])
     spread = "folds" if figures["n_folds"] > 1 else "objects"
@@ -117,10 +108,33 @@ def _print_figures(figures: dict[str, Any]) -> None:
         f"touches, chance {percent(figures['chance'])} %"
     )
     table(title, ["after touches", *keys], rows)
+    for sentence in figures["chosen"].get("found", ()):
+        print(f"Found out from the training touches: {sentence}.")
+    for flag, share in figures["flags"].items():
+        print(f"Flagged as {flag!r}: {percent(share)} % of the test touches.")
     decision = figures["decision"]
     print(
-        f"Deciding at an error of {decision['error']:g}: "
-        f"{percent(decision['accuracy'])} % right after "
-        f"{decision['mean_touches']:.1f} touches on average, "
-        f"{percent(decision['undecided'])} % undecided."
+        f"Deciding at an error of {decision['error']:g}: of {decision['n_episodes']} "
+        f"episodes {decision['wrong']} named wrong, {decision['refused']} refused as "
+        f"unknown, {percent(decision['undecided'])} % undecided, after "
+        f"{decision['mean_touches']:.1f} touches on average."
     )
+    print(
+        f"At most {percent(decision['bound'])} % of new objects that are named would "
+        f"be named wrong, at 95 % confidence from {decision['n_objects']} objects"
+        + ("." if decision["can_be_verified"] else ": too few to show the error asked.")
+    )
+    _print_nuisances(figures, keys)
+
+
+def _print_nuisances(figures: dict[str, Any], keys: list[str]) -> None:
+    """Say which nuisance controls do as well as the recogniser."""
+    for name, curve in figures["controls"].items():
+        as_good = [
+            k for k in keys if (curve or {}).get(k, -1) >= figures["accuracy"][k]
+        ]
+        if as_good and name != "no contact":
+            print(
+                f"{name} alone does as well after {', '.join(as_good)} touches: the "
+                "recogniser may have learnt the recording, not the objects."
+            )

@@ -259,10 +259,11 @@ def _camera(recogniser: "ObjectRecogniser") -> Any:
     from ..simulation import DomeCamera
 
     shape = recogniser.encoder_.image_shape_
-    if min(shape) < _LEAST_SIDE:
+    if len(shape) != 2 or min(shape) < _LEAST_SIDE:
+        got = " x ".join(map(str, shape))
         raise ValueError(
-            f"MODEL must be of a dome camera, got one of {shape[0]} x {shape[1]} "
-            "taxels. Make one with: palpate explore learn."
+            f"MODEL must be of a dome camera, got one of {got} taxels. Make one "
+            "with: palpate explore learn."
         )
     return DomeCamera(image_shape=(shape[0], shape[1]))
 

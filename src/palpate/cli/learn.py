@@ -63,9 +63,9 @@ def learn(
             if extend is not None:
                 recogniser = _extended(extend, training)
             else:
-                recogniser = ObjectRecogniser(
-                    how.preset, label=how.label, floor=how.floor, random_state=how.seed
-                ).fit(training)
+                given = {k: v for k, v in vars(how).items() if k != "seed"}
+                recogniser = ObjectRecogniser(**given, random_state=how.seed)
+                recogniser.fit(training)
             if pitch_mm is not None or "set_pitch_mm" in training.whole:
                 stage("learning where parts lie")
                 recogniser.fit_pose(_held(training), pitch_mm)
@@ -75,12 +75,15 @@ def learn(
             remember_library(recogniser, touches, reading.where)
         written = recogniser.save(output)
     learnt = recogniser.summary()
+    sentences = learnt["chosen"].get("found", ())
+    said = "".join(f" {one[0].upper()}{one[1:]}." for one in sentences)
     poses = " Poses on the array are learnt too." if recogniser.pose_ else ""
+    encoding = learnt["chosen"]["encoding"]
     answer(
         as_json,
         {"model": str(written), **learnt},
         f"Learnt {learnt['n_labels']} {learnt['label']} labels from "
-        f"{learnt['n_train_touches']} touches ({learnt['chosen']['encoding']}).{poses}",
+        f"{learnt['n_train_touches']} touches ({encoding}).{said}{poses}",
         written,
     )
 

@@ -60,7 +60,9 @@ def add(
             "All messages of a bag's topic are read; choose afterwards with "
             "`palpate library retract`."
         )
-        reading.refuse("with --topic", fix, "where", "name_pattern", "no_contact")
+        reading.refuse(
+            "with --topic", fix, "where", "name_pattern", "no_contact", "colour"
+        )
         found = read_bag(touches, topic, object=object_name)
     described = sensor and SensorDescription(sensor, kind, unit, pitch_mm)
     with _opened(folder, create=True) as opened:
@@ -119,6 +121,8 @@ def show(
     """Show what is known of one touch; write its image with -o."""
     import numpy as np
 
+    from .._durable import replacing
+
     if output is not None and output.suffix != ".npy":
         raise ValueError(f"--output must end in .npy, got {output.name!r}.")
     with _opened(folder) as opened:
@@ -127,7 +131,8 @@ def show(
     known = row._asdict()
     known |= {"least": image.min().item(), "largest": image.max().item()}
     if output is not None:
-        np.save(output, image, allow_pickle=False)
+        with replacing(output) as file:
+            np.save(file, image, allow_pickle=False)
     lines = (f"{name:10s} {_shown(value)}" for name, value in known.items())
     answer(as_json, known, *lines)
 
@@ -178,8 +183,8 @@ def check(
                 f"Database {'made anew' if repaired.rebuilt else 'kept'}; touches "
                 f"recovered: {repaired.n_recovered}, set aside: "
                 f"{repaired.n_set_aside}, come back: {repaired.n_restored}; changes "
-                f"recovered: {repaired.n_changes}; arrays left out: "
-                f"{repaired.n_left_out}."
+                f"recovered: {repaired.n_changes}, set aside as never acknowledged: "
+                f"{repaired.n_unacknowledged}; arrays left out: {repaired.n_left_out}."
             )
         print(report)
     if not report.ok:

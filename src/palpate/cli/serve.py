@@ -32,6 +32,18 @@ def serve(
         str, option("Address to listen on; other than 127.0.0.1 is the network.")
     ] = HERE,
     port: Annotated[int, option("Port to listen on; 0 takes a free one.")] = 8765,
+    token: Annotated[
+        str | None,
+        option(
+            "What everybody must know. Default: the one kept with the library, else "
+            "a new one.",
+            envvar="PALPATE_TOKEN",
+        ),
+    ] = None,
+    name: Annotated[
+        list[str] | None,
+        option("Another name of this server, such as its proxy's; may be repeated."),
+    ] = None,
     error: ErrorRate = 0.01,
     summary: Summary = "peak",
     options: SensorOptions,
@@ -40,7 +52,9 @@ def serve(
     """Serve the page and the API of one sensor, to whoever has the printed address."""
     from ..web import (
         LiveSession,
+        checked_token,
         create_app,
+        kept_token,
         new_token,
         open_socket,
         require_web,
@@ -49,23 +63,27 @@ def serve(
 
     require_web()
     chosen = None if sensor is None else options.open(sensor)
-    token = new_token()
+    chosen_token = None if token is None else checked_token(token)
     with (
         closing(open_socket(host, port)) as socket,
         LiveSession(
             chosen, model=model, library=library, error=error, summary=summary
         ) as session,
     ):
-        app = create_app(session, token)
-        _say_where(host, socket.getsockname()[1], token, as_json=as_json)
+        if chosen_token is None:
+            chosen_token = new_token() if library is None else kept_token(library)
+        app = create_app(session, chosen_token, names=[host, *(name or ())])
+        _say_where(host, socket.getsockname()[1], chosen_token, as_json=as_json)
         run_app(app, socket)
 
 
 def _say_where(host: str, port: int, token: str, *, as_json: bool) -> None:
     """Print the address, and what it means to listen to the network."""
-    shown = HERE if host in ("0.0.0.0", "::") else host
-    address = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/"
-    if host not in (HERE, "localhost", "::1"):
+    from ..web import address_of, qr_code
+
+    address = address_of(host, port)
+    far = host not in (HERE, "localhost", "::1")
+    if far:
         print(
             f"palpate: listening on {host}: everybody on that network who knows the "
             "token may see the sensor, teach and forget; nothing is encrypted.",
@@ -76,4 +94,6 @@ def _say_where(host: str, port: int, token: str, *, as_json: bool) -> None:
         sys.stdout.flush()
     else:
         print(f"Open {address}?token={token}", flush=True)
+        if far and "utf" in (sys.stdout.encoding or "").lower():
+            print(qr_code(f"{address}?token={token}"))
         print("End with Ctrl-C. What is taught is kept at once.", flush=True)

@@ -1,6 +1,11 @@
 """How well it recognises: splits, figures, nuisance controls and reports."""
 
 from . import plots as plots
+from ._benchmark import RECOGNISERS as RECOGNISERS
+from ._benchmark import benchmark
+from ._benchmark_page import benchmark_tables as benchmark_tables
+from ._benchmark_page import verdicts as verdicts
+from ._benchmark_page import write_benchmark as write_benchmark
 from ._controls import brightness as brightness
 from ._controls import control_log_likelihood as control_log_likelihood
 from ._controls import disc_centres as disc_centres
@@ -15,10 +20,14 @@ from ._evaluate import evaluate
 from ._metrics import calibration_bins as calibration_bins
 from ._metrics import calibration_error, davies_bouldin, roc_area
 from ._metrics import spread as spread
+from ._protocols import PROTOCOLS as PROTOCOLS
+from ._protocols import protocol_folds as protocol_folds
 from ._report import check_report_path as check_report_path
+from ._report import html_table as html_table
 from ._report import report_page as report_page
 from ._report import write_report
 from ._report_why import explained_episodes as explained_episodes
+from ._simple import SIMPLE as SIMPLE
 from ._splits import SPLITS as SPLITS
 from ._splits import Fold as Fold
 from ._splits import draw_touches as draw_touches
@@ -30,6 +39,7 @@ __all__ = [
     "Decisions",
     "Plan",
     "Trial",
+    "benchmark",
     "calibration_error",
     "davies_bouldin",
     "evaluate",

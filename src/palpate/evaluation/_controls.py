@@ -25,8 +25,8 @@ def disc_centres(touches: Touches) -> Floats | None:
     """Return (row, column) of each image's rim in pixels; None without a dome."""
     if find_geometry(touches) != "dome":
         return None
-    images, frame = fill_dead_taxels(touches.images), touches.no_contact
-    idle = None if frame is None else fill_dead_taxels(frame[np.newaxis])[0]
+    images, frame = _grey(fill_dead_taxels(touches.images)), touches.no_contact
+    idle = None if frame is None else _grey(fill_dead_taxels(frame[np.newaxis]))[0]
     rims = find_rims(images, no_contact=idle)
     return np.stack([rims.row, rims.col], axis=1)
 
@@ -45,7 +45,7 @@ def sorted_pixels(touches: Touches) -> Floats:
     quantiles (of every n-th row and column, where a side is above 64): what is
     known without any geometry. Shape (n_touches, n_values).
     """
-    step = -(-max(touches.images.shape[1:]) // N_QUANTILES)
+    step = -(-max(touches.images.shape[1:3]) // N_QUANTILES)
     images = touches.images[:, ::step, ::step]
     n_pixels = images[0].size
     levels = np.linspace(0, 1, min(N_QUANTILES, n_pixels))
@@ -92,6 +92,11 @@ def control_log_likelihood(
     classifier = KernelRidgeClassifier(widths=(0.5, 2.0, 8.0))
     classifier.fit((train - centre) / spread, labels, groups=groups)
     return classifier.log_likelihood((test - centre) / spread)
+
+
+def _grey(images: Floats) -> Floats:
+    """Return images as the mean over their channels, if they have any."""
+    return images if images.ndim == 3 else np.asarray(images.mean(axis=3))
 
 
 def _blocks(images: Array) -> Iterator[Floats]:

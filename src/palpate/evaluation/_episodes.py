@@ -170,15 +170,17 @@ class Decisions:
     def to_dict(self, error: float) -> dict[str, Any]:
         """Return plain values; `accuracy` is over decided episodes.
 
-        `error_at_most` is an upper bound, at 95 % confidence, on the error of decided
-        episodes of new objects: each object counts once, as wrong as its episodes
-        were (Clopper and Pearson 1934, doi:10.1093/biomet/26.4.404). `verified` says
-        whether it is within `error`; with n objects it cannot be below
-        1 - 0.05^(1/n), whatever happens.
+        `wrong` counts episodes in which another object was named, `refused` those that
+        were called unknown. `bound` is an upper bound, at 95 % confidence, on the share
+        wrong among episodes of new objects in which one was named: each object counts
+        once, as wrong as its episodes were (Clopper and Pearson 1934,
+        doi:10.1093/biomet/26.4.404). `verified` says whether it is within `error`; with
+        n objects it cannot be below 1 - 0.05^(1/n), whatever happens.
         """
         decided, shares = self.decided, []
+        named = decided & ~self.refused
         for name in np.unique(self.objects):
-            rows = (self.objects == name) & decided
+            rows = (self.objects == name) & named
             if rows.any():
                 shares.append(1 - self.right[rows].mean())
         n_objects, wrong, bound = len(shares), float(np.sum(shares)), 1.0
@@ -190,11 +192,11 @@ class Decisions:
             "accuracy": float(self.right[decided].mean()) if decided.any() else None,
             "mean_touches": float(self.touches.mean()),
             "undecided": float((~decided).mean()),
-            "refused_as_unknown": float(self.refused.mean()),
-            "wrong": int((decided & ~self.right).sum()),
+            "wrong": int((named & ~self.right).sum()),
+            "refused": int(self.refused.sum()),
             "n_episodes": len(decided),
             "n_objects": n_objects,
-            "error_at_most": bound,
+            "bound": bound,
             "verified": bound <= error,
             "can_be_verified": least <= error,
         }

@@ -103,7 +103,11 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     if plan.train_touches is not None:
         train = draw_touches(train, plan.train_touches, plan.seed)
     recogniser = ObjectRecogniser(
-        plan.preset, label=plan.label, floor=plan.floor, random_state=plan.seed
+        plan.preset,
+        label=plan.label,
+        floor=plan.floor,
+        presentation=plan.presentation,
+        random_state=plan.seed,
     )
     progress(f"{fold.name}: learning from {len(train)} touches")
     start = time.perf_counter()
@@ -127,6 +131,7 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
         rows,
         run_episodes(recogniser, *args),
         seconds={**seconds, **timing},
+        flags=_shares(evidence.flags),
     )
     if unknown is not None:
         progress(f"{fold.name}: meeting {len(unknown)} unknown touches")
@@ -149,6 +154,11 @@ def _timed(
         "encode_per_touch": (encoded - start) / len(some),
         "recognise_per_touch": (done - encoded) / len(some),
     }
+
+
+def _shares(flags: list[str]) -> dict[str, float]:
+    names, counts = np.unique([flag for flag in flags if flag], return_counts=True)
+    return dict(zip(names.tolist(), (counts / len(flags)).tolist(), strict=True))
 
 
 def _test_labels(test: Touches, label: str, recogniser: ObjectRecogniser) -> Array:

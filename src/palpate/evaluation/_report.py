@@ -9,7 +9,7 @@ import numpy as np
 
 from .._durable import write_text
 from .._types import Floats
-from ..touches import png_address
+from ..touches import as_shown, png_address
 from . import plots
 from ._metrics import calibration_bins, spread
 from ._report_why import explanations
@@ -87,10 +87,23 @@ def report_page(title: str, sections: Sequence[str]) -> str:
     )
 
 
+def html_table(
+    title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
+) -> str:
+    """Return lines of text under a title as a table of HTML."""
+    head = "".join(f"<th>{escape(column)}</th>" for column in columns)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>"
+        for row in rows
+    )
+    return f"<h2>{escape(title)}</h2><table><tr>{head}</tr>{body}</table>"
+
+
 def _head(figures: dict[str, Any]) -> str:
     how = figures["split"] or "separate test touches"
     folds = f", {figures['n_folds']} folds" if figures["n_folds"] > 1 else ""
     chosen = figures["chosen"]
+    found = "".join(f"<br>Found: {escape(one)}." for one in chosen.get("found", ()))
     return (
         f"<h1>Recognising {figures['n_labels']} {figures['label']} labels by touch</h1>"
         f"<p>Preset <b>{escape(figures['preset'])}</b>, "
@@ -99,7 +112,7 @@ def _head(figures: dict[str, Any]) -> str:
         f"{figures['orders']} random orders of each object's touches.<br>"
         f"<span class=note>Encoding: {escape(str(chosen['encoding']))} "
         f"({escape(str(chosen['why']))}; geometry {escape(str(chosen['geometry']))})."
-        "</span></p>"
+        f"{found}</span></p>"
     )
 
 
@@ -191,7 +204,8 @@ def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:
     trial = trials[0]
     rows = np.flatnonzero(trial.recogniser.memory_.labels == name)
     some = rows[np.unique(np.linspace(0, len(rows) - 1, count).astype(int))]
-    cleaned = trial.recogniser.encoder_.clean(trial.fold.train[some])
+    touches = trial.fold.train[some]
+    cleaned = as_shown(trial.recogniser.encoder_.clean(touches), touches.channels)
     alt = escape(f"touch of {name}")
     return "".join(
         f"<img src='{png_address(image, SIDE)}' alt='{alt}'>" for image in cleaned

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..touches import Touches, png_address
+from ..touches import Touches, as_shown, png_address
 from ._episodes import Decisions, decide_episodes
 from ._trial import Trial
 
@@ -122,7 +122,7 @@ def _cell(trial: Trial, touch: Touches, lines: Iterable[str]) -> str:
     """Return a touch as a small picture, where it has places, above its lines."""
     picture = ""
     if trial.recogniser.chosen_["geometry"] != "none":
-        (cleaned,) = trial.recogniser.encoder_.clean(touch)
+        cleaned = as_shown(trial.recogniser.encoder_.clean(touch), touch.channels)[0]
         picture = f"<img src='{png_address(cleaned, SIDE)}' alt='touch'>"
     text = "<br>".join(escape(line) for line in lines)
     return f"<div>{picture}<span>{text}</span></div>"

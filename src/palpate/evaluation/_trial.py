@@ -32,7 +32,7 @@ class Plan:
         Training touches drawn per object; None takes all.
     error : float
         Accepted share of wrong decisions, for the stopping rule.
-    floor : float or None
+    floor, presentation
         As for `ObjectRecogniser`.
     seed : int
         Seed of every draw.
@@ -45,6 +45,7 @@ class Plan:
     train_touches: int | None = None
     error: float = 0.01
     floor: float | None = None
+    presentation: str = "auto"
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -75,6 +76,8 @@ class Trial:
         To learn; per touch to encode and to recognise.
     unknown_episodes : Episodes or None
         The same of unknown objects, where there are any.
+    flags : dict
+        Share of the test touches with each flag, such as "no contact".
     controls : dict
         Accuracy after k touches of each nuisance control; None where it has no cause.
     """
@@ -85,6 +88,7 @@ class Trial:
     episodes: Episodes
     seconds: dict[str, float]
     unknown_episodes: Episodes | None = None
+    flags: dict[str, float] = field(default_factory=dict)
     controls: dict[str, dict[str, float] | None] = field(default_factory=dict)
 
 
@@ -117,6 +121,9 @@ def figures_of(
     decisions = [decide_episodes(t.recogniser, t.episodes, plan.error) for t in trials]
     figures["decision"] = Decisions.pooled(decisions).to_dict(plan.error)
     figures["controls"] = _mean_controls(trials)
+    seen = dict.fromkeys(flag for t in trials for flag in t.flags)
+    shares = {f: [t.flags.get(f, 0.0) for t in trials] for f in seen}
+    figures["flags"] = {flag: float(np.mean(each)) for flag, each in shares.items()}
     figures["seconds"] = {
         name: float(np.mean([t.seconds[name] for t in trials]))
         for name in trials[0].seconds

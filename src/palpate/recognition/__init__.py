@@ -15,8 +15,10 @@ from ._evidence import given_prior as given_prior
 from ._evidence import log_posteriors as log_posteriors
 from ._evidence import n_informative as n_informative
 from ._evidence import with_floor as with_floor
+from ._learning import what_matters as what_matters
 from ._memory import Memory
 from ._memory import left_out_groups as left_out_groups
+from ._memory import without_copies as without_copies
 from ._modality import Modality
 from ._model_file import ModelFileError
 from ._model_file import check_model_path as check_model_path

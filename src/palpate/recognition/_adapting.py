@@ -58,6 +58,8 @@ def adapt(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecogniser:
     result = deepcopy(recogniser)
     result.encoder_ = recogniser.encoder_.moved(new)
     result.contact_ = ContactCheck().fit(new, result.encoder_)
+    for pose in ("blind_", "usual_"):
+        setattr(result.contact_, pose, getattr(recogniser.contact_, pose))
     encoding = encoded(result.encoder_, result.contact_, new)
     one_group = np.zeros(len(new), dtype=np.intp)
     there = memory_of(new, encoding, labels, objects, one_group)

@@ -72,6 +72,10 @@ class Belief:
         Number of touches that entered so far, those without contact among them.
     flags : list of str
         What was wrong with each touch, "" for most; see `ObjectRecogniser.flags`.
+
+    Notes
+    -----
+    It is not safe in threads: one thread at a time may update it.
     """
 
     # What the touches are weighed with, in sentences.

@@ -12,22 +12,38 @@ from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
 
 from .._types import Array, Floats
-from ..images import fill_dead_taxels, otsu_threshold
-from ..touches import Touches
-from ._encoder import TouchEncoder, find_geometry, in_batches
+from ..images import grey, otsu_threshold
+from ..touches import FORMER, Touches
+from ._encoder import (
+    TouchEncoder,
+    find_geometry,
+    in_batches,
+    living,
+    novelty_of,
+)
 
 NO_CONTACT = "no contact"
+TURNED = "turned or shifted"
 
 # Cameras: correlation with the no-contact frame, both cut about their rims. Of the
 # recorded touches of 50 objects above it, most show no dent to the eye.
 SAME = 0.985
 # Arrays: size of the change, as a share of that of a middling training touch.
 FAINT = 0.03
+# Whole pictures: much of them never changes, so they must also be less unlike the
+# no-contact frame than this share of what a middling training touch is.
+QUIET = 0.25
 # A label of which so many training touches show no contact consists of such touches.
 CONSISTS = 0.5
 # Share of taxels at a limit beyond that of nearly all training touches.
 SATURATED = 0.05
 SECOND_REGION = 0.25
+# Share of left-out training touches that are no newer than what counts as turned.
+REPOSED = 0.99
+# Where more than this share of so many training touches are double, it is no sign.
+RARE, LOOKED_AT = 0.2, 200
+# Fewer taxels a side than this show no two things apart.
+LEAST_SIDE = 8
 
 
 class ContactCheck(BaseEstimator):
@@ -35,36 +51,59 @@ class ContactCheck(BaseEstimator):
 
     Attributes
     ----------
-    kind_ : {"camera", "array", ""}
+    kind_ : {"camera", "array", "plane", ""}
         How contact is told; "" where there is nothing to tell it by.
-    idle_ : ndarray of shape (n_rows, n_cols)
+    idle_ : ndarray of shape (n_rows, n_cols[, n_channels])
         What touching nothing looks like, cleaned up for a camera.
     typical_ : float
-        Median size of the change in training touches (array).
+        Median size of the change in training touches (array), or of 1 - correlation
+        with the no-contact frame (plane).
     limits_ : tuple of float
         Lowest and highest level a taxel can have; not finite where unknown.
     at_limit_ : float
         Share of taxels at a limit that 99 % of the training touches do not exceed.
+    tells_double_ : bool
+        Whether two regions are a sign: few of the training touches (array) have two.
+    blind_ : ndarray of bool, shape (n_encodings,), or None
+        Which encodings are blind to turns or shifts; None where it was not learnt.
+    usual_ : ndarray of shape (2,) or None
+        What 99 % of the training touches do not exceed in novelty to the encodings that
+        are not blind, and to those that are; NaN where they do not tell it.
+    pads_ : ndarray of shape (n_pads, 4) or None
+        Boxes of the taxels that count (see `Touches`); None where all do.
     """
+
+    pads_: Array | None = None
+    tells_double_: bool = True
+    blind_: NDArray[np.bool_] | None = None
+    usual_: Floats | None = None
 
     def fit(self, touches: Touches, encoder: TouchEncoder) -> Self:
         """Learn from training touches and the encoder that was fitted to them."""
         frame, geometry = touches.no_contact, find_geometry(touches)
+        if touches.pads is not None:
+            self.pads_ = np.array(touches.pads)
         self.idle_ = np.zeros(touches.images.shape[1:])
         self.kind_, self.typical_ = "", 1.0
-        if geometry in ("dome", "plane"):
+        if geometry == "dome":
             if frame is not None:
-                idle = Touches(np.asarray(frame)[np.newaxis])
+                whole = {n: a for n, a in touches.whole.items() if n in FORMER.values()}
+                idle = Touches(np.asarray(frame)[np.newaxis], **whole)
                 self.idle_, self.kind_ = encoder.clean(idle)[0], "camera"
         elif frame is not None or geometry == "array":
-            self.kind_ = "array"
+            self.kind_ = "array" if geometry == "array" else "plane"
             if frame is not None:
-                self.idle_ = fill_dead_taxels(np.asarray(frame)[np.newaxis])[0]
-            self.typical_ = float(np.median(self._change(touches))) or 1.0
+                self.idle_ = living(np.asarray(frame)[np.newaxis], self.pads_)[0]
+            told_by = self._change if self.kind_ == "array" else self._unlikeness
+            self.typical_ = float(np.median(told_by(touches))) or 1.0
         low, high = _limits(touches.images.dtype)
         # An array at rest is full of taxels at the lowest level.
-        self.limits_ = (low if self.kind_ == "camera" else np.nan, high)
+        self.limits_ = (np.nan if self.kind_ == "array" else low, high)
         self.at_limit_ = float(np.quantile(self._share_at_limit(touches), 0.99))
+        self.tells_double_ = False
+        if self.kind_ == "array" and min(self.idle_.shape[:2]) >= LEAST_SIDE:
+            spread = np.unique(np.linspace(0, len(touches) - 1, LOOKED_AT).astype(int))
+            self.tells_double_ = bool(self._double(touches[spread]).mean() < RARE)
         return self
 
     def no_contact(self, touches: Touches, cleaned: Array) -> NDArray[np.bool_]:
@@ -76,32 +115,87 @@ class ContactCheck(BaseEstimator):
             return np.asarray(_correlation(cleaned, self.idle_) > SAME)
         if self.kind_ == "array":
             return np.asarray(self._change(touches) < FAINT * self.typical_)
+        if self.kind_ == "plane":
+            unlike = self._unlikeness(touches)
+            return np.asarray(unlike < min(1 - SAME, QUIET * self.typical_))
         return np.zeros(len(cleaned), dtype=bool)
 
-    def flags(self, touches: Touches, cleaned: Array) -> list[str]:
+    def learn_poses(self, encoder: TouchEncoder, left_out: Floats) -> Self:
+        """Learn how new left-out training touches (n_touches, n_encodings) are.
+
+        To encodings that see turns or shifts, and to those that are blind to them.
+        """
+        poses = {"turns", "shifts"}
+        names = list(encoder.parts_)
+        self.blind_ = np.array([bool(encoder.blind_to(n) & poses) for n in names])
+        self.usual_ = np.array(
+            [
+                np.quantile(new, REPOSED) if np.isfinite(new).all() else np.nan
+                for new in _by_sight(left_out, self.blind_)
+            ]
+        )
+        return self
+
+    def _reposed(self, every: Floats) -> NDArray[np.bool_]:
+        """Return which touches are new to encodings that see their pose alone."""
+        if self.blind_ is None or self.usual_ is None:
+            return np.zeros(len(every), dtype=bool)
+        seeing, blind = _by_sight(every, self.blind_)
+        return np.asarray((seeing > self.usual_[0]) & (blind <= self.usual_[1]))
+
+    def flags(
+        self, touches: Touches, cleaned: Array, every: Floats | None = None
+    ) -> list[str]:
         """Return what is wrong with each touch: "" or the reason in two words.
 
         "no contact", "saturated" (more taxels at the limit of the sensor than in
-        training), or "double contact" (two separate regions, on arrays).
+        training), "double contact" (two separate regions, on arrays; on pads, within
+        the one that is pressed most), or "turned or shifted": known to the encodings
+        that are blind to that, and new to the others. `every` (n_touches, n_encodings)
+        is how much each encoding leaves unexplained.
         """
         nothing = self.no_contact(touches, cleaned)
         full = self._share_at_limit(touches) > self.at_limit_ + SATURATED
         double = np.zeros(len(cleaned), dtype=bool)
-        if self.kind_ == "array" and min(self.idle_.shape) >= 8:
-            living = fill_dead_taxels(touches.images)
-            double = np.array([_is_double(abs(i - self.idle_)) for i in living])
+        if self.tells_double_:
+            double = self._double(touches)
+        turned = np.zeros(len(cleaned), dtype=bool)
+        if every is not None:
+            turned = self._reposed(every)
         reasons = np.select(
-            [nothing, full, double], [NO_CONTACT, "saturated", "double contact"], ""
+            [nothing, full, turned, double],
+            [NO_CONTACT, "saturated", TURNED, "double contact"],
+            "",
         )
         return [str(reason) for reason in reasons]
 
+    def _double(self, touches: Touches) -> NDArray[np.bool_]:
+        change = abs(living(touches.images, self.pads_) - self.idle_)
+        pressed = [
+            max(_boxes(one[np.newaxis], self.pads_), key=np.sum)[0]
+            for one in grey(change)
+        ]
+        return np.array([_is_double(box) for box in pressed])
+
     def _change(self, touches: Touches) -> Floats:
-        change = fill_dead_taxels(touches.images) - self.idle_
-        size: Floats = np.sqrt((change**2).mean(axis=(1, 2)))
+        change = self._counted(living(touches.images, self.pads_) - self.idle_)
+        size: Floats = np.sqrt((change**2).mean(axis=tuple(range(1, change.ndim))))
         return size
 
+    def _unlikeness(self, touches: Touches) -> Floats:
+        """Return 1 - correlation with the frame of no contact, shape (n_touches,)."""
+        seen = self._counted(living(touches.images, self.pads_))
+        return 1 - _correlation(seen, self._counted(self.idle_[np.newaxis]))
+
+    def _counted(self, images: Array) -> Array:
+        """Return the taxels on pads, (n_touches, n_levels); without pads the images."""
+        if self.pads_ is None:
+            return images
+        boxes = _boxes(images, self.pads_)
+        return np.hstack([box.reshape(len(images), -1) for box in boxes])
+
     def _share_at_limit(self, touches: Touches) -> Floats:
-        images = touches.images
+        images = self._counted(touches.images)
         low, high = self.limits_
         if images.dtype.kind in "iu" and np.isfinite(self.limits_).all():
             # Compared as whole numbers: eight times faster than as floats.
@@ -112,6 +206,11 @@ class ContactCheck(BaseEstimator):
         ]
         shares: Floats = np.array(counts) / images[0].size
         return shares
+
+
+def _by_sight(every: Floats, blind: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """Return novelty to encodings that see turns or shifts, and to the others."""
+    return novelty_of(every[:, ~blind]), novelty_of(every[:, blind])
 
 
 def encoded_and_flagged(
@@ -125,10 +224,11 @@ def encoded_and_flagged(
     flags: list[str] = []
     for some in in_batches(touches):
         cleaned = encoder.clean(some)
-        parts.append(encoder.encode_fully(cleaned))
-        flags += contact.flags(some, cleaned)
-    features, unexplained = zip(*parts, strict=True)
-    return np.concatenate(features), np.concatenate(unexplained), flags
+        features, every = encoder.encode_fully(cleaned)
+        parts.append((features, novelty_of(every)))
+        flags += contact.flags(some, cleaned, every)
+    features_of_all, unexplained = zip(*parts, strict=True)
+    return np.concatenate(features_of_all), np.concatenate(unexplained), flags
 
 
 def consists_of_nothing(labels: Array, no_contact: Array) -> bool:
@@ -154,9 +254,16 @@ def _correlation(images: Array, idle: Array) -> Floats:
     return result
 
 
+def _boxes(images: Array, pads: Array | None) -> list[Array]:
+    """Return what images show on each pad; without pads the images alone."""
+    if pads is None:
+        return [images]
+    return [images[:, r : r + h, c : c + w] for r, c, h, w in pads.tolist()]
+
+
 def _is_double(change: Floats) -> bool:
     """Whether the change has a second region, apart from the largest."""
-    if not change.any():
+    if min(change.shape) < LEAST_SIDE or not change.any():
         return False
     inside = (change > otsu_threshold(change[np.newaxis])[0]).astype(np.uint8)
     areas = cv2.connectedComponentsWithStats(inside, connectivity=8)[2][1:, -1]

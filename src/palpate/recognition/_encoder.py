@@ -1,17 +1,18 @@
-"""Touches -> features: one clean-up and a chain of encodings, learnt together."""
+"""Touches -> features: one clean-up, then one encoding or several side by side."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from copy import deepcopy
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from copy import copy, deepcopy
 from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, clone
 
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
-from ..images import fill_dead_taxels, typical_rim
+from ..images import fill_dead_taxels, grey, typical_rim
 from ..touches import Touches
 
 # So many touches pass through all steps at a time, so that memory stays bounded.
@@ -36,31 +37,43 @@ class LeavesOut(Protocol):
 
 
 class TouchEncoder(BaseEstimator):
-    """A clean-up of the images, then encoders one after the other.
+    """A clean-up of the images, then one encoding or several side by side.
 
-    Dead taxels (NaN) are filled from their neighbours before anything else.
+    Taxels outside the pads of a hand count as 0, and dead taxels (NaN) are filled from
+    their neighbours, before anything else.
 
     Parameters
     ----------
     clean_up : transformer of images or None
         Image -> cleaner image, such as `DomeCrop`; None leaves images alone. Its `fit`
-        takes the frame of no contact as `no_contact`.
-    steps : sequence of transformers
-        The first takes images, the others feature vectors.
+        takes the frame of no contact as `no_contact`. Channels are averaged before it.
+    encodings : mapping of str to sequence of transformers
+        Of each the first step takes images, the others feature vectors.
 
     Attributes
     ----------
-    clean_up_, steps_ : fitted copies
-        What `fit` learnt.
+    clean_up_ : fitted copy
+        The clean-up as learnt.
+    encodings_ : dict of str to list of fitted steps
+        The encodings as learnt.
+    parts_ : dict of str to int
+        Number of features of each encoding, in the order of the features.
+    scales_ : dict of str to float
+        What the features of each encoding are multiplied by: side by side all have
+        total variance 1; one alone is as it is.
     image_shape_ : tuple of int
-        (n_rows, n_cols) of the touches seen by `fit`.
+        (n_rows, n_cols) or (n_rows, n_cols, n_channels) of the touches seen by `fit`.
+    pads_ : ndarray of shape (n_pads, 4) or None
+        Where the touches' pads lie.
+    channels_ : tuple of str or None
+        What the touches' channels are called.
     """
 
-    image_shape_: tuple[int, int]
+    image_shape_: tuple[int, ...]
 
-    def __init__(self, clean_up: Any, steps: Sequence[Any]) -> None:
+    def __init__(self, clean_up: Any, encodings: Mapping[str, Sequence[Any]]) -> None:
         self.clean_up = clean_up
-        self.steps = steps
+        self.encodings = encodings
 
     def fit(self, touches: Touches) -> Self:
         """Learn every step from `touches`."""
@@ -74,10 +87,11 @@ class TouchEncoder(BaseEstimator):
     def fit_clean(self, touches: Touches) -> Array:
         """Learn the clean-up and return the cleaned images."""
         self.image_shape_ = touches.images.shape[1:]
+        self.pads_, self.channels_ = touches.pads, touches.channels
         self.clean_up_ = None
         if self.clean_up is not None:
             self.clean_up_ = clone(self.clean_up).fit(
-                _living(touches.images), no_contact=_idle(touches)
+                grey(self._living(touches.images)), no_contact=self._idle(touches)
             )
         return self.clean(touches)
 
@@ -86,31 +100,49 @@ class TouchEncoder(BaseEstimator):
     ) -> tuple[Floats, Floats]:
         """Learn the encodings of cleaned images; return features and `unexplained`.
 
-        What is unexplained is so with the touches of the same group left out of the
-        components (NaN without groups): new touches are never as close to them as
-        those they were learnt from.
+        What is unexplained (n_touches, n_encodings) is so with the touches of the same
+        group left out of the components (NaN without groups): new touches are never as
+        close to them as those they were learnt from.
         """
-        self.steps_ = [clone(step) for step in self.steps]
-        values, left = cleaned, np.full(len(cleaned), np.nan)
-        for step in self.steps_:
-            if isinstance(step, LeavesOut) and groups is not None:
-                left = step.left_out_unexplained(values, groups)
-            values = _transformed(step.fit(values), values, checked=True)
-        return np.asarray(values, dtype=np.float64), left
+        self.encodings_, self.parts_, self.scales_ = {}, {}, {}
+        parts, every = [], np.full((len(cleaned), len(self.encodings)), np.nan)
+        for column, (name, steps) in enumerate(self.encodings.items()):
+            self.encodings_[name] = learnt = [clone(step) for step in steps]
+            values = cleaned
+            for step in learnt:
+                if isinstance(step, LeavesOut) and groups is not None:
+                    every[:, column] = step.left_out_unexplained(values, groups)
+                values = _transformed(step.fit(values), values, checked=True)
+            part = np.asarray(values, dtype=np.float64)
+            self.parts_[name], self.scales_[name] = part.shape[1], 1.0
+            if len(self.encodings) > 1:
+                spread = float(part.var(axis=0).sum())
+                self.scales_[name] = spread**-0.5 if spread > 0 else 1.0
+            parts.append(part)
+        return self._side_by_side(parts), every
+
+    def only(self, names: Iterable[str]) -> Self:
+        """Return this with some of its encodings, of which none is learnt."""
+        kept = {name: self.encodings[name] for name in names}
+        other = copy(self)
+        other.encodings = kept
+        return other
 
     def clean(self, touches: Touches) -> Array:
         """Return the images after the clean-up alone."""
         images = touches.images
         if images.shape[1:] != tuple(self.image_shape_):
-            known, got = self.image_shape_, images.shape[1:]
-            raise ValueError(
-                f"touches must have {known[0]} x {known[1]} taxels like the training "
-                f"touches, got {got[0]} x {got[1]}. Use the same sensor and "
-                "resolution, or learn again."
+            known, got = (
+                " x ".join(map(str, shape))
+                for shape in (self.image_shape_, images.shape[1:])
             )
-        cleaned = _living(images)
+            raise ValueError(
+                f"touches must have {known} taxels like the training touches, got "
+                f"{got}. Use the same sensor and resolution, or learn again."
+            )
+        cleaned = self._living(images)
         if self.clean_up_ is not None:
-            cleaned = _transformed(self.clean_up_, cleaned)
+            cleaned = _transformed(self.clean_up_, grey(cleaned))
         return cleaned
 
     def encode(self, cleaned: Array) -> Floats:
@@ -120,17 +152,20 @@ class TouchEncoder(BaseEstimator):
     def encode_fully(self, cleaned: Array) -> tuple[Floats, Floats]:
         """Return features, and how much of each touch principal components leave out.
 
-        The latter (n_touches,) in units of the training touches' variance; NaN where
-        no step says it.
+        The latter (n_touches, n_encodings) in units of the training touches' variance;
+        NaN where no step of an encoding says it.
         """
-        values, left = cleaned, np.full(len(cleaned), np.nan)
+        parts, every = [], np.full((len(cleaned), len(self.encodings_)), np.nan)
         # Without a clean-up nothing but the first step has checked the images.
         checked = isinstance(self.clean_up_, ImageEstimator)
-        for step in self.steps_:
-            before, values = values, _transformed(step, values, checked=checked)
-            if isinstance(step, LeavesOut):
-                left = step.unexplained(before, values)
-        return np.asarray(values, dtype=np.float64), left
+        for column, steps in enumerate(self.encodings_.values()):
+            values = cleaned
+            for step in steps:
+                before, values = values, _transformed(step, values, checked=checked)
+                if isinstance(step, LeavesOut):
+                    every[:, column] = step.unexplained(before, values)
+            parts.append(np.asarray(values, dtype=np.float64))
+        return self._side_by_side(parts), every
 
     def transform(self, touches: Touches) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
@@ -138,14 +173,41 @@ class TouchEncoder(BaseEstimator):
             [self.encode(self.clean(some)) for some in in_batches(touches)]
         )
 
+    def blank_touch(self) -> Touches:
+        """Return one touch of zeros such as `fit` saw."""
+        return Touches(
+            np.zeros((1, *self.image_shape_)), channels=self.channels_, pads=self.pads_
+        )
+
+    def blind_to(self, name: str) -> frozenset[str]:
+        """Return what an encoding does not change under: "shifts", "turns", "gain"."""
+        steps = self.encodings[name]
+        return frozenset().union(*(getattr(s, "blind_to", ()) for s in steps))
+
     def moved(self, touches: Touches) -> Self:
         """Return this encoder for images of another camera before the same sensor."""
         other = deepcopy(self)
         other.image_shape_ = touches.images.shape[1:]
         if self.clean_up_ is not None:
-            images = _living(touches.images)
-            other.clean_up_ = self.clean_up_.moved(images, _idle(touches))
+            images = grey(self._living(touches.images))
+            other.clean_up_ = self.clean_up_.moved(images, self._idle(touches))
         return other
+
+    def _side_by_side(self, parts: list[Floats]) -> Floats:
+        if len(parts) == 1:
+            return parts[0]
+        scaled = zip(parts, self.scales_.values(), strict=True)
+        return np.hstack([part * scale for part, scale in scaled])
+
+    def _living(self, images: Array) -> Array:
+        return living(images, self.pads_)
+
+    def _idle(self, touches: Touches) -> Array | None:
+        """Return the frame of no contact without dead taxels, None where none is."""
+        frame = touches.no_contact
+        if frame is None:
+            return None
+        return np.asarray(grey(self._living(frame[np.newaxis]))[0])
 
 
 def find_geometry(touches: Touches) -> str:
@@ -156,27 +218,41 @@ def find_geometry(touches: Touches) -> str:
     set have in common a "dome", a side of at most 48 taxels an "array", and anything
     else a "plane".
     """
-    n_rows, n_cols = touches.images.shape[1:]
+    n_rows, n_cols = touches.images.shape[1:3]
     if touches.geometry == "none" or min(n_rows, n_cols) < SMALL_SIDE:
         return "none"
     if touches.geometry is not None:
         return touches.geometry
     spread = np.unique(np.linspace(0, len(touches) - 1, LOOK_AT).astype(int))
-    some = np.nan_to_num(touches.images[spread])
+    some = np.nan_to_num(grey(touches.images[spread]))
     if min(n_rows, n_cols) > ARRAY_SIDE and typical_rim(some) is not None:
         return "dome"
     return "array" if max(n_rows, n_cols) <= ARRAY_SIDE else "plane"
 
 
-def _idle(touches: Touches) -> Array | None:
-    """Return the frame of no contact without dead taxels, None where there is none."""
-    frame = touches.no_contact
-    return None if frame is None else _living(frame[np.newaxis])[0]
+def novelty_of(every: Floats) -> Floats:
+    """Return the mean of what encodings leave unexplained, NaN where none says it."""
+    told = ~np.isnan(every)
+    total = np.where(told, every, 0).sum(axis=1)
+    count = told.sum(axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-def _living(images: Array) -> Array:
-    dead = images.dtype.kind == "f" and np.isnan(images).any()
-    return fill_dead_taxels(images) if dead else images
+def living(images: Array, pads: Array | None = None) -> Array:
+    """Return images without NaN: 0 outside the pads, dead taxels filled."""
+    if images.dtype.kind != "f" or not np.isnan(images).any():
+        return images
+    if pads is not None:
+        images = np.where(_gaps(pads, images.shape[1:]), 0, images)
+    return fill_dead_taxels(images)
+
+
+def _gaps(pads: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return which taxels lie in no pad, of the shape of a touch."""
+    gaps = np.ones(shape, dtype=bool)
+    for row, col, n_rows, n_cols in pads:
+        gaps[row : row + n_rows, col : col + n_cols] = False
+    return gaps
 
 
 def in_batches(values: Any) -> Iterator[Any]:

@@ -99,9 +99,11 @@ def as_touches(given: Any) -> Touches:
         return Touches.concatenate(given)
     images = np.asarray(given)
     if images.ndim not in (2, 3):
+        named = 'Touches(images, channels=["r", "g", "b"])'
+        hint = f" Name its channels: {named}." if images.ndim == 4 else ""
         raise ValueError(
             "touch must be Touches, one image (n_rows, n_cols) or images (n_touches, "
-            f"n_rows, n_cols), got an array of shape {images.shape}."
+            f"n_rows, n_cols), got an array of shape {images.shape}.{hint}"
         )
     return Touches(images if images.ndim == 3 else images[np.newaxis])
 

@@ -52,6 +52,17 @@ def _recogniser(node: Node) -> Node:
         kept["touch_ids"] = unknown
     params = {"sensor": None, "touch_ids": unknown, "sessions": unknown, **kept}
     learnt["memory_"] = {"class": "Memory", "params": params, "learnt": {}}
+    encoder = learnt["encoder_"]
+    n_features = kept["features"]["shape"][not kept["features"].get("turned")]
+    for where, old in (("params", "steps"), ("learnt", "steps_")):
+        steps = encoder[where].pop(old)
+        encoder[where][old.replace("steps", "encodings")] = {"dict": [["", steps]]}
+    encoder["learnt"] |= {
+        "parts_": {"dict": [["", n_features]]},
+        "scales_": {"dict": [["", {"float": "1.0"}]]},
+        "pads_": None,
+        "channels_": None,
+    }
     machine = learnt["classifier_"]
     if machine["class"] == "KernelDensityBayes":
         machine["learnt"]["groups_"] = kept["blocks"]

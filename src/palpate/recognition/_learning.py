@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,24 +11,25 @@ from numpy.typing import NDArray
 from sklearn.base import clone
 
 from .._types import Array, Floats
-from ..images import fill_dead_taxels, repose
+from ..classifiers import EncodingPool
 from ..touches import Touches, TouchSource
 from ._contact import NO_CONTACT, ContactCheck, encoded_and_flagged
-from ._encoder import TouchEncoder, find_geometry
+from ._encoder import TouchEncoder, find_geometry, novelty_of
 from ._evidence import with_floor
 from ._memory import Memory
 from ._model_file import state_digest
-from ._presets import Preset
+from ._presets import PRESENTATIONS, Preset
 
 # An encoding is learnt from this many touches of a source, the same number of each
 # label where there are enough.
 SHOWN = 2000
-# Candidates are compared on at most so many touches, in so many folds, shifted by up to
-# this share of the side and multiplied by up to this factor or its inverse.
+# Candidates are compared on at most so many touches, whole recipes in so many folds.
 AT_MOST = 600
 N_FOLDS = 3
-SHIFT_SHARE = 0.05
-GAIN_RANGE = 1.2
+# Of several encodings those are kept that say this share of what the pool says (their
+# weight times the spread of their log posteriors over objects), at most so many.
+LEAST_SHARE = 0.05
+MOST_KEPT = 5
 
 
 @dataclass
@@ -44,28 +46,38 @@ def learn_encoding(
     touches: Touches | TouchSource,
     labels: Array,
     group: NDArray[np.intp],
-    seed: int,
+    presentation: str,
 ) -> tuple[TouchEncoder, ContactCheck, dict[str, Any], Encoded]:
-    """Choose and learn an encoding, and what contact looks like.
+    """Choose and learn encodings, and what contact looks like.
 
     Of a source, some touches of each label are shown to the encoder and the rest only
-    pass through it. Returns encoder, contact, the reasons for the encoding, and what it
-    makes of all the touches.
+    pass through it. Returns encoder, contact, the reasons for the encodings, and what
+    they make of all the touches.
     """
     if isinstance(touches, Touches):
-        encoder, chosen = choose_encoder(preset, touches, labels, group, seed)
-        cleaned = encoder.fit_clean(touches)
-        contact = ContactCheck().fit(touches, encoder)
-        nothing = contact.no_contact(touches, cleaned)
-        both = encoder.fit_encode(cleaned, group)
-        return encoder, contact, chosen, Encoded(*both, nothing)
-    rows = shown_rows(labels)
-    shown = touches.touches(rows)
-    encoder, chosen = choose_encoder(preset, shown, labels[rows], group[rows], seed)
-    left_out = encoder.fit_encode(encoder.fit_clean(shown), group[rows])[1]
+        rows, shown = np.arange(len(labels)), touches
+    else:
+        rows = shown_rows(labels)
+        shown = touches.touches(rows)
+    asked = labels[rows], group[rows]
+    encoder, chosen = choose_encoder(preset, shown, *asked, presentation)
+    cleaned = encoder.fit_clean(shown)
+    if len(encoder.encodings) > 1:
+        encoder, found = choose_encodings(encoder, cleaned, *asked)
+        found["encoding"] = f"{chosen['encoding']}: {found['encoding']}"
+        chosen |= found
+    if unmet := _not_blind_to(encoder, PRESENTATIONS[presentation]):
+        sentence = f"no encoding for this sensor is blind to {unmet}"
+        chosen["found"] = [sentence, *chosen.get("found", ())]
+    features, every = encoder.fit_encode(cleaned, group[rows])
     contact = ContactCheck().fit(shown, encoder)
-    result = encoded(encoder, contact, touches)
-    result.unexplained[rows] = left_out
+    contact.learn_poses(encoder, every)
+    if isinstance(touches, Touches):
+        nothing = contact.no_contact(touches, cleaned)
+        result = Encoded(features, novelty_of(every), nothing)
+    else:
+        result = encoded(encoder, contact, touches)
+        result.unexplained[rows] = novelty_of(every)
     return encoder, contact, chosen, result
 
 
@@ -125,84 +137,133 @@ def shown_rows(labels: Array, n_shown: int = SHOWN) -> NDArray[np.intp]:
 
 
 def choose_encoder(
-    preset: Preset, touches: Touches, labels: Array, group: Array, seed: int
-) -> tuple[TouchEncoder, dict[str, Any]]:
-    """Return the preset's best encoder for these touches, not fitted, and the reasons.
-
-    With several candidates each learns two thirds of the groups (at most `AT_MOST`
-    touches) and is asked about the rest, turned by any angle, shifted by up to 5 % of
-    the side and multiplied by up to 1.2 or its inverse, so that none is chosen that
-    only works upright; the least log loss (nats) wins.
-    """
-    candidates = preset.encoders(touches)
-    chosen: dict[str, Any] = {"geometry": find_geometry(touches)}
-    if len(candidates) == 1:
-        name, encoder = next(iter(candidates.items()))
-        chosen |= {"encoding": name, "why": "the one encoding for this geometry"}
-        return encoder, chosen
-    some = np.unique(np.linspace(0, len(labels) - 1, AT_MOST).astype(int))
-    fold = _folds(group[some])
-    results = {
-        name: _try(
-            encoder, preset.classifier(), touches[some], labels[some], fold, seed
-        )
-        for name, encoder in candidates.items()
-    }
-    best = min(results, key=lambda name: results[name]["log_loss"])
-    why = "least log loss on touches left out, turned, shifted and re-exposed"
-    return candidates[best], {
-        **chosen,
-        "encoding": best,
-        "why": why,
-        "candidates": results,
-    }
-
-
-def alter(images: Array, seed: int) -> Floats:
-    """Return the images turned, shifted and re-exposed at random, same shape.
-
-    Dead taxels are filled first.
-    """
-    rng = np.random.default_rng(seed)
-    n_touches, n_rows, n_cols = images.shape
-    reach = SHIFT_SHARE * min(n_rows, n_cols)
-    living = fill_dead_taxels(images)
-    return repose(
-        living,
-        rng.uniform(0, 360, n_touches),
-        rng.uniform(-reach, reach, (n_touches, 2)),
-        np.exp(rng.uniform(-1, 1, n_touches) * np.log(GAIN_RANGE)),
-    )
-
-
-def _try(
-    encoder: TouchEncoder,
-    classifier: Any,
+    preset: Preset,
     touches: Touches,
     labels: Array,
-    fold: Array,
-    seed: int,
+    group: NDArray[np.intp],
+    presentation: str,
+) -> tuple[TouchEncoder, dict[str, Any]]:
+    """Return the preset's best recipe for these touches, not fitted, and the reasons.
+
+    With several recipes each learns two thirds of the groups (at most `AT_MOST`
+    touches) and is asked about the rest; the least log loss (nats) wins.
+    """
+    recipes = preset.encoders(touches, presentation)
+    chosen: dict[str, Any] = {"geometry": find_geometry(touches)}
+    if len(recipes) == 1:
+        name, encoder = next(iter(recipes.items()))
+        chosen |= {"encoding": name, "why": "the one encoding for this geometry"}
+        return encoder, chosen
+    some = shown_rows(labels, AT_MOST)
+    fold = np.unique(group[some], return_inverse=True)[1] % N_FOLDS
+    results = {
+        name: _tried(encoder, preset, touches[some], labels[some], fold)
+        for name, encoder in recipes.items()
+    }
+    best = min(results, key=lambda name: results[name]["log_loss"])
+    why = "least log loss on touches left out"
+    chosen |= {"encoding": best, "why": why, "candidates": results}
+    return recipes[best], chosen
+
+
+def choose_encodings(
+    encoder: TouchEncoder, cleaned: Array, labels: Array, group: NDArray[np.intp]
+) -> tuple[TouchEncoder, dict[str, Any]]:
+    """Return the encoder with the encodings that a pool of them needs, and the reasons.
+
+    Each is learnt from about `AT_MOST` of the touches, evenly spread over each label,
+    and asked about them as they are, each left out with its group; those that weigh
+    little in the pool of least log loss (nats) are dropped.
+    """
+    some = shown_rows(labels, AT_MOST)
+    features, _ = encoder.fit_encode(cleaned[some])
+    pool = EncodingPool(encoder.parts_, together=False)
+    pool.fit(features, labels[some], groups=group[some])
+    codes = np.searchsorted(pool.classes_, labels[some])
+    left_out = pool.left_out_by_part()
+    own = {name: said[np.arange(len(codes)), codes] for name, said in left_out.items()}
+    figures: dict[str, dict[str, Any]] = {
+        name: {
+            "log_loss": float(-own[name].mean()),
+            "accuracy": float((said.argmax(axis=1) == codes).mean()),
+            # One that says nothing may weigh much.
+            "counts": float(pool.weights_[name] * said.std(axis=1).mean()),
+            "blind_to": sorted(encoder.blind_to(name)),
+        }
+        for name, said in left_out.items()
+    }
+    names = _that_count({name: one["counts"] for name, one in figures.items()})
+    return encoder.only(names), {
+        "encoding": " + ".join(names),
+        "why": "pooled by least log loss on touches left out, as they are",
+        "candidates": figures,
+        "found": [
+            sentence
+            for change in ("turns", "shifts")
+            if (sentence := what_matters(change, figures, own))
+        ],
+    }
+
+
+def _not_blind_to(encoder: TouchEncoder, changes: frozenset[str]) -> str:
+    """Return those of some changes that every encoding sees, as text."""
+    blind = [encoder.blind_to(name) for name in encoder.encodings]
+    return " and ".join(sorted(changes.difference(*blind)))
+
+
+def _that_count(counts: dict[str, float]) -> list[str]:
+    """Return the encodings to keep, in their order; one at least."""
+    least = LEAST_SHARE * sum(counts.values())
+    most = sorted(counts, key=lambda name: -counts[name])[:MOST_KEPT]
+    return [n for n in counts if n in most and (counts[n] >= least or n == most[0])]
+
+
+def what_matters(
+    change: str, figures: Mapping[str, Mapping[str, Any]], own: Mapping[str, Floats]
+) -> str | None:
+    """Say whether "turns" or "shifts" of a touch tell objects apart.
+
+    Compares the best encoding that is blind to them with the best that is not, by log
+    loss; `own` are the log posteriors of the touches' own labels (n_touches,). None
+    where all encodings or none are blind to them.
+    """
+    best = {}
+    for blind in (False, True):
+        names = [n for n in figures if (change in figures[n]["blind_to"]) == blind]
+        if not names:
+            return None
+        best[blind] = min(names, key=lambda name: figures[name]["log_loss"])
+    difference = own[best[False]] - own[best[True]]
+    error = difference.std() / np.sqrt(len(difference))
+    accuracies = (100 * figures[best[blind]]["accuracy"] for blind in (False, True))
+    seeing, unseeing = (f"{accuracy:.0f} %" for accuracy in accuracies)
+    if difference.mean() > 2 * error:
+        verdict = f"{change} matter here"
+    elif difference.mean() < -2 * error:
+        verdict = f"{change} mislead here"
+    else:
+        verdict = f"whether {change} matter cannot be told here"
+    return f"{verdict}: as they come {seeing}, blind to {change} {unseeing}"
+
+
+def _tried(
+    encoder: TouchEncoder, preset: Preset, touches: Touches, labels: Array, fold: Array
 ) -> dict[str, float]:
+    """Return log loss (nats) and accuracy of a recipe on the folds left out."""
     encoder = clone(encoder)
     features = encoder.fit_transform(touches)
-    altered = encoder.transform(Touches(alter(touches.images, seed)))
     classes = np.unique(labels)
     log_posterior = np.full((len(labels), len(classes)), -np.log(len(classes)))
     for k in range(N_FOLDS):
         train, test = fold != k, fold == k
         if not test.any() or len(np.unique(labels[train])) < 2:
             continue
-        again = clone(classifier).fit(features[train], labels[train])
+        again = preset.classifier(encoder).fit(features[train], labels[train])
         columns = np.searchsorted(classes, again.classes_)
         row = np.full((int(test.sum()), len(classes)), -np.inf)
-        row[:, columns] = again.log_likelihood(altered[test])
+        row[:, columns] = again.log_likelihood(features[test])
         log_posterior[test] = with_floor(row, 0.01)
     codes = np.searchsorted(classes, labels)
     hit = log_posterior.argmax(axis=1) == codes
     loss = -log_posterior[np.arange(len(codes)), codes].mean()
     return {"log_loss": float(loss), "accuracy": float(hit.mean())}
-
-
-def _folds(group: Array) -> NDArray[np.intp]:
-    """Deal whole groups to folds in turn."""
-    return np.unique(group, return_inverse=True)[1] % N_FOLDS

@@ -13,6 +13,8 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.csgraph import connected_components
+from sklearn.metrics.pairwise import euclidean_distances
 
 from .._checks import check_label_kinds
 from .._types import Array, Floats
@@ -20,6 +22,10 @@ from ..touches import Touches, TouchSource
 from ._evidence import as_touches
 
 N_BLOCKS = 5
+# Touches of an object are copies below this share of its median squared distance.
+COPY = 0.01
+# What a decision says of something that was never learnt.
+UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True)
@@ -114,7 +120,8 @@ def training_labels(touches: Touches | TouchSource, label: str) -> tuple[Array, 
     Raises
     ------
     ValueError
-        If labels are missing, fewer than two, or one has a single touch.
+        If labels are missing, fewer than two, or one has a single touch or is called
+        "unknown".
     """
     labels = named_labels(touches, label)
     names, counts = np.unique(labels, return_counts=True)
@@ -128,8 +135,22 @@ def training_labels(touches: Touches | TouchSource, label: str) -> tuple[Array, 
             f"Every {label} must have at least 2 touches, "
             f"got 1 of {str(names[counts.argmin()])!r}."
         )
+    for name in names:
+        check_name(str(name))
     objects = labels if touches.object is None else touches.object
     return labels, objects
+
+
+def check_name(name: object) -> str:
+    """Return the name of an object or category, or say what it should be."""
+    if not isinstance(name, str) or not name:
+        raise ValueError(f"name must be a text that is not empty, got {name!r}.")
+    if name == UNKNOWN:
+        raise ValueError(
+            f"name must not be {UNKNOWN!r}, which is what `decide` says of things that "
+            "were never learnt. Give those touches another label, or leave them out."
+        )
+    return name
 
 
 def named_labels(touches: Touches | TouchSource, label: str) -> Array:
@@ -149,9 +170,10 @@ def left_out_groups(
 ) -> NDArray[np.intp]:
     """Return which training touches are left out together.
 
-    Whole sessions where every object has several, else blocks of each recording; in
-    categories of several objects whole objects, since there the question is about
-    objects never touched.
+    All touches of a person where every object was met by several, else whole sessions
+    where every object has several, else blocks of each recording; in categories of
+    several objects whole objects, since there the question is about objects never
+    touched.
     """
     if label == "category" and touches.object is not None:
         groups = blocks_in_order(objects, touches.order)
@@ -161,13 +183,38 @@ def left_out_groups(
                 codes = np.unique(objects[rows], return_inverse=True)[1]
                 groups[rows] = groups.max() + 1 + codes
         return groups
-    if touches.session is not None:
-        visits = np.stack([objects.astype(str), touches.session.astype(str)], axis=1)
-        pairs, group = np.unique(visits, axis=0, return_inverse=True)
-        if np.unique(pairs[:, 0], return_counts=True)[1].min() > 1:
-            by_session: NDArray[np.intp] = group.ravel()
-            return by_session
+    for visits in (touches.subject, touches.session):
+        if visits is None:
+            continue
+        pairs = np.stack([objects.astype(str), visits.astype(str)], axis=1)
+        met = np.unique(np.unique(pairs, axis=0)[:, 0], return_counts=True)[1]
+        if met.min() > 1:
+            return np.asarray(np.unique(visits, return_inverse=True)[1])
     return blocks_in_order(objects, touches.order)
+
+
+def without_copies(
+    features: Floats, objects: Array, blocks: NDArray[np.intp]
+) -> NDArray[np.intp]:
+    """Return blocks of which no two hold nearly the same touch of an object.
+
+    Copies, and frames of one press, would be met in training while they are left out.
+    Touches of `features` (n_touches, n_features) nearer to each other than `COPY` of
+    their object's median squared distance all go to the first one's block.
+    """
+    joined = blocks.copy()
+    for name in np.unique(objects):
+        rows = np.flatnonzero(objects == name)
+        squared = euclidean_distances(features[rows], squared=True)
+        apart = squared[np.triu_indices(len(rows), 1)]
+        if len(apart):
+            near = squared <= COPY * np.median(apart)
+            n_touches, which = connected_components(near, directed=False)
+            first = np.full(n_touches, blocks.max())
+            np.minimum.at(first, which, blocks[rows])
+            if len(np.unique(first)) > 1:
+                joined[rows] = first[which]
+    return joined
 
 
 def blocks_in_order(objects: Array, order: Array | None = None) -> NDArray[np.intp]:

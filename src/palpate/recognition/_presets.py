@@ -10,44 +10,61 @@ from sklearn.preprocessing import StandardScaler
 from .._checks import check_option
 from ..classifiers import (
     MKLSVC,
+    EncodingPool,
     FromProbabilities,
     KernelDensityBayes,
-    KernelRidgeClassifier,
     TouchClassifier,
 )
 from ..encodings import (
     CentroidMoments,
+    EdgeHistograms,
     EncodingUnion,
     FourierDescriptors,
+    GridLevels,
     KernelPCA,
+    PadShapes,
     PolarGradients,
     PrincipalShare,
+    RingPatterns,
+    RingQuantiles,
     RootScaler,
     ShapeGeometry,
     TaxelVector,
     ZernikeMoments,
 )
-from ..images import ArrayCleanUp, DomeCrop
+from ..images import ArrayCleanUp, ChannelMean, DomeCrop
 from ..touches import Touches
 from ._encoder import TouchEncoder, find_geometry
 
 # With fewer taxels on a side, gradients along rings have too few places.
 FINE_TAXELS = 24
+# Principal components keep this share of the variance of a large encoding.
+KEPT_SHARE = 0.99
+
+# How objects come, and what an encoding for that must be blind to.
+PRESENTATIONS = {
+    "auto": frozenset[str](),
+    "any": frozenset({"turns", "shifts"}),
+    "turned": frozenset({"turns"}),
+    "shifted": frozenset({"shifts"}),
+    "fixed": frozenset[str](),
+}
 
 
 @dataclass(frozen=True)
 class Preset:
     """A recipe for a recogniser, with a `summary` for people.
 
-    `encoders` gives unfitted encoders by name, of which the best is chosen on altered
-    validation touches; `classifier` an unfitted classifier; `floor` is the least
-    probability that one touch leaves to all objects together. It may calibrate how
-    touches add up, and skip those that look like the no-contact frame.
+    `encoders` gives unfitted encoders by name for touches and a presentation, of which
+    the best is chosen on touches left out; `classifier` an unfitted classifier of what
+    a fitted encoder makes of touches; `floor` is the least probability that one touch
+    leaves to all objects together. It may calibrate how touches add up, and skip those
+    that look like the no-contact frame.
     """
 
     summary: str
-    encoders: Callable[[Touches], dict[str, TouchEncoder]]
-    classifier: Callable[[], TouchClassifier]
+    encoders: Callable[[Touches, str], dict[str, TouchEncoder]]
+    classifier: Callable[[TouchEncoder], TouchClassifier]
     floor: float
     calibrates_sequence: bool
     skips_no_contact: bool
@@ -59,43 +76,107 @@ def find_preset(name: str) -> Preset:
     return PRESETS[name]
 
 
-def _corradi2015_encoders(touches: Touches) -> dict[str, TouchEncoder]:
+def _corradi2015_encoders(
+    touches: Touches, presentation: str
+) -> dict[str, TouchEncoder]:
+    _check_auto("corradi2015", presentation)
     moments = ZernikeMoments(order=15, repeat_negative=True, drop_constant=True)
     principal = PCA(n_components=0.95, svd_solver="full")
-    return {"Zernike-PCA": TouchEncoder(DomeCrop(), [moments, principal])}
+    chain = {"Zernike-PCA": [moments, principal]}
+    return {"Zernike-PCA": TouchEncoder(DomeCrop(), chain)}
 
 
-def _liu2014_encoders(touches: Touches) -> dict[str, TouchEncoder]:
+def _liu2014_encoders(touches: Touches, presentation: str) -> dict[str, TouchEncoder]:
     """One chain for each number of Otsu partitions, width and number of components."""
+    _check_auto("liu2014", presentation)
     shape = EncodingUnion([ShapeGeometry(), FourierDescriptors(n=40)])
     return {
         f"{n} x {n} partitions, {share:.0%} of the variance": TouchEncoder(
             ArrayCleanUp(n_partitions=n),
-            [shape, StandardScaler(), KernelPCA(n_components=share)],
+            {"shape": [shape, StandardScaler(), KernelPCA(n_components=share)]},
         )
         for n in (1, 2)
         for share in (0.9, 0.99)
     }
 
 
-def _default_encoders(touches: Touches) -> dict[str, TouchEncoder]:
+def _check_auto(preset: str, presentation: str) -> None:
+    if presentation != "auto":
+        raise ValueError(
+            f"presentation must be 'auto' with the preset {preset!r}, whose encoding "
+            f"is the paper's, got {presentation!r}. Use the preset 'default'."
+        )
+
+
+def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEncoder]:
+    """One encoder of all encodings that the presentation allows."""
     geometry = find_geometry(touches)
     if geometry == "none":
-        return {"taxels": TouchEncoder(None, [TaxelVector(), RootScaler()])}
-    disc = TouchEncoder(DomeCrop(missing="inscribed"), _disc_steps(touches))
+        return {"taxels": TouchEncoder(None, _taxel_encodings())}
     if geometry == "dome":
-        return {"moments and gradients on the rim's disc": disc}
-    centred = TouchEncoder(None, [CentroidMoments(), RootScaler()])
+        every = TouchEncoder(DomeCrop(), _disc_encodings(touches))
+        return {"disc about the rim": every.only(_allowed(every, presentation))}
+    every = TouchEncoder(None, _plane_encodings(touches))
+    return {"whole picture": every.only(_allowed(every, presentation))}
+
+
+def _allowed(encoder: TouchEncoder, presentation: str) -> list[str]:
+    """Return the encodings that are blind to what a presentation changes.
+
+    Where none is blind to all of it (a dome's know no shifts), those that are blind to
+    most.
+    """
+    changes = PRESENTATIONS[presentation]
+    blind = {name: len(encoder.blind_to(name) & changes) for name in encoder.encodings}
+    return [name for name in blind if blind[name] == max(blind.values())]
+
+
+def _taxel_encodings() -> dict[str, list[Any]]:
     return {
-        "moments about the centroid": centred,
-        "moments and gradients on the inscribed disc": disc,
+        "taxels": [TaxelVector(), StandardScaler()],
+        "roots of taxels": [TaxelVector(), RootScaler()],
     }
 
 
-def _disc_steps(touches: Touches) -> list[Any]:
+def _plane_encodings(touches: Touches) -> dict[str, list[Any]]:
+    """Encodings of an array, a gel or pins, whose picture is looked at as it is."""
+    idle = touches.no_contact
+    baseline = "median" if idle is None else idle
+    principal = PrincipalShare(KEPT_SHARE)
+    levels = {
+        "levels": GridLevels(baseline=baseline),
+        "blurred levels": GridLevels(blur=1.0, baseline=baseline),
+        "levels apart from force": GridLevels(unit=True, baseline=baseline),
+    }
+    encodings = {name: [grid, principal] for name, grid in levels.items()}
+    pads = touches.pads
+    if pads is not None and len(pads) > 1:
+        return encodings | {"shapes on the pads": [PadShapes(pads), StandardScaler()]}
+    encodings |= {
+        "edges": [EdgeHistograms(), principal],
+        "moments about the centroid": [CentroidMoments(), RootScaler(), principal],
+        "moments on the disc": [ChannelMean(), DomeCrop(), *_moments(touches)],
+    }
+    if min(touches.images.shape[1:3]) >= FINE_TAXELS:
+        encodings["patterns on rings"] = [ChannelMean(), RingPatterns(), principal]
+    return encodings
+
+
+def _disc_encodings(touches: Touches) -> dict[str, list[Any]]:
+    """Encodings of the disc that a dome's camera sees."""
+    principal = PrincipalShare(KEPT_SHARE)
+    return {
+        "moments and gradients": _moments(touches),
+        "patterns on rings": [RingPatterns(), principal],
+        "quantiles on rings": [RingQuantiles(), StandardScaler(), principal],
+    }
+
+
+def _moments(touches: Touches) -> list[Any]:
     """Zernike moments, and gradients along rings where there are taxels enough."""
-    if min(touches.images.shape[1:]) < FINE_TAXELS:
-        return [ZernikeMoments(order=15, drop_constant=True), RootScaler()]
+    if min(touches.images.shape[1:3]) < FINE_TAXELS:
+        few = ZernikeMoments(order=15, drop_constant=True)
+        return [few, RootScaler(), PrincipalShare(KEPT_SHARE)]
     moments = ZernikeMoments(order=30, drop_constant=True, precision="single")
     both = [moments, PolarGradients()]
     # Of 1683 features the first principal components tell nearly the same distances.
@@ -104,10 +185,10 @@ def _disc_steps(touches: Touches) -> list[Any]:
 
 PRESETS: dict[str, Preset] = {
     "default": Preset(
-        summary="Our best: encoding chosen for the sensor, kernel ridge posterior, "
-        "calibrated sequences of touches.",
+        summary="Our best: encodings weighed for the sensor, a kernel ridge posterior "
+        "of each, calibrated sequences of touches.",
         encoders=_default_encoders,
-        classifier=KernelRidgeClassifier,
+        classifier=lambda encoder: EncodingPool(encoder.parts_),
         floor=0.01,
         calibrates_sequence=True,
         skips_no_contact=True,
@@ -116,7 +197,7 @@ PRESETS: dict[str, Preset] = {
         summary="Corradi et al. 2015 as written: Zernike-PCA, kernel density per "
         "object, naive Bayes over touches.",
         encoders=_corradi2015_encoders,
-        classifier=KernelDensityBayes,
+        classifier=lambda encoder: KernelDensityBayes(),
         floor=0.0,
         calibrates_sequence=False,
         skips_no_contact=False,
@@ -125,7 +206,7 @@ PRESETS: dict[str, Preset] = {
         summary="Liu et al. 2014: one press on an array, cleaned up; area, edges and "
         "Fourier descriptors fused by kernel PCA; multiple kernel learning SVM.",
         encoders=_liu2014_encoders,
-        classifier=lambda: FromProbabilities(MKLSVC()),
+        classifier=lambda encoder: FromProbabilities(MKLSVC()),
         floor=0.01,
         calibrates_sequence=True,
         skips_no_contact=True,

@@ -16,7 +16,7 @@ from sklearn.utils import Tags
 
 from .._checks import check_number, check_option
 from .._types import Array, Floats
-from ..classifiers import TouchClassifier, as_groups
+from ..classifiers import EncodingPool, TouchClassifier, as_groups
 from ..images import Poses, PressPose
 from ..touches import Touches, TouchSource
 from ._belief import Belief, Judge
@@ -35,14 +35,16 @@ from ._learning import encoded, learn_encoding, memory_of
 from ._memory import (
     Memory,
     blocks_in_order,
+    check_name,
     labelled,
     left_out_groups,
     named_labels,
     training_labels,
+    without_copies,
 )
 from ._modality import Modality
 from ._model_file import ModelFileError, read_model, write_model
-from ._presets import Preset, find_preset
+from ._presets import PRESENTATIONS, Preset, find_preset
 from ._trial_touch import check_parts, try_one_touch
 from ._unknown import UnknownScale
 
@@ -70,6 +72,10 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     prior : {"uniform", "counts"}, default="uniform"
         Before the first touch all objects are equally probable, or as probable
         as they were frequent in training.
+    presentation : {"auto", "any", "turned", "shifted", "fixed"}, default="auto"
+        How objects come to the sensor: at any angle and place, at any angle, at any
+        place, or always the same; "auto" finds out from the training touches, and
+        `chosen_` says what it found. For the preset "default".
     random_state : int, default=0
         Seed of the drawn episodes that calibrate the belief.
 
@@ -133,12 +139,14 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         label: str = "object",
         floor: float | None = None,
         prior: str = "uniform",
+        presentation: str = "auto",
         random_state: int = 0,
     ) -> None:
         self.preset = preset
         self.label = label
         self.floor = floor
         self.prior = prior
+        self.presentation = presentation
         self.random_state = random_state
 
     def fit(
@@ -177,13 +185,17 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         else:
             blocks = as_groups(groups, len(labels))
         encoder, contact, chosen, encoding = learn_encoding(
-            preset, touches, labels, blocks, self.random_state
+            preset, touches, labels, blocks, self.presentation
         )
+        if groups is None:
+            blocks = without_copies(encoding.features, objects, blocks)
         memory = memory_of(touches, encoding, labels, objects, blocks)
         self.encoder_, self.contact_, self.chosen_ = encoder, contact, chosen
-        self.classifier_ = preset.classifier().fit(
+        self.classifier_ = preset.classifier(encoder).fit(
             memory.features, memory.labels, groups=memory.blocks
         )
+        if isinstance(self.classifier_, EncodingPool):
+            chosen["weights"] = self.classifier_.weights_
         self._calibrate(memory)
         self.pose_, self.modalities_ = None, {}
         return self
@@ -435,7 +447,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         self._check_fitted()
         modality = Modality(classifier, random_state=self.random_state)
         modality.fit(X, y, groups)
-        self.modalities_ = {**self.modalities_, _checked_name(name): modality}
+        self.modalities_ = {**self.modalities_, check_name(name): modality}
         return self
 
     def remember_sensor(self, values: Mapping[str, Any] | None) -> Self:
@@ -477,7 +489,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         try:
             model._check_parameters()
             check_parts(model.judge(), model.encoder_.image_shape_, model.pose_)
-            blank = model.evidence(Touches(np.zeros((1, *model.encoder_.image_shape_))))
+            blank = model.evidence(model.encoder_.blank_touch())
             row = model.classifier_.log_likelihood(blank.features)
             try_one_touch(model.start(), blank, row)
         except Exception as error:
@@ -487,7 +499,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     def _learnt(self, name: str, touches: Touches | TouchSource, least: int) -> Memory:
         """Encode touches of one object, whatever they are labelled."""
         given = touches if isinstance(touches, TouchSource) else as_touches(touches)
-        _checked_name(name)
+        check_name(name)
         if len(given) < least:
             raise ValueError(
                 f"{name!r} must have at least {least} touches, got {len(given)}."
@@ -495,8 +507,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         labels = np.full(len(given), self._as_label(name))
         own = given.object if labels.dtype.kind == "U" else None
         objects = labels if own is None else own
-        blocks = blocks_in_order(labels, given.order)
         encoding = encoded(self.encoder_, self.contact_, given)
+        blocks = blocks_in_order(labels, given.order)
+        blocks = without_copies(encoding.features, labels, blocks)
         return memory_of(given, encoding, labels, objects, blocks)
 
     def _as_label(self, name: str) -> Any:
@@ -569,6 +582,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     def _check_parameters(self) -> Preset:
         check_option("label", self.label, ("object", "category"))
         check_option("prior", self.prior, ("uniform", "counts"))
+        check_option("presentation", self.presentation, PRESENTATIONS)
         if self.floor is not None:
             check_number("floor", self.floor, low=0, high=0.5)
         return find_preset(self.preset)
@@ -585,9 +599,3 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         tags.input_tags.three_d_array = True
         tags.input_tags.allow_nan = True
         return tags
-
-
-def _checked_name(name: object) -> str:
-    if not isinstance(name, str) or not name:
-        raise ValueError(f"name must be a text that is not empty, got {name!r}.")
-    return name

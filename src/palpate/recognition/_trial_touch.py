@@ -1,5 +1,7 @@
 """A model that was read is tried on a blank touch before anyone relies on it."""
 
+from math import prod
+
 import numpy as np
 
 from .._checks import check_number
@@ -14,11 +16,10 @@ from ._unknown import UnknownScale
 MAX_PIXELS = 50_000_000
 
 
-def check_parts(judge: Judge, image_shape: tuple[int, int], pose: object) -> None:
+def check_parts(judge: Judge, image_shape: tuple[int, ...], pose: object) -> None:
     """Refuse a model whose parts are of the wrong kind, or do not fit together."""
-    n_rows, n_cols = image_shape
-    if not 0 < n_rows * n_cols <= MAX_PIXELS:
-        raise ValueError(f"images of {n_rows} x {n_cols} are none")
+    if len(image_shape) not in (2, 3) or not 0 < prod(image_shape) <= MAX_PIXELS:
+        raise ValueError(f"images of {' x '.join(map(str, image_shape))} are none")
     _check_memory(judge.memory)
     if not np.array_equal(judge.classes, judge.memory.classes.astype(str)):
         raise ValueError("its objects are not those of its touches")

@@ -15,7 +15,7 @@ from urllib.parse import unquote
 from ._camera import CameraSensor
 from ._contract import LiveSensor
 from ._played import PlayedSensor, ReplaySensor
-from ._serial import SerialArraySensor
+from ._serial import SerialArraySensor, find_array
 from ._simulated_stream import SimulatedStream
 
 
@@ -36,6 +36,10 @@ def _shape(text: str) -> tuple[int, int]:
     if found is None:
         raise ValueError
     return int(found[1]), int(found[2])
+
+
+def _shape_or_auto(text: str) -> Any:
+    return text if text == "auto" else _shape(text)
 
 
 def _word(keyword: str, **values: Any) -> _Option:
@@ -60,7 +64,7 @@ _OPTIONS: dict[str, dict[str, _Option]] = {
         "exposure": _Option("exposure", float, "a number in the driver's own unit"),
     },
     "serial": {
-        **_SHAPE,
+        "shape": _Option("image_shape", _shape_or_auto, "such as 16x16, or auto"),
         "baud": _Option("baud", int, "a whole number of bits a second"),
         "framing": _word("framing", line="line", binary="binary"),
         "checksum": _word("checksum", yes=True, no=False),
@@ -87,9 +91,9 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
         options, as in `camera:USB Camera?shape=480x640&rate=30`: `shape` (rows x
         columns), `rate` (Hz), `exposure` of a camera; `shape`, `baud`, `framing`,
         `checksum` (yes or no), `dtype`, `unit` of a serial array, whose shape must be
-        given; `shape`, `rate`, `hold`, `gap`, `place` (what lies on the desk at
-        first), `no-contact`, `name-pattern` of a replay; `shape`, `rate`, `hold`,
-        `gap`, `place`, `seed` of a simulated sensor.
+        given, or `auto` to listen to it; `shape`, `rate`, `hold`, `gap`, `place` (what
+        lies on the desk at first), `no-contact`, `name-pattern` of a replay; `shape`,
+        `rate`, `hold`, `gap`, `place`, `seed` of a simulated sensor.
     **options
         The same as Python values or as text, named as the sensor names them:
         `image_shape`, `rate_hz`, `no_contact`...; what else the sensor takes; see
@@ -151,7 +155,7 @@ def _agreed(
         raise AddressError(f"--{name} says nothing to a {kind} sensor.")
     if isinstance(value, str):
         value = _read(address, kind, name, value)
-    if keyword == "image_shape":
+    if keyword == "image_shape" and value != "auto":
         value = tuple(value)
     if keyword in given and given[keyword] != value:
         raise AddressError(
@@ -195,9 +199,14 @@ def _made(kind: str, place: str, given: dict[str, Any]) -> LiveSensor:
     elif shape is None:
         raise AddressError(
             "shape must be given for a serial array, got none. Say how many rows and "
-            f"columns it has: serial:{place}?shape=16x16, or --shape 16x16."
+            f"columns it has: serial:{place}?shape=16x16, or --shape 16x16; "
+            "--shape auto listens to it."
         )
     else:
+        if shape == "auto":
+            listened = find_array(place, *([given["baud"]] if "baud" in given else []))
+            given |= {name: v for name, v in listened.items() if name not in given}
+            given["image_shape"] = shape = listened["image_shape"]
         sensor = SerialArraySensor(place, **given)
     if shape is not None and sensor.image_shape != shape:
         (n_rows, n_cols), (asked_rows, asked_cols) = sensor.image_shape, shape

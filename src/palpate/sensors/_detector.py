@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 
 from .._checks import check_count, check_option, check_positive
 from .._types import Array, Floats
@@ -25,6 +26,8 @@ _LONGEST_HOLD = 64
 _LARGEST_SIDE = 160
 _IDLE_S, _STUCK_S = 2.0, 20.0
 _STEADY_NOISES = 3.0
+# An array is pressed where neighbours read so many spreads and steps above the others.
+_ARRAY_SIDE, _PRESS_SPREADS, _PRESS_STEPS, _PRESS_TAXELS = 48, 8.0, 8.0, 4
 
 
 class ContactError(ValueError):
@@ -92,6 +95,7 @@ class TouchDetector:
         self._min_frames = check_count("min_frames", min_frames)
         self.noise = self.step = 0.0
         self._recent: deque[tuple[float, Array]] = deque(maxlen=_LONGEST_HOLD)
+        self._before: tuple[Array | None, float] = no_contact, 0.0
         self.touching = False
         self._set_baseline(no_contact)
 
@@ -121,7 +125,8 @@ class TouchDetector:
         Raises
         ------
         ContactError
-            Something touches the sensor, or the frames are not steady.
+            Something touches the sensor, or the frames are not steady; of the first
+            baseline of an array, neighbouring taxels read far above all others.
         """
         check_count("the number of frames", len(frames), at_least=3)
         if self.touching and not force:
@@ -136,9 +141,21 @@ class TouchDetector:
                 "Leave it alone for a second and take the baseline again."
             )
         mean = stack.mean(axis=0)
+        first = self.baseline is None and not force
+        if first and (where := _pressed(mean, self._least(frames[0]))):
+            raise ContactError(
+                f"Something may press the sensor {where}. Lift it and take the "
+                "baseline again; if nothing touches it, insist (force)."
+            )
+        self._before = self.baseline, self.noise
         levels = [_rms(frame - mean) for frame in stack]
         self.noise = float(np.median(levels))
         self._set_baseline(as_kind(mean, np.asarray(frames[0]).dtype))
+
+    def undo_baseline(self) -> None:
+        """Go back to the baseline before the last one that was taken, if any."""
+        baseline, self.noise = self._before
+        self._set_baseline(baseline)
 
     def update(self, frame: Frame) -> DetectedTouch | None:
         """Take in the next frame; return the touch that ended with it, if any."""
@@ -235,6 +252,27 @@ def _moving(stack: Floats, least: float) -> bool:
     first, second = np.array_split(stack, 2)
     moved = _rms(second.mean(axis=0) - first.mean(axis=0))
     return bool(moved > max(_STEADY_NOISES * noise, least))
+
+
+def _pressed(image: Floats, least: float) -> str:
+    """Return where neighbouring taxels of an array stand out, or nothing.
+
+    Offsets of single taxels do not, nor does a slope over the array.
+    """
+    if max(image.shape) > _ARRAY_SIDE or np.isnan(image).all():
+        return ""
+    low, rest = np.nanpercentile(image, (5, 25))  # of noise these are a spread apart
+    above = np.nan_to_num(image - rest)
+    limit = max(_PRESS_SPREADS * (rest - low), _PRESS_STEPS / _LEAST_STEPS * least)
+    parts, _ = ndimage.label(above > limit)
+    n_taxels = np.bincount(parts.ravel())[1:]
+    if not n_taxels.size or n_taxels.max() < _PRESS_TAXELS:
+        return ""
+    row, col = ndimage.center_of_mass(parts == n_taxels.argmax() + 1)
+    return (
+        f"around row {row:.0f} column {col:.0f}, where {n_taxels.max()} neighbouring "
+        "taxels read far above the others"
+    )
 
 
 def _small(image: Array) -> Floats:

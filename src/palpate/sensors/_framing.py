@@ -56,8 +56,9 @@ class LineFraming:
     ----------
     image_shape : (int, int)
         (n_rows, n_cols).
-    checksum : bool, default=True
+    checksum : bool, optional
         Whether to refuse lines that carry no checksum; wrong ones are always refused.
+        By default they are refused once a line with a right one has come.
 
     Attributes
     ----------
@@ -70,7 +71,9 @@ class LineFraming:
         once one had two decimals; 0 for numbers written with an exponent.
     """
 
-    def __init__(self, image_shape: tuple[int, int], checksum: bool = True) -> None:
+    def __init__(
+        self, image_shape: tuple[int, int], checksum: bool | None = None
+    ) -> None:
         self.image_shape = image_shape
         self.checksum = checksum
         self.n_damaged = self.n_missed = 0
@@ -95,6 +98,8 @@ class LineFraming:
             line, star, check = line[dollar + 1 :].partition(b"*")
             if not star or not _is_check(check, line):
                 return None
+            if self.checksum is None:
+                self.checksum = True
         elif self.checksum:
             return None
         try:

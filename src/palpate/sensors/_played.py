@@ -161,6 +161,12 @@ class ReplaySensor(PlayedSensor):
     ) -> None:
         recorded = _recorded(touches, no_contact, name_pattern)
         source = "touches" if isinstance(touches, Touches) else touches
+        if recorded.channels is not None:
+            raise SensorError(
+                "touches must be without channels to be replayed, got channels "
+                f"{', '.join(recorded.channels)}. Replay one of them, for example "
+                "Touches(touches.images[..., 0])."
+            )
         labels = recorded.object
         if labels is None:
             labels = np.full(len(recorded), _UNLABELLED)

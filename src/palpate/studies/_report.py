@@ -118,21 +118,12 @@ def write_page(
     target: Path, title: str, text: str, tables: Iterable[Table], figures: Figures
 ) -> Path:
     """Write a page that loads nothing from elsewhere; figures by their captions."""
-    from ..evaluation import plots, report_page
+    from ..evaluation import html_table, plots, report_page
 
-    sections = [f"<h1>{escape(title)}</h1><p>{escape(text)}</p>", *map(_table, tables)]
+    sections = [f"<h1>{escape(title)}</h1><p>{escape(text)}</p>"]
+    sections += [html_table(*table) for table in tables]
     for caption, figure in figures.items():
         drawn, below = plots._svg(figure), escape(caption)
         sections.append(f"<p>{drawn}</p><p class=note>{below}</p>")
     write_text(target, report_page(title, sections))
     return target
-
-
-def _table(table: Table) -> str:
-    title, columns, rows = table
-    head = "".join(f"<th>{escape(column)}</th>" for column in columns)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>"
-        for row in rows
-    )
-    return f"<h2>{escape(title)}</h2><table><tr>{head}</tr>{body}</table>"

@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Self
 from threadpoolctl import threadpool_limits
 
 from .._checks import check_count
+from .._durable import replacing
 from .._parallel import in_parallel
 from ._report import Figures, Table, write_page
 
@@ -160,7 +161,8 @@ class Study:
         written = []
         for name, figure in self._experiment.pictures(result).items():
             written.append(Path(folder) / f"{self.name}-{name}.png")
-            figure.savefig(written[-1], dpi=100)
+            with replacing(written[-1]) as file:
+                figure.savefig(file, format="png", dpi=100)
         return written
 
     @property

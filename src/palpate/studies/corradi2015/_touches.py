@@ -77,10 +77,10 @@ class Encoder:
 
     def __init__(self, touches: Touches, *, bags: bool = True) -> None:
         self.bags = bags
-        (encoder,) = PRESETS["corradi2015"].encoders(touches).values()
+        (encoder,) = PRESETS["corradi2015"].encoders(touches, "auto").values()
         self.crop: DomeCrop = clone(encoder.clean_up)
         self.crop.fit(touches.images, no_contact=touches.no_contact)
-        self.moments: Any = clone(encoder.steps[0])
+        self.moments: Any = clone(encoder.encodings["Zernike-PCA"][0])
         self.idle_disc = self._idle_disc(touches)
 
     def __call__(self, touches: Touches) -> Encoded:

@@ -1,0 +1,77 @@
+"""Draw the pictures of the live page in `docs/images`, with simulated touches.
+
+`python benchmarks/live_pictures.py [FOLDER]`; needs the extras `web` and `test` and
+Debian's chromium. Six household objects are taught twelve touches each; another one,
+which was not, is then touched until nothing more is asked for.
+"""
+
+import sys
+import tempfile
+import threading
+import time
+from contextlib import closing
+from pathlib import Path
+
+from playwright.sync_api import Page, sync_playwright
+
+from palpate.sensors import open_sensor
+from palpate.web import LiveSession, create_app, new_token, open_socket, server_of
+
+TAUGHT = ("mug", "stapler", "pen", "toothbrush", "box", "ball")
+STRANGER, N_TAUGHT, N_TOUCHES = "massage ball", 12, 9
+SIZES = {"desktop": (1280, 1000), "phone": (390, 1400)}
+
+
+def taught(session: LiveSession) -> None:
+    """Teach and learn, then touch the stranger."""
+    for name in TAUGHT:
+        session.place(None)
+        session.teach(name, N_TAUGHT)
+        session.place(name)
+        while session.teacher.lesson is not None:
+            time.sleep(0.1)
+    session.place(None)
+    session.learn(wait=True)
+    session.begin_episode()
+    session.place(STRANGER)
+    while len(session.episode.touches) < N_TOUCHES:
+        time.sleep(0.05)
+    session.place(None)
+
+
+def pictured(page: Page, address: str, folder: Path, name: str) -> None:
+    """Save one picture of the page."""
+    page.goto(address)
+    page.wait_for_selector("#strip img")
+    page.wait_for_timeout(7000)  # until what was said is gone
+    page.screenshot(path=folder / f"live-{name}.png")
+
+
+def main() -> None:
+    """Draw both pictures."""
+    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/images")
+    sensor = open_sensor("sim:mug", rate_hz=40.0, hold=2, gap=3)
+    with (
+        tempfile.TemporaryDirectory() as place,
+        LiveSession(sensor, library=Path(place) / "desk", error=0.05) as session,
+        closing(open_socket("127.0.0.1", 0)) as opened,
+        sync_playwright() as driver,
+    ):
+        taught(session)
+        token, port = new_token(), opened.getsockname()[1]
+        server = server_of(create_app(session, token))
+        thread = threading.Thread(target=server.run, args=([opened],), daemon=True)
+        thread.start()
+        browser = driver.chromium.launch(
+            executable_path="/usr/bin/chromium", args=["--no-sandbox"]
+        )
+        for name, (width, height) in SIZES.items():
+            page = browser.new_page(viewport={"width": width, "height": height})
+            pictured(page, f"http://127.0.0.1:{port}/?token={token}", folder, name)
+        browser.close()
+        server.should_exit = True
+        thread.join(10)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,225 @@
+"""A pool of machines: each learns one encoding, and what they say is weighed.
+
+No encoding is best on every sensor, and few touches do not tell which one is. So each
+part of the feature vector has a machine of its own, one more learns all parts side by
+side, and their log posteriors of touches left out with their group are added with the
+weights of least log loss: a logarithmic opinion pool.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import copy
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import minimize
+from scipy.special import log_softmax
+from sklearn.base import clone
+from sklearn.utils.validation import check_is_fitted
+
+from .._checks import check_count, check_squarable
+from .._types import Array, Floats
+from ._kernel_ridge import KernelRidgeClassifier, fair_shares
+from ._touch_classifier import (
+    BayesRule,
+    TouchClassifier,
+    as_groups,
+    as_touches,
+    labelled_touches,
+)
+
+TOGETHER = "all together"
+# No machine may say of a touch that an object is less probable than this (nats).
+_LEAST = -30.0
+
+
+class EncodingPool(BayesRule):
+    """Machines for parts of the feature vector, weighed by touches left out.
+
+    Parameters
+    ----------
+    parts : mapping of str to int
+        Name and number of features of each part, in the order of the features.
+    machine : TouchClassifier, optional
+        What learns each part; by default a `KernelRidgeClassifier` that chooses its
+        width and ridge on at most 800 touches.
+    together : bool, default=True
+        Whether one more machine learns all parts side by side, where there are several.
+
+    Attributes
+    ----------
+    classes_ : ndarray of shape (n_classes,)
+        The labels, sorted.
+    machines_ : dict of str to TouchClassifier
+        One for each part, and perhaps one for all of them together.
+    weights_ : dict of str to float
+        Factor of each machine's log posterior, at least 0.
+    left_out_ : ndarray of shape (n_touches, n_classes)
+        Pooled log posterior of each training touch with its group left out.
+
+    Notes
+    -----
+    The weights minimise the log loss of the touches left out. A priori each of n
+    machines weighs 1 / n, with a standard deviation as large: where touches are so few
+    that their loss says little, the pool stays near the mean of its machines.
+
+    References
+    ----------
+    .. [1] G. E. Hinton, "Products of experts", ICANN 1999. doi:10.1049/cp:19991075
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate.classifiers import EncodingPool
+    >>> X = np.r_[np.zeros((5, 3)), np.ones((5, 3))] + 0.1 * np.eye(10, 3)
+    >>> pool = EncodingPool({"edges": 2, "load": 1})
+    >>> pool.fit(X, ["pen"] * 5 + ["mug"] * 5).predict([[1, 1, 1]])
+    array(['mug'], dtype='<U3')
+    """
+
+    classes_: Array
+
+    def __init__(
+        self,
+        parts: Mapping[str, int],
+        machine: TouchClassifier | None = None,
+        *,
+        together: bool = True,
+    ) -> None:
+        self.parts = parts
+        self.machine = machine
+        self.together = together
+
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> Self:
+        """Let every machine learn its part, and weigh them by left-out groups.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_touches, n_features)
+            The parts side by side.
+        y : array-like of shape (n_touches,)
+            Labels, at least two different ones.
+        groups : array-like of shape (n_touches,), optional
+            Touches of one group are left out together; by default every touch is a
+            group of its own.
+
+        Raises
+        ------
+        ValueError
+            If `parts` do not add up to the features, or as `KernelRidgeClassifier.fit`.
+        """
+        touches, labels = labelled_touches(self, X, y)
+        check_squarable("X", touches)
+        self._check_parts(touches.shape[1])
+        group = as_groups(groups, len(touches))
+        machine = self.machine
+        if machine is None:
+            machine = KernelRidgeClassifier(max_choice_touches=800)
+        self.machines_ = {
+            name: clone(machine).fit(part, labels, groups=group)
+            for name, part in self._parts(touches).items()
+        }
+        self.classes_ = np.unique(labels)
+        every = self._left_out_of_each()
+        weights = pool_weights(every, np.searchsorted(self.classes_, labels))
+        self.weights_ = dict(zip(self.machines_, weights.tolist(), strict=True))
+        self.left_out_ = self._pooled(every)
+        return self
+
+    def refit(
+        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None
+    ) -> Self:
+        """Learn other touches with the widths, ridges and weights already chosen."""
+        check_is_fitted(self)
+        touches, labels = labelled_touches(self, X, y, reset=False)
+        check_squarable("X", touches)
+        self.machines_ = {
+            name: copy(self.machines_[name]).refit(part, labels, groups=groups)
+            for name, part in self._parts(touches).items()
+        }
+        self.classes_ = np.unique(labels)
+        self.left_out_ = self._pooled(self._left_out_of_each())
+        return self
+
+    def log_likelihood(self, X: ArrayLike) -> Floats:
+        """Return log p(touch | object) up to a constant per touch (nats).
+
+        Shape (n_touches, n_classes): the pooled posterior under equal priors.
+        """
+        check_is_fitted(self)
+        parts = self._parts(as_touches(self, X))
+        said = [self._said(name, part) for name, part in parts.items()]
+        return self._pooled(np.stack(said))
+
+    def left_out_log_likelihood(self) -> Floats:
+        """Return `log_likelihood` of training touches with their groups left out."""
+        check_is_fitted(self)
+        return self.left_out_
+
+    def left_out_by_part(self) -> dict[str, Floats]:
+        """Return what each machine alone says of touches left out, by its name."""
+        check_is_fitted(self)
+        every = self._left_out_of_each()
+        return dict(zip(self.machines_, every, strict=True))
+
+    def _check_parts(self, n_features: int) -> None:
+        counts = [check_count(f"parts[{n!r}]", c) for n, c in self.parts.items()]
+        if sum(counts) != n_features:
+            raise ValueError(
+                f"parts must add up to the {n_features} features of X, got "
+                f"{sum(counts)}: {dict(self.parts)}."
+            )
+
+    def _parts(self, touches: Floats) -> dict[str, Floats]:
+        """Return the features of each machine."""
+        cuts = np.cumsum(list(self.parts.values()))[:-1]
+        pieces = np.split(touches, cuts, axis=1)
+        parts = dict(zip(self.parts, pieces, strict=True))
+        if self.together and len(parts) > 1:
+            parts[TOGETHER] = touches
+        return parts
+
+    def _said(self, name: str, part: Floats) -> Floats:
+        if self.weights_[name] == 0:
+            return np.zeros((len(part), len(self.classes_)))
+        return _bounded(self.machines_[name].log_likelihood(part))
+
+    def _left_out_of_each(self) -> Floats:
+        every = [m.left_out_log_likelihood() for m in self.machines_.values()]
+        return np.stack([_bounded(one) for one in every])
+
+    def _pooled(self, every: Floats) -> Floats:
+        weights = np.array(list(self.weights_.values()))
+        return np.asarray(log_softmax(np.tensordot(weights, every, 1), axis=1))
+
+
+def pool_weights(every: Floats, codes: Array) -> Floats:
+    """Return the weights of least log loss, shape (n_machines,), at least 0.
+
+    Of log posteriors (n_machines, n_touches, n_classes) of touches left out, and the
+    column of each touch's own label (n_touches,). See `EncodingPool`.
+    """
+    n_machines, n_touches = every.shape[:2]
+    usual = 1 / n_machines
+    own = every[:, np.arange(n_touches), codes]
+    shares = n_touches * fair_shares(codes)
+
+    def loss(weights: Floats) -> tuple[float, Floats]:
+        log_posterior = log_softmax(np.tensordot(weights, every, 1), axis=1)
+        expected = np.einsum("tc,mtc,t->m", np.exp(log_posterior), every, shares)
+        value = -log_posterior[np.arange(n_touches), codes] @ shares
+        away = (weights - usual) / usual
+        gradient = expected - own @ shares + away / usual
+        return float(value + (away**2).sum() / 2), gradient
+
+    start = np.full(n_machines, usual)
+    bounds = [(0, None)] * n_machines
+    found: Any = minimize(loss, start, jac=True, bounds=bounds, method="L-BFGS-B")
+    return np.asarray(found.x)
+
+
+def _bounded(log_likelihood: Floats) -> Floats:
+    """Return the log posteriors, none of them so small that one machine decides."""
+    return np.maximum(log_softmax(log_likelihood, axis=1), _LEAST)

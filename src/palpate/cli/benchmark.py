@@ -1,0 +1,87 @@
+"""`palpate benchmark`: presets beside simple recognisers, on sets of touches."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated
+
+from ._options import (
+    AsJson,
+    Label,
+    Report,
+    Seed,
+    Working,
+    argument,
+    counts,
+    grouped,
+    option,
+)
+from ._output import print_json, stages, table
+
+
+@grouped
+def benchmark(
+    archives: Annotated[
+        list[Path], argument("ARCHIVE", "Touch archives (.npz), or folders of them.")
+    ],
+    *,
+    recognisers: Annotated[
+        str | None,
+        option(
+            'With commas, of the presets and "taxels SVM", "roots SVM", "HOG SVM", '
+            '"3-NN". Default: all.'
+        ),
+    ] = None,
+    protocols: Annotated[
+        str | None,
+        option(
+            "With commas, of subjects, sessions, blocks, halves, random, categories. "
+            "Default: all that the touches allow."
+        ),
+    ] = None,
+    label: Label = "object",
+    touches: Annotated[str, option("Score presets after so many touches.")] = "1,5,10",
+    repeats: Annotated[int, option("Draws of the protocol random.")] = 3,
+    seed: Seed = 0,
+    report: Report = None,
+    working: Working,
+    as_json: AsJson = False,
+) -> None:
+    """Compare presets with simple recognisers and controls on sets of touches."""
+    from ..evaluation import (
+        PROTOCOLS,
+        RECOGNISERS,
+        benchmark_tables,
+        check_report_path,
+        verdicts,
+        write_benchmark,
+    )
+    from ..evaluation import benchmark as run
+
+    if report is not None:
+        check_report_path(report)
+    with stages() as stage, working.started():
+        result = run(
+            archives,
+            recognisers=_names(recognisers, RECOGNISERS),
+            protocols=_names(protocols, PROTOCOLS),
+            label=label,
+            touches=counts(touches),
+            repeats=repeats,
+            seed=seed,
+            progress=stage,
+        )
+    if report is not None:
+        write_benchmark(report, result)
+    if as_json:
+        print_json(result)
+        return
+    for one in benchmark_tables(result):
+        table(*one, whole="recogniser")
+    for line in verdicts(result):
+        print(line)
+    if report is not None:
+        print(report)
+
+
+def _names(text: str | None, every: Iterable[str]) -> list[str]:
+    return list(every) if text is None else [name.strip() for name in text.split(",")]

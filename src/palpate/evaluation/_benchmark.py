@@ -1,0 +1,362 @@
+"""Presets beside simple recognisers on many sets of touches, whoever made them.
+
+Archives x protocols x recognisers, with what nuisance values alone achieve, the spread
+over folds, and CPU time.
+"""
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.base import clone
+
+from .._checks import check_count, check_option
+from .._parallel import in_parallel
+from .._types import Array, Floats
+from ..recognition import PRESETS, ObjectRecogniser, find_geometry
+from ..touches import Touches
+from ._controls import CONTROLS, without_contact
+from ._episodes import run_episodes
+from ._evaluate import Progress, silent
+from ._metrics import spread
+from ._protocols import PROTOCOLS, RowFold, column_of, protocol_folds
+from ._simple import SIMPLE, STANDARDISED, taxels
+
+RECOGNISERS = (*PRESETS, *SIMPLE)
+# Papers as written stay on their sensor; `liu2014` learns each pair of labels.
+WRITTEN_FOR = {"corradi2015": ("dome", np.inf), "liu2014": ("array", 30)}
+ORDERS = 20
+POINTS = 1.0
+
+Archives = str | Path | Iterable[str | Path] | Mapping[str, Touches]
+
+
+class Answers(NamedTuple):
+    """What a recogniser said in one fold: whether right, shape (n_asked,), and more."""
+
+    right: NDArray[np.bool_]
+    learn_s: float
+    per_touch_s: float
+    after: dict[str, float]
+    log_loss: float | None
+    chosen: dict[str, Any] | None
+
+
+class Task(NamedTuple):
+    """A protocol on one set, and labels of shape (n_touches,)."""
+
+    protocol: str
+    label: str
+    labels: Array
+    folds: list[RowFold]
+    left_out: list[str]
+
+
+def benchmark(
+    archives: Archives,
+    *,
+    recognisers: Sequence[str] = RECOGNISERS,
+    protocols: Sequence[str] = tuple(PROTOCOLS),
+    label: str = "object",
+    touches: Sequence[int] = (1, 5, 10),
+    repeats: int = 3,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Compare presets with simple recognisers on sets of touches.
+
+    Parameters
+    ----------
+    archives : path, iterable of paths, or mapping of str to Touches
+        Touch archives (`.npz`), folders that hold some at any depth, or named touches.
+    recognisers, protocols : sequence of str
+        What is compared, and how; see docs/benchmark.md.
+    label : {"object", "category"}
+        What is recognised; protocol "categories" always recognises categories.
+    touches : sequence of int
+        Numbers of touches after which presets are scored.
+    repeats, seed : int
+        Draws of the protocol "random", and the seed of everything random.
+    progress : callable, optional
+        Called with the name of each stage. Folds run one after the other, or where
+        `joblib.parallel_config` says.
+
+    Returns
+    -------
+    result : dict
+        Plain values, ready for JSON: "benchmark", an entry per archive and protocol,
+        and "skipped", with reasons.
+
+    Raises
+    ------
+    ValueError
+        An option is not known, or there is no archive.
+    """
+    for name in recognisers:
+        check_option("recognisers", name, RECOGNISERS)
+    for name in protocols:
+        check_option("protocols", name, PROTOCOLS)
+    check_option("label", label, ("object", "category"))
+    for k in (repeats, *touches):
+        check_count("touches and repeats", k)
+    check_count("seed", seed, at_least=0)
+    entries: list[dict[str, Any]] = []
+    skipped: list[dict[str, Any]] = []
+    for name, source in _sets(archives).items():
+        progress(f"{name}: reading")
+        skip = {"archive": name, "protocol": None}
+        try:
+            found = source if isinstance(source, Touches) else Touches.load(source)
+            column_of(found, "object")
+        except Exception as error:
+            skipped.append({**skip, "reason": _reason(error)})
+            continue
+        tasks = []
+        for protocol in protocols:
+            wanted = "category" if protocol == "categories" else label
+            try:
+                made = protocol_folds(found, protocol, wanted, repeats, seed)
+                tasks.append(Task(protocol, wanted, column_of(found, wanted), *made))
+            except ValueError as error:
+                skipped.append({**skip, "protocol": protocol, "reason": str(error)})
+        said: dict[str, list[list[Answers] | str]] = {}
+        for one in recognisers if tasks else ():
+            progress(f"{name}: {one}, {sum(len(task.folds) for task in tasks)} folds")
+            said[one] = _said(one, found, tasks, touches, seed)
+        progress(f"{name}: controls")
+        entries += _entries(name, found, tasks, said)
+    done = {"label": label, "repeats": repeats, "seed": seed}
+    return {"benchmark": entries, "skipped": skipped, **done}
+
+
+def _sets(archives: Archives) -> dict[str, Path | Touches]:
+    """Name every archive: by its place in the folder given, or by its file's name."""
+    if isinstance(archives, Mapping):
+        return dict(archives)
+    found: dict[str, Path | Touches] = {}
+    for path in map(Path, [archives] if isinstance(archives, str | Path) else archives):
+        inside = sorted(path.rglob("*.npz")) if path.is_dir() else [path]
+        if not path.exists() or not inside:
+            raise ValueError(
+                "archives must be touch archives (.npz) or folders that hold some, got "
+                f"{path}, where there is none. Write one with Touches.save or "
+                "`palpate library export`, or name another folder."
+            )
+        for one in inside:
+            short = str(one.relative_to(path)) if path.is_dir() else path.name
+            found[str(one) if short in found else short] = one
+    return found
+
+
+def _reason(error: Exception) -> str:
+    expected = isinstance(error, ValueError | ImportError | OSError)
+    return str(error) if expected else f"{type(error).__name__}: {error}"
+
+
+def _said(
+    name: str, touches: Touches, tasks: list[Task], counts: Sequence[int], seed: int
+) -> list[list[Answers] | str]:
+    """Return the answers of one recogniser in each protocol, or why there are none."""
+    said: list[list[Answers] | str] = []
+    learner: Any = None
+    for task in tasks:
+        try:
+            if name in SIMPLE and learner is None:
+                start = time.process_time()
+                encode, learner = SIMPLE[name]
+                values = encode(touches.images)
+                encode_s = (time.process_time() - start) / len(touches)
+            if name in SIMPLE:
+                said.append(_simply(learner, values, task, encode_s))
+                continue
+            _check_written_for(name, touches, task.labels)
+            recogniser = ObjectRecogniser(name, label=task.label, random_state=seed)
+            calls = [(fold, recogniser, touches, task, counts) for fold in task.folds]
+            said.append(in_parallel(_preset_answers, calls, "Folds", show=False))
+        except Exception as error:
+            learner = None
+            said.append(_reason(error))
+    return said
+
+
+def _check_written_for(preset: str, touches: Touches, labels: Array) -> None:
+    sensor, most = WRITTEN_FOR.get(preset, (None, np.inf))
+    if sensor and (geometry := find_geometry(touches)) != sensor:
+        raise ValueError(
+            f"{preset} is written for a sensor {sensor!r}, got {geometry!r}."
+        )
+    if (n_labels := len(np.unique(labels))) > most:
+        raise ValueError(
+            f"{preset} is asked about at most {most} labels, got {n_labels}."
+        )
+
+
+def _simply(
+    learner: Any, values: Floats, task: Task, encode_s: float = 0.0
+) -> list[Answers]:
+    calls = [(fold, learner, values, task.labels, encode_s) for fold in task.folds]
+    return in_parallel(_simple_answers, calls, "Folds", show=False)
+
+
+def _simple_answers(
+    fold: RowFold, learner: Any, values: Floats, labels: Array, encode_s: float
+) -> Answers:
+    start = time.process_time()
+    fitted = clone(learner).fit(values[fold.train], labels[fold.train])
+    learnt = time.process_time()
+    right = fitted.predict(values[fold.test]) == labels[fold.test]
+    ask_s = (time.process_time() - learnt) / len(right) + encode_s
+    learn_s = learnt - start + encode_s * len(fold.train)
+    return Answers(right, learn_s, ask_s, {}, None, None)
+
+
+def _preset_answers(
+    fold: RowFold,
+    recogniser: ObjectRecogniser,
+    touches: Touches,
+    task: Task,
+    counts: Sequence[int],
+) -> Answers:
+    start = time.process_time()
+    recogniser = clone(recogniser).fit(touches[fold.train])
+    learnt, asked = time.process_time(), touches[fold.test]
+    rows = recogniser.log_likelihood(asked)
+    ask_s = (time.process_time() - learnt) / len(asked)
+    whose = asked.columns["object"], task.labels[fold.test]
+    episodes = run_episodes(recogniser, rows, *whose, ORDERS, recogniser.random_state)
+    ends = {k: end for k in {1, *counts} if (end := episodes.scores(k)) is not None}
+    right = np.empty(len(asked), dtype=bool)
+    assert episodes.singles is not None
+    right[np.concatenate(episodes.singles.rows)[:, 0]] = ends[1].hit
+    after = {str(k): float(ends[k].accuracy.mean()) for k in sorted(ends) if k > 1}
+    loss = float(ends[1].log_loss.mean())
+    return Answers(right, learnt - start, ask_s, after, loss, recogniser.chosen_)
+
+
+def _entries(
+    name: str,
+    touches: Touches,
+    tasks: list[Task],
+    said: dict[str, list[list[Answers] | str]],
+) -> list[dict[str, Any]]:
+    """Return the figures of a set, an entry per protocol."""
+    idle, values = without_contact(touches), _nuisances(touches) if tasks else {}
+    entries = []
+    for i, task in enumerate(tasks):
+        rows = [_row(one, of_tasks[i], task, idle) for one, of_tasks in said.items()]
+        majority = float(np.mean([_majority(task.labels, fold) for fold in task.folds]))
+        alone = {one: _alone(value, task) for one, value in values.items()}
+        entries.append(
+            {
+                "archive": name,
+                "protocol": task.protocol,
+                "label": task.label,
+                "n_touches": len(touches),
+                "n_asked": sum(len(fold.test) for fold in task.folds),
+                "n_labels": len(np.unique(task.labels)),
+                "n_folds": len(task.folds),
+                "left_out": task.left_out,
+                "rows": rows,
+                "controls": {"majority": majority, **alone},
+                "behind": _behind({one: of[i] for one, of in said.items()}, rows),
+            }
+        )
+    return entries
+
+
+def _row(
+    name: str, said: list[Answers] | str, task: Task, idle: NDArray[np.bool_] | None
+) -> dict[str, Any]:
+    """Return the figures of one recogniser in one protocol."""
+    if isinstance(said, str):
+        names = "accuracy", "sd", "se", "after", "no_contact", "log_loss", "seconds"
+        return {"recogniser": name, **dict.fromkeys((*names, "chosen")), "reason": said}
+    shares = [one.right.mean() for one in said]
+    keys = dict.fromkeys(k for one in said for k in one.after)
+    after = {k: _mean(one.after.get(k) for one in said) for k in keys}
+    bare = [] if idle is None else [idle[fold.test] for fold in task.folds]
+    pairs = zip(said, bare, strict=False)
+    return {
+        "recogniser": name,
+        "accuracy": _mean(shares),
+        "sd": float(spread(shares)) if len(shares) > 1 else None,
+        "se": _error([one.right for one in said]),
+        "after": {"1": _mean(shares), **after},
+        "no_contact": _mean(hit for one, some in pairs for hit in one.right[some]),
+        "log_loss": _mean(one.log_loss for one in said),
+        "seconds": {
+            "learn": _mean(one.learn_s for one in said),
+            "per_touch": _mean(one.per_touch_s for one in said),
+        },
+        "chosen": said[0].chosen,
+        "reason": None,
+    }
+
+
+def _mean(values: Iterable[float | None]) -> float | None:
+    """Return the mean of the values that there are; None where there is none."""
+    found = [value for value in values if value is not None]
+    return float(np.mean(found)) if found else None
+
+
+def _error(folds: Sequence[Array]) -> float:
+    """Return the standard error of the mean over folds; of one fold, over touches."""
+    values = [one.mean() for one in folds] if len(folds) > 1 else folds[0]
+    return float(spread(values) / np.sqrt(len(values)))
+
+
+def _behind(
+    said: dict[str, list[Answers] | str], rows: list[dict[str, Any]]
+) -> dict[str, Any] | None:
+    """Compare default with the best simple recogniser in the same folds.
+
+    In points, positive where default is behind.
+    """
+    simple = [r for r in rows if r["recogniser"] in SIMPLE and r["reason"] is None]
+    default = said.get("default", "")
+    if isinstance(default, str) or not simple:
+        return None
+    best = max(simple, key=lambda row: float(row["accuracy"]))
+    answers = said[best["recogniser"]]
+    assert not isinstance(answers, str)
+    pairs = zip(answers, default, strict=True)
+    lost = [100 * (a.right.astype(float) - b.right) for a, b in pairs]
+    points, error = float(np.mean([one.mean() for one in lost])), _error(lost)
+    return {
+        "recogniser": best["recogniser"],
+        "no_contact": best["no_contact"],
+        "points": points,
+        "se": error,
+        "standard_errors": points / error if error else None,
+        "verdict": "behind" if points > max(POINTS, error) else "not behind",
+    }
+
+
+def _nuisances(touches: Touches) -> dict[str, Floats | None]:
+    """Return values that are not touch, (n_touches, n_values), by name."""
+    images = touches.images
+    load = np.nansum(images.reshape(len(images), -1).astype(np.float64), axis=1)
+    values: dict[str, Floats | None] = {"total load": load.reshape(-1, 1)}
+    for name, measure in CONTROLS.items():
+        grey = images.ndim == 3 or name != "disc centre"
+        values[name] = measure(touches) if grey else None
+    frames, frame_of = touches.whole.get("set_idle"), touches.columns.get("idle_of")
+    there = frames is not None and frame_of is not None
+    values["idle frame"] = taxels(np.asarray(frames))[frame_of] if there else None
+    return values
+
+
+def _alone(values: Floats | None, task: Task) -> float | None:
+    """Return the accuracy from standardised values: SVM or 3-NN, the better one."""
+    if values is None:
+        return None
+    both = [_simply(learner, values, task) for learner in STANDARDISED]
+    return max(float(np.mean([one.right.mean() for one in said])) for said in both)
+
+
+def _majority(labels: Array, fold: RowFold) -> float:
+    names, counts = np.unique(labels[fold.train], return_counts=True)
+    return float((labels[fold.test] == names[counts.argmax()]).mean())

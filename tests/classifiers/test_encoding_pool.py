@@ -1,0 +1,125 @@
+"""A pool of machines: weights by touches left out, parts by name, and refusals."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.special import log_softmax
+
+from palpate.classifiers import (
+    TOGETHER,
+    EncodingPool,
+    FromProbabilities,
+    KernelRidgeClassifier,
+    TouchClassifier,
+    pool_weights,
+)
+from palpate.recognition import read_model, write_model
+
+
+@pytest.fixture
+def problem(rng):
+    """Two features that tell three labels, and three that are noise."""
+    labels = np.repeat(["ball", "mug", "pen"], 30)
+    telling = rng.normal(scale=0.3, size=(90, 2)) + np.repeat(np.eye(3, 2), 30, axis=0)
+    X = np.hstack([telling, rng.normal(size=(90, 3))])
+    return X, labels, np.tile(np.repeat(np.arange(5), 6), 3)
+
+
+def test_noise_weighs_nothing_beside_what_tells(problem):
+    X, labels, groups = problem
+    pool = EncodingPool({"telling": 2, "noise": 3}, together=False)
+    pool.fit(X, labels, groups=groups)
+    assert pool.weights_["telling"] > 0.8
+    said = pool.left_out_by_part()
+    # What tells nothing says nothing, whatever it weighs.
+    assert said["noise"].std(axis=1).mean() < 0.1 * said["telling"].std(axis=1).mean()
+    assert pool.score(X, labels) > 0.9
+
+
+def test_pool_of_one_part_is_its_machine_at_another_temperature(problem):
+    X, labels, groups = problem
+    pool = EncodingPool({"all": 5}).fit(X, labels, groups=groups)
+    alone = KernelRidgeClassifier(max_choice_touches=800).fit(X, labels, groups=groups)
+    said = pool.weights_["all"] * alone.log_likelihood(X)
+    assert_allclose(pool.log_likelihood(X), log_softmax(said, axis=1), atol=1e-9)
+
+
+def test_weights_are_a_minimum_of_the_stated_loss(rng):
+    every = log_softmax(rng.normal(size=(3, 52, 4)), axis=2)
+    codes = np.arange(52) % 4
+
+    def loss(weights):
+        pooled = log_softmax(np.tensordot(weights, every, 1), axis=1)
+        away = (weights - 1 / 3) * 3
+        return -pooled[np.arange(52), codes].sum() + (away**2).sum() / 2
+
+    weights = pool_weights(every, codes)
+    for step in 0.01 * np.vstack([np.eye(3), -np.eye(3)]):
+        # Convex, so a point that no neighbour beats is the minimum.
+        assert loss(np.maximum(weights + step, 0)) >= loss(weights) - 1e-6
+
+
+def test_few_touches_leave_the_pool_near_the_mean():
+    every = np.log(np.array([[[0.6, 0.4]], [[0.5, 0.5]]]))
+    weights = pool_weights(every, np.array([0]))
+    assert_allclose(weights, 0.5, atol=0.15)
+
+
+def test_machine_for_all_parts_learns_what_none_tells_alone(rng):
+    # The label is the exclusive or of two signs: neither tells anything alone.
+    X = rng.uniform(-1, 1, size=(200, 2))
+    labels = np.where(X[:, 0] * X[:, 1] > 0, "same", "other")
+    apart = EncodingPool({"x": 1, "y": 1}, together=False).fit(X, labels)
+    both = EncodingPool({"x": 1, "y": 1}).fit(X, labels)
+    assert apart.score(X, labels) < 0.75
+    assert both.score(X, labels) > 0.9
+    assert both.weights_[TOGETHER] == max(both.weights_.values())
+
+
+def test_it_keeps_the_contract_of_touch_classifiers(problem, tmp_path):
+    X, labels, groups = problem
+    pool = EncodingPool({"telling": 2, "noise": 3}).fit(X, labels, groups=groups)
+    assert isinstance(pool, TouchClassifier)
+    left_out = pool.left_out_log_likelihood()
+    assert left_out.shape == (90, 3)
+    # Left out, touches are never told better than when they were learnt.
+    own = np.searchsorted(pool.classes_, labels)
+    rows = np.arange(90)
+    learnt = log_softmax(pool.log_likelihood(X), axis=1)
+    assert left_out[rows, own].mean() < learnt[rows, own].mean()
+    again = read_model(write_model(tmp_path / "p.palpate", pool), EncodingPool)
+    np.testing.assert_array_equal(again.log_likelihood(X), pool.log_likelihood(X))
+
+
+def test_refit_keeps_weights_and_widths(problem):
+    X, labels, groups = problem
+    pool = EncodingPool({"telling": 2, "noise": 3}).fit(X, labels, groups=groups)
+    weights = dict(pool.weights_)
+    some = labels != "pen"
+    pool.refit(X[some], labels[some], groups=groups[some])
+    assert pool.weights_ == weights
+    assert pool.classes_.tolist() == ["ball", "mug"]
+    assert pool.left_out_log_likelihood().shape == (60, 2)
+
+
+def test_any_touch_classifier_can_be_the_machine(problem):
+    from sklearn.naive_bayes import GaussianNB
+
+    X, labels, groups = problem
+    machine = FromProbabilities(GaussianNB())
+    pool = EncodingPool({"telling": 2, "noise": 3}, machine).fit(X, labels, groups)
+    assert pool.score(X, labels) > 0.9
+
+
+@pytest.mark.parametrize(
+    ("parts", "error", "message"),
+    [
+        ({"a": 2, "b": 2}, ValueError, r"add up to the 5 features of X, got 4"),
+        ({"a": 5, "b": 0}, ValueError, r"parts\['b'\] must be at least 1, got 0"),
+        ({"a": 2.5, "b": 2.5}, TypeError, r"parts\['a'\] must be an integer"),
+    ],
+)
+def test_parts_that_do_not_fit_are_refused(problem, parts, error, message):
+    X, labels, _ = problem
+    with pytest.raises(error, match=message):
+        EncodingPool(parts).fit(X, labels)

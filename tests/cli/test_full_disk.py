@@ -1,0 +1,50 @@
+"""A disk without room: one sentence with the name asked for; the old file stays."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from palpate import Touches
+
+resource = pytest.importorskip("resource")
+
+
+def _limit():
+    """Let no file of this process have over 500 bytes."""
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500))
+
+
+@pytest.mark.parametrize(
+    ("verb", "name"),
+    [
+        ("learn {} -o", "m.palpate"),
+        ("evaluate --train {} --split last --touches 1 --orders 2 --report", "r.html"),
+    ],
+)
+def test_an_output_without_room(tmp_path, rng, verb, name):
+    archive, target = tmp_path / "touches.npz", tmp_path / name
+    images = rng.uniform(0, 9, (24, 8, 8))
+    Touches(images, object=["a", "b"] * 12, geometry="array").save(archive)
+    target.write_bytes(b"old")
+    done = subprocess.run(
+        [
+            *(sys.executable, "-m", "palpate"),
+            *verb.format(archive).split(),
+            target,
+        ],
+        preexec_fn=_limit,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 1, done.stderr
+    assert f"{target} must be a place with room" in done.stderr
+    assert os.strerror(errno.EFBIG) in done.stderr
+    assert "Free space" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert target.read_bytes() == b"old"
+    assert {path.name for path in tmp_path.iterdir()} == {archive.name, name}

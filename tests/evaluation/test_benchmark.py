@@ -1,0 +1,310 @@
+"""The benchmark on drawn sets whose answer is known from how they were drawn."""
+
+import json
+import re
+import sys
+
+import numpy as np
+import pytest
+from sklearn.neighbors import KNeighborsClassifier
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+from sklearn.svm import SVC
+
+from palpate import Touches
+from palpate.evaluation import (
+    PROTOCOLS,
+    SIMPLE,
+    benchmark,
+    benchmark_tables,
+    protocol_folds,
+    verdicts,
+    write_benchmark,
+)
+
+NAMES = np.repeat(["a", "b", "c"], 20)
+
+
+def drawn(images=None, **columns):
+    """Three objects of 20 touches; the images are noise unless given."""
+    if images is None:
+        images = np.random.default_rng(0).normal(size=(60, 3, 8))
+    return Touches(images, object=NAMES, geometry="none", **columns)
+
+
+def folds_of(touches, protocol, label="object", repeats=2):
+    return protocol_folds(touches, protocol, label, repeats, 0)
+
+
+def entry_of(touches, protocol="blocks", recognisers=("3-NN",), **more):
+    ways = {"protocols": [protocol], "recognisers": recognisers, **more}
+    (entry,) = benchmark({"set": touches}, **ways)["benchmark"]
+    return entry
+
+
+def test_where_only_load_tells_the_control_says_so():
+    rng = np.random.default_rng(0)
+    weight = {"a": 1.0, "b": 10.0, "c": 100.0}
+    images = rng.random((60, 3, 8))
+    images /= images.sum(axis=(1, 2), keepdims=True)
+    loads = np.array([weight[name] for name in NAMES])
+    entry = entry_of(drawn(images * loads[:, None, None]), recognisers=["3-NN"])
+    assert entry["controls"]["total load"] == 1
+    assert entry["controls"]["majority"] == pytest.approx(1 / 3)
+    # 60 touches at chance: four standard errors.
+    assert abs(entry["controls"]["sorted pixels"] - 1 / 3) < 0.25
+    assert entry["controls"]["disc centre"] is None
+
+
+def test_each_person_is_asked_by_what_the_others_teach():
+    """Each person presses in their own way, so that nothing carries over."""
+    person = np.tile(["p", "q"], 30)
+    images = np.zeros((60, 3, 8))
+    column = (np.searchsorted(["a", "b", "c"], NAMES) + 3 * (person == "q")) % 8
+    images[np.arange(60), :, column] = 1
+    touches = drawn(images, subject=person)
+    folds, left_out = folds_of(touches, "subjects")
+    assert [fold.name for fold in folds] == ["p", "q"]
+    assert left_out == []
+    for fold in folds:
+        assert set(person[fold.test]) == {fold.name}
+        assert fold.name not in set(person[fold.train])
+    assert entry_of(touches, "blocks")["rows"][0]["accuracy"] == 1
+    assert entry_of(touches, "subjects")["rows"][0]["accuracy"] < 0.5
+
+
+def test_a_press_never_leaks():
+    """Noise that is copied within a press is told apart only through the copies."""
+    once = np.random.default_rng(0).normal(size=(12, 3, 8))
+    images, press = np.repeat(once, 5, axis=0), np.tile(np.repeat(range(4), 5), 3)
+    without = entry_of(drawn(images), "random")["rows"][0]
+    held = entry_of(drawn(images, press=press), "random")["rows"][0]
+    assert without["accuracy"] == 1
+    assert held["accuracy"] < 0.7
+    for protocol in ("blocks", "halves", "random"):
+        for fold in folds_of(drawn(images, press=press), protocol)[0]:
+            presses = {*zip(NAMES, press, strict=True)}
+            train, test = (
+                {(NAMES[row], press[row]) for row in rows} for rows in fold[1:]
+            )
+            assert not train & test
+            assert train | test == presses
+
+
+def test_blocks_and_halves_follow_the_order_of_each_recording():
+    order = np.tile(np.arange(20)[::-1], 3)
+    (half,), _ = folds_of(drawn(order=order), "halves")
+    assert set(order[half.train]) == set(range(10))
+    blocks, _ = folds_of(drawn(order=order), "blocks")
+    runs = [sorted(set(order[fold.test])) for fold in blocks]
+    assert runs == [list(range(k, k + 4)) for k in range(0, 20, 4)]
+    two = np.tile(np.repeat(["x", "y"], 10), 3)
+    (half,), _ = folds_of(drawn(session=two), "halves")
+    assert set(two[half.train]) == set(two[half.test]) == {"x", "y"}
+
+
+def test_objects_met_in_no_other_session_are_left_out_and_counted():
+    session = np.tile(["x", "y"], 30)
+    session[NAMES == "c"] = "x"
+    entry = entry_of(drawn(session=session), "sessions")
+    assert entry["left_out"] == ["c"]
+    assert entry["n_asked"] == 40
+
+
+def test_categories_ask_objects_that_were_never_taught():
+    rng = np.random.default_rng(0)
+    objects = np.repeat(["a1", "a2", "b1", "b2"], 8)
+    touches = Touches(
+        rng.normal(size=(32, 3, 8)), object=objects, category=[n[0] for n in objects]
+    )
+    folds, _ = folds_of(touches, "categories", "category")
+    assert [sorted(set(objects[f.test])) for f in folds] == [["a1", "b1"], ["a2", "b2"]]
+    assert all(not {*objects[f.test]} & {*objects[f.train]} for f in folds)
+    assert entry_of(touches, "categories")["label"] == "category"
+
+
+def test_idle_frames_that_name_the_object_are_a_control():
+    frames = np.arange(12).reshape(12, 1, 1) // 4 * np.ones((12, 3, 8))
+    of = np.repeat(np.arange(12), 5)
+    entry = entry_of(drawn(set_idle=frames, idle_of=of))
+    assert entry["controls"]["idle frame"] == 1
+    assert entry_of(drawn())["controls"]["idle frame"] is None
+
+
+def test_touches_without_contact_are_scored_apart():
+    """Bright objects, and a fifth of each object's touches are the bare frame."""
+    images = np.random.default_rng(0).normal(size=(60, 3, 8)) + 5
+    bare = np.arange(24.0).reshape(3, 8)
+    images[::5] = bare
+    row = entry_of(drawn(images, no_contact=bare))["rows"][0]
+    assert row["no_contact"] == pytest.approx(1 / 3)  # all are the same: one answer
+    assert entry_of(drawn())["rows"][0]["no_contact"] is None
+
+
+@pytest.mark.parametrize("channels", [(), (3,)], ids=["grey", "colour"])
+def test_simple_recognisers_are_what_scikit_learn_does(channels):
+    rng = np.random.default_rng(0)
+    shape = (45, 40, 45, *channels)
+    centres = rng.normal(size=(3, *shape[1:]))
+    images = np.repeat(centres, 15, axis=0) * 20 + 60 * rng.normal(size=shape)
+    images[0, :3] = np.nan
+    flat = images[:, ::5, ::5] if channels else images
+    flat = np.nan_to_num(flat).reshape(45, -1)
+    labels, train = np.repeat([0, 1, 2], 15), np.arange(45) % 3 > 0
+    direct = {
+        "taxels SVM": (flat, make_pipeline(StandardScaler(), SVC(C=10))),
+        "roots SVM": (np.sign(flat) * np.sqrt(np.abs(flat)), SVC(C=10)),
+        "3-NN": (flat, KNeighborsClassifier(3)),
+    }
+    for name, (X, classifier) in direct.items():
+        encode, ours = SIMPLE[name]
+        values = encode(images)
+        expected = classifier.fit(X[train], labels[train])
+        ours.fit(values[train], labels[train])
+        # Channels lie side by side, in another order than taxel by taxel.
+        assert sorted(values[1]) == sorted(X[1])
+        assert (ours.predict(values[~train]) == expected.predict(X[~train])).all()
+        if name != "3-NN":
+            # The kernel is summed by another routine: rounding.
+            decided = ours.decision_function(values), expected.decision_function(X)
+            np.testing.assert_allclose(*decided, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("shape", "n_features"),
+    # Blocks of 2 x 2 cells of 8 pixels, 4 histograms of 9 each.
+    [
+        ((10, 10), 3 * 3 * 36),
+        ((64, 32), 7 * 3 * 36),
+        ((160, 120, 3), 3 * 8 * 36),
+    ],
+    ids=["enlarged", "as it is", "colour"],
+)
+def test_hog_has_a_histogram_for_each_cell(shape, n_features):
+    pytest.importorskip("skimage", reason='needs the extra "bench"')
+    images = np.random.default_rng(0).random((2, *shape))
+    features = SIMPLE["HOG SVM"][0](images)
+    assert features.shape == (2, n_features)
+    # Each picture is divided by its maximum.
+    np.testing.assert_allclose(SIMPLE["HOG SVM"][0](7 * images), features, atol=1e-9)
+
+
+def test_an_error_becomes_a_row_and_a_bad_archive_a_reason(tmp_path):
+    drawn().save(tmp_path / "deep.npz")
+    np.savez(tmp_path / "bad.npz", counts=np.ones(3))
+    names = ["HOG SVM", "corradi2015", "3-NN"]
+    result = benchmark(tmp_path, recognisers=names, protocols=["subjects", "halves"])
+    (entry,) = result["benchmark"]
+    assert entry["archive"] == "deep.npz"
+    reasons = [row["reason"] for row in entry["rows"]]
+    assert "at least 8 taxels" in reasons[0] or "palpate[bench]" in reasons[0]
+    assert "for a sensor 'dome', got 'none'" in reasons[1]
+    assert reasons[2] is None
+    left = {(s["archive"], s["protocol"]): s["reason"] for s in result["skipped"]}
+    assert "images" in left["bad.npz", None]
+    assert "'subject'" in left["deep.npz", "subjects"]
+    said = " ".join(verdicts(result))
+    assert all(reason in said for reason in [*reasons[:2], *left.values()])
+
+
+def test_without_scikit_image_the_row_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "skimage.feature", None)
+    hog, nearest = entry_of(drawn(), recognisers=["HOG SVM", "3-NN"])["rows"]
+    assert 'pip install "palpate[bench]"' in hog["reason"]
+    assert hog["accuracy"] is None
+    assert nearest["reason"] is None
+
+
+@pytest.fixture(scope="module")
+def learnt():
+    """The default on patterns that everything tells, with and without its own fault."""
+    rng = np.random.default_rng(0)
+    images = np.repeat(rng.normal(size=(3, 3, 8)), 20, axis=0)
+    touches = drawn(images + 0.05 * rng.normal(size=(60, 3, 8)))
+    ways = {"recognisers": ["default", "roots SVM"], "protocols": ["blocks", "halves"]}
+    return benchmark({"set <1>": touches}, **ways, touches=(1, 3))
+
+
+def test_default_is_not_behind_where_all_are_right(learnt):
+    json.dumps(learnt, allow_nan=False)
+    blocks, halves = learnt["benchmark"]
+    assert (blocks["n_folds"], halves["n_folds"]) == (5, 1)
+    default, simple = blocks["rows"]
+    assert default["after"] == {"1": 1.0, "3": 1.0}
+    assert simple["after"] == {"1": 1.0}
+    assert default["log_loss"] < np.log(3)
+    assert simple["log_loss"] is None
+    assert default["sd"] == 0
+    assert halves["rows"][0]["sd"] is None
+    assert default["seconds"].keys() == {"learn", "per_touch"}
+    assert "encoding" in default["chosen"]
+    behind = blocks["behind"]
+    assert (behind["recogniser"], behind["points"]) == ("roots SVM", 0)
+    assert behind["verdict"] == "not behind"
+
+
+def marked(places, side, geometry):
+    """Twenty touches each of three objects, which differ in where a mark is."""
+    images = np.abs(0.02 * np.random.default_rng(0).normal(size=(60, side, side)))
+    for image, (row, col) in zip(images, np.repeat(places, 20, axis=0), strict=True):
+        image[row - 1 : row + 2, col - 1 : col + 2] += 1
+    return Touches(images, object=NAMES, geometry=geometry)
+
+
+def test_default_sees_the_place_where_only_the_place_tells():
+    touches = marked([[2, 8], [8, 2], [13, 8]], 16, "array")
+    entry = entry_of(touches, "blocks", ("default", "taxels SVM"))
+    assert [row["accuracy"] for row in entry["rows"]] == [1, 1]
+    assert entry["behind"]["verdict"] == "not behind"
+
+
+def test_who_is_blind_to_turns_is_behind_where_only_turns_tell():
+    # Three places on one ring of a dome, which is never looked at upright.
+    touches = marked([[10, 20], [20, 10], [30, 20]], 41, "dome")
+    entry = entry_of(touches, "blocks", ("default", "taxels SVM"))
+    default, taxels = (row["accuracy"] for row in entry["rows"])
+    assert taxels > 0.95
+    assert default < 0.7
+    assert entry["behind"]["points"] == pytest.approx(100 * (taxels - default))
+    assert entry["behind"]["verdict"] == "behind"
+
+
+def test_the_page_holds_every_table_and_loads_nothing(learnt, tmp_path):
+    pytest.importorskip("matplotlib", reason='needs the extra "plot"')
+    page = write_benchmark(tmp_path / "b.html", learnt).read_text()
+    assert "<script" not in page
+    assert not re.findall(r"(?:src|href)=", page)
+    assert "set &lt;1&gt;" in page
+    ((title, columns, lines),) = benchmark_tables(learnt)
+    assert title == "set <1>: 60 touches"
+    assert {len(line) for line in lines} == {len(columns)}
+    assert ["  default", "100.0", "0.0", "100.0"] in [line[:4] for line in lines]
+
+
+def test_the_same_seed_draws_the_same_folds():
+    first, again = (folds_of(drawn(), "random")[0] for _ in range(2))
+    assert all((a.test == b.test).all() for a, b in zip(first, again, strict=True))
+    assert len(first[0].test) == 12  # a fifth of each
+    assert (first[0].test != first[1].test).any()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"recognisers": ["CNN"]}, "recognisers must be one of 'default'"),
+        ({"protocols": ["thirds"]}, "protocols must be one of 'subjects'"),
+        ({"label": "size"}, "label must be one of 'object', 'category'"),
+        ({"repeats": 0}, "repeats must be at least 1, got 0"),
+        ({"seed": -1}, "seed must be at least 0, got -1"),
+    ],
+)
+def test_refusals(given, message):
+    with pytest.raises(ValueError, match=message):
+        benchmark({"set": drawn()}, **given)
+
+
+def test_an_empty_folder_names_the_fix(tmp_path):
+    for path in (tmp_path, tmp_path / "none"):
+        with pytest.raises(ValueError, match=r"\(\.npz\) or folders .* Touches\.save"):
+            benchmark(path)
+    assert set(PROTOCOLS) >= {"subjects", "sessions", "halves"}

@@ -1,0 +1,52 @@
+"""Nuisance values of touches with channels, and of pads with gaps between them."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate import Touches
+from palpate.evaluation import (
+    brightness,
+    disc_centres,
+    sorted_pixels,
+    without_contact,
+)
+
+
+@pytest.fixture
+def colour(rng):
+    images = rng.uniform(0, 9, (5, 20, 30, 3))
+    about = {"channels": ["r", "g", "b"], "no_contact": images[2]}
+    return Touches(images, geometry="plane", **about)
+
+
+def test_brightness_is_over_all_channels(colour):
+    means = brightness(colour)[:, 0]
+    assert_allclose(means, colour.images.mean(axis=(1, 2, 3)))
+
+
+def test_sorted_pixels_rise_and_leave_gaps_out(colour):
+    values = sorted_pixels(colour)
+    assert values.shape == (5, 64)
+    assert (np.diff(values, axis=1) >= 0).all()
+    image = np.full((1, 2, 3), np.nan)
+    image[:, :, ::2] = [[3.0, 1.0], [0.0, 4.0]]
+    hand = Touches(image, pads=[[0, 0, 2, 1], [0, 2, 2, 1]])
+    assert np.isfinite(sorted_pixels(hand)).all()
+
+
+def test_touches_like_the_frame_of_no_contact_are_found(colour):
+    assert without_contact(colour).tolist() == [False, False, True, False, False]
+
+
+def test_rims_are_found_in_the_mean_over_channels(monkeypatch):
+    row, col = np.mgrid[:100, :120]
+    disc = np.where(np.hypot(row - 52, col - 61) < 40, 150.0, 10.0)
+    grey = Touches(np.stack([disc] * 3), geometry="dome")
+    shares = np.array([0.5, 1.0, 1.5])  # of mean 1
+    names = {"channels": ["r", "g", "b"], "geometry": "dome"}
+    colour = Touches(grey.images[..., np.newaxis] * shares, **names)
+    module = "palpate.evaluation._controls.find_geometry"
+    monkeypatch.setattr(module, lambda touches: touches.geometry)
+    found = disc_centres(colour)
+    assert_allclose(found, disc_centres(grey))

@@ -1,0 +1,146 @@
+"""How objects come: what is found out, what is said, and what is noticed."""
+
+import numpy as np
+import pytest
+
+from palpate import Touches
+from palpate.images import repose
+from palpate.recognition import ObjectRecogniser, what_matters
+
+
+def bars(rng, angles, n_each=30, side=16, place=0.5):
+    """Presses of a bar at these angles (degrees), each an object of its own."""
+    row, col = np.mgrid[:side, :side] - (side - 1) / 2
+    bar = np.exp(-((row / 1.2) ** 2) - (col / 4.5) ** 2)
+    n = n_each * len(angles)
+    turns = np.repeat(angles, n_each) + rng.uniform(-4, 4, n)
+    images = repose(np.repeat(bar[np.newaxis], n, axis=0), turns)
+    images = repose(images, np.zeros(n), rng.uniform(-place, place, (n, 2)))
+    images += 0.02 * rng.normal(size=images.shape)
+    return Touches(images, object=np.repeat([f"at {a}" for a in angles], n_each))
+
+
+def turned_anyhow(touches, rng):
+    angles = rng.uniform(0, 360, len(touches))
+    return Touches(repose(touches.images, angles), **touches.columns)
+
+
+def two_shapes(rng, n_each=30, side=16):
+    row, col = np.mgrid[:side, :side] - (side - 1) / 2
+    bar = np.exp(-((row / 1.2) ** 2) - (col / 4.5) ** 2)
+    disc = np.exp(-((row**2 + col**2) / 2.6**2))
+    images = np.repeat([bar, disc], n_each, axis=0)
+    images = images + 0.02 * rng.normal(size=images.shape)
+    return Touches(images, object=np.repeat(["bar", "disc"], n_each))
+
+
+def test_turns_that_tell_objects_apart_are_used_and_said(rng):
+    learnt = ObjectRecogniser().fit(bars(rng, (0, 45, 90)))
+    assert learnt.score(bars(rng, (0, 45, 90))) > 0.95
+    said = learnt.chosen_["found"]
+    assert any(sentence.startswith("turns matter here") for sentence in said)
+
+
+def test_any_is_blind_to_what_fixed_sees(rng):
+    train, test = bars(rng, (0, 90)), bars(rng, (0, 90))
+    fixed = ObjectRecogniser(presentation="fixed").fit(train)
+    blind = ObjectRecogniser(presentation="any").fit(train)
+    assert fixed.score(test) > 0.95
+    # One bar at two angles is one object to whoever is blind to turns.
+    assert blind.score(test) < 0.75
+
+
+def test_any_recognises_what_was_taught_upright_and_comes_turned(rng):
+    learnt = ObjectRecogniser(presentation="any").fit(two_shapes(rng))
+    assert learnt.score(turned_anyhow(two_shapes(rng), rng)) > 0.95
+
+
+@pytest.mark.parametrize("presentation", ["any", "turned", "shifted", "fixed", "auto"])
+def test_candidates_are_blind_to_what_a_presentation_changes(presentation, rng):
+    learnt = ObjectRecogniser(presentation=presentation).fit(two_shapes(rng))
+    changes = {"any": {"turns", "shifts"}, "turned": {"turns"}, "shifted": {"shifts"}}
+    encoder = learnt.encoder_
+    for name in encoder.encodings:
+        assert changes.get(presentation, set()) <= encoder.blind_to(name)
+
+
+def test_touches_turned_after_upright_training_are_flagged(rng):
+    learnt = ObjectRecogniser().fit(two_shapes(rng))
+    upright = learnt.evidence(two_shapes(rng)).flags
+    # The disc looks the same however it is turned.
+    turned = learnt.evidence(turned_anyhow(two_shapes(rng), rng)[:30]).flags
+    assert upright.count("turned or shifted") <= 3
+    assert turned.count("turned or shifted") >= 20
+
+
+@pytest.mark.parametrize("preset", ["corradi2015", "liu2014"])
+def test_papers_encodings_are_theirs(preset, rng):
+    with pytest.raises(ValueError, match="must be 'auto' with the preset"):
+        ObjectRecogniser(preset, presentation="any").fit(two_shapes(rng))
+
+
+def test_unknown_presentation_is_refused(rng):
+    with pytest.raises(ValueError, match="presentation must be one of 'auto', 'any'"):
+        ObjectRecogniser(presentation="upright").fit(two_shapes(rng))
+
+
+@pytest.mark.parametrize(
+    ("seeing", "blind", "said"),
+    [
+        (-0.1, -1.0, "turns matter here: as they come 85 %, blind to turns 38 %"),
+        (-1.0, -0.1, "turns mislead here: as they come 85 %, blind to turns 38 %"),
+        (-0.5, -0.5, "whether turns matter cannot be told here"),
+    ],
+)
+def test_what_matters_is_a_sentence(seeing, blind, said, rng):
+    own = {"levels": seeing + rng.normal(scale=0.1, size=100)}
+    own["moments"] = blind + rng.normal(scale=0.1, size=100)
+    own["moments"] += (blind - seeing) - (own["moments"] - own["levels"]).mean()
+    figures = {
+        "levels": {"log_loss": -seeing, "accuracy": 0.85, "blind_to": []},
+        "moments": {"log_loss": -blind, "accuracy": 0.38, "blind_to": ["turns"]},
+    }
+    assert what_matters("turns", figures, own).startswith(said)
+    assert what_matters("shifts", figures, own) is None
+
+
+def test_colour_and_pads_are_learnt_saved_and_read(rng, tmp_path):
+    colour = np.zeros((40, 12, 12, 3), np.uint8)
+    colour[:20, 3:9, 3:9, 0] = colour[20:, 3:9, 3:9, 2] = 200
+    colour += rng.integers(0, 20, colour.shape, dtype=np.uint8)
+    names = np.repeat(["red", "blue"], 20)
+    touches = Touches(colour, object=names, channels=["r", "g", "b"])
+    hand = np.full((40, 10, 21), np.nan)
+    hand[:, :, :10] = rng.random((40, 10, 10))
+    hand[:, :, 11:] = rng.random((40, 10, 10))
+    hand[:20, 2:5, 2:5] += 5
+    hand[20:, 2:5, 13:16] += 5
+    boxes = [[0, 0, 10, 10], [0, 11, 10, 10]]
+    fingers = np.repeat(["left", "right"], 20)
+    for some in (touches, Touches(hand, object=fingers, pads=boxes)):
+        learnt = ObjectRecogniser().fit(some[::2])
+        assert learnt.score(some[1::2]) > 0.95
+        again = ObjectRecogniser.load(learnt.save(tmp_path / "m.palpate"))
+        before, after = (model.log_likelihood(some) for model in (learnt, again))
+        np.testing.assert_array_equal(before, after)
+
+
+@pytest.mark.parametrize("presentation", ["any", "turned"])
+def test_what_no_encoding_is_blind_to_is_said(presentation, rng):
+    hand = rng.random((24, 10, 21))
+    hand[:12, 2:5, 2:5] += 5
+    boxes = [[0, 0, 10, 10], [0, 11, 10, 10]]
+    touches = Touches(hand, object=np.repeat(["left", "right"], 12), pads=boxes)
+    learnt = ObjectRecogniser(presentation=presentation).fit(touches)
+    changes = "shifts and turns" if presentation == "any" else "turns"
+    expected = f"no encoding for this sensor is blind to {changes}"
+    assert learnt.chosen_["found"][0] == expected
+
+
+def test_objects_in_turn_are_all_looked_at(rng):
+    # Every second touch is of the same object: an even stride would see that alone.
+    images = rng.random((1199, 8, 8))
+    images[::2, 2:4] += 1
+    names = np.resize(["bar", "none"], 1199)
+    touches = Touches(images, object=names, geometry="array")
+    assert ObjectRecogniser().fit(touches).score(touches[:200]) > 0.95
