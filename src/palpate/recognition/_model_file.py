@@ -27,14 +27,21 @@ from ._evidence import SequenceCalibration
 from ._format_3 import from_format_3
 from ._memory import Memory
 from ._modality import Modality
-from ._unknown import UnknownScale
+from ._unknown import DecisionLimits
 
 FORMAT = 4
 MAX_BYTES = 4 * 2**30
 
 Tensors = dict[str, Array]
 
-_OWN = (ContactCheck, Memory, Modality, SequenceCalibration, TouchEncoder, UnknownScale)
+_OWN = (
+    ContactCheck,
+    DecisionLimits,
+    Memory,
+    Modality,
+    SequenceCalibration,
+    TouchEncoder,
+)
 _ROOMS = (classifiers, encodings, images)
 # Made anew from a stored model; making one computes, which reading a file must not.
 _NEVER_STORED = ("IndexQuality", "KernelDensityIndex", "TouchClassifier")
