@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .._types import Array, Floats
 from ..recognition import (
+    Evidence,
     ObjectRecogniser,
     doubts,
     episode_scores,
@@ -19,9 +20,6 @@ from ..recognition import (
     upper_bound,
     with_floor,
 )
-
-# The weights of one encoding.
-_ALONE = np.ones(1)
 
 
 @dataclass(frozen=True)
@@ -112,24 +110,27 @@ def run_episodes(
     labels: Array | None,
     n_orders: int,
     seed: int,
-    each: Floats | None = None,
+    evidence: Evidence | None = None,
 ) -> Episodes:
     """Recognise each object's touches in `n_orders` random orders, and singly.
 
-    `each` is what every encoding alone says, as in `Evidence`; by default they agree.
+    Of `evidence` comes what tells unknown objects; without it all encodings agree.
     """
     rng = np.random.default_rng(seed)
     floored = with_floor(log_likelihood, recogniser.floor_)
     classes = recogniser.classes_.tolist()
     prior, calibration = recogniser.log_prior(), recogniser.sequence_calibration_
-    weights = recogniser.limits_.weights
-    apart = log_likelihood[:, np.newaxis] if each is None else each
-    apart = with_floor(apart, recogniser.floor_)
+    limits = recogniser.limits_
+    each = log_likelihood[:, np.newaxis].repeat(len(limits.weights), axis=1)
+    distances = np.full(log_likelihood.shape, np.nan)
+    if evidence is not None:
+        each, distances = evidence.by_encoding, evidence.log_distances
+    each = with_floor(each, recogniser.floor_)
 
     def after_each(rows: Array) -> tuple[Floats, Array, Floats]:
         beliefs = log_posteriors(floored[rows], prior, calibration)
-        how = prior, calibration, weights if len(weights) == apart.shape[1] else _ALONE
-        unknown = episode_scores(floored[rows], apart[rows], *how)
+        said = floored[rows], each[rows], distances[rows]
+        unknown = episode_scores(*said, prior, calibration, limits)
         return beliefs, n_informative(floored[rows]), unknown
 
     of_each = [np.flatnonzero(objects == name) for name in np.unique(objects)]

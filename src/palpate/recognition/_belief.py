@@ -30,7 +30,6 @@ from ._unknown import (
     Promise,
     category_codes,
     summed_by_category,
-    unknown_score,
 )
 
 Costs = Mapping[str, Mapping[str, float]]
@@ -82,7 +81,8 @@ class Belief:
     unknown : float
         How little the encodings agree on any object, between 0 and 1: 1 less the
         geometric mean of the probabilities that each alone gives to the object on
-        which they agree best. It falls as touches of a known object come in.
+        which they agree best, and more where the touches are far from its training
+        touches. It falls as touches of a known object come in.
     touches_used : int
         Number of touches that entered so far, those without contact among them.
     flags : list of str
@@ -109,11 +109,12 @@ class Belief:
         self._floored: list[Floats] = []
         self._features: list[Floats] = []
         self._senses: dict[str, list[Floats]] = {}
-        # Sums over the touches that said anything: of log-likelihoods, and of those of
-        # each encoding alone.
+        # Sums over the touches that said anything: of log-likelihoods, of those of each
+        # encoding alone, of log distances.
         self._n_informative = 0
         self._total = np.zeros(len(judge.classes))
         self._each = np.zeros((len(judge.limits.weights), len(judge.classes)))
+        self._distance = np.zeros(len(judge.classes))
         self._touch_log_posterior = self._log_prior
         self._unknown: float | None = None
         self._error = 0.01
@@ -142,6 +143,7 @@ class Belief:
             features=given.features,
             flags=given.flags,
             by_encoding=given.by_encoding,
+            log_distances=given.log_distances,
         )
 
     def update_from_log_likelihood(
@@ -151,12 +153,13 @@ class Belief:
         features: Floats | None = None,
         flags: list[str] | None = None,
         by_encoding: Floats | None = None,
+        log_distances: Floats | None = None,
     ) -> Self:
         """Take in touches by their log-likelihoods, shape (n_touches, n_objects).
 
-        With `features` (n_touches, n_features) they can be explained later; `flags` and
-        `by_encoding` are as in `Evidence`. Without the latter all encodings are taken
-        to say the same.
+        With `features` (n_touches, n_features) they can be explained later; `flags`,
+        `by_encoding` and `log_distances` are as in `Evidence`. Without `by_encoding`
+        all encodings are taken to say the same.
         """
         rows = _checked_rows(log_likelihood, len(self._judge.classes))
         n_touches = len(rows)
@@ -174,6 +177,9 @@ class Belief:
         self._n_informative += int(informative.sum())
         self._total = self._total + floored[informative].sum(axis=0)
         self._each = self._each + each[informative].sum(axis=0)
+        if log_distances is None:
+            log_distances = np.full(rows.shape, np.nan)
+        self._distance = self._distance + log_distances[informative].sum(axis=0)
         self._weigh()
         return self
 
@@ -259,7 +265,10 @@ class Belief:
         )
 
     def _score(self, said: Floats) -> float:
-        return float(unknown_score(said, self._judge.limits.weights))
+        """Return the unknown score of objects, or of categories."""
+        limits, count = self._judge.limits, np.asarray(self._n_informative)
+        mean = self._distance / max(self._n_informative, 1)
+        return float(limits.score(said, limits.apart(self._said(), mean), count))
 
     @property
     def categories(self) -> dict[str, float]:

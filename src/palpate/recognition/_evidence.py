@@ -36,12 +36,15 @@ class Evidence(NamedTuple):
         contact".
     by_encoding : ndarray of shape (n_touches, n_encodings, n_objects)
         The log-likelihood of each encoding alone.
+    log_distances : ndarray of shape (n_touches, n_objects)
+        Logarithm of the distance to the nearest training touch of each object.
     """
 
     features: Floats
     log_likelihood: Floats
     flags: list[str]
     by_encoding: Floats
+    log_distances: Floats
 
     @classmethod
     def together(cls, parts: Sequence[Evidence]) -> Evidence:
@@ -51,6 +54,7 @@ class Evidence(NamedTuple):
             np.concatenate([part.log_likelihood for part in parts]),
             [flag for part in parts for flag in part.flags],
             np.concatenate([part.by_encoding for part in parts]),
+            np.concatenate([part.log_distances for part in parts]),
         )
 
     def one(self, touch: int) -> Evidence:
@@ -61,6 +65,7 @@ class Evidence(NamedTuple):
             self.log_likelihood[row],
             self.flags[row],
             self.by_encoding[row],
+            self.log_distances[row],
         )
 
 

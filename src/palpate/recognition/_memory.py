@@ -22,6 +22,8 @@ from ..touches import Touches, TouchSource
 from ._evidence import as_touches
 
 N_BLOCKS = 5
+# Training touches that distances are taken to, and touches compared at once.
+MOST_MARKS, AT_ONCE = 2000, 1024
 # Touches of an object are copies below this share of its median squared distance.
 COPY = 0.01
 # What a decision says of something that was never learnt.
@@ -109,6 +111,52 @@ class Memory:
         """Return this with the other's touches in place of those of its labels."""
         rest = self.without(other.classes.tolist())
         return rest.plus(other) if len(rest) else other
+
+
+class Nearest:
+    """How far touches are from the nearest training touch of each object.
+
+    Of many training touches some of each object stand for all.
+    """
+
+    def __init__(self, memory: Memory) -> None:
+        step = -(-len(memory) // MOST_MARKS)
+        rows = [np.flatnonzero(memory.labels == c)[::step] for c in memory.classes]
+        every = np.concatenate(rows)
+        self._first = np.cumsum([0, *map(len, rows[:-1])])
+        self._middle = memory.features.mean(axis=0)
+        self._marks = memory.features[every] - self._middle
+        self._squares = (self._marks**2).sum(axis=1)
+        self._blocks = memory.blocks[every]
+
+    def log_distances(
+        self, features: Floats, blocks: NDArray[np.intp] | None = None
+    ) -> Floats:
+        """Return the logarithms of the distances, shape (n_touches, n_objects).
+
+        `blocks` (n_touches,) are those of training touches, which are left out of what
+        they are compared with; NaN where an object has nothing else.
+        """
+        return np.concatenate(
+            [
+                self._least(
+                    features[start : start + AT_ONCE],
+                    None if blocks is None else blocks[start : start + AT_ONCE],
+                )
+                for start in range(0, len(features), AT_ONCE)
+            ]
+        )
+
+    def _least(self, features: Floats, blocks: NDArray[np.intp] | None) -> Floats:
+        centred = features - self._middle
+        own = (centred**2).sum(axis=1)[:, np.newaxis]
+        squared = self._squares + own - 2 * centred @ self._marks.T
+        # Below this the difference of squares is rounding.
+        squared = np.maximum(squared, 1e-12 * (self._squares + own) + 1e-300)
+        if blocks is not None:
+            squared[blocks[:, np.newaxis] == self._blocks] = np.inf
+        least = np.minimum.reduceat(squared, self._first, axis=1)
+        return np.where(np.isfinite(least), 0.5 * np.log(least), np.nan)
 
 
 _COLUMNS = [field.name for field in fields(Memory) if field.name != "sensor"]

@@ -39,6 +39,7 @@ from ._evidence import (
 from ._learning import encoded, learn_encoding, memory_of
 from ._memory import (
     Memory,
+    Nearest,
     blocks_in_order,
     check_name,
     labelled,
@@ -580,6 +581,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         left_out = LeftOut(
             log_likelihood=said,
             each=each,
+            log_distances=self._nearest().log_distances(memory.features, memory.blocks),
             codes=np.searchsorted(self.classes_, memory.labels),
             log_prior=self._log_prior(memory),
             floor=self.floor_,
@@ -589,6 +591,14 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         )
         asked = draw_asked(memory.objects, memory.blocks, self.random_state)
         return fit_limits(left_out, asked, *memory.units)
+
+    def _nearest(self) -> Nearest:
+        """Return what tells distances to the training touches, made when needed."""
+        made: tuple[Memory, Nearest] | None = getattr(self, "_nearest_to", None)
+        if made is None or made[0] is not self.memory_:
+            made = self.memory_, Nearest(self.memory_)
+            self._nearest_to = made
+        return made[1]
 
     def _category_of(self, memory: Memory) -> NDArray[np.str_]:
         if self.label == "category":
@@ -609,6 +619,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             self._used(said, np.array(flags) == NO_CONTACT),
             flags,
             each,
+            self._nearest().log_distances(features),
         )
 
     def _used(self, log_likelihood: Floats, nothing: NDArray[np.bool_]) -> Floats:

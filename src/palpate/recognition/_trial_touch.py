@@ -24,7 +24,7 @@ def check_parts(judge: Judge, image_shape: tuple[int, ...], pose: object) -> Non
     if not np.array_equal(judge.classes, judge.memory.classes.astype(str)):
         raise ValueError("its objects are not those of its touches")
     _check_calibration(judge.sequence_calibration)
-    _check_limits(judge.limits)
+    _check_limits(judge.limits, len(judge.classes))
     check_number("floor_", judge.floor, low=0, high=0.5)
     if not isinstance(pose, PressPose | None):
         raise TypeError(f"pose_ is a {type(pose).__name__}")
@@ -69,12 +69,14 @@ def _check_calibration(calibration: object) -> None:
     check_number("correlation", calibration.correlation, low=0, high=1)
 
 
-def _check_limits(limits: object) -> None:
+def _check_limits(limits: object, n_objects: int) -> None:
     if not isinstance(limits, DecisionLimits):
         raise TypeError(f"limits_ is a {type(limits).__name__}")
     n_levels, n_lengths = len(LEVELS), len(limits.quantiles)
     shapes = {
         "weights": limits.weights.shape[:1],
+        "usual": (n_objects,),
+        "far": (*limits.far.shape[:1], 2),
         "naming": (n_levels,),
         "naming_category": (n_levels,),
         "refusing": (n_levels,),
@@ -85,8 +87,12 @@ def _check_limits(limits: object) -> None:
         values = getattr(limits, name)
         if values.shape != shape or not values.size:
             raise ValueError(f"{name} of its limits is no such table")
-        if not ((values >= 0) & (values <= 1)).all():
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} of its limits holds NaN or infinity")
+        if name not in ("usual", "far") and not ((values >= 0) & (values <= 1)).all():
             raise ValueError(f"{name} of its limits is not between 0 and 1")
+    if not (limits.far[:, 1] > 0).all():
+        raise ValueError("far of its limits has no spread")
     check_count("n_units", limits.n_units)
     if not isinstance(limits.population, str):
         raise TypeError("population of its limits is no text")

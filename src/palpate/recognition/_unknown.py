@@ -2,8 +2,9 @@
 
 Encodings that fail in different ways tell a thing that was never learnt by not
 agreeing on its name, however sure the belief is in the end. One score says how little
-they agree. Below one limit an object may be named, above another it is called unknown,
-and between them more touches are needed.
+they agree, and grows where the touches are farther from all training touches of the
+agreed object than its own are. Below one limit an object may be named, above another it
+is called unknown, and between them more touches are needed.
 
 Both limits are learnt from two kinds of episodes: training touches left out with their
 block or session, and the same touches as if their object had never been learnt. A
@@ -15,7 +16,7 @@ of both is therefore stricter with few objects than with many.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,10 +32,13 @@ LEVELS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 # Touches after which someone who asks after every one has stopped asking.
 MOST_ASKED = 20
 CONFIDENCE = 0.95
-# At most so many of what was never learnt are named, whatever the error; and blocks of
-# one recording are more alike than another visit is: their scores count twice.
+# One known episode in twenty is so many standard deviations farther than usual, were
+# they normal: no sign yet. Distances spread by a tenth at least.
+ONE_IN_TWENTY = 1.645
+_LEAST_SPREAD = 0.1
+# At most so many of what was never learnt are named, whatever the error.
 _NEVER_NAMED = 0.15
-_CAUTION = 2.0
+_FOUR_IN_FIVE = 0.8
 _CANDIDATES = np.geomspace(1, 1e-9, 46)
 
 
@@ -70,6 +74,11 @@ class DecisionLimits:
     ----------
     weights : ndarray of shape (n_encodings,)
         Share of each encoding in the score; they sum to 1.
+    usual : ndarray of shape (n_objects,)
+        Mean log distance from a touch of an object, left out, to its nearest other.
+    far : ndarray of shape (n_lengths, 2)
+        Mean and standard deviation, over known episodes after 1, 2, 3... touches, of
+        how much farther their touches are.
     naming, naming_category : ndarray of shape (len(LEVELS),)
         Scores up to which an object or a category is named, for each error in `LEVELS`;
         those of categories are 0 where none are known.
@@ -86,6 +95,8 @@ class DecisionLimits:
     """
 
     weights: Floats
+    usual: Floats
+    far: Floats
     naming: Floats
     naming_category: Floats
     refusing: Floats
@@ -93,6 +104,29 @@ class DecisionLimits:
     quantiles: Floats
     n_units: int
     population: str
+
+    def score(self, said: Floats, apart: Floats, count: NDArray[np.intp]) -> Floats:
+        """Return the unknown score, between 0 and 1, shape (...,).
+
+        Of the log posteriors that each encoding alone would have (..., n_encodings,
+        n_names), how much farther than usual the touches are from the object that is
+        agreed on (...,), in logarithms, NaN where not known, and how many said
+        something (...,); 0 where none did.
+        """
+        mean, spread = self.far[np.clip(count, 1, len(self.far)) - 1].T
+        beyond = (apart - mean.T) / spread.T - ONE_IN_TWENTY
+        nats = disagreement(said, self.weights) + np.fmax(beyond, 0)
+        return np.where(count > 0, -np.expm1(-nats), 0.0)
+
+    def apart(self, said: Floats, log_distances: Floats) -> Floats:
+        """Return how much farther than usual touches are, shape (...,).
+
+        From the object on which the encodings agree best; of their log posteriors (...,
+        n_encodings, n_objects) and mean log distances (..., n_objects).
+        """
+        agreed = (self.weights @ said).argmax(axis=-1)
+        farther = log_distances - self.usual
+        return np.take_along_axis(farther, agreed[..., np.newaxis], axis=-1)[..., 0]
 
     def naming_limit(self, error: float, *, category: bool = False) -> float:
         """Return the score up to which an object, or a category, may be named."""
@@ -124,31 +158,41 @@ def upper_bound(n_wrong: float, n_units: int) -> float:
     return float(beta.ppf(CONFIDENCE, n_wrong + 1, n_units - n_wrong))
 
 
-def unknown_score(said: Floats, weights: Floats) -> Floats:
-    """Return how little encodings agree on any name, between 0 and 1, shape (...,).
+def disagreement(said: Floats, weights: Floats) -> Floats:
+    """Return how little encodings agree on any name (nats), shape (...,).
 
-    Of the log posteriors of their beliefs (..., n_encodings, n_objects): 1 less the
-    largest weighted geometric mean of what they give to one object.
+    Of the log posteriors of their beliefs (..., n_encodings, n_objects): the logarithm
+    of the largest weighted geometric mean of what they give to one object, negative.
     """
-    score: Floats = -np.expm1((weights @ said).max(axis=-1))
-    return np.clip(score, 0.0, 1.0)
+    nats: Floats = np.maximum(-(weights @ said).max(axis=-1), 0.0)
+    return nats
 
 
 def episode_scores(
     floored: Floats,
     each: Floats,
+    log_distances: Floats,
     log_prior: Floats,
     calibration: SequenceCalibration,
-    weights: Floats,
+    limits: DecisionLimits,
 ) -> Floats:
     """Return the unknown score after each touch of episodes, (..., n_touches).
 
-    Of floored log-likelihoods (..., n_touches, n_objects) and those of each encoding
-    (..., n_touches, n_encodings, n_objects). 0 before any touch said something.
+    Of floored log-likelihoods (..., n_touches, n_objects), those of each encoding (...,
+    n_touches, n_encodings, n_objects) and log distances, as in `Evidence`.
     """
     used = is_informative(floored)
     said, count = _beliefs(used, each, log_prior, calibration)
-    return np.where(count > 0, unknown_score(said, weights), 0.0)
+    mean = _mean_so_far(log_distances, used)
+    return limits.score(said, limits.apart(said, mean), count)
+
+
+def _mean_so_far(values: Floats, used: NDArray[np.bool_]) -> Floats:
+    """Return the mean of (..., n_touches, n_objects) over the touches so far in use."""
+    wide = used[..., np.newaxis]
+    total = np.where(wide, values, 0.0).cumsum(axis=-2)
+    mean: Floats = total / np.maximum(wide.cumsum(axis=-2), 1)
+    return mean
 
 
 @dataclass(frozen=True)
@@ -156,13 +200,15 @@ class LeftOut:
     """What is said of training touches that were left out, and how it adds up.
 
     Log-likelihoods (n_touches, n_objects) and those of `each` encoding (n_touches,
-    n_encodings, n_objects), without floor; `codes` (n_touches,), the column of each
+    n_encodings, n_objects), without floor; `log_distances` (n_touches, n_objects) as of
+    `Nearest`; `codes` (n_touches,), the column of each
     touch's own object; and as in `Judge` the `log_prior`, `floor`, `calibration` and
     `categories`.
     """
 
     log_likelihood: Floats
     each: Floats
+    log_distances: Floats
     codes: Array
     log_prior: Floats
     floor: float
@@ -183,11 +229,23 @@ def fit_limits(
     # Of two objects nothing shows what a third would look like.
     missed = 1 / (n_units + 2) if n_objects > 2 else 0.0
     groups = category_codes(left_out.categories)
-    known = _Tracks.together(_tracks(left_out, rows, groups) for rows in episodes)
+    usual = _usual(left_out)
+    blank, levels = np.empty(0), np.ones((2, len(LEVELS)))
+    scale = DecisionLimits(
+        left_out.weights,
+        usual,
+        _far(left_out, usual, episodes),
+        *(levels[0], np.zeros(len(LEVELS)), levels[1], blank, blank),
+        n_units,
+        population,
+    )
+    known = _Tracks.together(
+        _tracks(left_out, scale, rows, groups) for rows in episodes
+    )
     never = None
     if missed:
         never = _Tracks.together(
-            _tracks(left_out, rows, groups, never=True) for rows in episodes
+            _tracks(left_out, scale, rows, groups, never=True) for rows in episodes
         )
     naming, wrong = _naming(known, never, missed)
     refusing, quantiles = np.ones(len(LEVELS)), known.scores
@@ -195,21 +253,43 @@ def fit_limits(
     if never is not None:
         quantiles = np.concatenate([known.scores, never.scores])
         shares = np.concatenate([(1 - missed) * shares, missed * shares])
-        refusing = _exceeded(quantiles.max(axis=1), shares, _CAUTION)
-    naming_category = np.zeros(len(LEVELS))
+        refusing = _exceeded(quantiles.max(axis=1), shares)
+    naming_category = scale.naming_category
     if groups is not None:
         of_categories = None if never is None else never.category
         naming_category, _ = _naming(known.category, of_categories, missed)
-    return DecisionLimits(
-        left_out.weights,
-        naming,
-        naming_category,
-        refusing,
-        wrong,
-        np.stack([_exceeded(column, shares) for column in quantiles.T]),
-        n_units,
-        population,
+    return replace(
+        scale,
+        naming=naming,
+        naming_category=naming_category,
+        refusing=refusing,
+        wrong=wrong,
+        quantiles=np.stack([_exceeded(column, shares) for column in quantiles.T]),
     )
+
+
+def _usual(left_out: LeftOut) -> Floats:
+    """Return the mean log distance of each object's touches to its nearest other."""
+    own = left_out.log_distances[np.arange(len(left_out.codes)), left_out.codes]
+    told = ~np.isnan(own)
+    everywhere = own[told].mean() if told.any() else 0.0
+    n_objects = len(left_out.log_prior)
+    counts = np.bincount(left_out.codes[told], minlength=n_objects)
+    sums = np.bincount(left_out.codes[told], own[told], minlength=n_objects)
+    return np.where(counts > 0, sums / np.maximum(counts, 1), everywhere)
+
+
+def _far(left_out: LeftOut, usual: Floats, episodes: list[NDArray[np.intp]]) -> Floats:
+    """Return mean and spread, after each touch, of how far known episodes are."""
+    farther = []
+    for rows in episodes:
+        own = int(left_out.codes[rows[0, 0]])
+        mine = left_out.log_distances[rows, own] - usual[own]
+        used = (rows >= 0) & ~np.isnan(mine)
+        farther.append(_mean_so_far(mine[..., np.newaxis], used)[..., 0])
+    every = np.concatenate(farther)
+    spread = np.maximum(every.std(axis=0), _LEAST_SPREAD)
+    return np.stack([every.mean(axis=0), spread], axis=1)
 
 
 @dataclass
@@ -239,6 +319,7 @@ class _Tracks:
 
 def _tracks(
     left_out: LeftOut,
+    scale: DecisionLimits,
     rows: NDArray[np.intp],
     groups: NDArray[np.intp] | None,
     *,
@@ -255,24 +336,22 @@ def _tracks(
     local = local.reshape(rows.shape)
     used = is_informative(floored)[local] & ~over
     prior = log_softmax(left_out.log_prior[columns])
-    belief, _ = _beliefs(used, floored[local], prior, left_out.calibration)
+    belief, count = _beliefs(used, floored[local], prior, left_out.calibration)
     said, _ = _beliefs(used, each[local], prior, left_out.calibration)
-    result = _ended(belief, said, left_out.weights, columns, own)
+    mean = _mean_so_far(left_out.log_distances[mine][:, columns][local], used)
+    apart = replace(scale, usual=scale.usual[columns]).apart(said, mean)
+
+    def ended(belief: Floats, said: Floats, names: Array, own: int) -> _Tracks:
+        right = names[belief.argmax(axis=-1)] == own
+        return _Tracks(scale.score(said, apart, count), doubts(belief), right)
+
+    result = ended(belief, said, columns, own)
     if groups is not None:
         present, names = np.unique(groups[columns]), groups[columns]
-        belief, said = (
-            summed_by_category(one, names, present) for one in (belief, said)
-        )
-        args = (left_out.weights, present, int(groups[own]))
-        result.category = _ended(belief, said, *args)
+        belief = summed_by_category(belief, names, present)
+        said = summed_by_category(said, names, present)
+        result.category = ended(belief, said, present, int(groups[own]))
     return result
-
-
-def _ended(
-    belief: Floats, said: Floats, weights: Floats, names: Array, own: int
-) -> _Tracks:
-    right = names[belief.argmax(axis=-1)] == own
-    return _Tracks(unknown_score(said, weights), doubts(belief), right)
 
 
 def _beliefs(
@@ -312,11 +391,24 @@ def _naming(
             other = _share_wrong(never, candidate, level)
             expected = (1 - missed) * wrong + missed * other
             if expected <= level and other <= _NEVER_NAMED:
-                limit = max(level, float(candidate))
+                limit = max(level, min(float(candidate), _when_sure(known, level)))
                 break
         limits.append(limit)
         shares.append(_share_wrong(known, limit, level))
     return np.array(limits), np.array(shares)
+
+
+def _when_sure(tracks: _Tracks, error: float) -> float:
+    """Return the score that four in five episodes have when doubt is first so small.
+
+    The fifth waits for another touch or two, as does what was never learnt.
+    """
+    sure = tracks.doubt <= error
+    first = sure.argmax(axis=1)
+    episode = np.flatnonzero(sure.any(axis=1))
+    if not len(episode):
+        return 1.0
+    return float(np.quantile(tracks.scores[episode, first[episode]], _FOUR_IN_FIVE))
 
 
 def _share_wrong(tracks: _Tracks, limit: float, error: float) -> float:
@@ -327,13 +419,10 @@ def _share_wrong(tracks: _Tracks, limit: float, error: float) -> float:
     return float((named[episode, first] & ~tracks.right[episode, first]).mean())
 
 
-def _exceeded(values: Floats, shares: Floats, caution: float = 1.0) -> Floats:
-    """Return for each of `LEVELS` what that share of values exceeds at most.
-
-    Each value counts `caution` times.
-    """
+def _exceeded(values: Floats, shares: Floats) -> Floats:
+    """Return for each of `LEVELS` what that share of values exceeds at most."""
     order = np.argsort(-values, kind="stable")
-    above = caution * np.cumsum(shares[order])
+    above = np.cumsum(shares[order])
     places = np.searchsorted(above, LEVELS, side="right")
     return values[order][np.minimum(places, len(values) - 1)]
 

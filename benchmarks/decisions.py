@@ -1,0 +1,210 @@
+"""What decisions are worth on recorded touches, for docs/decisions.md.
+
+Run as `python benchmarks/decisions.py FOLDER OUT.json [SECTION ...] [--draws 20]
+[--first 0]`, with the folder of recorded touches (`bathtip/bathtip50.npz`). Each draw
+takes other objects and other training touches; "last" asks the last quarter of each
+recording, "random" the touches that were not drawn. One minute for ten draws of six
+objects, ten for one of fifty.
+"""
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate import Touches
+from palpate._durable import write_text
+from palpate.evaluation import (
+    Plan,
+    Trial,
+    calibration_error,
+    decide_episodes,
+    evaluate,
+    roc_area,
+    split_by_count,
+    split_touches,
+)
+from palpate.evaluation import draw_touches as drawn
+
+ERRORS = (0.01, 0.05, 0.1)
+LENGTHS = (1, 5, 10)
+N_UNKNOWN = 10
+SPARSE = 8
+
+
+def main() -> None:
+    """Measure the sections asked for, or all; the others stay in the file."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("sections", nargs="*")
+    parser.add_argument("--draws", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
+    asked = parser.parse_args()
+    touches = Touches.load(asked.folder / "bathtip" / "bathtip50.npz")
+    result = json.loads(asked.out.read_text()) if asked.out.exists() else {}
+    for name in asked.sections or SECTIONS:
+        draws = []
+        for seed in range(asked.first, asked.first + asked.draws):
+            draws.append(SECTIONS[name](touches, seed))
+            print(name, seed, draws[-1], flush=True)
+        result[name] = {"first": asked.first, "draws": draws}
+        write_text(asked.out, json.dumps(result, indent=1) + "\n")
+
+
+def few(n_objects: int, n_each: int, split: str) -> Callable[[Touches, int], object]:
+    """Return a section: some random objects, others unknown, random touches taught."""
+
+    def section(touches: Touches, seed: int) -> object:
+        rng = np.random.default_rng([seed, n_objects, n_each])
+        names = rng.permutation(np.unique(touches.object))
+        known = np.isin(touches.object, names[:n_objects])
+        others = np.isin(touches.object, names[n_objects : n_objects + N_UNKNOWN])
+        if split == "random":
+            train, test = split_by_count(touches[known], n_each, seed)
+            return figures(train, test, touches[others])
+        (fold,) = split_touches(touches, "last")
+        mine, asked, new = (
+            np.isin(some.object, wanted)
+            for some, wanted in (
+                (fold.train, names[:n_objects]),
+                (fold.test, names[:n_objects]),
+                (fold.test, names[n_objects : n_objects + N_UNKNOWN]),
+            )
+        )
+        train = drawn(fold.train[mine], n_each, seed)
+        return figures(train, fold.test[asked], fold.test[new])
+
+    return section
+
+
+def in_a_row(touches: Touches, seed: int) -> object:
+    """Two to five objects, each taught with twelve touches in a row."""
+    rng = np.random.default_rng([seed, 12])
+    names = rng.permutation(np.unique(touches.object))
+    n_objects = 2 + seed % 4
+    taught = np.zeros(len(touches), dtype=bool)
+    for name in names[:n_objects]:
+        rows = in_order(touches, str(name))
+        first = rng.integers(0, len(rows) - 12)
+        taught[rows[first : first + 12]] = True
+    known = np.isin(touches.object, names[:n_objects])
+    others = np.isin(touches.object, names[n_objects : n_objects + N_UNKNOWN])
+    return figures(touches[taught], touches[known & ~taught], touches[others])
+
+
+def all_but_one_each(touches: Touches, seed: int) -> object:
+    """Forty objects known, one of each category unknown."""
+    (fold,) = split_touches(touches, "last")
+    out = []
+    for category in np.unique(touches.category):
+        names = np.unique(touches.object[touches.category == category])
+        out.append(names[seed % len(names)])
+    new = np.isin(fold.test.object, out)
+    train = fold.train[~np.isin(fold.train.object, out)]
+    return figures(train, fold.test[~new], fold.test[new])
+
+
+def all_fifty(split: str) -> Callable[[Touches, int], object]:
+    """Return a section: all fifty objects."""
+
+    def section(touches: Touches, seed: int) -> object:
+        if split == "random":
+            return figures(*split_by_count(touches, 60, seed), None)
+        (fold,) = split_touches(touches, "last")
+        return figures(drawn(fold.train, 55, seed), fold.test, None)
+
+    return section
+
+
+def sparse(touches: Touches, seed: int) -> object:
+    """Ten objects with 60 touches, of which five are cut to eight."""
+    rng = np.random.default_rng([seed, SPARSE])
+    names = rng.permutation(np.unique(touches.object))[:10]
+    (fold,) = split_touches(touches[np.isin(touches.object, names)], "last")
+    cut = np.isin(fold.train.object, names[:5])
+    few_left, rest = drawn(fold.train[cut], SPARSE, seed), fold.train[~cut]
+    _, (trial,) = evaluate(
+        Touches.concatenate([few_left, rest]), fold.test, plan=Plan(touches=LENGTHS)
+    )
+    rows = {}
+    for k in LENGTHS:
+        truth, beliefs = trial.episodes.after(k)
+        right = [(b.argmax(1) == t).mean() for t, b in zip(truth, beliefs, strict=True)]
+        is_cut = np.isin(trial.recogniser.classes_[truth], names[:5])
+        pair = np.array(right)[is_cut].mean(), np.array(right)[~is_cut].mean()
+        rows[str(k)] = [float(share) for share in pair]
+    return rows
+
+
+def in_order(touches: Touches, name: str) -> NDArray[np.intp]:
+    """Return the touches of an object in the order of its recording."""
+    rows = np.flatnonzero(touches.object == name)
+    assert touches.order is not None
+    return rows[np.argsort(touches.order[rows], kind="stable")]
+
+
+def figures(train: Touches, test: Touches, unknown: Touches | None) -> object:
+    """Return how episodes end, at each error, and how well unknown ones are told."""
+    plan = Plan(touches=LENGTHS)
+    result, (trial,) = evaluate(train, test, unknown=unknown, plan=plan)
+    keys = ("accuracy", "ece", "category_accuracy", "unknown_auroc", "unknown_refused")
+    row = {key: result[key] for key in keys if key in result}
+    row["perfect_ece"] = {str(k): perfect_ece(trial, k) for k in LENGTHS}
+    for error in ERRORS:
+        ends = decide_episodes(trial.recogniser, trial.episodes, error)
+        n = len(ends.decided)
+        row[str(error)] = {
+            "wrong": float((ends.decided & ~ends.refused & ~ends.right).sum() / n),
+            "refused": float(ends.refused.mean()),
+            "undecided": float((~ends.decided).mean()),
+            "touches": float(ends.touches.mean()),
+            "promised": trial.recogniser.limits_.promise(error).bound,
+        }
+        if trial.unknown_episodes is not None:
+            new = decide_episodes(trial.recogniser, trial.unknown_episodes, error)
+            row[str(error)]["unknown named"] = float(
+                (new.decided & ~new.refused).mean()
+            )
+            row[str(error)]["unknown refused"] = float(new.refused.mean())
+    areas = trial.unknown_episodes and {
+        str(k): float(
+            roc_area(
+                trial.episodes.unknown_after(k), trial.unknown_episodes.unknown_after(k)
+            )
+        )
+        for k in LENGTHS
+    }
+    return row | ({"area": areas} if areas else {})
+
+
+def perfect_ece(trial: Trial, k: int) -> float:
+    """Return the calibration error that these beliefs would have, were they true."""
+    scores = trial.episodes.scores(k)
+    if scores is None:
+        return float("nan")
+    rng = np.random.default_rng(0)
+    drawn_hits = (rng.random(len(scores.confidence)) < scores.confidence for _ in "123")
+    return float(
+        np.mean([calibration_error(scores.confidence, hit) for hit in drawn_hits])
+    )
+
+
+SECTIONS: dict[str, Callable[[Touches, int], object]] = {
+    "6 x 22 last": few(6, 22, "last"),
+    "6 x 22 random": few(6, 22, "random"),
+    "10 x 10 last": few(10, 10, "last"),
+    "10 x 60 last": few(10, 60, "last"),
+    "10 x 60 random": few(10, 60, "random"),
+    "in a row": in_a_row,
+    "sparse": sparse,
+    "40 and one more of each": all_but_one_each,
+    "50 last": all_fifty("last"),
+    "50 random": all_fifty("random"),
+}
+
+if __name__ == "__main__":
+    main()
