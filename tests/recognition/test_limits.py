@@ -14,8 +14,8 @@ from palpate.recognition._calibration import draw_asked
 from palpate.recognition._unknown import (
     LEVELS,
     LeftOut,
+    disagreement,
     fit_limits,
-    unknown_score,
     upper_bound,
 )
 
@@ -31,12 +31,21 @@ def left_out(n_objects, rng, gain=3.0, categories=None):
     return LeftOut(
         log_likelihood=log_softmax(each.sum(axis=1), axis=-1),
         each=each,
+        log_distances=np.zeros((len(codes), n_objects)),
         codes=codes,
         log_prior=np.full(n_objects, -np.log(n_objects)),
         floor=0.01,
         calibration=SequenceCalibration(1.0, 0.1),
         weights=np.array([0.5, 0.5]),
         categories=np.full(n_objects, "") if categories is None else categories,
+    )
+
+
+def scores_of(given, limits, floored, each):
+    """Return the unknown scores of touches that are as near as usual."""
+    near = np.broadcast_to(limits.usual, floored.shape)
+    return episode_scores(
+        floored, each, near, given.log_prior, given.calibration, limits
     )
 
 
@@ -49,11 +58,36 @@ def test_the_score_is_how_little_encodings_give_to_one_name():
     agreed = np.log([[0.9, 0.1], [0.8, 0.2]])
     torn = np.log([[0.99, 0.01], [0.01, 0.99]])
     half = np.array([0.5, 0.5])
-    assert unknown_score(agreed, half) == pytest.approx(1 - np.sqrt(0.9 * 0.8))
-    assert unknown_score(torn, half) == pytest.approx(1 - np.sqrt(0.99 * 0.01))
+    nats = -np.log([np.sqrt(0.9 * 0.8), np.sqrt(0.99 * 0.01), 0.99, 0.25])
+    assert disagreement(agreed, half) == pytest.approx(nats[0])
+    assert disagreement(torn, half) == pytest.approx(nats[1])
     # An encoding that weighs nothing is not asked.
-    assert unknown_score(torn, np.array([1.0, 0.0])) == pytest.approx(0.01)
-    assert unknown_score(np.log([[0.25] * 4]), np.ones(1)) == pytest.approx(0.75)
+    assert disagreement(torn, np.array([1.0, 0.0])) == pytest.approx(nats[2])
+    assert disagreement(np.log([[0.25] * 4]), np.ones(1)) == pytest.approx(nats[3])
+
+
+def test_touches_far_from_what_was_learnt_count_as_unknown(rng):
+    given = left_out(4, rng)
+    given.log_distances[:] = 0.5 + 0.3 * rng.normal(size=given.log_distances.shape)
+    limits = limits_of(given)
+    assert_allclose(limits.usual, 0.5, atol=0.2)
+    assert_allclose(limits.far[:, 0], 0, atol=0.1)
+    # Means of more touches spread less, but never count for less than a tenth.
+    assert limits.far[0, 1] == pytest.approx(0.3, abs=0.05)
+    assert limits.far[8, 1] == pytest.approx(0.1, abs=0.02)
+    sure = np.log([[0.97, 0.01, 0.01, 0.01]] * 2)
+    near, some, away = (
+        limits.far[0, 0] + step * limits.far[0, 1] for step in (0, 1, 5)
+    )
+    one = np.asarray(1)
+    scores = [float(limits.score(sure, np.asarray(x), one)) for x in (near, some, away)]
+    assert scores[:2] == pytest.approx([0.03, 0.03])
+    assert scores[2] == pytest.approx(1 - 0.97 * np.exp(-(5 - 1.645)))
+    assert float(limits.score(sure, np.asarray(np.nan), one)) == pytest.approx(0.03)
+    assert float(limits.score(sure, np.asarray(away), np.asarray(0))) == 0
+    # Farther than usual from the object that is agreed on, whatever the others.
+    distances = np.array([9.0, 0.0, 0.0, 0.0])
+    assert limits.apart(sure, distances) == pytest.approx(9.0 - limits.usual[0])
 
 
 def test_episodes_score_as_worked_out_touch_by_touch(rng):
@@ -62,20 +96,15 @@ def test_episodes_score_as_worked_out_touch_by_touch(rng):
         with_floor(one, 0.01)[:6] for one in (given.log_likelihood, given.each)
     )
     floored[2] = -np.log(4)  # no contact
-    scores = episode_scores(
-        floored, each, given.log_prior, given.calibration, given.weights
-    )
+    limits = limits_of(given)
+    scores = scores_of(given, limits, floored, each)
     used = [0, 1, 3, 4, 5]
     total = each[used].sum(axis=0) * given.calibration.weight(5)
-    assert scores[-1] == pytest.approx(
-        unknown_score(log_softmax(total, -1), [0.5, 0.5])
-    )
+    nats = disagreement(log_softmax(total, -1), limits.weights)
+    assert scores[-1] == pytest.approx(1 - np.exp(-nats))
     assert scores[1] == scores[2]
     silent = np.full((3, 4), -np.log(4))
-    nothing = episode_scores(
-        silent, each[:3], given.log_prior, given.calibration, given.weights
-    )
-    assert_allclose(nothing, 0)
+    assert_allclose(scores_of(given, limits, silent, each[:3]), 0)
 
 
 def test_names_are_rarely_wrong_and_what_was_never_learnt_rarely_named(rng):
@@ -84,8 +113,7 @@ def test_names_are_rarely_wrong_and_what_was_never_learnt_rarely_named(rng):
     fresh = left_out(12, np.random.default_rng(5), gain=2.0)
     floored, each = (with_floor(x, 0.01) for x in (fresh.log_likelihood, fresh.each))
     rows = np.concatenate(draw_asked(fresh.codes, np.zeros(len(fresh.codes), int), 1))
-    how = fresh.log_prior, fresh.calibration, fresh.weights
-    scores = episode_scores(floored[rows], each[rows], *how)
+    scores = scores_of(fresh, limits, floored[rows], each[rows])
     refused = (scores > limits.refusing_limit(0.05)).any(axis=1)
     assert refused.mean() <= 0.05
     # As if each of the last four had never been learnt.
@@ -93,8 +121,9 @@ def test_names_are_rarely_wrong_and_what_was_never_learnt_rarely_named(rng):
     strangers = np.flatnonzero(fresh.codes >= 8).reshape(4, N_EACH)
     apart = with_floor(fresh.each[:, :, few], 0.01)
     pooled = with_floor(fresh.log_likelihood[:, few], 0.01)
-    how = np.full(8, -np.log(8)), fresh.calibration, fresh.weights
-    unknown = episode_scores(pooled[strangers], apart[strangers], *how)
+    left = replace(fresh, log_prior=np.full(8, -np.log(8)))
+    few_known = replace(limits, usual=limits.usual[:8])
+    unknown = scores_of(left, few_known, pooled[strangers], apart[strangers])
     assert np.median(unknown[:, -1]) > np.quantile(scores[:, -1], 0.99)
 
 
@@ -121,8 +150,7 @@ def test_thresholds_are_exceeded_by_the_stated_share(rng):
     limits = limits_of(given, 10_000)  # nearly all episodes count as known
     floored, each = (with_floor(x, 0.01) for x in (given.log_likelihood, given.each))
     rows = np.concatenate(draw_asked(given.codes, np.zeros(len(given.codes), int), 7))
-    how = given.log_prior, given.calibration, given.weights
-    scores = episode_scores(floored[rows], each[rows], *how)
+    scores = scores_of(given, limits, floored[rows], each[rows])
     for k in (1, 5, 20):
         above = (scores[:, k - 1] > limits.threshold(k, 0.05)).mean()
         assert above == pytest.approx(0.05, abs=0.025)  # 1000 episodes of 40 objects
