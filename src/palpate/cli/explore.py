@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ._options import (
+    MAX_MODEL_MB,
     AsJson,
     ErrorRate,
+    MaxModelMb,
     ModelOutput,
     ModelPath,
     Preset,
@@ -122,6 +124,7 @@ def recognise(
     ] = None,
     unit: Unit = "mm",
     seed: Seed = 0,
+    max_model_mb: MaxModelMb = MAX_MODEL_MB,
     as_json: AsJson = False,
 ) -> None:
     """Touch one object until it is recognised, or found to be unknown."""
@@ -130,7 +133,7 @@ def recognise(
     from ..recognition import ObjectRecogniser
 
     found = _one_object(thing, unit)
-    recogniser = ObjectRecogniser.load(model)
+    recogniser = ObjectRecogniser.load(model, max_model_mb)
     stand = put_down(
         found,
         _camera(recogniser),

@@ -4,9 +4,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from ._options import (
+    MAX_MODEL_MB,
     AsJson,
     Calibration,
     Learning,
+    MaxModelMb,
     ModelOutput,
     Reading,
     TouchesPath,
@@ -46,6 +48,7 @@ def learn(
     working: Working,
     reading: Reading,
     calibration: Calibration = None,
+    max_model_mb: MaxModelMb = MAX_MODEL_MB,
     as_json: AsJson = False,
 ) -> None:
     """Learn objects from labelled touches and write a model file."""
@@ -61,7 +64,7 @@ def learn(
                 training = calibrated(_held(found), calibration)
             stage(f"learning from {len(training)} touches")
             if extend is not None:
-                recogniser = _extended(extend, training)
+                recogniser = _extended(extend, training, max_model_mb)
             else:
                 given = {k: v for k, v in vars(how).items() if k != "seed"}
                 recogniser = ObjectRecogniser(**given, random_state=how.seed)
@@ -88,7 +91,9 @@ def learn(
     )
 
 
-def _extended(model: Path, training: "Touches | Selection") -> "ObjectRecogniser":
+def _extended(
+    model: Path, training: "Touches | Selection", max_mb: float
+) -> "ObjectRecogniser":
     """Return a model that knows the new labels of `training` as well.
 
     Where all labels are known, their touches join those that the model has.
@@ -97,7 +102,7 @@ def _extended(model: Path, training: "Touches | Selection") -> "ObjectRecogniser
 
     from ..recognition import ObjectRecogniser
 
-    recogniser = ObjectRecogniser.load(model)
+    recogniser = ObjectRecogniser.load(model, max_mb)
     labels = training.object if recogniser.label == "object" else training.category
     if labels is None:
         raise ValueError(

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._options import AsJson, ErrorRate, ModelPath, grouped, option
+from ._options import (
+    MAX_MODEL_MB,
+    AsJson,
+    ErrorRate,
+    MaxModelMb,
+    ModelPath,
+    grouped,
+    option,
+)
 from ._output import belief_line, print_json
 from ._sensor import Patience, SensorAddress, SensorOptions, Summary, need_baseline
 
@@ -30,6 +38,7 @@ def live(
     error: ErrorRate = 0.01,
     summary: Summary = "peak",
     options: SensorOptions,
+    max_model_mb: MaxModelMb = MAX_MODEL_MB,
     as_json: AsJson = False,
 ) -> None:
     """Recognise touch by touch, live: an episode ends when the object is decided."""
@@ -37,7 +46,9 @@ def live(
 
     done: list[Episode] = []
     chosen = options.open(sensor)
-    session = LiveSession(chosen, model=model, error=error, summary=summary)
+    session = LiveSession(
+        chosen, model=model, error=error, summary=summary, max_model_mb=max_model_mb
+    )
     found: queue.Queue[dict[str, Any]] = queue.Queue()
 
     def listen(event: Any) -> None:

@@ -4,9 +4,11 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from ._options import (
+    MAX_MODEL_MB,
     AsJson,
     Calibration,
     ErrorRate,
+    MaxModelMb,
     ModelPath,
     Reading,
     TouchesPath,
@@ -34,6 +36,7 @@ def recognise(
     reading: Reading,
     calibration: Calibration = None,
     working: Working,
+    max_model_mb: MaxModelMb = MAX_MODEL_MB,
     as_json: AsJson = False,
 ) -> None:
     """Recognise touch by touch: one episode per object (and session) of TOUCHES."""
@@ -41,7 +44,7 @@ def recognise(
 
     with stages() as stage, working.started():
         stage(f"reading {model}")
-        recogniser = ObjectRecogniser.load(model)
+        recogniser = ObjectRecogniser.load(model, max_model_mb)
         stage(f"reading {touches}")
         tested = calibrated(reading.touches(touches), calibration)
         stage(f"recognising {len(tested)} touches")

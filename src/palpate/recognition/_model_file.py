@@ -27,10 +27,12 @@ from ._evidence import SequenceCalibration
 from ._format_3 import from_format_3
 from ._memory import Memory
 from ._modality import Modality
+from ._model_bounds import MB, Budget
 from ._unknown import UnknownScale
 
 FORMAT = 4
-MAX_BYTES = 4 * 2**30
+# Larger files are read where the caller says so.
+MAX_MB = 2000
 
 Tensors = dict[str, Array]
 
@@ -68,6 +70,7 @@ def write_model(path: str | Path, model: object) -> Path:
     tensors: Tensors = {}
     packed = _pack_object(model, tensors)
     document = json.dumps({"format": FORMAT, "model": packed})
+    _check_readable(model, packed, document, tensors)
     metadata = {"palpate": document, "sha256": _checksum(document, tensors)}
     with replacing(target) as file:
         save_file(tensors or {"empty": np.zeros(1)}, file.name, metadata=metadata)
@@ -99,22 +102,27 @@ def check_model_path(path: str | Path) -> Path:
     return target
 
 
-def read_model(path: str | Path, also: type) -> Any:
+def read_model(path: str | Path, also: type, max_mb: float = MAX_MB) -> Any:
     """Return the model that `write_model` wrote, or say what is wrong with it.
 
-    Of this format or of format 3; `also` is the class of the model itself, beside
-    `KNOWN_CLASSES`. Raises `ModelFileError`.
+    Of this format or of format 3, of at most `max_mb` MB; `also` is the class of the
+    model itself, beside `KNOWN_CLASSES`. Raises `ModelFileError`.
     """
     source = Path(path)
     if not source.is_file():
         raise ModelFileError(
             f"There is no model file {source}; `palpate learn` makes one."
         )
-    if source.stat().st_size > MAX_BYTES:
-        raise ModelFileError(f"{source} is larger than {MAX_BYTES} bytes; refused.")
+    n_bytes = source.stat().st_size
+    if n_bytes > max_mb * MB:
+        raise ModelFileError(
+            f"A model file must be at most {max_mb:g} MB large, got {source} with "
+            f"{n_bytes / MB:.0f} MB. Give a higher --max-model-mb (max_mb)."
+        )
     document, tensors = _open(source)
-    known = KNOWN_CLASSES | {also.__name__: also}
+    known, budget = KNOWN_CLASSES | {also.__name__: also}, Budget(n_bytes)
     try:
+        budget.check_document(document)
         content = json.loads(document)
         version, model = content["format"], content["model"]
         if version not in (3, FORMAT):
@@ -124,18 +132,24 @@ def read_model(path: str | Path, also: type) -> Any:
             )
         if version == 3:
             model = from_format_3(model)
-        return _unpack(model, tensors, known)
+        return _unpack(model, tensors, known, budget)
     except ModelFileError:
         raise
-    except (
-        KeyError,
-        TypeError,
-        ValueError,
-        AttributeError,
-        IndexError,
-        RecursionError,
-    ) as error:
+    except Exception as error:
         raise ModelFileError(f"{source} is damaged: {error}. Learn again.") from error
+
+
+def _check_readable(
+    model: object, packed: Any, document: str, tensors: Tensors
+) -> None:
+    """Refuse to write what `read_model` would refuse."""
+    n_bytes = len(document) + sum(array.nbytes for array in tensors.values())
+    budget, known = Budget(n_bytes), KNOWN_CLASSES | {type(model).__name__: type(model)}
+    try:
+        budget.check_document(document)
+        _unpack(packed, tensors, known, budget)
+    except (TypeError, ValueError) as error:
+        raise ModelFileError(f"This model could not be read again: {error}.") from error
 
 
 def _open(source: Path) -> tuple[str, Tensors]:
@@ -230,7 +244,9 @@ def _state(value: Any) -> tuple[dict[str, Any], dict[str, Any]]:
     return value.get_params(deep=False), learnt
 
 
-def _unpack(node: Any, tensors: Tensors, known: Mapping[str, type]) -> Any:
+def _unpack(
+    node: Any, tensors: Tensors, known: Mapping[str, type], budget: Budget
+) -> Any:
     if node is None or isinstance(node, bool | int | str):
         return node
     if not isinstance(node, dict):
@@ -238,24 +254,30 @@ def _unpack(node: Any, tensors: Tensors, known: Mapping[str, type]) -> Any:
     if "float" in node:
         return float(node["float"])
     if "array" in node:
-        stored = tensors[node["array"]].reshape(node["shape"])
+        stored = tensors[node["array"]]
+        budget.check_array(node["array"], stored, node["shape"])
+        stored = stored.reshape(node["shape"])
         return stored.T if node.get("turned") else stored
     if "complex" in node:
-        real, imaginary = _unpack(node["complex"], tensors, known)
+        real, imaginary = _unpack(node["complex"], tensors, known, budget)
         return real + 1j * imaginary
     if "text" in node:
+        budget.check_texts(node["text"])
         return np.array(node["text"], dtype=str).reshape(node["shape"])
     if "list" in node or "tuple" in node:
         kind = list if "list" in node else tuple
         items = node["list"] if kind is list else node["tuple"]
-        return kind(_unpack(item, tensors, known) for item in items)
+        return kind(_unpack(item, tensors, known, budget) for item in items)
     if "dict" in node:
-        return {str(k): _unpack(v, tensors, known) for k, v in node["dict"]}
-    return _unpack_object(node, tensors, known)
+        return {str(k): _unpack(v, tensors, known, budget) for k, v in node["dict"]}
+    return _unpack_object(node, tensors, known, budget)
 
 
 def _unpack_object(
-    node: dict[str, Any], tensors: Tensors, known: Mapping[str, type]
+    node: dict[str, Any],
+    tensors: Tensors,
+    known: Mapping[str, type],
+    budget: Budget,
 ) -> Any:
     name = node["class"]
     if name not in known:
@@ -263,12 +285,17 @@ def _unpack_object(
             f"The model names the class {name!r}, which this palpate does not know. "
             "Update palpate, or learn again."
         )
-    params = {k: _unpack(v, tensors, known) for k, v in node["params"].items()}
-    built = known[name](**params)
-    for attribute, packed in node["learnt"].items():
+    for attribute in node["learnt"]:
         if not (
             attribute.isidentifier() and attribute.endswith("_")
         ) or attribute.startswith("_"):
             raise ModelFileError(f"{attribute!r} is not a learnt attribute")
-        setattr(built, attribute, _unpack(packed, tensors, known))
+    params, learnt = (
+        {k: _unpack(v, tensors, known, budget) for k, v in node[part].items()}
+        for part in ("params", "learnt")
+    )
+    budget.check_object(params | learnt)
+    built = known[name](**params)
+    for attribute, value in learnt.items():
+        setattr(built, attribute, value)
     return built

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from math import prod
 from pathlib import Path
 from typing import Any, Self
 
@@ -43,7 +44,8 @@ from ._memory import (
     without_copies,
 )
 from ._modality import Modality
-from ._model_file import ModelFileError, read_model, write_model
+from ._model_bounds import MOST_TRIED
+from ._model_file import MAX_MB, ModelFileError, read_model, write_model
 from ._presets import PRESENTATIONS, Preset, find_preset
 from ._trial_touch import check_parts, try_one_touch
 from ._unknown import UnknownScale
@@ -475,23 +477,32 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         return write_model(path, self)
 
     @classmethod
-    def load(cls, path: str | Path) -> Self:
+    def load(cls, path: str | Path, max_mb: float = MAX_MB) -> Self:
         """Read a recogniser from a `.palpate` file; nothing in it is executed.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file; of anybody, its numbers and sizes are bounded.
+        max_mb : float, default=2000
+            A larger file is refused unread (MB).
 
         Raises
         ------
         ModelFileError
             If the file is missing, damaged, of another version, or no recogniser.
         """
-        model = read_model(path, also=cls)
+        model = read_model(path, also=cls, max_mb=max_mb)
         if not isinstance(model, cls):
             raise ModelFileError(f"{path} holds no object recogniser.")
         try:
             model._check_parameters()
             check_parts(model.judge(), model.encoder_.image_shape_, model.pose_)
-            blank = model.evidence(model.encoder_.blank_touch())
-            row = model.classifier_.log_likelihood(blank.features)
-            try_one_touch(model.start(), blank, row)
+            if prod(model.encoder_.image_shape_) <= MOST_TRIED:
+                with np.errstate(all="ignore"):
+                    blank = model.evidence(model.encoder_.blank_touch())
+                    row = model.classifier_.log_likelihood(blank.features)
+                    try_one_touch(model.start(), blank, row)
         except Exception as error:
             raise ModelFileError(f"{path} is damaged: {error}. Learn again.") from error
         return model
