@@ -95,7 +95,7 @@ class Budget:
             _check_size(name, value)
         if "counts_" in values and (
             values["counts_"].min() < 0
-            or values["counts_"].sum(dtype=float) > len(values["points_"])
+            or values["counts_"].sum(dtype=float) > len(values.get("points_", ()))
         ):
             raise ValueError("counts_ are more touches than there are")
         n_pixels = prod(values.get("image_shape_", ()))

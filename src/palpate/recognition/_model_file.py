@@ -74,6 +74,7 @@ def write_model(path: str | Path, model: object) -> Path:
     metadata = {"palpate": document, "sha256": _checksum(document, tensors)}
     with replacing(target) as file:
         save_file(tensors or {"empty": np.zeros(1)}, file.name, metadata=metadata)
+        _order_header(Path(file.name))
     return target
 
 
@@ -137,6 +138,16 @@ def read_model(path: str | Path, also: type, max_mb: float = MAX_MB) -> Any:
         raise
     except Exception as error:
         raise ModelFileError(f"{source} is damaged: {error}. Learn again.") from error
+
+
+def _order_header(path: Path) -> None:
+    """Sort a safetensors header, whose metadata come in any order, by name."""
+    with path.open("r+b") as file:
+        length = int.from_bytes(file.read(8), "little")
+        header = json.loads(file.read(length))
+        header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+        file.seek(8)
+        file.write(json.dumps(header, separators=(",", ":")).encode().ljust(length))
 
 
 def _check_readable(
