@@ -286,3 +286,20 @@ def test_a_picture_in_memory_is_as_in_a_file():
     for broken in (data[:-9], b"", b"GIF89a"):
         with pytest.raises(TouchesError, match="JPEG or PNG"):
             decode_bytes(broken)
+
+
+@pytest.mark.parametrize("n_bits", [1, 2, 4, 8])
+def test_a_colour_that_the_palette_lacks_is_refused(grey, n_bits):
+    indices = (np.arange(grey.size) % 2**n_bits).astype(np.uint8).reshape(grey.shape)
+    picture = Image.frombytes("P", grey.shape[::-1], indices.tobytes())
+    picture.putpalette([level for index in range(2**n_bits) for level in [index] * 3])
+    whole = coded(picture, bits=n_bits)
+    assert_array_equal(decode_bytes(whole), indices)
+    start = whole.index(b"PLTE") - 4
+    length = int.from_bytes(whole[start : start + 4])
+    kept = whole[start + 8 : start + 5 + length]
+    shorter = b"PLTE" + kept
+    chunk = len(kept).to_bytes(4) + shorter + zlib.crc32(shorter).to_bytes(4)
+    lacking = whole[:start] + chunk + whole[start + 12 + length :]
+    with pytest.raises(TouchesError, match=f"of a palette of {2**n_bits - 1}"):
+        decode_bytes(lacking)

@@ -85,7 +85,6 @@ ModelPath = Annotated[Path, argument("MODEL", "A model file (.palpate).")]
 MaxModelMb = Annotated[
     float, option("--max-model-mb", "A larger model file is refused unread.")
 ]
-MAX_MODEL_MB = 2000.0
 ModelOutput = Annotated[
     Path, option("-o", "--output", "The model file to write (.palpate).")
 ]

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ._options import (
-    MAX_MODEL_MB,
     AsJson,
     ErrorRate,
     MaxModelMb,
@@ -124,7 +123,7 @@ def recognise(
     ] = None,
     unit: Unit = "mm",
     seed: Seed = 0,
-    max_model_mb: MaxModelMb = MAX_MODEL_MB,
+    max_model_mb: MaxModelMb = 2000,
     as_json: AsJson = False,
 ) -> None:
     """Touch one object until it is recognised, or found to be unknown."""

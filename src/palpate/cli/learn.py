@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from ._options import (
-    MAX_MODEL_MB,
     AsJson,
     Calibration,
     Learning,
@@ -48,7 +47,7 @@ def learn(
     working: Working,
     reading: Reading,
     calibration: Calibration = None,
-    max_model_mb: MaxModelMb = MAX_MODEL_MB,
+    max_model_mb: MaxModelMb = 2000,
     as_json: AsJson = False,
 ) -> None:
     """Learn objects from labelled touches and write a model file."""

@@ -4,7 +4,6 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from ._options import (
-    MAX_MODEL_MB,
     AsJson,
     Calibration,
     ErrorRate,
@@ -36,7 +35,7 @@ def recognise(
     reading: Reading,
     calibration: Calibration = None,
     working: Working,
-    max_model_mb: MaxModelMb = MAX_MODEL_MB,
+    max_model_mb: MaxModelMb = 2000,
     as_json: AsJson = False,
 ) -> None:
     """Recognise touch by touch: one episode per object (and session) of TOUCHES."""

@@ -121,7 +121,7 @@ def read_model(path: str | Path, also: type, max_mb: float = MAX_MB) -> Any:
             f"{n_bytes / MB:.0f} MB. Give a higher --max-model-mb (max_mb)."
         )
     document, tensors = _open(source)
-    known, budget = KNOWN_CLASSES | {also.__name__: also}, Budget(n_bytes)
+    budget = Budget(n_bytes, tensors, KNOWN_CLASSES | {also.__name__: also})
     try:
         budget.check_document(document)
         content = json.loads(document)
@@ -133,7 +133,7 @@ def read_model(path: str | Path, also: type, max_mb: float = MAX_MB) -> Any:
             )
         if version == 3:
             model = from_format_3(model)
-        return _unpack(model, tensors, known, budget)
+        return _unpack(model, budget)
     except ModelFileError:
         raise
     except Exception as error:
@@ -155,10 +155,11 @@ def _check_readable(
 ) -> None:
     """Refuse to write what `read_model` would refuse."""
     n_bytes = len(document) + sum(array.nbytes for array in tensors.values())
-    budget, known = Budget(n_bytes), KNOWN_CLASSES | {type(model).__name__: type(model)}
+    known = KNOWN_CLASSES | {type(model).__name__: type(model)}
+    budget = Budget(n_bytes, tensors, known)
     try:
         budget.check_document(document)
-        _unpack(packed, tensors, known, budget)
+        _unpack(packed, budget)
     except (TypeError, ValueError) as error:
         raise ModelFileError(f"This model could not be read again: {error}.") from error
 
@@ -255,9 +256,7 @@ def _state(value: Any) -> tuple[dict[str, Any], dict[str, Any]]:
     return value.get_params(deep=False), learnt
 
 
-def _unpack(
-    node: Any, tensors: Tensors, known: Mapping[str, type], budget: Budget
-) -> Any:
+def _unpack(node: Any, budget: Budget) -> Any:
     if node is None or isinstance(node, bool | int | str):
         return node
     if not isinstance(node, dict):
@@ -265,12 +264,10 @@ def _unpack(
     if "float" in node:
         return float(node["float"])
     if "array" in node:
-        stored = tensors[node["array"]]
-        budget.check_array(node["array"], stored, node["shape"])
-        stored = stored.reshape(node["shape"])
+        stored = budget.array(node["array"], node["shape"])
         return stored.T if node.get("turned") else stored
     if "complex" in node:
-        real, imaginary = _unpack(node["complex"], tensors, known, budget)
+        real, imaginary = _unpack(node["complex"], budget)
         return real + 1j * imaginary
     if "text" in node:
         budget.check_texts(node["text"])
@@ -278,20 +275,15 @@ def _unpack(
     if "list" in node or "tuple" in node:
         kind = list if "list" in node else tuple
         items = node["list"] if kind is list else node["tuple"]
-        return kind(_unpack(item, tensors, known, budget) for item in items)
+        return kind(_unpack(item, budget) for item in items)
     if "dict" in node:
-        return {str(k): _unpack(v, tensors, known, budget) for k, v in node["dict"]}
-    return _unpack_object(node, tensors, known, budget)
+        return {str(k): _unpack(v, budget) for k, v in node["dict"]}
+    return _unpack_object(node, budget)
 
 
-def _unpack_object(
-    node: dict[str, Any],
-    tensors: Tensors,
-    known: Mapping[str, type],
-    budget: Budget,
-) -> Any:
+def _unpack_object(node: dict[str, Any], budget: Budget) -> Any:
     name = node["class"]
-    if name not in known:
+    if name not in budget.known:
         raise ModelFileError(
             f"The model names the class {name!r}, which this palpate does not know. "
             "Update palpate, or learn again."
@@ -302,11 +294,11 @@ def _unpack_object(
         ) or attribute.startswith("_"):
             raise ModelFileError(f"{attribute!r} is not a learnt attribute")
     params, learnt = (
-        {k: _unpack(v, tensors, known, budget) for k, v in node[part].items()}
+        {k: _unpack(v, budget) for k, v in node[part].items()}
         for part in ("params", "learnt")
     )
     budget.check_object(params | learnt)
-    built = known[name](**params)
+    built = budget.known[name](**params)
     for attribute, value in learnt.items():
         setattr(built, attribute, value)
     return built
