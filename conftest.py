@@ -12,6 +12,7 @@ import pytest
 BRINGS = {
     "bench": {"skimage"},
     "camera": {"cv2_enumerate_cameras"},
+    "cnn": {"torch"},
     "distributed": {"dask", "distributed"},
     "index": {"faiss"},
     "parquet": {"pyarrow"},

@@ -95,6 +95,22 @@ def test_live_follows_an_episode_to_its_decision(palpate, replay, recording, tmp
         assert 1 <= len(episode["touches"]) <= 5
 
 
+def test_a_model_of_colours_is_refused_with_a_grey_sensor(
+    palpate, replay, recording, tmp_path
+):
+    grey, model = Touches.load(recording), tmp_path / "model.palpate"
+    colour = np.stack([grey.images] * 3, axis=-1)
+    touches = Touches(colour, object=grey.object, channels=["r", "g", "b"])
+    ObjectRecogniser().fit(touches).save(model)
+    done = palpate("live", model, *replay)
+    assert done.returncode == 1
+    said = " ".join(done.stderr.split())
+    assert "of images of 12 x 12 taxels in grey" in said
+    assert "got one of 12 x 12 taxels in colour" in said
+    assert "with colour=1" in said
+    assert "Traceback" not in said
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -104,6 +120,8 @@ def test_live_follows_an_episode_to_its_decision(palpate, replay, recording, tmp
         (["--sensor", "serial:/dev/nowhere", "--shape", "4x4"], "cannot be opened"),
         (["--sensor", "camera:/dev/nowhere"], "no camera at"),
         (["--sensor", "sim:mug", "--baud", "9600"], "says nothing to a sim sensor"),
+        (["--sensor", "sim:mug", "--colour"], "--colour says nothing to a sim sensor"),
+        (["--sensor", "camera:0?colour=0", "--colour"], "colour=no in 'camera:0?col"),
         (["--sensor", "sim:mug", "--shape", "big"], "rows x columns"),
         (["--sensor", "sim:mug?speed=3"], "'speed' is no option"),
         (["--sensor", "sim:mug?rate=3&rate=3"], "rate must be given once"),

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from sklearn.base import clone
 from sklearn.neighbors import KNeighborsClassifier
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
@@ -212,6 +213,58 @@ def test_without_scikit_image_the_row_says_what_to_install(monkeypatch):
     hog, nearest = entry_of(drawn(), recognisers=["HOG SVM", "3-NN"])["rows"]
     assert 'pip install "palpate[bench]"' in hog["reason"]
     assert hog["accuracy"] is None
+    assert nearest["reason"] is None
+
+
+@pytest.mark.parametrize(
+    ("images", "expected"),
+    [
+        (np.full((2, 128, 64), 7, np.uint8), np.full((2, 1, 64, 32), 7.0)),
+        (np.full((2, 3, 8), np.nan), np.zeros((2, 1, 24, 64))),
+        (
+            np.ones((2, 16, 16, 3)) * [1, 2, 3],
+            np.ones((3, 64, 64)) * [[[[1]], [[2]], [[3]]]],
+        ),
+    ],
+    ids=["averaged", "dead", "colour"],
+)
+def test_a_cnn_sees_pictures_of_at_most_64_pixels_a_side(images, expected):
+    found = SIMPLE["small CNN"][0](images)
+    assert found.dtype == np.float32
+    np.testing.assert_array_equal(found, np.broadcast_to(expected, found.shape))
+
+
+def test_a_cnn_learns_the_same_each_time_and_leaves_random_numbers_alone():
+    torch = pytest.importorskip("torch", reason='needs the extra "cnn"')
+    touches = marked([[2, 8], [8, 2], [13, 8]], 16, "array")
+    encode, learner = SIMPLE["small CNN"]
+    pictures, train = encode(touches.images), np.arange(60) % 5 == 0
+    state, n_threads = torch.get_rng_state(), torch.get_num_threads()
+    one, two = (clone(learner).fit(pictures[train], NAMES[train]) for _ in range(2))
+    assert (torch.get_rng_state() == state).all()
+    assert torch.get_num_threads() == n_threads
+    pairs = zip(one.net_.parameters(), two.net_.parameters(), strict=True)
+    assert all(bool((a == b).all()) for a, b in pairs)
+    assert (one.predict(pictures[~train]) == two.predict(pictures[~train])).all()
+
+
+def test_a_cnn_tells_stripes_from_stripes_the_other_way():
+    pytest.importorskip("torch", reason='needs the extra "cnn"')
+    rng = np.random.default_rng(0)
+    wave = np.sin(np.arange(16) + rng.uniform(0, 6, (60, 1)))[:, :, None]
+    across = np.swapaxes(wave, 1, 2)
+    lying = np.where((NAMES == "a")[:, None, None], wave, across)
+    images = np.where((NAMES == "c")[:, None, None], wave * across, lying)
+    row = entry_of(drawn(images), "halves", ["small CNN"])["rows"][0]
+    # Nothing but the direction of the stripes tells; of 30 touches one may be wrong.
+    assert row["accuracy"] > 0.96
+
+
+def test_without_torch_the_row_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    cnn, nearest = entry_of(drawn(), recognisers=["small CNN", "3-NN"])["rows"]
+    assert 'pip install "palpate[cnn]"' in cnn["reason"]
+    assert cnn["accuracy"] is None
     assert nearest["reason"] is None
 
 

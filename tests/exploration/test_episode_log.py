@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -217,6 +218,11 @@ def test_records_become_touches(tmp_path):
 def test_records_without_a_touch_make_no_touches():
     with pytest.raises(ValueError, match="must hold a touch, got 1 attempts"):
         as_touches([_record(0, "nothing")])
+
+
+def test_records_in_colour_become_touches_with_channels():
+    seen = replace(_record(0), image=np.zeros((4, 5, 3), np.uint8))
+    assert as_touches([seen]).channels == ("r", "g", "b")
 
 
 def test_gathering_gives_up_where_nothing_is(world, tmp_path):

@@ -11,6 +11,7 @@ import pytest
 from palpate.sensors import (
     CameraSensor,
     SensorError,
+    TouchDetector,
     camera_names,
     check_sensor,
     find_camera,
@@ -65,14 +66,34 @@ def drained(sensor):
     return ""
 
 
-def test_it_keeps_the_contract():
-    check_sensor(camera(FakeCapture()))
+@pytest.mark.parametrize("colour", [False, True])
+def test_it_keeps_the_contract(colour):
+    check_sensor(camera(FakeCapture(), colour=colour))
 
 
 def test_colour_becomes_luma():
     with camera(FakeCapture()) as sensor:
         # 0.114 of blue (ITU-R BT.601), rounded to a grey level.
         assert (sensor.read_next().image == 11).all()
+
+
+def test_colours_are_red_green_blue_where_they_are_wanted():
+    with camera(FakeCapture(), colour=True) as sensor:
+        assert sensor.image_shape == (24, 32, 3)
+        image = sensor.read_next().image
+        assert (image == [0, 0, 100]).all()
+        detector = TouchDetector()
+        detector.take_baseline([sensor.read_next().image for _ in range(3)])
+        assert (detector.baseline == image).all()
+
+
+def test_a_camera_without_colours_cannot_give_them():
+    capture = FakeCapture()
+    capture.read = lambda: (True, np.zeros((24, 32), np.uint8))
+    with pytest.raises(SensorError, match="must give colours, got grey"):
+        camera(capture, colour=True).connect()
+    with camera(capture) as sensor:
+        assert sensor.read_next().image.shape == (24, 32)
 
 
 def test_exposure_is_fixed_where_the_driver_lets_it():

@@ -65,6 +65,7 @@ def test_the_contract_is_kept(sensor):
     ("change", "message"),
     [
         ({"unit": ""}, "unit must be a text"),
+        ({"image_shape": (2, 3, 2)}, "two positive integers, and 3 in colour"),
         ({"geometry": "ball"}, "geometry must be one of"),
         ({"connect": lambda self: None}, "must return the sensor"),
         ({"disconnect": lambda self: None}, "connected must be False"),
@@ -74,7 +75,7 @@ def test_the_contract_is_kept(sensor):
 )
 def test_the_check_says_what_a_driver_breaks(change, message):
     broken = type("Broken", (Counting,), change)()
-    for name in {"unit", "geometry"} & set(change):
+    for name in {"unit", "geometry", "image_shape"} & set(change):
         setattr(broken, name, change[name])
     with pytest.raises((AssertionError, SensorError), match=message):
         check_sensor(broken)
@@ -215,6 +216,10 @@ def test_an_address_says_what_is_to_be_set(tmp_path):
     camera = open_sensor("camera:USB Camera?shape=480x640&rate=15&exposure=3")
     assert (camera.camera, camera.image_shape) == ("USB Camera", (480, 640))
     assert (camera.rate_hz, camera.exposure) == (15, 3)
+    for written, shape in (("1", (24, 32, 3)), ("yes", (24, 32, 3)), ("0", (24, 32))):
+        sensor = open_sensor(f"camera:0?shape=24x32&colour={written}")
+        assert sensor.image_shape == shape
+    assert open_sensor("camera:0?colour=1", colour=True).unit == "colour level"
     array = open_sensor(
         "serial:/dev/ttyUSB0?shape=16x8&baud=9600&framing=binary&checksum=no"
         "&dtype=int16&unit=kPa"
@@ -290,6 +295,7 @@ def test_an_option_beside_the_address_must_agree_with_it():
         ("camera:0?rate=fast", "got 'fast' .*are shape, rate, exposure"),
         ("camera:0?rate=nan", "rate_hz must be positive and finite, got nan"),
         ("camera:0?rate=-1", "rate_hz must be positive and finite, got -1"),
+        ("camera:0?colour=red", "colour must be 1 or 0 or yes or no, got 'red'"),
         ("camera:0?shape=big", "shape must be rows x columns such as 16x16, got 'big'"),
         ("camera:0?shape=0x9", "n_rows must be at least 1, got 0"),
         ("serial:x?shape=4x4&framing=post", "framing must be line or binary"),
@@ -309,6 +315,7 @@ def test_an_address_that_is_none_is_refused_in_one_sentence(address, message):
     ("address", "options"),
     [
         ("sim:mug", {"baud": 9600}),
+        ("sim:mug", {"colour": True}),
         ("serial:x?shape=4x4", {"rate_hz": 30}),
         ("camera:0", {"place": "mug"}),
         ("camera:0", {"hold": 3}),

@@ -64,3 +64,15 @@ def test_a_model_file_remembers_its_sensor(presses, tmp_path):
     again = SensorMemory.from_dict(stored)
     assert again.touch_change == memory.touch_change
     assert np.array_equal(again.response, memory.response)
+
+
+def test_a_taxel_that_fades_in_colour_is_named_once(presses):
+    colour, rest = presses[..., np.newaxis] * [1.0, 0.5, 0.2], np.zeros((6, 6, 3))
+    before, faded = SensorMemory.of(colour[:30], rest), colour[30:].copy()
+    faded[:, 2, 4] = 0
+    warning = gain_warning(before, SensorMemory.of(faded, rest))
+    assert warning.count("row") == 1
+    assert "row 2 column 4." in warning
+    assert "6 x 6 x 3 taxels, this one has 6 x 6." in baseline_warning(
+        before, rest[..., 0]
+    )

@@ -30,6 +30,14 @@ def test_one_touch_is_its_frame_of_greatest_change():
     assert (touch.began_s, touch.ended_s, touch.n_frames) == (0.2, 0.6, 4)
 
 
+def test_the_change_of_a_colour_frame_is_over_taxels_and_colours():
+    rest = np.full((4, 4, 3), 100, np.uint8)
+    redder = [0, 40, 40, 0] * np.array([[1.0], [0], [0]])  # red, green, blue by time
+    (touch,) = touches_of(TouchDetector(rest), redder.T, rest)
+    assert_array_equal(touch.image, rest + np.array([40, 0, 0], np.uint8))
+    assert touch.change == pytest.approx(40 / np.sqrt(3))
+
+
 def test_or_the_mean_over_the_hold():
     detector = TouchDetector(REST, summary="mean")
     (touch,) = touches_of(detector, [0, 10, 40, 34, 40, 34, 10, 0])

@@ -229,7 +229,7 @@ def test_a_taxel_that_flickers_by_one_count_is_not_stored(tmp_path):
 
 def test_a_model_of_another_sensor_is_refused_where_nothing_can_be_learnt(model, drawn):
     other = ReplaySensor(Touches(drawn.images[:, :8, :8]))
-    with pytest.raises(ValueError, match=r"8 x 8 taxels.* got one of 12 x 12. Learn"):
+    with pytest.raises(ValueError, match=r"8 x 8 taxels.* of 12 x 12 taxels. Learn"):
         LiveSession(other, model=model).start()
     assert not other.connected
 

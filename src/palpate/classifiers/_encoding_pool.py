@@ -125,7 +125,7 @@ class EncodingPool(BayesRule):
         every = self._left_out_of_each()
         weights = pool_weights(every, np.searchsorted(self.classes_, labels))
         self.weights_ = dict(zip(self.machines_, weights.tolist(), strict=True))
-        self.left_out_ = self._pooled(every)
+        self.left_out_ = self.pooled(every)
         return self
 
     def refit(
@@ -140,7 +140,7 @@ class EncodingPool(BayesRule):
             for name, part in self._parts(touches).items()
         }
         self.classes_ = np.unique(labels)
-        self.left_out_ = self._pooled(self._left_out_of_each())
+        self.left_out_ = self.pooled(self._left_out_of_each())
         return self
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
@@ -148,10 +148,16 @@ class EncodingPool(BayesRule):
 
         Shape (n_touches, n_classes): the pooled posterior under equal priors.
         """
+        return self.pooled(self.log_likelihood_by_part(X))
+
+    def log_likelihood_by_part(self, X: ArrayLike) -> Floats:
+        """Return what each machine says, (n_machines, n_touches, n_classes), in nats.
+
+        In the order of `machines_`; zeros for those that weigh nothing.
+        """
         check_is_fitted(self)
         parts = self._parts(as_touches(self, X))
-        said = [self._said(name, part) for name, part in parts.items()]
-        return self._pooled(np.stack(said))
+        return np.stack([self._said(name, part) for name, part in parts.items()])
 
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches with their groups left out."""
@@ -190,7 +196,8 @@ class EncodingPool(BayesRule):
         every = [m.left_out_log_likelihood() for m in self.machines_.values()]
         return np.stack([_bounded(one) for one in every])
 
-    def _pooled(self, every: Floats) -> Floats:
+    def pooled(self, every: Floats) -> Floats:
+        """Return the log posterior (n_touches, n_classes) of what each machine says."""
         weights = np.array(list(self.weights_.values()))
         return np.asarray(log_softmax(np.tensordot(weights, every, 1), axis=1))
 

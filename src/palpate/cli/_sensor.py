@@ -44,6 +44,10 @@ class SensorOptions:
     rate_hz: Annotated[
         float | None, option("--rate", "Frames per second, where chosen.")
     ] = None
+    colour: Annotated[
+        bool | None,
+        option("--colour", "Read a camera in red, green and blue, not in grey levels."),
+    ] = None
     baud: Annotated[int | None, option("Bits per second of a serial port.")] = None
     framing: Annotated[
         str | None, option('How a serial array writes: "line" or "binary".')

@@ -28,7 +28,7 @@ def benchmark(
         str | None,
         option(
             'With commas, of the presets and "taxels SVM", "roots SVM", "HOG SVM", '
-            '"3-NN". Default: all.'
+            '"3-NN", "small CNN". Default: all.'
         ),
     ] = None,
     protocols: Annotated[

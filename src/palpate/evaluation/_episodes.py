@@ -8,18 +8,20 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import beta
 
 from .._types import Array, Floats
 from ..recognition import (
     ObjectRecogniser,
     doubts,
+    episode_scores,
     log_posteriors,
     n_informative,
+    upper_bound,
     with_floor,
 )
 
-CONFIDENCE = 0.95
+# The weights of one encoding.
+_ALONE = np.ones(1)
 
 
 @dataclass(frozen=True)
@@ -110,18 +112,24 @@ def run_episodes(
     labels: Array | None,
     n_orders: int,
     seed: int,
-    novelty: Floats | None = None,
+    each: Floats | None = None,
 ) -> Episodes:
-    """Recognise each object's touches in `n_orders` random orders, and singly."""
+    """Recognise each object's touches in `n_orders` random orders, and singly.
+
+    `each` is what every encoding alone says, as in `Evidence`; by default they agree.
+    """
     rng = np.random.default_rng(seed)
     floored = with_floor(log_likelihood, recogniser.floor_)
     classes = recogniser.classes_.tolist()
     prior, calibration = recogniser.log_prior(), recogniser.sequence_calibration_
+    weights = recogniser.limits_.weights
+    apart = log_likelihood[:, np.newaxis] if each is None else each
+    apart = with_floor(apart, recogniser.floor_)
 
     def after_each(rows: Array) -> tuple[Floats, Array, Floats]:
         beliefs = log_posteriors(floored[rows], prior, calibration)
-        new = None if novelty is None else novelty[rows]
-        unknown = recogniser.unknown_scale_.scores(beliefs, floored[rows], new)
+        how = prior, calibration, weights if len(weights) == apart.shape[1] else _ALONE
+        unknown = episode_scores(floored[rows], apart[rows], *how)
         return beliefs, n_informative(floored[rows]), unknown
 
     of_each = [np.flatnonzero(objects == name) for name in np.unique(objects)]
@@ -167,7 +175,7 @@ class Decisions:
         names = ("touches", "decided", "right", "refused", "objects")
         return cls(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
 
-    def to_dict(self, error: float) -> dict[str, Any]:
+    def to_dict(self, error: float, refusal: float) -> dict[str, Any]:
         """Return plain values; `accuracy` is over decided episodes.
 
         `wrong` counts episodes in which another object was named, `refused` those that
@@ -183,12 +191,11 @@ class Decisions:
             rows = (self.objects == name) & named
             if rows.any():
                 shares.append(1 - self.right[rows].mean())
-        n_objects, wrong, bound = len(shares), float(np.sum(shares)), 1.0
-        if wrong < n_objects:
-            bound = float(beta.ppf(CONFIDENCE, wrong + 1, n_objects - wrong))
-        least = 1 - (1 - CONFIDENCE) ** (1 / max(n_objects, 1))
+        n_objects, wrong = len(shares), float(np.sum(shares))
+        bound, least = upper_bound(wrong, n_objects), upper_bound(0, n_objects)
         return {
             "error": error,
+            "refusal": refusal,
             "accuracy": float(self.right[decided].mean()) if decided.any() else None,
             "mean_touches": float(self.touches.mean()),
             "undecided": float((~decided).mean()),
@@ -203,23 +210,18 @@ class Decisions:
 
 
 def decide_episodes(
-    recogniser: ObjectRecogniser, episodes: Episodes, error: float
+    recogniser: ObjectRecogniser, episodes: Episodes, error: float, refusal: float
 ) -> Decisions:
-    """Stop each episode where `Belief.decide(error)` would."""
-    parts = []
-    longest = max(int(counts.max()) for counts in episodes.n_informative)
-    scale = recogniser.unknown_scale_
-    limits = [scale.refusal_threshold(k, error) for k in range(1, longest + 1)]
-    # Before any touch said something there is no limit to exceed.
-    refusing = np.array([np.inf, *limits])
-    naming = np.array([scale.naming_threshold(k) for k in range(longest + 1)])
+    """Stop each episode where `Belief.decide` would."""
+    parts, limits = [], recogniser.limits_
+    naming, refusing = limits.naming_limit(error), limits.refusing_limit(refusal)
     of_each = zip(episodes.objects, episodes.truth, episodes.beliefs, strict=True)
     for i, (name, truth, log_posterior) in enumerate(of_each):
         unknown, counts = episodes.unknown[i], episodes.n_informative[i]
         n_orders, n_touches, _ = log_posterior.shape
-        refuse = unknown > refusing[counts]
-        fits = unknown <= naming[counts]
-        stop = refuse | (fits & (doubts(log_posterior) <= error))
+        # Before any touch said something there is no limit to exceed.
+        refuse = (unknown > refusing) & (counts > 0)
+        stop = refuse | ((unknown <= naming) & (doubts(log_posterior) <= error))
         decided = np.asarray(stop.any(axis=1))
         last = np.where(decided, stop.argmax(axis=1), n_touches - 1)
         rows = np.arange(n_orders)

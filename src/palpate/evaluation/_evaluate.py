@@ -123,8 +123,8 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
             f"touches must hold a number up to {longest}, the most test touches of an "
             f"object, got {plan.touches}."
         )
-    rows, novelty = evidence.log_likelihood, evidence.novelty
-    args = (rows, objects, labels, plan.orders, plan.seed, novelty)
+    rows, each = evidence.log_likelihood, evidence.by_encoding
+    args = (rows, objects, labels, plan.orders, plan.seed, each)
     trial = Trial(
         Fold(fold.name, train, test),
         recogniser,
@@ -190,8 +190,8 @@ def _meet_unknown(
             f"{str(known[0])!r}. Leave those out."
         )
     evidence = recogniser.evidence(unknown)
-    rows, novelty = evidence.log_likelihood, evidence.novelty
-    args = (objects, None, plan.orders, plan.seed + 1, novelty)
+    rows, each = evidence.log_likelihood, evidence.by_encoding
+    args = (objects, None, plan.orders, plan.seed + 1, each)
     return run_episodes(recogniser, rows, *args)
 
 

@@ -36,8 +36,8 @@ def explanations(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
 
     Wrong decisions come first, of as many objects as there are, then right ones.
     """
-    error = figures["decision"]["error"]
-    shown = "".join(_episode(one, error) for one in explained_episodes(figures, trials))
+    ends = figures["decision"]
+    shown = "".join(_episode(one, ends) for one in explained_episodes(figures, trials))
     if not shown:
         return ""
     return (
@@ -53,8 +53,8 @@ def explained_episodes(
     figures: dict[str, Any], trials: Sequence[Trial]
 ) -> list[Explained]:
     """Return at most six decided episodes: up to four wrong, the others right."""
-    error = figures["decision"]["error"]
-    ends = [decide_episodes(t.recogniser, t.episodes, error) for t in trials]
+    accepted = figures["decision"]["error"], figures["decision"]["refusal"]
+    ends = [decide_episodes(t.recogniser, t.episodes, *accepted) for t in trials]
     wrong = _one_each(ends, lambda end: end.decided & ~end.right)
     right = _one_each(ends, lambda end: end.right)
     few = wrong[: max(WRONG, EPISODES - len(right))][:EPISODES]
@@ -91,8 +91,9 @@ def _explained(trial: Trial, end: Decisions, number: int) -> Explained:
     )
 
 
-def _episode(one: Explained, error: float) -> str:
+def _episode(one: Explained, asked: dict[str, Any]) -> str:
     belief = one.trial.recogniser.start().update(one.trial.fold.test[one.rows])
+    reason = belief.reason(asked["error"], refusal=asked["refusal"])
     of_label = "" if one.name == one.truth else f" ({escape(one.truth)})"
     moved = "".join(
         f"<div class=why>{''.join(_touch(one, step))}</div>"
@@ -101,7 +102,7 @@ def _episode(one: Explained, error: float) -> str:
     return (
         f"<p><b>{escape(one.name)}</b>{of_label} taken for <b>{escape(one.said)}</b>: "
         f"{'right' if one.right else 'wrong'}.<br>"
-        f"<span class=note>{escape(belief.reason(error))}</span></p>{moved}"
+        f"<span class=note>{escape(reason)}</span></p>{moved}"
     )
 
 

@@ -1,13 +1,15 @@
-"""Simple recognisers, exactly as anyone would write them with scikit-learn.
+"""Simple recognisers, exactly as anyone would write them with scikit-learn or torch.
 
 They are what a benchmark compares presets with. NaN counts as 0; of colour pictures
-every fifth pixel counts, the three channels side by side.
+every fifth pixel counts, the three channels side by side, but for the CNN.
 """
 
 from collections.abc import Callable
+from typing import Any, Self
 
+import cv2
 import numpy as np
-from sklearn.base import ClassifierMixin
+from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.metrics.pairwise import rbf_kernel
 from sklearn.neighbors import KNeighborsClassifier
 from sklearn.pipeline import make_pipeline
@@ -19,6 +21,7 @@ from .._types import Array, Floats
 
 EVERY = 5
 HOG_SIDE, HOG_CELL = 32, 8
+CNN_SIDE, CNN_FILTERS, CNN_EPOCHS, CNN_BATCH = 64, (16, 32, 64), 30, 32
 
 
 def pictures(images: Array) -> Floats:
@@ -84,6 +87,82 @@ def rbf_by_scale(X: Floats, learnt: Floats) -> Floats:
     return found
 
 
+def planes(images: Array) -> Array:
+    """Return touches as float32 pictures, (n_touches, n_channels, n_rows, n_cols).
+
+    They are enlarged or averaged until their longer side has 64 pixels.
+    """
+    shape = images.shape[1:3]
+    n_rows, n_cols = (max(1, round(n * CNN_SIDE / max(shape))) for n in shape)
+    how = cv2.INTER_AREA if max(shape) > CNN_SIDE else cv2.INTER_LINEAR
+    channels = np.moveaxis(images.reshape(*images.shape[:3], -1), -1, 1)
+    found = np.empty((*channels.shape[:2], n_rows, n_cols), np.float32)
+    for at in np.ndindex(found.shape[:2]):
+        plane = np.nan_to_num(channels[at].astype(np.float32))
+        found[at] = cv2.resize(plane, (n_cols, n_rows), interpolation=how)
+    return found
+
+
+class SmallCNN(ClassifierMixin, BaseEstimator):
+    """Three convolutions of 3 x 3, batch norm and pooling, and one linear layer.
+
+    Each channel is standardised over the touches it learns from.
+    """
+
+    def __init__(self, random_state: int = 0) -> None:
+        self.random_state = random_state
+
+    def fit(self, X: Array, y: Array) -> Self:
+        """Learn pictures (n_touches, n_channels, n_rows, n_cols), always the same."""
+        torch = needed("torch", "cnn", "The small CNN")
+        self.classes_, codes = np.unique(y, return_inverse=True)
+        self.mean_ = X.mean(axis=(0, 2, 3), keepdims=True)
+        self.sd_ = X.std(axis=(0, 2, 3), keepdims=True)
+        self.sd_[self.sd_ == 0] = 1
+        n_threads = torch.get_num_threads()
+        torch.set_num_threads(1)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.random_state)
+            self.net_ = _net(torch.nn, X.shape[1], len(self.classes_))
+            self._learn(torch, self._standardised(X), codes)
+        torch.set_num_threads(n_threads)
+        return self
+
+    def predict(self, X: Array) -> Array:
+        """Return the most probable label of each picture."""
+        torch = needed("torch", "cnn", "The small CNN")
+        with torch.inference_mode():
+            cuts = range(CNN_BATCH, len(X), CNN_BATCH)
+            parts = np.array_split(self._standardised(X), cuts)
+            rows = [self.net_(torch.from_numpy(part)).argmax(1) for part in parts]
+        return np.asarray(self.classes_[np.concatenate(rows)])
+
+    def _standardised(self, X: Array) -> Array:
+        return np.asarray((X - self.mean_) / self.sd_, np.float32)
+
+    def _learn(self, torch: Any, X: Array, codes: Array) -> None:
+        pictures, labels = torch.from_numpy(X), torch.from_numpy(codes)
+        steps = torch.optim.Adam(self.net_.parameters(), lr=1e-3)
+        for _ in range(CNN_EPOCHS):
+            for rows in torch.randperm(len(X)).split(CNN_BATCH):
+                steps.zero_grad()
+                said = self.net_(pictures[rows])
+                torch.nn.functional.cross_entropy(said, labels[rows]).backward()
+                steps.step()
+        self.net_.eval()
+
+
+def _net(nn: Any, n_channels: int, n_labels: int) -> Any:
+    layers: list[Any] = []
+    for n_filters in CNN_FILTERS:
+        convolution = nn.Conv2d(n_channels, n_filters, 3, padding=1)
+        pool = nn.MaxPool2d(2, ceil_mode=True)
+        layers += [convolution, nn.BatchNorm2d(n_filters), nn.ReLU(), pool]
+        n_channels = n_filters
+    layers += [nn.AdaptiveAvgPool2d(1), nn.Flatten()]
+    return nn.Sequential(*layers, nn.Linear(n_channels, n_labels))
+
+
 SVM = SVC(C=10, kernel=rbf_by_scale)
 NEAREST = KNeighborsClassifier(3)
 SIMPLE: dict[str, tuple[Callable[[Array], Floats], ClassifierMixin]] = {
@@ -91,6 +170,7 @@ SIMPLE: dict[str, tuple[Callable[[Array], Floats], ClassifierMixin]] = {
     "roots SVM": (roots, SVM),
     "HOG SVM": (hog, SVM),
     "3-NN": (taxels, NEAREST),
+    "small CNN": (planes, SmallCNN()),
 }
 # Of values that are not touch, in any unit.
 STANDARDISED = (SIMPLE["taxels SVM"][1], make_pipeline(StandardScaler(), NEAREST))

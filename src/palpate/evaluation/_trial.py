@@ -30,8 +30,9 @@ class Plan:
         Random orders of each object's touches.
     train_touches : int or None
         Training touches drawn per object; None takes all.
-    error : float
-        Accepted share of wrong decisions, for the stopping rule.
+    error, refusal : float
+        Accepted shares of wrong names and of known objects called unknown, for the
+        stopping rule; `refusal` is `error` unless given.
     floor, presentation
         As for `ObjectRecogniser`.
     seed : int
@@ -44,6 +45,7 @@ class Plan:
     orders: int = 20
     train_touches: int | None = None
     error: float = 0.01
+    refusal: float | None = None
     floor: float | None = None
     presentation: str = "auto"
     seed: int = 0
@@ -51,11 +53,17 @@ class Plan:
     def __post_init__(self) -> None:
         check_option("preset", self.preset, PRESETS)
         check_option("label", self.label, ("object", "category"))
-        check_number("error", self.error, low=1e-6, high=0.5)
+        for name, share in zip(("error", "refusal"), self.accepted, strict=True):
+            check_number(name, share, low=1e-6, high=0.5)
         check_count("orders", self.orders)
         check_count("seed", self.seed, at_least=0)
         for k in self.touches:
             check_count("touches", k)
+
+    @property
+    def accepted(self) -> tuple[float, float]:
+        """The accepted shares of wrong names and of refused known objects."""
+        return self.error, self.error if self.refusal is None else self.refusal
 
 
 @dataclass
@@ -118,8 +126,8 @@ def figures_of(
         _figures_after(k, trials, figures)
     if trials[0].unknown_episodes is not None:
         figures["unknown_auroc"], figures["unknown_refused"] = _unknown(trials, plan)
-    decisions = [decide_episodes(t.recogniser, t.episodes, plan.error) for t in trials]
-    figures["decision"] = Decisions.pooled(decisions).to_dict(plan.error)
+    ends = [decide_episodes(t.recogniser, t.episodes, *plan.accepted) for t in trials]
+    figures["decision"] = Decisions.pooled(ends).to_dict(*plan.accepted)
     figures["controls"] = _mean_controls(trials)
     seen = dict.fromkeys(flag for t in trials for flag in t.flags)
     shares = {f: [t.flags.get(f, 0.0) for t in trials] for f in seen}
@@ -160,7 +168,7 @@ def _unknown(
             below = trial.episodes.unknown_after(k)
             above = trial.unknown_episodes.unknown_after(k)
             if len(below) and len(above):
-                limit = trial.recogniser.unknown_scale_.threshold(k, REFUSED)
+                limit = trial.recogniser.limits_.threshold(k, REFUSED)
                 ends.append((roc_area(below, above), (above > limit).mean()))
         if ends:
             means = [float(np.mean(each)) for each in zip(*ends, strict=True)]

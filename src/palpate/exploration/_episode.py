@@ -251,8 +251,8 @@ def _refuse_other_size(log: EpisodeLog, sensor: TouchSensor) -> None:
         found = np.asarray(record.image).shape
         if record.touched and found != shape:
             raise EpisodeError(
-                f"{log.folder} must hold touches of {shape[0]} x {shape[1]} taxels, as "
-                f"the sensor makes, got {found} in attempt {number}. "
+                f"{log.folder} must hold touches of {' x '.join(map(str, shape))} "
+                f"taxels, as the sensor makes, got {found} in attempt {number}. "
                 "Use that sensor, or another folder."
             )
 

@@ -19,6 +19,7 @@ import numpy as np
 from .._checks import check_option
 from .._durable import PARTIAL, replacing, write_text
 from .._types import Array, Floats
+from ..sensors import channels_of
 from ..simulation import SensorPose
 from ..touches import Touches
 
@@ -61,7 +62,7 @@ class TouchRecord:
         Length of the approach.
     duration_s : float
         From the start of the approach until the arm was back.
-    image : ndarray of shape (n_rows, n_cols) or None
+    image : ndarray of shape (n_rows, n_cols[, 3]) or None
         The frame, where one was taken.
     message : str
         What went wrong, else empty.
@@ -149,8 +150,10 @@ def as_touches(
         )
     touched = [history[number] for number in order]
     labels = {"object": object, "category": category}
+    images = np.stack([np.asarray(record.image) for record in touched])
     return Touches(
-        np.stack([np.asarray(record.image) for record in touched]),
+        images,
+        channels=channels_of(images.shape[1:]),
         position_mm=[record.position_mm for record in touched],
         direction=np.stack([record.direction for record in touched]),
         force_n=[record.force_n for record in touched],

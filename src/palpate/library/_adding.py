@@ -85,7 +85,8 @@ def _refuse_other_channels(store: Store, sensor: str, channels: list[int]) -> No
         was, got = (f"{n or 'no'} channels" for n in (before[0], now))
         raise LibraryError(
             f"Images of sensor {sensor!r} must have {was} like those in the library, "
-            f"got {got}. Convert them, or give the sensor another name."
+            f"got {got}. Convert them, give the sensor another name, or use another "
+            "library."
         )
 
 

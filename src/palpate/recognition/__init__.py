@@ -26,6 +26,8 @@ from ._model_file import read_model as read_model
 from ._model_file import write_model as write_model
 from ._presets import PRESETS
 from ._recogniser import ObjectRecogniser
+from ._unknown import episode_scores as episode_scores
+from ._unknown import upper_bound as upper_bound
 
 __all__ = [
     "PRESETS",

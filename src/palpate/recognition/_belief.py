@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from html import escape
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,11 +23,25 @@ from ._evidence import (
     with_floor,
 )
 from ._explanation import explanation
-from ._memory import Memory
+from ._memory import UNKNOWN, Memory
 from ._modality import Modality
-from ._unknown import UnknownScale
+from ._unknown import (
+    DecisionLimits,
+    Promise,
+    category_codes,
+    summed_by_category,
+    unknown_score,
+)
 
 Costs = Mapping[str, Mapping[str, float]]
+LEVELS = ("object", "category", "any")
+
+
+class Named(NamedTuple):
+    """What was decided: a `name`, at the `level` "object", "category" or "unknown"."""
+
+    level: str
+    name: str
 
 
 @dataclass(frozen=True)
@@ -36,16 +50,18 @@ class Judge:
 
     The `classes` (n_objects,) by name, their `log_prior` (n_objects,) before the first
     touch (nats), the `floor` that one touch leaves to all of them together, how the
-    evidence of an episode adds up, what episodes of known objects look like, other
-    senses, and the training touches (`memory`), for `Belief.explain`.
+    evidence of an episode adds up, what may be decided (`limits`), other senses, the
+    category of each object, "" where none is known (`categories`, (n_objects,)), and
+    the training touches (`memory`), for `Belief.explain`.
     """
 
     classes: NDArray[np.str_]
     log_prior: Floats
     floor: float
     sequence_calibration: SequenceCalibration
-    unknown_scale: UnknownScale
+    limits: DecisionLimits
     senses: Mapping[str, Modality]
+    categories: NDArray[np.str_]
     memory: Memory
 
 
@@ -64,10 +80,9 @@ class Belief:
     doubt : float
         Probability outside `best`.
     unknown : float
-        How little the touches look like those of any known object, between 0 and 1;
-        one known episode in twenty scores above about 0.5. From the doubt, from how
-        much less probable the touches make `best` than its own training touches
-        would, and from how much of them the encoding leaves unexplained.
+        How little the encodings agree on any object, between 0 and 1: 1 less the
+        geometric mean of the probabilities that each alone gives to the object on
+        which they agree best. It falls as touches of a known object come in.
     touches_used : int
         Number of touches that entered so far, those without contact among them.
     flags : list of str
@@ -94,14 +109,14 @@ class Belief:
         self._floored: list[Floats] = []
         self._features: list[Floats] = []
         self._senses: dict[str, list[Floats]] = {}
-        # Sums over the touches that said anything: of log-likelihoods, of the
-        # probabilities that they give each object, of what they leave unexplained.
-        self._n_informative = self._n_novelties = 0
+        # Sums over the touches that said anything: of log-likelihoods, and of those of
+        # each encoding alone.
+        self._n_informative = 0
         self._total = np.zeros(len(judge.classes))
-        self._given = np.zeros(len(judge.classes))
-        self._novelty = 0.0
+        self._each = np.zeros((len(judge.limits.weights), len(judge.classes)))
         self._touch_log_posterior = self._log_prior
         self._unknown: float | None = None
+        self._error = 0.01
 
     def update(self, touch: Touches | Array | Evidence) -> Self:
         """Take in one touch (or several, in order) and return this belief.
@@ -126,7 +141,7 @@ class Belief:
             given.log_likelihood,
             features=given.features,
             flags=given.flags,
-            novelty=given.novelty,
+            by_encoding=given.by_encoding,
         )
 
     def update_from_log_likelihood(
@@ -135,12 +150,13 @@ class Belief:
         *,
         features: Floats | None = None,
         flags: list[str] | None = None,
-        novelty: Floats | None = None,
+        by_encoding: Floats | None = None,
     ) -> Self:
         """Take in touches by their log-likelihoods, shape (n_touches, n_objects).
 
         With `features` (n_touches, n_features) they can be explained later; `flags` and
-        `novelty` (n_touches,) are as in `Evidence`.
+        `by_encoding` are as in `Evidence`. Without the latter all encodings are taken
+        to say the same.
         """
         rows = _checked_rows(log_likelihood, len(self._judge.classes))
         n_touches = len(rows)
@@ -150,23 +166,16 @@ class Belief:
             )
         self.flags += flags or [""] * n_touches
         self._features += list(np.atleast_2d(features))
-        news = np.full(n_touches, np.nan) if novelty is None else np.ravel(novelty)
         floored = with_floor(rows, self._judge.floor)
+        each = rows[:, np.newaxis] if by_encoding is None else by_encoding
+        each = with_floor(each, self._judge.floor)
         self._floored += list(floored)
         informative = is_informative(floored)
-        for row, new in zip(floored[informative], news[informative], strict=True):
-            self._add(row, float(new))
+        self._n_informative += int(informative.sum())
+        self._total = self._total + floored[informative].sum(axis=0)
+        self._each = self._each + each[informative].sum(axis=0)
         self._weigh()
         return self
-
-    def _add(self, floored: Floats, novelty: float) -> None:
-        """Add one touch that says something to the sums."""
-        self._n_informative += 1
-        self._total = self._total + floored
-        self._given = self._given + np.exp(floored)
-        if not np.isnan(novelty):
-            self._n_novelties += 1
-            self._novelty += novelty
 
     def update_sense(self, name: str, X: ArrayLike) -> Self:
         """Take in what another sense tells of the same object.
@@ -235,71 +244,143 @@ class Belief:
 
     @property
     def unknown(self) -> float:
-        """How little the touches look like any known object; see `UnknownScale`."""
-        if not self._floored:
+        """How little the encodings agree; 0 before any touch said something."""
+        if not self._n_informative:
             return 0.0
         if self._unknown is None:
-            told = self._n_novelties > 0
-            novelty = self._novelty / self._n_novelties if told else np.nan
-            self._unknown = float(
-                self._judge.unknown_scale.score(
-                    self._touch_log_posterior,
-                    np.asarray(self._n_informative),
-                    self._given,
-                    np.asarray(novelty),
-                )
-            )
+            self._unknown = self._score(self._said())
         return self._unknown
 
-    def decide(self, error: float = 0.01, costs: Costs | None = None) -> str | None:
+    def _said(self) -> Floats:
+        """Return the log posterior that each encoding alone would have."""
+        weight = self._judge.sequence_calibration.weight(self._n_informative)
+        return np.asarray(
+            log_softmax(self._each * weight + self._prior_and_senses(), axis=-1)
+        )
+
+    def _score(self, said: Floats) -> float:
+        return float(unknown_score(said, self._judge.limits.weights))
+
+    @property
+    def categories(self) -> dict[str, float]:
+        """Probability of each category; empty where the objects have none.
+
+        Objects without a category count as one each.
+        """
+        codes = category_codes(self._judge.categories)
+        if codes is None:
+            return {}
+        names = np.where(
+            self._judge.categories == "", self._judge.classes, self._judge.categories
+        )
+        present, first = np.unique(codes, return_index=True)
+        shares = np.exp(summed_by_category(self.log_posterior, codes, present))
+        return dict(zip(names[first].tolist(), shares.tolist(), strict=True))
+
+    @property
+    def promise(self) -> Promise:
+        """What is known of the share of wrong names at the error last asked for."""
+        return self._judge.limits.promise(self._error)
+
+    def decide(
+        self,
+        error: float = 0.01,
+        costs: Costs | None = None,
+        *,
+        refusal: float | None = None,
+        level: str = "object",
+    ) -> Any:
         """Return the object, "unknown", or None while more touches are needed.
 
         Parameters
         ----------
         error : float, default=0.01
-            Accepted share of wrong decisions. "unknown" is said when the touches
-            look less like a known object than those of known episodes do: asked
-            after every touch, it is said of this share of them (learnt from left-out
-            training touches). Else an object is named when its probability is at
-            least 1 - error and the belief `looks_known`.
+            Accepted share of episodes in which another object is named. One is named
+            when its probability is at least 1 - error and the encodings agree on it as
+            on few left-out touches of objects that were never learnt; see `promise`
+            for what that is worth.
         costs : mapping of str to mapping of str to float, optional
             `costs[truth][named]`, at least 0: what it costs to take one object for
             another; 1 where not given. The object of least expected cost is named,
             once that cost is at most `error`.
+        refusal : float, optional
+            Accepted share of episodes of known objects that are called unknown, asked
+            after every touch; `error` unless given.
+        level : {"object", "category", "any"}, default="object"
+            What may be named. "any" names the object, or its category where only that
+            is sure, and returns a value with `level` and `name`.
 
         Returns
         -------
-        str or None
-            A known object, "unknown", or None.
+        str, Named or None
+            A known object or category, "unknown", or None.
+
+        Raises
+        ------
+        ValueError
+            If a share is not between 1e-6 and 0.5, or a category is asked for and
+            none is known.
         """
-        error = check_number("error", error, low=1e-6, high=0.5)
+        self._error = check_number("error", error, low=1e-6, high=0.5)
+        asked = refusal if refusal is not None else error
+        asked = check_number("refusal", asked, low=1e-6, high=0.5)
+        check_option("level", level, LEVELS)
+        if level == "category" and not self.categories:
+            raise ValueError(
+                "level must be 'object' or 'any', got 'category' and the objects have "
+                "none. Learn from touches with a column 'category'."
+            )
+        found = self._decide(asked, costs, level)
+        return found if found is None or level == "any" else found.name
+
+    def _decide(self, refusal: float, costs: Costs | None, level: str) -> Named | None:
         if self.touches_used == 0 and not self._senses:
             return None
-        limit = self.unknown_limit(error)
-        if limit is not None and self.unknown > limit:
-            return "unknown"
-        if not self.looks_known():
+        limit = self.unknown_limit(refusal)
+        unlike = limit is not None and self.unknown > limit
+        if level != "category" and not unlike and (name := self._object(costs)):
+            return Named("object", name)
+        if level != "object" and (name := self._category()):
+            return Named("category", name)
+        return Named(UNKNOWN, UNKNOWN) if unlike else None
+
+    def _object(self, costs: Costs | None) -> str | None:
+        """Return the object that may be named at the error asked for, or None."""
+        table = None if costs is None else self._cost_table(costs)
+        if not self._is_agreed():
             return None
-        if costs is None:
-            return self.best if self.doubt <= error else None
-        expected = np.exp(self.log_posterior) @ self._cost_table(costs)
-        affordable = expected.min() <= error
+        if table is None:
+            return self.best if self.doubt <= self._error else None
+        expected = np.exp(self.log_posterior) @ table
+        affordable = expected.min() <= self._error
         return str(self._judge.classes[expected.argmin()]) if affordable else None
 
-    def looks_known(self) -> bool:
-        """Whether the touches fit a known object as four in five known episodes do."""
-        scale = self._judge.unknown_scale
-        return self.unknown <= scale.naming_threshold(self._n_informative)
+    def _category(self) -> str | None:
+        """Return the category that may be named at the error asked for, or None."""
+        shares = self.categories
+        if not shares:
+            return None
+        best = max(shares, key=lambda name: shares[name])
+        if sum(shares.values()) - shares[best] > self._error:
+            return None
+        codes = category_codes(self._judge.categories)
+        assert codes is not None
+        said = summed_by_category(self._said(), codes, np.unique(codes))
+        limit = self._judge.limits.naming_limit(self._error, category=True)
+        return best if self._score(said) <= limit else None
 
-    def unknown_limit(self, error: float = 0.01) -> float | None:
-        """Return the unknown score above which `decide(error)` says "unknown".
+    def _is_agreed(self) -> bool:
+        """Whether the encodings agree so well that an object may be named."""
+        return self.unknown <= self._judge.limits.naming_limit(self._error)
+
+    def unknown_limit(self, refusal: float = 0.01) -> float | None:
+        """Return the unknown score above which `decide` says "unknown".
 
         None before any touch said something.
         """
         if not self._n_informative:
             return None
-        scale = self._judge.unknown_scale
-        return scale.refusal_threshold(self._n_informative, error)
+        return self._judge.limits.refusing_limit(refusal)
 
     def _cost_table(self, costs: Costs) -> Floats:
         names = self._judge.classes.tolist()
@@ -327,32 +408,47 @@ class Belief:
                 table[names.index(truth), names.index(named)] = value
         return table
 
-    def reason(self, error: float = 0.01, costs: Costs | None = None) -> str:
+    def reason(
+        self,
+        error: float = 0.01,
+        costs: Costs | None = None,
+        *,
+        refusal: float | None = None,
+        level: str = "object",
+    ) -> str:
         """Return one sentence that says why `decide` answers as it does."""
-        decision = self.decide(error, costs)
+        decision = self.decide(error, costs, refusal=refusal, level=level)
+        name = decision.name if isinstance(decision, Named) else decision
         touches = f"{self.touches_used} touch{'es' * (self.touches_used != 1)}"
         chance = f"{self.best} has probability {1 - self.doubt:.4f}"
         sure = f"{chance} after {touches}{self._basis}"
-        if decision is None and not self.looks_known():
+        if name == UNKNOWN:
+            limit = self.unknown_limit(error if refusal is None else refusal)
             return (
-                f"Undecided: {sure}, but four in five known episodes fit better "
-                f"(unknown score {self.unknown:.3f}). Touch again."
+                f"Unknown: after {touches} the unknown score (nearest: {self.best}) is "
+                f"{self.unknown:.3f}, above {limit:.3f}: what was learnt is hardly "
+                "ever so."
             )
-        if costs is not None and decision != "unknown":
+        if name is not None and name in self.categories and name != self.best:
+            return (
+                f"Decided for the category {name}: it has probability "
+                f"{self.categories[name]:.4f} after {touches}{self._basis}; which one "
+                "is not sure."
+            )
+        if costs is not None and (name is not None or self._is_agreed()):
             expected = np.exp(self.log_posterior) @ self._cost_table(costs)
             least = f"{expected.min():.4f} after {touches}"
-            if decision is None:
+            if name is None:
                 return f"Undecided: the least expected cost is {least}, over {error:g}."
-            return f"Decided for {decision}: its expected cost is {least}."
-        if decision is None:
+            return f"Decided for {name}: its expected cost is {least}."
+        if name is not None:
+            return f"Decided for {name}: {sure}, at least {1 - error:g}."
+        if self.doubt > error:
             return f"Undecided: {sure}, less than {1 - error:g}."
-        if decision != "unknown":
-            return f"Decided for {decision}: {sure}, at least {1 - error:g}."
-        limit = self.unknown_limit(error)
+        limit = self._judge.limits.naming_limit(error)
         return (
-            f"Unknown: after {touches} the unknown score (nearest: {self.best}) is "
-            f"{self.unknown:.3f}; that of known episodes exceeds {limit:.3f} so "
-            f"rarely that {error:g} of them are ever refused."
+            f"Undecided: {sure}, but the encodings do not agree enough (unknown score "
+            f"{self.unknown:.3g}, above {limit:.3g}). Touch again."
         )
 
     def explain(self, n_touches: int = 3, n_nearest: int = 3) -> list[dict[str, Any]]:

@@ -14,9 +14,11 @@ from scipy.special import log_softmax
 from .._types import Array, Floats
 from ..classifiers import TouchClassifier
 from ._evidence import SequenceCalibration, n_informative
-from ._unknown import UnknownScale, fit_unknown_scale
+from ._unknown import MOST_ASKED
 
 EPISODES_PER_OBJECT = 40
+# Long episodes in all, of all objects together.
+IN_ALL = 1000
 LENGTHS = (1, 2, 3, 5, 8, 12, 20, 30)
 
 
@@ -41,19 +43,28 @@ def draw_episodes(
     ones as hold them: a visit to an object is rarely spread over a whole
     recording. Objects with fewer touches are left out.
     """
-    episodes = []
-    for name in np.unique(episode_of):
-        rows = np.flatnonzero(episode_of == name)
-        if len(rows) < n_touches:
-            continue
-        rows = rows[np.argsort(group[rows], kind="stable")]
-        parts = np.split(rows, np.flatnonzero(np.diff(group[rows])) + 1)
-        for _ in range(EPISODES_PER_OBJECT):
-            start = rng.integers(len(parts))
-            pool = np.concatenate(parts[start:] + parts[:start])
-            enough = -(-n_touches // len(parts[start])) * len(parts[start])
-            episodes.append(rng.permutation(pool[:enough])[:n_touches])
-    return np.array(episodes, dtype=np.intp).reshape(-1, n_touches)
+    of_each = (np.flatnonzero(episode_of == name) for name in np.unique(episode_of))
+    episodes = [
+        _episodes_of(rows, group, n_touches, EPISODES_PER_OBJECT, rng)
+        for rows in of_each
+        if len(rows) >= n_touches
+    ]
+    return np.concatenate([np.empty((0, n_touches), dtype=np.intp), *episodes])
+
+
+def _episodes_of(
+    rows: Array, group: Array, n_touches: int, n_episodes: int, rng: np.random.Generator
+) -> NDArray[np.intp]:
+    """Draw episodes of one object, whose touches are `rows`."""
+    rows = rows[np.argsort(group[rows], kind="stable")]
+    parts = np.split(rows, np.flatnonzero(np.diff(group[rows])) + 1)
+    episodes = np.empty((n_episodes, n_touches), dtype=np.intp)
+    for episode in episodes:
+        start = rng.integers(len(parts))
+        pool = np.concatenate(parts[start:] + parts[:start])
+        enough = -(-n_touches // len(parts[start])) * len(parts[start])
+        episode[:] = rng.permutation(pool[:enough])[:n_touches]
+    return episodes
 
 
 def draw_all(objects: Array, group: Array, seed: int) -> dict[int, Array]:
@@ -63,24 +74,25 @@ def draw_all(objects: Array, group: Array, seed: int) -> dict[int, Array]:
     return {k: rows for k, rows in drawn.items() if len(rows)}
 
 
-def calibrate(
-    floored: Floats,
-    novelty: Floats,
-    codes: Array,
-    episodes: dict[int, Array],
-    log_prior: Floats,
-    *,
-    calibrates_sequence: bool,
-) -> tuple[SequenceCalibration, UnknownScale]:
-    """Return how touches add up, and what known episodes look like."""
-    calibration = (
-        fit_sequence_calibration(floored, codes, episodes, log_prior)
-        if calibrates_sequence
-        else SequenceCalibration()
-    )
-    return calibration, fit_unknown_scale(
-        floored, novelty, codes, episodes, log_prior, calibration
-    )
+def draw_asked(objects: Array, group: Array, seed: int) -> list[NDArray[np.intp]]:
+    """Draw long episodes of each object, (n_episodes, n_touches), -1 after their end.
+
+    Like those of `draw_episodes`, each as long as its object has touches, up to
+    `MOST_ASKED`; of very many objects, of some.
+    """
+    rng = np.random.default_rng(seed)
+    names, counts = np.unique(objects, return_counts=True)
+    some = np.unique(np.linspace(0, len(names) - 1, IN_ALL).astype(int))
+    longest = min(MOST_ASKED, int(counts[some].max()))
+    n_each = min(EPISODES_PER_OBJECT, max(1, IN_ALL // len(some)))
+    drawn = []
+    for k in some:
+        n_touches = min(longest, int(counts[k]))
+        mine = np.flatnonzero(objects == names[k])
+        rows = _episodes_of(mine, group, n_touches, n_each, rng)
+        over = ((0, 0), (0, longest - n_touches))
+        drawn.append(np.pad(rows, over, constant_values=-1))
+    return drawn
 
 
 def fit_sequence_calibration(

@@ -19,7 +19,6 @@ from ._encoder import (
     find_geometry,
     in_batches,
     living,
-    novelty_of,
 )
 
 NO_CONTACT = "no contact"
@@ -210,25 +209,32 @@ class ContactCheck(BaseEstimator):
 
 def _by_sight(every: Floats, blind: NDArray[np.bool_]) -> tuple[Floats, Floats]:
     """Return novelty to encodings that see turns or shifts, and to the others."""
-    return novelty_of(every[:, ~blind]), novelty_of(every[:, blind])
+    return _novelty(every[:, ~blind]), _novelty(every[:, blind])
+
+
+def _novelty(every: Floats) -> Floats:
+    """Return the mean of what encodings leave unexplained, NaN where none says it."""
+    told = ~np.isnan(every)
+    total = np.where(told, every, 0).sum(axis=1)
+    count = told.sum(axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def encoded_and_flagged(
     encoder: TouchEncoder, contact: ContactCheck, touches: Touches
-) -> tuple[Floats, Floats, list[str]]:
-    """Return features, `unexplained` and flags of touches.
+) -> tuple[Floats, list[str]]:
+    """Return features and flags of touches.
 
     Cleaned once for all; so many at a time that memory stays bounded.
     """
-    parts: list[tuple[Floats, Floats]] = []
+    parts: list[Floats] = []
     flags: list[str] = []
     for some in in_batches(touches):
         cleaned = encoder.clean(some)
         features, every = encoder.encode_fully(cleaned)
-        parts.append((features, novelty_of(every)))
+        parts.append(features)
         flags += contact.flags(some, cleaned, every)
-    features_of_all, unexplained = zip(*parts, strict=True)
-    return np.concatenate(features_of_all), np.concatenate(unexplained), flags
+    return np.concatenate(parts), flags
 
 
 def consists_of_nothing(labels: Array, no_contact: Array) -> bool:

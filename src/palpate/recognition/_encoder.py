@@ -234,14 +234,6 @@ def find_geometry(touches: Touches) -> str:
     return "array" if max(n_rows, n_cols) <= ARRAY_SIDE else "plane"
 
 
-def novelty_of(every: Floats) -> Floats:
-    """Return the mean of what encodings leave unexplained, NaN where none says it."""
-    told = ~np.isnan(every)
-    total = np.where(told, every, 0).sum(axis=1)
-    count = told.sum(axis=1)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
 def living(images: Array, pads: Array | None = None) -> Array:
     """Return images without NaN: 0 outside the pads, dead taxels filled."""
     if images.dtype.kind != "f" or not np.isnan(images).any():

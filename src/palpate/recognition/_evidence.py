@@ -34,14 +34,14 @@ class Evidence(NamedTuple):
     flags : list of str
         What is wrong with each touch, "" for most: "no contact", "saturated", "double
         contact".
-    novelty : ndarray of shape (n_touches,)
-        How much of each touch the encoding leaves unexplained, NaN where it cannot say.
+    by_encoding : ndarray of shape (n_touches, n_encodings, n_objects)
+        The log-likelihood of each encoding alone.
     """
 
     features: Floats
     log_likelihood: Floats
     flags: list[str]
-    novelty: Floats
+    by_encoding: Floats
 
     @classmethod
     def together(cls, parts: Sequence[Evidence]) -> Evidence:
@@ -50,7 +50,7 @@ class Evidence(NamedTuple):
             np.concatenate([part.features for part in parts]),
             np.concatenate([part.log_likelihood for part in parts]),
             [flag for part in parts for flag in part.flags],
-            np.concatenate([part.novelty for part in parts]),
+            np.concatenate([part.by_encoding for part in parts]),
         )
 
     def one(self, touch: int) -> Evidence:
@@ -60,7 +60,7 @@ class Evidence(NamedTuple):
             self.features[row],
             self.log_likelihood[row],
             self.flags[row],
-            self.novelty[row],
+            self.by_encoding[row],
         )
 
 

@@ -2,7 +2,7 @@
 
 What was kept of the training touches lay on the recogniser itself, and some classes
 and attributes had other names. Works on the JSON document alone; arrays stay where
-they are.
+they are. What decides is learnt anew from the touches that were kept.
 """
 
 from typing import Any
@@ -19,7 +19,6 @@ _KEPT = {
     "objects_": "objects",
     "stretches_": "blocks",
     "nothing_": "nothing",
-    "unexplained_": "unexplained",
     "touch_ids_": "touch_ids",
     "sensor_": "sensor",
 }
@@ -45,12 +44,14 @@ def _recogniser(node: Node) -> Node:
     """Gather what is kept of the training touches into a `Memory`."""
     learnt = node["learnt"]
     kept = {new: learnt.pop(old) for old, new in _KEPT.items() if old in learnt}
-    learnt.pop("taught_", None)
+    for gone in ("taught_", "unexplained_", "unknown_scale_"):
+        learnt.pop(gone, None)
     shape = kept["labels"]["shape"]
     unknown = {"text": [""] * shape[0], "shape": shape}
     if kept.get("touch_ids", unknown)["shape"] != shape:
         kept["touch_ids"] = unknown
-    params = {"sensor": None, "touch_ids": unknown, "sessions": unknown, **kept}
+    told = dict.fromkeys(("touch_ids", "sessions", "categories"), unknown)
+    params = {"sensor": None, **told, **kept}
     learnt["memory_"] = {"class": "Memory", "params": params, "learnt": {}}
     encoder = learnt["encoder_"]
     n_features = kept["features"]["shape"][not kept["features"].get("turned")]

@@ -14,7 +14,7 @@ from .._types import Array, Floats
 from ..classifiers import EncodingPool
 from ..touches import Touches, TouchSource
 from ._contact import NO_CONTACT, ContactCheck, encoded_and_flagged
-from ._encoder import TouchEncoder, find_geometry, novelty_of
+from ._encoder import TouchEncoder, find_geometry
 from ._evidence import with_floor
 from ._memory import Memory
 from ._model_file import state_digest
@@ -37,7 +37,6 @@ class Encoded:
     """What an encoding makes of touches, one row a touch; see `Memory`."""
 
     features: Floats
-    unexplained: Floats
     nothing: NDArray[np.bool_]
 
 
@@ -74,10 +73,9 @@ def learn_encoding(
     contact.learn_poses(encoder, every)
     if isinstance(touches, Touches):
         nothing = contact.no_contact(touches, cleaned)
-        result = Encoded(features, novelty_of(every), nothing)
+        result = Encoded(features, nothing)
     else:
         result = encoded(encoder, contact, touches)
-        result.unexplained[rows] = novelty_of(every)
     return encoder, contact, chosen, result
 
 
@@ -87,17 +85,15 @@ def encoded(
     """Return what a learnt encoding makes of all touches."""
 
     def encode(some: Touches) -> Floats:
-        features, unexplained, flags = encoded_and_flagged(encoder, contact, some)
-        nothing = np.array(flags) == NO_CONTACT
-        return np.column_stack([features, unexplained, nothing])
+        features, flags = encoded_and_flagged(encoder, contact, some)
+        return np.column_stack([features, np.array(flags) == NO_CONTACT])
 
     if isinstance(touches, Touches):
         table = encode(touches)
     else:
         key = state_digest(encoder) + state_digest(contact)
         table = touches.features(key, encode)
-    features = np.ascontiguousarray(table[:, :-2])
-    return Encoded(features, table[:, -2].copy(), table[:, -1] > 0)
+    return Encoded(np.ascontiguousarray(table[:, :-1]), table[:, -1] > 0)
 
 
 def memory_of(
@@ -109,7 +105,7 @@ def memory_of(
 ) -> Memory:
     """Return what is kept of touches that were encoded."""
     unknown = np.full(len(labels), "")
-    sessions, ids = touches.session, touches.touch_id
+    sessions, ids, categories = touches.session, touches.touch_id, touches.category
     return Memory(
         features=encoding.features,
         labels=labels,
@@ -117,8 +113,8 @@ def memory_of(
         blocks=blocks,
         sessions=unknown if sessions is None else sessions.astype(str),
         nothing=encoding.nothing,
-        unexplained=encoding.unexplained,
         touch_ids=unknown if ids is None else ids,
+        categories=unknown if categories is None else categories.astype(str),
     )
 
 

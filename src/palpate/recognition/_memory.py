@@ -44,11 +44,10 @@ class Memory:
         The mounting or day of each, "" where it is not told.
     nothing : ndarray of bool, shape (n_touches,)
         Which show no contact.
-    unexplained : ndarray of shape (n_touches,)
-        How much of each touch principal components that never met its block leave out;
-        NaN where the encoding has none.
     touch_ids : ndarray of str, shape (n_touches,)
         Where each lies in a library, "" for those of none.
+    categories : ndarray of str, shape (n_touches,)
+        What kind of thing each is of, "" where it is not told.
     sensor : mapping or None
         What the sensor was like, as plain values; the first one that was told stays.
     """
@@ -59,8 +58,8 @@ class Memory:
     blocks: NDArray[np.intp]
     sessions: NDArray[np.str_]
     nothing: NDArray[np.bool_]
-    unexplained: Floats
     touch_ids: NDArray[np.str_]
+    categories: NDArray[np.str_]
     sensor: Mapping[str, Any] | None = None
 
     def __len__(self) -> int:
@@ -70,6 +69,26 @@ class Memory:
     def classes(self) -> Array:
         """The labels, sorted, shape (n_labels,)."""
         return np.unique(self.labels)
+
+    @property
+    def category_of(self) -> NDArray[np.str_]:
+        """The category of each of `classes`, "" where not all its touches tell one."""
+        told = [np.unique(self.categories[self.labels == c]) for c in self.classes]
+        return np.array([str(one[0]) if len(one) == 1 else "" for one in told])
+
+    @property
+    def units(self) -> tuple[int, str]:
+        """How many things are left out independently, and what they stand for.
+
+        Objects, whose blocks go wrong together; where whole sessions or persons are
+        left out, each object in each of them.
+        """
+        pairs = np.stack([self.objects.astype(str), self.blocks.astype(str)])
+        met = np.unique(pairs, axis=1)
+        n_objects, n_blocks = (len(np.unique(names)) for names in met)
+        if len(met[0]) > n_blocks:
+            return len(met[0]), "these objects in other sessions"
+        return n_objects, "these objects, recorded as when they were learnt"
 
     def plus(self, other: Self) -> Self:
         """Return both, the other one last, its blocks numbered after these."""

@@ -28,7 +28,7 @@ from ._format_3 import from_format_3
 from ._memory import Memory
 from ._modality import Modality
 from ._model_bounds import MB, Budget
-from ._unknown import UnknownScale
+from ._unknown import DecisionLimits
 
 FORMAT = 4
 # Larger files are read where the caller says so.
@@ -36,7 +36,14 @@ MAX_MB = 2000
 
 Tensors = dict[str, Array]
 
-_OWN = (ContactCheck, Memory, Modality, SequenceCalibration, TouchEncoder, UnknownScale)
+_OWN = (
+    ContactCheck,
+    DecisionLimits,
+    Memory,
+    Modality,
+    SequenceCalibration,
+    TouchEncoder,
+)
 _ROOMS = (classifiers, encodings, images)
 # Made anew from a stored model; making one computes, which reading a file must not.
 _NEVER_STORED = ("IndexQuality", "KernelDensityIndex", "TouchClassifier")

@@ -21,7 +21,12 @@ from ..classifiers import EncodingPool, TouchClassifier, as_groups
 from ..images import Poses, PressPose
 from ..touches import Touches, TouchSource
 from ._belief import Belief, Judge
-from ._calibration import calibrate, draw_all, left_out_log_likelihood
+from ._calibration import (
+    draw_all,
+    draw_asked,
+    fit_sequence_calibration,
+    left_out_log_likelihood,
+)
 from ._contact import NO_CONTACT, ContactCheck, consists_of_nothing, encoded_and_flagged
 from ._encoder import BATCH, TouchEncoder
 from ._evidence import (
@@ -48,7 +53,7 @@ from ._model_bounds import MOST_TRIED
 from ._model_file import MAX_MB, ModelFileError, read_model, write_model
 from ._presets import PRESENTATIONS, Preset, find_preset
 from ._trial_touch import check_parts, try_one_touch
-from ._unknown import UnknownScale
+from ._unknown import DecisionLimits, LeftOut, fit_limits
 
 # Touches of one task; a multiple of the encoder's batches, for the same results.
 SHARD = 4 * BATCH
@@ -97,8 +102,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         Whether touches without contact count: where a label consists of them.
     sequence_calibration_ : SequenceCalibration
         How touches of one episode add up.
-    unknown_scale_ : UnknownScale
-        What episodes of known objects look like.
+    limits_ : DecisionLimits
+        What may be decided.
     floor_ : float
         The floor in use.
     chosen_ : dict
@@ -128,7 +133,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     contact_: ContactCheck
     uses_no_contact_: bool
     sequence_calibration_: SequenceCalibration
-    unknown_scale_: UnknownScale
+    limits_: DecisionLimits
     floor_: float
     chosen_: dict[str, Any]
     pose_: PressPose | None
@@ -362,8 +367,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             log_prior=self.log_prior(),
             floor=self.floor_,
             sequence_calibration=self.sequence_calibration_,
-            unknown_scale=self.unknown_scale_,
+            limits=self.limits_,
             senses=self.modalities_,
+            categories=self._category_of(self.memory_),
             memory=self.memory_,
         )
 
@@ -497,6 +503,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             raise ModelFileError(f"{path} holds no object recogniser.")
         try:
             model._check_parameters()
+            if not hasattr(model, "limits_"):
+                model.limits_ = model._learnt_limits()
             check_parts(model.judge(), model.encoder_.image_shape_, model.pose_)
             if prod(model.encoder_.image_shape_) <= MOST_TRIED:
                 with np.errstate(all="ignore"):
@@ -550,29 +558,69 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         return self
 
     def _calibrate(self, memory: Memory) -> None:
-        """Set memory, floor, sequence calibration and unknown scale."""
+        """Set memory, floor, sequence calibration and what may be decided."""
         preset = find_preset(self.preset)
         self.memory_, self.classes_ = memory, memory.classes
         self.floor_ = preset.floor if self.floor is None else float(self.floor)
         self.uses_no_contact_ = not preset.skips_no_contact or consists_of_nothing(
             memory.labels, memory.nothing
         )
-        left_out = left_out_log_likelihood(self.classifier_)
-        self.sequence_calibration_, self.unknown_scale_ = calibrate(
-            with_floor(self._used(left_out, memory.nothing), self.floor_),
-            memory.unexplained,
-            np.searchsorted(self.classes_, memory.labels),
-            draw_all(memory.objects, memory.blocks, self.random_state),
-            self._log_prior(memory),
-            calibrates_sequence=preset.calibrates_sequence,
+        self.sequence_calibration_ = SequenceCalibration()
+        if preset.calibrates_sequence:
+            self.sequence_calibration_ = fit_sequence_calibration(
+                with_floor(self._left_out(), self.floor_),
+                np.searchsorted(self.classes_, memory.labels),
+                draw_all(memory.objects, memory.blocks, self.random_state),
+                self._log_prior(memory),
+            )
+        self.limits_ = self._learnt_limits()
+
+    def _left_out(self) -> Floats:
+        """Return what counts of left-out training touches, (n_touches, n_objects)."""
+        return self._used(
+            left_out_log_likelihood(self.classifier_), self.memory_.nothing
         )
+
+    def _learnt_limits(self) -> DecisionLimits:
+        """Learn what may be decided from training touches left out."""
+        memory, said = self.memory_, self._left_out()
+        each, weights = said[:, np.newaxis], np.ones(1)
+        if isinstance(self.classifier_, EncodingPool):
+            each = np.stack([*self.classifier_.left_out_by_part().values()], axis=1)
+            weights = np.array([*self.classifier_.weights_.values()])
+        left_out = LeftOut(
+            log_likelihood=said,
+            each=each,
+            codes=np.searchsorted(self.classes_, memory.labels),
+            log_prior=self._log_prior(memory),
+            floor=self.floor_,
+            calibration=self.sequence_calibration_,
+            weights=weights / max(weights.sum(), 1e-12),
+            categories=self._category_of(memory),
+        )
+        asked = draw_asked(memory.objects, memory.blocks, self.random_state)
+        return fit_limits(left_out, asked, *memory.units)
+
+    def _category_of(self, memory: Memory) -> NDArray[np.str_]:
+        if self.label == "category":
+            return np.full(len(memory.classes), "")
+        return memory.category_of
 
     def _evidence_of(self, touches: Touches) -> Evidence:
         encoding = self.encoder_, self.contact_
-        features, new, flags = encoded_and_flagged(*encoding, touches)
-        nothing = np.array(flags) == NO_CONTACT
-        used = self._used(self.classifier_.log_likelihood(features), nothing)
-        return Evidence(features, used, flags, new)
+        features, flags = encoded_and_flagged(*encoding, touches)
+        if isinstance(self.classifier_, EncodingPool):
+            parts = self.classifier_.log_likelihood_by_part(features)
+            said, each = self.classifier_.pooled(parts), np.swapaxes(parts, 0, 1)
+        else:
+            said = self.classifier_.log_likelihood(features)
+            each = said[:, np.newaxis]
+        return Evidence(
+            features,
+            self._used(said, np.array(flags) == NO_CONTACT),
+            flags,
+            each,
+        )
 
     def _used(self, log_likelihood: Floats, nothing: NDArray[np.bool_]) -> Floats:
         """Let touches without contact say nothing, unless a label consists of them."""

@@ -4,7 +4,7 @@ from math import prod
 
 import numpy as np
 
-from .._checks import check_number
+from .._checks import check_count, check_number
 from .._types import Floats
 from ..images import PressPose
 from ._belief import Belief, Judge
@@ -12,7 +12,7 @@ from ._evidence import Evidence, SequenceCalibration
 from ._memory import Memory
 from ._modality import Modality
 from ._model_bounds import MOST_LEVELS
-from ._unknown import UnknownScale
+from ._unknown import LEVELS, DecisionLimits
 
 
 def check_parts(judge: Judge, image_shape: tuple[int, ...], pose: object) -> None:
@@ -23,7 +23,7 @@ def check_parts(judge: Judge, image_shape: tuple[int, ...], pose: object) -> Non
     if not np.array_equal(judge.classes, judge.memory.classes.astype(str)):
         raise ValueError("its objects are not those of its touches")
     _check_calibration(judge.sequence_calibration)
-    _check_scale(judge.unknown_scale, len(judge.classes))
+    _check_limits(judge.limits)
     check_number("floor_", judge.floor, low=0, high=0.5)
     if not isinstance(pose, PressPose | None):
         raise TypeError(f"pose_ is a {type(pose).__name__}")
@@ -68,20 +68,24 @@ def _check_calibration(calibration: object) -> None:
     check_number("correlation", calibration.correlation, low=0, high=1)
 
 
-def _check_scale(scale: object, n_objects: int) -> None:
-    if not isinstance(scale, UnknownScale):
-        raise TypeError(f"unknown_scale_ is a {type(scale).__name__}")
-    n = len(scale.lengths)
+def _check_limits(limits: object) -> None:
+    if not isinstance(limits, DecisionLimits):
+        raise TypeError(f"limits_ is a {type(limits).__name__}")
+    n_levels, n_lengths = len(LEVELS), len(limits.quantiles)
     shapes = {
-        "usual": (n_objects,),
-        "spread": (n_objects,),
-        "mean": (n, 3),
-        "deviation": (n, 3),
-        "together": (n,),
-        "limits": (n, scale.limits.shape[-1]),
-        "levels": (scale.limits.shape[-1],),
+        "weights": limits.weights.shape[:1],
+        "naming": (n_levels,),
+        "naming_category": (n_levels,),
+        "refusing": (n_levels,),
+        "wrong": (n_levels,),
+        "quantiles": (n_lengths, n_levels),
     }
     for name, shape in shapes.items():
-        values = getattr(scale, name)
-        if values.shape != shape or not np.isfinite(values).all():
-            raise ValueError(f"{name} of its unknown scale is no such table")
+        values = getattr(limits, name)
+        if values.shape != shape or not values.size:
+            raise ValueError(f"{name} of its limits is no such table")
+        if not ((values >= 0) & (values <= 1)).all():
+            raise ValueError(f"{name} of its limits is not between 0 and 1")
+    check_count("n_units", limits.n_units)
+    if not isinstance(limits.population, str):
+        raise TypeError("population of its limits is no text")

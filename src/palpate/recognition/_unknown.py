@@ -1,276 +1,348 @@
-"""How little an episode looks like any known object.
+"""How little an episode looks like any known object, and what may be decided.
 
-Three things tell: the posterior is spread over objects (doubt), the touches give the
-best object less than its own touches do (misfit), and the encoding, made for what was
-learnt, leaves much of them unexplained (novelty). An object never learnt may end in a
-sharp posterior, but hardly with touches that fit as those of the object itself.
+Encodings that fail in different ways tell a thing that was never learnt by not
+agreeing on its name, however sure the belief is in the end. One score says how little
+they agree. Below one limit an object may be named, above another it is called unknown,
+and between them more touches are needed.
+
+Both limits are learnt from two kinds of episodes: training touches left out with their
+block or session, and the same touches as if their object had never been learnt. A
+known object may behave like the second kind tomorrow: of n that were seen not to, one
+in n + 2 is expected to (Laplace's rule of succession). What must hold for the mixture
+of both is therefore stricter with few objects than with many.
 """
 
-from collections.abc import Mapping
+from __future__ import annotations
+
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, logsumexp, ndtri
+from scipy.special import log_softmax, logsumexp
+from scipy.stats import beta
 
 from .._types import Array, Floats
-from ._evidence import SequenceCalibration, doubts, is_informative, log_posteriors
+from ._evidence import SequenceCalibration, doubts, is_informative, with_floor
 
+# Shares of wrong decisions for which limits are learnt.
+LEVELS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 # Touches after which someone who asks after every one has stopped asking.
 MOST_ASKED = 20
-REFUSED = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
-# Doubt counts between odds of exp(-20) and exp(20): beyond, the floor decides it.
-_MOST_DOUBT = 20.0
-_LEAST_SPREAD = 0.02
-# Known episodes of clean touches are so alike that any other would stand out: the
-# doubt (nats), misfit (standard errors) and novelty (of the variance of all touches)
-# count for no less than these deviations.
-_LEAST_DEVIATION = np.array([1.0, 0.5, 0.02])
-# Scores are 0.5 where one known episode in twenty would lie, were they normal. Above
-# the score of one in five, 0.17, nothing is named.
-_ONE_IN_TWENTY = 1.645
-# Most unknown objects resemble known ones. Touches as new as those of one known episode
-# in twenty are no sign yet; what is beyond is a sign of its own.
-_NO_SIGN = _ONE_IN_TWENTY
-_ONE_IN_FIVE = 0.2
-# Strictest share that a limit is extrapolated to, and the laxest: 0.5 is no score to
-# refuse below.
-_RAREST, _OFTEN = 1e-3, 0.05
-_LEAST_NAMING_LIMIT = 0.17
+CONFIDENCE = 0.95
+_CANDIDATES = np.geomspace(1, 1e-9, 46)
 
 
-@dataclass(frozen=True)
-class UnknownScale:
-    """What known episodes look like, learnt from left-out training touches.
+class Promise(NamedTuple):
+    """What is known of how often a named object is wrong.
 
     Attributes
     ----------
-    usual, spread : ndarray of shape (n_objects,)
-        Mean and standard deviation of the probability that one touch of an object,
-        left out of training, gives that object.
-    lengths : ndarray of shape (n_lengths,)
-        Numbers of touches of the episodes that were simulated.
-    mean, deviation : ndarray of shape (n_lengths, 3)
-        Of doubt, misfit and novelty, over known episodes of each length.
-    together : ndarray of shape (n_lengths,)
-        Standard deviation of the sum of doubt and misfit, each standardised.
-    limits : ndarray of shape (n_lengths, len(REFUSED))
-        Scores that a share of known episodes exceeds.
-    levels : ndarray of shape (len(REFUSED),)
-        For each share of episodes to refuse in all, the share to refuse after each
-        touch; see `refusal_levels`.
+    level : float
+        The error that was asked for.
+    bound : float
+        Upper bound at 95 % confidence on the share of wrong names, for objects or
+        sessions like those that were learnt, each counted once (Clopper and Pearson
+        1934, doi:10.1093/biomet/26.4.404). From n of them it is at least
+        1 - 0.05^(1/n), however well they are recognised.
+    population : str
+        What was left out to find it.
+    n_units : int
+        How many objects, or objects in a session, the bound is from.
     """
 
-    usual: Floats
-    spread: Floats
-    lengths: Floats
-    mean: Floats
-    deviation: Floats
-    together: Floats
-    limits: Floats
-    levels: Floats
+    level: float
+    bound: float
+    population: str
+    n_units: int
 
-    def scores(
-        self, log_posterior: Floats, floored: Floats, novelty: Floats | None = None
-    ) -> Floats:
-        """Return how unknown the object seems after each touch of an episode.
 
-        Of `log_posterior` after each touch and `floored` likelihoods (..., n_touches,
-        n_objects), and `novelty` (..., n_touches), NaN where not told. Between 0 and 1,
-        higher is less known; about 0.04 for a middling known episode and 0.5 for one in
-        twenty. 0 before any touch said something.
-        """
-        used = is_informative(floored)
-        given = np.where(used[..., np.newaxis], np.exp(floored), 0.0).cumsum(axis=-2)
-        new = None if novelty is None else _mean_novelty(novelty, used)
-        return self.score(
-            log_posterior, np.cumsum(used, axis=-1, dtype=np.intp), given, new
-        )
+@dataclass(frozen=True)
+class DecisionLimits:
+    """What decides, learnt from training touches left out.
 
-    def score(
-        self,
-        log_posterior: Floats,
-        count: NDArray[np.intp],
-        given: Floats,
-        novelty: Floats | None,
-    ) -> Floats:
-        """Return `scores` from sums over the touches so far that said anything.
+    Attributes
+    ----------
+    weights : ndarray of shape (n_encodings,)
+        Share of each encoding in the score; they sum to 1.
+    naming, naming_category : ndarray of shape (len(LEVELS),)
+        Scores up to which an object or a category is named, for each error in `LEVELS`;
+        those of categories are 0 where none are known.
+    refusing : ndarray of shape (len(LEVELS),)
+        Scores above which "unknown" is said.
+    wrong : ndarray of shape (len(LEVELS),)
+        Share of left-out episodes in which another object is named.
+    quantiles : ndarray of shape (n_lengths, len(LEVELS))
+        Scores that a share of known episodes exceeds after 1, 2, 3... touches.
+    n_units : int
+        Objects, or objects in a session, that were left out.
+    population : str
+        What they stand for.
+    """
 
-        Of the belief (..., n_objects), the number of those touches (...,), the sum of
-        the probabilities that they give each object (..., n_objects), and the mean of
-        what they leave unexplained (...,), NaN where none told it.
-        """
-        doubt = _doubt(log_posterior)
-        misfit = _misfit(log_posterior, count, given, self.usual, self.spread)
-        fit = self._standard(doubt, count, 0) + self._standard(misfit, count, 1)
-        unlike = fit / np.interp(count, self.lengths, self.together)
-        if novelty is not None:
-            new = self._standard(novelty, count, 2) - _NO_SIGN
-            unlike = np.fmax(unlike, new)
-        return np.where(count > 0, expit(2 * (unlike - _ONE_IN_TWENTY)), 0.0)
+    weights: Floats
+    naming: Floats
+    naming_category: Floats
+    refusing: Floats
+    wrong: Floats
+    quantiles: Floats
+    n_units: int
+    population: str
 
-    def _standard(self, values: Floats, count: NDArray[np.intp], column: int) -> Floats:
-        mean = np.interp(count, self.lengths, self.mean[:, column])
-        deviation = np.interp(count, self.lengths, self.deviation[:, column])
-        standard: Floats = (values - mean) / deviation
-        return standard
+    def naming_limit(self, error: float, *, category: bool = False) -> float:
+        """Return the score up to which an object, or a category, may be named."""
+        return _at(error, self.naming_category if category else self.naming)
 
-    def threshold(self, n_touches: int, refused: float) -> float:
-        """Return the score that a share `refused` of known episodes exceeds."""
-        at_lengths = [np.interp(refused, REFUSED, row) for row in self.limits]
-        return float(np.interp(n_touches, self.lengths, at_lengths))
-
-    def refusal_threshold(self, n_touches: int, error: float) -> float:
+    def refusing_limit(self, refusal: float) -> float:
         """Return the score above which "unknown" is said, asked after every touch."""
-        level = float(np.interp(error, REFUSED, self.levels))
-        return max(self.threshold(n_touches, level), _normal_score(level))
+        return _at(refusal, self.refusing)
 
-    def naming_threshold(self, n_touches: int) -> float:
-        """Return the score above which no object is named: one known episode in five.
+    def threshold(self, n_touches: int, share: float) -> float:
+        """Return what a share of known episodes exceeds after some touches."""
+        row = self.quantiles[min(max(n_touches, 1), len(self.quantiles)) - 1]
+        return _at(share, row)
 
-        The posterior over known objects soon becomes sharp for any object; these
-        wait for another touch or two.
-        """
-        return float(np.interp(n_touches, self.lengths, _naming_limits(self.limits)))
+    def promise(self, error: float) -> Promise:
+        """Return what can be said of the share of wrong names at an accepted error."""
+        bound = upper_bound(_at(error, self.wrong) * self.n_units, self.n_units)
+        return Promise(error, bound, self.population, self.n_units)
 
 
-def fit_unknown_scale(
+def upper_bound(n_wrong: float, n_units: int) -> float:
+    """Return the bound at 95 % on a share, of units that were wrong among others."""
+    if n_wrong >= n_units:
+        return 1.0
+    return float(beta.ppf(CONFIDENCE, n_wrong + 1, n_units - n_wrong))
+
+
+def unknown_score(said: Floats, weights: Floats) -> Floats:
+    """Return how little encodings agree on any name, between 0 and 1, shape (...,).
+
+    Of the log posteriors of their beliefs (..., n_encodings, n_objects): 1 less the
+    largest weighted geometric mean of what they give to one object.
+    """
+    score: Floats = -np.expm1((weights @ said).max(axis=-1))
+    return np.clip(score, 0.0, 1.0)
+
+
+def episode_scores(
     floored: Floats,
-    novelty: Floats,
-    codes: Array,
-    episodes: Mapping[int, Array],
+    each: Floats,
     log_prior: Floats,
     calibration: SequenceCalibration,
-) -> UnknownScale:
-    """Learn what known episodes look like.
-
-    Of left-out likelihoods (n_touches, n_objects) and novelty (n_touches,), the column
-    of each touch's own object (n_touches,), and rows of touches per length,
-    (n_episodes, length).
-    """
-    usual, spread = _own_touches(floored, codes)
-    beliefs = {
-        k: log_posteriors(floored[rows], log_prior, calibration)
-        for k, rows in episodes.items()
-    }
-    means, deviations, together = [], [], []
-    for k, rows in episodes.items():
-        used = is_informative(floored[rows])
-        given = np.where(used[..., np.newaxis], np.exp(floored[rows]), 0.0)
-        count = np.cumsum(used, axis=-1, dtype=np.intp)
-        given = np.cumsum(given, axis=-2)
-        signs = [
-            _doubt(beliefs[k]),
-            _misfit(beliefs[k], count, given, usual, spread),
-            _mean_novelty(novelty[rows], used),
-        ]
-        ends = np.stack([sign[:, -1] for sign in signs], axis=1)
-        # Episodes of which no touch said anything have no novelty.
-        ends = np.where(np.isnan(ends), np.nanmean([0, *ends[:, -1]]), ends)
-        means.append(ends.mean(axis=0))
-        deviations.append(np.maximum(ends.std(axis=0), _LEAST_DEVIATION))
-        standard = (ends - means[-1]) / deviations[-1]
-        together.append(max(float(standard[:, :2].sum(axis=1).std()), 1.0))
-    lengths = np.array(list(episodes), dtype=float)
-    learnt = (usual, spread, lengths, np.array(means), np.array(deviations))
-    bare = UnknownScale(*learnt, np.array(together), np.empty(0), np.empty(0))
-    scores = {
-        k: bare.scores(beliefs[k], floored[rows], novelty[rows])
-        for k, rows in episodes.items()
-    }
-    shares = 1 - np.array(REFUSED)
-    limits = np.array([np.quantile(s[:, -1], shares) for s in scores.values()])
-    longest = max(k for k in episodes if k <= MOST_ASKED)
-    levels = refusal_levels(scores[longest], doubts(beliefs[longest]), lengths, limits)
-    return UnknownScale(*learnt, np.array(together), limits, levels)
-
-
-def refusal_levels(
-    scores: Floats, doubt: Floats, lengths: Floats, limits: Floats
+    weights: Floats,
 ) -> Floats:
-    """Return how strict to be after each touch, to refuse so many episodes in all.
+    """Return the unknown score after each touch of episodes, (..., n_touches).
 
-    Who asks after every touch refuses a known object if ever its score exceeds a limit
-    before it is named, which happens more often than after one touch. Of scores and
-    doubts of known episodes (n_episodes, n_touches): for each share in `REFUSED` the
-    greatest share to refuse at each length.
+    Of floored log-likelihoods (..., n_touches, n_objects) and those of each encoding
+    (..., n_touches, n_encodings, n_objects). 0 before any touch said something.
     """
-    touches = np.arange(1, scores.shape[1] + 1)
-    fits = scores <= np.interp(touches, lengths, _naming_limits(limits))
-    chosen = []
-    for share in REFUSED:
-        level = 0.0
-        for candidate in np.geomspace(1e-3, 0.5, 28):
-            row = [np.interp(candidate, REFUSED, at_length) for at_length in limits]
-            seen = np.interp(touches, lengths, row)
-            limit = np.maximum(seen, _normal_score(candidate))
-            refused = scores > limit
-            ended = refused | (fits & (doubt <= share))
-            first = ended.argmax(axis=1)
-            ever = refused[np.arange(len(scores)), first]
-            if ever.mean() > share:
-                break
-            level = float(candidate)
-        chosen.append(level)
-    return np.array(chosen)
-
-
-def _normal_score(share: float) -> float:
-    """Score that a share of known episodes would exceed, were they normal.
-
-    A limit is never lower: few training touches have not shown the rare ones yet.
-    """
-    rare = min(max(share, _RAREST), _OFTEN)
-    return float(expit(2 * (-ndtri(rare) - _ONE_IN_TWENTY)))
-
-
-def _naming_limits(limits: Floats) -> Floats:
-    """Return for each length the score above which no object is named."""
-    one_in_five = limits[:, REFUSED.index(_ONE_IN_FIVE)]
-    return np.maximum(one_in_five, _LEAST_NAMING_LIMIT)
-
-
-def _own_touches(floored: Floats, codes: Array) -> tuple[Floats, Floats]:
-    """Mean and spread, per object, of the probability that its own touches give it."""
     used = is_informative(floored)
-    own = np.exp(floored[np.arange(len(codes)), codes])
-    usual, spread = np.empty(floored.shape[1]), np.empty(floored.shape[1])
-    for code in range(floored.shape[1]):
-        mine = own[(codes == code) & used]
-        mine = mine if len(mine) else own[codes == code]
-        usual[code], spread[code] = mine.mean(), mine.std() + _LEAST_SPREAD
-    return usual, spread
+    said, count = _beliefs(used, each, log_prior, calibration)
+    return np.where(count > 0, unknown_score(said, weights), 0.0)
 
 
-def _doubt(log_posterior: Floats) -> Floats:
-    """Log odds against the best object, shape (...,)."""
-    ranked = np.sort(log_posterior, axis=-1)
-    odds = logsumexp(ranked[..., :-1], axis=-1) - ranked[..., -1]
-    return np.clip(odds, -_MOST_DOUBT, _MOST_DOUBT)
+@dataclass(frozen=True)
+class LeftOut:
+    """What is said of training touches that were left out, and how it adds up.
 
-
-def _misfit(
-    log_posterior: Floats,
-    count: NDArray[np.intp],
-    given: Floats,
-    usual: Floats,
-    spread: Floats,
-) -> Floats:
-    """How far the touches fall short of those of the best object, shape (...,).
-
-    In standard errors of a mean of independent touches; see `UnknownScale.score`.
+    Log-likelihoods (n_touches, n_objects) and those of `each` encoding (n_touches,
+    n_encodings, n_objects), without floor; `codes` (n_touches,), the column of each
+    touch's own object; and as in `Judge` the `log_prior`, `floor`, `calibration` and
+    `categories`.
     """
-    best = log_posterior.argmax(axis=-1)
-    own = np.take_along_axis(given, best[..., np.newaxis], axis=-1)[..., 0]
-    n = np.maximum(count, 1)
-    misfit: Floats = (usual[best] - own / n) / spread[best] * np.sqrt(n)
-    return misfit
+
+    log_likelihood: Floats
+    each: Floats
+    codes: Array
+    log_prior: Floats
+    floor: float
+    calibration: SequenceCalibration
+    weights: Floats
+    categories: NDArray[np.str_]
 
 
-def _mean_novelty(novelty: Floats, used: NDArray[np.bool_]) -> Floats:
-    """Mean over the touches so far that said anything and told it; NaN for none."""
-    tells = used & ~np.isnan(novelty)
-    count = np.cumsum(tells, axis=-1)
-    total = np.cumsum(np.where(tells, novelty, 0.0), axis=-1)
-    mean: Floats = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-    return mean
+def fit_limits(
+    left_out: LeftOut, episodes: list[NDArray[np.intp]], n_units: int, population: str
+) -> DecisionLimits:
+    """Learn what may be decided.
+
+    Of touches left out, and for each object the touches of its episodes (n_episodes,
+    n_touches), -1 where one is over; `n_units` stand for a `population`.
+    """
+    n_objects = len(left_out.log_prior)
+    # Of two objects nothing shows what a third would look like.
+    missed = 1 / (n_units + 2) if n_objects > 2 else 0.0
+    groups = category_codes(left_out.categories)
+    known = _Tracks.together(_tracks(left_out, rows, groups) for rows in episodes)
+    never = None
+    if missed:
+        never = _Tracks.together(
+            _tracks(left_out, rows, groups, never=True) for rows in episodes
+        )
+    naming, wrong = _naming(known, never, missed)
+    refusing, quantiles = np.ones(len(LEVELS)), known.scores
+    shares = np.full(len(known.scores), 1 / len(known.scores))
+    if never is not None:
+        quantiles = np.concatenate([known.scores, never.scores])
+        shares = np.concatenate([(1 - missed) * shares, missed * shares])
+        refusing = _exceeded(quantiles.max(axis=1), shares)
+    naming_category = np.zeros(len(LEVELS))
+    if groups is not None:
+        of_categories = None if never is None else never.category
+        naming_category, _ = _naming(known.category, of_categories, missed)
+    return DecisionLimits(
+        left_out.weights,
+        naming,
+        naming_category,
+        refusing,
+        wrong,
+        np.stack([_exceeded(column, shares) for column in quantiles.T]),
+        n_units,
+        population,
+    )
+
+
+@dataclass
+class _Tracks:
+    """Scores and doubts after each touch of episodes, and whether the best is right.
+
+    All of shape (n_episodes, n_touches); `category` is the same of categories.
+    """
+
+    scores: Floats
+    doubt: Floats
+    right: NDArray[np.bool_]
+    category: Any = None
+
+    @classmethod
+    def together(cls, parts: Iterable[_Tracks]) -> _Tracks:
+        """Return the tracks of all objects as one."""
+        every = list(parts)
+        told = every[0].category is not None
+        return cls(
+            np.concatenate([part.scores for part in every]),
+            np.concatenate([part.doubt for part in every]),
+            np.concatenate([part.right for part in every]),
+            cls.together(part.category for part in every) if told else None,
+        )
+
+
+def _tracks(
+    left_out: LeftOut,
+    rows: NDArray[np.intp],
+    groups: NDArray[np.intp] | None,
+    *,
+    never: bool = False,
+) -> _Tracks:
+    """Return what one object's episodes come to, perhaps as if it were not learnt."""
+    over, own = rows < 0, int(left_out.codes[rows[0, 0]])
+    columns = np.arange(len(left_out.log_prior))
+    if never:
+        columns = columns[columns != own]
+    mine, local = np.unique(rows, return_inverse=True)
+    floored = with_floor(left_out.log_likelihood[mine][:, columns], left_out.floor)
+    each = with_floor(left_out.each[mine][:, :, columns], left_out.floor)
+    local = local.reshape(rows.shape)
+    used = is_informative(floored)[local] & ~over
+    prior = log_softmax(left_out.log_prior[columns])
+    belief, _ = _beliefs(used, floored[local], prior, left_out.calibration)
+    said, _ = _beliefs(used, each[local], prior, left_out.calibration)
+    result = _ended(belief, said, left_out.weights, columns, own)
+    if groups is not None:
+        present, names = np.unique(groups[columns]), groups[columns]
+        belief, said = (
+            summed_by_category(one, names, present) for one in (belief, said)
+        )
+        args = (left_out.weights, present, int(groups[own]))
+        result.category = _ended(belief, said, *args)
+    return result
+
+
+def _ended(
+    belief: Floats, said: Floats, weights: Floats, names: Array, own: int
+) -> _Tracks:
+    right = names[belief.argmax(axis=-1)] == own
+    return _Tracks(unknown_score(said, weights), doubts(belief), right)
+
+
+def _beliefs(
+    used: NDArray[np.bool_],
+    floored: Floats,
+    log_prior: Floats,
+    calibration: SequenceCalibration,
+) -> tuple[Floats, NDArray[np.intp]]:
+    """Return log posteriors after each touch, and the number of those that are `used`.
+
+    `used` (..., n_touches); `floored` has objects last, perhaps encodings before.
+    """
+    inner = floored.ndim - used.ndim
+    wide = used.reshape(used.shape + (1,) * inner)
+    total = np.where(wide, floored, 0.0).cumsum(axis=used.ndim - 1)
+    count = used.cumsum(axis=-1)
+    weight = calibration.weight(count).reshape(wide.shape)
+    return log_softmax(total * weight + log_prior, axis=-1), count
+
+
+def _naming(
+    known: _Tracks, never: _Tracks | None, missed: float
+) -> tuple[Floats, Floats]:
+    """Return for each of `LEVELS` the greatest limit that keeps to it, and the wrong.
+
+    The latter is the share of known episodes that are named wrongly.
+    """
+    limits, shares = [], []
+    for level in LEVELS:
+        limit, share = 0.0, 0.0
+        most = 1.0 if missed else level
+        for candidate in _CANDIDATES[most >= _CANDIDATES]:
+            wrong = _share_wrong(known, candidate, level)
+            other = 0.0 if never is None else _share_wrong(never, candidate, level)
+            if (1 - missed) * wrong + missed * other <= level:
+                limit, share = float(candidate), wrong
+                break
+        limits.append(limit)
+        shares.append(share)
+    return np.array(limits), np.array(shares)
+
+
+def _share_wrong(tracks: _Tracks, limit: float, error: float) -> float:
+    """Return the share of episodes that are named, and wrongly."""
+    named = (tracks.scores <= limit) & (tracks.doubt <= error)
+    first = named.argmax(axis=1)
+    episode = np.arange(len(first))
+    return float((named[episode, first] & ~tracks.right[episode, first]).mean())
+
+
+def _exceeded(values: Floats, shares: Floats) -> Floats:
+    """Return for each of `LEVELS` what that share of values exceeds at most."""
+    order = np.argsort(-values, kind="stable")
+    above = np.cumsum(shares[order])
+    places = np.searchsorted(above, LEVELS, side="right")
+    return values[order][np.minimum(places, len(values) - 1)]
+
+
+def _at(level: float, values: Floats) -> float:
+    """Return a limit for a level between those that were learnt."""
+    return float(np.interp(np.log(level), np.log(LEVELS), values))
+
+
+def category_codes(categories: NDArray[np.str_]) -> NDArray[np.intp] | None:
+    """Return a number for each object's category, None where none says more.
+
+    Objects of no category have one of their own.
+    """
+    names = categories[categories != ""]
+    if len(np.unique(names)) < 2 or len(np.unique(names)) == len(names):
+        return None
+    codes = np.unique(categories, return_inverse=True)[1]
+    alone = categories == ""
+    codes[alone] = codes.max() + 1 + np.arange(alone.sum())
+    return np.asarray(codes)
+
+
+def summed_by_category(log_posterior: Floats, codes: Array, present: Array) -> Floats:
+    """Return log posteriors of the categories with some codes, (..., n_categories)."""
+    parts = [log_posterior[..., codes == code] for code in present]
+    return np.stack([logsumexp(part, axis=-1) for part in parts], axis=-1)

@@ -15,6 +15,7 @@ from ._camera import find_camera as find_camera
 from ._check import check_sensor
 from ._contract import Frame as Frame
 from ._contract import LiveSensor, SensorError, TouchSensor
+from ._contract import channels_of as channels_of
 from ._detector import ContactError as ContactError
 from ._detector import DetectedTouch as DetectedTouch
 from ._detector import TouchDetector

@@ -24,7 +24,7 @@ OpenCapture = Callable[[str], Any]
 
 
 class CameraSensor(LiveSensor):
-    """Frames of a camera in grey levels, the newest first.
+    """Frames of a camera in grey levels or in colour, the newest first.
 
     Parameters
     ----------
@@ -38,6 +38,8 @@ class CameraSensor(LiveSensor):
     exposure : float, optional
         Exposure in the driver's own unit, kept fixed; None fixes what the camera
         has settled on after a few frames.
+    colour : bool, default=False
+        Give frames (n_rows, n_cols, 3) of red, green and blue, as the camera does.
     open_capture : callable, optional
         Returns an object like `cv2.VideoCapture` for `camera`; for tests, and for
         cameras that OpenCV does not know.
@@ -50,8 +52,9 @@ class CameraSensor(LiveSensor):
 
     Notes
     -----
-    Colour becomes its luma. An automatic exposure answers a touch by changing the
-    whole picture, which is why it is switched off where the driver lets it be.
+    Without `colour` each pixel is its luma. An automatic exposure answers a touch by
+    changing the whole picture, which is why it is switched off where the driver lets
+    it be.
     """
 
     queue_length = 2
@@ -63,9 +66,11 @@ class CameraSensor(LiveSensor):
         *,
         rate_hz: float = 30.0,
         exposure: float | None = None,
+        colour: bool = False,
         open_capture: OpenCapture | None = None,
     ) -> None:
-        super().__init__(f"camera {camera}", "grey level", image_shape, np.uint8)
+        unit, more = ("colour level", (3,)) if colour else ("grey level", ())
+        super().__init__(f"camera {camera}", unit, (*image_shape, *more), np.uint8)
         self.camera = camera
         self.rate_hz = check_positive("rate_hz", rate_hz)
         self.exposure = None if exposure is None else check_number("exposure", exposure)
@@ -89,7 +94,7 @@ class CameraSensor(LiveSensor):
                 f"The camera {self.camera!r} cannot be opened. Close the program that "
                 "uses it, plug it in again, or check that you may read its device."
             )
-        n_rows, n_cols = self.image_shape
+        n_rows, n_cols = self.image_shape[:2]
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, n_cols)
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, n_rows)
         capture.set(cv2.CAP_PROP_FPS, self.rate_hz)
@@ -101,7 +106,12 @@ class CameraSensor(LiveSensor):
                 f"The camera {self.camera!r} opens but gives no picture. Another "
                 "program may be using it; close that, or plug the camera in again."
             )
-        if picture.shape[:2] != self.image_shape:
+        if picture.ndim < len(self.image_shape):
+            raise SensorError(
+                f"The camera {self.camera!r} must give colours, got grey levels. Leave "
+                "colour out."
+            )
+        if picture.shape[:2] != (n_rows, n_cols):
             got_rows, got_cols = picture.shape[:2]
             raise SensorError(
                 f"The camera {self.camera!r} must give {n_cols} x {n_rows} pixels, got "
@@ -126,7 +136,9 @@ class CameraSensor(LiveSensor):
         if picture.ndim == 3:
             import cv2
 
-            picture = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+            colour = len(self.image_shape) == 3
+            to = cv2.COLOR_BGR2RGB if colour else cv2.COLOR_BGR2GRAY
+            picture = cv2.cvtColor(picture, to)
         return [picture]
 
     def _close(self) -> None:

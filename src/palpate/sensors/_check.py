@@ -55,9 +55,10 @@ def _check_promises(sensor: LiveSensor) -> None:
     _say(isinstance(sensor, TouchSensor), "a sensor must keep TouchSensor's contract")
     _say(not sensor.connected, "check_sensor must be given one not connected yet")
     shape: Any = sensor.image_shape
-    whole = isinstance(shape, tuple) and len(shape) == 2
+    whole = isinstance(shape, tuple) and (len(shape) == 2 or shape[2:] == (3,))
     whole = whole and all(isinstance(n, int) and n > 0 for n in shape)
-    _say(whole, "image_shape must be a tuple of two positive integers")
+    promise = "image_shape must be a tuple of two positive integers, and 3 in colour"
+    _say(whole, promise)
     _say(isinstance(sensor.unit, str) and sensor.unit != "", "unit must be a text")
     _say(isinstance(sensor.name, str) and sensor.name != "", "name must be a text")
     _say(isinstance(sensor.dtype, np.dtype), "dtype must be a numpy dtype")

@@ -32,9 +32,9 @@ class SensorError(RuntimeError):
 class Frame:
     """One reading of a sensor at one time.
 
-    `image` (n_rows, n_cols) is read-only, in the sensor's unit; `time_s` is on the
-    clock of `time.monotonic`; `number` counts from 0 on connecting: a gap is a frame
-    lost.
+    `image` (n_rows, n_cols), or (n_rows, n_cols, 3) of red, green and blue, is
+    read-only, in the sensor's unit; `time_s` is on the clock of `time.monotonic`;
+    `number` counts from 0 on connecting: a gap is a frame lost.
     """
 
     image: Array
@@ -49,13 +49,13 @@ class TouchSensor(Protocol):
     Attributes
     ----------
     image_shape : tuple of int
-        (n_rows, n_cols) of every frame.
+        (n_rows, n_cols) of every frame, or (n_rows, n_cols, 3) in colour.
     geometry : str or None
         How its taxels lie, see `Touches`.
     """
 
     @property
-    def image_shape(self) -> tuple[int, int]: ...
+    def image_shape(self) -> tuple[int, ...]: ...
 
     @property
     def geometry(self) -> str | None: ...
@@ -87,8 +87,8 @@ class LiveSensor(ABC):
         What it is called, for people.
     unit : str
         What its numbers count, such as "grey level" or "kPa".
-    image_shape : (int, int)
-        (n_rows, n_cols) of every frame.
+    image_shape : tuple of int
+        (n_rows, n_cols) of every frame, or (n_rows, n_cols, 3) in colour.
     dtype : dtype
         Type of every frame.
     geometry : str, optional
@@ -117,13 +117,13 @@ class LiveSensor(ABC):
         self,
         name: str,
         unit: str,
-        image_shape: tuple[int, int],
+        image_shape: tuple[int, ...],
         dtype: DTypeLike,
         geometry: str | None = None,
     ) -> None:
-        n_rows, n_cols = image_shape
         self.name, self.unit = name, unit
-        self.image_shape = check_count("n_rows", n_rows), check_count("n_cols", n_cols)
+        names = ("n_rows", "n_cols", "n_channels")
+        self.image_shape = tuple(map(check_count, names, image_shape))
         self.dtype = np.dtype(dtype)
         self.geometry = geometry
         self.lost, self.n_frames, self.n_dropped = "", 0, 0
@@ -298,6 +298,11 @@ class LiveSensor(ABC):
             f"{self.name} gave no frame in {timeout_s:g} s. "
             "Check its cable and that it is switched on."
         )
+
+
+def channels_of(image_shape: Sequence[int]) -> tuple[str, ...] | None:
+    """Return what the channels of a sensor's frames are called, None without any."""
+    return ("r", "g", "b") if len(image_shape) == 3 else None
 
 
 def as_kind(image: Floats, dtype: np.dtype[Any]) -> Array:

@@ -1,9 +1,10 @@
 """Where a touch begins and ends in a stream of frames.
 
 A frame is compared with the frame of no contact (the baseline). Its change is the root
-mean square of the difference over the taxels that work, in the sensor's unit. A
-touch begins where the change rises above one limit and ends where it falls below a
-lower one, so that a change near a limit does not make many touches of one.
+mean square of the difference over the taxels that work and their colours, in the
+sensor's unit. A touch begins where the change rises above one limit and ends where it
+falls below a lower one, so that a change near a limit does not make many touches of
+one.
 """
 
 from collections import deque
@@ -259,7 +260,7 @@ def _pressed(image: Floats, least: float) -> str:
 
     Offsets of single taxels do not, nor does a slope over the array.
     """
-    if max(image.shape) > _ARRAY_SIDE or np.isnan(image).all():
+    if image.ndim == 3 or max(image.shape) > _ARRAY_SIDE or np.isnan(image).all():
         return ""
     low, rest = np.nanpercentile(image, (5, 25))  # of noise these are a spread apart
     above = np.nan_to_num(image - rest)

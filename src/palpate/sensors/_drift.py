@@ -25,9 +25,9 @@ class SensorMemory:
 
     `no_contact` (n_rows, n_cols) is its baseline, `touch_change` the median over
     touches of their root mean square difference from it. `response` is the mean over
-    touches of the share that each taxel has in a touch's change, `response_var` the
-    variance of that mean, both (n_rows, n_cols), or (0, 0) for sensors of over 4096
-    taxels.
+    touches of the share that each taxel has in a touch's change, over channels,
+    `response_var` the variance of that mean, both (n_rows, n_cols), or (0, 0) for
+    sensors of over 4096 taxels.
     """
 
     no_contact: Floats
@@ -44,6 +44,7 @@ class SensorMemory:
         for image in images:
             size = np.abs(image - baseline)
             changes.append(float(np.sqrt(np.nanmean(size**2))))
+            size = size.reshape(*size.shape[:2], -1).mean(axis=2)
             shares.append(size / max(float(np.nansum(size)), np.finfo(float).tiny))
             if baseline.size > MOST_TAXELS:
                 shares.clear()
@@ -69,11 +70,12 @@ class SensorMemory:
 
 def baseline_warning(memory: SensorMemory, no_contact: Array) -> str:
     """Return a sentence if rest is off by over a quarter of a touch, else nothing."""
-    known, found = memory.no_contact.shape, no_contact.shape
-    if known != found:
+    if memory.no_contact.shape != no_contact.shape:
+        both = (memory.no_contact.shape, no_contact.shape)
+        known, found = (" x ".join(map(str, shape)) for shape in both)
         return (
-            f"The model learnt from a sensor of {known[0]} x {known[1]} taxels, this "
-            f"one has {found[0]} x {found[1]}. Learn again with this sensor."
+            f"The model learnt from a sensor of {known} taxels, this one has {found}. "
+            "Learn again with this sensor."
         )
     off = float(np.sqrt(np.nanmean((no_contact - memory.no_contact) ** 2)))
     if off <= _BASELINE_TOLERANCE * memory.touch_change:

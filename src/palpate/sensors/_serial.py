@@ -61,6 +61,7 @@ class SerialArraySensor(LiveSensor):
     """
 
     queue_length = 1000
+    image_shape: tuple[int, int]
 
     def __init__(
         self,

@@ -12,6 +12,7 @@ import numpy as np
 
 from .._types import Array, Floats
 from ..recognition import Belief, ObjectRecogniser
+from ..sensors import channels_of
 from ..touches import Touches
 from ._images import thumbnail
 
@@ -100,7 +101,9 @@ class LiveEpisode:
         """Take in a touch and return it; one that is refused changes nothing."""
         touch = LiveTouch(len(self.touches) + 1, time.time())
         if self.recogniser is not None and self.belief is not None:
-            evidence = self.recogniser.evidence(Touches(image[np.newaxis]))
+            channels = channels_of(image.shape)
+            touches = Touches(image[np.newaxis], channels=channels)
+            evidence = self.recogniser.evidence(touches)
             self.belief.update(evidence)
             touch.posterior = self.belief.posterior
             touch.unknown = self.belief.unknown
@@ -144,7 +147,8 @@ class LiveEpisode:
         times = np.array([touch.time_s for touch in self.touches])
         episode = np.full(len(times), self.number)
         images = np.stack(self.images[: len(times)])
-        return Touches(images, time_s=times, episode=episode)
+        about = {"time_s": times, "episode": episode}
+        return Touches(images, **about, channels=channels_of(images.shape[1:]))
 
 
 def episode_report(episode: LiveEpisode) -> str:

@@ -168,11 +168,13 @@ class SensorWatch:
         given = tuple(self.sensor.image_shape)
         self.misfit = ""
         if learnt is not None and learnt != given:
+            other = len(learnt) != len(given)
+            colour = f", with colour={len(learnt) - 2}" if other else ""
             self.misfit = (
-                f"The model must be of images of {given[0]} x {given[1]} taxels, which "
-                f"{self.sensor.name} gives, got one of {' x '.join(map(str, learnt))}. "
+                f"The model must be of images of {_kind(given, learnt)}, which "
+                f"{self.sensor.name} gives, got one of {_kind(learnt, given)}. "
                 "Learn from touches of this sensor, or start with the sensor that the "
-                "model learnt from."
+                f"model learnt from{colour}."
             )
         self._compare()
 
@@ -241,3 +243,11 @@ class SensorWatch:
                 self._recent = [*self._recent[1 - _RECENT :], touch.image]
             self._take(touch.image, ended_s)
             self._compare()
+
+
+def _kind(image_shape: tuple[int, ...], other: tuple[int, ...]) -> str:
+    """Say how large images are, and whether in colour where others differ in that."""
+    size = f"{image_shape[0]} x {image_shape[1]} taxels"
+    if len(image_shape) == len(other):
+        return size
+    return f"{size} in {'colour' if len(image_shape) == 3 else 'grey'}"

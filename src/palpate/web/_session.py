@@ -361,6 +361,8 @@ class LiveSession:
             self._notify_state()
 
     def _recognise(self, image: Array, ended_s: float) -> None:
+        if self.watch is not None and self.watch.misfit:
+            raise ValueError(self.watch.misfit)
         with self._lock:
             if not self.episode.open or len(self.episode.touches) >= LONGEST_EPISODE:
                 self._new_episode()

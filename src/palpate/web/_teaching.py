@@ -11,7 +11,7 @@ import numpy as np
 from .._checks import check_count
 from .._types import Array
 from ..library import LibraryError, SensorDescription, TouchLibrary, TouchRow, quoted
-from ..sensors import LiveSensor, SensorError
+from ..sensors import LiveSensor, SensorError, channels_of
 from ..touches import Touches
 from ._learning import LEAST_TOUCHES, of_size
 
@@ -98,6 +98,7 @@ class Teacher:
             object=[checked_name(name)],
             time_s=[time.time()],
             no_contact=baseline,
+            channels=channels_of(image.shape),
             geometry=self._described.geometry,
         )
         (key,) = self.library.add(
