@@ -132,7 +132,7 @@ def recognise(
     from ..recognition import ObjectRecogniser
 
     found = _one_object(thing, unit)
-    recogniser = ObjectRecogniser.load(model, max_model_mb)
+    recogniser = ObjectRecogniser.load(model)
     stand = put_down(
         found,
         _camera(recogniser),

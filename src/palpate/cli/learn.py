@@ -63,7 +63,7 @@ def learn(
                 training = calibrated(_held(found), calibration)
             stage(f"learning from {len(training)} touches")
             if extend is not None:
-                recogniser = _extended(extend, training, max_model_mb)
+                recogniser = _extended(extend, training)
             else:
                 given = {k: v for k, v in vars(how).items() if k != "seed"}
                 recogniser = ObjectRecogniser(**given, random_state=how.seed)
@@ -90,9 +90,7 @@ def learn(
     )
 
 
-def _extended(
-    model: Path, training: "Touches | Selection", max_mb: float
-) -> "ObjectRecogniser":
+def _extended(model: Path, training: "Touches | Selection") -> "ObjectRecogniser":
     """Return a model that knows the new labels of `training` as well.
 
     Where all labels are known, their touches join those that the model has.
@@ -101,7 +99,7 @@ def _extended(
 
     from ..recognition import ObjectRecogniser
 
-    recogniser = ObjectRecogniser.load(model, max_mb)
+    recogniser = ObjectRecogniser.load(model)
     labels = training.object if recogniser.label == "object" else training.category
     if labels is None:
         raise ValueError(

@@ -38,9 +38,7 @@ def live(
 
     done: list[Episode] = []
     chosen = options.open(sensor)
-    session = LiveSession(
-        chosen, model=model, error=error, summary=summary, max_model_mb=max_model_mb
-    )
+    session = LiveSession(chosen, model=model, error=error, summary=summary)
     found: queue.Queue[dict[str, Any]] = queue.Queue()
 
     def listen(event: Any) -> None:

@@ -43,7 +43,7 @@ def recognise(
 
     with stages() as stage, working.started():
         stage(f"reading {model}")
-        recogniser = ObjectRecogniser.load(model, max_model_mb)
+        recogniser = ObjectRecogniser.load(model)
         stage(f"reading {touches}")
         tested = calibrated(reading.touches(touches), calibration)
         stage(f"recognising {len(tested)} touches")

@@ -68,12 +68,7 @@ def serve(
     with (
         closing(open_socket(host, port)) as socket,
         LiveSession(
-            chosen,
-            model=model,
-            library=library,
-            error=error,
-            summary=summary,
-            max_model_mb=max_model_mb,
+            chosen, model=model, library=library, error=error, summary=summary
         ) as session,
     ):
         if chosen_token is None:

@@ -13,32 +13,14 @@ from typing import Any
 from .._types import Array
 
 MB = 2**20
-MOST_LEVELS = 50_000_000
 # A blank touch of larger images is not tried.
 MOST_TRIED = 800_000
-_MOST_OBJECTS, _MOST_LETTERS, _MOST_KERNELS = 500, 1000, 5_000_000
-# Format 3, brought to today's shape, names an array more than once.
-_MOST_USES = 4
-# Levels to look at; Zernike moments above the small order keep tables for each.
-_MOST_WORK, _SMALL_ORDER = 2e7, 20
-
-_MOST: dict[str, float] = {
+_MOST = {
     **dict.fromkeys(("degree", "order", "n_orientations", "n_partitions"), 60),
     **dict.fromkeys(("n_points", "n_rings", "radii", "n_harmonics", "cell"), 32),
-    **dict.fromkeys(("shape", "side", "cells", "n", "resample"), 1024),
+    **dict.fromkeys(("shape", "side", "cells", "n", "resample", "n_quantiles"), 1024),
     **dict.fromkeys(("size", "size_"), 2048),
 }
-# What counts what the file holds, or says how to learn: nothing is sized by it.
-_SIZELESS = """n_features_in_ n_samples_ n_samples_seen_ n_components_ n_components
-    random_state max_iter max_touches n_landmarks max_choice_touches max_presses
-    image_shape_ frame_shape_"""
-_MOST |= dict.fromkeys(_SIZELESS.split(), 2**53)
-_USUAL = 10_000
-_VECTORS = """mean_ classes_ squared_norms_ log_counts_ centre_ spread_ offset_ support_
-    eigenvalues_ counts_"""
-_MATRICES = """touches_ components_ coefficients_ points_ dual_coef_ left_out_
-    left_out_scores_ features"""
-_N_AXES = dict.fromkeys(_VECTORS.split(), 1) | dict.fromkeys(_MATRICES.split(), 2)
 
 
 @dataclass
@@ -49,7 +31,6 @@ class Budget:
     tensors: Mapping[str, Array]
     known: Mapping[str, type]
     objects: int = 0
-    work: float = 0.0
     text: float = 0.0
     used: Counter[str] = field(default_factory=Counter)
 
@@ -63,14 +44,14 @@ class Budget:
         """Refuse texts that would take too much memory."""
         longest = max(map(len, items), default=0)
         self.text += 4 * longest * len(items)
-        if longest > _MOST_LETTERS or self.text > 32 * MB + self.n_bytes / 2:
+        if longest > 1000 or self.text > 32 * MB + self.n_bytes / 2:
             raise ValueError(f"{len(items)} texts of up to {longest} letters")
 
     def array(self, name: str, shape: list[int]) -> Array:
         """Return an array of its own shape, unless it was used again and again."""
         array = self.tensors[name]
         self.used[name] += 1
-        if self.used[name] > _MOST_USES or list(array.shape) != (shape or [1]):
+        if self.used[name] > 4 or list(array.shape) != (shape or [1]):
             raise ValueError(f"the array {name} has shape {array.shape}, not {shape}")
         return array.reshape(shape)
 
@@ -78,33 +59,16 @@ class Budget:
         """Refuse attributes of one object that would size or repeat too much."""
         self.objects += 1
         for name, value in values.items():
-            _check_size(name, value)
-        n_levels = prod(values.get("image_shape_", ()))
-        if not n_levels <= MOST_LEVELS or self.objects > _MOST_OBJECTS:
-            raise ValueError(f"{self.objects} parts, images of {n_levels} levels")
-        touches = len(values.get("touches_", ()))
-        if len(values.get("kernels_", ())) * touches > _MOST_KERNELS:
-            raise ValueError("too many kernels")
-        counts = values.get("counts_")
-        if counts is not None and (
-            counts.min() < 0 or counts.sum(dtype=float) > len(values.get("points_", ()))
-        ):
+            most = _MOST.get(name, 2**53)
+            for one in value if isinstance(value, list | tuple) else (value,):
+                if isinstance(one, int) and abs(one) > most:
+                    raise ValueError(f"{name} must be at most {most}, got {one}")
+        levels, order = prod(values.get("image_shape_", ())), values.get("order", 0)
+        n_kernels = len(values.get("kernels_", ())) * len(values.get("touches_", ()))
+        # Zernike moments of high order keep tables for each level.
+        costly = order > 20 and levels * order**2 > 2e7
+        if costly or n_kernels > 5_000_000 or self.objects > 500:
+            raise ValueError(f"{self.objects} parts, too much for one touch")
+        counts, n_points = values.get("counts_"), len(values.get("points_", ()))
+        if counts is not None and not 0 <= counts.min() <= counts.max() <= n_points:
             raise ValueError("counts_ are more touches than there are")
-        if "indices_" in values:
-            order = values["order"]
-            self.work += n_levels * (order**2 if order > _SMALL_ORDER else 25)
-        elif n_levels <= MOST_TRIED:
-            self.work += n_levels
-        if self.work > _MOST_WORK:
-            raise ValueError("to try one touch would take too long")
-
-
-def _check_size(name: str, value: Any) -> None:
-    """Refuse a number that is too large for its name, or an array of other axes."""
-    axes = getattr(value, "ndim", None)
-    if axes is not None and axes != _N_AXES.get(name, axes):
-        raise ValueError(f"{name} has {axes} axes")
-    most = _MOST.get(name, _USUAL)
-    for one in value if isinstance(value, list | tuple) else (value,):
-        if isinstance(one, int) and abs(one) > most:
-            raise ValueError(f"{name} must be at most {most} in a model, got {one}")

@@ -7,13 +7,14 @@ A file is a safetensors container whose metadata hold one JSON document.
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.numpy import save_file
 from sklearn.decomposition import PCA
 from sklearn.preprocessing import StandardScaler
@@ -31,8 +32,6 @@ from ._model_bounds import MB, Budget
 from ._unknown import DecisionLimits
 
 FORMAT = 4
-# Larger files are read where the caller says so.
-MAX_MB = 2000
 
 Tensors = dict[str, Array]
 
@@ -77,7 +76,12 @@ def write_model(path: str | Path, model: object) -> Path:
     tensors: Tensors = {}
     packed = _pack_object(model, tensors)
     document = json.dumps({"format": FORMAT, "model": packed})
-    _check_readable(model, packed, document, tensors)
+    n_bytes = len(document) + sum(array.nbytes for array in tensors.values())
+    known = KNOWN_CLASSES | {type(model).__name__: type(model)}
+    try:
+        _unpack(packed, Budget(n_bytes, tensors, known))
+    except (TypeError, ValueError) as error:
+        raise ModelFileError(f"This model could not be read again: {error}.") from error
     metadata = {"palpate": document, "sha256": _checksum(document, tensors)}
     with replacing(target) as file:
         save_file(tensors or {"empty": np.zeros(1)}, file.name, metadata=metadata)
@@ -110,11 +114,11 @@ def check_model_path(path: str | Path) -> Path:
     return target
 
 
-def read_model(path: str | Path, also: type, max_mb: float = MAX_MB) -> Any:
+def read_model(path: str | Path, also: type) -> Any:
     """Return the model that `write_model` wrote, or say what is wrong with it.
 
-    Of this format or of format 3, of at most `max_mb` MB; `also` is the class of the
-    model itself, beside `KNOWN_CLASSES`. Raises `ModelFileError`.
+    Of this format or of format 3, of at most PALPATE_MAX_MODEL_MB (2000); `also` is the
+    class of the model itself, beside `KNOWN_CLASSES`. Raises `ModelFileError`.
     """
     source = Path(path)
     if not source.is_file():
@@ -122,14 +126,15 @@ def read_model(path: str | Path, also: type, max_mb: float = MAX_MB) -> Any:
             f"There is no model file {source}; `palpate learn` makes one."
         )
     n_bytes = source.stat().st_size
-    if n_bytes > max_mb * MB:
+    most = float(os.environ.get("PALPATE_MAX_MODEL_MB", 2000))
+    if n_bytes > most * MB:
         raise ModelFileError(
-            f"A model file must be at most {max_mb:g} MB large, got {source} with "
-            f"{n_bytes / MB:.0f} MB. Give a higher --max-model-mb (max_mb)."
+            f"A model file must be at most {most:g} MB large, got {source} with "
+            f"{n_bytes / MB:.0f} MB. Give a higher --max-model-mb."
         )
-    document, tensors = _open(source)
-    budget = Budget(n_bytes, tensors, KNOWN_CLASSES | {also.__name__: also})
     try:
+        document, tensors = _open(source)
+        budget = Budget(n_bytes, tensors, KNOWN_CLASSES | {also.__name__: also})
         budget.check_document(document)
         content = json.loads(document)
         version, model = content["format"], content["model"]
@@ -144,7 +149,9 @@ def read_model(path: str | Path, also: type, max_mb: float = MAX_MB) -> Any:
     except ModelFileError:
         raise
     except Exception as error:
-        raise ModelFileError(f"{source} is damaged: {error}. Learn again.") from error
+        raise ModelFileError(
+            f"{source} is no palpate model, or damaged: {error}. Learn again."
+        ) from error
 
 
 def _order_header(path: Path) -> None:
@@ -157,35 +164,14 @@ def _order_header(path: Path) -> None:
         file.write(json.dumps(header, separators=(",", ":")).encode().ljust(length))
 
 
-def _check_readable(
-    model: object, packed: Any, document: str, tensors: Tensors
-) -> None:
-    """Refuse to write what `read_model` would refuse."""
-    n_bytes = len(document) + sum(array.nbytes for array in tensors.values())
-    known = KNOWN_CLASSES | {type(model).__name__: type(model)}
-    budget = Budget(n_bytes, tensors, known)
-    try:
-        budget.check_document(document)
-        _unpack(packed, budget)
-    except (TypeError, ValueError) as error:
-        raise ModelFileError(f"This model could not be read again: {error}.") from error
-
-
 def _open(source: Path) -> tuple[str, Tensors]:
     """Return the JSON document and the arrays, checked against the checksum."""
-    try:
-        with safe_open(str(source), framework="numpy") as opened:
-            metadata = opened.metadata() or {}
-            if "palpate" not in metadata:
-                raise ModelFileError(f"{source} is not a palpate model.")
-            names = [name for name in opened.keys() if name != "empty"]  # noqa: SIM118
-            tensors = {name: opened.get_tensor(name) for name in names}
-    except (SafetensorError, OSError, TypeError, ValueError) as error:
-        if isinstance(error, ModelFileError):
-            raise
-        raise ModelFileError(
-            f"{source} is not a palpate model, or is damaged or truncated: {error}."
-        ) from error
+    with safe_open(str(source), framework="numpy") as opened:
+        metadata = opened.metadata() or {}
+        if "palpate" not in metadata:
+            raise ModelFileError(f"{source} is not a palpate model.")
+        names = [name for name in opened.keys() if name != "empty"]  # noqa: SIM118
+        tensors = {name: opened.get_tensor(name) for name in names}
     document = metadata["palpate"]
     if metadata.get("sha256") != _checksum(document, tensors):
         raise ModelFileError(f"{source} is damaged: its checksum does not match.")
@@ -235,9 +221,7 @@ def _pack_object(value: object, tensors: Tensors) -> dict[str, Any]:
 
 
 def _pack_array(array: Array, tensors: Tensors) -> dict[str, Any]:
-    if array.dtype.kind in "US":
-        return {"text": array.astype(str).ravel().tolist(), "shape": list(array.shape)}
-    if array.dtype.kind == "O" and all(isinstance(item, str) for item in array.flat):
+    if array.dtype.kind in "UO" and all(isinstance(item, str) for item in array.flat):
         return {"text": array.ravel().tolist(), "shape": list(array.shape)}
     if array.dtype.kind == "c":
         pairs = np.stack([array.real, array.imag])

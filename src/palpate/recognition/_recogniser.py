@@ -50,7 +50,7 @@ from ._memory import (
 )
 from ._modality import Modality
 from ._model_bounds import MOST_TRIED
-from ._model_file import MAX_MB, ModelFileError, read_model, write_model
+from ._model_file import ModelFileError, read_model, write_model
 from ._presets import PRESENTATIONS, Preset, find_preset
 from ._trial_touch import check_parts, try_one_touch
 from ._unknown import DecisionLimits, LeftOut, fit_limits
@@ -483,22 +483,15 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         return write_model(path, self)
 
     @classmethod
-    def load(cls, path: str | Path, max_mb: float = MAX_MB) -> Self:
+    def load(cls, path: str | Path) -> Self:
         """Read a recogniser from a `.palpate` file; nothing in it is executed.
-
-        Parameters
-        ----------
-        path : str or Path
-            The file; of anybody, its numbers and sizes are bounded.
-        max_mb : float, default=2000
-            A larger file is refused unread (MB).
 
         Raises
         ------
         ModelFileError
             If the file is missing, damaged, of another version, or no recogniser.
         """
-        model = read_model(path, also=cls, max_mb=max_mb)
+        model = read_model(path, also=cls)
         if not isinstance(model, cls):
             raise ModelFileError(f"{path} holds no object recogniser.")
         try:
@@ -570,10 +563,18 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             self.sequence_calibration_ = fit_sequence_calibration(
                 with_floor(self._left_out(), self.floor_),
                 np.searchsorted(self.classes_, memory.labels),
-                draw_all(memory.objects, memory.blocks, self.random_state),
+                self._drawn(memory),
                 self._log_prior(memory),
             )
         self.limits_ = self._learnt_limits()
+
+    def _drawn(self, memory: Memory) -> dict[int, Array]:
+        """Draw episodes; of very many objects, of some, spread over all."""
+        names = np.unique(memory.objects)
+        step = -(-len(names) * len(self.classes_) // 100_000)
+        rows = np.flatnonzero(np.isin(memory.objects, names[::step]))
+        drawn = draw_all(memory.objects[rows], memory.blocks[rows], self.random_state)
+        return {k: rows[episodes] for k, episodes in drawn.items()}
 
     def _left_out(self) -> Floats:
         """Return what counts of left-out training touches, (n_touches, n_objects)."""

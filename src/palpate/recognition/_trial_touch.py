@@ -11,13 +11,14 @@ from ._belief import Belief, Judge
 from ._evidence import Evidence, SequenceCalibration
 from ._memory import Memory
 from ._modality import Modality
-from ._model_bounds import MOST_LEVELS
 from ._unknown import LEVELS, DecisionLimits
+
+MAX_PIXELS = 50_000_000
 
 
 def check_parts(judge: Judge, image_shape: tuple[int, ...], pose: object) -> None:
     """Refuse a model whose parts are of the wrong kind, or do not fit together."""
-    if len(image_shape) not in (2, 3) or not 0 < prod(image_shape) <= MOST_LEVELS:
+    if len(image_shape) not in (2, 3) or not 0 < prod(image_shape) <= MAX_PIXELS:
         raise ValueError(f"images of {' x '.join(map(str, image_shape))} are none")
     _check_memory(judge.memory)
     if not np.array_equal(judge.classes, judge.memory.classes.astype(str)):

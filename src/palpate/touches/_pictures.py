@@ -43,7 +43,6 @@ _PNG_END = b"\0\0\0\0IEND\xae\x42\x60\x82"
 _FRAME_OR_END = re.compile(rb"\xff[\xc0-\xc3\xc5-\xc7\xc9-\xcb\xcd-\xcf\xd9]")
 _HUFFMAN_FRAME = rb"\xff[\xc0-\xc2].."
 _END_OF_IMAGE = b"\xff\xd9"
-_PALETTE = 3
 _ALPHA = (4, 6)
 _GREY = (0, 4)
 RGB = ("r", "g", "b")
@@ -264,7 +263,7 @@ def _levels(data: bytes, header: Header) -> Array:
         raise PictureError(f"{found} after {header}: the file changed meanwhile")
     if header.format == "PNG":
         _refuse_broken_png(data)
-        if data[25] == _PALETTE:
+        if data[25] == 3:  # a palette
             _refuse_missing_colours(data)
     else:
         _refuse_cut_jpeg(data, stream.tell())
@@ -369,9 +368,7 @@ def _refuse_missing_colours(data: bytes) -> None:
         n_colours = len(image.palette.palette) // 3 if image.palette else 0
         largest = int(np.asarray(image).max())
     if largest >= n_colours:
-        raise PictureError(
-            f"a damaged PNG (colour {largest} of a palette of {n_colours})"
-        )
+        raise PictureError(f"a PNG with colour {largest} of a palette of {n_colours}")
 
 
 def _refuse_broken_png(data: bytes) -> None:

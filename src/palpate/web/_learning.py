@@ -9,7 +9,6 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -90,7 +89,7 @@ def learn_job(
         touches = _taught(opened, image_shape)
         model, kept = None, []
         if base is not None and Path(base).is_file():
-            model = ObjectRecogniser.load(base, inf)
+            model = ObjectRecogniser.load(base)
             kept = _kept(model, opened, drop)
         names = [] if touches is None else touches.object.tolist()
         if len({*kept, *names}) < LEAST_OBJECTS:

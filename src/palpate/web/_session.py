@@ -4,7 +4,6 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from math import inf
 from pathlib import Path
 from typing import Any, Self
 
@@ -38,8 +37,6 @@ class LiveSession:
         Accepted share of wrong decisions.
     summary : {"peak", "mean"}, default="peak"
         What stands for a touch, see `TouchDetector`.
-    max_model_mb : float, default=2000
-        A larger model file is refused unread (MB).
 
     Attributes
     ----------
@@ -70,7 +67,6 @@ class LiveSession:
         library: str | Path | None = None,
         error: float = 0.01,
         summary: str = "peak",
-        max_model_mb: float = 2000.0,
     ) -> None:
         self.error = check_number("error", error, low=1e-6, high=0.5)
         self.listeners, self.health = Listeners(), Health(sensor)
@@ -94,7 +90,7 @@ class LiveSession:
         if self.model_path is not None and (
             library is None or self.model_path.exists()
         ):
-            self._use(ObjectRecogniser.load(self.model_path, max_model_mb))
+            self._use(ObjectRecogniser.load(self.model_path))
 
     def start(self) -> Self:
         """Connect the sensor and follow it; nothing happens where that is done.
@@ -407,7 +403,7 @@ class LiveSession:
         answer = learn_apart(self.teacher.folder, self.model_path, base, drop, shape)
         names = answer["objects"]
         if names:
-            self._use(ObjectRecogniser.load(self.model_path, inf))
+            self._use(ObjectRecogniser.load(self.model_path))
             touches = f"{answer['n_touches']} touches"
             self.message = f"Learnt {len(names)} objects from {touches}."
             return
