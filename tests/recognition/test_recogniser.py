@@ -141,7 +141,7 @@ def test_same_seed_same_bits(test_touches):
         first.log_likelihood(test_touches), second.log_likelihood(test_touches)
     )
     assert first.sequence_calibration_ == second.sequence_calibration_
-    assert_array_equal(first.unknown_scale_.limits, second.unknown_scale_.limits)
+    assert_array_equal(first.limits_.quantiles, second.limits_.quantiles)
 
 
 def test_add_and_forget_an_object(rng):
@@ -265,13 +265,13 @@ def test_limits_follow_added_objects(rng):
     everything = drawn(rng, noise=3)
     pens = everything.object == "pen"
     grown = ObjectRecogniser().fit(everything[~pens])
-    before = grown.unknown_scale_.limits
+    before = grown.limits_.quantiles
     grown.add_object("pen", everything[pens])
-    assert not np.array_equal(grown.unknown_scale_.limits, before)
+    assert not np.array_equal(grown.limits_.quantiles, before)
     whole = ObjectRecogniser().fit(everything)
     # Width and ridge were chosen without the third object, so not to the digit.
-    assert grown.unknown_scale_.threshold(1, 0.05) == pytest.approx(
-        whole.unknown_scale_.threshold(1, 0.05), abs=0.2
+    assert grown.limits_.threshold(1, 0.05) == pytest.approx(
+        whole.limits_.threshold(1, 0.05), abs=0.2
     )
 
 
@@ -342,9 +342,13 @@ HOSTILE = {
     ),
     "features": lambda model: model.memory_.features.fill(np.nan),
     "modalities": lambda model: setattr(model, "modalities_", [1]),
-    "unknown scale": lambda model: model.unknown_scale_.deviation.fill(np.nan),
-    "unexplained": lambda model: setattr(
-        model, "memory_", replace(model.memory_, unexplained=np.zeros(2))
+    "limits that are no numbers": lambda model: model.limits_.naming.fill(np.nan),
+    "limits above 1": lambda model: model.limits_.refusing.fill(2.0),
+    "limits of other encodings": lambda model: setattr(
+        model, "limits_", replace(model.limits_, weights=np.ones(9) / 9)
+    ),
+    "categories": lambda model: setattr(
+        model, "memory_", replace(model.memory_, categories=np.array(["a"]))
     ),
     "touch ids": lambda model: setattr(
         model, "memory_", replace(model.memory_, touch_ids=np.array(["a"]))
@@ -381,7 +385,8 @@ def test_many_touches_are_encoded_in_shards_as_all_at_once(recogniser):
     likelihood = np.concatenate([part.log_likelihood for part in parts])
     assert_allclose(shards.log_likelihood, likelihood, rtol=1e-9, atol=1e-12)
     assert shards.flags == [flag for part in parts for flag in part.flags]
-    assert np.isnan(shards.novelty).all()
+    apart = np.concatenate([part.by_encoding for part in parts])
+    assert_allclose(shards.by_encoding, apart, rtol=1e-9, atol=1e-12)
 
 
 def test_a_belief_shows_itself_in_one_line_and_as_bars():

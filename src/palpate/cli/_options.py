@@ -101,7 +101,14 @@ Seed = Annotated[
 ]
 Preset = Annotated[str, option("--preset", '"default", "corradi2015" or "liu2014".')]
 Label = Annotated[str, option('What to recognise: "object" or "category".')]
-ErrorRate = Annotated[float, option("--error", "Accepted share of wrong decisions.")]
+ErrorRate = Annotated[float, option("--error", "Accepted share of wrong names.")]
+Refusal = Annotated[
+    float | None,
+    option(
+        "--refusal",
+        "Accepted share of known objects called unknown; that of --error if not given.",
+    ),
+]
 Report = Annotated[Path | None, option("--report", "Write one self-contained .html.")]
 ListNames = Annotated[bool, option("--list", "List them.")]
 NamePattern = Annotated[

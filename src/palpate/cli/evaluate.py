@@ -9,6 +9,7 @@ from ._options import (
     ErrorRate,
     Learning,
     Reading,
+    Refusal,
     Report,
     Working,
     counts,
@@ -39,6 +40,7 @@ def evaluate(
     test_where: Annotated[str | None, option("The same for --test.")] = None,
     unknown_where: Annotated[str | None, option("The same for --unknown.")] = None,
     error: ErrorRate = 0.01,
+    refusal: Refusal = None,
     report: Report = None,
     how: Learning,
     reading: Reading,
@@ -55,6 +57,7 @@ def evaluate(
         orders=orders,
         train_touches=train_touches,
         error=error,
+        refusal=refusal,
     )
     if report is not None:
         check_report_path(report)
@@ -90,6 +93,7 @@ def _print_figures(figures: dict[str, Any]) -> None:
         [f"sd over {spread}", *(percent(figures["accuracy_sd"][k]) for k in keys)],
         ["objects", *(str(figures["n_objects"][k]) for k in keys)],
         ["log loss, nats", *(f"{figures['log_loss'][k]:.2f}" for k in keys)],
+        *_category_rows(figures, keys),
         ["calibration error", *(f"{figures['ece'][k]:.3f}" for k in keys)],
     ]
     for name, curve in figures["controls"].items():
@@ -114,9 +118,11 @@ def _print_figures(figures: dict[str, Any]) -> None:
         print(f"Flagged as {flag!r}: {percent(share)} % of the test touches.")
     decision = figures["decision"]
     print(
-        f"Deciding at an error of {decision['error']:g}: of {decision['n_episodes']} "
-        f"episodes {decision['wrong']} named wrong, {decision['refused']} refused as "
-        f"unknown, {percent(decision['undecided'])} % undecided, after "
+        f"Deciding at an error of {decision['error']:g} and a refusal of "
+        f"{decision['refusal']:g}: of {decision['n_episodes']} episodes "
+        f"{decision['right']} named right, {decision['wrong']} named wrong, "
+        f"{decision['refused']} refused as unknown, "
+        f"{percent(decision['undecided'])} % undecided, after "
         f"{decision['mean_touches']:.1f} touches on average."
     )
     print(
@@ -125,6 +131,13 @@ def _print_figures(figures: dict[str, Any]) -> None:
         + ("." if decision["can_be_verified"] else ": too few to show the error asked.")
     )
     _print_nuisances(figures, keys)
+
+
+def _category_rows(figures: dict[str, Any], keys: list[str]) -> list[list[str]]:
+    if "category_accuracy" not in figures:
+        return []
+    right = figures["category_accuracy"]
+    return [["category right, %", *(percent(right.get(k)) for k in keys)]]
 
 
 def _print_nuisances(figures: dict[str, Any], keys: list[str]) -> None:

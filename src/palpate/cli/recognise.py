@@ -1,7 +1,7 @@
 """`palpate recognise`: model and touches -> a belief after each touch."""
 
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from ._options import (
     AsJson,
@@ -10,12 +10,14 @@ from ._options import (
     MaxModelMb,
     ModelPath,
     Reading,
+    Refusal,
     TouchesPath,
     Working,
     calibrated,
     grouped,
+    option,
 )
-from ._output import belief_line, print_json, stages
+from ._output import belief_line, percent, print_json, stages
 
 if TYPE_CHECKING:
     from ..recognition import ObjectRecogniser
@@ -32,6 +34,10 @@ def recognise(
     touches: TouchesPath,
     *,
     error: ErrorRate = 0.01,
+    refusal: Refusal = None,
+    level: Annotated[
+        str, option("What may be named: object, category or any.")
+    ] = "object",
     reading: Reading,
     calibration: Calibration = None,
     working: Working,
@@ -47,19 +53,31 @@ def recognise(
         stage(f"reading {touches}")
         tested = calibrated(reading.touches(touches), calibration)
         stage(f"recognising {len(tested)} touches")
-        episodes = recognise_episodes(recogniser, tested, error)
+        episodes = recognise_episodes(recogniser, tested, error, refusal, level)
     if as_json:
         print_json({"episodes": episodes})
         return
     for episode in episodes:
         print_episode(episode)
+    promise = episodes[0]["promise"] if episodes else None
+    if promise:
+        print(
+            f"An accepted error of {promise['level']:g}: at most "
+            f"{percent(promise['bound'])} % wrong names can be shown from "
+            f"{promise['n_units']} objects (population: {promise['population']})."
+        )
 
 
 def recognise_episodes(
-    recogniser: "ObjectRecogniser", touches: "Touches", error: float
+    recogniser: "ObjectRecogniser",
+    touches: "Touches",
+    error: float,
+    refusal: float | None = None,
+    level: str = "object",
 ) -> list[dict[str, Any]]:
     """Return the beliefs, the decision and its reasons for every episode."""
     evidence = recogniser.evidence(touches)
+    how: dict[str, Any] = {"error": error, "refusal": refusal, "level": level}
     result = []
     for label, _, rows in touches.episodes():
         belief = recogniser.start()
@@ -72,21 +90,26 @@ def recognise_episodes(
                     "touch": number,
                     "posterior": belief.posterior,
                     "unknown": belief.unknown,
+                    "categories": belief.categories,
                     "flag": belief.flags[-1],
                 }
             )
             if recogniser.pose_ is not None:
                 touch = touches[int(row)]
                 beliefs[-1]["pose"] = press_pose(recogniser, touch, belief.best)
-            if decision is None and (decision := belief.decide(error)) is not None:
-                used, reasons = number, [belief.reason(error)]
+            if decision is None and (decision := belief.decide(**how)) is not None:
+                used, reasons = number, [belief.reason(**how)]
         result.append(
             {
                 "object": label,
                 "beliefs": beliefs,
-                "decision": decision,
+                "decision": decision
+                if level != "any"
+                else getattr(decision, "name", None),
+                "level": getattr(decision, "level", level) if decision else None,
                 "touches_used": used,
-                "reasons": reasons or [belief.reason(error)],
+                "reasons": reasons or [belief.reason(**how)],
+                "promise": belief.promise._asdict(),
                 "explanation": belief.explain(),
             }
         )

@@ -199,6 +199,7 @@ class Decisions:
             "accuracy": float(self.right[decided].mean()) if decided.any() else None,
             "mean_touches": float(self.touches.mean()),
             "undecided": float((~decided).mean()),
+            "right": int(self.right.sum()),
             "wrong": int((named & ~self.right).sum()),
             "refused": int(self.refused.sum()),
             "n_episodes": len(decided),
@@ -210,10 +211,14 @@ class Decisions:
 
 
 def decide_episodes(
-    recogniser: ObjectRecogniser, episodes: Episodes, error: float, refusal: float
+    recogniser: ObjectRecogniser,
+    episodes: Episodes,
+    error: float,
+    refusal: float | None = None,
 ) -> Decisions:
     """Stop each episode where `Belief.decide` would."""
     parts, limits = [], recogniser.limits_
+    refusal = error if refusal is None else refusal
     naming, refusing = limits.naming_limit(error), limits.refusing_limit(refusal)
     of_each = zip(episodes.objects, episodes.truth, episodes.beliefs, strict=True)
     for i, (name, truth, log_posterior) in enumerate(of_each):

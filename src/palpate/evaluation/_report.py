@@ -68,6 +68,7 @@ def write_report(
     sections = [
         _head(figures),
         _accuracy(figures, trials),
+        _decisions(figures["decision"]),
         _confusion(figures, trials),
         explanations(figures, trials),
         _examples(trials),
@@ -143,6 +144,8 @@ def _table(figures: dict[str, Any]) -> str:
     ]
     for name, control in figures["controls"].items():
         rows.append((f"control: {name}, %", control or {}, 100, 1))
+    if "category_accuracy" in figures:
+        rows.append(("category right, %", figures["category_accuracy"], 100, 1))
     if "unknown_auroc" in figures:
         rows.append(("unknown objects, ROC area", figures["unknown_auroc"], 1, 3))
     head = "".join(f"<th>{k}</th>" for k in keys)
@@ -156,6 +159,28 @@ def _table(figures: dict[str, Any]) -> str:
         for name, values, scale, digits in rows
     )
     return f"<table><tr><th>after touches</th>{head}</tr>{body}</table>"
+
+
+def _decisions(decision: dict[str, Any]) -> str:
+    """Say how episodes ended, and what the error asked for is worth."""
+    n_episodes = decision["n_episodes"]
+    shares = [decision[key] / n_episodes for key in ("right", "wrong", "refused")]
+    shares.append(decision["undecided"])
+    heads = ["named right", "named wrong", "called unknown", "undecided", "touches"]
+    cells = [f"{100 * share:.1f} %" for share in shares]
+    cells.append(f"{decision['mean_touches']:.1f}")
+    n_objects = decision["n_objects"]
+    short = "" if decision["can_be_verified"] else ": too few to show the error asked"
+    return html_table(
+        f"Stopping at an error of {decision['error']:g}, a refusal of "
+        f"{decision['refusal']:g}",
+        heads,
+        [cells],
+    ) + (
+        f"<p class=note>At most {100 * decision['bound']:.0f} % of new objects that "
+        f"are named would be named wrong, at 95 % confidence from {n_objects} objects"
+        f"{short}.</p>"
+    )
 
 
 def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:

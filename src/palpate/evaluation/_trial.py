@@ -124,6 +124,8 @@ def figures_of(
     figures.update({name: {} for name in names})
     for k in plan.touches:
         _figures_after(k, trials, figures)
+    if right := _categories_right(trials, plan):
+        figures["category_accuracy"] = right
     if trials[0].unknown_episodes is not None:
         figures["unknown_auroc"], figures["unknown_refused"] = _unknown(trials, plan)
     ends = [decide_episodes(t.recogniser, t.episodes, *plan.accepted) for t in trials]
@@ -154,6 +156,22 @@ def _figures_after(k: int, trials: Sequence[Trial], figures: dict[str, Any]) -> 
     figures["n_objects"][key] = len(over_objects)
     figures["log_loss"][key] = float(np.mean(log_loss))
     figures["ece"][key] = calibration_error(confidence, hit)
+
+
+def _categories_right(trials: Sequence[Trial], plan: Plan) -> dict[str, float]:
+    """Return how often the category of the best object is right; {} without any."""
+    result: dict[str, float] = {}
+    for k in plan.touches:
+        shares = []
+        for trial in trials:
+            categories = trial.recogniser.judge().categories
+            for truth, log_posterior in zip(*trial.episodes.after(k), strict=True):
+                if truth >= 0 and categories[truth]:
+                    best = categories[log_posterior.argmax(axis=1)]
+                    shares.append(float((best == categories[truth]).mean()))
+        if shares:
+            result[str(k)] = float(np.mean(shares))
+    return result
 
 
 def _unknown(

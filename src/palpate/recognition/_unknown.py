@@ -31,6 +31,10 @@ LEVELS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 # Touches after which someone who asks after every one has stopped asking.
 MOST_ASKED = 20
 CONFIDENCE = 0.95
+# At most so many of what was never learnt are named, whatever the error; and blocks of
+# one recording are more alike than another visit is: their scores count twice.
+_NEVER_NAMED = 0.15
+_CAUTION = 2.0
 _CANDIDATES = np.geomspace(1, 1e-9, 46)
 
 
@@ -92,7 +96,11 @@ class DecisionLimits:
 
     def naming_limit(self, error: float, *, category: bool = False) -> float:
         """Return the score up to which an object, or a category, may be named."""
-        return _at(error, self.naming_category if category else self.naming)
+        limits = self.naming_category if category else self.naming
+        # Of an error between two that were learnt the stricter limit.
+        first = np.searchsorted(LEVELS, error, side="right") - 1
+        last = np.searchsorted(LEVELS, error)
+        return float(limits[max(int(first), 0) : int(last) + 1].min())
 
     def refusing_limit(self, refusal: float) -> float:
         """Return the score above which "unknown" is said, asked after every touch."""
@@ -187,7 +195,7 @@ def fit_limits(
     if never is not None:
         quantiles = np.concatenate([known.scores, never.scores])
         shares = np.concatenate([(1 - missed) * shares, missed * shares])
-        refusing = _exceeded(quantiles.max(axis=1), shares)
+        refusing = _exceeded(quantiles.max(axis=1), shares, _CAUTION)
     naming_category = np.zeros(len(LEVELS))
     if groups is not None:
         of_categories = None if never is None else never.category
@@ -290,20 +298,24 @@ def _naming(
 ) -> tuple[Floats, Floats]:
     """Return for each of `LEVELS` the greatest limit that keeps to it, and the wrong.
 
-    The latter is the share of known episodes that are named wrongly.
+    A name to which the encodings together give 1 - error is always allowed: what would
+    be taken for its twin could else never be named. The wrong are a share of known
+    episodes.
     """
     limits, shares = [], []
     for level in LEVELS:
-        limit, share = 0.0, 0.0
-        most = 1.0 if missed else level
-        for candidate in _CANDIDATES[most >= _CANDIDATES]:
+        limit = level
+        for candidate in _CANDIDATES:
+            if never is None:
+                break
             wrong = _share_wrong(known, candidate, level)
-            other = 0.0 if never is None else _share_wrong(never, candidate, level)
-            if (1 - missed) * wrong + missed * other <= level:
-                limit, share = float(candidate), wrong
+            other = _share_wrong(never, candidate, level)
+            expected = (1 - missed) * wrong + missed * other
+            if expected <= level and other <= _NEVER_NAMED:
+                limit = max(level, float(candidate))
                 break
         limits.append(limit)
-        shares.append(share)
+        shares.append(_share_wrong(known, limit, level))
     return np.array(limits), np.array(shares)
 
 
@@ -315,10 +327,13 @@ def _share_wrong(tracks: _Tracks, limit: float, error: float) -> float:
     return float((named[episode, first] & ~tracks.right[episode, first]).mean())
 
 
-def _exceeded(values: Floats, shares: Floats) -> Floats:
-    """Return for each of `LEVELS` what that share of values exceeds at most."""
+def _exceeded(values: Floats, shares: Floats, caution: float = 1.0) -> Floats:
+    """Return for each of `LEVELS` what that share of values exceeds at most.
+
+    Each value counts `caution` times.
+    """
     order = np.argsort(-values, kind="stable")
-    above = np.cumsum(shares[order])
+    above = caution * np.cumsum(shares[order])
     places = np.searchsorted(above, LEVELS, side="right")
     return values[order][np.minimum(places, len(values) - 1)]
 

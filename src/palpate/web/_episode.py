@@ -120,6 +120,14 @@ class LiveEpisode:
         return None if self.belief is None else self.belief.decide(self.error)
 
     @property
+    def category(self) -> str | None:
+        """The category where only that is sure, or None."""
+        if self.belief is None or not self.touches or not self.belief.categories:
+            return None
+        named = self.belief.decide(self.error, level="any")
+        return named.name if named is not None and named.level == "category" else None
+
+    @property
     def reason(self) -> str:
         """One sentence that says why."""
         if self.belief is None:
@@ -135,6 +143,7 @@ class LiveEpisode:
             "open": self.open,
             "error": self.error,
             "decision": self.decision,
+            "category": self.category,
             "best": None if not self.touches or not self.belief else self.belief.best,
             "reason": self.reason,
             "touches": [touch.to_dict() for touch in self.touches],

@@ -71,8 +71,9 @@ function draw() {
 
 function drawDecision(n) {
   const place = find("decision");
-  const { decision, best, reason } = episode;
-  const words = decision === "unknown" ? "I do not know this one"
+  const { decision, best, reason, category } = episode;
+  const words = category && (decision === null || decision === "unknown") ? `A ${category}; which one I cannot tell`
+    : decision === "unknown" ? "I do not know this one"
     : decision ?? (best ? `${best}?` : n ? "Not learnt yet" : "Touch something");
   text(place, words);
   place.className = decision === "unknown" ? "unknown" : decision ? "decided" : "undecided";

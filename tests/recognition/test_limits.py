@@ -1,0 +1,337 @@
+"""What may be decided: the unknown score, its limits, and what they promise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.special import log_softmax
+from scipy.stats import beta
+
+from palpate import ObjectRecogniser, Touches
+from palpate.recognition import SequenceCalibration, episode_scores, with_floor
+from palpate.recognition._calibration import draw_asked
+from palpate.recognition._unknown import (
+    LEVELS,
+    LeftOut,
+    fit_limits,
+    unknown_score,
+    upper_bound,
+)
+
+N_EACH = 30
+
+
+def left_out(n_objects, rng, gain=3.0, categories=None):
+    """Return what two encodings say of touches, whose noise is their own."""
+    codes = np.repeat(np.arange(n_objects), N_EACH)
+    said = rng.normal(size=(len(codes), 2, n_objects))
+    said[np.arange(len(codes)), :, codes] += gain
+    each = log_softmax(said, axis=-1)
+    return LeftOut(
+        log_likelihood=log_softmax(each.sum(axis=1), axis=-1),
+        each=each,
+        codes=codes,
+        log_prior=np.full(n_objects, -np.log(n_objects)),
+        floor=0.01,
+        calibration=SequenceCalibration(1.0, 0.1),
+        weights=np.array([0.5, 0.5]),
+        categories=np.full(n_objects, "") if categories is None else categories,
+    )
+
+
+def limits_of(given, n_units=None):
+    episodes = draw_asked(given.codes, np.zeros(len(given.codes), int), 0)
+    return fit_limits(given, episodes, n_units or len(episodes), "these")
+
+
+def test_the_score_is_how_little_encodings_give_to_one_name():
+    agreed = np.log([[0.9, 0.1], [0.8, 0.2]])
+    torn = np.log([[0.99, 0.01], [0.01, 0.99]])
+    half = np.array([0.5, 0.5])
+    assert unknown_score(agreed, half) == pytest.approx(1 - np.sqrt(0.9 * 0.8))
+    assert unknown_score(torn, half) == pytest.approx(1 - np.sqrt(0.99 * 0.01))
+    # An encoding that weighs nothing is not asked.
+    assert unknown_score(torn, np.array([1.0, 0.0])) == pytest.approx(0.01)
+    assert unknown_score(np.log([[0.25] * 4]), np.ones(1)) == pytest.approx(0.75)
+
+
+def test_episodes_score_as_worked_out_touch_by_touch(rng):
+    given = left_out(4, rng)
+    floored, each = (
+        with_floor(one, 0.01)[:6] for one in (given.log_likelihood, given.each)
+    )
+    floored[2] = -np.log(4)  # no contact
+    scores = episode_scores(
+        floored, each, given.log_prior, given.calibration, given.weights
+    )
+    used = [0, 1, 3, 4, 5]
+    total = each[used].sum(axis=0) * given.calibration.weight(5)
+    assert scores[-1] == pytest.approx(
+        unknown_score(log_softmax(total, -1), [0.5, 0.5])
+    )
+    assert scores[1] == scores[2]
+    silent = np.full((3, 4), -np.log(4))
+    nothing = episode_scores(
+        silent, each[:3], given.log_prior, given.calibration, given.weights
+    )
+    assert_allclose(nothing, 0)
+
+
+def test_names_are_rarely_wrong_and_what_was_never_learnt_rarely_named(rng):
+    given = left_out(12, rng, gain=2.0)
+    limits = limits_of(given)
+    fresh = left_out(12, np.random.default_rng(5), gain=2.0)
+    floored, each = (with_floor(x, 0.01) for x in (fresh.log_likelihood, fresh.each))
+    rows = np.concatenate(draw_asked(fresh.codes, np.zeros(len(fresh.codes), int), 1))
+    how = fresh.log_prior, fresh.calibration, fresh.weights
+    scores = episode_scores(floored[rows], each[rows], *how)
+    refused = (scores > limits.refusing_limit(0.05)).any(axis=1)
+    assert refused.mean() <= 0.05
+    # As if each of the last four had never been learnt.
+    few = np.arange(8)
+    strangers = np.flatnonzero(fresh.codes >= 8).reshape(4, N_EACH)
+    apart = with_floor(fresh.each[:, :, few], 0.01)
+    pooled = with_floor(fresh.log_likelihood[:, few], 0.01)
+    how = np.full(8, -np.log(8)), fresh.calibration, fresh.weights
+    unknown = episode_scores(pooled[strangers], apart[strangers], *how)
+    assert np.median(unknown[:, -1]) > np.quantile(scores[:, -1], 0.99)
+
+
+def test_limits_are_stricter_for_few_objects_and_small_errors(rng):
+    given = left_out(8, rng, gain=1.0)
+    few, many = limits_of(given, 4), limits_of(given, 400)
+    assert (few.naming <= many.naming).all()
+    assert few.naming[LEVELS.index(0.01)] < many.naming[LEVELS.index(0.01)]
+    assert (few.refusing >= many.refusing).all()
+    for limits in (few, many):
+        assert (np.diff(limits.refusing) <= 0).all()
+        # Between two errors that were learnt, the stricter limit of both.
+        at = dict(zip(LEVELS, limits.naming, strict=True))
+        assert limits.naming_limit(0.007) == min(at[0.005], at[0.01])
+        assert limits.naming_limit(1e-6) == at[0.001]
+        assert limits.naming_limit(0.4) == min(at[0.2], at[0.5])
+        assert limits.naming_limit(0.5) == at[0.5]
+        assert limits.naming_limit(0.02) == limits.naming[LEVELS.index(0.02)]
+        assert limits.refusing_limit(0.01) == limits.refusing[LEVELS.index(0.01)]
+
+
+def test_thresholds_are_exceeded_by_the_stated_share(rng):
+    given = left_out(40, rng, gain=2.0)
+    limits = limits_of(given, 10_000)  # nearly all episodes count as known
+    floored, each = (with_floor(x, 0.01) for x in (given.log_likelihood, given.each))
+    rows = np.concatenate(draw_asked(given.codes, np.zeros(len(given.codes), int), 7))
+    how = given.log_prior, given.calibration, given.weights
+    scores = episode_scores(floored[rows], each[rows], *how)
+    for k in (1, 5, 20):
+        above = (scores[:, k - 1] > limits.threshold(k, 0.05)).mean()
+        assert above == pytest.approx(0.05, abs=0.025)  # 1000 episodes of 40 objects
+    assert limits.threshold(500, 0.05) == limits.threshold(20, 0.05)
+
+
+def test_of_two_objects_nothing_is_called_unknown(rng):
+    limits = limits_of(left_out(2, rng))
+    assert (limits.refusing == 1).all()
+    assert (limits.naming == LEVELS).all()
+
+
+def test_a_promise_is_the_bound_that_so_few_objects_allow(rng):
+    limits = limits_of(left_out(6, rng, gain=6.0))
+    promise = limits.promise(0.01)
+    assert promise.level == 0.01
+    assert promise.n_units == 6
+    assert promise.bound == pytest.approx(1 - 0.05 ** (1 / 6))
+    assert limits_of(left_out(6, rng, gain=6.0), 59).promise(0.01).bound < 0.05
+    assert upper_bound(2, 10) == pytest.approx(beta.ppf(0.95, 3, 8))
+    assert upper_bound(3, 3) == 1
+
+
+def test_a_category_may_be_named_where_its_objects_cannot(rng):
+    kinds = np.array(["bowl", "bowl", "mug", "mug", ""])
+    codes = np.repeat(np.arange(5), N_EACH)
+    said = 0.3 * rng.normal(size=(len(codes), 2, 5))
+    said[:, :, :2][codes < 2] += 4  # bowls are not told apart
+    said[:, :, 2:4][(codes == 2) | (codes == 3)] += 4
+    said[:, :, 4][codes == 4] += 4
+    each = log_softmax(said, axis=-1)
+    given = replace(
+        left_out(5, rng),
+        each=each,
+        log_likelihood=log_softmax(each.sum(axis=1), axis=-1),
+        categories=kinds,
+    )
+    limits = limits_of(given)
+    assert limits.naming_category[LEVELS.index(0.05)] > 0
+    assert (
+        limits_of(replace(given, categories=np.full(5, ""))).naming_category == 0
+    ).all()
+
+
+@pytest.fixture(scope="module")
+def kinds():
+    """Six things of three kinds; the two bowls differ in nothing but noise."""
+    rng = np.random.default_rng(3)
+    middles = 4 * rng.normal(size=(6, 24))
+    middles[1] = middles[0]
+    names = ["bowl 1", "bowl 2", "can 1", "can 2", "mug 1", "mug 2"]
+
+    def touches(n_each):
+        images = np.repeat(middles, n_each, axis=0) + rng.normal(size=(6 * n_each, 24))
+        return Touches(
+            images.reshape(-1, 3, 8),
+            object=np.repeat(names, n_each),
+            category=np.repeat([name.split()[0] for name in names], n_each),
+            geometry="none",
+        )
+
+    return ObjectRecogniser().fit(touches(20)), touches(10)
+
+
+def test_the_belief_answers_at_the_level_it_can(kinds):
+    recogniser, touches = kinds
+    bowl = recogniser.start().update(touches[touches.object == "bowl 1"][:6])
+    assert set(bowl.categories) == {"bowl", "can", "mug"}
+    assert sum(bowl.categories.values()) == pytest.approx(1)
+    assert bowl.categories["bowl"] > 0.99
+    assert bowl.decide(0.1) is None
+    assert bowl.decide(0.1, level="category") == "bowl"
+    assert bowl.decide(0.1, level="any") == ("category", "bowl")
+    reason = bowl.reason(0.1, level="any")
+    assert "Decided for the category bowl" in reason
+    assert "which one is not sure" in reason
+    can = recogniser.start().update(touches[touches.object == "can 1"][:6])
+    assert can.decide(0.1, level="any") == ("object", "can 1")
+    assert can.decide(0.1) == "can 1"
+
+
+def test_levels_that_do_not_exist_are_refused(kinds):
+    recogniser, touches = kinds
+    belief = recogniser.start().update(touches[:2])
+    with pytest.raises(ValueError, match="level must be one of"):
+        belief.decide(level="kind")
+    with pytest.raises(ValueError, match="refusal must be"):
+        belief.decide(refusal=0)
+    bare = Touches(touches.images, object=touches.object, geometry="none")
+    without = ObjectRecogniser().fit(bare).start().update(bare[:2])
+    assert without.categories == {}
+    with pytest.raises(ValueError, match=r"the objects have none\. Learn from touches"):
+        without.decide(level="category")
+    assert without.decide(level="any") in (None, ("object", "bowl 1"))
+
+
+def test_categories_travel_with_the_model_and_with_new_objects(kinds, tmp_path):
+    recogniser, touches = kinds
+    path = recogniser.save(tmp_path / "m.palpate")
+    again = ObjectRecogniser.load(path)
+    some = touches[touches.object == "bowl 2"][:4]
+    assert again.start().update(some).categories == pytest.approx(
+        recogniser.start().update(some).categories
+    )
+    mug = touches[touches.object == "mug 2"]
+    again.add_object("mug 3", Touches(mug.images + 5, category=["mug"] * 10))
+    assert again.judge().categories.tolist()[-1] == "mug"
+
+
+def test_names_and_refusals_have_levels_of_their_own(kinds):
+    recogniser, touches = kinds
+    lenient = replace(
+        recogniser.limits_,
+        naming=np.ones(len(LEVELS)),
+        refusing=np.linspace(0.9, 0.1, len(LEVELS)),
+    )
+    belief = recogniser.start().update(touches[:1])
+    belief._judge = replace(belief._judge, limits=lenient)
+    assert 0.1 < belief.unknown < 0.9
+    assert belief.decide(0.5) == "unknown"
+    assert belief.decide(0.001) != "unknown"
+    assert belief.decide(0.001, refusal=0.5) == "unknown"
+    assert belief.decide(0.499, refusal=0.001) != "unknown"
+    assert "above" in belief.reason(0.001, refusal=0.5)
+
+
+def test_no_name_above_its_limit_however_sure_the_belief(kinds):
+    recogniser, touches = kinds
+    belief = recogniser.start().update(touches[touches.object == "can 2"])
+    assert belief.decide(0.01) == "can 2"
+    none = replace(recogniser.limits_, naming=np.zeros(len(LEVELS)))
+    belief._judge = replace(belief._judge, limits=none)
+    assert belief.doubt < 0.005
+    assert belief.decide(0.01) is None
+    assert "do not agree enough" in belief.reason(0.01)
+    assert "Touch again" in belief.reason(0.01)
+
+
+def test_decisions_keep_to_the_error_itself_and_not_to_twice_it(kinds):
+    recogniser, touches = kinds
+    belief = recogniser.start().update(touches[touches.object == "can 2"][:8])
+    loose = replace(
+        recogniser.limits_, naming=np.ones(len(LEVELS)), refusing=np.ones(len(LEVELS))
+    )
+    belief._judge = replace(belief._judge, limits=loose)
+    doubt = float(np.clip(belief.doubt, 1e-6, 0.4))
+    belief._touch_log_posterior = np.log([1 - 0.02, 0.02, 1e-12, 1e-12, 1e-12, 1e-12])
+    assert belief.decide(0.021) == belief.best
+    assert belief.decide(0.019) is None
+    assert doubt < 0.02
+
+
+def test_touches_without_contact_change_no_limit_and_no_score(kinds):
+    recogniser, touches = kinds
+    silent = np.zeros((5, len(recogniser.classes_)))
+    plain = recogniser.start().update(touches[:3])
+    padded = recogniser.start().update_from_log_likelihood(silent)
+    assert padded.unknown == 0
+    assert padded.unknown_limit() is None
+    assert padded.decide() is None
+    padded.update(touches[:3]).update_from_log_likelihood(silent)
+    assert padded.unknown == pytest.approx(plain.unknown)
+    assert padded.unknown_limit() == plain.unknown_limit()
+
+
+def test_the_promise_is_that_of_the_error_last_asked_for(kinds):
+    recogniser, touches = kinds
+    belief = recogniser.start().update(touches[:3])
+    assert belief.promise.level == 0.01
+    belief.decide(0.2)
+    assert belief.promise == recogniser.limits_.promise(0.2)
+    assert belief.promise.n_units == 6
+    assert "recorded as when they were learnt" in belief.promise.population
+
+
+def test_sessions_are_the_units_where_they_are_left_out():
+    rng = np.random.default_rng(0)
+    names = np.repeat(["a", "b", "c"], 20)
+    images = rng.normal(size=(60, 3, 8))
+    images += 5 * np.eye(3)[np.searchsorted(["a", "b", "c"], names)][:, :, None]
+    days = np.tile(np.repeat(["one", "two"], 10), 3)
+    touches = Touches(images, object=names, session=days, geometry="none")
+    promise = ObjectRecogniser().fit(touches).limits_.promise(0.01)
+    assert promise.n_units == 6
+    assert "other sessions" in promise.population
+
+
+def test_a_thing_that_was_never_learnt_is_called_unknown_or_waits():
+    """Patterns of noise on 24 electrodes; the last four are met for the first time."""
+    rng = np.random.default_rng(8)
+    middles = rng.normal(size=(16, 3, 8))
+    names = np.array([f"thing {k:02}" for k in range(16)])
+
+    def touches(some, n_each):
+        images = np.repeat(middles[some], n_each, axis=0)
+        images = images + 0.8 * rng.normal(size=images.shape)
+        return Touches(images, object=np.repeat(names[some], n_each), geometry="none")
+
+    recogniser = ObjectRecogniser().fit(touches(np.arange(12), 30))
+    ends = {}
+    for name, _, rows in (again := touches(np.arange(16), 20)).episodes():
+        belief = recogniser.start()
+        for touch in again[rows]:
+            if (end := belief.update(touch).decide(0.01)) is not None:
+                break
+        ends[str(name)] = end
+    known = [ends[str(name)] == name for name in names[:12]]
+    assert sum(known) >= 11
+    assert "unknown" not in [ends[str(name)] for name in names[:12]]
+    new = [ends[str(name)] for name in names[12:]]
+    assert set(new) <= {"unknown", None}
+    assert "unknown" in new
