@@ -7,6 +7,7 @@ import pytest
 
 from palpate import ObjectRecogniser, Touches
 from palpate.classifiers import KernelRidgeClassifier
+from palpate.classifiers._kernel_ridge import _log_posterior
 
 MB = 2**20
 
@@ -52,3 +53,10 @@ def test_a_thousand_objects_of_two_touches_are_learnt():
     tracemalloc.stop()
     assert recogniser.score(touches) > 0.9
     assert peak < 500 * MB
+
+
+def test_large_scores_are_bent_and_frequent_labels_leant_against():
+    scores, log_counts = np.array([[0.8, -0.2]]), np.log([4.0, 2.0])
+    found = _log_posterior((10.0, 0.5, 1.0), scores, log_counts)
+    odds = 10 * 0.8 / 1.4 + 10 * 0.2 / 1.1 - np.log(2)
+    assert found[0, 0] - found[0, 1] == pytest.approx(odds)

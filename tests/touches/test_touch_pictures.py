@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image, PngImagePlugin
 
 from palpate import Touches
-from palpate.touches import TouchesError, decode_bytes
+from palpate.touches import TouchesError, decode_bytes, read_folder
 
 
 def coded(image, kind="PNG", **options):
@@ -303,3 +303,12 @@ def test_a_colour_that_the_palette_lacks_is_refused(grey, n_bits):
     lacking = whole[:start] + chunk + whole[start + 12 + length :]
     with pytest.raises(TouchesError, match=f"of a palette of {2**n_bits - 1}"):
         decode_bytes(lacking)
+
+
+def test_as_many_bytes_as_allowed_are_read(grey, tmp_path):
+    (tmp_path / "mug").mkdir()
+    for number in range(2):
+        (tmp_path / "mug" / f"{number}.png").write_bytes(coded(Image.fromarray(grey)))
+    assert len(read_folder(tmp_path, max_bytes=2 * grey.size)) == 2
+    with pytest.raises(TouchesError, match="must take at most"):
+        read_folder(tmp_path, max_bytes=2 * grey.size - 1)
