@@ -14,7 +14,7 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
 PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-all test-oldest test-bare check format bench dist clean
+.PHONY: demo test test-all test-oldest test-bare check format fuzz mutants bench dist clean
 
 demo: $(VENV)/.demo-installed
 	@$(BIN)/palpate demo $(if $(PALPATE_DATA),--real)
@@ -35,6 +35,16 @@ test-oldest: $(OLDEST_VENV)/.installed
 test-bare: $(BARE_VENV)/.installed
 	PALPATE_BARE=1 $(ONE_THREAD) $(BARE_VENV)/bin/python -m pytest -n 2 \
 		-m "not slow" --doctest-ignore-import-errors
+
+# Inputs changed by chance, for so long; goes on where the last run stopped.
+SECONDS ?= 60
+fuzz: $(VENV)/.test-installed
+	$(ONE_THREAD) $(BIN)/python tests/fuzz/fuzz.py --seconds $(SECONDS)
+
+# One fault at a time in the core: what share of them do the tests find?
+N ?= 8
+mutants: $(VENV)/.test-installed
+	$(ONE_THREAD) $(BIN)/python benchmarks/mutants.py -n $(N)
 
 check: $(VENV)/.test-installed
 	$(BIN)/ruff check .

@@ -20,6 +20,7 @@ def palpate(capsys, monkeypatch):
     """Call `palpate ARGUMENTS...` as a shell would and return what it printed."""
 
     def run(*arguments, cwd=None):
+        monkeypatch.setenv("PALPATE_MAX_MODEL_MB", "2000")
         monkeypatch.setattr(sys, "argv", ["palpate", *map(str, arguments)])
         if cwd is not None:
             monkeypatch.chdir(cwd)

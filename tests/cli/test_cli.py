@@ -262,3 +262,24 @@ def test_square_brackets_are_no_markup(palpate, monkeypatch, tmp_path):
 
 def test_bench_lists_its_names(palpate):
     assert "zernike" in palpate("bench", "--list").stdout
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("recognise", "MODEL", "TOUCHES"),
+        ("learn", "TOUCHES", "--extend", "MODEL", "-o", "MODEL"),
+        ("explore", "recognise", "MODEL", "mug"),
+        ("live", "MODEL", "--sensor", "sim:bar10"),
+        ("serve", "--model", "MODEL", "--port", "0"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_model_larger_than_asked_for_is_refused_unread(
+    palpate, archive, model, words
+):
+    given = {"MODEL": model, "TOUCHES": archive}
+    arguments = [given.get(word, word) for word in words]
+    done = palpate(*arguments, "--max-model-mb", "0.001")
+    assert done.returncode == 1
+    assert "A model file must be at most 0.001 MB large" in done.stderr

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image, PngImagePlugin
 
 from palpate import Touches
-from palpate.touches import TouchesError, decode_bytes
+from palpate.touches import TouchesError, decode_bytes, read_folder
 
 
 def coded(image, kind="PNG", **options):
@@ -286,3 +286,29 @@ def test_a_picture_in_memory_is_as_in_a_file():
     for broken in (data[:-9], b"", b"GIF89a"):
         with pytest.raises(TouchesError, match="JPEG or PNG"):
             decode_bytes(broken)
+
+
+@pytest.mark.parametrize("n_bits", [1, 2, 4, 8])
+def test_a_colour_that_the_palette_lacks_is_refused(grey, n_bits):
+    indices = (np.arange(grey.size) % 2**n_bits).astype(np.uint8).reshape(grey.shape)
+    picture = Image.frombytes("P", grey.shape[::-1], indices.tobytes())
+    picture.putpalette([level for index in range(2**n_bits) for level in [index] * 3])
+    whole = coded(picture, bits=n_bits)
+    assert_array_equal(decode_bytes(whole), indices)
+    start = whole.index(b"PLTE") - 4
+    length = int.from_bytes(whole[start : start + 4])
+    kept = whole[start + 8 : start + 5 + length]
+    shorter = b"PLTE" + kept
+    chunk = len(kept).to_bytes(4) + shorter + zlib.crc32(shorter).to_bytes(4)
+    lacking = whole[:start] + chunk + whole[start + 12 + length :]
+    with pytest.raises(TouchesError, match=f"of a palette of {2**n_bits - 1}"):
+        decode_bytes(lacking)
+
+
+def test_as_many_bytes_as_allowed_are_read(grey, tmp_path):
+    (tmp_path / "mug").mkdir()
+    for number in range(2):
+        (tmp_path / "mug" / f"{number}.png").write_bytes(coded(Image.fromarray(grey)))
+    assert len(read_folder(tmp_path, max_bytes=2 * grey.size)) == 2
+    with pytest.raises(TouchesError, match="must take at most"):
+        read_folder(tmp_path, max_bytes=2 * grey.size - 1)

@@ -26,8 +26,9 @@ from .._checks import check_count, check_positive, check_squarable
 from .._types import Array, Floats
 from ._touch_classifier import BayesRule, as_groups, as_touches, labelled_touches
 
-# Temperature and bend of the posterior are fitted to at most so many touches.
-_SHAPED_BY = 10_000
+# Temperature and bend of the posterior are fitted to at most so many touches, and so
+# many of their answers, one for each label.
+_SHAPED_BY, _SHAPED_ANSWERS = 10_000, 500_000
 # Touches whose kernel with the landmarks is in memory at once.
 _TOUCHES_AT_ONCE = 2000
 # Keeps the landmarks' own kernel positive definite, where two of them are the same.
@@ -55,7 +56,7 @@ class KernelRidgeClassifier(BayesRule):
         evenly spaced part of them; the final machine learns from all.
     max_touches : int, default=10000
         Up to this many training touches every one has a kernel function of its own;
-        memory grows with the square of their number (8 bytes n^2, four times over).
+        memory grows with the square of their number (8 bytes n^2, twice over).
         Of more, some are landmarks for all (Nystroem features).
     n_landmarks : int, default=2000
         How many, evenly spaced over each label.
@@ -165,17 +166,19 @@ class KernelRidgeClassifier(BayesRule):
         widths = [check_positive("widths", w) for w in self.widths]
         ridges = [check_positive("ridges", r) for r in self.ridges]
         at_most = check_count("max_choice_touches", self.max_choice_touches, at_least=2)
-        some = _thin(codes, at_most)
+        some = _thin_labels(codes, at_most)
+        codes = np.unique(codes[some], return_inverse=True)[1]
         chosen = touches[some]
         squared = euclidean_distances(chosen - chosen.mean(axis=0), squared=True)
         self.unit_ = float(np.median(squared)) or 1.0
-        target = _one_hot(codes[some], len(self.classes_))
+        target = _one_hot(codes, codes.max() + 1)
         best = np.inf
         for width in widths:
             kernel = np.exp(-width / self.unit_ * squared)
             for ridge in ridges:
-                scores = _left_out(*_solve(kernel, target, ridge), target, group[some])
-                loss = _best_temperature(scores, codes[some])[1]
+                solved = _solve(kernel.copy(), target, ridge)
+                scores = _left_out(*solved, target, group[some])
+                loss = _best_temperature(scores, codes)[1]
                 if loss < best:
                     best, self.width_, self.ridge_ = loss, width, ridge
 
@@ -205,7 +208,7 @@ class KernelRidgeClassifier(BayesRule):
             self.touches_ = marks
         self.squared_norms_ = (self.touches_**2).sum(axis=1)
         self.left_out_scores_ = left_out
-        some = _thin(codes, _SHAPED_BY)
+        some = _thin(codes, min(_SHAPED_BY, _SHAPED_ANSWERS // target.shape[1] + 1))
         shape, self.log_loss_ = _best_shape(left_out[some], codes[some])
         self.temperature_, self.bend_, lean = shape
         self.log_counts_ = lean * _log_counts(codes, target.shape[1])
@@ -265,15 +268,24 @@ def _thin(codes: Array, at_most: int) -> Array:
     return np.sort(by_label[::step])
 
 
+def _thin_labels(codes: Array, at_most: int) -> Array:
+    """Return touches of all labels, or of every k-th where fewer than 4 of each fit."""
+    step = -(-4 * (int(codes.max()) + 1) // at_most)
+    if len(codes) <= at_most or step == 1:
+        return _thin(codes, at_most)
+    mine = np.flatnonzero(codes % step == 0)
+    return mine[_thin(codes[mine], at_most)]
+
+
 def _one_hot(codes: Array, n_classes: int) -> Floats:
     """Targets minus their fixed mean of 1 / n_classes."""
     return np.eye(n_classes)[codes] - 1 / n_classes
 
 
 def _solve(kernel: Floats, target: Floats, ridge: float) -> tuple[Floats, Floats]:
-    """Return R with R^T R = inverse of (kernel + ridge), and the dual coefficients."""
-    regular = np.asfortranarray(kernel) + ridge * np.eye(len(kernel))
-    factor, failed = dpotrf(regular, lower=1, clean=1, overwrite_a=1)
+    """Return R with R^T R = inverse of (kernel + ridge), in place, and coefficients."""
+    kernel.flat[:: len(kernel) + 1] += ridge
+    factor, failed = dpotrf(kernel.T, lower=1, clean=1, overwrite_a=1)
     if failed:
         raise np.linalg.LinAlgError("The kernel is not positive definite.")
     root = dtrtri(factor, lower=1, overwrite_c=1)[0]

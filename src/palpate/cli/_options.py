@@ -4,6 +4,7 @@ An option is a type (`Seed`). Options that belong together are a dataclass (`Rea
 a verb takes one parameter of it, and `grouped` puts its fields on the command line.
 """
 
+import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -82,6 +83,15 @@ TouchesPath = Annotated[
     ),
 ]
 ModelPath = Annotated[Path, argument("MODEL", "A model file (.palpate).")]
+MaxModelMb = Annotated[
+    float,
+    option(
+        "--max-model-mb",
+        "A larger model file is refused unread.",
+        callback=lambda mb: os.environ.update(PALPATE_MAX_MODEL_MB=str(mb)) or mb,
+        envvar="PALPATE_MAX_MODEL_MB",
+    ),
+]
 ModelOutput = Annotated[
     Path, option("-o", "--output", "The model file to write (.palpate).")
 ]

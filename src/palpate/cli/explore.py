@@ -9,6 +9,7 @@ import typer
 from ._options import (
     AsJson,
     ErrorRate,
+    MaxModelMb,
     ModelOutput,
     ModelPath,
     Preset,
@@ -122,6 +123,7 @@ def recognise(
     ] = None,
     unit: Unit = "mm",
     seed: Seed = 0,
+    max_model_mb: MaxModelMb = 2000,
     as_json: AsJson = False,
 ) -> None:
     """Touch one object until it is recognised, or found to be unknown."""

@@ -7,6 +7,7 @@ from ._options import (
     AsJson,
     Calibration,
     Learning,
+    MaxModelMb,
     ModelOutput,
     Reading,
     TouchesPath,
@@ -46,6 +47,7 @@ def learn(
     working: Working,
     reading: Reading,
     calibration: Calibration = None,
+    max_model_mb: MaxModelMb = 2000,
     as_json: AsJson = False,
 ) -> None:
     """Learn objects from labelled touches and write a model file."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._options import AsJson, ErrorRate, ModelPath, grouped, option
+from ._options import AsJson, ErrorRate, MaxModelMb, ModelPath, grouped, option
 from ._output import belief_line, print_json
 from ._sensor import Patience, SensorAddress, SensorOptions, Summary, need_baseline
 
@@ -30,6 +30,7 @@ def live(
     error: ErrorRate = 0.01,
     summary: Summary = "peak",
     options: SensorOptions,
+    max_model_mb: MaxModelMb = 2000,
     as_json: AsJson = False,
 ) -> None:
     """Recognise touch by touch, live: an episode ends when the object is decided."""

@@ -7,6 +7,7 @@ from ._options import (
     AsJson,
     Calibration,
     ErrorRate,
+    MaxModelMb,
     ModelPath,
     Reading,
     Refusal,
@@ -40,6 +41,7 @@ def recognise(
     reading: Reading,
     calibration: Calibration = None,
     working: Working,
+    max_model_mb: MaxModelMb = 2000,
     as_json: AsJson = False,
 ) -> None:
     """Recognise touch by touch: one episode per object (and session) of TOUCHES."""

@@ -5,7 +5,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
-from ._options import AsJson, ErrorRate, grouped, option
+from ._options import AsJson, ErrorRate, MaxModelMb, grouped, option
 from ._output import print_json
 from ._sensor import ADDRESS, SensorOptions, Summary
 
@@ -47,6 +47,7 @@ def serve(
     error: ErrorRate = 0.01,
     summary: Summary = "peak",
     options: SensorOptions,
+    max_model_mb: MaxModelMb = 2000,
     as_json: AsJson = False,
 ) -> None:
     """Serve the page and the API of one sensor, to whoever has the printed address."""

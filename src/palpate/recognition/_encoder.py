@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, clone
 
+from .._checks import check_levels
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
 from ..images import fill_dead_taxels, grey, typical_rim
@@ -112,7 +113,10 @@ class TouchEncoder(BaseEstimator):
             for step in learnt:
                 if isinstance(step, LeavesOut) and groups is not None:
                     every[:, column] = step.left_out_unexplained(values, groups)
-                values = _transformed(step.fit(values), values, checked=True)
+                # Of touches that are all alike shares of the variance are 0 / 0.
+                with np.errstate(invalid="ignore"):
+                    step.fit(values)
+                values = _transformed(step, values, checked=True)
             part = np.asarray(values, dtype=np.float64)
             self.parts_[name], self.scales_[name] = part.shape[1], 1.0
             if len(self.encodings) > 1:
@@ -200,7 +204,7 @@ class TouchEncoder(BaseEstimator):
         return np.hstack([part * scale for part, scale in scaled])
 
     def _living(self, images: Array) -> Array:
-        return living(images, self.pads_)
+        return check_levels(living(images, self.pads_))
 
     def _idle(self, touches: Touches) -> Array | None:
         """Return the frame of no contact without dead taxels, None where none is."""

@@ -7,13 +7,14 @@ A file is a safetensors container whose metadata hold one JSON document.
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.numpy import save_file
 from sklearn.decomposition import PCA
 from sklearn.preprocessing import StandardScaler
@@ -27,10 +28,10 @@ from ._evidence import SequenceCalibration
 from ._format_3 import from_format_3
 from ._memory import Memory
 from ._modality import Modality
+from ._model_bounds import MB, Budget
 from ._unknown import DecisionLimits
 
 FORMAT = 4
-MAX_BYTES = 4 * 2**30
 
 Tensors = dict[str, Array]
 
@@ -75,9 +76,16 @@ def write_model(path: str | Path, model: object) -> Path:
     tensors: Tensors = {}
     packed = _pack_object(model, tensors)
     document = json.dumps({"format": FORMAT, "model": packed})
+    n_bytes = len(document) + sum(array.nbytes for array in tensors.values())
+    known = KNOWN_CLASSES | {type(model).__name__: type(model)}
+    try:
+        _unpack(packed, Budget(n_bytes, tensors, known))
+    except (TypeError, ValueError) as error:
+        raise ModelFileError(f"This model could not be read again: {error}.") from error
     metadata = {"palpate": document, "sha256": _checksum(document, tensors)}
     with replacing(target) as file:
         save_file(tensors or {"empty": np.zeros(1)}, file.name, metadata=metadata)
+        _order_header(Path(file.name))
     return target
 
 
@@ -109,19 +117,25 @@ def check_model_path(path: str | Path) -> Path:
 def read_model(path: str | Path, also: type) -> Any:
     """Return the model that `write_model` wrote, or say what is wrong with it.
 
-    Of this format or of format 3; `also` is the class of the model itself, beside
-    `KNOWN_CLASSES`. Raises `ModelFileError`.
+    Of this format or of format 3, of at most PALPATE_MAX_MODEL_MB (2000); `also` is the
+    class of the model itself, beside `KNOWN_CLASSES`. Raises `ModelFileError`.
     """
     source = Path(path)
     if not source.is_file():
         raise ModelFileError(
             f"There is no model file {source}; `palpate learn` makes one."
         )
-    if source.stat().st_size > MAX_BYTES:
-        raise ModelFileError(f"{source} is larger than {MAX_BYTES} bytes; refused.")
-    document, tensors = _open(source)
-    known = KNOWN_CLASSES | {also.__name__: also}
+    n_bytes = source.stat().st_size
+    most = float(os.environ.get("PALPATE_MAX_MODEL_MB", 2000))
+    if n_bytes > most * MB:
+        raise ModelFileError(
+            f"A model file must be at most {most:g} MB large, got {source} with "
+            f"{n_bytes / MB:.0f} MB. Give a higher --max-model-mb."
+        )
     try:
+        document, tensors = _open(source)
+        budget = Budget(n_bytes, tensors, KNOWN_CLASSES | {also.__name__: also})
+        budget.check_document(document)
         content = json.loads(document)
         version, model = content["format"], content["model"]
         if version not in (3, FORMAT):
@@ -131,35 +145,33 @@ def read_model(path: str | Path, also: type) -> Any:
             )
         if version == 3:
             model = from_format_3(model)
-        return _unpack(model, tensors, known)
+        return _unpack(model, budget)
     except ModelFileError:
         raise
-    except (
-        KeyError,
-        TypeError,
-        ValueError,
-        AttributeError,
-        IndexError,
-        RecursionError,
-    ) as error:
-        raise ModelFileError(f"{source} is damaged: {error}. Learn again.") from error
+    except Exception as error:
+        raise ModelFileError(
+            f"{source} is no palpate model, or damaged: {error}. Learn again."
+        ) from error
+
+
+def _order_header(path: Path) -> None:
+    """Sort a safetensors header, whose metadata come in any order, by name."""
+    with path.open("r+b") as file:
+        length = int.from_bytes(file.read(8), "little")
+        header = json.loads(file.read(length))
+        header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+        file.seek(8)
+        file.write(json.dumps(header, separators=(",", ":")).encode().ljust(length))
 
 
 def _open(source: Path) -> tuple[str, Tensors]:
     """Return the JSON document and the arrays, checked against the checksum."""
-    try:
-        with safe_open(str(source), framework="numpy") as opened:
-            metadata = opened.metadata() or {}
-            if "palpate" not in metadata:
-                raise ModelFileError(f"{source} is not a palpate model.")
-            names = [name for name in opened.keys() if name != "empty"]  # noqa: SIM118
-            tensors = {name: opened.get_tensor(name) for name in names}
-    except (SafetensorError, OSError, TypeError, ValueError) as error:
-        if isinstance(error, ModelFileError):
-            raise
-        raise ModelFileError(
-            f"{source} is not a palpate model, or is damaged or truncated: {error}."
-        ) from error
+    with safe_open(str(source), framework="numpy") as opened:
+        metadata = opened.metadata() or {}
+        if "palpate" not in metadata:
+            raise ModelFileError(f"{source} is not a palpate model.")
+        names = [name for name in opened.keys() if name != "empty"]  # noqa: SIM118
+        tensors = {name: opened.get_tensor(name) for name in names}
     document = metadata["palpate"]
     if metadata.get("sha256") != _checksum(document, tensors):
         raise ModelFileError(f"{source} is damaged: its checksum does not match.")
@@ -209,9 +221,7 @@ def _pack_object(value: object, tensors: Tensors) -> dict[str, Any]:
 
 
 def _pack_array(array: Array, tensors: Tensors) -> dict[str, Any]:
-    if array.dtype.kind in "US":
-        return {"text": array.astype(str).ravel().tolist(), "shape": list(array.shape)}
-    if array.dtype.kind == "O" and all(isinstance(item, str) for item in array.flat):
+    if array.dtype.kind in "UO" and all(isinstance(item, str) for item in array.flat):
         return {"text": array.ravel().tolist(), "shape": list(array.shape)}
     if array.dtype.kind == "c":
         pairs = np.stack([array.real, array.imag])
@@ -237,7 +247,7 @@ def _state(value: Any) -> tuple[dict[str, Any], dict[str, Any]]:
     return value.get_params(deep=False), learnt
 
 
-def _unpack(node: Any, tensors: Tensors, known: Mapping[str, type]) -> Any:
+def _unpack(node: Any, budget: Budget) -> Any:
     if node is None or isinstance(node, bool | int | str):
         return node
     if not isinstance(node, dict):
@@ -245,37 +255,41 @@ def _unpack(node: Any, tensors: Tensors, known: Mapping[str, type]) -> Any:
     if "float" in node:
         return float(node["float"])
     if "array" in node:
-        stored = tensors[node["array"]].reshape(node["shape"])
+        stored = budget.array(node["array"], node["shape"])
         return stored.T if node.get("turned") else stored
     if "complex" in node:
-        real, imaginary = _unpack(node["complex"], tensors, known)
+        real, imaginary = _unpack(node["complex"], budget)
         return real + 1j * imaginary
     if "text" in node:
+        budget.check_texts(node["text"])
         return np.array(node["text"], dtype=str).reshape(node["shape"])
     if "list" in node or "tuple" in node:
         kind = list if "list" in node else tuple
         items = node["list"] if kind is list else node["tuple"]
-        return kind(_unpack(item, tensors, known) for item in items)
+        return kind(_unpack(item, budget) for item in items)
     if "dict" in node:
-        return {str(k): _unpack(v, tensors, known) for k, v in node["dict"]}
-    return _unpack_object(node, tensors, known)
+        return {str(k): _unpack(v, budget) for k, v in node["dict"]}
+    return _unpack_object(node, budget)
 
 
-def _unpack_object(
-    node: dict[str, Any], tensors: Tensors, known: Mapping[str, type]
-) -> Any:
+def _unpack_object(node: dict[str, Any], budget: Budget) -> Any:
     name = node["class"]
-    if name not in known:
+    if name not in budget.known:
         raise ModelFileError(
             f"The model names the class {name!r}, which this palpate does not know. "
             "Update palpate, or learn again."
         )
-    params = {k: _unpack(v, tensors, known) for k, v in node["params"].items()}
-    built = known[name](**params)
-    for attribute, packed in node["learnt"].items():
+    for attribute in node["learnt"]:
         if not (
             attribute.isidentifier() and attribute.endswith("_")
         ) or attribute.startswith("_"):
             raise ModelFileError(f"{attribute!r} is not a learnt attribute")
-        setattr(built, attribute, _unpack(packed, tensors, known))
+    params, learnt = (
+        {k: _unpack(v, budget) for k, v in node[part].items()}
+        for part in ("params", "learnt")
+    )
+    budget.check_object(params | learnt)
+    built = budget.known[name](**params)
+    for attribute, value in learnt.items():
+        setattr(built, attribute, value)
     return built

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from math import prod
 from pathlib import Path
 from typing import Any, Self
 
@@ -49,6 +50,7 @@ from ._memory import (
     without_copies,
 )
 from ._modality import Modality
+from ._model_bounds import MOST_TRIED
 from ._model_file import ModelFileError, read_model, write_model
 from ._presets import PRESENTATIONS, Preset, find_preset
 from ._trial_touch import check_parts, try_one_touch
@@ -498,9 +500,11 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             if not hasattr(model, "limits_"):
                 model.limits_ = model._learnt_limits()
             check_parts(model.judge(), model.encoder_.image_shape_, model.pose_)
-            blank = model.evidence(model.encoder_.blank_touch())
-            row = model.classifier_.log_likelihood(blank.features)
-            try_one_touch(model.start(), blank, row)
+            if prod(model.encoder_.image_shape_) <= MOST_TRIED:
+                with np.errstate(all="ignore"):
+                    blank = model.evidence(model.encoder_.blank_touch())
+                    row = model.classifier_.log_likelihood(blank.features)
+                    try_one_touch(model.start(), blank, row)
         except Exception as error:
             raise ModelFileError(f"{path} is damaged: {error}. Learn again.") from error
         return model
@@ -560,10 +564,18 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             self.sequence_calibration_ = fit_sequence_calibration(
                 with_floor(self._left_out(), self.floor_),
                 np.searchsorted(self.classes_, memory.labels),
-                draw_all(memory.objects, memory.blocks, self.random_state),
+                self._drawn(memory),
                 self._log_prior(memory),
             )
         self.limits_ = self._learnt_limits()
+
+    def _drawn(self, memory: Memory) -> dict[int, Array]:
+        """Draw episodes; of very many objects, of some, spread over all."""
+        names = np.unique(memory.objects)
+        step = -(-len(names) * len(self.classes_) // 100_000)
+        rows = np.flatnonzero(np.isin(memory.objects, names[::step]))
+        drawn = draw_all(memory.objects[rows], memory.blocks[rows], self.random_state)
+        return {k: rows[episodes] for k, episodes in drawn.items()}
 
     def _left_out(self) -> Floats:
         """Return what counts of left-out training touches, (n_touches, n_objects)."""

@@ -5,7 +5,7 @@ tests a PNG's checksums; OpenCV decodes, but fills what is missing with grey and
 on standard error alone. So a JPEG, which has no checksum, must also end after its
 scans: one that is cut short is always refused, but flipped bits within its coefficients
 give a wrong picture that nothing can tell. (Decoding with Pillow too would double the
-time, and finds as few of them.)
+time, and finds as few of them; docs/architecture.md has figures.)
 
 Pictures are taken as stored: Exif orientation is never applied, for it would turn
 some touches of a set and not others. Colour becomes its luma (ITU-R BT.601) unless
@@ -263,6 +263,8 @@ def _levels(data: bytes, header: Header) -> Array:
         raise PictureError(f"{found} after {header}: the file changed meanwhile")
     if header.format == "PNG":
         _refuse_broken_png(data)
+        if data[25] == 3:  # a palette
+            _refuse_missing_colours(data)
     else:
         _refuse_cut_jpeg(data, stream.tell())
     see_through = header.format == "PNG" and data[25] in _ALPHA
@@ -356,6 +358,17 @@ def _png_header(stream: IO[bytes]) -> Header:
     _refuse_empty("PNG", n_cols, n_rows)
     n_bits = 16 if depth == 16 else 8
     return Header("PNG", n_rows, n_cols, n_bits, kind not in _GREY)
+
+
+def _refuse_missing_colours(data: bytes) -> None:
+    """Refuse pixels whose colour the palette does not have; OpenCV paints them."""
+    from PIL.PngImagePlugin import PngImageFile
+
+    with PngImageFile(BytesIO(data)) as image:
+        n_colours = len(image.palette.palette) // 3 if image.palette else 0
+        largest = int(np.asarray(image).max())
+    if largest >= n_colours:
+        raise PictureError(f"a PNG with colour {largest} of a palette of {n_colours}")
 
 
 def _refuse_broken_png(data: bytes) -> None:

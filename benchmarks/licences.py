@@ -1,0 +1,52 @@
+"""Print the table of licences in docs/licences.md, from what is installed here.
+
+`python benchmarks/licences.py`; a package that is not installed has no row.
+"""
+
+import re
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+# Where the metadata name no licence in a word: what the licence's text is.
+BY_TEXT = {"embreex": "BSD-2-Clause", "scikit-image": "BSD-3-Clause"}
+_SHORT = {"MIT License": "MIT", "Apache Software License": "Apache-2.0"}
+
+
+def requirements():
+    """Yield each package that palpate may need, and the extra that brings it."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    for extra, lines in {"": project["dependencies"], **extras}.items():
+        for line in lines:
+            name = re.match(r"[\w.-]+", line)[0]
+            if name != "palpate" and extra not in ("dev", "test"):
+                yield name, extra or "always"
+
+
+def licence(name):
+    """Return what an installed package says of its licence, in a word or two."""
+    about = metadata.metadata(name)
+    classified = [
+        line.rsplit(" :: ", 1)[1]
+        for line in about.get_all("Classifier", [])
+        if line.startswith("License :: ") and not line.endswith(":: OSI Approved")
+    ]
+    said = [about.get("License-Expression"), BY_TEXT.get(name), *classified]
+    short = (about.get("License") or "not told").splitlines()[0]
+    found = next((one for one in said if one), short)
+    return _SHORT.get(found, found)
+
+
+def rows():
+    """Yield the rows of the table for what is installed."""
+    for name, extra in requirements():
+        try:
+            yield f"| {name} | {extra} | {licence(name)} |"
+        except metadata.PackageNotFoundError:
+            continue
+
+
+if __name__ == "__main__":
+    print("\n".join(["| package | extra | licence |", "|---|---|---|", *rows()]))

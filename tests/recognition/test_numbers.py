@@ -1,0 +1,61 @@
+"""Levels that are extreme or all alike: an answer or our own error, and no warning."""
+
+import subprocess
+import sys
+from hashlib import sha256
+
+import numpy as np
+import pytest
+
+from palpate import ObjectRecogniser, Touches
+
+LABELS = ["pen"] * 6 + ["mug"] * 6
+NOISE = np.random.default_rng(0).random((12, 20, 20))
+PRESETS = ("default", "corradi2015", "liu2014")
+GEOMETRIES = ("dome", "array", "none")
+
+
+@pytest.mark.parametrize("geometry", GEOMETRIES)
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("size", [1e300, 1e160, 1e38])
+def test_levels_too_large_to_add_up_are_refused(preset, geometry, size):
+    recogniser = ObjectRecogniser(preset)
+    with pytest.raises(ValueError, match=r"at most 1e\+37"):
+        recogniser.fit(Touches(size * NOISE, object=LABELS, geometry=geometry))
+    known = np.where(np.arange(12)[:, None, None] < 6, NOISE, NOISE**2)
+    recogniser.fit(Touches(known, object=LABELS, geometry=geometry))
+    with pytest.raises(ValueError, match=r"at most 1e\+37"):
+        recogniser.predict(Touches(size * NOISE, geometry=geometry))
+
+
+@pytest.mark.parametrize("geometry", GEOMETRIES)
+@pytest.mark.parametrize("preset", ["default", "corradi2015"])
+@pytest.mark.parametrize("level", [0.0, 7.0, 1e-300])
+def test_touches_that_are_all_alike_are_learnt_without_a_warning(
+    preset, geometry, level
+):
+    touches = Touches(np.full((12, 20, 20), level), object=LABELS, geometry=geometry)
+    belief = ObjectRecogniser(preset).fit(touches).start().update(touches[:2])
+    assert sum(belief.posterior.values()) == pytest.approx(1)
+
+
+ONE_RUN = """
+import sys
+from pathlib import Path
+import numpy as np
+from palpate import ObjectRecogniser, Touches
+images = np.random.default_rng(0).random((12, 20, 20))
+images[:6] += np.eye(20)
+touches = Touches(images, object=["pen"] * 6 + ["mug"] * 6)
+ObjectRecogniser("liu2014").fit(touches).save(sys.argv[1])
+"""
+
+
+def test_identical_runs_write_identical_model_files(tmp_path):
+    digests = set()
+    for run in range(4):
+        path = tmp_path / f"{run}.palpate"
+        command = [sys.executable, "-c", ONE_RUN, str(path)]
+        subprocess.run(command, check=True, timeout=120)
+        digests.add(sha256(path.read_bytes()).hexdigest())
+    assert len(digests) == 1
