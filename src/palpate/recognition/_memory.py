@@ -93,12 +93,19 @@ class Memory:
         return n_objects, "these objects, recorded as when they were learnt"
 
     def plus(self, other: Self) -> Self:
-        """Return both, the other one last, its blocks numbered after these."""
+        """Return both, the other one last, its blocks numbered after these.
+
+        Touches of the other that are copies of these join their blocks.
+        """
         later = replace(other, blocks=other.blocks + self.blocks.max() + 1)
         rows = {
             name: np.concatenate([getattr(self, name), getattr(later, name)])
             for name in _COLUMNS
         }
+        again = np.isin(rows["objects"], np.intersect1d(self.objects, other.objects))
+        rows["blocks"][again] = without_copies(
+            rows["features"][again], rows["objects"][again], rows["blocks"][again]
+        )
         return replace(self, **rows, sensor=self.sensor or other.sensor)
 
     def without(self, labels: Iterable[object]) -> Self:

@@ -11,6 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import log_softmax
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.exceptions import NotFittedError
 from sklearn.utils import Tags
@@ -588,8 +589,13 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         memory, said = self.memory_, self._left_out()
         each, weights = said[:, np.newaxis], np.ones(1)
         if isinstance(self.classifier_, EncodingPool):
-            each = np.stack([*self.classifier_.left_out_by_part().values()], axis=1)
+            # As they are: bounded, all objects but one may tie, and then nothing is
+            # left of what a touch says without it.
+            machines = self.classifier_.machines_.values()
+            every = [log_softmax(left_out_log_likelihood(m), axis=1) for m in machines]
             weights = np.array([*self.classifier_.weights_.values()])
+            each = np.stack(every, axis=1)
+            said = self._used(weights @ each, memory.nothing)
         left_out = LeftOut(
             log_likelihood=said,
             each=each,
