@@ -66,7 +66,7 @@ def test_objects_of_few_touches_are_right_nearly_as_often(way):
 
 
 def left_out_loss(model):
-    """Return the mean log loss (nats) of training touches, left out with their block."""
+    """Return the mean log loss (nats) of touches left out with their block."""
     said = log_softmax(model.left_out_log_likelihood(), axis=1)
     codes = np.searchsorted(model.classes_, model.memory_.labels)
     return -said[np.arange(len(codes)), codes].mean()
