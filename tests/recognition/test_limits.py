@@ -543,9 +543,9 @@ def test_a_thing_that_was_never_learnt_is_called_unknown_or_waits():
 
 @pytest.mark.xfail(
     strict=True,
-    reason="EncodingPool bounds log posteriors at -30 nats: of an encoding that is sure "
-    "all other objects are equal, and without the column of its own the touch looks like "
-    "none, where machines that never met the object are sure of another.",
+    reason="EncodingPool bounds log posteriors at -30 nats: to an encoding that is "
+    "sure all other objects are equal, and without its own column the touch looks "
+    "like none; machines that never met the object are sure of another.",
 )
 def test_left_out_objects_score_as_those_that_were_never_learnt():
     """Patterns of noise; two of eight are left out in turn, in two ways."""
