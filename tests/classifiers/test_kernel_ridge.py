@@ -193,6 +193,45 @@ def test_memory_of_many_touches_does_not_grow_with_their_square(rng):
     assert machine.score(X, labels) > 0.75
 
 
+def test_landmarks_are_spread_over_each_label_in_whatever_order(problem):
+    X, _, _ = problem
+    labels = np.tile(["ball", "mug", "pen"], 20)
+    machine = KernelRidgeClassifier(max_touches=10, n_landmarks=20).fit(X, labels)
+    kept = ((machine.touches_ + machine.mean_)[:, None] - X) ** 2
+    names = labels[kept.sum(axis=2).argmin(axis=1)]
+    counts = np.unique(names, return_counts=True)
+    assert counts[0].tolist() == ["ball", "mug", "pen"]
+    assert np.ptp(counts[1]) <= 1
+
+
+def test_no_touch_is_more_like_another_than_that_itself(problem):
+    """Of touches far out the products exceed the squared lengths, by rounding."""
+    X, labels, _ = problem
+    far = X + 1e7 * (labels == "pen")[:, None]
+    machine = KernelRidgeClassifier(widths=[4.0]).fit(far, labels)
+    centred = far - machine.mean_
+    products = (-2 * centred) @ machine.touches_.T
+    assert (
+        products + (centred**2).sum(axis=1)[:, None] + machine.squared_norms_
+    ).min() < 0
+    machine.coefficients_ = np.eye(60)
+    kernel = machine.scores(far) - 1 / 3
+    # 1/3 is added and taken away again.
+    assert kernel.max() <= 1 + 1e-15
+
+
+@pytest.mark.xfail(
+    strict=True,
+    raises=np.linalg.LinAlgError,
+    reason="squared distances of touches 1e8 from their mean are off by more than the "
+    "unit, and the kernel made of them is not positive definite.",
+)
+def test_a_label_very_far_out_is_learnt_beside_others(problem):
+    X, labels, _ = problem
+    far = X + 1e8 * (labels == "pen")[:, None]
+    assert KernelRidgeClassifier().fit(far, labels).score(far, labels) > 0.5
+
+
 def uneven(rng, n_each=(80, 10), spread=0.9):
     """Touches of two overlapping labels, one taught eight times as often."""
     labels = np.repeat(["common", "rare"], n_each)

@@ -236,6 +236,19 @@ def test_episodes_are_one_per_object_and_session_in_order_of_the_set(six):
     assert told == [("cup", 1, [0, 2]), ("ball", 1, [1, 4]), ("cup", 2, [3, 5])]
 
 
+def test_every_object_in_every_session_is_an_episode_of_its_own():
+    touches = Touches(
+        np.zeros((18, 2, 2)),
+        object=np.tile(np.repeat(["a", "b", "c"], 3), 2),
+        session=np.tile([1, 2, 3], 6),
+    )
+    episodes = touches.episodes()
+    assert len({(e.object, e.session) for e in episodes}) == len(episodes) == 9
+    for episode in episodes:
+        assert set(touches.object[episode.rows]) == {episode.object}
+        assert set(touches.session[episode.rows]) == {episode.session}
+
+
 def test_episodes_without_labels_or_sessions():
     bare = Touches(np.zeros((3, 2, 2)))
     assert [(e.object, e.session, len(e.rows)) for e in bare.episodes()] == [

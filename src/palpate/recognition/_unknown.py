@@ -381,7 +381,7 @@ def _naming(
     encodings then give 1 - error to the name: of objects with twins none could else be
     named. The wrong are a share of known episodes.
     """
-    reached = float(np.quantile(known.scores.min(axis=1), _FOUR_IN_FIVE))
+    reached = float(np.quantile(known.scores[:, -1], _FOUR_IN_FIVE))
     limits, shares = [], []
     for level in LEVELS:
         limit = least = min(level, reached) if never is not None else level
