@@ -220,16 +220,11 @@ def test_no_touch_is_more_like_another_than_that_itself(problem):
     assert kernel.max() <= 1 + 1e-15
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=np.linalg.LinAlgError,
-    reason="squared distances of touches 1e8 from their mean are off by more than the "
-    "unit, and the kernel made of them is not positive definite.",
-)
-def test_a_label_very_far_out_is_learnt_beside_others(problem):
+def test_a_label_very_far_out_is_refused_with_what_to_do(problem):
     X, labels, _ = problem
     far = X + 1e8 * (labels == "pen")[:, None]
-    assert KernelRidgeClassifier().fit(far, labels).score(far, labels) > 0.5
+    with pytest.raises(ValueError, match=r"X must not hold touches so far.*scale the"):
+        KernelRidgeClassifier().fit(far, labels)
 
 
 def uneven(rng, n_each=(80, 10), spread=0.9):

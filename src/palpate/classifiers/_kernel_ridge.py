@@ -287,7 +287,10 @@ def _solve(kernel: Floats, target: Floats, ridge: float) -> tuple[Floats, Floats
     kernel.flat[:: len(kernel) + 1] += ridge
     factor, failed = dpotrf(kernel.T, lower=1, clean=1, overwrite_a=1)
     if failed:
-        raise np.linalg.LinAlgError("The kernel is not positive definite.")
+        raise ValueError(
+            "X must not hold touches so far from the others that distances among those "
+            "are lost in rounding. Leave them out, or scale the features."
+        )
     root = dtrtri(factor, lower=1, overwrite_c=1)[0]
     return root, root.T @ (root @ target)
 
