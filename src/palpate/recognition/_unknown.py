@@ -201,9 +201,8 @@ class LeftOut:
 
     Log-likelihoods (n_touches, n_objects) and those of `each` encoding (n_touches,
     n_encodings, n_objects), without floor; `log_distances` (n_touches, n_objects) as of
-    `Nearest`; `codes` (n_touches,), the column of each
-    touch's own object; and as in `Judge` the `log_prior`, `floor`, `calibration` and
-    `categories`.
+    `Nearest`; `codes` (n_touches,), the column of each touch's own object; and as in
+    `Judge` the `log_prior`, `floor`, `calibration` and `categories`.
     """
 
     log_likelihood: Floats
@@ -230,14 +229,18 @@ def fit_limits(
     missed = 1 / (n_units + 2) if n_objects > 2 else 0.0
     groups = category_codes(left_out.categories)
     usual = _usual(left_out)
-    blank, levels = np.empty(0), np.ones((2, len(LEVELS)))
+    ones = np.ones(len(LEVELS))
     scale = DecisionLimits(
-        left_out.weights,
-        usual,
-        _far(left_out, usual, episodes),
-        *(levels[0], np.zeros(len(LEVELS)), levels[1], blank, blank),
-        n_units,
-        population,
+        weights=left_out.weights,
+        usual=usual,
+        far=_far(left_out, usual, episodes),
+        naming=ones,
+        naming_category=0 * ones,
+        refusing=ones,
+        wrong=0 * ones,
+        quantiles=ones[np.newaxis],
+        n_units=n_units,
+        population=population,
     )
     known = _Tracks.together(
         _tracks(left_out, scale, rows, groups) for rows in episodes
@@ -248,7 +251,7 @@ def fit_limits(
             _tracks(left_out, scale, rows, groups, never=True) for rows in episodes
         )
     naming, wrong = _naming(known, never, missed)
-    refusing, quantiles = np.ones(len(LEVELS)), known.scores
+    refusing, quantiles = ones, known.scores
     shares = np.full(len(known.scores), 1 / len(known.scores))
     if never is not None:
         quantiles = np.concatenate([known.scores, never.scores])
