@@ -71,7 +71,7 @@ def draw_evidence(axis, log_likelihood) -> None:
     colours = [ORANGE if name == TRUTH else GREY for name in OBJECTS]
     axis.barh(OBJECTS, log_likelihood - log_likelihood.min() + 0.05, color=colours)
     axis.invert_yaxis()
-    axis.set_title("Evidence\n(log-likelihood of each\nencoding, distances, flags)", fontsize=10)
+    axis.set_title("Evidence\n(each encoding's\nlog-likelihood, flags)", fontsize=10)
     axis.set_xlabel("nats above the least", fontsize=9)
 
 
