@@ -1,7 +1,8 @@
 """What decisions are worth on recorded touches, for docs/decisions.md.
 
 Run as `python benchmarks/decisions.py FOLDER OUT.json [SECTION ...] [--draws 20]
-[--first 0]`, with the folder of recorded touches (`bathtip/bathtip50.npz`). Each draw
+[--first 0]`, with the folder of recorded touches (`bathtip/bathtip50.npz`,
+`taxel10x10/taxel10x10.npz`). Each draw
 takes other objects and other training touches; "last" asks the last quarter of each
 recording, "random" the touches that were not drawn. One minute for ten draws of six
 objects, ten for one of fifty.
@@ -14,9 +15,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from palpate import Touches
 from palpate._durable import write_text
+from palpate._types import Floats
 from palpate.evaluation import (
     Plan,
     Trial,
@@ -44,11 +47,13 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     asked = parser.parse_args()
-    touches = Touches.load(asked.folder / "bathtip" / "bathtip50.npz")
+    dome = Touches.load(asked.folder / "bathtip" / "bathtip50.npz")
+    array = Touches.load(asked.folder / "taxel10x10" / "taxel10x10.npz")
     result = json.loads(asked.out.read_text()) if asked.out.exists() else {}
     for name in asked.sections or SECTIONS:
         draws = []
         for seed in range(asked.first, asked.first + asked.draws):
+            touches = array if name == "re-posed presses" else dome
             draws.append(SECTIONS[name](touches, seed))
             print(name, seed, draws[-1], flush=True)
         result[name] = {"first": asked.first, "draws": draws}
@@ -140,6 +145,36 @@ def sparse(touches: Touches, seed: int) -> object:
     return rows
 
 
+def unseen(touches: Touches, seed: int) -> object:
+    """Categories of ten objects, one of each, that were never touched."""
+    folds = split_touches(touches, "unseen-objects")
+    fold = folds[seed % len(folds)]
+    return figures(fold.train, fold.test, None, label="category")
+
+
+def presses(touches: Touches, seed: int) -> object:
+    """Twelve of 17 objects on a 10 x 10 array, every press turned and shifted."""
+    rng = np.random.default_rng([seed, 17])
+    names = rng.permutation(np.unique(touches.object))
+    posed = Touches(
+        np.stack([reposed(image, rng) for image in touches.images]),
+        object=touches.object,
+        geometry="array",
+    )
+    first = np.zeros(len(posed), dtype=bool)
+    for name in names:
+        rows = np.flatnonzero(posed.object == name)
+        first[rng.permutation(rows)[: len(rows) // 2]] = True
+    known = np.isin(posed.object, names[:12])
+    return figures(posed[known & first], posed[known & ~first], posed[~known])
+
+
+def reposed(image: NDArray[np.float64], rng: np.random.Generator) -> Floats:
+    """Return a press turned by any angle and shifted by up to two taxels."""
+    turned = ndimage.rotate(image, rng.uniform(0, 360), reshape=False, order=1)
+    return np.asarray(ndimage.shift(turned, rng.uniform(-2, 2, 2), order=1))
+
+
 def in_order(touches: Touches, name: str) -> NDArray[np.intp]:
     """Return the touches of an object in the order of its recording."""
     rows = np.flatnonzero(touches.object == name)
@@ -147,9 +182,11 @@ def in_order(touches: Touches, name: str) -> NDArray[np.intp]:
     return rows[np.argsort(touches.order[rows], kind="stable")]
 
 
-def figures(train: Touches, test: Touches, unknown: Touches | None) -> object:
+def figures(
+    train: Touches, test: Touches, unknown: Touches | None, label: str = "object"
+) -> object:
     """Return how episodes end, at each error, and how well unknown ones are told."""
-    plan = Plan(touches=LENGTHS)
+    plan = Plan(touches=LENGTHS, label=label)
     result, (trial,) = evaluate(train, test, unknown=unknown, plan=plan)
     keys = ("accuracy", "ece", "category_accuracy", "unknown_auroc", "unknown_refused")
     row = {key: result[key] for key in keys if key in result}
@@ -202,6 +239,8 @@ SECTIONS: dict[str, Callable[[Touches, int], object]] = {
     "in a row": in_a_row,
     "sparse": sparse,
     "40 and one more of each": all_but_one_each,
+    "categories of unseen objects": unseen,
+    "re-posed presses": presses,
     "50 last": all_fifty("last"),
     "50 random": all_fifty("random"),
 }

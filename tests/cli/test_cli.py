@@ -76,6 +76,20 @@ def test_recognise_gives_one_episode_per_object(palpate, archive, model):
         assert episode["reasons"]
 
 
+def test_recognise_takes_a_refusal_and_a_level(palpate, archive, model):
+    asked = ["--error", "0.05", "--refusal", "0.2", "--level", "any", "--json"]
+    done = palpate("recognise", model, archive, *asked)
+    assert done.returncode == 0, done.stderr
+    for episode in json.loads(done.stdout)["episodes"]:
+        assert (episode["decision"], episode["level"]) == (episode["object"], "object")
+        assert episode["promise"]["level"] == 0.05
+        assert episode["promise"]["n_units"] == 3
+    done = palpate("recognise", model, archive, "--level", "category")
+    assert done.returncode == 1
+    assert "the objects have none" in done.stderr
+    assert "--level" not in done.stdout
+
+
 def test_recognise_draws_the_belief_for_people(palpate, archive, model):
     done = palpate("recognise", model, archive)
     assert done.returncode == 0

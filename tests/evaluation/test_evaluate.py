@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.evaluation import Plan, evaluate, write_report
+from palpate.evaluation import Plan, decide_episodes, evaluate, write_report
 
 PLAN = Plan(touches=(1, 3, 6), orders=5)
 
@@ -64,6 +64,38 @@ def test_decisions_are_right_and_use_few_touches(result):
     decision = result[0]["decision"]
     assert decision["accuracy"] == 1
     assert 1 <= decision["mean_touches"] < 16
+    assert (decision["error"], decision["refusal"]) == (0.01, 0.01)
+    assert decision["right"] == decision["n_episodes"]
+    assert decision["wrong"] == decision["refused"] == decision["undecided"] == 0
+    assert not decision["can_be_verified"]
+
+
+def test_every_episode_ends_as_a_belief_asked_after_each_touch_does():
+    train, test = drawn(0, NAMES, noise=1.5), drawn(1, NAMES, noise=1.5)
+    plan = Plan(touches=(1, 3), orders=3, error=0.05, refusal=0.2)
+    figures, (trial,) = evaluate(train, test, plan=plan)
+    assert figures["decision"]["refusal"] == 0.2
+    ends = decide_episodes(trial.recogniser, trial.episodes, 0.05, 0.2)
+    rows = np.concatenate(trial.episodes.rows)
+    assert ends.decided.sum() > 0
+    for number, touches in enumerate(rows):
+        belief, used, said = trial.recogniser.start(), 0, None
+        while said is None and used < len(touches):
+            belief.update(test[touches[used : used + 1]])
+            said, used = belief.decide(0.05, refusal=0.2), used + 1
+        assert ends.touches[number] == used
+        assert ends.decided[number] == (said is not None)
+        assert ends.refused[number] == (said == "unknown")
+        assert ends.right[number] == (said == ends.objects[number])
+
+
+def test_how_episodes_end_is_in_the_report(result, tmp_path):
+    pytest.importorskip("matplotlib", reason='needs the extra "plot"')
+    page = write_report(tmp_path / "r.html", *result).read_text()
+    assert "Stopping at an error of 0.01, a refusal of 0.01" in page
+    assert "<th>called unknown</th>" in page
+    assert "too few to show the error asked" in page
+    assert "category right, %" in page
 
 
 def test_pure_noise_is_recognised_at_chance():

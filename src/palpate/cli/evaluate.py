@@ -86,6 +86,8 @@ def evaluate(
 
 
 def _print_figures(figures: dict[str, Any]) -> None:
+    from ..evaluation import as_good_alone
+
     keys = list(figures["accuracy"])
     spread = "folds" if figures["n_folds"] > 1 else "objects"
     rows = [
@@ -130,7 +132,8 @@ def _print_figures(figures: dict[str, Any]) -> None:
         f"be named wrong, at 95 % confidence from {decision['n_objects']} objects"
         + ("." if decision["can_be_verified"] else ": too few to show the error asked.")
     )
-    _print_nuisances(figures, keys)
+    for sentence in as_good_alone(figures):
+        print(sentence)
 
 
 def _category_rows(figures: dict[str, Any], keys: list[str]) -> list[list[str]]:
@@ -138,16 +141,3 @@ def _category_rows(figures: dict[str, Any], keys: list[str]) -> list[list[str]]:
         return []
     right = figures["category_accuracy"]
     return [["category right, %", *(percent(right.get(k)) for k in keys)]]
-
-
-def _print_nuisances(figures: dict[str, Any], keys: list[str]) -> None:
-    """Say which nuisance controls do as well as the recogniser."""
-    for name, curve in figures["controls"].items():
-        as_good = [
-            k for k in keys if (curve or {}).get(k, -1) >= figures["accuracy"][k]
-        ]
-        if as_good and name != "no contact":
-            print(
-                f"{name} alone does as well after {', '.join(as_good)} touches: the "
-                "recogniser may have learnt the recording, not the objects."
-            )

@@ -6,6 +6,7 @@ from ._benchmark import benchmark
 from ._benchmark_page import benchmark_tables as benchmark_tables
 from ._benchmark_page import verdicts as verdicts
 from ._benchmark_page import write_benchmark as write_benchmark
+from ._controls import as_good_alone as as_good_alone
 from ._controls import brightness as brightness
 from ._controls import control_log_likelihood as control_log_likelihood
 from ._controls import disc_centres as disc_centres

@@ -6,6 +6,7 @@ classifier, from nothing but its own values.
 """
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,3 +105,17 @@ def _blocks(images: Array) -> Iterator[Floats]:
     for start in range(0, len(images), BLOCK):
         some = images[start : start + BLOCK]
         yield some.reshape(len(some), -1).astype(np.float64)
+
+
+def as_good_alone(figures: dict[str, Any]) -> list[str]:
+    """Return a sentence for each nuisance control that does as well as touch."""
+    sentences = []
+    for name, curve in figures["controls"].items():
+        right = figures["accuracy"]
+        as_good = [k for k in right if (curve or {}).get(k, -1) >= right[k]]
+        if as_good and name != "no contact":
+            sentences.append(
+                f"{name} alone does as well after {', '.join(as_good)} touches: the "
+                "recogniser may have learnt the recording, not the objects."
+            )
+    return sentences

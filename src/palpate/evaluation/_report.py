@@ -11,6 +11,7 @@ from .._durable import write_text
 from .._types import Floats
 from ..touches import as_shown, png_address
 from . import plots
+from ._controls import as_good_alone
 from ._metrics import calibration_bins, spread
 from ._report_why import explanations
 from ._trial import Trial, scored
@@ -68,6 +69,7 @@ def write_report(
     sections = [
         _head(figures),
         _accuracy(figures, trials),
+        "".join(f"<p><b>{escape(one)}</b></p>" for one in as_good_alone(figures)),
         _decisions(figures["decision"]),
         _confusion(figures, trials),
         explanations(figures, trials),

@@ -144,6 +144,7 @@ class LiveEpisode:
             "error": self.error,
             "decision": self.decision,
             "category": self.category,
+            "promise": self.belief.promise._asdict() if self.belief else None,
             "best": None if not self.touches or not self.belief else self.belief.best,
             "reason": self.reason,
             "touches": [touch.to_dict() for touch in self.touches],

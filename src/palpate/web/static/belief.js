@@ -71,13 +71,15 @@ function draw() {
 
 function drawDecision(n) {
   const place = find("decision");
-  const { decision, best, reason, category } = episode;
+  const { decision, best, reason, category, promise } = episode;
   const words = category && (decision === null || decision === "unknown") ? `A ${category}; which one I cannot tell`
     : decision === "unknown" ? "I do not know this one"
     : decision ?? (best ? `${best}?` : n ? "Not learnt yet" : "Touch something");
   text(place, words);
   place.className = decision === "unknown" ? "unknown" : decision ? "decided" : "undecided";
-  text(find("reason"), reason);
+  const worth = decision && decision !== "unknown" && promise ? ` From ${promise.n_units} things taught no more can be shown` +
+    ` than that at most ${percent(promise.bound)} of such names are wrong.` : "";
+  text(find("reason"), reason + worth);
   const now = `${episode.number} ${decision}`;
   if (decision && now !== announced) {
     say(decision === "unknown" ? "Unknown: I do not know this one." : `Decided: ${decision}. ` +
