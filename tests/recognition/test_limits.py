@@ -312,10 +312,12 @@ def test_a_share_of_values_exceeds_its_limit_at_most():
     assert limits[0.5] == 2
 
 
-def test_of_two_objects_nothing_is_called_unknown(rng):
+def test_of_two_objects_little_is_called_unknown(rng):
     limits = limits_of(left_out(2, rng))
-    assert (limits.refusing == 1).all()
     assert (limits.naming == LEVELS).all()
+    # "unknown" is what is far beyond all that was seen of both.
+    known = limits.quantiles.max()
+    assert_allclose(limits.refusing, 1 - (1 - known) * np.array(LEVELS) ** 2)
 
 
 def test_a_promise_is_the_bound_that_so_few_objects_allow(rng):

@@ -124,14 +124,16 @@ def test_decides_nothing_before_the_first_touch_and_the_object_when_sure(
         belief.decide(0.9)
 
 
-def test_touches_that_point_everywhere_are_unknown(recogniser):
+def test_touches_that_point_everywhere_are_never_named(recogniser):
     belief = recogniser.start()
     for column in (0, 1, 2) * 4:
         row = np.full(3, -5.0)
         row[column] = 0
         belief.update_from_log_likelihood(row)
-    assert belief.decide(0.05) == "unknown"
-    assert belief.reason(0.05).startswith("Unknown")
+    assert belief.unknown == pytest.approx(2 / 3, abs=0.01)
+    assert belief.decide(0.5, refusal=0.01) is None
+    assert belief.decide(0.05, refusal=0.5) == "unknown"
+    assert belief.reason(0.05, refusal=0.5).startswith("Unknown")
 
 
 def test_same_seed_same_bits(test_touches):

@@ -62,7 +62,8 @@ class PrincipalEncoder(ImageEstimator):
         self.first_ = self._first()
         features = self.first_.fit_transform(images)
         wanted = check_components(self.n_components)
-        if _are_alike(features):
+        # Features of one image that comes several times may differ by rounding.
+        if _are_alike(images) or _are_alike(features):
             raise ValueError(
                 "X must hold touches that differ, got "
                 f"{len(features)} with the same features. Learn from more touches."
@@ -279,8 +280,8 @@ def check_components(value: object, *, whole: bool = False) -> Components:
     return share
 
 
-def _are_alike(features: Floats) -> bool:
-    return len(features) < 2 or bool((features == features[0]).all())
+def _are_alike(rows: Array) -> bool:
+    return len(rows) < 2 or bool((rows == rows[0]).all())
 
 
 def _fitted(features: Floats, n_components: Components) -> PCA:

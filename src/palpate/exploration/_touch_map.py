@@ -324,6 +324,11 @@ class PlacedBelief(Belief):
         """The object that is most probable by the touches alone."""
         return str(self._judge.classes[self._touch_log_posterior.argmax()])
 
+    def _is_agreed(self) -> bool:
+        by_place = self.log_posterior - self._touch_log_posterior
+        said = log_softmax(self._said() + by_place, axis=-1)
+        return self._score(said) <= self._judge.limits.naming_limit(self._error)
+
     def _weigh(self) -> None:
         super()._weigh()
         prior = log_softmax(self._prior_and_senses()) - np.log(self._map.n_turns)

@@ -225,7 +225,6 @@ def fit_limits(
     n_touches), -1 where one is over; `n_units` stand for a `population`.
     """
     n_objects = len(left_out.log_prior)
-    # Of two objects nothing shows what a third would look like.
     missed = 1 / (n_units + 2) if n_objects > 2 else 0.0
     groups = category_codes(left_out.categories)
     usual = _usual(left_out)
@@ -251,7 +250,10 @@ def fit_limits(
             _tracks(left_out, scale, rows, groups, never=True) for rows in episodes
         )
     naming, wrong = _naming(known, never, missed)
-    refusing, quantiles = ones, known.scores
+    quantiles = known.scores
+    # Of two objects nothing shows what a third would look like; what is so far beyond
+    # any known episode is none of them.
+    refusing = 1 - (1 - known.scores.max()) * np.array(LEVELS) ** 2
     shares = np.full(len(known.scores), 1 / len(known.scores))
     if never is not None:
         quantiles = np.concatenate([known.scores, never.scores])
