@@ -19,6 +19,7 @@ from palpate.recognition._unknown import (
     fit_limits,
     upper_bound,
 )
+from palpate.simulation import DomeCamera, simulate_touches
 
 N_EACH = 30
 
@@ -598,3 +599,25 @@ def test_left_out_objects_score_as_those_that_were_never_learnt(monkeypatch):
     # Scores of 40 touches each, between 0 and 1.
     medians = [1 - np.exp(-np.median(nats)) for nats in (by_column, in_earnest)]
     assert medians[0] == pytest.approx(medians[1], abs=0.2)
+
+
+def test_a_thing_unlike_all_that_was_learnt_is_called_unknown():
+    """A ball of spikes beside smooth household objects, on a simulated dome."""
+    camera = DomeCamera(image_shape=(96, 96), n_nodes=40)
+    names = ("ball", "box", "mug", "pen", "stapler", "toothbrush")
+    learnt = simulate_touches(names, 40, camera, drift=False, random_state=0)
+    recogniser = ObjectRecogniser().fit(learnt)
+    again = simulate_touches(
+        (*names, "massage ball"), 12, camera, drift=False, random_state=1
+    )
+    ends = {}
+    for name, _, rows in again.episodes():
+        belief = recogniser.start()
+        for touch in again[rows]:
+            if (end := belief.update(touch).decide(0.05, refusal=0.1)) is not None:
+                break
+        ends[name] = end
+    assert ends.pop("massage ball") == "unknown"
+    right = [name == end for name, end in ends.items()]
+    assert sum(right) >= 5
+    assert "unknown" not in ends.values()
