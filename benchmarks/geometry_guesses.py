@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from shapely.geometry import Polygon
 
 from palpate.simulation import PARTS, Part, PressureArray, simulate_presses
-from palpate.studies.liu2014 import Neighbours, Twofold, encode, nested_figure
+from palpate.studies.liu2014.methods import Neighbours, Twofold, nested_figure
+from palpate.studies.liu2014.plan import encode
 
 N_PRESSES, RUNS, SEED = 20, 10, 0
 # In the order of their names, as in the study: 3-NN names the first of equal ones.

@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 CORE = {
     "recognition/_belief.py": "recognition/test_sequence.py",
     "recognition/_memory.py": "recognition/test_memory.py",
-    "recognition/_model_bounds.py": "recognition/test_hostile_models.py",
+    "recognition/_model_checks.py": "recognition/test_hostile_models.py",
     "classifiers/_kernel_ridge.py": "classifiers/test_kernel_ridge.py "
     "classifiers/test_growth.py",
     "touches/_pictures.py": "touches/test_touch_pictures.py",

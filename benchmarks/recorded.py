@@ -17,7 +17,7 @@ from palpate._durable import write_text
 from palpate.evaluation import Plan, evaluate, roc_area, split_touches
 from palpate.images import correct_gamma
 from palpate.recognition import doubts
-from palpate.studies import corradi2015
+from palpate.studies.corradi2015 import beside
 
 LENGTHS = (1, 3, 5, 10, 15, 20)
 SHIFT_PX, GAMMA = 2.5, 1.3
@@ -28,9 +28,7 @@ DRAWN_SEED = 20261121
 def main(folder: Path, out: Path, sections: list[str]) -> None:
     """Measure the sections asked for, or all; the others stay in the file."""
     touches = Touches.load(folder / "bathtip" / "bathtip50.npz")
-    photographs = corradi2015.read_photographs(
-        folder / "bathtip" / "visual_words50.npz"
-    )
+    photographs = beside.read_photographs(folder / "bathtip" / "visual_words50.npz")
     measures = {
         "ten": lambda: ten_objects(touches),
         "drawn": lambda: drawn_objects(touches),
@@ -152,7 +150,7 @@ def altered(touches: Touches) -> dict[str, object]:
 
 def moved(touches: Touches) -> dict[str, object]:
     """Learn 50 objects before the camera jumped and recognise after, both ways."""
-    found = corradi2015.moved(touches, lengths=LENGTHS, orders=N_ORDERS)
+    found = beside.moved(touches, lengths=LENGTHS, orders=N_ORDERS)
     result: dict[str, object] = {}
     for way, figures in found.items():
         result[way] = {"accuracy": figures["accuracy"], "n": figures["n_objects"]}
@@ -160,11 +158,11 @@ def moved(touches: Touches) -> dict[str, object]:
     return result
 
 
-def sight(touches: Touches, photographs: corradi2015.Photographs) -> dict[str, object]:
+def sight(touches: Touches, photographs: beside.Photographs) -> dict[str, object]:
     """Touch, one photograph, and both; 50 objects, then unseen objects' categories."""
     result: dict[str, object] = {}
-    for label in corradi2015.SPLIT_FOR:
-        right = corradi2015.sight(
+    for label in beside.SPLIT_FOR:
+        right = beside.sight(
             touches, photographs, label, lengths=LENGTHS, orders=N_ORDERS
         )
         result[label] = {

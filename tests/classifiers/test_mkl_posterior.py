@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from palpate.classifiers.mkl._posterior import (
+from palpate.classifiers.mkl._pairs import (
     all_pairs,
     couple,
     fit_sigmoids,

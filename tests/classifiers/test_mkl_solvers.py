@@ -27,10 +27,9 @@ from palpate.classifiers.mkl import (
     paper_kernels,
 )
 from palpate.classifiers.mkl._dense import DenseKernels
-from palpate.classifiers.mkl._interior import solve_interior
 from palpate.classifiers.mkl._kernels import FeatureBank, kernel_stack
 from palpate.classifiers.mkl._landmarks import LowRankKernels, NystroemBank
-from palpate.classifiers.mkl._problem import Point, Task
+from palpate.classifiers.mkl._problem import Point, Task, solve_interior
 from palpate.classifiers.mkl._simplemkl import solve_simplemkl
 
 # Seed, touches, price of errors, and whether kernels are of trace 1 or n.
@@ -434,8 +433,8 @@ def test_newtons_step_is_that_of_the_whole_matrices(rng, norm, draw):
         pulls = system.pulls(alpha)
         point = Point(left, right, np.concatenate([free, pulls], axis=1), 90)
         task = Task(system, bound, norm)
-        newton = system.newton(task, point, system.view(task, point))
-        steps.append(newton.direction(target))
+        step_to = system.newton(task, point, system.view(task, point))
+        steps.append(step_to(target))
     # The same linear system, eliminated in two orders.
     for name in ("left", "right", "bias", "level"):
         ours, reference = (getattr(step, name) for step in steps)

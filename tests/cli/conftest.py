@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import pytest
 
 from palpate.cli import main
+from palpate.recognition import Belief
 
 
 @dataclass
@@ -33,3 +34,16 @@ def palpate(capsys, monkeypatch):
         return Done(code, printed.out, printed.err)
 
     return run
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """At which shares of errors and refusals beliefs are asked to decide."""
+    found, plain = set(), Belief.decide
+
+    def decide(self, error=0.01, costs=None, *, refusal=None, level="object"):
+        found.add((error, refusal))
+        return plain(self, error, costs, refusal=refusal, level=level)
+
+    monkeypatch.setattr(Belief, "decide", decide)
+    return found

@@ -8,16 +8,18 @@ import sys
 import tomllib
 from importlib import metadata
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import typer
+from PIL import Image
 
 import palpate as package
 from palpate import Touches
 from palpate.cli import app
 from palpate.library import TouchLibrary
-from palpate.recognition import ObjectRecogniser
+from palpate.recognition import Belief, ObjectRecogniser
 
 NAMES = ("ball", "mug", "pen")
 ROOT = Path(__file__).parents[2]
@@ -88,6 +90,28 @@ def test_recognise_takes_a_refusal_and_a_level(palpate, archive, model):
     assert done.returncode == 1
     assert "the objects have none" in done.stderr
     assert "--level" not in done.stdout
+
+
+@pytest.mark.parametrize("level", ["object", "any"])
+def test_only_what_is_named_has_a_level(palpate, archive, model, monkeypatch, level):
+    said = ["unknown", "unknown", None]
+    plain, ends = Belief.decide, dict(zip(NAMES, said, strict=True))
+
+    def decide(self, *asked, level="object", **more):
+        end = plain(self, *asked, level=level, **more)
+        end = ends[self.best] if end else None
+        return (
+            SimpleNamespace(level="unknown", name=end)
+            if end and level == "any"
+            else end
+        )
+
+    monkeypatch.setattr(Belief, "decide", decide)
+    monkeypatch.setattr(Belief, "reason", lambda *asked, **more: "")
+    done = palpate("recognise", model, archive, "--level", level, "--json")
+    assert done.returncode == 0, done.stderr
+    episodes = json.loads(done.stdout)["episodes"]
+    assert [(e["decision"], e["level"]) for e in episodes] == [(s, None) for s in said]
 
 
 def test_recognise_draws_the_belief_for_people(palpate, archive, model):
@@ -297,3 +321,32 @@ def test_a_model_larger_than_asked_for_is_refused_unread(
     done = palpate(*arguments, "--max-model-mb", "0.001")
     assert done.returncode == 1
     assert "A model file must be at most 0.001 MB large" in done.stderr
+
+
+def test_levels_of_folders_are_named(palpate, tmp_path):
+    rng = np.random.default_rng(0)
+    for name, level in (("mug", 60), ("pen", 150)):
+        for session in ("mon", "tue"):
+            folder = tmp_path / "set" / name / session
+            folder.mkdir(parents=True)
+            for k in range(4):
+                picture = rng.normal(level, 20, (16, 16)).clip(0, 255).astype(np.uint8)
+                Image.fromarray(picture).save(folder / f"{k}.png")
+    archive, model = tmp_path / "set", tmp_path / "m.palpate"
+    named = palpate(
+        "learn", archive, "-o", model, "--levels", "object/session", "--json"
+    )
+    learnt = json.loads(named.stdout)
+    assert learnt["labels"] == ["mug", "pen"]
+    assert learnt["sessions"]["least"] == 2
+    plain = palpate("learn", archive, "-o", model)
+    assert "read as category/object; --levels says otherwise" in plain.stdout
+    as_before = json.loads(palpate("learn", archive, "-o", model, "--json").stdout)
+    kinds = palpate(
+        *["learn", archive, "-o", model, "--levels", "category/object", "--json"]
+    )
+    assert json.loads(kinds.stdout)["labels"] == as_before["labels"]
+    for words, why in (("session", "one of them object"), ("object/a b", "by a word")):
+        refused = palpate("learn", archive, "-o", model, "--levels", words)
+        assert refused.returncode == 1
+        assert why in refused.stderr

@@ -100,6 +100,16 @@ def test_flags_faults_and_what_moved_the_belief_are_given(palpate, model):
         assert {near["object"] for near in moved["nearest"]} <= {"ball", "box", "pen"}
 
 
+def test_a_refusal_reaches_the_belief(palpate, model, asked):
+    done = palpate(
+        "explore", "recognise", model, "ball", "--strategy", "random",
+        "--max-touches", 2, "--error", 0.02, "--refusal", 0.3,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    # One that is read is tried first, at the usual error.
+    assert asked - {(0.01, None)} == {(0.02, 0.3)}
+
+
 def test_every_fault_is_in_the_help(palpate):
     shown = palpate("explore", "recognise", "--help").stdout
     words = " ".join(shown.replace("│", " ").split())

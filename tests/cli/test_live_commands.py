@@ -1,5 +1,6 @@
 """`palpate record`, `live` and `serve`: the same loop, in the terminal."""
 
+import io
 import json
 import re
 import signal
@@ -93,6 +94,40 @@ def test_live_follows_an_episode_to_its_decision(palpate, replay, recording, tmp
     for episode in episodes:
         assert episode["best"] == "disc"
         assert 1 <= len(episode["touches"]) <= 5
+
+
+LEVELS = "--error", "0.02", "--refusal", "0.3"
+
+
+def test_live_decides_at_the_refusal_asked_for(
+    palpate, replay, recording, tmp_path, asked
+):
+    model = tmp_path / "model.palpate"
+    ObjectRecogniser().fit(Touches.load(recording)).save(model)
+    words = ["live", model, *replay, "--gap", "3", "-n", "2", *LEVELS, "--json"]
+    (episode,) = json.loads(palpate(*words).stdout)["episodes"]
+    assert (episode["error"], episode["refusal"]) == (0.02, 0.3)
+    # A model that is read is tried first, at the usual error.
+    assert asked - {(0.01, None)} == {(0.02, 0.3)}
+
+
+def test_serve_decides_at_the_refusal_asked_for(
+    palpate, monkeypatch, recording, tmp_path, asked
+):
+    pytest.importorskip("fastapi", reason='needs the extra "web"')
+    model, ends = tmp_path / "model.palpate", []
+    touches = Touches.load(recording)
+    ObjectRecogniser().fit(touches).save(model)
+
+    def run_app(app, opened):
+        asked.clear()
+        ends.append(app.state.session.post_touch(touches.images[0]))
+        opened.close()
+
+    monkeypatch.setattr("palpate.web.run_app", run_app)
+    assert palpate("serve", "--model", model, "--port", "0", *LEVELS).returncode == 0
+    assert [(end["error"], end["refusal"]) for end in ends] == [(0.02, 0.3)]
+    assert asked == {(0.02, 0.3)}
 
 
 def test_a_model_of_colours_is_refused_with_a_grey_sensor(
@@ -195,7 +230,7 @@ def test_live_says_why_a_model_does_not_suit_the_sensor(palpate, recording, tmp_
 def test_live_says_why_a_touch_was_not_taken(
     palpate, replay, recording, tmp_path, monkeypatch
 ):
-    def refuse(self, image, ended_s):
+    def refuse(self, *touch):
         raise ValueError("The touch is none.")
 
     model = tmp_path / "model.palpate"
@@ -302,3 +337,21 @@ def test_the_core_of_the_loop_needs_none_of_the_extras():
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == "[]"
+
+
+def test_record_in_two_mountings_makes_two_sessions(
+    palpate, replay, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n" * 1000))
+    archive = tmp_path / "bar.npz"
+    words = ["--sessions", "2", "--changed", "new gel", "--library", tmp_path / "lab"]
+    done = palpate(
+        *["record", "bar", *replay, "--gap", "40", "--place", "bar", "-n", "4"],
+        *[*words, "-o", archive],
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Lift the sensor and place it again" in done.stderr
+    names, counts = np.unique(Touches.load(archive).session, return_counts=True)
+    assert counts.tolist() == [2, 2]
+    assert sum("new gel" in name for name in names) == 1
+    assert sum("placed again" in name for name in names) == 1

@@ -187,3 +187,18 @@ def test_refusals(arguments, message):
 def test_a_plan_is_checked_before_anything_is_read(values, message):
     with pytest.raises(ValueError, match=message):
         Plan(**values)
+
+
+def test_calibration_is_told_before_and_after():
+    # Touches of one episode that share what moved them are not as many as they seem.
+    rng = np.random.default_rng(0)
+    parts = [drawn(seed, NAMES, noise=2.5) for seed in (0, 1)]
+    moved = [p.images + 3 * np.repeat(rng.normal(size=(8, 3, 24)), 8, 0) for p in parts]
+    sets = [
+        Touches(images, **p.columns, **p.whole)
+        for images, p in zip(moved, parts, strict=True)
+    ]
+    figures, _ = evaluate(*sets, plan=PLAN)
+    assert figures["ece"].keys() == figures["ece_before"].keys()
+    assert figures["ece"]["1"] == pytest.approx(figures["ece_before"]["1"])
+    assert figures["ece"]["6"] < figures["ece_before"]["6"]

@@ -64,7 +64,7 @@ def test_drawn_touches(recordings):
 @pytest.mark.parametrize(
     ("change", "split", "message"),
     [
-        (lambda t: t, "half", "'between', 'last', 'unseen-objects', got 'half'"),
+        (lambda t: t, "half", "'unseen-objects', 'session', 'subject', got 'half'"),
         (lambda t: t.without("object", "category"), "last", "column 'object'"),
         (lambda t: t.without("category"), "unseen-objects", "column 'category'"),
         (lambda t: t[:3], "last", "at least 4 touches to be split, got 3"),

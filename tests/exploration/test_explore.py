@@ -22,20 +22,22 @@ from palpate.recognition import ObjectRecogniser
 class SlowlySure:
     """A recogniser and its belief: sure of "ball" after a number of touches."""
 
-    def __init__(self, after=10**9, answer="ball"):
-        self.after, self.answer = after, answer
+    def __init__(self, after=10**9, answer="ball", refusal=None):
+        self.after, self.answer, self.refusal = after, answer, refusal
         self.seen = []
 
     def start(self):
-        return SlowlySure(self.after, self.answer)
+        return SlowlySure(self.after, self.answer, self.refusal)
 
     def update(self, touches):
         self.seen.extend(touches.images)
 
-    def decide(self, error):
+    def decide(self, error, refusal):
+        assert refusal == self.refusal
         return self.answer if len(self.seen) >= self.after else None
 
-    def reason(self, error):
+    def reason(self, error, refusal):
+        assert refusal == self.refusal
         return f"{len(self.seen)} touches seen."
 
 
@@ -51,6 +53,14 @@ def test_it_stops_when_decided(arm, sensor, answer):
     assert end.n_touches == len(end.history) == 4
     assert end.reason == "4 touches seen."
     assert_allclose(np.linalg.norm(arm.pose.position_mm), 100)
+
+
+def test_the_refusal_is_what_was_asked_for(arm, sensor):
+    knower = SlowlySure(2, refusal=0.2)
+    assert explore(arm, sensor, knower, STRATEGY, refusal=0.2).decision == "ball"
+    knower = SlowlySure(refusal=0.2)
+    with pytest.raises(AssertionError):
+        explore(arm, sensor, knower, STRATEGY, max_attempts=1)
 
 
 def test_it_stops_when_the_budget_is_spent(arm, sensor):

@@ -44,10 +44,10 @@ class Undecided:
     def update(self, touches):
         pass
 
-    def decide(self, error):
+    def decide(self, error, refusal):
         return None
 
-    def reason(self, error):
+    def reason(self, error, refusal):
         return "Undecided."
 
 

@@ -3,6 +3,7 @@
 import json
 import time
 import tracemalloc
+from copy import deepcopy
 
 import numpy as np
 import pytest
@@ -171,3 +172,12 @@ def test_what_could_not_be_read_is_not_written(tmp_path):
     with pytest.raises(ModelFileError, match="could not be read again"):
         model.save(tmp_path / "a.palpate")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["offset_", "weighing_", "drift_"])
+def test_what_is_added_to_a_touch_must_be_as_large_as_it(tmp_path, name):
+    # Else a small column would be spread over all features, a thousand times over.
+    model = deepcopy(models()[0])
+    setattr(model.encoder_, name, np.zeros((1000, 1)))
+    with pytest.raises(ModelFileError, match=f"its {name} has shape"):
+        ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))

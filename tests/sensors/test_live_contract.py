@@ -65,7 +65,8 @@ def test_the_contract_is_kept(sensor):
     ("change", "message"),
     [
         ({"unit": ""}, "unit must be a text"),
-        ({"image_shape": (2, 3, 2)}, "two positive integers, and 3 in colour"),
+        ({"image_shape": (2, 0)}, "two or three positive integers"),
+        ({"image_shape": (2, 3, 2)}, "channels must name each channel"),
         ({"geometry": "ball"}, "geometry must be one of"),
         ({"connect": lambda self: None}, "must return the sensor"),
         ({"disconnect": lambda self: None}, "connected must be False"),
@@ -342,7 +343,17 @@ def test_real_pictures_are_replayed_as_the_camera_wrote_them(data_folder):
     assert sensor.no_contact().shape == (480, 640)
 
 
-def test_touches_with_channels_are_not_replayed():
-    colour = Touches(np.zeros((1, 4, 4, 3)), channels=["r", "g", "b"])
-    with pytest.raises(SensorError, match=r"without channels.*got channels r, g, b"):
-        ReplaySensor(colour)
+@pytest.mark.parametrize("names", ["rgb", "bgr", "xyz", "abcdef"])
+def test_touches_with_channels_are_replayed_with_them(tmp_path, names):
+    images = np.arange(2 * 4 * 4 * len(names), dtype=np.uint8) + 1
+    recorded = Touches(images.reshape(2, 4, 4, -1), channels=[*names])
+    recorded.save(tmp_path / "touches.npz")
+    address = f"replay:{tmp_path}/touches.npz?rate=200&hold=1&gap=1"
+    check_sensor(open_sensor(address))
+    sensor = open_sensor(address)
+    assert sensor.channels == tuple(names)
+    assert sensor.image_shape == (4, 4, len(names))
+    with sensor:
+        frames = [sensor.read_next().image for _ in range(4)]
+    np.testing.assert_array_equal(frames[0], np.zeros_like(frames[0]))
+    np.testing.assert_array_equal(frames[1::2], recorded.images)

@@ -10,7 +10,7 @@ from shapely import contains_xy
 from shapely.geometry import Polygon
 
 from palpate.simulation import PARTS, Part, Press, PressureArray
-from palpate.simulation._contact import footprint, unevenness, window_influence
+from palpate.simulation._array import footprint, unevenness, window_influence
 
 IDEAL = PressureArray(gain_spread=0, dead_zone_kpa=0, noise_kpa=0)
 NUT, HEXAGON, SQUARE, DISC = "hexagon13-hole8", "hexagon13", "square13", "disc13"

@@ -86,3 +86,16 @@ def test_impossible_sets_are_refused(kwargs, error, message):
 def test_parts_are_checked_before_anything_is_pressed():
     with pytest.raises(ValueError, match="got 'nut'"):
         simulate_presses(["bar10", "nut"])
+
+
+def test_sessions_of_an_array_differ_more_between_than_within():
+    made = simulate_presses(
+        ["disc13"], 12, n_sessions=3, max_shift_mm=0, tilt_sd_deg=0, random_state=0
+    )
+    assert np.unique(made.session).tolist() == [0, 1, 2]
+    means = [made.images[made.session == s].mean(axis=0) for s in range(3)]
+    within = [made.images[made.session == s][:2].mean(axis=0) for s in range(3)]
+    between = np.abs(means[0] - means[1]).mean()
+    assert between > 2 * np.abs(means[0] - within[0]).mean()
+    alone = simulate_presses(["disc13"], 12, n_sessions=1, random_state=0)
+    assert set(alone.session) == {0}

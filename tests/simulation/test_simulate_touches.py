@@ -112,3 +112,15 @@ def test_processes_give_the_same_touches(tmp_path):
 def test_bad_sets_are_refused(arguments, error, message):
     with pytest.raises(error, match=message):
         simulate_touches(**{"objects": ["box"], "n_touches": 1, **arguments})
+
+
+def test_mountings_are_the_same_for_all_objects_and_differ_from_each_other():
+    camera = DomeCamera(image_shape=(48, 48), noise_sd=0, n_nodes=24)
+    way = {"n_sessions": 2, "random_state": 0, "keep_misses": True}
+    made = simulate_touches(["nothing"], 2, camera, mountings=True, **way)
+    first, second = made.images.astype(float)
+    assert np.abs(first - second).mean() > 1
+    other = simulate_touches(["nothing"], 4, camera, mountings=True, **way)
+    assert np.array_equal(other.images[0], other.images[1])
+    rng = np.random.default_rng(0)
+    assert camera.remounted(rng) != camera.remounted(rng)

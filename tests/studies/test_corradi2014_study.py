@@ -13,14 +13,10 @@ from palpate import Touches
 from palpate.encodings import OrientedPCA, ZernikePCA
 from palpate.evaluation import davies_bouldin
 from palpate.studies import STUDIES, run_study
-from palpate.studies.corradi2014 import (
+from palpate.studies.corradi2014 import Corradi2014Plan, pictures
+from palpate.studies.corradi2014.judging import (
     CANDIDATES,
-    CLASSIFIERS,
-    COUNTS,
-    TABLE_2,
-    Corradi2014Plan,
     Recording,
-    Shapes,
     answers,
     candidate_features,
     compare_fold,
@@ -30,8 +26,13 @@ from palpate.studies.corradi2014 import (
     holm,
     judge,
     judge_unseen,
+)
+from palpate.studies.corradi2014.plan import (
+    CLASSIFIERS,
+    COUNTS,
+    TABLE_2,
+    Shapes,
     near_duplicates,
-    pictures,
     recorded_shapes,
     variants,
 )

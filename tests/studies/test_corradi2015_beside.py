@@ -6,13 +6,9 @@ from numpy.testing import assert_array_equal
 
 from palpate import Touches
 from palpate.studies import STUDIES, corradi2015, run_study
-from palpate.studies.corradi2015 import (
-    Corradi2015Plan,
-    Objects,
-    beside_tasks,
-    moved_rows,
-    sight_rows,
-)
+from palpate.studies.corradi2015 import Corradi2015Plan, beside
+from palpate.studies.corradi2015.beside import beside_tasks, moved_rows, sight_rows
+from palpate.studies.corradi2015.plan import Objects
 
 NAMES = ("mug_a", "mug_b", "mug_c", "pen_a", "pen_b", "pen_c")
 PLAN = Corradi2015Plan(touches=(1, 5, 30), orders=4)
@@ -39,7 +35,7 @@ def photographed(names, archive, of_name):
     rows = [np.bincount([of_name(name)] * 40, minlength=12) for name in names]
     counts = np.repeat(rows, 8, axis=0)
     np.savez(archive, counts=counts, object=np.repeat(names, 8))
-    return corradi2015.read_photographs(archive)
+    return beside.read_photographs(archive)
 
 
 def test_photographs_are_roots_of_shares(tmp_path):
@@ -52,7 +48,7 @@ def test_photographs_are_roots_of_shares(tmp_path):
 def test_telling_photographs_help_touches_that_tell_nothing(rng, tmp_path):
     touches = drawn(NAMES, 1e3, rng)
     seen = photographed(NAMES, tmp_path / "w.npz", NAMES.index)
-    right = corradi2015.sight(touches, seen, "object", lengths=(1, 30), orders=20)
+    right = beside.sight(touches, seen, "object", lengths=(1, 30), orders=20)
     # "last" tests a quarter of 16 touches, so that nothing is said after 30.
     assert {sense: list(curve) for sense, curve in right.items()} == {
         "touch": [1],
@@ -69,7 +65,7 @@ def test_photographs_of_unseen_objects_name_their_category(rng, tmp_path):
     touches = drawn((*NAMES[:2], *NAMES[3:5]), 1, rng)
     of_kind = {name: 3 * name.startswith("pen") for name in NAMES}
     seen = photographed(NAMES, tmp_path / "w.npz", of_kind.__getitem__)
-    right = corradi2015.sight(touches, seen, "category", lengths=(1,), orders=4)
+    right = beside.sight(touches, seen, "category", lengths=(1,), orders=4)
     # Two folds, one object of each category in each.
     assert_array_equal(right["sight"][0], np.ones(4))
 
@@ -77,7 +73,7 @@ def test_photographs_of_unseen_objects_name_their_category(rng, tmp_path):
 def test_objects_without_photographs_are_left_out(rng, tmp_path):
     touches = drawn(NAMES, 0.1, rng)
     seen = photographed((*NAMES[:4], "key_a"), tmp_path / "w.npz", len)
-    right = corradi2015.sight(touches, seen, "object", lengths=(1,), orders=2)
+    right = beside.sight(touches, seen, "object", lengths=(1,), orders=2)
     assert_array_equal(right["touch"][1], np.ones(4))
 
 
@@ -103,21 +99,21 @@ def test_the_first_authors_figures_stand_beside_ours(rng, tmp_path):
 def test_a_jump_is_found_where_it_is(at, rng):
     centres = rng.normal(scale=0.1, size=(20, 2))
     centres[at:] += 6
-    assert corradi2015.jump_of(centres) == at
+    assert beside.jump_of(centres) == at
 
 
 def moved_touches(rng):
     """Two objects whose camera moved after seven touches, and two where it stood."""
-    names = (*corradi2015.MOVED[:2], "box_a", "can_a")
+    names = (*beside.MOVED[:2], "box_a", "can_a")
     order = np.tile(rng.permutation(16), 4)
     rim = rng.normal(scale=0.1, size=(64, 3))
     rim[:32][order[:32] >= 7] += 9
-    return drawn(names, 0.1, rng, order=order, **{corradi2015.RIM: rim})
+    return drawn(names, 0.1, rng, order=order, **{beside.RIM: rim})
 
 
 def test_touches_are_parted_where_the_camera_moved(rng):
     touches = moved_touches(rng)
-    early = corradi2015.before_the_move(touches)
+    early = beside.before_the_move(touches)
     assert_array_equal(early[:32], touches.order[:32] < 7)
     assert early[32:].all()
 
@@ -127,7 +123,7 @@ def test_moved_objects_are_tested_on_the_other_side_alone(rng):
     ours = [row for row in rows if row["recogniser"] == "default"]
     # Seven touches before the move, nine after: both ways one and five are answered.
     assert {(row["table"], row["touches"]) for row in ours} == {
-        (f"moved, {way}", k) for way in corradi2015.WAYS for k in (1, 5)
+        (f"moved, {way}", k) for way in beside.WAYS for k in (1, 5)
     }
     # These touches do not change as the camera moves.
     assert all(row["ours"] == 100 and row["objects"] == 2 for row in ours)
@@ -141,7 +137,7 @@ def test_what_is_missing_is_said(rng, tmp_path):
     assert "no object among bowl_whitebig" in skipped[1]
     (tmp_path / "bathtip").mkdir()
     photographed(NAMES, tmp_path / "bathtip" / "visual_words50.npz", NAMES.index)
-    without_rim = drawn((corradi2015.MOVED[0], "box_a"), 1, rng)
+    without_rim = drawn((beside.MOVED[0], "box_a"), 1, rng)
     tasks, skipped = beside_tasks(PLAN, without_rim, tmp_path)
     assert len(tasks) == 2
     assert "no columns 'order' and 'rim_circle" in skipped[0]
@@ -165,7 +161,8 @@ def test_the_study_asks_them_with_the_later_experiments(later, rng, monkeypatch)
         **{n: [] for n in ("unseen_rows", "timing_rows")},
     }
     for name, answer in stubs.items():
-        monkeypatch.setattr(corradi2015, name, lambda *_, it=answer: fresh(it))
+        place = corradi2015 if hasattr(corradi2015, name) else corradi2015.episodes
+        monkeypatch.setattr(place, name, lambda *_, it=answer: fresh(it))
     plan = Corradi2015Plan(later=later)
     result = run_study("corradi2015", plan=plan, workers=1, progress=False)
     assert [row["name"] for row in result["rows"]] == (["beside"] if later else [])

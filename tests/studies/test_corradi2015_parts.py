@@ -7,27 +7,31 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
 from palpate.recognition import ObjectRecogniser
-from palpate.studies.corradi2015 import (
-    N_FREQUENCIES,
-    N_RINGS,
+from palpate.studies.corradi2015 import Corradi2015Plan
+from palpate.studies.corradi2015.episodes import (
     Answered,
-    BagOfTouches,
-    ClusterBayes,
-    Corradi2015Plan,
-    Densities,
-    Encoded,
-    Encoder,
-    Mixtures,
-    Nuisance,
     Partition,
     accuracy,
     category_folds,
     confusion,
     draw_orders,
     draw_partition,
-    moment_normalised,
     only_idle,
+)
+from palpate.studies.corradi2015.plan import (
+    N_FREQUENCIES,
+    N_RINGS,
+    Encoded,
+    Encoder,
+    moment_normalised,
     polar_fourier,
+)
+from palpate.studies.corradi2015.recognisers import (
+    BagOfTouches,
+    ClusterBayes,
+    Densities,
+    Mixtures,
+    Nuisance,
 )
 
 ROW, COL = np.mgrid[:61, :61] - 30.0

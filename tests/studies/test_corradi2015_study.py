@@ -8,7 +8,8 @@ from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.studies import STUDIES, run_study
-from palpate.studies.corradi2015 import Corradi2015Plan, worst_pairs
+from palpate.studies.corradi2015 import Corradi2015Plan
+from palpate.studies.corradi2015.episodes import worst_pairs
 
 STUDY = STUDIES["corradi2015"]
 

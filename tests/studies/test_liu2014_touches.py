@@ -8,15 +8,17 @@ from palpate import Touches
 from palpate.simulation import PARTS, find_parts, simulate_presses
 from palpate.studies import recorded_touches
 from palpate.studies.liu2014 import (
-    CLASS_SETS,
     REAL,
     Liu2014Plan,
+    reposed_presses,
+    simulated_presses,
+)
+from palpate.studies.liu2014.plan import (
+    CLASS_SETS,
     count_pieces,
     encode,
     footprints,
     overlap,
-    reposed_presses,
-    simulated_presses,
 )
 
 

@@ -9,7 +9,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC
 
 from palpate.encodings import KernelPCA
-from palpate.studies.liu2014 import (
+from palpate.studies.liu2014.methods import (
     Fused,
     GaussianSVM,
     Half,

@@ -84,7 +84,7 @@ def test_twenty_pages_one_that_stops_reading_and_one_that_sends_much(
 
 
 def test_a_client_that_never_reads_is_let_go(make_session, serving, monkeypatch):
-    monkeypatch.setattr("palpate.web._websocket._PATIENCE_S", 0.3)
+    monkeypatch.setattr("palpate.web._app._PATIENCE_S", 0.3)
     session = make_session()
     with serving(session) as (address, token):
         slow = stopped_reader(address, token)

@@ -1,5 +1,6 @@
 """Touches with channels on the page: colour in colour, others as their mean."""
 
+import io
 import time
 
 import cv2
@@ -8,7 +9,7 @@ import pytest
 
 from palpate import Touches
 from palpate.library import TouchLibrary
-from palpate.sensors import CameraSensor
+from palpate.sensors import CameraSensor, ReplaySensor
 from palpate.web import LiveSession, learn_job
 
 
@@ -34,7 +35,8 @@ def shown(tmp_path, make_session, connected):
             grey = cv2.imencode(".png", image[..., 0])[1].tobytes()
             kind = {"content-type": "image/png"}
             refused = client.post("/api/touch/picture", content=grey, headers=kind)
-            assert "must have 60 x 60 x 3 taxels, got 60 x 60" in refused.text
+            assert f"60 x 60 taxels with channels {', '.join(channels)}" in refused.text
+            assert "got 60 x 60 in grey" in refused.text
         data = np.frombuffer(answer.content, np.uint8)
         return cv2.imdecode(data, cv2.IMREAD_COLOR)
 
@@ -53,6 +55,115 @@ def test_colour_is_shown_in_colour(shown):
 def test_other_channels_are_shown_as_their_mean(shown):
     picture = shown(red_left(), ["x", "y", "z"])
     assert len(np.unique(picture)) == 1
+
+
+def hues(rng, count):
+    """Blobs at random places over noise, of two hues of one luma, in red first."""
+    row, col = np.mgrid[:24, :32]
+    for hue in (98, 0, 0), (0, 50, 0):
+        places = rng.uniform((8, 8), (16, 24), (count, 2))
+        apart = [(row - y) ** 2 + (col - x) ** 2 for y, x in places]
+        blobs = np.exp(-np.array(apart) / 30)[..., np.newaxis] * hue
+        noise = rng.normal(scale=0.5, size=blobs.shape)
+        yield np.rint(60 + blobs + noise).astype(np.uint8)
+
+
+def as_png(image):
+    levels = image[..., ::-1] if image.ndim == 3 else image
+    return cv2.imencode(".png", levels)[1].tobytes(), "image/png"
+
+
+def as_npy(image):
+    written = io.BytesIO()
+    np.save(written, image)
+    return written.getvalue(), "application/x-npy"
+
+
+def posted(client, path, body):
+    content, kind = body
+    return client.post(path, content=content, headers={"Content-Type": kind})
+
+
+@pytest.mark.parametrize("coded", [as_png, as_npy])
+def test_colour_comes_through_the_api(
+    tmp_path, make_session, connected, learning_here, rng, coded
+):
+    library, model = tmp_path / "library", tmp_path / "library" / "model.palpate"
+    session = make_session(sensor=False, library=library)
+    taught = dict(zip(("rose", "leaf"), hues(rng, 7), strict=True))
+    with connected(session) as client:
+        for name, images in taught.items():
+            for image in images[:6]:
+                path = f"/api/teach/touch/picture?object={name}&colour=1"
+                assert posted(client, path, coded(image)).status_code == 200
+        session.learn(wait=True)
+        assert session.learn_error == ""
+    for options in ({"library": library}, {"library": None, "model": model}):
+        session = make_session(sensor=False, **options)
+        with connected(session) as client:
+            for name, images in taught.items():
+                client.post("/api/episode/start")
+                said = posted(client, "/api/touch/picture", coded(images[6])).json()
+                assert said["best"] == name
+            assert session.episode.as_touches().channels == ("r", "g", "b")
+            shown = client.get("/api/episode/touches/1/picture").content
+            assert seen(shown)[..., 1].max() > seen(shown)[..., 2].max()
+            grey = images[0][..., 1].copy()
+            for body in as_png(grey), as_npy(grey):
+                refused = posted(client, "/api/touch/picture", body)
+                assert refused.status_code == 422
+                assert "must have 24 x 32 taxels with channels r, g, b" in refused.text
+                assert "got 24 x 32 in grey" in refused.text
+
+
+def test_colour_is_refused_where_grey_was_learnt(make_session, connected, drawn):
+    image = drawn.images[0]
+    painted = np.stack([image, image, image // 2], axis=-1)
+    with connected(make_session(sensor=False)) as client:
+        path = "/api/teach/touch/picture?object=cup"
+        assert posted(client, path, as_png(image)).status_code == 200
+        for asked, body in ("&colour=1", as_png(painted)), ("", as_npy(painted)):
+            refused = posted(client, path + asked, body)
+            assert refused.status_code == 422
+            assert "must have 12 x 12 taxels in grey" in refused.text
+            assert "got 12 x 12 with 3 channels" in refused.text
+        # A picture in colour is read in grey, as those of folders are.
+        assert posted(client, path, as_png(painted)).status_code == 200
+        same = as_png(np.stack([image] * 3, axis=-1))
+        key = posted(client, path, same).json()["id"]
+        stored = client.session.teacher.library.image(key)
+        np.testing.assert_array_equal(stored, image)
+
+
+@pytest.mark.parametrize("names", ["rgb", "xyz", "abcdef"])
+def test_a_replay_with_channels_is_taught_and_shown(tmp_path, rng, names, connected):
+    parts = np.concatenate([*hues(rng, 6)])
+    images = np.concatenate([parts] * (len(names) // 3), axis=-1)
+    rest = np.full(images.shape[1:], 60, np.uint8)
+    things = np.repeat(["rose", "leaf"], 6)
+    recorded = Touches(images, object=things, channels=[*names], no_contact=rest)
+    sensor = ReplaySensor(recorded, rate_hz=200, hold=3, gap=3)
+    sensor.place(None)
+    session, events = LiveSession(sensor, library=tmp_path / "library"), []
+    session.listeners.add(events.append)
+    with connected(session) as client:
+        session.teach("rose", 3)
+        session.place("rose")
+        waited(lambda: session.teacher.lesson is None)
+        waited(lambda: session.episode.touches)
+        session.place(None)
+        (key, *_) = session.teacher.ids("rose", 3)
+        shown = seen(client.get(f"/api/touches/{key}/picture").content)
+        assert client.get("/api/episode/touches/1/picture").status_code == 200
+        assert session.teacher.touches("rose").channels == tuple(names)
+        assert session.episode.as_touches().channels == tuple(names)
+    assert session.trouble == ""
+    frames = [seen(event.picture) for event in events if event.kind == "frame"]
+    for picture in (max(frames, key=np.ptp), shown):
+        _, green, red = np.ptp(picture, axis=(0, 1))
+        assert red > 50
+        # Other channels are shown as one, in false colour.
+        assert (green < 20) == (names == "rgb")
 
 
 def test_touches_of_a_colour_are_learnt_apart_from_grey(tmp_path):

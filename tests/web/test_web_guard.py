@@ -163,7 +163,7 @@ def test_every_answer_says_what_a_browser_may_do(client, path, headers):
 
 
 def test_half_a_request_is_not_waited_for(client, monkeypatch):
-    monkeypatch.setattr("palpate.web._patience.HEAD_S", 0.2)
+    monkeypatch.setattr("palpate.web._request_guard._HEAD_S", 0.2)
     monkeypatch.setattr("palpate.web._request_guard._PART_S", 0.2)
     # What rests on a connection after an answer has uvicorn's 5 s.
     place = client.base_url.host, client.base_url.port

@@ -425,6 +425,7 @@ def test_an_unknown_object_is_taught_with_the_touches_just_made(
         expect(page.locator("#if-one")).to_be_visible()
         expect(page.locator("#bars")).to_have_class("doubtful")
         expect(page.locator("#step-3")).to_contain_text("unknown")
+        expect(page.locator("#strip li")).to_have_count(3)
         page.click("#teach-this")
         expect(page.locator("#first-touches")).to_contain_text("the 3 you just made")
         expect(page.locator("#name")).to_be_focused()
@@ -494,6 +495,52 @@ def test_a_button_that_cannot_be_pressed_says_why(page, hand, serving, tmp_path)
             expect(page.locator(f"#{name}")).to_be_disabled()
         for reason in ("take the baseline first", "nothing was taught", "two objects"):
             expect(page.locator("#why-not")).to_contain_text(reason)
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (390, 844)], ids=["desk", "phone"])
+def test_touches_that_are_alike_are_told_while_teaching_and_after_learning(
+    page, serving, drawn, tmp_path, learning_here, size
+):
+    """A disc touched twelve times in one place, and a bar that has two names."""
+    images = np.concatenate([drawn.images[:1].repeat(12, 0), drawn.images[30:60]])
+    names = ["disc"] * 12 + ["bar", "rod"] * 15
+    touches = Touches(images, object=names, no_contact=drawn.no_contact)
+    sensor = ReplaySensor(touches, rate_hz=60, hold=3, gap=3)
+    sensor.place(None)
+    session = LiveSession(sensor, library=tmp_path / "library")
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    with serving(session) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        expect(page.locator("#rate")).to_contain_text("Hz", timeout=PATIENT)
+        page.fill("#name", "disc")
+        page.press("#wanted", "Enter")
+        expect(page.locator("#elsewhere")).to_be_hidden()
+        page.select_option("#placed", "disc")
+        expect(page.locator("#elsewhere")).to_contain_text("touch it elsewhere")
+        expect(page.locator("#variety figcaption")).to_contain_text("1 of ")
+        expect(page.locator("#variety circle")).to_have_count(1)
+        expect(page.locator("#lesson-strip li").nth(1)).to_have_text("2 ≈ 1")
+        assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+        assert size[0] < 1000 or seen(page, "#elsewhere")
+        advice = page.locator("#advice li")
+        expect(advice).to_have_text(re.compile("Of 12 touches of disc 11 are like"))
+        clear(page)
+        session.teacher.library.add(touches[np.arange(12, len(touches))])
+        session.learn(wait=True)
+        expect(page.locator("#status")).to_contain_text("What to teach next")
+        said = [one for one in session.advice if "taken for" in one]
+        expect(advice).to_have_count(len(session.advice))
+        assert said
+        expect(page.locator("#advice")).to_contain_text(said[0])
+        for one in session.to_dict()["quality"]:
+            heading = page.get_by_role("heading", name=one["name"], exact=True)
+            words = page.locator("li.object", has=heading).locator(".quality")
+            right = round(one["after_one"] * one["n_touches"])
+            expect(words).to_contain_text(
+                f"{right} of {one['n_touches']} touches right"
+            )
+        expect(page.locator("#left-out")).to_be_visible()
+        assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
 
 
 LONG = "a_very_long_recording_of_things_that_were_touched_again_and_again_and_again"

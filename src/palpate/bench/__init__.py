@@ -11,12 +11,12 @@ from .._checks import check_option
 
 # The file of each, whose function `bench_<name>` it is, and what it measures.
 BENCHES: dict[str, tuple[str, str]] = {
-    "decode": ("_decode", "reading a folder of pictures, peak memory"),
+    "decode": ("_encodings", "reading a folder of pictures, peak memory"),
     "library": ("_library", "10^4 and 10^5 touches: adding, opening, likelihoods"),
     "library-large": ("_library", "the same with 10^6"),
     "encodings": ("_encodings", "from a picture to a vector, by stage"),
-    "latency": ("_latency", "from a JPEG to the new belief over 50 objects, by stage"),
-    "likelihood": ("_likelihood", "kernel densities per touch"),
+    "latency": ("_live", "from a JPEG to the new belief over 50 objects, by stage"),
+    "likelihood": ("_library", "kernel densities per touch"),
     "live": ("_live", "frames to a page, touches to a belief"),
     "mkl": ("_mkl", "multiple kernel learning beside MKLpy and SVC"),
     "simulate": ("_simulate", "touches of a simulated dome camera, by stage"),

@@ -1,7 +1,9 @@
 """From a 640 x 480 picture to a vector, stage by stage; Zernike moments beside peers.
 
 A touch is decoded, its rim found, its disc cut and standardised, and the disc
-encoded. CPU time on one thread for one touch at a time, as a robot has them.
+encoded. CPU time on one thread for one touch at a time, as a robot has them. Of
+decoding a whole folder, each side runs in a process of its own, so that its peak of
+memory is its own.
 
 Every peer of Zernike moments gets what it can prepare beforehand for free: centrosome
 its polynomials, the dense basis its matrix of the taxels inside the disc. mahotas
@@ -10,13 +12,15 @@ a batch stands their time for one image. mahotas drops taxels that are not posit
 are here.
 """
 
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from joblib import cpu_count
 from numpy.typing import NDArray
 
 from .._extras import missing
@@ -30,16 +34,45 @@ from ..encodings import (
 )
 from ..images import DomeCrop, crop_discs, standardise_discs
 from ._timing import (
+    N_COLS,
+    N_ROWS,
     Picture,
     Row,
     coded,
     cpu_ms,
     drawn_dome,
+    measured_apart,
     one_thread,
     real_touches,
     row,
 )
 
+_FRAME = """
+{work}
+before = peak_mib()
+spent = []
+for _ in range({repeats}):
+    images = None
+    wall, cpu = time.perf_counter(), time.process_time()
+    images = work(sys.argv[1])
+    spent.append((time.perf_counter() - wall, time.process_time() - cpu))
+wall, cpu = (1e3 * min(column) for column in zip(*spent))
+print(json.dumps(dict(wall_ms=wall, cpu_ms=cpu, before_mib=before,
+    peak_mib=peak_mib(), array_mib=images.nbytes / 2**20, n=len(images))))
+"""
+_OURS = """
+import cv2
+from palpate.touches import read_folder
+def work(folder): return read_folder(folder, progress=False).images
+"""
+_PEER = """
+from pathlib import Path
+import numpy as np
+from joblib import cpu_count
+from PIL import Image
+def work(folder): return np.stack([np.asarray(Image.open(p).convert('L'))
+    for p in sorted(Path(folder).rglob('*.jpg'))])
+"""
 Discs = NDArray[np.float32]
 Encode = Callable[[Array], Floats]
 _TYPES = ("float64", "float32", "uint8")
@@ -47,11 +80,51 @@ _N_TOUCHES = 32
 _SIZE = 128
 
 
+def bench_decode(
+    data: str | Path | None = None, *, repeats: int = 3, n_pictures: int = 772
+) -> list[Row]:
+    """Measure reading a folder of 640 x 480 JPEGs beside a plain Pillow loop.
+
+    Without real touches (`bathtip/originals`) `n_pictures` are drawn; the fastest of
+    `repeats` counts. Rows have CPU and wall time and peaks of memory in MiB.
+    """
+    real = real_touches(data)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        if real is None:
+            rng = np.random.default_rng(0)
+            pictures = [coded(drawn_dome(rng)) for _ in range(16)]
+            for touch in range(n_pictures):
+                picture = pictures[touch % len(pictures)]
+                (folder / f"img_{touch}.jpg").write_bytes(picture)
+        else:
+            # Without the picture of no contact among them.
+            originals = (real / "bathtip" / "originals").glob("*/*/*.jpg")
+            for number, path in enumerate(sorted(originals)):
+                (folder / f"img_{number}.jpg").symlink_to(path.resolve())
+        # Once, so that neither side waits for the disk.
+        for path in folder.iterdir():
+            path.read_bytes()
+        ours, peer = (
+            measured_apart(_FRAME.format(work=work, repeats=repeats), folder)
+            for work in (_OURS, _PEER)
+        )
+    size = f"{ours['n']:.0f} x {N_COLS} x {N_ROWS} uint8 JPEG"
+    facts = {"n_cores": cpu_count(), "array_mib": ours["array_mib"]}
+    facts |= {"peak_mib": ours["peak_mib"], "peak_before_mib": ours["before_mib"]}
+    facts["peer_peak_mib"] = peer["peak_mib"]
+    name = f"{size} {'drawn' if real is None else 'real'} folder"
+    return [
+        row(f"{name} {of}", ours[f"{of}_ms"], "Pillow loop", peer[f"{of}_ms"], **facts)
+        for of in ("cpu", "wall")
+    ]
+
+
 def bench_encodings(
     data: str | Path | None = None,
     *,
     seconds: float = 0.3,
-    names: list[str] | None = None,
+    names: Sequence[str] = tuple(ENCODINGS),
 ) -> list[Row]:
     """Time each stage on its own, then each encoding, by default all there are.
 
@@ -66,9 +139,8 @@ def bench_encodings(
             row(f"640 x 480 {kind} {name}", ms, reason="a stage of ours")
             for name, ms in stages.items()
         ]
-        for name in ENCODINGS if names is None else names:
-            rows.append(_encoding_row(name, kind, discs, stages, seconds))
-    return rows
+        known = (kind, discs, stages, seconds)
+        return rows + [_encoding_row(name, *known) for name in names]
 
 
 def bench_zernike(
@@ -112,9 +184,7 @@ def _stages(pictures: list[Picture], seconds: float) -> tuple[dict[str, float], 
     stages: dict[str, Callable[[int], object]] = {
         "decoding": lambda i: _decoded(pictures[i]),
         "rim finding": lambda i: crop.rims(images[i : i + 1]),
-        "cropping": lambda i: crop_discs(
-            images[i : i + 1], rims[i : i + 1], radius, size
-        ),
+        "cropping": lambda i: crop_discs(images[[i]], rims[i : i + 1], radius, size),
         "standardising": lambda i: standardise_discs(discs[i : i + 1]),
     }
     times = {name: _each(stage, seconds) for name, stage in stages.items()}
@@ -136,17 +206,9 @@ def _encoding_row(
     crop = stages["cropping"] + stages["standardising"]
     parts = {"decode": stages["decoding"], "rim": stages["rim finding"]}
     parts |= {"crop": crop, "encode": encode}
-    whole = sum(parts.values())
-    shares: dict[str, Any] = {
-        f"share_{part}": 100 * ms / whole for part, ms in parts.items()
-    }
-    return row(
-        f"640 x 480 {kind} encoding {name}",
-        encode,
-        **_peer(name, discs, seconds),
-        touch_ms=crop + encode,
-        **shares,
-    )
+    shares = {f"share_{p}": 100 * ms / sum(parts.values()) for p, ms in parts.items()}
+    facts = {**_peer(name, discs, seconds), "touch_ms": crop + encode, **shares}
+    return row(f"640 x 480 {kind} encoding {name}", encode, **facts)
 
 
 def _peer(name: str, discs: Discs, seconds: float) -> dict[str, Any]:
@@ -165,9 +227,8 @@ def _peer(name: str, discs: Discs, seconds: float) -> dict[str, Any]:
 
 def _each(function: Callable[[int], object], seconds: float) -> float:
     """Milliseconds for one touch, taking turns among all."""
-    return (
-        cpu_ms(lambda: [function(i) for i in range(_N_TOUCHES)], seconds) / _N_TOUCHES
-    )
+    whole_ms = cpu_ms(lambda: [function(i) for i in range(_N_TOUCHES)], seconds)
+    return whole_ms / _N_TOUCHES
 
 
 def _pictures(data: Path | None) -> list[Picture]:

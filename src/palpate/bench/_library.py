@@ -1,13 +1,18 @@
-"""A library of touches as it grows: adding, opening, bytes, and likelihoods.
+"""Kernel densities per touch, and a library of touches as it grows.
 
-Features are those of real touches of the dome camera (the folder PALPATE_DATA names),
-drawn with replacement per object, with normal noise of 0.3 times each object's
-standard deviation per feature; without the folder, features of random places. The
-touches recognised are real ones that were held out. Resampled touches crowd about the
-few that were really made, which flatters an index: the share of equal decisions says
-how it does here, not on a million touches that are all different.
+Densities stand beside a bare matrix product and two float64 peers. The product is the
+floor: any exact density has to multiply the new touches by all stored ones.
+scikit-learn's trees return wrong densities in this many dimensions, so its
+`KernelDensity` gets one leaf that holds everything.
 
-The library itself holds small images (10 x 10 uint8) drawn at random.
+Of a library: adding, opening, bytes, and likelihoods. Features are those of real
+touches of the dome camera (the folder PALPATE_DATA names), drawn with replacement per
+object, with normal noise of 0.3 times each object's standard deviation per feature;
+without the folder, features of random places. The touches recognised are real ones that
+were held out. Resampled touches crowd about the few that were really made, which
+flatters an index: the share of equal decisions says how it does here, not on a million
+touches that are all different. The library itself holds small images (10 x 10 uint8)
+drawn at random.
 """
 
 import os
@@ -18,6 +23,9 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.distance import cdist
+from scipy.special import logsumexp
+from sklearn.neighbors import KernelDensity
 
 from .._types import Array, Floats
 from ..classifiers import KernelDensityBayes, KernelDensityIndex
@@ -25,6 +33,10 @@ from ..library import TouchLibrary
 from ..touches import Touches
 from ._timing import Row, cpu_ms, one_thread, real_touches, row, wall_ms
 
+SHAPES = ((10, 60), (50, 24), (50, 94))  # objects, touches of each
+BATCHES = (1, 64)
+
+Measure = Callable[[Floats], Floats]
 SIZES = (10_000, 100_000)
 LARGE = (1_000_000,)
 N_OBJECTS = 50
@@ -35,16 +47,82 @@ _PRODUCT = "float32 matrix product"
 _AT_ONCE = 50_000
 _ADDED_SINGLY = 20
 
-Rows = list[Row]
+
+def bench_likelihood(
+    *, n_features: int = 22, seconds: float = 0.3, random_state: int = 0
+) -> list[Row]:
+    """Time log-likelihoods per touch; `error_nats` is our largest from float64."""
+    rng = np.random.default_rng(random_state)
+    rows = []
+    with one_thread():
+        for n_objects, n_each in SHAPES:
+            labels = np.repeat(np.arange(n_objects), n_each)
+            centres = rng.normal(size=(n_objects, n_features))
+            stored = centres[labels] + rng.normal(size=(len(labels), n_features))
+            size = f"{n_objects} objects x {n_each} touches, {n_features} features"
+            for n_touches in BATCHES:
+                new = rng.normal(size=(n_touches, n_features))
+                mode = "single" if n_touches == 1 else f"batch {n_touches}"
+                name = f"{size}, float32 {mode}"
+                rows += _rows(name, stored, labels, new, seconds)
+    return rows
+
+
+def _rows(
+    name: str, stored: Floats, labels: Array, new: Floats, seconds: float
+) -> list[Row]:
+    """Time ours and every peer at one size."""
+    model = KernelDensityBayes(precision="single").fit(stored, labels)
+    peers = _peers(stored, labels)
+    reference = peers["scipy cdist + logsumexp, float64"](new)
+    error = float(np.abs(model.log_likelihood(new) - reference).max())
+    ours = cpu_ms(lambda: model.log_likelihood(new), seconds) / len(new)
+    times = {
+        peer: cpu_ms(partial(measure, new), seconds) / len(new)
+        for peer, measure in peers.items()
+    }
+    return [row(name, ours, peer, ms, error_nats=error) for peer, ms in times.items()]
+
+
+def _peers(stored: Floats, labels: Array) -> dict[str, Measure]:
+    """Return what is measured beside ours; preparation is free."""
+    columns = np.ascontiguousarray(stored.T, dtype=np.float32)
+    deviations = stored.std(axis=0, ddof=1)
+    whitened = stored / deviations
+    parts = np.split(whitened, np.flatnonzero(np.diff(labels)) + 1)
+    trees = [KernelDensity(leaf_size=len(part)).fit(part) for part in parts]
+    log_volume = np.log(deviations).sum()
+    gaussian = log_volume + stored.shape[1] * np.log(2 * np.pi) / 2
+
+    def product(new: Floats) -> Floats:
+        return np.asarray(new.astype(np.float32) @ columns)
+
+    def one_leaf(new: Floats) -> Floats:
+        x = new / deviations
+        scores = [tree.score_samples(x) for tree in trees]
+        return np.asarray(np.stack(scores, axis=1) - log_volume)
+
+    def written_out(new: Floats) -> Floats:
+        x = new / deviations
+        sums = [logsumexp(cdist(x, p, "sqeuclidean") / -2, axis=1) for p in parts]
+        counts = [len(part) for part in parts]
+        logs: Floats = np.stack(sums, axis=1) - np.log(counts) - gaussian
+        return logs
+
+    return {
+        "float32 matrix product": product,
+        "scipy cdist + logsumexp, float64": written_out,
+        "scikit-learn KernelDensity leaf_size=n": one_leaf,
+    }
 
 
 def bench_library(
     sizes: tuple[int, ...] = SIZES, *, seconds: float = 0.5, random_state: int = 0
-) -> Rows:
+) -> list[Row]:
     """Measure libraries of `sizes` touches, and exact and indexed likelihoods."""
     real = _real_features()
     kind = "random" if real is None else "resampled real"
-    rows: Rows = []
+    rows: list[Row] = []
     with one_thread():
         for size in sizes:
             with tempfile.TemporaryDirectory() as folder:
@@ -56,12 +134,12 @@ def bench_library(
     return rows
 
 
-def bench_library_large(*, seconds: float = 0.5, random_state: int = 0) -> Rows:
+def bench_library_large(*, seconds: float = 0.5, random_state: int = 0) -> list[Row]:
     """Measure at 10^6 touches; takes about ten minutes and 3 GB."""
     return bench_library(LARGE, seconds=seconds, random_state=random_state)
 
 
-def _store_rows(folder: Path, size: int, seed: int) -> Rows:
+def _store_rows(folder: Path, size: int, seed: int) -> list[Row]:
     """Add, open, list and count; times are of the wall, as disks take them."""
     with TouchLibrary.open(folder / "library", create=True) as library:
 
@@ -131,7 +209,7 @@ def _touches(first: int, count: int, seed: int) -> Touches:
 
 def _likelihood_rows(
     name: str, stored: Floats, labels: Array, new: Floats, seconds: float
-) -> Rows:
+) -> list[Row]:
     """Time the exact sums, then the index beside them."""
     model = KernelDensityBayes().fit(stored, labels)
     some = {"single": new[:1], "batch 64": new[:64]}
@@ -142,7 +220,9 @@ def _likelihood_rows(
             for mode, asked in some.items()
         }
 
-    exact, product = each_ms(model.log_likelihood), each_ms(_product(model))
+    columns = np.ascontiguousarray(model.points_.T, dtype=np.float32)
+    exact = each_ms(model.log_likelihood)
+    product = each_ms(lambda new: new[:, : len(columns)].astype(np.float32) @ columns)
     known = {"megabytes": (model.points_.nbytes + model.tiles_.nbytes) / 2**20}
     rows = [
         row(f"{name}, exact {mode}", ms, _PRODUCT, product[mode], **known)
@@ -162,11 +242,6 @@ def _likelihood_rows(
     for mode, ms in each_ms(index.log_likelihood).items():
         rows.append(row(f"{name}, index {mode}", ms, "exact", exact[mode], **facts))
     return rows
-
-
-def _product(model: KernelDensityBayes) -> Callable[[Floats], object]:
-    columns = np.ascontiguousarray(model.points_.T, dtype=np.float32)
-    return lambda new: new[:, : len(columns)].astype(np.float32) @ columns
 
 
 def _real_features() -> tuple[Floats, Array] | None:
@@ -189,7 +264,12 @@ def _features(
 ) -> tuple[Floats, Array, Floats]:
     """Return stored features, their objects, and features of held-out touches."""
     rng = np.random.default_rng(seed)
-    values, objects = _random_features(rng) if real is None else real
+    if real is None:
+        objects = np.repeat(np.arange(N_OBJECTS), 40)
+        centres = rng.normal(size=(N_OBJECTS, max(WIDTHS)))
+        values = centres[objects] + rng.normal(size=(len(objects), max(WIDTHS)))
+    else:
+        values, objects = real
     if n_features < values.shape[1]:
         from sklearn.decomposition import PCA
 
@@ -204,9 +284,3 @@ def _features(
         drawn = own[rng.integers(0, len(own), int(mine.sum()))]
         stored[mine] = drawn + NOISE * own.std(axis=0) * rng.normal(size=drawn.shape)
     return stored, labels, values[held_out][:N_TESTED]
-
-
-def _random_features(rng: np.random.Generator) -> tuple[Floats, Array]:
-    objects = np.repeat(np.arange(N_OBJECTS), 40)
-    centres = rng.normal(size=(N_OBJECTS, max(WIDTHS)))
-    return centres[objects] + rng.normal(size=(len(objects), max(WIDTHS))), objects

@@ -1,6 +1,10 @@
-"""How fast the live loop is: frames to a page, a touch to its belief, an array.
+"""How fast touching goes: a picture to the new belief, frames to a page, an array.
 
-Everything runs in this process: a replayed sensor, the server, and a client that
+`latency` starts from a 640 x 480 JPEG in memory, with 90 training touches of each of 50
+objects, on one core. The pictures are drawn: domes with dents at random places; what is
+measured is time, not recognition.
+
+`live` runs everything in this process: a replayed sensor, the server, and a client that
 reads its websocket as a page does. Wall time counts here, since a stream is paced by
 its sensor; the CPU time of the whole process stands beside it.
 """
@@ -14,14 +18,74 @@ from typing import Any
 
 import numpy as np
 
-from ..touches import Touches
-from ._timing import N_COLS, N_ROWS, Row, drawn_dome, one_thread, row
+from ..recognition import ObjectRecogniser
+from ..touches import Touches, decode_bytes
+from ._timing import N_COLS, N_ROWS, Row, coded, drawn_dome, one_thread, row
 
+STAGES = ("decode", "clean up", "encode", "likelihood", "belief")
 _N_TOUCHES = 12
 _OFFERED_HZ = 30.0
 _STREAM = f"{N_COLS} x {N_ROWS} uint8 replay"
 _WAYS = ("frame to", "touch to belief at")
 _NO_PEER = "no other tool shows a belief over objects live"
+
+
+def bench_latency(
+    n_objects: int = 50,
+    n_each: int = 90,
+    n_asked: int = 200,
+    presets: tuple[str, ...] = ("default", "corradi2015"),
+) -> list[Row]:
+    """Measure stages of single touches: median and 99th percentile of wall time, ms."""
+    train = _draw(n_objects, n_each, seed=0)
+    asked = _draw(n_objects, -(-n_asked // n_objects), seed=1)
+    pictures = [coded(image) for image in asked.images[:n_asked]]
+    rows = []
+    with one_thread():
+        for preset in presets:
+            recogniser = ObjectRecogniser(preset).fit(train)
+            for picture in pictures[:3]:
+                _one(recogniser, picture)
+            seconds = np.array([_one(recogniser, picture) for picture in pictures])
+            stages = np.column_stack([seconds, seconds.sum(axis=1)]) * 1e3
+            for name, ms in zip((*STAGES, "in all"), stages.T, strict=True):
+                shown = f"{n_objects} objects {preset} {name}"
+                late = float(np.quantile(ms, 0.99))
+                known = {"p99_ms": late, "reason": "no peer does this"}
+                rows.append(row(shown, float(np.median(ms)), "none", None, **known))
+    return rows
+
+
+def _one(recogniser: ObjectRecogniser, picture: bytes) -> list[float]:
+    """Seconds of each stage for one touch, the second of its episode."""
+    encoder = recogniser.encoder_
+    belief = recogniser.start()
+    clock = time.perf_counter
+    times = [clock()]
+    touch = Touches(decode_bytes(picture)[np.newaxis])
+    times.append(clock())
+    cleaned = encoder.clean(touch)
+    recogniser.contact_.flags(touch, cleaned)
+    times.append(clock())
+    features = encoder.encode(cleaned)
+    times.append(clock())
+    log_likelihood = recogniser.classifier_.log_likelihood(features)
+    times.append(clock())
+    belief.update_from_log_likelihood(log_likelihood, features=features)
+    belief.decide()
+    times.append(clock())
+    return np.diff(times).tolist()
+
+
+def _draw(n_objects: int, n_each: int, seed: int) -> Touches:
+    """Draw touches of objects whose dents differ in length and width."""
+    rng = np.random.default_rng(seed)
+    numbers = np.repeat(np.arange(n_objects), n_each)
+    images = [
+        drawn_dome(rng, (20.0 + 7 * (n % 10), 20.0 + 12 * (n // 10))) for n in numbers
+    ]
+    names = [f"object {n:02d}" for n in numbers]
+    return Touches(np.stack(images), object=names, geometry="dome")
 
 
 def bench_live(seconds: float = 8.0) -> list[Row]:
@@ -36,38 +100,40 @@ def bench_live(seconds: float = 8.0) -> list[Row]:
 
 def _watched(seconds: float) -> list[Row]:
     """Serve a replayed camera that recognises, and read its websocket."""
-    from ..recognition import ObjectRecogniser
-    from ..sensors import ReplaySensor
-    from ..web import LiveSession
+    from websockets.sync.client import connect
 
-    touches = _drawn()
+    from ..sensors import ReplaySensor
+    from ..web import LiveSession, create_app, open_socket, server_of
+
+    # A dome touched by a round and a long thing.
+    rng = np.random.default_rng(0)
+    kinds = {"ball": (55.0, 55.0), "edge": (24.0, 110.0)}
+    touches = Touches(
+        [drawn_dome(rng, size) for size in kinds.values() for _ in range(_N_TOUCHES)],
+        object=np.repeat(list(kinds), _N_TOUCHES),
+        no_contact=drawn_dome(None),
+        geometry="dome",
+    )
     with tempfile.TemporaryDirectory() as folder:
         model = ObjectRecogniser().fit(touches).save(Path(folder) / "m.palpate")
         sensor = ReplaySensor(touches, rate_hz=_OFFERED_HZ, hold=4, gap=4)
         session = LiveSession(sensor, model=model)
-        return _read_page(session, seconds)
-
-
-def _read_page(session: Any, seconds: float) -> list[Row]:
-    from websockets.sync.client import connect
-
-    from ..web import create_app, open_socket, server_of
-
-    opened = open_socket("127.0.0.1", 0)
-    server = server_of(create_app(session, "bench"), log_level="error")
-    thread = threading.Thread(target=server.run, args=([opened],), daemon=True)
-    thread.start()
-    while not server.started:
-        time.sleep(0.01)
-    port = opened.getsockname()[1]
-    try:
-        with connect(f"ws://127.0.0.1:{port}/ws?token=bench", max_size=None) as page:
-            page.recv()
-            return _page_rows(page, seconds)
-    finally:
-        server.should_exit = True
-        thread.join(10)
-        opened.close()
+        opened = open_socket("127.0.0.1", 0)
+        server = server_of(create_app(session, "bench"), log_level="error")
+        thread = threading.Thread(target=server.run, args=([opened],), daemon=True)
+        thread.start()
+        while not server.started:
+            time.sleep(0.01)
+        port = opened.getsockname()[1]
+        try:
+            address = f"ws://127.0.0.1:{port}/ws?token=bench"
+            with connect(address, max_size=None) as page:
+                page.recv()
+                return _page_rows(page, seconds)
+        finally:
+            server.should_exit = True
+            thread.join(10)
+            opened.close()
 
 
 def _page_rows(page: Any, seconds: float) -> list[Row]:
@@ -127,15 +193,3 @@ def _array_row(seconds: float) -> Row:
 
 def _alone(name: str, ours_ms: float, **extra: Any) -> Row:
     return row(name, ours_ms, reason=_NO_PEER, **extra)
-
-
-def _drawn() -> Touches:
-    """Draw touches of a dome by a round and a long thing."""
-    rng = np.random.default_rng(0)
-    kinds = {"ball": (55.0, 55.0), "edge": (24.0, 110.0)}
-    return Touches(
-        [drawn_dome(rng, size) for size in kinds.values() for _ in range(_N_TOUCHES)],
-        object=np.repeat(list(kinds), _N_TOUCHES),
-        no_contact=drawn_dome(None),
-        geometry="dome",
-    )

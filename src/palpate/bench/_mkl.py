@@ -65,7 +65,13 @@ def bench_mkl(
     *, seconds: float = 1.0, large: bool = True, random_state: int = 0
 ) -> list[Row]:
     """Time learning from kernels and features; `large`: from 10^5 touches, a minute."""
-    case = _draw(random_state)
+    # Touches of 12 classes in 40 features, fused to 20 by kernel PCA.
+    rng = np.random.default_rng(random_state)
+    codes = np.repeat(np.arange(_N_CLASSES), _PER_CLASS)
+    centres = 0.7 * rng.normal(size=(_N_CLASSES, 40))
+    raw, other = centres[codes] + rng.normal(size=(2, len(codes), 40))
+    fusion = KernelPCA(n_components=_N_FEATURES).fit(raw)
+    case = _Case(fusion.transform(raw), fusion.transform(other), codes)
     rows = []
     with one_thread():
         for C in _PRICES:
@@ -97,16 +103,6 @@ class _Case:
         return learn, others[0] if others else None
 
 
-def _draw(random_state: int) -> _Case:
-    """Touches of 12 classes in 40 features, fused to 20 by kernel PCA."""
-    rng = np.random.default_rng(random_state)
-    codes = np.repeat(np.arange(_N_CLASSES), _PER_CLASS)
-    centres = 0.7 * rng.normal(size=(_N_CLASSES, 40))
-    raw, other = centres[codes] + rng.normal(size=(2, len(codes), 40))
-    fusion = KernelPCA(n_components=_N_FEATURES).fit(raw)
-    return _Case(fusion.transform(raw), fusion.transform(other), codes)
-
-
 def _rows(case: _Case, C: float, seconds: float, what: str) -> list[Row]:
     """Time ours, one machine per kernel, and EasyMKL, at one of three jobs."""
     given, recognise = "given" in what, "recognise" in what
@@ -124,7 +120,11 @@ def _rows(case: _Case, C: float, seconds: float, what: str) -> list[Row]:
             machine.predict(case.others)
 
     def plain() -> None:
-        _fit_each(case.codes, C, *stacks())
+        learn, others = stacks()
+        for k, kernel in enumerate(learn):
+            fitted = SVC(kernel="precomputed", C=C).fit(kernel, case.codes)
+            if others is not None:
+                fitted.predict(others[k])
 
     def easy(model: Any, tensors: Tensors) -> None:
         learn, others = stacks()
@@ -176,15 +176,6 @@ def _kernel(kernel: Any, left: Floats, right: Floats) -> Floats:
         known = {"degree": kernel.degree, "gamma": 1, "coef0": 1}
         return np.asarray(polynomial_kernel(left, right, **known))
     return np.asarray(rbf_kernel(left, right, gamma=1 / (2 * kernel.sigma**2)))
-
-
-def _fit_each(
-    codes: Array, C: float, stack: Floats, others: Floats | None = None
-) -> None:
-    for k, kernel in enumerate(stack):
-        machine = SVC(kernel="precomputed", C=C).fit(kernel, codes)
-        if others is not None:
-            machine.predict(others[k])
 
 
 def _walk(stack: Floats, codes: Array, pairs: Array, C: float) -> None:

@@ -28,7 +28,21 @@ Approach = tuple[PlacedObject, SensorPose]
 def bench_simulate(seconds: float = 0.5) -> list[Row]:
     """Time household touches: all, rays, contact (the rest of a press), picture."""
     with one_thread():
-        approaches = _approaches()
+        # Poses that meet their objects, all from the upper half, mixed.
+        rng = np.random.default_rng(0)
+        camera = DomeCamera()
+        approaches: list[Approach] = []
+        for thing in HOUSEHOLD:
+            placed = PlacedObject.resting(thing)
+            wanted = len(approaches) + _TOUCHES_PER_OBJECT
+            while len(approaches) < wanted:
+                outward = rng.normal(size=3)
+                outward[2] = abs(outward[2])
+                outward /= np.linalg.norm(outward)
+                goal = placed.centre_mm + rng.normal(0, 5, 3)
+                pose = SensorPose(goal + 300 * outward, -outward)
+                if camera.press(placed, pose).touched:
+                    approaches.append((placed, pose))
         return [_dome_row(shape, approaches, seconds) for shape in _SHAPES]
 
 
@@ -36,25 +50,6 @@ def bench_simulate_array(seconds: float = 0.5) -> list[Row]:
     """Time a press, the mean over 12 parts at ever new places and angles."""
     with one_thread():
         return [_array_row(size, seconds) for size in _ARRAY_SIZES]
-
-
-def _approaches() -> list[Approach]:
-    """Poses that meet their objects, all from the upper half, mixed."""
-    rng = np.random.default_rng(0)
-    camera = DomeCamera()
-    found: list[Approach] = []
-    for thing in HOUSEHOLD:
-        placed = PlacedObject.resting(thing)
-        wanted = len(found) + _TOUCHES_PER_OBJECT
-        while len(found) < wanted:
-            outward = rng.normal(size=3)
-            outward[2] = abs(outward[2])
-            outward /= np.linalg.norm(outward)
-            goal = placed.centre_mm + rng.normal(0, 5, 3)
-            pose = SensorPose(goal + 300 * outward, -outward)
-            if camera.press(placed, pose).touched:
-                found.append((placed, pose))
-    return found
 
 
 def _dome_row(

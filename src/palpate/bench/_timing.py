@@ -8,8 +8,8 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any
@@ -21,6 +21,8 @@ from threadpoolctl import threadpool_limits
 Row = dict[str, Any]
 Picture = NDArray[np.uint8]
 N_ROWS, N_COLS = 480, 640
+# BLAS and OpenMP on one thread inside a `with` block.
+one_thread = partial(threadpool_limits, limits=1)
 # The kernel's high-water mark of a process: allocations of OpenCV are invisible to
 # `tracemalloc`, and `ru_maxrss` starts from the parent's value.
 _PEAK = """
@@ -57,13 +59,6 @@ def wall_ms(function: Callable[[], object]) -> float:
     start = perf_counter()
     function()
     return 1e3 * (perf_counter() - start)
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Limit BLAS and OpenMP to one thread inside the `with` block."""
-    with threadpool_limits(limits=1):
-        yield
 
 
 def measured_apart(code: str, *arguments: object) -> dict[str, Any]:

@@ -1,14 +1,13 @@
 """Vector -> class: classifiers with log-likelihoods a belief can add up."""
 
+from ._corradi2014 import KernelDensityNaiveBayes, OnePerLabelSVC
 from ._encoding_pool import TOGETHER as TOGETHER
 from ._encoding_pool import EncodingPool
 from ._encoding_pool import pool_weights as pool_weights
 from ._kernel_density import KernelDensityBayes
 from ._kernel_density_index import IndexQuality, KernelDensityIndex
-from ._kernel_density_naive import KernelDensityNaiveBayes
 from ._kernel_ridge import KernelRidgeClassifier
 from ._kernel_ridge import fair_shares as fair_shares
-from ._one_per_label import OnePerLabelSVC
 from ._touch_classifier import FromProbabilities, TouchClassifier
 from ._touch_classifier import as_groups as as_groups
 from .mkl import MKLSVC, GaussianKernel, LinearKernel, PolynomialKernel

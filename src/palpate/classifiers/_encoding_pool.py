@@ -112,7 +112,12 @@ class EncodingPool(BayesRule):
         """
         touches, labels = labelled_touches(self, X, y)
         check_squarable("X", touches)
-        self._check_parts(touches.shape[1])
+        counts = [check_count(f"parts[{n!r}]", c) for n, c in self.parts.items()]
+        if sum(counts) != touches.shape[1]:
+            raise ValueError(
+                f"parts must add up to the {touches.shape[1]} features of X, got "
+                f"{sum(counts)}: {dict(self.parts)}."
+            )
         group = as_groups(groups, len(touches))
         machine = self.machine
         if machine is None:
@@ -172,14 +177,6 @@ class EncodingPool(BayesRule):
         check_is_fitted(self)
         every = self._left_out_of_each()
         return dict(zip(self.machines_, every, strict=True))
-
-    def _check_parts(self, n_features: int) -> None:
-        counts = [check_count(f"parts[{n!r}]", c) for n, c in self.parts.items()]
-        if sum(counts) != n_features:
-            raise ValueError(
-                f"parts must add up to the {n_features} features of X, got "
-                f"{sum(counts)}: {dict(self.parts)}."
-            )
 
     def _parts(self, touches: Floats) -> dict[str, Floats]:
         """Return the features of each machine."""

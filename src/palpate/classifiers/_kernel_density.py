@@ -22,12 +22,13 @@ from ._kernel_sums import (
     count_tiles,
     exact_log_sums,
     is_precise,
+    learn_whitening,
     make_tiles,
     squared_distances,
     tile_log_sums,
+    whiten,
 )
 from ._touch_classifier import BayesRule, as_groups, as_touches, labelled_touches
-from ._whitening import learn_whitening, whiten
 
 # With precision="auto" a model computes in float64 when it has at most this many
 # touches, or when float32 is good enough for less than this share of its pairs.
@@ -157,16 +158,22 @@ class KernelDensityBayes(BayesRule):
         ValueError
             For NaN, infinity, variances that overflow, or unequal lengths.
         """
-        self._check_parameters()
+        check_option("bandwidth", self.bandwidth, ("pooled", "per-object", "full"))
+        check_positive("scale", self.scale)
+        check_option("prior", self.prior, ("uniform", "counts"))
+        check_number("min_variance", self.min_variance, low=1e-12)
+        check_option("precision", self.precision, ("auto", "single", "double"))
         touches, labels = labelled_touches(self, X, y)
         learnt = learn_whitening(touches, full=self.bandwidth == "full")
         self.centre_, self.spread_, self.varies_ = learnt[:3]
         self.rotation_, self.log_volume_ = learnt[3:]
         self.dtype_ = "float64" if self.precision == "double" else "float32"
         self._learn(touches, labels, groups)
-        if self.precision == "auto" and self._needs_double():
-            self.dtype_ = "float64"
-            self._store(self.points_, self.counts_)
+        if self.precision == "auto":
+            precise = is_precise(self.points_, self.reaches_, self.dtype_)
+            if len(self.points_) <= SMALL or precise.mean() < MOSTLY:
+                self.dtype_ = "float64"
+                self._store(self.points_, self.counts_)
         return self
 
     def refit(
@@ -209,13 +216,6 @@ class KernelDensityBayes(BayesRule):
         in_order[self.order_] = result
         return in_order
 
-    def _check_parameters(self) -> None:
-        check_option("bandwidth", self.bandwidth, ("pooled", "per-object", "full"))
-        check_positive("scale", self.scale)
-        check_option("prior", self.prior, ("uniform", "counts"))
-        check_number("min_variance", self.min_variance, low=1e-12)
-        check_option("precision", self.precision, ("auto", "single", "double"))
-
     def _whiten(self, touches: Floats) -> Floats:
         """Return touches in bandwidths from the centre of all training touches."""
         bandwidth = self.spread_ * self.scale
@@ -254,13 +254,6 @@ class KernelDensityBayes(BayesRule):
         ]
         self.tiles_ = np.concatenate([tiles for tiles, _ in packed])
         self.reaches_ = np.array([reach for _, reach in packed])
-
-    def _needs_double(self) -> bool:
-        """Return whether single precision is not worth it, or rarely good enough."""
-        if len(self.points_) <= SMALL:
-            return True
-        precise = is_precise(self.points_, self.reaches_, self.dtype_)
-        return bool(precise.mean() < MOSTLY)
 
     def _own_precision(self, points: Floats) -> Floats:
         """Return pooled over own variances of one object, (n_directions,)."""

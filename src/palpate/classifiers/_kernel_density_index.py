@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import softmax
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count
@@ -146,10 +147,28 @@ class KernelDensityIndex:
 
         Most exact for the `n_exact` most probable objects of each touch.
         """
-        touches = as_touches(self.model, X)
+        model, touches = self.model, as_touches(self.model, X)
         result = np.empty((len(touches), len(self.classes_)))
         for rows in blocks_of(len(touches)):
-            result[rows] = self._of_block(self.model._whiten(touches[rows]))
+            x = model._whiten(touches[rows])
+            one = np.ones((len(x), 1))
+            cells = np.hstack([x**2, x, one]).astype(np.float32) @ self.weights_
+            sums = self._sums_of(cells) + model.log_norms_
+            kept = np.argpartition(-sums, self.n_exact - 1, axis=1)[:, : self.n_exact]
+            shared = squared_distances(x, model.means_, model.precisions_) / 2
+            precise = is_precise(x, model.reaches_, "float32", MAX_ERROR)
+            extended = np.hstack([x, one]).astype(np.float32)
+            for row, place in (
+                (r, p) for r, some in enumerate(kept.tolist()) for p in some
+            ):
+                if precise[row, place]:
+                    found = self._refined(extended[row], place, cells[row], shared[row])
+                else:
+                    points = model.points_[model._rows()[place]]
+                    precision = model._precision(place)
+                    found = exact_log_sums(x[row : row + 1], points, precision)[0]
+                sums[row, place] = found + model.log_norms_[place]
+            result[rows] = sums
         return result
 
     def quality(self, X: ArrayLike) -> IndexQuality:
@@ -158,7 +177,7 @@ class KernelDensityIndex:
         best = exact.argmax(axis=1)
         row = np.arange(len(best))
         error = np.abs(rough - exact)
-        off = np.abs(_posterior(rough) - _posterior(exact))
+        off = np.abs(softmax(rough, axis=1) - softmax(exact, axis=1))
         return IndexQuality(
             len(best),
             float((rough.argmax(axis=1) == best).mean()),
@@ -166,27 +185,6 @@ class KernelDensityIndex:
             float(np.quantile(error, 0.99)),
             float(off.max()),
         )
-
-    def _of_block(self, x: Floats) -> Floats:
-        model = self.model
-        one = np.ones((len(x), 1))
-        cells = np.hstack([x**2, x, one]).astype(np.float32) @ self.weights_
-        sums = self._sums_of(cells) + model.log_norms_
-        kept = np.argpartition(-sums, self.n_exact - 1, axis=1)[:, : self.n_exact]
-        shared = squared_distances(x, model.means_, model.precisions_) / 2
-        precise = is_precise(x, model.reaches_, "float32", MAX_ERROR)
-        extended = np.hstack([x, one]).astype(np.float32)
-        for row, place in (
-            (r, p) for r, some in enumerate(kept.tolist()) for p in some
-        ):
-            if precise[row, place]:
-                found = self._refined(extended[row], place, cells[row], shared[row])
-            else:
-                points = model.points_[model._rows()[place]]
-                precision = model._precision(place)
-                found = exact_log_sums(x[row : row + 1], points, precision)[0]
-            sums[row, place] = found + model.log_norms_[place]
-        return sums
 
     def _sums_of(self, cells: NDArray[np.float32]) -> Floats:
         """Return the log of the sum over the cells of each object."""
@@ -210,15 +208,10 @@ class KernelDensityIndex:
         near = np.concatenate(
             [self.packed_[b:e] @ x for b, e in zip(begins, ends, strict=True)]
         )
-        total = _log_sum(near) - shared[place]
+        total = np.logaddexp.reduce(near) - shared[place]
         if n_near < len(own):
-            total = np.logaddexp(total, _log_sum(own[order[n_near:]]))
+            total = np.logaddexp(total, np.logaddexp.reduce(own[order[n_near:]]))
         return float(total)
-
-
-def _log_sum(exponents: NDArray[np.float32]) -> float:
-    top = exponents.max()
-    return float(top + np.log(np.exp(exponents - top).sum()))
 
 
 def _cells(faiss: Any, points: Floats, n_cells: int, seed: int) -> NDArray[np.intp]:
@@ -253,8 +246,3 @@ def _weights(
     level -= (means**2 * sharp).sum(axis=1) / 2
     weights = np.vstack([-sharp.T / 2, (means * sharp).T, level])
     return weights.astype(np.float32)
-
-
-def _posterior(log_likelihood: Floats) -> Floats:
-    shifted = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
-    return np.asarray(shifted / shifted.sum(axis=1, keepdims=True))

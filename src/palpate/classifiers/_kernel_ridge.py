@@ -144,7 +144,8 @@ class KernelRidgeClassifier(BayesRule):
         TypeError
             For labels that are partly text, partly something else.
         """
-        touches, labels = self._validated(X, y, reset=True)
+        touches, labels = labelled_touches(self, X, y)
+        check_squarable("X", touches)
         self.classes_, codes = np.unique(labels, return_inverse=True)
         if len(self.classes_) < 2:
             raise ValueError(
@@ -154,12 +155,6 @@ class KernelRidgeClassifier(BayesRule):
         self._choose(touches, codes, group)
         self._learn(touches, codes, group)
         return self
-
-    def _validated(
-        self, X: ArrayLike, y: ArrayLike, *, reset: bool
-    ) -> tuple[Floats, Array]:
-        touches, labels = labelled_touches(self, X, y, reset=reset)
-        return check_squarable("X", touches), labels
 
     def _choose(self, touches: Floats, codes: Array, group: Array) -> None:
         """Set `unit_`, `width_` and `ridge_` by the log loss of left-out groups."""
@@ -246,16 +241,13 @@ class KernelRidgeClassifier(BayesRule):
         shape = (self.temperature_, self.bend_, 1.0)
         return _log_posterior(shape, scores, self.log_counts_)
 
-    def predict_log_proba(self, X: ArrayLike) -> Floats:
-        """Return the log posterior under equal priors, (n_touches, n_classes)."""
-        return self.log_likelihood(X)
-
     def refit(
         self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None
     ) -> Self:
         """Learn other touches with the width and ridge already chosen."""
         check_is_fitted(self)
-        touches, labels = self._validated(X, y, reset=False)
+        touches, labels = labelled_touches(self, X, y, reset=False)
+        check_squarable("X", touches)
         self.classes_, codes = np.unique(labels, return_inverse=True)
         self._learn(touches, codes, as_groups(groups, len(touches)))
         return self
@@ -264,8 +256,7 @@ class KernelRidgeClassifier(BayesRule):
 def _thin(codes: Array, at_most: int) -> Array:
     """Return every k-th touch of each label, for the least k that fits."""
     step = -(-len(codes) // at_most)
-    by_label = np.lexsort((np.arange(len(codes)), codes))
-    return np.sort(by_label[::step])
+    return np.sort(np.argsort(codes, kind="stable")[::step])
 
 
 def _thin_labels(codes: Array, at_most: int) -> Array:
@@ -327,8 +318,7 @@ def _loss(shape: Shape, scores: Floats, codes: Array, log_counts: Floats) -> flo
 def fair_shares(codes: Array) -> Floats:
     """Return the share of each touch in a mean to which all labels add the same."""
     counts = np.bincount(codes)
-    shares: Floats = 1 / (counts[codes] * np.count_nonzero(counts))
-    return shares
+    return 1 / (counts[codes] * np.count_nonzero(counts))
 
 
 def _best_temperature(scores: Floats, codes: Array) -> tuple[float, float]:

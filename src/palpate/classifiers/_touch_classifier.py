@@ -158,7 +158,11 @@ class FromProbabilities(BayesRule):
         check_is_fitted(self)
         result = np.full((len(self.touches_), len(self.classes_)), -np.inf)
         # Group k of every label goes into fold k, so each fold keeps all labels.
-        fold_of = _rank_within(self.labels_, self.groups_) % _N_FOLDS
+        fold_of = np.empty(len(result), dtype=np.intp)
+        for label in np.unique(self.labels_):
+            rows = self.labels_ == label
+            rank = np.unique(self.groups_[rows], return_inverse=True)[1]
+            fold_of[rows] = rank % _N_FOLDS
         for fold in np.unique(fold_of):
             train = np.flatnonzero(fold_of != fold)
             test = np.flatnonzero(fold_of == fold)
@@ -211,12 +215,3 @@ def as_groups(groups: ArrayLike | None, n_touches: int) -> NDArray[np.intp]:
 def _log_probability(classifier: Any, touches: Floats) -> Floats:
     probability = np.clip(classifier.predict_proba(touches), _LEAST_PROBABILITY, None)
     return np.asarray(np.log(probability))
-
-
-def _rank_within(labels: Array, group: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Number the groups of each label 0, 1, 2..., per touch."""
-    rank = np.empty(len(labels), dtype=np.intp)
-    for label in np.unique(labels):
-        rows = labels == label
-        rank[rows] = np.unique(group[rows], return_inverse=True)[1]
-    return rank

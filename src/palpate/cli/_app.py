@@ -24,6 +24,7 @@ from .library import library
 from .live import live
 from .recognise import recognise
 from .record import record
+from .remount import remount, sensor
 from .serve import serve
 from .simulate import simulate
 from .study import study
@@ -38,13 +39,14 @@ app = typer.Typer(
 )
 VERBS = (
     *(learn, recognise, evaluate, benchmark, demo, study, bench),
-    *(doctor, serve, record, live),
+    *(remount, doctor, serve, record, live),
 )
 for verb in VERBS:
     app.command()(verb)
 app.add_typer(simulate, name="simulate")
 app.add_typer(library, name="library")
 app.add_typer(explore, name="explore")
+app.add_typer(sensor, name="sensor")
 
 # What a verb may fail with; anything else is a fault of palpate and shows where.
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES)

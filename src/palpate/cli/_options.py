@@ -119,6 +119,13 @@ NamePattern = Annotated[
         r"'(?P<object>\w+)_(?P<order>\d+)'. Without it folders name the objects.",
     ),
 ]
+Levels = Annotated[
+    str | None,
+    option(
+        "--levels",
+        "What folder levels are, such as object/session; unnamed: category/object.",
+    ),
+]
 NoContact = Annotated[
     Path | None, option("--no-contact", "The image of the sensor touching nothing.")
 ]
@@ -173,6 +180,7 @@ class Reading:
 
     where: Where = None
     name_pattern: NamePattern = None
+    levels: Levels = None
     no_contact: NoContact = None
     colour: Colour = None
     max_megapixels: Annotated[float, option("Larger pictures are refused unread.")] = 50
@@ -202,8 +210,8 @@ class Reading:
         if not TouchLibrary.is_library(path):
             return None
         fix = "Give it to `palpate library add`, which keeps what it finds."
-        fields = "name_pattern", "no_contact", "colour"
-        self.refuse(f"for a library such as {path}", fix, *fields)
+        where = f"for a library such as {path}"
+        self.refuse(where, fix, "name_pattern", "levels", "no_contact", "colour")
         return TouchLibrary.open(path)
 
     def refuse(self, where: str, fix: str, *names: str) -> None:
@@ -223,13 +231,35 @@ class Reading:
                 f"--where must be given with a library of touches, got {self.where!r} "
                 f"with {path}. Make a library with `palpate library add`."
             )
+        if self.levels is not None:
+            self.refuse("with --levels", "Give either.", "name_pattern")
+        in_folders = self.levels is not None and path.is_dir()
+        named = levels_pattern(str(self.levels)) if in_folders else self.name_pattern
         return Touches.load(
             path,
-            name_pattern=self.name_pattern,
+            name_pattern=named,
             no_contact=self.no_contact,
             colour=bool(self.colour),
             max_pixels=int(self.max_megapixels * 1e6),
         )
+
+
+def levels_pattern(levels: str) -> str:
+    """Return the name pattern of folders whose levels have these names.
+
+    Objects of two categories are different ones, whatever they are called.
+    """
+    names = levels.split("/")
+    words = all(name.isidentifier() for name in names)
+    if not words or "object" not in names or len(set(names)) < len(names):
+        raise ValueError(
+            "--levels must name each level of folders by a word, once, one of them "
+            f"object, got {levels!r}. Write category/object, or object/session."
+        )
+    path = "/".join(f"(?P<{name}>[^/]+)" for name in names)
+    nested = "(?P<object>(?P<category>[^/]+)/[^/]+)"
+    path = path.replace("(?P<category>[^/]+)/(?P<object>[^/]+)", nested)
+    return f"^{path}/[^/]+$"
 
 
 @dataclass(frozen=True)

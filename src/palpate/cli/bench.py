@@ -24,11 +24,8 @@ def bench(
     if as_json:
         print_json({"bench": name, "rows": rows})
         return
-    table(
-        f"{name}: CPU ms, one thread; ratio = how much faster ours is",
-        ["what", "ours", "peer", "peer's", "ratio"],
-        [_cells(row) for row in rows],
-    )
+    title = f"{name}: CPU ms, one thread; ratio = how much faster ours is"
+    table(title, ["what", "ours", "peer", "peer's", "ratio"], [*map(_cells, rows)])
 
 
 def _cells(row: dict[str, Any]) -> list[str]:

@@ -47,23 +47,15 @@ def benchmark(
     as_json: AsJson = False,
 ) -> None:
     """Compare presets with simple recognisers and controls on sets of touches."""
-    from ..evaluation import (
-        PROTOCOLS,
-        RECOGNISERS,
-        benchmark_tables,
-        check_report_path,
-        verdicts,
-        write_benchmark,
-    )
-    from ..evaluation import benchmark as run
+    from .. import evaluation
 
     if report is not None:
-        check_report_path(report)
+        evaluation.check_report_path(report)
     with stages() as stage, working.started():
-        result = run(
+        result = evaluation.benchmark(
             archives,
-            recognisers=_names(recognisers, RECOGNISERS),
-            protocols=_names(protocols, PROTOCOLS),
+            recognisers=_names(recognisers, evaluation.RECOGNISERS),
+            protocols=_names(protocols, evaluation.PROTOCOLS),
             label=label,
             touches=counts(touches),
             repeats=repeats,
@@ -71,13 +63,13 @@ def benchmark(
             progress=stage,
         )
     if report is not None:
-        write_benchmark(report, result)
+        evaluation.write_benchmark(report, result)
     if as_json:
         print_json(result)
         return
-    for one in benchmark_tables(result):
+    for one in evaluation.benchmark_tables(result):
         table(*one, whole="recogniser")
-    for line in verdicts(result):
+    for line in evaluation.verdicts(result):
         print(line)
     if report is not None:
         print(report)

@@ -27,9 +27,8 @@ def doctor(as_json: AsJson = False) -> None:
     else:
         rows = [[c["name"], c["found"], c["fix"]] for c in checks]
         table("palpate doctor", ["what", "found", "to do"], rows, whole="to do")
-        print(
-            "Healthy." if healthy else "Something palpate needs is missing; see above."
-        )
+        missing = "Something palpate needs is missing; see above."
+        print("Healthy." if healthy else missing)
     if not healthy:
         raise typer.Exit(1)
 

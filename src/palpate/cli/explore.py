@@ -13,6 +13,7 @@ from ._options import (
     ModelOutput,
     ModelPath,
     Preset,
+    Refusal,
     Seed,
     argument,
     option,
@@ -108,6 +109,7 @@ def recognise(
     ] = None,
     most: Annotated[int, option("--max-touches", "Budget of attempts.")] = 30,
     error: ErrorRate = 0.01,
+    refusal: Refusal = None,
     folder: Folder = None,
     yaw: Annotated[
         float | None, option("Turn about the vertical, degrees. Default: drawn.")
@@ -155,6 +157,7 @@ def recognise(
         guard=QUICK_GUARD,
         max_attempts=most,
         error=error,
+        refusal=refusal,
         clock=stand.robot.clock,
         on_attempt=None if as_json else print_attempt,
     )

@@ -51,10 +51,10 @@ def learn(
     as_json: AsJson = False,
 ) -> None:
     """Learn objects from labelled touches and write a model file."""
+    from .. import recognition
     from ..library import TouchLibrary
-    from ..recognition import ObjectRecogniser, check_model_path
 
-    check_model_path(output)
+    recognition.check_model_path(output)
     with stages() as stage, working.started():
         stage(f"reading {touches}")
         with reading.selection(touches) as found:
@@ -66,7 +66,9 @@ def learn(
                 recogniser = _extended(extend, training)
             else:
                 given = {k: v for k, v in vars(how).items() if k != "seed"}
-                recogniser = ObjectRecogniser(**given, random_state=how.seed)
+                recogniser = recognition.ObjectRecogniser(
+                    **given, random_state=how.seed
+                )
                 recogniser.fit(training)
             if pitch_mm is not None or "set_pitch_mm" in training.whole:
                 stage("learning where parts lie")
@@ -77,15 +79,22 @@ def learn(
             remember_library(recogniser, touches, reading.where)
         written = recogniser.save(output)
     learnt = recogniser.summary()
+    across = recognition.across_sessions(recogniser)
     sentences = learnt["chosen"].get("found", ())
+    in_folders = touches.is_dir() and not TouchLibrary.is_library(touches)
+    unnamed = reading.levels is None and reading.name_pattern is None
+    if in_folders and unnamed and training.category is not None:
+        read = "folders were read as category/object; --levels says otherwise"
+        sentences = [*sentences, read]
     said = "".join(f" {one[0].upper()}{one[1:]}." for one in sentences)
     poses = " Poses on the array are learnt too." if recogniser.pose_ else ""
     encoding = learnt["chosen"]["encoding"]
     answer(
         as_json,
-        {"model": str(written), **learnt},
+        {"model": str(written), **learnt, "sessions": across},
         f"Learnt {learnt['n_labels']} {learnt['label']} labels from "
         f"{learnt['n_train_touches']} touches ({encoding}).{said}{poses}",
+        recognition.said_of_sessions(across),
         written,
     )
 

@@ -92,12 +92,11 @@ def list_touches(
     as_json: AsJson = False,
 ) -> None:
     """List touches (or objects) in the order in which they were added."""
+    rows: list[Any]
     with _opened(folder) as opened:
-        rows: list[Any] = (
-            opened.objects()
-            if objects
-            else opened.list(where, limit, offset, retracted=retracted)
-        )
+        rows = opened.list(where, limit, offset, retracted=retracted)
+        if objects:
+            rows = opened.objects()
     plain = [row._asdict() for row in rows]
     if as_json:
         print_json({"library": str(folder), "rows": plain})

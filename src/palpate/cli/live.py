@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._options import AsJson, ErrorRate, MaxModelMb, ModelPath, grouped, option
+from ._options import AsJson, ErrorRate, MaxModelMb, ModelPath, Refusal, grouped, option
 from ._output import belief_line, print_json
 from ._sensor import Patience, SensorAddress, SensorOptions, Summary, need_baseline
 
@@ -28,6 +28,7 @@ def live(
     episodes: Annotated[int, option("How many episodes; 0 goes on until Ctrl-C.")] = 1,
     timeout: Patience = 120.0,
     error: ErrorRate = 0.01,
+    refusal: Refusal = None,
     summary: Summary = "peak",
     options: SensorOptions,
     max_model_mb: MaxModelMb = 2000,
@@ -38,7 +39,8 @@ def live(
 
     done: list[Episode] = []
     chosen = options.open(sensor)
-    session = LiveSession(chosen, model=model, error=error, summary=summary)
+    how: Any = {"error": error, "refusal": refusal, "summary": summary}
+    session = LiveSession(chosen, model=model, **how)
     found: queue.Queue[dict[str, Any]] = queue.Queue()
 
     def listen(event: Any) -> None:

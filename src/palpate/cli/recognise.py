@@ -20,7 +20,7 @@ from ._options import (
 from ._output import belief_line, percent, print_json, stages
 
 if TYPE_CHECKING:
-    from ..recognition import ObjectRecogniser
+    from ..recognition import Evidence, ObjectRecogniser
     from ..touches import Touches
 
 
@@ -45,7 +45,7 @@ def recognise(
     as_json: AsJson = False,
 ) -> None:
     """Recognise touch by touch: one episode per object (and session) of TOUCHES."""
-    from ..recognition import ObjectRecogniser
+    from ..recognition import OTHER_MOUNTING, ObjectRecogniser
 
     with stages() as stage, working.started():
         stage(f"reading {model}")
@@ -53,10 +53,16 @@ def recognise(
         stage(f"reading {touches}")
         tested = calibrated(reading.touches(touches), calibration)
         stage(f"recognising {len(tested)} touches")
-        episodes = recognise_episodes(recogniser, tested, error, refusal, level)
+        evidence = recogniser.evidence(tested)
+        asked = tested, error, refusal, level, evidence
+        episodes = recognise_episodes(recogniser, *asked)
+        check = recogniser.check_mounting(evidence)
     if as_json:
-        print_json({"episodes": episodes})
+        mounting = {"changed": check.changed, "reasons": check.reasons}
+        print_json({"episodes": episodes, "mounting": mounting})
         return
+    if check.changed:
+        print(OTHER_MOUNTING.format("; see palpate remount"))
     for episode in episodes:
         print_episode(episode)
     promise = episodes[0]["promise"] if episodes else None
@@ -74,9 +80,10 @@ def recognise_episodes(
     error: float,
     refusal: float | None = None,
     level: str = "object",
+    evidence: "Evidence | None" = None,
 ) -> list[dict[str, Any]]:
     """Return the beliefs, the decision and its reasons for every episode."""
-    evidence = recogniser.evidence(touches)
+    evidence = recogniser.evidence(touches) if evidence is None else evidence
     how: dict[str, Any] = {"error": error, "refusal": refusal, "level": level}
     result = []
     for label, _, rows in touches.episodes():
@@ -99,14 +106,15 @@ def recognise_episodes(
                 beliefs[-1]["pose"] = press_pose(recogniser, touch, belief.best)
             if decision is None and (decision := belief.decide(**how)) is not None:
                 used, reasons = number, [belief.reason(**how)]
+        name = getattr(decision, "name", decision)
         result.append(
             {
                 "object": label,
                 "beliefs": beliefs,
-                "decision": decision
-                if level != "any"
-                else getattr(decision, "name", None),
-                "level": getattr(decision, "level", level) if decision else None,
+                "decision": name,
+                "level": None
+                if name in (None, "unknown")
+                else getattr(decision, "level", level),
                 "touches_used": used,
                 "reasons": reasons or [belief.reason(**how)],
                 "promise": belief.promise._asdict(),

@@ -28,22 +28,43 @@ def record(
         Path | None,
         option("-o", "--output", "Write the object's touches to an archive too."),
     ] = None,
+    sessions: Annotated[
+        int,
+        option(
+            "Mountings: between them lift the sensor, place it again, and press Enter; "
+            "the baseline is taken anew. Two or more teach what another day changes."
+        ),
+    ] = 1,
+    changed: Annotated[
+        str, option("What is new about this session, in words; kept with its name.")
+    ] = "",
     timeout: Patience = 120.0,
     summary: Summary = "peak",
     options: SensorOptions,
     as_json: AsJson = False,
 ) -> None:
     """Record touches of one object; each is on the disk as soon as it is counted."""
+    from .._checks import check_count
     from ..web import LiveSession
 
+    check_count("sessions", sessions)
     if output is not None and output.suffix != ".npz":
         raise typer.BadParameter(f"--output must end in .npz, got {output.name!r}.")
     chosen = options.open(sensor)
     name = " ".join(name.split())  # as it is kept
     with LiveSession(chosen, library=library, summary=summary) as session:
         need_baseline(session)
-        n_taken = _lesson(session, name, touches, timeout)
         assert session.teacher is not None
+        session.teacher.begin_session(changed)
+        n_taken = 0
+        for number in range(sessions):
+            share = touches // sessions + (number < touches % sessions)
+            if number:
+                _place_again(session)
+            taken = _lesson(session, name, share, timeout)
+            n_taken += taken
+            if taken < share:
+                break
         if output is not None and n_taken:
             session.teacher.touches(name).save(output)
     written = None if output is None else str(output)
@@ -55,6 +76,27 @@ def record(
     )
     if n_taken < touches:
         raise typer.Exit(1)
+
+
+def _place_again(session: "LiveSession") -> None:
+    """Ask for the sensor to be mounted anew, and take the baseline of that."""
+    from ..sensors import ContactError, SensorError
+
+    print(
+        "Lift the sensor and place it again: light first, let the camera settle, "
+        "touch nothing. Then press Enter: the baseline is taken.",
+        file=sys.stderr,
+    )
+    while sys.stdin.readline():
+        try:
+            session.take_baseline(changed="placed again")
+        except ContactError as error:
+            print(f"{error} Then press Enter.", file=sys.stderr)
+        else:
+            return
+    raise SensorError(
+        "The sensor was not placed again: there is nobody to press Enter."
+    )
 
 
 def _lesson(session: "LiveSession", name: str, wanted: int, timeout_s: float) -> int:

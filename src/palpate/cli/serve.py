@@ -3,9 +3,9 @@
 import sys
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from ._options import AsJson, ErrorRate, MaxModelMb, grouped, option
+from ._options import AsJson, ErrorRate, MaxModelMb, Refusal, grouped, option
 from ._output import print_json
 from ._sensor import ADDRESS, SensorOptions, Summary
 
@@ -45,6 +45,7 @@ def serve(
         option("Another name of this server, such as its proxy's; may be repeated."),
     ] = None,
     error: ErrorRate = 0.01,
+    refusal: Refusal = None,
     summary: Summary = "peak",
     options: SensorOptions,
     max_model_mb: MaxModelMb = 2000,
@@ -63,13 +64,12 @@ def serve(
     )
 
     require_web()
+    how: Any = {"error": error, "refusal": refusal, "summary": summary}
     chosen = None if sensor is None else options.open(sensor)
     chosen_token = None if token is None else checked_token(token)
     with (
         closing(open_socket(host, port)) as socket,
-        LiveSession(
-            chosen, model=model, library=library, error=error, summary=summary
-        ) as session,
+        LiveSession(chosen, model=model, library=library, **how) as session,
     ):
         if chosen_token is None:
             chosen_token = new_token() if library is None else kept_token(library)

@@ -48,7 +48,10 @@ class DomeTouches:
     touches: Annotated[int, option("Touches of each object.")] = 60
     sessions: Annotated[
         int,
-        option("Recordings: in each the object is turned anew and the camera drifts."),
+        option(
+            "Mountings of the sensor, each with its own camera place, exposure, light "
+            "and rubber; in each the object is turned anew."
+        ),
     ] = 1
     any_pose: Annotated[
         bool, option("--any-pose", "Let objects rest on any of their faces.")
@@ -57,7 +60,7 @@ class DomeTouches:
         float, option("Presses face the centre to within this sd, mm.")
     ] = 5.0
     no_drift: Annotated[
-        bool, option("--no-drift", "Keep exposure and place in all sessions.")
+        bool, option("--no-drift", "Keep the sensor as it is in all sessions.")
     ] = False
     unit: Unit = "mm"
     workers: Workers = -1
@@ -84,6 +87,7 @@ class DomeTouches:
             pose="any" if self.any_pose else "usual",
             aim_sd_mm=self.aim_sd,
             drift=not self.no_drift,
+            mountings=self.sessions > 1 and not self.no_drift,
             n_sessions=self.sessions,
             n_jobs=self.workers,
             random_state=self.seed,
@@ -102,6 +106,9 @@ def array(
         ),
     ] = None,
     presses: Annotated[int, option("Presses of each.")] = 20,
+    sessions: Annotated[
+        int, option("Mountings: in each gains, zero and hysteresis are drawn anew.")
+    ] = 1,
     rows: Annotated[int, option("Taxels down.")] = 10,
     cols: Annotated[int, option("Taxels across.")] = 10,
     pitch: Annotated[float, option("Distance of taxels, mm.")] = 2.0,
@@ -130,6 +137,7 @@ def array(
     made = simulate_presses(
         _parts(parts),
         presses,
+        n_sessions=sessions,
         array=PressureArray(
             rows=rows,
             cols=cols,
@@ -240,25 +248,19 @@ def check_output(path: Path) -> None:
 
 def find_objects(names: list[str] | None, unit: str) -> "list[SimObject]":
     """Return the objects that names, sets and mesh files stand for, each once."""
-    from ..simulation import (
-        BASIC_SHAPES,
-        HOUSEHOLD,
-        MESH_SUFFIXES,
-        UNSEEN,
-        find_object,
-        load_mesh,
-    )
+    from .. import simulation as made
 
-    sets = dict(zip(SETS, (HOUSEHOLD, UNSEEN, BASIC_SHAPES), strict=True))
+    known = (made.HOUSEHOLD, made.UNSEEN, made.BASIC_SHAPES)
+    sets = dict(zip(SETS, known, strict=True))
     given_as: dict[str, str] = {}
     found: list[SimObject] = []
     for name in names or ["household"]:
         if name in sets:
             things = sets[name]
-        elif Path(name).suffix.lower() in MESH_SUFFIXES:
-            things = (load_mesh(name, unit=unit),)
+        elif Path(name).suffix.lower() in made.MESH_SUFFIXES:
+            things = (made.load_mesh(name, unit=unit),)
         else:
-            things = (find_object(name),)
+            things = (made.find_object(name),)
         for thing in things:
             if thing.name in given_as:
                 raise ValueError(

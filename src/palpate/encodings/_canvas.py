@@ -1,14 +1,30 @@
-"""What encoders share that look at images of about the same number of pixels."""
+"""Encoders that bring every image to about the same number of pixels first.
 
-from __future__ import annotations
+`EdgeHistograms` counts directions of edges cell by cell. `RingPatterns` and
+`RingQuantiles` say what is found in rings about the disc's centre, wherever along a
+ring it is: turning an image moves what is seen along its ring, so that counts and
+quantiles of a ring stay as they are.
+"""
+
+from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from .._checks import check_images, check_levels
+from .._checks import check_count, check_images, check_levels, check_number
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
+
+_CLIP = 0.2
+# Below this share of the strongest cell, a block is not brought to length 1.
+_FAINT = 1e-3
+# The canvas' shorter side has 32 pixels at least: each ring has some.
+_MOST_RINGS = 16
+_CANVAS = 101
+# So many training images are moved by these fractions of a pixel (rows, columns).
+_MOVED = 150
+_STEPS = ((0.35, 0.15), (-0.2, 0.45))
 
 
 class CanvasEncoder(ImageEstimator):
@@ -23,7 +39,10 @@ class CanvasEncoder(ImageEstimator):
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
-        rows, cols = self._canvas(images.shape[1:])
+        shape = images.shape[1:]
+        short = min(shape)
+        scale = min(max(short, 32), self._most) / short / self._multiple
+        rows, cols = (self._multiple * round(n * scale) for n in shape)
         smaller = rows <= images.shape[1] and cols <= images.shape[2]
         how = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
         vectors = [
@@ -35,12 +54,318 @@ class CanvasEncoder(ImageEstimator):
     def _vector(self, image: Array) -> Array:
         raise NotImplementedError
 
-    def _canvas(self, shape: tuple[int, ...]) -> tuple[int, int]:
-        """Return rows and columns of what images of `shape` become."""
-        short = min(shape)
-        scale = min(max(short, 32), self._most) / short / self._multiple
-        rows, cols = (self._multiple * round(n * scale) for n in shape)
-        return rows, cols
-
     def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
         return check_levels(check_images(X, shape=shape, channels=True))
+
+
+class EdgeHistograms(CanvasEncoder):
+    """Encode images by histograms of the directions of their gradients, cell by cell.
+
+    Parameters
+    ----------
+    n_orientations : int, default=9
+        Directions from 0 to 180 degrees: dark to bright and bright to dark are one.
+    cell : int, default=8
+        Pixels along each side of a cell, of an image whose shorter side has 32 to 64
+        pixels: smaller ones are enlarged, larger ones reduced.
+
+    Notes
+    -----
+    Each pixel votes by the length of its gradient for the two nearest directions.
+    Blocks of 2 x 2 cells, which overlap, are divided by their length, cut at 0.2 and
+    divided by their length again [1]_. It is blind to gain, not to turns and shifts.
+
+    References
+    ----------
+    .. [1] N. Dalal, B. Triggs, "Histograms of oriented gradients for human detection",
+       CVPR 2005. doi:10.1109/CVPR.2005.177
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate.encodings import EdgeHistograms
+    >>> EdgeHistograms().fit_transform(np.ones((2, 64, 32))).shape
+    (2, 756)
+    """
+
+    blind_to = frozenset({"gain"})
+
+    def __init__(self, n_orientations: int = 9, cell: int = 8) -> None:
+        self.n_orientations, self.cell = n_orientations, cell
+
+    @property
+    def _multiple(self) -> int:  # type: ignore[override]
+        return self.cell
+
+    def _learn(self, images: Array) -> None:
+        check_count("n_orientations", self.n_orientations)
+        cell = check_count("cell", self.cell)
+        if cell > 16:
+            raise ValueError(f"cell must be at most 16, got {cell}.")
+
+    def _vector(self, image: Array) -> Array:
+        across, down = np.zeros_like(image), np.zeros_like(image)
+        across[:, 1:-1] = image[:, 2:] - image[:, :-2]
+        down[1:-1] = image[2:] - image[:-2]
+        length, angle = np.hypot(across, down), cv2.phase(across, down)
+        return _blocks(self._histograms(length, angle)).ravel()
+
+    def _histograms(self, length: Array, angle: Array) -> Floats:
+        """Votes, (n_cell_rows, n_cell_cols, n_orientations)."""
+        n, cell = self.n_orientations, self.cell
+        rows, cols = length.shape[0] // cell, length.shape[1] // cell
+        place = angle * (n / np.pi) - 0.5
+        lower = np.floor(place)
+        share = (place - lower) * length
+        row, col = np.arange(rows * cell) // cell, np.arange(cols * cell) // cell
+        start = n * (row[:, np.newaxis] * cols + col)
+        lower = lower.astype(np.intp)
+        votes = np.bincount(
+            np.concatenate([start + lower % n, start + (lower + 1) % n], axis=None),
+            np.concatenate([length - share, share], axis=None),
+            minlength=n * rows * cols,
+        )
+        return votes.reshape(rows, cols, n).astype(np.float64, copy=False)
+
+
+def _blocks(histograms: Floats) -> Floats:
+    """Histograms of 2 x 2 cells side by side, of limited length."""
+    h = histograms
+    blocks = np.concatenate([h[:-1, :-1], h[:-1, 1:], h[1:, :-1], h[1:, 1:]], axis=2)
+    faint = _FAINT * (np.abs(blocks).max() or 1.0)
+    for most in (_CLIP, 1.0):
+        blocks = blocks / np.sqrt((blocks**2).sum(axis=2, keepdims=True) + faint**2)
+        blocks, faint = np.minimum(blocks, most), 1e-5
+    return blocks
+
+
+class RingPatterns(CanvasEncoder):
+    """Encode images by how often which local pattern occurs in each ring.
+
+    Parameters
+    ----------
+    n_rings : int, default=4
+        Rings of equal width in the inscribed disc, at most 16.
+    radii : sequence of float, default=(2, 5, 9)
+        How far from a pixel its surroundings are looked at, in hundredths of the
+        shorter side (at least one pixel); at most 25.
+    n_points : int, default=16
+        Places around a pixel, from 4 to 32.
+    contrast : float, default=0.06
+        A place counts as lower than the pixel if it is so by more than this share of
+        the standard deviation of the disc's levels; what is less is noise.
+    n_unsteady : int, default=5
+        So many directions of the vector are taken out of it in which it changes most
+        when training images move by a fraction of a pixel. Fine patterns tell much, but
+        moving an image also smooths it.
+
+    Attributes
+    ----------
+    image_shape_ : tuple of int
+        Size of the images seen by `fit`.
+    unsteady_ : ndarray of shape (n_directions, n_features)
+        Those directions, orthonormal.
+
+    Notes
+    -----
+    Uniform local binary patterns [1]_: the places at least as high as the pixel are
+    counted where they follow each other without a gap (0 to `n_points`); all other
+    patterns count as one. The features are roots of the shares of these `n_points` + 2
+    patterns, radius by radius, ring by ring. It is blind to turns and to gain, and
+    nearly to slow changes of level. Images larger than 101 pixels across are reduced.
+
+    References
+    ----------
+    .. [1] T. Ojala, M. Pietikainen, T. Maenpaa, "Multiresolution gray-scale and
+       rotation invariant texture classification with local binary patterns", IEEE
+       Trans. Pattern Anal. Mach. Intell. 24(7), 2002. doi:10.1109/TPAMI.2002.1017623
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate.encodings import RingPatterns
+    >>> RingPatterns().fit_transform(np.ones((2, 40, 40))).shape
+    (2, 216)
+    """
+
+    blind_to = frozenset({"turns", "gain"})
+    _most = _CANVAS
+
+    def __init__(
+        self,
+        n_rings: int = 4,
+        radii: tuple[float, ...] = (2, 5, 9),
+        n_points: int = 16,
+        contrast: float = 0.06,
+        n_unsteady: int = 5,
+    ) -> None:
+        self.n_rings, self.radii, self.n_points = n_rings, radii, n_points
+        self.contrast, self.n_unsteady = contrast, n_unsteady
+
+    def _learn(self, images: Array) -> None:
+        _check_rings(self.n_rings)
+        check_number("n_points", check_count("n_points", self.n_points), low=4, high=32)
+        if not self._radii():
+            raise ValueError("radii must hold at least one radius, got none.")
+        for radius in self._radii():
+            check_number("radii", radius, low=0, high=25)
+        check_number("contrast", self.contrast, low=0)
+        n_unsteady = check_count("n_unsteady", self.n_unsteady, at_least=0)
+        spread = np.linspace(0, len(images) - 1, _MOVED).astype(int)
+        some = images[np.unique(spread)].astype(np.float32)
+        still = self._shares(some)
+        changes = np.concatenate(
+            [self._shares(_moved(some, *step)) - still for step in _STEPS]
+        )
+        # Flat images change nowhere; their directions would be chance.
+        strong = np.linalg.svd(changes, full_matrices=False)[2] * changes.any()
+        self.unsteady_ = strong[:n_unsteady]
+
+    def transform_checked(self, images: Array) -> Floats:
+        """Return the features, shape (n_touches, n_features)."""
+        shares = self._shares(images)
+        steady: Floats = shares - shares @ self.unsteady_.T @ self.unsteady_
+        return steady
+
+    def _shares(self, images: Array) -> Floats:
+        """Roots of the shares of each pattern in each ring, (n_touches, n_features)."""
+        return super().transform_checked(images)
+
+    def _vector(self, image: Array) -> Array:
+        # A flat disc has rounding alone, which is not to make patterns.
+        image = image / (np.abs(image).max() or 1)
+        places = _places(image.shape, self.n_rings)
+        inside, n_codes = np.concatenate(places), self.n_points + 2
+        first = n_codes * np.repeat(np.arange(len(places)), [len(p) for p in places])
+        least = image - max(self.contrast * image.take(inside).std(), 1e-5)
+        unit = min(image.shape) / _CANVAS
+        counts = np.empty((len(self._radii()), len(places), n_codes))
+        for found, radius in zip(counts, self._radii(), strict=True):
+            code = _patterns(image, least, max(radius * unit, 1.0), self.n_points)
+            some = np.bincount(first + code.take(inside), minlength=found.size)
+            found[:] = some.reshape(found.shape)
+        shares: Floats = counts / counts.sum(axis=2, keepdims=True)
+        return np.sqrt(shares).ravel()
+
+    def _radii(self) -> list[float]:
+        radii: list[float] = np.atleast_1d(self.radii).tolist()
+        return radii
+
+
+class RingQuantiles(CanvasEncoder):
+    """Encode images by quantiles of level and of gradient in each ring.
+
+    Parameters
+    ----------
+    n_rings : int, default=8
+        Rings of equal width in the inscribed disc, at most 16.
+    n_quantiles : int, default=9
+        Quantiles (k + 1/2) / n_quantiles, of the levels and of the gradients' lengths.
+
+    Notes
+    -----
+    It is blind to turns, not to gain and shifts. Gradients are in levels per pixel of
+    an image that was enlarged to 32 pixels across or reduced to 101.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate.encodings import RingQuantiles
+    >>> RingQuantiles(2, 1).fit_transform(np.full((1, 40, 40), 3.0))
+    array([[3., 3., 0., 0.]])
+    """
+
+    blind_to = frozenset({"turns"})
+    _most = _CANVAS
+
+    def __init__(self, n_rings: int = 8, n_quantiles: int = 9) -> None:
+        self.n_rings, self.n_quantiles = n_rings, n_quantiles
+
+    def _learn(self, images: Array) -> None:
+        _check_rings(self.n_rings)
+        check_count("n_quantiles", self.n_quantiles)
+
+    def _vector(self, image: Array) -> Array:
+        across = cv2.Sobel(image, cv2.CV_32F, 1, 0, scale=1 / 8)
+        down = cv2.Sobel(image, cv2.CV_32F, 0, 1, scale=1 / 8)
+        both = np.stack([image.ravel(), np.hypot(across, down).ravel()])
+        share = (np.arange(self.n_quantiles) + 0.5) / self.n_quantiles
+        return np.stack(
+            [
+                _quantiles(both.take(places, axis=1), share)
+                for places in _places(image.shape, self.n_rings)
+            ],
+            axis=1,
+        ).ravel()
+
+
+@lru_cache(maxsize=16)
+def _places(shape: tuple[int, int], n_rings: int) -> list[NDArray[np.intp]]:
+    """Which pixels, counted row by row, lie in each ring of the inscribed disc."""
+    row, col = (np.arange(n) - (n - 1) / 2 for n in shape)
+    radius = np.hypot(row[:, np.newaxis], col) / (min(shape) / 2)
+    return [np.flatnonzero(np.floor(radius * n_rings) == k) for k in range(n_rings)]
+
+
+def _quantiles(values: Array, share: Floats) -> Floats:
+    """Quantiles of each row of `values`, linearly interpolated."""
+    ordered = np.sort(values, axis=1)
+    place = share * (values.shape[1] - 1)
+    lower = place.astype(np.intp)
+    upper = np.minimum(lower + 1, values.shape[1] - 1)
+    part = place - lower
+    found: Floats = ordered[:, lower] * (1 - part) + ordered[:, upper] * part
+    return found
+
+
+def _patterns(
+    image: Array, least: Array, radius: float, n_points: int
+) -> NDArray[np.uint8]:
+    """The pattern of places of at least a level: 0 to `n_points`, or `n_points` + 1."""
+    rows, cols = image.shape
+    margin = int(np.ceil(radius)) + 1
+    wide = cv2.copyMakeBorder(
+        image, margin, margin, margin, margin, cv2.BORDER_REPLICATE
+    )
+    high = np.empty((n_points, rows, cols), dtype=bool)
+    blended: dict[tuple[int, float], Array] = {}
+    for bits, (row, down, col, across) in zip(
+        high, _circle(radius, n_points), strict=True
+    ):
+        if (col, across) not in blended:
+            part = wide[:, col + margin : col + margin + cols + 1]
+            blended[col, across] = _between(part[:, :-1], part[:, 1:], across)
+        part = blended[col, across][row + margin : row + margin + rows + 1]
+        near = _between(part[:-1], part[1:], down)
+        np.greater_equal(near, least, out=bits)
+    ones = np.add.reduce(high, axis=0, dtype=np.uint8)
+    turns = np.add.reduce(high[1:] != high[:-1], axis=0, dtype=np.uint8)
+    turns += high[0] != high[-1]
+    return np.where(turns <= 2, ones, np.uint8(n_points + 1))
+
+
+def _between(here: Array, there: Array, share: float) -> Array:
+    return cv2.addWeighted(here, 1 - share, there, share, 0)
+
+
+@lru_cache(maxsize=64)
+def _circle(radius: float, n_points: int) -> list[tuple[int, float, int, float]]:
+    """Of each place on a circle: row and share of a row, column and its share."""
+    found = []
+    for angle in 2 * np.pi * np.arange(n_points) / n_points:
+        row, col = round(radius * np.sin(angle), 6), round(radius * np.cos(angle), 6)
+        top, left = int(np.floor(row)), int(np.floor(col))
+        found.append((top, row - top, left, col - left))
+    return found
+
+
+def _moved(images: Array, row: float, col: float) -> Array:
+    """Move images by a part of a pixel, bilinearly, edges replicated."""
+    size, edge = images.shape[:0:-1], cv2.BORDER_REPLICATE
+    way = np.array([[1, 0, col], [0, 1, row]], np.float32)
+    return np.stack([cv2.warpAffine(one, way, size, borderMode=edge) for one in images])
+
+
+def _check_rings(n_rings: object) -> None:
+    if check_count("n_rings", n_rings) > _MOST_RINGS:
+        raise ValueError(f"n_rings must be at most {_MOST_RINGS}, got {n_rings}.")

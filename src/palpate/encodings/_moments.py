@@ -1,13 +1,14 @@
-"""Moments about the centroid: a press described apart from its place and angle.
+"""Moments: a press described apart from its place and angle, or pad by pad.
 
-Patterns are Gauss-Laguerre functions, waves around the centroid under a Gaussian
-window whose width is tied to the array. They are orthonormal on the plane; turning
-a press only turns the phase of its complex moments, so their magnitudes stay.
-`sorted_taxels` is the control: what can be told without any geometry.
+Patterns of `CentroidMoments` are Gauss-Laguerre functions, waves around the centroid
+under a Gaussian window whose width is tied to the array. They are orthonormal on the
+plane; turning a press only turns the phase of its complex moments, so their magnitudes
+stay. `sorted_taxels` is the control: what can be told without any geometry.
 """
 
 from __future__ import annotations
 
+from itertools import combinations
 from math import comb, factorial, sqrt
 
 import numpy as np
@@ -17,9 +18,18 @@ from sklearn.utils.validation import check_is_fitted
 from .._checks import check_count, check_images, check_option, check_positive
 from .._image_estimator import ImageEstimator, by_channel
 from .._types import Array, Floats
+from ..images import CentralMoments, above_least, central_moments, inscribed_mask
 
 # Powers of the coordinates lose all digits to cancellation beyond this order.
 _HIGHEST_ORDER = 20
+N_MOMENTS = 7
+# Sizes at which the logarithm starts: below lies rounding error.
+_SMALLEST = 1e-12
+# Taxels above these shares of the touch's largest level, and of the pad's, are counted.
+_OF_TOUCH = 0.05
+_OF_PAD = (0.25, 0.5)
+# Load, centroid and spreads stand first: pads differ in these.
+_COMPARED = 5
 
 
 class CentroidMoments(ImageEstimator):
@@ -188,3 +198,229 @@ def _pattern(n: int, m: int, order: int) -> NDArray[np.complex128]:
                 weights[i_x, i_y] += laguerre * comb(j, a) * comb(m, b) * 1j**b
     weights *= norm
     return weights
+
+
+class HuMoments(ImageEstimator):
+    """Encode tactile images by Hu's moment invariants.
+
+    Parameters
+    ----------
+    n_components : int, default=7
+        How many of the seven to keep, from the first.
+    region : {"disc", "frame"}, default="disc"
+        Whether only the inscribed disc is looked at. In a square frame the corners
+        turn with the image, and nothing is invariant.
+    levels : {"above-least", "raw"}, default="above-least"
+        "above-least" counts levels from the least one in the region and divides
+        them by their mean, so that brightness and contrast do not matter and
+        standardised images have moments at all. "raw" takes levels as they are.
+    log : bool, default=False
+        Replace h by sign(h) log10(1 + |h| / 1e-12): the seven differ by many orders
+        of magnitude.
+
+    Notes
+    -----
+    From normalised central moments eta[p, q] = mu[p, q] / mu[0, 0]^(1 + (p + q) / 2).
+    The seventh changes its sign in a mirror; of the two signs in use, ours is
+    OpenCV's. A blank image, or raw levels without a positive sum, gives zeros.
+
+    References
+    ----------
+    .. [1] M.-K. Hu, "Visual pattern recognition by moment invariants", IRE Trans.
+       Inf. Theory 8(2), 1962. doi:10.1109/TIT.1962.1057692
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate.encodings import HuMoments
+    >>> image = np.zeros((1, 20, 20))
+    >>> image[0, 13:17, 13:17], image[0, 10:12, 10:12] = 0.5, 1
+    >>> HuMoments(2, levels="raw").fit_transform(image).round(6)
+    array([[0.74537 , 0.351166]])
+    """
+
+    def __init__(
+        self,
+        n_components: int = N_MOMENTS,
+        *,
+        region: str = "disc",
+        levels: str = "above-least",
+        log: bool = False,
+    ) -> None:
+        self.n_components = n_components
+        self.region, self.levels = region, levels
+        self.log = log
+
+    @property
+    def blind_to(self) -> frozenset[str]:
+        """Shifts; turns on the disc; gain where levels are divided by their mean."""
+        turns = {"turns"} if self.region == "disc" else set()
+        gain = {"gain"} if self.levels == "above-least" else set()
+        return frozenset({"shifts"} | turns | gain)
+
+    def _learn(self, images: Array) -> None:
+        if check_count("n_components", self.n_components) > N_MOMENTS:
+            raise ValueError(
+                f"n_components must be at most 7, got {self.n_components}. "
+                "There are seven Hu moments."
+            )
+        check_option("region", self.region, ("disc", "frame"))
+        check_option("levels", self.levels, ("above-least", "raw"))
+
+    def transform_checked(self, images: Array) -> Floats:
+        """Return the moments, shape (n_touches, n_components)."""
+        images = images.astype(np.float64, copy=False)
+        mask = np.ones(images.shape[1:], dtype=bool)
+        if self.region == "disc":
+            mask = inscribed_mask(*images.shape[1:])
+        raw = self.levels == "raw"
+        seen = images * mask if raw else _relative(images, mask)
+        invariants = _hu(central_moments(seen))[:, : self.n_components]
+        if not self.log:
+            return invariants
+        return np.sign(invariants) * np.log10(1 + np.abs(invariants) / _SMALLEST)
+
+    def get_feature_names_out(self, input_features: object = None) -> Array:
+        """Return "hu1" to "hu7"."""
+        check_is_fitted(self)
+        return np.array([f"hu{i + 1}" for i in range(self.n_components)], dtype=object)
+
+
+def _relative(images: Floats, mask: NDArray[np.bool_]) -> Floats:
+    levels = above_least(images, mask)
+    mean = levels.sum(axis=(1, 2), keepdims=True) / mask.sum()
+    size = np.abs(images).max(axis=(1, 2), keepdims=True)
+    blank = mean <= 1e-12 * size
+    return np.where(blank, 0.0, levels / np.where(blank, 1.0, mean))
+
+
+def _hu(moments: CentralMoments) -> Floats:
+    """Return the seven invariants, zeros where there is no mass."""
+    lit = moments.mass > 0
+    mass = np.where(lit, moments.mass, 1.0)[:, None, None]
+    order = np.add.outer(np.arange(4), np.arange(4))
+    eta = np.where(lit[:, None, None], moments.mu / mass ** (1 + order / 2), 0.0)
+    e20, e02, e11 = eta[:, 0, 2], eta[:, 2, 0], eta[:, 1, 1]
+    e30, e21, e12, e03 = eta[:, 0, 3], eta[:, 1, 2], eta[:, 2, 1], eta[:, 3, 0]
+    # Complex moments c[p, q], of which turning changes the phase alone.
+    c20 = (e20 - e02) + 2j * e11
+    c21 = (e30 + e12) + 1j * (e21 + e03)
+    c30 = (e30 - 3 * e12) + 1j * (3 * e21 - e03)
+    fourth, sixth = c30 * c21.conj() ** 3, c20 * c21.conj() ** 2
+    invariants = [
+        e20 + e02,
+        np.abs(c20) ** 2,
+        np.abs(c30) ** 2,
+        np.abs(c21) ** 2,
+        fourth.real,
+        sixth.real,
+        fourth.imag,
+    ]
+    return np.stack(invariants, axis=1)
+
+
+class PadShapes(ImageEstimator):
+    """Encode touches by shape numbers of each pad, and by how pads differ.
+
+    Parameters
+    ----------
+    pads : array-like of int of shape (n_pads, 4), optional
+        First row, first column, rows and columns of each pad in the image. By default
+        the whole image is one pad.
+
+    Attributes
+    ----------
+    pads_ : ndarray of int of shape (n_pads, 4)
+        The pads.
+
+    Notes
+    -----
+    Of each pad 17 numbers: load, centroid (row, column), spreads, areas above 5 % of
+    the touch's largest level and above 25 and 50 % of the pad's own, largest and mean
+    level, covariance, spreads along and across the long axis, four third moments. Then
+    each pad's share of the whole load and, for each pair of pads, the differences of
+    load, centroid and spreads. Loads and levels are roots; lengths count in halves of
+    the pad's longer side; moments and covariance are of the pad's own load, as signed
+    roots where they are squares. Levels count by their size, NaN as 0; a pad without
+    load has zeros. It is blind to nothing, but sees no more than shape.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate.encodings import PadShapes
+    >>> hand = np.ones((2, 4, 9))
+    >>> PadShapes().fit_transform(hand).shape
+    (2, 17)
+    >>> PadShapes([[0, 0, 4, 4], [0, 5, 4, 4]]).fit_transform(hand).shape
+    (2, 41)
+    """
+
+    def __init__(self, pads: ArrayLike | None = None) -> None:
+        self.pads = pads
+
+    def _learn(self, images: Array) -> None:
+        shape = images.shape[1:]
+        boxes = np.asarray([[0, 0, *shape]] if self.pads is None else self.pads)
+        if boxes.ndim != 2 or boxes.shape[1] != 4 or boxes.dtype.kind not in "iu":
+            raise ValueError(
+                "pads must be integers of shape (n_pads, 4): first row, first column, "
+                "rows and columns of each, got "
+                f"{boxes.dtype} of shape {boxes.shape}."
+            )
+        start, size = boxes[:, :2], boxes[:, 2:]
+        out = (start < 0) | (size < 1) | (start + size > np.array(shape))
+        if out.any() or not len(boxes):
+            bad = boxes[out.any(axis=1)].tolist()
+            raise ValueError(
+                f"pads must be boxes within the {shape[0]} x {shape[1]} taxels, got "
+                f"{bad[0] if bad else 'none'}. Each is first row and column, rows, "
+                "columns."
+            )
+        self.pads_ = boxes.astype(np.intp)
+
+    def transform_checked(self, images: Array) -> Floats:
+        """Return the numbers, shape (n_touches, n_features)."""
+        levels = np.abs(np.nan_to_num(images.astype(np.float64, copy=False)))
+        boxes = [
+            levels[:, row : row + rows, col : col + cols]
+            for row, col, rows, cols in self.pads_
+        ]
+        top = np.max([box.max(axis=(1, 2)) for box in boxes], axis=0)
+        pads = np.stack([_numbers(box, top) for box in boxes])
+        if len(pads) == 1:
+            return np.asarray(pads[0])
+        load = pads[:, :, 0] ** 2
+        share = load / np.where(top > 0, load.sum(axis=0), 1)
+        differences = [a - b for a, b in combinations(pads[:, :, :_COMPARED], 2)]
+        return np.hstack([*pads, share.T, *differences])
+
+    def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
+        return check_images(X, shape=shape, allow_nan=True, channels=True)
+
+
+def _numbers(box: Floats, top: Floats) -> Floats:
+    """Numbers of one pad, (n_touches, 17); `top` is each touch's largest level."""
+    largest = box.max(axis=(1, 2))
+    relative = box / np.where(largest > 0, largest, 1.0)[:, None, None]
+    moments = central_moments(relative)
+    half = max(box.shape[1:]) / 2
+    # Spreads, covariance, axes (all as lengths), and third moments, per load.
+    mass = np.where(moments.mass > 0, moments.mass, 1.0)[:, None, None]
+    mu = moments.mu / mass
+    down, across, mixed = (mu[:, q, p] / half**2 for q, p in [(2, 0), (0, 2), (1, 1)])
+    middle, gap = (down + across) / 2, np.hypot((down - across) / 2, mixed)
+    squares = [down, across, middle + gap, middle - gap]
+    lengths = np.sqrt(np.maximum(squares, 0))
+    covariance = np.sign(mixed) * np.sqrt(np.abs(mixed))
+    third = [mu[:, q, 3 - q] / half**3 for q in range(4)]
+    area = [
+        ((box > share * of[:, None, None]).mean(axis=(1, 2)))
+        for share, of in [(_OF_TOUCH, top), *((share, largest) for share in _OF_PAD)]
+    ]
+    mean = largest * moments.mass / np.maximum((relative > 0).sum(axis=(1, 2)), 1)
+    root = np.sqrt([largest * moments.mass, largest, mean])
+    centroid = [moments.y / half, moments.x / half]
+    second = [covariance, *lengths[2:]]
+    return np.stack(
+        [root[0], *centroid, *lengths[:2], *area, *root[1:], *second, *third], axis=1
+    )

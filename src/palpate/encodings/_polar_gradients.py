@@ -18,7 +18,6 @@ from .._checks import check_count, check_images, check_levels, check_number
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
 
-CHANNELS = ("radial", "tangential", "strength", "along", "oblique", "curvature")
 # Rings between these shares of the radius: nearer the centre a ring has no angles,
 # nearer the edge the smoothing reaches what lies outside.
 _INNER, _OUTER = 0.06, 0.93

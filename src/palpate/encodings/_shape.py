@@ -5,8 +5,6 @@ is moved, turned by quarter turns or mirrored, nor do Fourier descriptors with w
 walk along the outline begins. Nonzero is foreground.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -57,23 +55,19 @@ class ShapeGeometry(ImageEstimator):
         """Return area and variance, shape (n_touches, 2); nonzero is foreground."""
         shapes = images != 0
         area = shapes.sum(axis=(1, 2))
-        return np.column_stack([area, self._edge_variance(shapes)])
-
-    def get_feature_names_out(self, input_features: object = None) -> Array:
-        """Return "area" and "edge_variance"."""
-        return np.array(["area", "edge_variance"], dtype=object)
-
-    def _edge_variance(self, shapes: NDArray[np.bool_]) -> Floats:
         solid = shapes if self.edges == "all" else binary_fill_holes(shapes, _FLOOD)
         edge = solid & ~binary_erosion(solid, _CROSS)
-        _, n_rows, n_cols = shapes.shape
-        row, col = np.indices((n_rows, n_cols))
+        row, col = np.indices(shapes.shape[1:])
         distance = np.hypot(
             row - _mean(row, shapes)[:, None, None],
             col - _mean(col, shapes)[:, None, None],
         )
         spread = distance - _mean(distance, edge)[:, None, None]
-        return _mean(spread**2, edge)
+        return np.column_stack([area, _mean(spread**2, edge)])
+
+    def get_feature_names_out(self, input_features: object = None) -> Array:
+        """Return "area" and "edge_variance"."""
+        return np.array(["area", "edge_variance"], dtype=object)
 
 
 class FourierDescriptors(ImageEstimator):
@@ -128,7 +122,15 @@ class FourierDescriptors(ImageEstimator):
         for row, shape in zip(descriptors, shapes, strict=True):
             outline = outer_boundary(shape)
             if self.resample is not None and len(outline) > 2:
-                outline = _resample(outline, self.resample)
+                # Points equally spaced along the closed outline.
+                n_points = self.resample
+                closed = np.vstack([outline, outline[:1]])
+                steps = np.hypot(*np.diff(closed, axis=0).T)
+                along = np.concatenate([[0.0], np.cumsum(steps)])
+                wanted = np.arange(n_points) * (along[-1] / n_points)
+                outline = np.column_stack(
+                    [np.interp(wanted, along, side) for side in closed.T]
+                )
             found = _descriptors(outline)[: self.n]
             row[: len(found)] = found
         return descriptors
@@ -149,15 +151,6 @@ def outer_boundary(shape: NDArray[np.bool_]) -> Floats:
     outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     walk: Floats = outlines[0].reshape(-1, 2).astype(np.float64)
     return walk
-
-
-def _resample(outline: Floats, n_points: int) -> Floats:
-    """Points equally spaced along the closed polygon `outline`."""
-    closed = np.vstack([outline, outline[:1]])
-    steps = np.hypot(*np.diff(closed, axis=0).T)
-    along = np.concatenate([[0.0], np.cumsum(steps)])
-    wanted = np.arange(n_points) * (along[-1] / n_points)
-    return np.column_stack([np.interp(wanted, along, side) for side in closed.T])
 
 
 def _descriptors(outline: Floats) -> Floats:

@@ -28,9 +28,8 @@ from .._checks import (
 )
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
-from ._zernike_disc import Disc
 from ._zernike_polynomials import noll_degrees, signed_degrees, zernike_degrees
-from ._zernike_tables import HIGHEST_SEPARABLE_ORDER, Grid, zernike_moments
+from ._zernike_tables import HIGHEST_SEPARABLE_ORDER, Disc, Grid, zernike_moments
 
 # As far as the recurrence has been compared with exact arithmetic.
 _HIGHEST_ORDER = 100
@@ -159,7 +158,15 @@ class ZernikeMoments(ImageEstimator):
                 "Images must have levels whose sums stay finite, got "
                 f"{np.abs(images).max()}. Divide them by a constant first."
             )
-        return self._present(moments)
+        layout = self._layout()
+        if self.output == "abs":
+            return np.abs(moments).take(layout.columns, axis=1) * layout.weights
+        weighted = moments.take(layout.columns, axis=1) * layout.weights
+        negative = layout.degrees[:, 1] < 0
+        if self.output == "complex":
+            return np.where(negative, weighted.conj(), weighted)
+        parts = np.where(negative, -weighted.imag, weighted.real)
+        return parts if self.output == "noll" else np.abs(parts)
 
     def get_feature_names_out(self, input_features: object = None) -> Array:
         """Return "zernike<n>,<m>" for each column."""
@@ -179,12 +186,6 @@ class ZernikeMoments(ImageEstimator):
 
     def _learn(self, images: Array) -> None:
         """Place the disc in images of this size."""
-        self._check_options()
-        check_finite(images)
-        self._place_disc(images.shape[1], images.shape[2])
-        self.indices_ = self._layout().degrees.copy()
-
-    def _check_options(self) -> None:
         least = 1 if self.drop_constant else 0
         if check_count("order", self.order, at_least=least) > _HIGHEST_ORDER:
             raise ValueError(
@@ -200,8 +201,8 @@ class ZernikeMoments(ImageEstimator):
                 f"repeat_negative must be False with output={self.output!r}, got "
                 f"{self.repeat_negative!r}. Noll's list already has both signs of m."
             )
-
-    def _place_disc(self, n_rows: int, n_cols: int) -> None:
+        check_finite(images)
+        n_rows, n_cols = images.shape[1:]
         row, col = _check_centre(self.centre, n_rows, n_cols)
         inscribed = self.disc == "inscribed"
         radius = min(n_rows, n_cols) / 2 if inscribed else hypot(n_rows, n_cols) / 2
@@ -216,23 +217,12 @@ class ZernikeMoments(ImageEstimator):
                 " Both are in taxels, the first taxel's centre at (0, 0)."
             )
         self.centre_, self.radius_ = (row, col), radius
+        self.indices_ = self._layout().degrees.copy()
 
     def _layout(self) -> _Layout:
         noll, skip = self.output in ("noll", "noll_abs"), bool(self.drop_constant)
         both = bool(self.repeat_negative)
         return _layout(int(self.order), noll, self.weight, skip, both)
-
-    def _present(self, moments: NDArray[np.complex128]) -> Array:
-        """Weigh the moments of m >= 0 and lay them out as columns."""
-        layout = self._layout()
-        if self.output == "abs":
-            return np.abs(moments).take(layout.columns, axis=1) * layout.weights
-        weighted = moments.take(layout.columns, axis=1) * layout.weights
-        negative = layout.degrees[:, 1] < 0
-        if self.output == "complex":
-            return np.where(negative, weighted.conj(), weighted)
-        parts = np.where(negative, -weighted.imag, weighted.real)
-        return parts if self.output == "noll" else np.abs(parts)
 
 
 class _Layout(NamedTuple):

@@ -3,9 +3,9 @@
 from . import plots as plots
 from ._benchmark import RECOGNISERS as RECOGNISERS
 from ._benchmark import benchmark
-from ._benchmark_page import benchmark_tables as benchmark_tables
-from ._benchmark_page import verdicts as verdicts
-from ._benchmark_page import write_benchmark as write_benchmark
+from ._benchmark import benchmark_tables as benchmark_tables
+from ._benchmark import verdicts as verdicts
+from ._benchmark import write_benchmark as write_benchmark
 from ._controls import as_good_alone as as_good_alone
 from ._controls import brightness as brightness
 from ._controls import control_log_likelihood as control_log_likelihood
@@ -21,17 +21,19 @@ from ._evaluate import evaluate
 from ._metrics import calibration_bins as calibration_bins
 from ._metrics import calibration_error, davies_bouldin, roc_area
 from ._metrics import spread as spread
-from ._protocols import PROTOCOLS as PROTOCOLS
-from ._protocols import protocol_folds as protocol_folds
+from ._report import bound_said as bound_said
 from ._report import check_report_path as check_report_path
+from ._report import decision_table as decision_table
+from ._report import explained_episodes as explained_episodes
+from ._report import figure_lines as figure_lines
 from ._report import html_table as html_table
 from ._report import report_page as report_page
 from ._report import write_report
-from ._report_why import explained_episodes as explained_episodes
 from ._simple import SIMPLE as SIMPLE
-from ._splits import SPLITS as SPLITS
+from ._splits import PROTOCOLS as PROTOCOLS
 from ._splits import Fold as Fold
 from ._splits import draw_touches as draw_touches
+from ._splits import protocol_folds as protocol_folds
 from ._splits import split_by_count as split_by_count
 from ._splits import split_touches
 from ._trial import Plan, Trial

@@ -1,11 +1,12 @@
 """Presets beside simple recognisers on many sets of touches, whoever made them.
 
 Archives x protocols x recognisers, with what nuisance values alone achieve, the spread
-over folds, and CPU time.
+over folds, and CPU time; for people a table and sentences for each archive, one page.
 """
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from sklearn.base import clone
 
 from .._checks import check_count, check_option
+from .._durable import write_text
 from .._parallel import in_parallel
 from .._types import Array, Floats
 from ..recognition import PRESETS, ObjectRecogniser, find_geometry
@@ -22,14 +24,16 @@ from ._controls import CONTROLS, without_contact
 from ._episodes import run_episodes
 from ._evaluate import Progress, silent
 from ._metrics import spread
-from ._protocols import PROTOCOLS, RowFold, column_of, protocol_folds
+from ._report import as_text, check_report_path, html_table, report_page
 from ._simple import SIMPLE, STANDARDISED, taxels
+from ._splits import PROTOCOLS, RowFold, column_of, protocol_folds
 
 RECOGNISERS = (*PRESETS, *SIMPLE)
 # Papers as written stay on their sensor; `liu2014` learns each pair of labels.
 WRITTEN_FOR = {"corradi2015": ("dome", np.inf), "liu2014": ("array", 30)}
 ORDERS = 20
 POINTS = 1.0
+TITLE = "Presets beside simple recognisers"
 
 Archives = str | Path | Iterable[str | Path] | Mapping[str, Touches]
 
@@ -130,6 +134,55 @@ def benchmark(
         entries += _entries(name, found, tasks, said)
     done = {"label": label, "repeats": repeats, "seed": seed}
     return {"benchmark": entries, "skipped": skipped, **done}
+
+
+def benchmark_tables(
+    result: dict[str, Any],
+) -> Iterator[tuple[str, list[str], list[list[str]]]]:
+    """Yield title, columns and lines of text of each archive."""
+    entries = result["benchmark"]
+    for name in dict.fromkeys(entry["archive"] for entry in entries):
+        mine = [entry for entry in entries if entry["archive"] == name]
+        rows = [row for entry in mine for row in entry["rows"]]
+        counts = sorted({int(k) for row in rows for k in row["after"] or {}} - {1})
+        columns = ["recogniser", "after 1, %", "±", *(f"after {k}, %" for k in counts)]
+        columns += ["no contact, %", "log loss", "learn, s", "ms a touch"]
+        lines = [line for entry in mine for line in _lines(entry, counts)]
+        blank = [[*line, *[""] * (len(columns) - len(line))] for line in lines]
+        yield f"{name}: {mine[0]['n_touches']} touches", columns, blank
+
+
+def verdicts(result: dict[str, Any]) -> Iterator[str]:
+    """Yield a sentence for each comparison, and for all that was left out."""
+    for entry in result["benchmark"]:
+        where = f"{entry['archive']}, {entry['protocol']}"
+        if (found := entry["behind"]) is not None:
+            side = "behind" if found["points"] > 0 else "ahead of"
+            leak = found["no_contact"]
+            bare = f", which names {as_text(leak, 100)} % of touches without contact"
+            yield (
+                f"{where}: {found['verdict']}: default is {abs(found['points']):.1f} "
+                f"points (standard error {found['se']:.1f}) {side} "
+                f"{found['recogniser']}{'' if leak is None else bare}."
+            )
+        if entry["left_out"]:
+            names = ", ".join(entry["left_out"])
+            yield f"{where}: no other fold teaches {len(entry['left_out'])}: {names}."
+        for row in entry["rows"]:
+            if row["reason"] is not None:
+                yield f"{where}: no {row['recogniser']}: {row['reason']}"
+    for left in result["skipped"]:
+        yield f"{left['archive']}, {left['protocol'] or 'skipped'}: {left['reason']}"
+
+
+def write_benchmark(path: str | Path, result: dict[str, Any]) -> Path:
+    """Write tables and sentences as one self-contained `.html`."""
+    target = check_report_path(path)
+    lines = "".join(f"<li>{escape(line)}</li>" for line in verdicts(result))
+    tables = [html_table(*table) for table in benchmark_tables(result)]
+    sections = [f"<h1>{TITLE}</h1>", *tables, f"<ul>{lines}</ul>"]
+    write_text(target, report_page(TITLE, sections))
+    return target
 
 
 def _sets(archives: Archives) -> dict[str, Path | Touches]:
@@ -360,3 +413,21 @@ def _alone(values: Floats | None, task: Task) -> float | None:
 def _majority(labels: Array, fold: RowFold) -> float:
     names, counts = np.unique(labels[fold.train], return_counts=True)
     return float((labels[fold.test] == names[counts.argmax()]).mean())
+
+
+def _lines(entry: dict[str, Any], counts: list[int]) -> Iterator[list[str]]:
+    counted = f"{entry['n_labels']} labels, folds: {entry['n_folds']}"
+    yield [f"{entry['protocol']} ({counted})"]
+    for row in entry["rows"]:
+        after, seconds = row["after"] or {}, row["seconds"] or {}
+        shares = [row["accuracy"], row["se"], *(after.get(str(k)) for k in counts)]
+        yield [
+            f"  {row['recogniser']}",
+            *(as_text(share, 100) for share in (*shares, row["no_contact"])),
+            as_text(row["log_loss"], digits=2),
+            as_text(seconds.get("learn"), digits=2),
+            as_text(seconds.get("per_touch"), 1000, digits=2),
+        ]
+    for name, share in entry["controls"].items():
+        if share is not None:
+            yield [f"  control: {name}", as_text(share, 100)]

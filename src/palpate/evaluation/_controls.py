@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from sklearn.preprocessing import StandardScaler
+from sklearn.utils import gen_batches
 
 from .._types import Array, Floats
 from ..classifiers import KernelRidgeClassifier
 from ..images import fill_dead_taxels, find_rims
-from ..recognition import find_geometry
+from ..recognition import correlation, find_geometry
 from ..touches import Touches
 
 NO_CONTACT_CORRELATION = 0.98
@@ -66,15 +68,10 @@ def without_contact(touches: Touches) -> NDArray[np.bool_] | None:
     frame = touches.no_contact
     if frame is None:
         return None
-    reference = np.nan_to_num(np.asarray(frame, dtype=np.float64)).ravel()
-    reference = reference - reference.mean()
-    alike = []
-    for block in map(np.nan_to_num, _blocks(touches.images)):
-        block -= block.mean(axis=1, keepdims=True)
-        norms = np.linalg.norm(block, axis=1) * np.linalg.norm(reference)
-        correlation = block @ reference / np.where(norms > 0, norms, 1)
-        alike.append(correlation > NO_CONTACT_CORRELATION)
-    return np.concatenate(alike)
+    idle = np.nan_to_num(np.asarray(frame, dtype=np.float64))
+    blocks = map(np.nan_to_num, _blocks(touches.images))
+    alike = np.concatenate([correlation(block, idle) for block in blocks])
+    return np.asarray(alike > NO_CONTACT_CORRELATION)
 
 
 CONTROLS: dict[str, Callable[[Touches], Floats | None]] = {
@@ -85,14 +82,13 @@ CONTROLS: dict[str, Callable[[Touches], Floats | None]] = {
 
 
 def control_log_likelihood(
-    train: Floats, labels: Array, groups: Array, test: Floats
+    train: Floats, labels: Array, groups: Array | None, test: Floats
 ) -> Floats:
     """Learn labels from nuisance values; return log-likelihoods of test touches."""
-    centre, spread = train.mean(axis=0), train.std(axis=0)
-    spread = np.where(spread > 0, spread, 1)
+    scale = StandardScaler().fit(train)
     classifier = KernelRidgeClassifier(widths=(0.5, 2.0, 8.0))
-    classifier.fit((train - centre) / spread, labels, groups=groups)
-    return classifier.log_likelihood((test - centre) / spread)
+    classifier.fit(scale.transform(train), labels, groups=groups)
+    return classifier.log_likelihood(scale.transform(test))
 
 
 def _grey(images: Floats) -> Floats:
@@ -102,9 +98,8 @@ def _grey(images: Floats) -> Floats:
 
 def _blocks(images: Array) -> Iterator[Floats]:
     """Yield some images at a time, (n_touches, n_taxels)."""
-    for start in range(0, len(images), BLOCK):
-        some = images[start : start + BLOCK]
-        yield some.reshape(len(some), -1).astype(np.float64)
+    for rows in gen_batches(len(images), BLOCK):
+        yield images[rows].reshape(len(images[rows]), -1).astype(np.float64)
 
 
 def as_good_alone(figures: dict[str, Any]) -> list[str]:

@@ -62,18 +62,18 @@ class Episodes:
             return None
         n_labels = beliefs[0].shape[-1]
         confusion = np.zeros((n_labels, n_labels))
-        for column, log_posterior in zip(truth, beliefs, strict=True):
-            answers = np.bincount(log_posterior.argmax(axis=1), minlength=n_labels)
+        named = [log_posterior.argmax(axis=1) for log_posterior in beliefs]
+        for column, answers in zip(truth, named, strict=True):
             if column >= 0:
-                confusion[column] += answers / len(log_posterior)
+                counts = np.bincount(answers, minlength=n_labels)
+                confusion[column] += counts / len(answers)
         column_of = np.repeat(truth, [len(b) for b in beliefs])
-        everything = np.concatenate(beliefs)
-        best = everything.argmax(axis=1)
+        everything, best = np.concatenate(beliefs), np.concatenate(named)
         true_log = everything[np.arange(len(best)), column_of]
-        pairs = zip(truth, beliefs, strict=True)
+        pairs = zip(truth, named, strict=True)
         answered = np.maximum(confusion.sum(axis=1, keepdims=True), 1e-12)
         return Scores(
-            accuracy=np.array([(b.argmax(axis=1) == t).mean() for t, b in pairs]),
+            accuracy=np.array([(said == t).mean() for t, said in pairs]),
             confidence=np.exp(everything.max(axis=1)),
             hit=best == column_of,
             log_loss=np.where(column_of >= 0, -true_log, np.nan),

@@ -1,7 +1,9 @@
 """Learning, recognising and scoring touches: one protocol, from touches to figures."""
 
 import time
+from collections import Counter
 from collections.abc import Callable
+from copy import copy, deepcopy
 from dataclasses import replace
 from typing import Any
 
@@ -9,11 +11,16 @@ import numpy as np
 
 from .._parallel import in_parallel
 from .._types import Array, Floats
-from ..recognition import Evidence, ObjectRecogniser, left_out_groups
+from ..recognition import (
+    Evidence,
+    ObjectRecogniser,
+    SequenceCalibration,
+    left_out_groups,
+)
 from ..touches import Touches
 from ._controls import CONTROLS, control_log_likelihood, without_contact
 from ._episodes import Episodes, run_episodes
-from ._splits import Fold, draw_touches, split_touches
+from ._splits import SPLITS, Fold, column_of, draw_touches, split_touches
 from ._trial import Plan, Trial, figures_of
 
 Progress = Callable[[str], None]
@@ -41,7 +48,7 @@ def evaluate(
         Training touches; with `split`, the touches to be split.
     test : Touches, optional
         Test touches. Exactly one of `test` and `split` must be given.
-    split : {"between", "last", "unseen-objects"}, optional
+    split : {"between", "last", "unseen-objects", "session", "subject"}, optional
         See `split_touches`; "unseen-objects" recognises categories.
     unknown : Touches, optional
         Touches of objects that are not among the training objects.
@@ -80,12 +87,12 @@ def evaluate(
     if test is not None and split is None:
         folds = [Fold("test", train, test)]
     elif split is not None and test is None:
-        folds = split_touches(train, split)
+        folds = split_touches(train, split, plan.label)
     else:
         raise ValueError(
             "Give either test touches or a split, got "
             f"{'both' if split is not None else 'neither'}: "
-            "--test TOUCHES or --split between|last|unseen-objects."
+            f"--test TOUCHES or --split {'|'.join(SPLITS)}."
         )
     if split == "unseen-objects":
         plan = replace(plan, label="category")
@@ -113,8 +120,10 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     start = time.perf_counter()
     recogniser.fit(train)
     seconds = {"learn": time.perf_counter() - start}
+    _test_labels(test, plan.label, recogniser)
     progress(f"{fold.name}: recognising {len(test)} touches")
-    evidence, timing = _timed(recogniser, test)
+    timing = _timed(recogniser, test)
+    recogniser, test, evidence = _remounted(recogniser, test, plan)
     labels = _test_labels(test, plan.label, recogniser)
     objects = labels if test.object is None else test.object
     longest = int(np.unique(objects, return_counts=True)[1].max())
@@ -125,13 +134,17 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
         )
     rows = evidence.log_likelihood
     args = (rows, objects, labels, plan.orders, plan.seed, evidence)
+    plain = copy(recogniser)
+    plain.sequence_calibration_ = SequenceCalibration()
+    flagged = Counter(filter(None, evidence.flags))
     trial = Trial(
-        Fold(fold.name, train, test),
+        replace(fold, train=train, test=test),
         recogniser,
         rows,
         run_episodes(recogniser, *args),
         seconds={**seconds, **timing},
-        flags=_shares(evidence.flags),
+        uncalibrated=run_episodes(plain, *args[:-1]),
+        flags={flag: n / len(rows) for flag, n in sorted(flagged.items())},
     )
     if unknown is not None:
         progress(f"{fold.name}: meeting {len(unknown)} unknown touches")
@@ -141,32 +154,56 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     return trial
 
 
-def _timed(
-    recogniser: ObjectRecogniser, test: Touches
-) -> tuple[Evidence, dict[str, float]]:
+def _remounted(
+    recogniser: ObjectRecogniser, test: Touches, plan: Plan
+) -> tuple[ObjectRecogniser, Touches, Evidence]:
+    """Let a recogniser get used to the sessions it is asked in, as the plan says.
+
+    Returns it, the touches it is asked about, and what they tell.
+    """
+    way, number = plan.remounting
+    if way == "none":
+        return recogniser, test, recogniser.evidence(test)
+    order = np.arange(len(test)) if test.order is None else test.order
+    in_order = np.argsort(order, kind="stable")
+    if way == "confirm":
+        known = _test_labels(test, plan.label, recogniser)
+        names = known if test.object is None else test.object
+        first = [in_order[names[in_order] == n][:number] for n in np.unique(names)]
+        given = np.isin(np.arange(len(test)), np.concatenate(first))
+        if given.all():
+            raise ValueError(
+                f"remount must leave touches to ask about, got {plan.remount!r}, which "
+                "takes all. Confirm fewer."
+            )
+        recogniser.remount(test[given])
+        return recogniser, test[~given], recogniser.evidence(test[~given])
+    labels = [name for name in ("object", "category") if name in test.columns]
+    session = np.zeros(len(test)) if test.session is None else test.session
+    of_sessions = [in_order[session[in_order] == s] for s in np.unique(session)]
+    evidence = []
+    for mine in of_sessions:
+        used = deepcopy(recogniser)
+        used.remount(test[mine[:number]].without(*labels))
+        evidence.append(used.evidence(test[mine]))
+    return used, test[np.concatenate(of_sessions)], Evidence.together(evidence)
+
+
+def _timed(recogniser: ObjectRecogniser, test: Touches) -> dict[str, float]:
     some = test[: min(len(test), N_TIMED)]
     start = time.perf_counter()
     features = recogniser.encoder_.transform(some)
     encoded = time.perf_counter()
     recogniser.classifier_.log_likelihood(features)
     done = time.perf_counter()
-    return recogniser.evidence(test), {
+    return {
         "encode_per_touch": (encoded - start) / len(some),
         "recognise_per_touch": (done - encoded) / len(some),
     }
 
 
-def _shares(flags: list[str]) -> dict[str, float]:
-    names, counts = np.unique([flag for flag in flags if flag], return_counts=True)
-    return dict(zip(names.tolist(), (counts / len(flags)).tolist(), strict=True))
-
-
 def _test_labels(test: Touches, label: str, recogniser: ObjectRecogniser) -> Array:
-    labels = test.object if label == "object" else test.category
-    if labels is None:
-        raise ValueError(
-            f"test touches must have a column {label!r} to be scored against."
-        )
+    labels = column_of(test, label)
     new = np.setdiff1d(labels, recogniser.classes_)
     if len(new):
         raise ValueError(
@@ -200,8 +237,11 @@ def _controls(
 ) -> dict[str, dict[str, float] | None]:
     """Return the accuracy of each nuisance control; None where it has no cause."""
     train, test, recogniser = trial.fold.train, trial.fold.test, trial.recogniser
-    memory = recogniser.memory_
-    groups = left_out_groups(train, memory.labels, memory.objects, plan.label)
+    # Confirmed touches of the test session come after those of training.
+    of_train = slice(len(train))
+    taught = recogniser.memory_.labels[of_train]
+    whose = recogniser.memory_.objects[of_train]
+    groups = left_out_groups(train, taught, whose, plan.label)
 
     def curve(rows: Floats, which: Any = slice(None)) -> dict[str, float]:
         asked = (objects[which], labels[which], plan.orders, plan.seed)
@@ -211,10 +251,9 @@ def _controls(
 
     result: dict[str, dict[str, float] | None] = dict.fromkeys(CONTROLS)
     for name, measure in CONTROLS.items():
-        if (of_train := measure(train)) is None or (of_test := measure(test)) is None:
+        if (known := measure(train)) is None or (of_test := measure(test)) is None:
             continue
-        values = control_log_likelihood(of_train, memory.labels, groups, of_test)
-        result[name] = curve(values)
+        result[name] = curve(control_log_likelihood(known, taught, groups, of_test))
     idle = without_contact(test)
     some = idle is not None and idle.any()
     result["no contact"] = curve(trial.log_likelihood[idle], idle) if some else None

@@ -1,25 +1,34 @@
-"""One self-contained HTML page that a person would rather look at than numbers."""
+"""One self-contained HTML page that a person would rather look at than numbers.
 
-from collections.abc import Sequence
+It says why the recogniser answered as it did: beside each touch that moved the belief
+stand the training touches that it resembles.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .._durable import write_text
 from .._types import Floats
-from ..touches import as_shown, png_address
+from ..recognition import said_of_sessions
+from ..touches import Touches, as_shown, png_address
 from . import plots
 from ._controls import as_good_alone
+from ._episodes import Decisions, decide_episodes
 from ._metrics import calibration_bins, spread
-from ._report_why import explanations
 from ._trial import Trial, scored
 
 EXAMPLES = 6
 SIDE = 120
 PAIRS = 5
 PICTURES_PER_PAIR = 4
+EPISODES, WRONG = 6, 4
+MOVED, NEAREST = 3, 3
+SMALL_SIDE = 72
 PAGE_STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#1f2933;background:#fff;
 max-width:62rem;margin:2rem auto;padding:0 1rem}
@@ -37,6 +46,17 @@ td:first-child,th:first-child{text-align:left}
 .why img{display:block;height:72px;border-radius:4px;margin-bottom:2px}
 .note{color:#5a6572}svg{max-width:100%;height:auto}
 """
+
+
+class Explained(NamedTuple):
+    """One episode up to its end: the touches, and what was made of them."""
+
+    trial: Trial
+    name: str
+    truth: str
+    rows: NDArray[np.intp]
+    said: str
+    right: bool
 
 
 def check_report_path(path: str | Path) -> Path:
@@ -70,9 +90,10 @@ def write_report(
         _head(figures),
         _accuracy(figures, trials),
         "".join(f"<p><b>{escape(one)}</b></p>" for one in as_good_alone(figures)),
-        _decisions(figures["decision"]),
+        html_table(*decision_table(figures["decision"])),
+        f"<p class=note>{bound_said(figures['decision'])}</p>",
         _confusion(figures, trials),
-        explanations(figures, trials),
+        _explanations(figures, trials),
         _examples(trials),
     ]
     title = f"palpate: {figures['n_labels']} {figures['label']} labels"
@@ -99,7 +120,82 @@ def html_table(
         "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>"
         for row in rows
     )
-    return f"<h2>{escape(title)}</h2><table><tr>{head}</tr>{body}</table>"
+    above = f"<h2>{escape(title)}</h2>" if title else ""
+    return f"{above}<table><tr>{head}</tr>{body}</table>"
+
+
+def figure_lines(figures: dict[str, Any]) -> list[list[str]]:
+    """Return what each figure is, and its value after each number of touches."""
+    over = "folds" if figures["n_folds"] > 1 else "objects"
+    rows: list[tuple[str, dict[str, Any], float, int]] = [
+        ("right, %", figures["accuracy"], 100, 1),
+        (f"sd over {over}, %", figures["accuracy_sd"], 100, 1),
+        ("objects", figures["n_objects"], 1, 0),
+        ("log loss, nats", figures["log_loss"], 1, 2),
+        ("category right, %", figures.get("category_accuracy", {}), 100, 1),
+        ("calibration error", figures["ece"], 1, 3),
+        ("the same before calibration", figures["ece_before"], 1, 3),
+    ]
+    for name, curve in figures["controls"].items():
+        bare = name == "no contact"
+        label = "touches without contact, %" if bare else f"{name} alone, %"
+        rows.append((label, curve or dict.fromkeys(figures["accuracy"]), 100, 1))
+    rows.append(("unknown, ROC area", figures.get("unknown_auroc", {}), 1, 3))
+    rows.append(("unknown refused, %", figures.get("unknown_refused", {}), 100, 1))
+    return [
+        [name, *(as_text(values.get(k), scale, n) for k in figures["accuracy"])]
+        for name, values, scale, n in rows
+        if values
+    ]
+
+
+def decision_table(
+    decision: dict[str, Any],
+) -> tuple[str, list[str], list[list[str]]]:
+    """Return title, columns and the one line of how many episodes ended how."""
+    n_episodes = decision["n_episodes"]
+    ends = {
+        "named right": decision["right"],
+        "named wrong": decision["wrong"],
+        "called unknown": decision["refused"],
+        "undecided": round(n_episodes * decision["undecided"]),
+    }
+    cells = [f"{n} ({as_text(n / n_episodes, 100)} %)" for n in ends.values()]
+    title = (
+        f"Stopping at an error of {decision['error']:g}, a refusal of "
+        f"{decision['refusal']:g}, in {n_episodes} episodes"
+    )
+    return title, [*ends, "touches"], [[*cells, as_text(decision["mean_touches"])]]
+
+
+def bound_said(decision: dict[str, Any]) -> str:
+    """Return what the episodes that ended say of new objects, as a sentence."""
+    short = "" if decision["can_be_verified"] else ": too few to show the error asked"
+    return (
+        f"At most {as_text(decision['bound'], 100)} % of new objects that are named "
+        f"would be named wrong, at 95 % confidence from {decision['n_objects']} "
+        f"objects{short}."
+    )
+
+
+def as_text(value: float | None, scale: float = 1, digits: int = 1) -> str:
+    """Return a figure with so many decimals, or a dash."""
+    return "-" if value is None else f"{scale * value:.{digits}f}"
+
+
+def explained_episodes(
+    figures: dict[str, Any], trials: Sequence[Trial]
+) -> list[Explained]:
+    """Return at most six decided episodes: up to four wrong, the others right."""
+    accepted = figures["decision"]["error"], figures["decision"]["refusal"]
+    ends = [decide_episodes(t.recogniser, t.episodes, *accepted) for t in trials]
+    wrong = _one_each(ends, lambda end: end.decided & ~end.right)
+    right = _one_each(ends, lambda end: end.right)
+    few = wrong[: max(WRONG, EPISODES - len(right))][:EPISODES]
+    n_right = min(EPISODES - len(few), len(right))
+    places = np.unique(np.linspace(0, len(right) - 1, n_right).astype(int))
+    chosen = few + [right[place] for place in places]
+    return [_explained(trials[fold], ends[fold], number) for fold, number in chosen]
 
 
 def _head(figures: dict[str, Any]) -> str:
@@ -115,7 +211,7 @@ def _head(figures: dict[str, Any]) -> str:
         f"{figures['orders']} random orders of each object's touches.<br>"
         f"<span class=note>Encoding: {escape(str(chosen['encoding']))} "
         f"({escape(str(chosen['why']))}; geometry {escape(str(chosen['geometry']))})."
-        f"{found}</span></p>"
+        f"{found}<br>{escape(said_of_sessions(figures['sessions']))}</span></p>"
     )
 
 
@@ -132,56 +228,7 @@ def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
         "<p class=note>Left: mean and one standard deviation over objects (over folds "
         "where there are several). Dashed: what nuisance values achieve by themselves."
         " Right: a belief of 0.9 should be right nine times in ten.</p>"
-        + _table(figures)
-    )
-
-
-def _table(figures: dict[str, Any]) -> str:
-    keys = list(figures["accuracy"])
-    rows = [
-        ("right, %", figures["accuracy"], 100, 1),
-        ("standard deviation, %", figures["accuracy_sd"], 100, 1),
-        ("log loss, nats", figures["log_loss"], 1, 2),
-        ("calibration error", figures["ece"], 1, 3),
-    ]
-    for name, control in figures["controls"].items():
-        rows.append((f"control: {name}, %", control or {}, 100, 1))
-    if "category_accuracy" in figures:
-        rows.append(("category right, %", figures["category_accuracy"], 100, 1))
-    if "unknown_auroc" in figures:
-        rows.append(("unknown objects, ROC area", figures["unknown_auroc"], 1, 3))
-    head = "".join(f"<th>{k}</th>" for k in keys)
-    body = "".join(
-        f"<tr><td>{escape(name)}</td>"
-        + "".join(
-            f"<td>{scale * values[k]:.{digits}f}</td>" if k in values else "<td>-</td>"
-            for k in keys
-        )
-        + "</tr>"
-        for name, values, scale, digits in rows
-    )
-    return f"<table><tr><th>after touches</th>{head}</tr>{body}</table>"
-
-
-def _decisions(decision: dict[str, Any]) -> str:
-    """Say how episodes ended, and what the error asked for is worth."""
-    n_episodes = decision["n_episodes"]
-    shares = [decision[key] / n_episodes for key in ("right", "wrong", "refused")]
-    shares.append(decision["undecided"])
-    heads = ["named right", "named wrong", "called unknown", "undecided", "touches"]
-    cells = [f"{100 * share:.1f} %" for share in shares]
-    cells.append(f"{decision['mean_touches']:.1f}")
-    n_objects = decision["n_objects"]
-    short = "" if decision["can_be_verified"] else ": too few to show the error asked"
-    return html_table(
-        f"Stopping at an error of {decision['error']:g}, a refusal of "
-        f"{decision['refusal']:g}",
-        heads,
-        [cells],
-    ) + (
-        f"<p class=note>At most {100 * decision['bound']:.0f} % of new objects that "
-        f"are named would be named wrong, at 95 % confidence from {n_objects} objects"
-        f"{short}.</p>"
+        + html_table("", ["after touches", *figures["accuracy"]], figure_lines(figures))
     )
 
 
@@ -249,3 +296,86 @@ def _curve(trials: Sequence[Trial]) -> tuple[Floats, Floats]:
     per_fold = np.array([[over.mean() for over in folds] for folds in each])
     over = [folds[0] for folds in each] if len(trials) == 1 else per_fold
     return per_fold.mean(axis=1), np.array([float(spread(one)) for one in over])
+
+
+def _explanations(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
+    """Return the touches that moved some decisions most, as HTML.
+
+    Wrong decisions come first, of as many objects as there are, then right ones.
+    """
+    ends = figures["decision"]
+    shown = "".join(_episode(one, ends) for one in explained_episodes(figures, trials))
+    if not shown:
+        return ""
+    return (
+        "<h2>Why: the touches that moved the belief most</h2>"
+        "<p class=note>Of some episodes, wrong decisions first. Left: a touch, and how "
+        "far it moved the balance between the two most probable labels (nats; 2.3 are "
+        "a factor of ten). Right of it: the training touches most like it, and how far "
+        f"they are (1: as two middling training touches).</p>{shown}"
+    )
+
+
+def _one_each(
+    ends: Sequence[Decisions], which: Callable[[Decisions], NDArray[np.bool_]]
+) -> list[tuple[int, int]]:
+    """Return the first such episode of each object: fold, and number in it."""
+    found: dict[str, tuple[int, int]] = {}
+    for fold, end in enumerate(ends):
+        for number in np.flatnonzero(which(end)).tolist():
+            found.setdefault(str(end.objects[number]), (fold, number))
+    return list(found.values())
+
+
+def _explained(trial: Trial, end: Decisions, number: int) -> Explained:
+    episodes, classes = trial.episodes, trial.recogniser.classes_
+    name, used = str(end.objects[number]), int(end.touches[number])
+    whose = episodes.objects.index(name)
+    order = number % len(episodes.rows[whose])
+    best = episodes.beliefs[whose][order, used - 1].argmax()
+    return Explained(
+        trial,
+        name,
+        str(classes[episodes.truth[whose]]),
+        episodes.rows[whose][order, :used],
+        "unknown" if end.refused[number] else str(classes[best]),
+        bool(end.right[number]),
+    )
+
+
+def _episode(one: Explained, asked: dict[str, Any]) -> str:
+    belief = one.trial.recogniser.start().update(one.trial.fold.test[one.rows])
+    reason = belief.reason(asked["error"], refusal=asked["refusal"])
+    of_label = "" if one.name == one.truth else f" ({escape(one.truth)})"
+    moved = "".join(
+        f"<div class=why>{''.join(_touch(one, step))}</div>"
+        for step in belief.explain(MOVED, NEAREST)
+    )
+    return (
+        f"<p><b>{escape(one.name)}</b>{of_label} taken for <b>{escape(one.said)}</b>: "
+        f"{'right' if one.right else 'wrong'}.<br>"
+        f"<span class=note>{escape(reason)}</span></p>{moved}"
+    )
+
+
+def _touch(one: Explained, step: dict[str, Any]) -> Iterator[str]:
+    """Yield a touch that moved the belief, then its nearest training touches."""
+    fold = one.trial.fold
+    pair = step["best"], step["rival"]
+    more, less = pair if step["nats"] > 0 else pair[::-1]
+    said = [f"touch {step['touch']}:", f"{abs(step['nats']):.1f} nats for {more}"]
+    said += [f"over {less}", *filter(None, [step["flag"]])]
+    yield _cell(one.trial, fold.test[one.rows[[step["touch"] - 1]]], said)
+    for near in step["nearest"]:
+        train = fold.train[np.array([near["row"]])]
+        yield _cell(one.trial, train, [near["object"], f"{near['distance']:.2f} away"])
+
+
+def _cell(trial: Trial, touch: Touches, lines: Iterable[str]) -> str:
+    """Return a touch as a small picture, where it has places, above its lines."""
+    picture = ""
+    if trial.recogniser.chosen_["geometry"] != "none":
+        cleaned = as_shown(trial.recogniser.encoder_.clean(touch), touch.channels)[0]
+        picture = f"<img src='{png_address(cleaned, SMALL_SIDE)}' alt='touch'>"
+    text = "<br>".join(escape(line) for line in lines)
+    return f"<div>{picture}<span>{text}</span></div>"

@@ -1,26 +1,56 @@
-"""Which touches train and which test: three splits of one set of touches."""
+"""Which touches train and which test: splits of one set, and protocols of a benchmark.
 
+Protocols make folds of row numbers. A recording is what was touched of one object in
+one session (and of one `part`, where there is such a column), in order. Near copies
+stay on one side: touches of one press (columns `press`, `episode`, `squeeze` or
+`idle_of`) are taught together or asked together.
+"""
+
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import check_count, check_option
+from .._types import Array
 from ..touches import Touches
 
-SPLITS = ("between", "last", "unseen-objects")
+VISITS = ("session", "subject")
+SPLITS = ("between", "last", "unseen-objects", *VISITS)
+N_RUNS = 5
+# More people or sessions than this are asked several at a time.
+MOST_FOLDS = 20
+RECORDING = ("object", "session", "part")
+PRESS = ("press", "episode", "squeeze", "idle_of")
+
+Rows = NDArray[np.intp]
+Asked = Iterator[tuple[str, NDArray[np.bool_]]]
 
 
 @dataclass(frozen=True)
 class Fold:
-    """One way to train and test: what is tested, in a few words, and disjoint sets."""
+    """One way to train and test: what is tested, in a few words, and disjoint sets.
+
+    `left_out` are the objects that no fold can ask.
+    """
 
     name: str
     train: Touches
     test: Touches
+    left_out: tuple[str, ...] = ()
 
 
-def split_touches(touches: Touches, split: str) -> list[Fold]:
+class RowFold(NamedTuple):
+    """A fold by row numbers: what is asked, in words, and who teaches and is asked."""
+
+    name: str
+    train: Rows
+    test: Rows
+
+
+def split_touches(touches: Touches, split: str, label: str = "object") -> list[Fold]:
     """Split labelled touches into training and test touches.
 
     Parameters
@@ -28,27 +58,34 @@ def split_touches(touches: Touches, split: str) -> list[Fold]:
     touches : Touches
         With `object`, and `category` for "unseen-objects"; `order` is the order of
         the recording where it is given, else the order in the set counts.
-    split : {"between", "last", "unseen-objects"}
+    split : {"between", "last", "unseen-objects", "session", "subject"}
         "between" tests every fourth touch of each object, "last" the last quarter
         of each recording (places and times not trained on), "unseen-objects" one
         object of every category, in as many folds as the largest category has
-        objects.
+        objects. "session" and "subject" test each session or person in turn, of many
+        several at a time, and the others train; objects that no other met are left
+        out.
+    label : {"object", "category"}, default="object"
+        What the others must have met, for "session" and "subject".
 
     Raises
     ------
     ValueError
         If labels are missing, or an object has fewer than 4 touches, or no
-        category has two objects.
+        category has two objects, or all is of one session or person.
     """
     check_option("split", split, SPLITS)
-    objects = touches.object
-    if objects is None:
-        raise ValueError(
-            "touches must have a column 'object' to be split; name folders after "
-            "objects or pass a name pattern."
-        )
+    objects = column_of(touches, "object")
     if split == "unseen-objects":
-        return _unseen_objects(touches, objects)
+        folds = _categories(touches, repeats=1, seed=0)
+        return [Fold(name, touches[~test], touches[test]) for name, test in folds]
+    if split in VISITS:
+        parts, gone = protocol_folds(touches, f"{split}s", label, repeats=1, seed=0)
+        left_out = tuple(gone)
+        return [
+            Fold(f"{split} {name}", touches[train], touches[test], left_out)
+            for name, train, test in parts
+        ]
     test = np.zeros(len(touches), dtype=bool)
     for name in np.unique(objects):
         rows = np.flatnonzero(objects == name)
@@ -61,6 +98,49 @@ def split_touches(touches: Touches, split: str) -> list[Fold]:
             rows = rows[np.argsort(touches.order[rows], kind="stable")]
         test[rows[3::4] if split == "between" else rows[-(len(rows) // 4) :]] = True
     return [Fold(split, touches[~test], touches[test])]
+
+
+def protocol_folds(
+    touches: Touches, protocol: str, label: str, repeats: int, seed: int
+) -> tuple[list[RowFold], list[str]]:
+    """Return the folds of a protocol, and the objects that none of them can ask.
+
+    In each fold labels that have fewer than two touches to teach are left out.
+
+    Raises
+    ------
+    ValueError
+        The touches do not allow this protocol; the message says why.
+    """
+    labels = column_of(touches, label)
+    objects = column_of(touches, "object")
+    folds = []
+    for name, asked in PROTOCOLS[protocol](touches, repeats, seed):
+        taught, counts = np.unique(labels[~asked], return_counts=True)
+        known = np.isin(labels, taught[counts > 1])
+        train, test = np.flatnonzero(known & ~asked), np.flatnonzero(known & asked)
+        if len(test) and len(np.unique(labels[train])) > 1:
+            folds.append(RowFold(name, train, test))
+    if not folds:
+        raise ValueError(
+            f"protocol {protocol!r} must find two {label} labels that it can teach and "
+            "ask apart, got fewer. Record them again, in another session or by another "
+            "person, or choose another protocol."
+        )
+    met = np.concatenate([fold.test for fold in folds])
+    left_out = np.setdiff1d(objects, objects[met])
+    return folds, [str(name) for name in left_out]
+
+
+def column_of(touches: Touches, name: str) -> Array:
+    """Return a column, or say that it is missing."""
+    if name not in touches.columns:
+        held = ", ".join(touches.columns) or "none"
+        raise ValueError(
+            f"touches must have a column {name!r}, got {held}. Add it, or name folders "
+            "after objects or pass a name pattern."
+        )
+    return touches.columns[name]
 
 
 def split_by_count(
@@ -86,31 +166,96 @@ def draw_touches(touches: Touches, n_touches: int, seed: int) -> Touches:
 
 def _drawn_rows(touches: Touches, n_touches: int, seed: int) -> NDArray[np.intp]:
     check_count("train_touches", n_touches, at_least=2)
-    if touches.object is None:
-        raise ValueError("touches must have a column 'object' to draw from each.")
+    objects = column_of(touches, "object")
     rng = np.random.default_rng(seed)
-    of_each = [np.flatnonzero(touches.object == n) for n in np.unique(touches.object)]
+    of_each = [np.flatnonzero(objects == name) for name in np.unique(objects)]
     drawn = [rng.permutation(rows)[:n_touches] for rows in of_each]
     return np.sort(np.concatenate(drawn))
 
 
-def _unseen_objects(touches: Touches, objects: NDArray[np.str_]) -> list[Fold]:
-    if touches.category is None:
+def _column(touches: Touches, name: str) -> Asked:
+    values, codes = np.unique(column_of(touches, name), return_inverse=True)
+    if len(values) < 2:
         raise ValueError(
-            "split 'unseen-objects' needs a column 'category' beside 'object'."
+            f"touches must have at least two values of {name!r}, got {len(values)}. "
+            "Choose another protocol."
         )
-    kinds = np.unique(touches.category)
-    members = [np.unique(objects[touches.category == kind]) for kind in kinds]
+    for k in range(min(len(values), MOST_FOLDS)):
+        yield ", ".join(map(str, values[k::MOST_FOLDS])), codes % MOST_FOLDS == k
+
+
+def _blocks(touches: Touches, repeats: int, seed: int) -> Asked:
+    place, count, _ = _places(touches)
+    for k in range(N_RUNS):
+        yield f"run {k + 1} of {N_RUNS}", place * N_RUNS // count == k
+
+
+def _halves(touches: Touches, repeats: int, seed: int) -> Asked:
+    place, count, _ = _places(touches)
+    yield "second half", 2 * place >= count
+
+
+def _random(touches: Touches, repeats: int, seed: int) -> Asked:
+    place, count, recording = _places(touches)
+    rng = np.random.default_rng(seed)
+    for k in range(repeats):
+        asked = np.zeros(len(touches), dtype=bool)
+        for one in range(recording.max() + 1):
+            rows = np.flatnonzero(recording == one)
+            n = int(count[rows[0]])
+            drawn = rng.permutation(n)[place[rows]]
+            asked[rows] = drawn < (max(1, round(n / N_RUNS)) if n > 1 else 0)
+        yield f"draw {k + 1} of {repeats}", asked
+
+
+def _categories(touches: Touches, repeats: int, seed: int) -> Asked:
+    """Leave one object of every category out, in as many folds as the most have."""
+    objects, categories = (column_of(touches, n) for n in ("object", "category"))
+    members = [np.unique(objects[categories == k]) for k in np.unique(categories)]
     n_folds = max(map(len, members))
     if n_folds < 2:
         raise ValueError(
             "split 'unseen-objects' needs a category with at least two objects, "
             "got one object in each."
         )
-    folds = []
     for k in range(n_folds):
         left_out = [m[k] for m in members if len(m) > max(k, 1)]
-        test = np.isin(objects, left_out)
-        name = f"fold {k + 1} of {n_folds}"
-        folds.append(Fold(name, touches[~test], touches[test]))
-    return folds
+        yield f"fold {k + 1} of {n_folds}", np.isin(objects, left_out)
+
+
+PROTOCOLS: dict[str, Callable[[Touches, int, int], Asked]] = {
+    "subjects": lambda touches, repeats, seed: _column(touches, "subject"),
+    "sessions": lambda touches, repeats, seed: _column(touches, "session"),
+    "blocks": _blocks,
+    "halves": _halves,
+    "random": _random,
+    "categories": _categories,
+}
+
+
+def _places(touches: Touches) -> tuple[Rows, Rows, Rows]:
+    """Return each touch's press, counted within its recording, and how many it has.
+
+    Also the number of the recording; all of shape (n_touches,).
+    """
+    recording = _codes(touches, *RECORDING)
+    press = _codes(touches, *RECORDING, *PRESS)
+    if not any(name in touches.columns for name in PRESS):
+        press = np.arange(len(touches))
+    order = touches.columns.get("order", np.arange(len(touches)))
+    place, count = np.empty_like(press), np.empty_like(press)
+    in_order = np.lexsort((order, _codes(touches, "subject"), recording))
+    for rows in np.split(in_order, np.flatnonzero(np.diff(recording[in_order])) + 1):
+        _, first, which = np.unique(press[rows], return_index=True, return_inverse=True)
+        place[rows] = first.argsort().argsort()[which]
+        count[rows] = len(first)
+    return place, count, recording
+
+
+def _codes(touches: Touches, *names: str) -> Rows:
+    """Number the touches by what these columns hold together, where there are any."""
+    codes = np.zeros(len(touches), dtype=np.intp)
+    for name in filter(touches.columns.__contains__, names):
+        found = np.unique(touches.columns[name], return_inverse=True)[1].ravel()
+        codes = np.unique(codes * (found.max() + 1) + found, return_inverse=True)[1]
+    return codes

@@ -1,5 +1,6 @@
 """What is asked of an evaluation, what one fold of it holds, and the figures of all."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -8,7 +9,7 @@ import numpy as np
 
 from .._checks import check_count, check_number, check_option
 from .._types import Floats
-from ..recognition import PRESETS, ObjectRecogniser
+from ..recognition import PRESETS, ObjectRecogniser, across_sessions
 from ._episodes import Decisions, Episodes, Scores, decide_episodes
 from ._metrics import calibration_error, roc_area, spread
 from ._splits import Fold
@@ -35,6 +36,11 @@ class Plan:
         stopping rule; `refusal` is `error` unless given.
     floor, presentation
         As for `ObjectRecogniser`.
+    remount : str
+        What a recogniser may do with test touches before it is asked: "none";
+        "recentre" (get used to each session by its touches without labels) or
+        "recentre:K" (by the first K); "confirm:N" (by the first N of each object with
+        labels, which are then not asked).
     seed : int
         Seed of every draw.
     """
@@ -49,6 +55,7 @@ class Plan:
     floor: float | None = None
     presentation: str = "auto"
     seed: int = 0
+    remount: str = "none"
 
     def __post_init__(self) -> None:
         check_option("preset", self.preset, PRESETS)
@@ -59,11 +66,23 @@ class Plan:
         check_count("seed", self.seed, at_least=0)
         for k in self.touches:
             check_count("touches", k)
+        self.remounting  # noqa: B018  It says what is wrong with `remount`.
 
     @property
     def accepted(self) -> tuple[float, float]:
         """The accepted shares of wrong names and of refused known objects."""
         return self.error, self.error if self.refusal is None else self.refusal
+
+    @property
+    def remounting(self) -> tuple[str, int | None]:
+        """What `remount` says, and its number."""
+        ways = r"(none|recentre)|(recentre|confirm):([1-9][0-9]*)"
+        if (found := re.fullmatch(ways, self.remount)) is None:
+            raise ValueError(
+                "remount must be none, recentre, recentre:K or confirm:N with a number "
+                f"of touches, got {self.remount!r}."
+            )
+        return found[1] or found[2], int(found[3]) if found[3] else None
 
 
 @dataclass
@@ -82,6 +101,8 @@ class Trial:
         Of the test touches: many orders of each object's, and each alone.
     seconds : dict
         To learn; per touch to encode and to recognise.
+    uncalibrated : Episodes or None
+        `episodes` as they would be if touches of one episode added up in full.
     unknown_episodes : Episodes or None
         The same of unknown objects, where there are any.
     flags : dict
@@ -95,6 +116,7 @@ class Trial:
     log_likelihood: Floats
     episodes: Episodes
     seconds: dict[str, float]
+    uncalibrated: Episodes | None = None
     unknown_episodes: Episodes | None = None
     flags: dict[str, float] = field(default_factory=dict)
     controls: dict[str, dict[str, float] | None] = field(default_factory=dict)
@@ -114,13 +136,16 @@ def figures_of(
         **{k: v for k, v in first.summary().items() if k != "labels"},
         "split": split,
         "n_folds": len(trials),
+        "left_out": list(trials[0].fold.left_out),
+        "remount": plan.remount,
+        "sessions": across_sessions(first),
         "n_train_touches": sum(len(t.fold.train) for t in trials) // len(trials),
         "n_test_touches": sum(len(t.fold.test) for t in trials),
         "chance": 1 / len(first.classes_),
         "orders": plan.orders,
         "seed": plan.seed,
     }
-    names = ("accuracy", "accuracy_sd", "n_objects", "log_loss", "ece")
+    names = ("accuracy", "accuracy_sd", "n_objects", "log_loss", "ece", "ece_before")
     figures.update({name: {} for name in names})
     for k in plan.touches:
         _figures_after(k, trials, figures)
@@ -156,6 +181,13 @@ def _figures_after(k: int, trials: Sequence[Trial], figures: dict[str, Any]) -> 
     figures["n_objects"][key] = len(over_objects)
     figures["log_loss"][key] = float(np.mean(log_loss))
     figures["ece"][key] = calibration_error(confidence, hit)
+    before = [t.uncalibrated.scores(k) for t in trials if t.uncalibrated is not None]
+    if there := [one for one in before if one is not None]:
+        confidence, hit = (
+            np.concatenate([getattr(one, name) for one in there])
+            for name in ("confidence", "hit")
+        )
+        figures["ece_before"][key] = calibration_error(confidence, hit)
 
 
 def _categories_right(trials: Sequence[Trial], plan: Plan) -> dict[str, float]:

@@ -30,7 +30,7 @@ def accuracy_curve(figures: dict[str, Any], curve: Array, spread: Array) -> str:
 
     `curve` and `spread` hold mean and standard deviation after 1, 2, 3... touches.
     """
-    figure, axes = _figure(5.7, 3.7)
+    figure, ((axes,),) = panels(1, 1, (5.7, 3.7))
     touches = np.arange(1, len(curve) + 1)
     low, high = np.clip(curve - spread, 0, 1), np.clip(curve + spread, 0, 1)
     axes.fill_between(touches, 100 * low, 100 * high, color=OURS, alpha=0.15, lw=0)
@@ -47,12 +47,12 @@ def accuracy_curve(figures: dict[str, Any], curve: Array, spread: Array) -> str:
         xlabel="touches", ylabel="right, %", ylim=(0, 101), xlim=(1, max(2, len(curve)))
     )
     axes.legend(frameon=False, loc="center right", fontsize=8)
-    return _svg(figure)
+    return svg(figure)
 
 
 def calibration_plot(bins: dict[str, tuple[Array, Array, Array]]) -> str:
     """Return share right against belief, one line per number of touches."""
-    figure, axes = _figure(3.9, 3.7)
+    figure, ((axes,),) = panels(1, 1, (3.9, 3.7))
     axes.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
     shades = np.linspace(0.35, 1.0, max(1, len(bins)))
     for shade, (name, (means, shares, _)) in zip(shades, bins.items(), strict=True):
@@ -61,38 +61,57 @@ def calibration_plot(bins: dict[str, tuple[Array, Array, Array]]) -> str:
     axes.set(xlabel="belief in the best", xlim=(0, 1.01))
     axes.set(ylabel="share right", ylim=(0, 1.01))
     axes.legend(frameon=False, fontsize=8)
-    return _svg(figure)
+    return svg(figure)
 
 
 def confusion_plot(confusion: Array, names: Sequence[str]) -> str:
     """Return the share of answers (columns) per true label (rows)."""
     size = min(11.0, 2.6 + 0.33 * len(names))
-    figure, axes = _figure(size + 0.8, size)
+    figure, ((axes,),) = panels(1, 1, (size + 0.8, size))
+    draw_confusion(axes, confusion, names, max(4.5, 9 - 0.08 * len(names)))
+    axes.set(xlabel="recognised as", ylabel="touched")
+    return svg(figure)
+
+
+def draw_confusion(
+    axes: Any, confusion: Array, names: Sequence[str], size: float
+) -> None:
+    """Draw shares as colours, those of at most 20 labels also as per cent."""
     shown = [name.replace("$", r"\$") for name in names]  # no formulas
     axes.imshow(confusion, cmap="GnBu", vmin=0, vmax=1)
-    small = max(4.5, 9 - 0.08 * len(names))
-    axes.set_xticks(range(len(names)), shown, rotation=60, ha="right", fontsize=small)
-    axes.set_yticks(range(len(names)), shown, fontsize=small)
-    axes.set(xlabel="recognised as", ylabel="touched")
+    axes.set_xticks(range(len(names)), shown, rotation=60, ha="right", fontsize=size)
+    axes.set_yticks(range(len(names)), shown, fontsize=size)
     if len(names) <= 20:
         for row, column in np.argwhere(confusion >= 0.005):
             share = confusion[row, column]
-            style = {"fontsize": small - 1, "color": "white" if share > 0.6 else INK}
+            style = {"fontsize": size - 1, "color": "white" if share > 0.6 else INK}
             text = f"{100 * share:.0f}"
             axes.text(column, row, text, ha="center", va="center", **style)
-    return _svg(figure)
 
 
-def _figure(width: float, height: float) -> tuple["Figure", Any]:
+def panels(
+    n_rows: int,
+    n_columns: int,
+    size: tuple[float, float],
+    *,
+    pictures: bool = False,
+    **shared: Any,
+) -> tuple["Figure", Any]:
+    """Return a figure (size in inches) and its axes, shape (n_rows, n_columns)."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), layout="constrained")
-    axes = figure.add_subplot()
-    axes.spines[["top", "right"]].set_visible(False)
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(n_rows, n_columns, squeeze=False, **shared)
+    for place in axes.ravel():
+        if pictures:
+            place.set(xticks=[], yticks=[])
+        else:
+            place.spines[["top", "right"]].set_visible(False)
     return figure, axes
 
 
-def _svg(figure: "Figure") -> str:
+def svg(figure: "Figure") -> str:
+    """Return a figure as SVG text that a page can hold."""
     from matplotlib import rc_context
 
     text = io.StringIO()

@@ -7,10 +7,6 @@ A strategy chooses where, `guarded_touch` goes there and comes back whatever hap
 from ._episode import Exploration, explore
 from ._episode import gather as gather
 from ._guarded import Guard, guarded_touch
-from ._informative import InformativeTouch
-from ._informative import Stations as Stations
-from ._informative import most_promising as most_promising
-from ._place_geometry import freshness as freshness
 from ._record import OUTCOMES as OUTCOMES
 from ._record import EpisodeError as EpisodeError
 from ._record import EpisodeLog, TouchRecord, read_episode
@@ -21,8 +17,17 @@ from ._robot import Robot, RobotError, SimulatedRobot
 from ._simulated_objects import QUICK_GUARD as QUICK_GUARD
 from ._simulated_objects import Stand as Stand
 from ._simulated_objects import explore_to_learn, put_down
-from ._strategies import Hemisphere, RandomHemisphere, Raster, Strategy
+from ._strategies import (
+    Hemisphere,
+    InformativeTouch,
+    RandomHemisphere,
+    Raster,
+    Strategy,
+)
+from ._strategies import Stations as Stations
+from ._strategies import most_promising as most_promising
 from ._touch_map import PlacedBelief, TouchMap
+from ._touch_map import freshness as freshness
 
 __all__ = [
     "EpisodeLog",

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -67,6 +67,7 @@ def explore(
     guard: Guard | None = None,
     max_attempts: int = 30,
     error: float = 0.01,
+    refusal: float | None = None,
     max_faults: int = MAX_FAULTS,
     clock: Clock = time.monotonic,
     on_attempt: Callable[[TouchRecord, Belief], None] | None = None,
@@ -92,6 +93,8 @@ def explore(
         Budget, touches and attempts that found nothing or failed alike.
     error : float, default=0.01
         Accepted share of wrong decisions, see `Belief.decide`.
+    refusal : float, optional
+        Accepted share of known objects called unknown; `error` unless given.
     max_faults : int, default=3
         Give up after so many faults in a row.
     clock : callable, default=time.monotonic
@@ -114,10 +117,11 @@ def explore(
     check_count("max_attempts", max_attempts)
     check_count("max_faults", max_faults)
     touch_at = partial(guarded_touch, robot, sensor, guard=guard, clock=clock)
+    accepted = {"error": error, "refusal": refusal}
     with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
         n_before, belief = len(log.history), recogniser.start()
         log.history = [_taken_in(belief, record) for record in log.history]
-        end = _end(belief, n_before, max_attempts, error, "")
+        end = _end(belief, n_before, max_attempts, accepted, "")
         if end is None:
             _come_out(robot, strategy)
         while end is None:
@@ -130,7 +134,7 @@ def explore(
             if on_attempt is not None:
                 on_attempt(record, belief)
             gave_up = _gave_up(log.history[n_before:], max_faults)
-            end = _end(belief, len(log.history), max_attempts, error, gave_up)
+            end = _end(belief, len(log.history), max_attempts, accepted, gave_up)
         return Exploration(*end, belief, list(log.history))
 
 
@@ -162,7 +166,14 @@ def gather(
             _come_out(robot, strategy)
         while _n_touched(log.history) < n_touches:
             log.append(_attempt(robot, strategy, None, log.history, touch_at))
-            _refuse_few(log.history[n_before:], wanted, max_faults)
+            made = log.history[n_before:]
+            n_made, gave_up = _n_touched(made), _gave_up(made, max_faults)
+            if gave_up or (len(made) >= 5 * wanted and n_made < wanted):
+                why = "Is the object where the hemisphere has its centre?"
+                raise RobotError(
+                    f"Only {n_made} of {wanted} touches came of {len(made)} attempts. "
+                    f"{gave_up or why}"
+                )
         counts = np.cumsum([record.touched for record in log.history])
         return log.history[: int(np.searchsorted(counts, n_touches)) + 1]
 
@@ -206,17 +217,22 @@ def _taken_in(belief: Belief, record: TouchRecord) -> TouchRecord:
 
 
 def _end(
-    belief: Belief, n_attempts: int, max_attempts: int, error: float, gave_up: str
+    belief: Belief,
+    n_attempts: int,
+    max_attempts: int,
+    accepted: dict[str, Any],
+    gave_up: str,
 ) -> tuple[str | None, str, str] | None:
     """Return decision, what ended the episode and why, or None to go on."""
-    decision = belief.decide(error)
+    decision = belief.decide(**accepted)
     if decision is not None:
         ended_by = "unknown" if decision == "unknown" else "decision"
-        return decision, ended_by, belief.reason(error)
+        return decision, ended_by, belief.reason(**accepted)
     if gave_up:
         return None, "faults", gave_up
     if n_attempts >= max_attempts:
-        return None, "budget", f"{max_attempts} attempts made. {belief.reason(error)}"
+        made = f"{max_attempts} attempts made."
+        return None, "budget", f"{made} {belief.reason(**accepted)}"
     return None
 
 
@@ -231,17 +247,6 @@ def _gave_up(attempts: History, max_faults: int) -> str:
     if len(recent) == max_faults and all(record.faulty for record in recent):
         return f"{max_faults} faults in a row, the last: {last.outcome}. {last.message}"
     return ""
-
-
-def _refuse_few(attempts: History, wanted: int, max_faults: int) -> None:
-    """Give up gathering where touches do not come."""
-    gave_up = _gave_up(attempts, max_faults)
-    n_touched = _n_touched(attempts)
-    if gave_up or (len(attempts) >= 5 * wanted and n_touched < wanted):
-        raise RobotError(
-            f"Only {n_touched} of {wanted} touches came of {len(attempts)} attempts. "
-            f"{gave_up or 'Is the object where the hemisphere has its centre?'}"
-        )
 
 
 def _refuse_other_size(log: EpisodeLog, sensor: TouchSensor) -> None:

@@ -10,15 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
 from .._checks import check_count, check_number
 from .._parallel import in_parallel
-from .._types import Floats
 from ..sensors import SimulatedBench, SimulatedSensor
 from ..simulation import (
     HOUSEHOLD,
@@ -38,6 +37,7 @@ from ._strategies import Hemisphere, RandomHemisphere
 # Twice the default step in the air: half the time to simulate. The rigid edge met
 # after such a step answers with 4 N (`housing_n_mm`), so the limit is above that.
 QUICK_GUARD = Guard(air_step_mm=2.0, limit_n=5.0)
+VECTORS = ("position_mm", "direction")
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,11 +186,9 @@ def explore_to_learn(
     shares = [len(part) for part in np.array_split(range(count), sessions)]
     seen_by = DomeCamera(image_shape=(120, 120)) if camera is None else camera
     home = None if folder is None else Path(folder)
-    teaching = _Teaching(
-        seen_by, turned, drift, placement_sd_mm, guard, home, random_state
-    )
+    how = (seen_by, turned, drift, placement_sd_mm, guard, home, random_state)
     parts = in_parallel(
-        teaching.session,
+        partial(_session, *how),
         [(*thing, *part) for thing in enumerate(objects) for part in enumerate(shares)],
         "Exploring",
         n_jobs=n_jobs,
@@ -201,54 +199,44 @@ def explore_to_learn(
     return made.with_columns(no_contact=seen_by.no_contact())
 
 
-@dataclass(frozen=True, eq=False)
-class _Teaching:
-    """How objects are put down and touched, whichever it is."""
-
-    camera: DomeCamera
-    turned: bool
-    drift: bool
-    placement_sd_mm: float
-    guard: Guard
-    home: Path | None
-    random_state: int
-
-    def session(
-        self, number: int, thing: SimObject, session: int, n_touches: int
-    ) -> Touches:
-        """Put object `number` down once and touch it."""
-        seeds = np.random.SeedSequence((self.random_state, number, session))
-        seed = int(seeds.generate_state(1)[0])
-        rng = np.random.default_rng([seed, 1])
-        yaw = float(rng.uniform(0, 2 * np.pi)) if self.turned else 0.0
-        stand = put_down(
-            thing,
-            self.camera.drifted(rng) if self.drift else self.camera,
-            yaw_rad=yaw,
-            placement_sd_mm=self.placement_sd_mm,
-            random_state=seed,
-        )
-        history = gather(
-            stand.robot,
-            stand.sensor,
-            RandomHemisphere(stand.hemisphere, seed),
-            None if self.home is None else self.home / thing.name / str(session),
-            n_touches=n_touches,
-            guard=self.guard,
-            clock=stand.robot.clock,
-        )
-        touches = as_touches(
-            history, object=thing.name, category=thing.category, geometry="dome"
-        )
-        return touches.with_columns(
-            session=np.full(len(touches), session),
-            position_mm=_turned_back(touches.columns["position_mm"], yaw),
-            direction=_turned_back(touches.columns["direction"], yaw),
-        )
-
-
-def _turned_back(vectors: Any, yaw_rad: float) -> Floats:
-    """Turn vectors about the vertical by minus the yaw of the object."""
-    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+def _session(
+    camera: DomeCamera,
+    turned: bool,
+    drift: bool,
+    placement_sd_mm: float,
+    guard: Guard,
+    home: Path | None,
+    random_state: int,
+    number: int,
+    thing: SimObject,
+    session: int,
+    n_touches: int,
+) -> Touches:
+    """Put object `number` down once and touch it."""
+    seeds = np.random.SeedSequence((random_state, number, session))
+    seed = int(seeds.generate_state(1)[0])
+    rng = np.random.default_rng([seed, 1])
+    yaw = float(rng.uniform(0, 2 * np.pi)) if turned else 0.0
+    stand = put_down(
+        thing,
+        camera.drifted(rng) if drift else camera,
+        yaw_rad=yaw,
+        placement_sd_mm=placement_sd_mm,
+        random_state=seed,
+    )
+    history = gather(
+        stand.robot,
+        stand.sensor,
+        RandomHemisphere(stand.hemisphere, seed),
+        None if home is None else home / thing.name / str(session),
+        n_touches=n_touches,
+        guard=guard,
+        clock=stand.robot.clock,
+    )
+    named = {"object": thing.name, "category": thing.category}
+    touches = as_touches(history, **named, geometry="dome")
+    # About the vertical, by minus the yaw of the object.
+    cos, sin = np.cos(yaw), np.sin(yaw)
     turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
-    return np.asarray(np.asarray(vectors, dtype=np.float64) @ turn)
+    vectors = {name: touches.columns[name] @ turn for name in VECTORS}
+    return touches.with_columns(session=np.full(len(touches), session), **vectors)

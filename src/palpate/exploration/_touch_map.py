@@ -3,7 +3,9 @@
 The recogniser knows what touches of an object are like somewhere; a `TouchMap` knows
 where. A place is a point in the object's own frame: for touches from a hemisphere the
 unit vector from the centre towards the sensor. How the object is turned about the
-vertical is unknown, so a hypothesis is an object AND one of `n_turns` turns.
+vertical is unknown, so a hypothesis is an object AND one of `n_turns` turns. Among
+recorded touches a place may be anything that is known beforehand, such as a height and
+a radius. Places of the object's own frame are called stations.
 
 For a touch with features f at a place u, under object o turned by a,
 
@@ -38,7 +40,6 @@ from ..recognition import (
     with_floor,
 )
 from ..touches import Touches
-from ._place_geometry import places_of, squared_distances, turned_back
 
 Weights = tuple[float, float, float]
 Episodes = list[NDArray[np.intp]]
@@ -51,6 +52,8 @@ EPISODES_PER_OBJECT = 30
 _FIRST_WEIGHTS = (1.0, 1.0, 0.2)
 _ELSEWHERE = 1e-3
 _TINY = 1e-6
+# Directions may have been written with a few digits.
+_LENGTH_TOLERANCE = 0.01
 
 
 def _all_pairs(closeness: Floats, touches: Floats) -> Floats:
@@ -135,8 +138,7 @@ class TouchMap:
         codes = range(len(recogniser.classes_))
         self.rows_of_object = [np.flatnonzero(self.codes_ == code) for code in codes]
         self._squared = squared_distances(self.features_, self.features_)
-        left_out = recogniser.left_out_log_likelihood()
-        self.left_out_ = log_softmax(left_out, axis=1)
+        self.left_out_ = log_softmax(recogniser.left_out_log_likelihood(), axis=1)
         self._choose()
         return self
 
@@ -340,17 +342,16 @@ class PlacedBelief(Belief):
 def _episodes(touch_map: TouchMap) -> Episodes:
     """Draw episodes of each length, (n_episodes, n_touches) training touches."""
     rng = np.random.default_rng(touch_map.random_state)
-    drawn = []
-    for length in LENGTHS:
-        rows = [
+    drawn = [
+        [
             rng.permutation(touches)[:length]
             for touches in touch_map.rows_of_object
             for _ in range(EPISODES_PER_OBJECT)
             if len(touches) >= length
         ]
-        if rows:
-            drawn.append(np.stack(rows))
-    return drawn
+        for length in LENGTHS
+    ]
+    return [np.stack(rows) for rows in drawn if rows]
 
 
 def _best_weights(
@@ -388,3 +389,65 @@ def _loss(
         true = touch_map.codes_[rows[:, 0]]
         losses.append(-posterior[np.arange(len(rows)), true].mean())
     return float(np.mean(losses))
+
+
+def places_of(touches: object, places: ArrayLike | None, n_turns: int) -> Floats:
+    """Return the places of touches, (n_touches, n_dimensions), or explain."""
+    if not isinstance(touches, Touches):
+        raise TypeError(
+            f"touches must be Touches, got {type(touches).__name__}. Write "
+            "Touches(images, direction=...)."
+        )
+    if places is None:
+        directions = touches.columns.get("direction")
+        if directions is None:
+            raise ValueError(
+                "touches must have a column 'direction' (unit vectors of approach), "
+                f"got {', '.join(touches.columns) or 'none'}. Add it, or give places."
+            )
+        places = -np.asarray(directions, dtype=np.float64)
+        length = np.sqrt((places**2).sum(axis=-1))
+        wrong = np.flatnonzero(np.abs(length - 1) > _LENGTH_TOLERANCE)
+        if len(wrong):
+            raise ValueError(
+                "direction must be unit vectors of approach, got "
+                f"{(-places[wrong[0]]).tolist()} in touch {wrong[0]}. Divide it by its "
+                "length; leave out touches whose direction is not known."
+            )
+    array = np.asarray(places, dtype=np.float64)
+    if array.ndim != 2 or len(array) != len(touches) or not np.isfinite(array).all():
+        raise ValueError(
+            f"places must be finite, one row for each of {len(touches)} touches, got "
+            f"shape {array.shape}."
+        )
+    if n_turns > 1 and array.shape[1] != 3:
+        raise ValueError(
+            f"places must be x, y, z to be turned, got {array.shape[1]} numbers each. "
+            "Use TouchMap(n_turns=1) for places that do not turn."
+        )
+    return array
+
+
+def turned_back(places: Floats, n_turns: int) -> Floats:
+    """Return stations of places on an object turned about z, (n_places, n_turns, p)."""
+    if n_turns == 1:
+        return places[:, None]
+    angle = np.arange(n_turns) * (2 * np.pi / n_turns)
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, y, z = places.T[:, :, None]
+    height = np.repeat(z, n_turns, axis=1)
+    return np.stack([cos * x + sin * y, cos * y - sin * x, height], axis=-1)
+
+
+def squared_distances(one: Floats, other: Floats) -> Floats:
+    """Return squared distances, (n_one, n_other)."""
+    squared = (one**2).sum(axis=1)[:, None] + (other**2).sum(axis=1) - 2 * one @ other.T
+    return np.asarray(np.maximum(squared, 0.0))
+
+
+def freshness(candidates: Floats, touched: Floats, width: float) -> Floats:
+    """Return the product over places touched of 1 - exp(-d^2 / 2 width^2)."""
+    if not len(touched):
+        return np.ones(len(candidates))
+    squared = squared_distances(candidates, touched)
+    return np.asarray((1 - np.exp(squared / (-2 * width**2))).prod(axis=1))

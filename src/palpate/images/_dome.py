@@ -23,7 +23,7 @@ from sklearn.utils.validation import check_is_fitted
 from .._checks import check_count, check_number, check_option, check_positive
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
-from ._central_moments import inscribed_mask
+from ._orientation import inscribed_mask
 from ._rim import Circle, Rims, as_images, rims_near, typical_rim
 
 N_SAFE = 512
@@ -150,9 +150,13 @@ class DomeCrop(ImageEstimator):
         """Return this clean-up for another camera before the same sensor.
 
         The rim is found in its images `X`; the disc keeps its share of the rim and its
-        size in pixels.
+        size in pixels. Where no rim is found in images of the same shape, it stays
+        where it was.
         """
         other: Self = clone(self).fit(X, no_contact=no_contact)
+        lost = self.has_rim_ and not other.has_rim_
+        if lost and other.frame_shape_ == tuple(self.frame_shape_):
+            return self
         if other.has_rim_ and self.has_rim_:
             share = self.disc_radius_ / self.rim_radius_
             other.disc_radius_ = share * other.rim_radius_

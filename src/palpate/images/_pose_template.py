@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from .._types import Floats
-from ._repose import interpolate, repose
+from ._orientation import interpolate, repose
 
 Pair = tuple[Floats, Floats]
 
@@ -75,7 +75,17 @@ def find_symmetry(images: Floats, centres: Floats) -> int:
             template = improve(images[seen], poses, symmetry)
             _, errors = register(images[~seen], template, centres[~seen], symmetry)
             error[symmetry] += float(errors.sum())
-    return _choose_symmetry(error)
+    # The highest symmetry whose error on unseen presses is tolerable.
+    grid = [error[s] for s in error if s in _OF_THE_GRID]
+    finite = [error[s] for s in error if s and s not in _OF_THE_GRID]
+    if 0 in error and finite:
+        limit = min(_TOLERANCE_ROUND * min(finite), _TOLERANCE_GRID * min(grid))
+        if error[0] <= limit:
+            return 0
+    best = min(value for s, value in error.items() if s)
+    several = min((value for s, value in error.items() if s > 1), default=best)
+    limit = min(_TOLERANCE * several, _TOLERANCE_NONE * best)
+    return max((s for s in error if s and error[s] <= limit), default=1)
 
 
 def improve(images: Floats, poses: Floats, symmetry: int) -> Floats:
@@ -139,24 +149,16 @@ def _pull(images: Floats, poses: Floats) -> Floats:
     return interpolate(images, np.stack([row, col]), "zero", "linear")
 
 
-def _choose_symmetry(error: dict[int, float]) -> int:
-    """Return the highest symmetry whose error on unseen presses is tolerable."""
-    grid = [error[s] for s in error if s in _OF_THE_GRID]
-    finite = [error[s] for s in error if s and s not in _OF_THE_GRID]
-    if 0 in error and finite:
-        limit = min(_TOLERANCE_ROUND * min(finite), _TOLERANCE_GRID * min(grid))
-        if error[0] <= limit:
-            return 0
-    best = min(value for s, value in error.items() if s)
-    several = min((value for s, value in error.items() if s > 1), default=best)
-    limit = min(_TOLERANCE * several, _TOLERANCE_NONE * best)
-    return max((s for s in error if s and error[s] <= limit), default=1)
-
-
 def register(images: Floats, template: Floats, centres: Floats, symmetry: int) -> Pair:
     """Find poses (n, 3), from rough centres, and sums of squared residuals (n,)."""
-    start = _search(images, template, centres, symmetry)
-    return refine(images, template, start, symmetry)
+    # The best of angles a few degrees apart, at the first guess of the place.
+    n_angles = max(8, int(360 / _SEARCH_DEG / symmetry)) if symmetry else 1
+    angles = np.arange(n_angles) * (2 * np.pi / max(symmetry, 1) / n_angles)
+    poses = np.zeros((n_angles, len(images), 3))
+    poses[:, :, 0], poses[:, :, 1:] = angles[:, None], centres
+    residuals = _residuals_at(images, template, poses)
+    best = (residuals**2).sum(axis=2).argmin(axis=0)
+    return refine(images, template, poses[best, np.arange(len(images))], symmetry)
 
 
 def refine(images: Floats, template: Floats, start: Floats, symmetry: int) -> Pair:
@@ -199,7 +201,16 @@ def pose_variances(
     ridge = 1e-9 * normal.max(axis=(1, 2))[:, None] + 1e-12
     inverse = np.linalg.inv(normal + _diagonal(np.repeat(ridge, len(free), axis=1)))
     scores = slopes * _residuals(images, template, poses)[:, np.newaxis]
-    clustered = _sum_blocks(scores, images.shape[1:])
+    # Taxels are summed over blocks; what follows them is kept as it is.
+    shape = images.shape[1:]
+    n, k, _ = scores.shape
+    n_taxels = shape[0] * shape[1]
+    taxels = scores[:, :, :n_taxels].reshape(n, k, *shape)
+    padded = np.pad(taxels, ((0, 0), (0, 0), (0, shape[0] % 2), (0, shape[1] % 2)))
+    rows, cols = padded.shape[2] // 2, padded.shape[3] // 2
+    blocks = padded.reshape(n, k, rows, 2, cols, 2).sum(axis=(3, 5))
+    rest = scores[:, :, n_taxels:]
+    clustered = np.concatenate([blocks.reshape(n, k, -1), rest], axis=2)
     spread = inverse @ clustered @ clustered.transpose(0, 2, 1) @ inverse
     variances = np.full((len(poses), 3), np.inf)
     least = _LEAST_NOISE * (images**2).sum(axis=(1, 2)) / images[0].size
@@ -215,18 +226,6 @@ def render(template: Floats, poses: Floats, shape: tuple[int, ...]) -> Floats:
     where = np.stack([cos * y - sin * x, cos * x + sin * y])
     where = OVERSAMPLING * where + (len(template) - 1) / 2
     return interpolate(template[np.newaxis], where, "zero", "cubic")
-
-
-def _search(images: Floats, template: Floats, centres: Floats, symmetry: int) -> Floats:
-    """Best of angles a few degrees apart, at the first guess of the place."""
-    n_angles = max(8, int(360 / _SEARCH_DEG / symmetry)) if symmetry else 1
-    angles = np.arange(n_angles) * (2 * np.pi / max(symmetry, 1) / n_angles)
-    poses = np.zeros((n_angles, len(images), 3))
-    poses[:, :, 0], poses[:, :, 1:] = angles[:, None], centres
-    residuals = _residuals_at(images, template, poses)
-    best = (residuals**2).sum(axis=2).argmin(axis=0)
-    found: Floats = poses[best, np.arange(len(images))]
-    return found
 
 
 def _free(symmetry: int) -> NDArray[np.intp]:
@@ -281,18 +280,6 @@ def _plane(weights: Floats, poses: Floats, shape: tuple[int, ...]) -> Floats:
     level, along_x, along_y = weights.T[:, :, None, None]
     plane: Floats = level + (along_x * x + along_y * y) / _PLANE_TAXELS
     return plane
-
-
-def _sum_blocks(values: Floats, shape: tuple[int, ...]) -> Floats:
-    """Sum taxels over blocks of 2 x 2; what follows the taxels is kept as it is."""
-    n, k, _ = values.shape
-    n_taxels = shape[0] * shape[1]
-    taxels = values[:, :, :n_taxels].reshape(n, k, *shape)
-    padded = np.pad(taxels, ((0, 0), (0, 0), (0, shape[0] % 2), (0, shape[1] % 2)))
-    rows, cols = padded.shape[2] // 2, padded.shape[3] // 2
-    blocks = padded.reshape(n, k, rows, 2, cols, 2).sum(axis=(3, 5))
-    rest = values[:, :, n_taxels:]
-    return np.concatenate([blocks.reshape(n, k, -1), rest], axis=2)
 
 
 def _offsets(poses: Floats, shape: tuple[int, ...]) -> Pair:

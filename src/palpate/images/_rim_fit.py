@@ -193,14 +193,14 @@ class _Rays:
         self.sin = _SIN[which].astype(np.float64)
         self.cos = _COS[which].astype(np.float64)
         if len(which):
-            self._differentiate(image, y[which], x[which], inside[which])
-
-    def _differentiate(self, image: Array, y: Array, x: Array, inside: Array) -> None:
-        grey = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        kernel = self.sign * _slope_kernel(max(1.0, 1.2 / self.cell))
-        slope = cv2.filter2D(grey, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE)
-        self.slope = slope * inside
-        self.typical = np.abs(self.slope).sum(axis=1) / np.count_nonzero(inside, axis=1)
+            y, x, inside = y[which], x[which], inside[which]
+            edge = cv2.BORDER_REPLICATE
+            grey = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=edge)
+            kernel = self.sign * _slope_kernel(max(1.0, 1.2 / self.cell))
+            slope = cv2.filter2D(grey, cv2.CV_32F, kernel, borderType=edge)
+            self.slope = slope * inside
+            n_inside = np.count_nonzero(inside, axis=1)
+            self.typical = np.abs(self.slope).sum(axis=1) / n_inside
 
     def predict(self, circle: Array) -> Array:
         """Where `circle` crosses each ray, as an offset from the start's radius."""

@@ -4,12 +4,12 @@
 plain `.npy` files for their images.
 """
 
-from ._bags import read_bag
+from ._adding import SensorDescription, TouchRow
 from ._checking import CheckReport, check_library
+from ._exchange import read_bag
 from ._library import TouchLibrary
-from ._listing import SensorDescription, TouchRow
+from ._reading import Selection
 from ._repairing import RepairReport, repair_library
-from ._selection import Selection
 from ._store import LibraryError
 from ._where import quoted as quoted
 

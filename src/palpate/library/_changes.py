@@ -15,8 +15,8 @@ from typing import Any
 
 from .._checks import one_spelling
 from .._durable import write_text
+from ._files import canonical
 from ._rows import id_bytes, read_rows
-from ._sheet import canonical
 from ._store import CHANGES, LibraryError, Store, from_json, is_unicode, room_for
 
 _LAST = "SELECT name FROM changes ORDER BY id DESC LIMIT 1"

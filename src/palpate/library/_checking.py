@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 from .._durable import PARTIAL
 from .._progress import Progress
-from ._array_files import file_path, read_file
 from ._changes import (
     Names,
     change_files,
@@ -17,6 +16,7 @@ from ._changes import (
     readable_changes,
     told_changes,
 )
+from ._files import CELLS, file_path, read_file, read_sheet
 from ._reading import is_whole
 from ._rows import (
     FROM,
@@ -28,13 +28,12 @@ from ._rows import (
     recordings,
     stored_touches,
 )
-from ._seals import SEALED
-from ._sheet import CELLS, read_sheet
 from ._store import (
     ARRAYS,
     CHANGES,
     FILE_NAME,
     IMAGES,
+    SEALED,
     DatabaseDamaged,
     DatabaseUnavailable,
     LibraryError,

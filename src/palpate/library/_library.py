@@ -9,25 +9,30 @@ import numpy as np
 from .._durable import flush_folder
 from .._types import Array
 from ..touches import Touches
-from ._adding import add_touches
-from ._changes import checked_name, chosen_ids, known_object, make_change
-from ._checking import CheckReport, check_library
-from ._exporting import export_touches
-from ._listing import (
+from ._adding import (
     ObjectRow,
     SensorDescription,
     Stats,
     TouchRow,
+    add_touches,
     condition,
     list_objects,
-    list_touches,
     numbers_of,
     stats_of,
 )
-from ._reading import IN_MEMORY, read_array, read_images, read_touches, with_images
+from ._changes import checked_name, chosen_ids, known_object, make_change
+from ._checking import CheckReport, check_library
+from ._exchange import export_touches
+from ._reading import (
+    IN_MEMORY,
+    Selection,
+    read_array,
+    read_images,
+    read_touches,
+    with_images,
+)
 from ._repairing import RepairReport, repair_library
-from ._rows import FROM, Numbers, read_one, without_damaged
-from ._selection import Selection
+from ._rows import FROM, Numbers, read_one, read_rows, without_damaged
 from ._store import FILE_NAME, LibraryError, Store, holds_files, is_unicode
 
 MAX_BYTES = 64 * 2**30
@@ -178,7 +183,21 @@ class TouchLibrary:
         damaged : {"raise", "skip"}
             As for `touches`.
         """
-        return list_touches(self._store, where, limit, offset, retracted, damaged)
+        store, some = self._store, [-1 if limit is None else limit, offset]
+        if (
+            where is None and damaged == "raise"
+        ):  # rows that are not shown do not matter
+            sql, values = condition(store, None, "unseen", retracted=retracted)
+            query = f"SELECT number FROM touches t WHERE {sql} ORDER BY number"
+            found = store.rows(f"{query} LIMIT ? OFFSET ?", some)
+            page = bool(found) and len(found) == limit
+            ends = (found[-1][0], found[0][0] if offset else 1) if page else ()
+            without_damaged(store, damaged, *ends)
+        else:
+            sql, values = condition(store, where, damaged, retracted=retracted)
+        tail = f"WHERE {sql} ORDER BY t.number LIMIT ? OFFSET ?"
+        rows = read_rows(store, TouchRow._fields, tail, [*values, *some])
+        return [TouchRow._make((*known, bool(gone), why)) for *known, gone, why in rows]
 
     def count(self, where: str | None = None) -> int:
         """Return how many touches meet a filter."""

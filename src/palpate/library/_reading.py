@@ -1,19 +1,38 @@
-"""Reading touches back: rows from the database, images from the files."""
+"""Reading touches back: rows from the database, images from the files; their features.
+
+Features are computed once and kept beside the library. That is a cache and nothing
+more: it lies in `features/`, one folder per encoder and version, and may be deleted
+at any time. Each file holds the ids of some touches and their features under the name
+of its content; a damaged one is computed again.
+"""
+
+from __future__ import annotations
 
 import os
 import tempfile
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import groupby
 from math import prod
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from .._types import Array
-from ..touches import FORMER, Touches
-from ._array_files import file_path, read_file, read_values
+from .._types import Array, Floats
+from ..touches import FORMER, Labelled, Touches
+from ._files import (
+    Column,
+    column_array,
+    file_path,
+    image_digest,
+    packed,
+    publish,
+    read_file,
+    read_sheet,
+    read_values,
+)
 from ._rows import (
     DTYPE,
     Numbers,
@@ -24,13 +43,15 @@ from ._rows import (
     rows_at,
     shape_of,
 )
-from ._sheet import Column, column_array, image_digest, read_sheet
-from ._store import ARRAYS, IMAGES, LibraryError, Store, from_json
+from ._store import ARRAYS, FEATURES, IMAGES, LibraryError, Store, from_json, room_for
 from ._where import COLUMNS
 
 IN_MEMORY = 256 * 2**20
 NO_LIMIT = 2**62
 _FIX = "`palpate library check --repair` sets such touches aside and keeps the rest."
+_TASKS_PER_FILE = 16
+_ID = "S16"  # a last byte of zero is no matter among equals
+Encode = Callable[[Touches], Floats]
 
 
 def common_kind(store: Store, numbers: Numbers) -> tuple[tuple[int, ...], str]:
@@ -76,15 +97,24 @@ def read_touches(
             f"Images of {len(numbers)} touches must take at most {max_bytes} bytes, "
             f"got {n_bytes}. Choose fewer with --where, or raise max_bytes."
         )
-    mapped = n_bytes > in_memory
-    images = _mapped(shape, dtype, store.folder) if mapped else np.empty(shape, dtype)
+    if n_bytes > in_memory:
+        scratch = store.folder if os.access(store.folder, os.W_OK) else None
+        with tempfile.TemporaryFile(dir=scratch) as file:  # the mapping keeps it
+            images: Array = np.memmap(file, dtype=dtype, mode="w+", shape=shape)
+    else:
+        images = np.empty(shape, dtype)
     columns = read_columns(store, numbers, images)
     return Touches(images, **columns, **read_whole(store, numbers))
 
 
 def read_images(folder: Path, rows: Sequence[StoredTouch]) -> Array:
     """Return images, (n_touches, *image_shape), of files alone, digests checked."""
-    return np.concatenate([_run_of_images(folder, run) for run in _runs(rows)])
+    # Touches that follow one another in one file are read at once.
+    runs = groupby(
+        enumerate(rows), lambda pair: (pair[1].file, pair[1].number - pair[0])
+    )
+    images = [_run_of_images(folder, [row for _, row in run]) for _, run in runs]
+    return np.concatenate(images)
 
 
 def with_images(store: Store, numbers: Numbers) -> Numbers:
@@ -131,8 +161,12 @@ def read_columns(
             images[done : done + len(rows)] = read_images(store.folder, rows)
             done += len(rows)
         values = plain_values(rows)
-        if any(wide.values()):
-            _add_wide(store, rows, wide, values)
+        sheets: dict[bytes, dict[str, Array]] = {}
+        for row, value in zip(rows, values, strict=True):
+            if wide[row.layout] and row.file not in sheets:
+                arrays = read_file(store.folder / IMAGES, row.file.hex())
+                sheets[row.file] = read_sheet(arrays).wide
+            value |= {n: sheets[row.file][n][row.number] for n in wide[row.layout]}
         for name, alike in columns.items():
             cells = [value.get(name) for value in values]
             parts[name].append(column_array(alike, cells))
@@ -178,19 +212,6 @@ def read_array(store: Store, entry: str, name: str) -> Array | None:
         return None
 
 
-def _mapped(shape: tuple[int, ...], dtype: str, folder: Path) -> Array:
-    scratch = folder if os.access(folder, os.W_OK) else None
-    with tempfile.TemporaryFile(dir=scratch) as file:  # the mapping keeps it
-        return np.memmap(file, dtype=dtype, mode="w+", shape=shape)
-
-
-def _runs(rows: Sequence[StoredTouch]) -> Iterator[list[StoredTouch]]:
-    """Group touches that follow one another in one file."""
-    pairs = enumerate(rows)
-    for _, run in groupby(pairs, lambda pair: (pair[1].file, pair[1].number - pair[0])):
-        yield [row for _, row in run]
-
-
 def _run_of_images(folder: Path, run: list[StoredTouch]) -> Array:
     """Return neighbouring images of one file, each checked against its digest."""
     first = run[0]
@@ -224,21 +245,6 @@ def _columns_of(known: dict[int, list[Column]]) -> dict[str, list[Column]]:
     return columns
 
 
-def _add_wide(
-    store: Store,
-    rows: list[StoredTouch],
-    names: dict[int, list[str]],
-    values: list[dict[str, Any]],
-) -> None:
-    """Add the wide values of each touch, by `names` of its layout, from its file."""
-    wide: dict[bytes, dict[str, Array]] = {}
-    for row, value in zip(rows, values, strict=True):
-        if names[row.layout] and row.file not in wide:
-            arrays = read_file(store.folder / IMAGES, row.file.hex())
-            wide[row.file] = read_sheet(arrays).wide
-        value |= {n: wide[row.file][n][row.number] for n in names[row.layout]}
-
-
 def _joined(arrays: list[Array]) -> Array:
     if len({array.dtype.kind == "U" for array in arrays}) > 1:
         arrays = [array.astype(np.str_) for array in arrays]
@@ -258,3 +264,143 @@ def _labelled(columns: dict[str, Array]) -> dict[str, Array]:
         if lacking:
             del columns[name]
     return columns
+
+
+class Selection(Labelled):
+    """Touches of a library without their images, in the order added.
+
+    Made by `TouchLibrary.select`; the library must stay open. What is added later is
+    not in it.
+
+    Attributes
+    ----------
+    columns : dict of ndarray
+        Columns of short values, one row per touch.
+    """
+
+    def __init__(self, store: Store, numbers: Numbers) -> None:
+        self._store, self._numbers = store, numbers
+        common_kind(store, numbers)
+        self._columns = read_columns(store, numbers)
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    def __repr__(self) -> str:
+        return f"<Selection: {len(self)} touches of {str(self._store.folder)!r}>"
+
+    @property
+    def touch_id(self) -> NDArray[np.str_]:
+        """Id of each touch, shape (n_touches,): 32 hexadecimal digits."""
+        return np.array([key.hex() for key in self._ids()])
+
+    @property
+    def whole(self) -> dict[str, Array]:
+        """What describes all of the touches alike, by name; see `Touches`."""
+        return read_whole(self._store, self._numbers)
+
+    def __getitem__(self, rows: ArrayLike) -> Selection:
+        """Pick touches by their places, which must rise; no image is read."""
+        return Selection(self._store, self._picked(rows))
+
+    def touches(self, rows: ArrayLike) -> Touches:
+        """Read some of the touches, given by their places in the selection.
+
+        Places must rise; each is read once.
+        """
+        return read_touches(self._store, self._picked(rows))
+
+    def features(self, key: str, encode: Encode) -> Floats:
+        """Return features of all touches, (n_touches, n_features).
+
+        New touches are encoded 512 at a time through joblib, so that
+        `joblib.parallel_config` decides where. Workers read the images themselves:
+        the folder must be found under the same path wherever they run.
+
+        Parameters
+        ----------
+        key : str
+            Letters and digits that stand for the encoder and all it has learnt;
+            features under one key are computed once and then read.
+        encode : callable
+            Makes features (n, n_features) of `Touches`; called for what is new.
+        """
+        if not key.isalnum():
+            raise ValueError(f"key must be letters and digits, got {key!r}.")
+        cache = self._store.folder / FEATURES / key
+        ids = np.array(self._ids(), _ID)
+        known_ids, known = _cached(cache)
+        missing = np.flatnonzero(~np.isin(ids, known_ids))
+        if len(missing):
+            numbers = self._numbers[missing]
+            layout = {n: a for n, a in self.whole.items() if n in FORMER.values()}
+            encode_some = partial(_encoded, self._store.folder, encode, layout)
+            _encode_new(self._store, cache, numbers, ids[missing], encode_some)
+            known_ids, known = _cached(cache)
+        return known[np.searchsorted(known_ids, ids)]
+
+    def _ids(self) -> list[bytes]:
+        sql = "SELECT id FROM touches WHERE number IN (?) ORDER BY number"
+        return [row[0] for row in self._store.among(sql, self._numbers.tolist())]
+
+    def _picked(self, rows: ArrayLike) -> Numbers:
+        places = np.asarray(rows)
+        if places.ndim != 1 or (len(places) > 1 and (np.diff(places) <= 0).any()):
+            raise LibraryError(
+                "rows must be places in the selection that rise, got others. "
+                "Sort them and drop those that come twice."
+            )
+        picked: Numbers = self._numbers[places]
+        return picked
+
+
+def _cached(cache: Path) -> tuple[Array, Floats]:
+    """Return all ids in the cache, sorted, and their features."""
+    ids, features = [np.empty(0, _ID)], []
+    for path in sorted(cache.glob("*/*.npy")):
+        try:
+            some_ids, some = read_file(cache, path.stem)
+        except (LibraryError, ValueError):
+            path.unlink(missing_ok=True)
+            continue
+        ids.append(np.ascontiguousarray(some_ids).view(_ID).ravel())
+        features.append(some)
+    every = np.concatenate(ids)
+    order = np.argsort(every, kind="stable")
+    joined = np.concatenate(features) if features else np.empty((0, 0))
+    return every[order], joined[order]
+
+
+def _encode_new(
+    store: Store,
+    cache: Path,
+    numbers: Numbers,
+    ids: Array,
+    encode: Callable[[list[StoredTouch]], Floats],
+) -> None:
+    """Encode touches; what is done is kept now and then, should this be stopped."""
+    from joblib import Parallel, delayed
+
+    parts = Parallel(return_as="generator")(
+        delayed(encode)(rows) for rows in rows_at(store, numbers)
+    )
+    waiting: list[Floats] = []
+    n_kept = n_done = 0
+    for number, part in enumerate(parts, start=1):
+        waiting.append(part)
+        n_done += len(part)
+        if number % _TASKS_PER_FILE == 0 or n_done == len(ids):
+            plain = ids[n_kept:n_done].view(np.uint8).reshape(-1, 16)
+            content = packed([plain, np.concatenate(waiting)])
+            with room_for("features", cache, "Free space; touches are not affected."):
+                cache.mkdir(parents=True, exist_ok=True)
+                publish(cache, content)
+            waiting, n_kept = [], n_done
+
+
+def _encoded(
+    folder: Path, encode: Encode, layout: dict[str, Array], rows: list[StoredTouch]
+) -> Floats:
+    """Encode some touches; runs wherever joblib sends it, without the database."""
+    touches = Touches(read_images(folder, rows), **layout)
+    return np.asarray(encode(touches), dtype=np.float64)

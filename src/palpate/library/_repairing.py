@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from .._durable import PARTIAL, flush_folder
 from . import _changes as changes
 from . import _checking as checking
-from ._array_files import file_path, packed, publish, read_file
+from ._files import Sheet, file_path, packed, publish, read_file, read_sheet
 from ._reading import is_whole, read_images
 from ._rows import (
     MISSING,
@@ -23,11 +23,10 @@ from ._rows import (
     recordings,
     write_rows,
 )
-from ._seals import SEALED
-from ._sheet import Sheet, read_sheet
 from ._store import (
     FILE_NAME,
     IMAGES,
+    SEALED,
     DatabaseDamaged,
     DatabaseUnavailable,
     LibraryError,
@@ -124,7 +123,11 @@ def repair_library(folder: str | Path, *, progress: bool | None = None) -> Repai
         if found:
             changes.make_change(store, action="restore", ids=found)
         n_left_out = _leave_out_arrays(store)
-        _sweep(folder)
+        # Partial files that no living writer can be writing.
+        for path in folder.rglob(f"{PARTIAL}*"):
+            with suppress(OSError):
+                if time.time() - path.stat().st_mtime > _STALE_S:
+                    path.unlink()
     counts = n_recovered, len(lost), len(found), n_changes, n_left_out, n_aside
     return RepairReport(gained is not None, *counts)
 
@@ -228,8 +231,12 @@ def _enter_all(store: Store, *, anew: bool) -> tuple[int, int]:
         if kind == "change":
             n_changes += _carried_out(store, name, found[name], anew=anew)
         elif sheet := _sheet_in(store, name):
-            named = sheet if anew else _named_as_now(store, sheet)
-            _entered(store, write_rows, named, name)
+            if not anew and "object" in sheet.values:  # they enter late
+                names = changes.Names(store)
+                labels = sheet.values["object"]
+                now = [names.now(label, sheet.added_s) for label in labels]
+                sheet = replace(sheet, values={**sheet.values, "object": now})
+            _entered(store, write_rows, sheet, name)
     changes.retract_again(store, before)
     return store.count("SELECT count(*) FROM touches") - before, n_changes
 
@@ -251,16 +258,6 @@ def _carried_out(
         return False
     _set_aside(store.folder, changes.change_files(store)[name])
     return bool(n_changed)
-
-
-def _named_as_now(store: Store, sheet: Sheet) -> Sheet:
-    """Return touches that enter late under the present names of their objects."""
-    labels = sheet.values.get("object")
-    if labels is None:
-        return sheet
-    names = changes.Names(store)
-    now = [names.now(label, sheet.added_s) for label in labels]
-    return replace(sheet, values={**sheet.values, "object": now})
 
 
 def _sheet_in(store: Store, name: str) -> Sheet | None:
@@ -367,11 +364,3 @@ def _leave_out_arrays(store: Store) -> int:
     if names:
         changes.make_change(store, action="leave_out", arrays=names)
     return len(names)
-
-
-def _sweep(folder: Path) -> None:
-    """Remove partial files that no living writer can be writing."""
-    for path in folder.rglob(f"{PARTIAL}*"):
-        with suppress(OSError):
-            if time.time() - path.stat().st_mtime > _STALE_S:
-                path.unlink()

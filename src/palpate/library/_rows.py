@@ -11,10 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import check_option
-from ._array_files import packed
-from ._seals import SEALED
-from ._sheet import CELLS, Column, Sheet, canonical
-from ._store import AT_ONCE, LibraryError, Store, from_json, holders
+from ._files import CELLS, Column, Sheet, canonical, packed
+from ._store import AT_ONCE, SEALED, LibraryError, Store, from_json, holders
 from ._where import COLUMNS
 
 Numbers = NDArray[np.int64]
@@ -232,9 +230,12 @@ def write_rows(
 def _rows(store: Store, sheet: Sheet, name: str) -> Iterator[tuple[Any, ...]]:
     """Return what `_INSERT` names of each touch."""
     layout = {"columns": json.dumps([list(column) for column in sheet.layout])}
+    recording = {name: sheet.recording[name] for name in _RECORDED.split(", ")}
+    recording["whole"] = canonical(sheet.recording["whole"])
+    recording["digest"] = hashlib.sha256(canonical(sheet.recording).encode()).digest()
     keys = (
         _key(store, "layouts", layout, "columns"),
-        _recording_key(store, sheet.recording),
+        _key(store, "recordings", recording, "digest"),
         _file_key(store, sheet, name),
     )
     cells, extras = plain_cells(sheet)
@@ -303,13 +304,6 @@ def _object_key(store: Store, name: str, category: str | None) -> int:
         [category, key],
     )
     return key
-
-
-def _recording_key(store: Store, recording: dict[str, Any]) -> int:
-    values = {name: recording[name] for name in _RECORDED.split(", ")}
-    values["whole"] = canonical(recording["whole"])
-    values["digest"] = hashlib.sha256(canonical(recording).encode()).digest()
-    return _key(store, "recordings", values, "digest")
 
 
 def _key(store: Store, table: str, values: dict[str, Any], unique: str) -> int:

@@ -13,7 +13,7 @@ from itertools import accumulate
 from typing import Any, NamedTuple
 from unicodedata import normalize
 
-from ._sheet import CELLS
+from ._files import CELLS
 from ._store import LibraryError, holders, is_unicode
 
 _RECORDED = ("kind", "unit", "pitch_mm", "geometry", "n_rows", "n_cols")
@@ -71,7 +71,8 @@ def parse_where(text: str, extra: Collection[str] = ()) -> Condition:
     parser = _Parser(normalize("NFC", text), extra)  # as names of objects are spelt
     condition = parser.either(0)
     parser.end()
-    if _depth(condition.sql) > _DEEPEST_SQL:
+    steps = ((letter == "(") - (letter == ")") for letter in condition.sql)
+    if max(accumulate(steps)) > _DEEPEST_SQL:
         raise LibraryError(
             f"--where must nest less deeply, got {text[:80]!r}. Join comparisons by "
             "`in (...)`, or leave out brackets."
@@ -236,12 +237,6 @@ def _balanced(word: str, parts: list[str]) -> str:
     half = len(parts) // 2
     left, right = _balanced(word, parts[:half]), _balanced(word, parts[half:])
     return f"({left} {word} {right})"
-
-
-def _depth(sql: str) -> int:
-    """Return how many brackets are open at once."""
-    steps = ((letter == "(") - (letter == ")") for letter in sql)
-    return max(accumulate(steps))
 
 
 def _value(token: _Token) -> Any:

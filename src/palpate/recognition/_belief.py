@@ -14,6 +14,7 @@ from scipy.special import log_softmax
 from .._checks import check_number, check_option
 from .._types import Array, Floats
 from ..touches import Touches
+from ._calibration import Modality
 from ._evidence import (
     Evidence,
     SequenceCalibration,
@@ -22,9 +23,7 @@ from ._evidence import (
     log_posterior,
     with_floor,
 )
-from ._explanation import explanation
-from ._memory import UNKNOWN, Memory
-from ._modality import Modality
+from ._memory import UNKNOWN, Memory, nearest_touches
 from ._unknown import (
     DecisionLimits,
     Promise,
@@ -479,17 +478,25 @@ class Belief:
         """
         if not self._floored:
             return []
-        weight = self._judge.sequence_calibration.weight(self._n_informative)
-        steps = explanation(
-            self._judge.memory,
-            self._judge.classes,
-            np.stack(self._floored),
-            float(weight),
-            np.stack(self._features),
-            self._touch_log_posterior,
-            (n_touches, n_nearest),
-        )
-        return [{**step, "flag": self.flags[step["touch"] - 1]} for step in steps]
+        order = np.argsort(-self._touch_log_posterior, kind="stable")
+        best, rival = int(order[0]), int(order[min(1, len(order) - 1)])
+        floored, names = np.stack(self._floored), self._judge.classes
+        weight = float(self._judge.sequence_calibration.weight(self._n_informative))
+        nats = weight * (floored[:, best] - floored[:, rival])
+        moved = np.argsort(-np.abs(nats), kind="stable")[:n_touches]
+        features = np.stack(self._features)[moved]
+        nearest = nearest_touches(self._judge.memory, features, n_nearest)
+        return [
+            {
+                "touch": int(k) + 1,
+                "best": str(names[best]),
+                "rival": str(names[rival]),
+                "nats": float(nats[k]),
+                "nearest": near,
+                "flag": self.flags[k],
+            }
+            for k, near in zip(moved, nearest, strict=True)
+        ]
 
     def __repr__(self) -> str:
         order = np.argsort(self.log_posterior)[::-1][:3]

@@ -14,12 +14,7 @@ from sklearn.base import BaseEstimator
 from .._types import Array, Floats
 from ..images import grey, otsu_threshold
 from ..touches import FORMER, Touches
-from ._encoder import (
-    TouchEncoder,
-    find_geometry,
-    in_batches,
-    living,
-)
+from ._encoder import TouchEncoder, find_geometry, in_batches, living
 
 NO_CONTACT = "no contact"
 TURNED = "turned or shifted"
@@ -111,7 +106,7 @@ class ContactCheck(BaseEstimator):
         `cleaned` are the same touches after the encoder's clean-up.
         """
         if self.kind_ == "camera":
-            return np.asarray(_correlation(cleaned, self.idle_) > SAME)
+            return np.asarray(correlation(cleaned, self.idle_) > SAME)
         if self.kind_ == "array":
             return np.asarray(self._change(touches) < FAINT * self.typical_)
         if self.kind_ == "plane":
@@ -155,26 +150,18 @@ class ContactCheck(BaseEstimator):
         """
         nothing = self.no_contact(touches, cleaned)
         full = self._share_at_limit(touches) > self.at_limit_ + SATURATED
-        double = np.zeros(len(cleaned), dtype=bool)
+        double = turned = np.zeros(len(cleaned), dtype=bool)
         if self.tells_double_:
             double = self._double(touches)
-        turned = np.zeros(len(cleaned), dtype=bool)
         if every is not None:
             turned = self._reposed(every)
-        reasons = np.select(
-            [nothing, full, turned, double],
-            [NO_CONTACT, "saturated", TURNED, "double contact"],
-            "",
-        )
-        return [str(reason) for reason in reasons]
+        reasons = [NO_CONTACT, "saturated", TURNED, "double contact"]
+        return list(map(str, np.select([nothing, full, turned, double], reasons, "")))
 
     def _double(self, touches: Touches) -> NDArray[np.bool_]:
         change = abs(living(touches.images, self.pads_) - self.idle_)
-        pressed = [
-            max(_boxes(one[np.newaxis], self.pads_), key=np.sum)[0]
-            for one in grey(change)
-        ]
-        return np.array([_is_double(box) for box in pressed])
+        on_pads = (_boxes(one[np.newaxis], self.pads_) for one in grey(change))
+        return np.array([_is_double(max(boxes, key=np.sum)[0]) for boxes in on_pads])
 
     def _change(self, touches: Touches) -> Floats:
         change = self._counted(living(touches.images, self.pads_) - self.idle_)
@@ -184,7 +171,7 @@ class ContactCheck(BaseEstimator):
     def _unlikeness(self, touches: Touches) -> Floats:
         """Return 1 - correlation with the frame of no contact, shape (n_touches,)."""
         seen = self._counted(living(touches.images, self.pads_))
-        return 1 - _correlation(seen, self._counted(self.idle_[np.newaxis]))
+        return 1 - correlation(seen, self._counted(self.idle_[np.newaxis]))
 
     def _counted(self, images: Array) -> Array:
         """Return the taxels on pads, (n_touches, n_levels); without pads the images."""
@@ -199,12 +186,8 @@ class ContactCheck(BaseEstimator):
         if images.dtype.kind in "iu" and np.isfinite(self.limits_).all():
             # Compared as whole numbers: eight times faster than as floats.
             low, high = int(low), int(high)
-        counts = [
-            np.count_nonzero(image == low) + np.count_nonzero(image == high)
-            for image in images
-        ]
-        shares: Floats = np.array(counts) / images[0].size
-        return shares
+        counts = [np.count_nonzero((one == low) | (one == high)) for one in images]
+        return np.asarray(np.array(counts) / images[0].size)
 
 
 def _by_sight(every: Floats, blind: NDArray[np.bool_]) -> tuple[Floats, Floats]:
@@ -214,10 +197,8 @@ def _by_sight(every: Floats, blind: NDArray[np.bool_]) -> tuple[Floats, Floats]:
 
 def _novelty(every: Floats) -> Floats:
     """Return the mean of what encodings leave unexplained, NaN where none says it."""
-    told = ~np.isnan(every)
-    total = np.where(told, every, 0).sum(axis=1)
-    count = told.sum(axis=1)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    count = (~np.isnan(every)).sum(axis=1)
+    return np.where(count > 0, np.nansum(every, axis=1) / np.maximum(count, 1), np.nan)
 
 
 def encoded_and_flagged(
@@ -250,7 +231,8 @@ def _limits(dtype: Any) -> tuple[float, float]:
     return float("nan"), float("nan")
 
 
-def _correlation(images: Array, idle: Array) -> Floats:
+def correlation(images: Array, idle: Array) -> Floats:
+    """Return the correlation of each image with one, 0 for even ones, (n_touches,)."""
     flat = images.reshape(len(images), -1).astype(np.float64)
     one = idle.ravel().astype(np.float64)
     flat = flat - flat.mean(axis=1, keepdims=True)

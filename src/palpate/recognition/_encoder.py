@@ -7,7 +7,6 @@ from copy import copy, deepcopy
 from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, clone
 
 from .._checks import check_levels
@@ -68,9 +67,21 @@ class TouchEncoder(BaseEstimator):
         Where the touches' pads lie.
     channels_ : tuple of str or None
         What the touches' channels are called.
+    baseline_ : ndarray of the shape of a touch, or None
+        The frame of no contact, where images are looked at as they are.
+    drift_ : ndarray of the shape of a touch, or None
+        What is added to images: by how much the baseline was higher when it learnt.
+    weighing_ : ndarray of shape (n_features, n_features) or None
+        What features are multiplied by, to weigh down how sessions differ.
+    offset_ : ndarray of shape (n_features,) or None
+        What is added to them then, to take off what this session adds.
     """
 
     image_shape_: tuple[int, ...]
+    baseline_: Array | None = None
+    drift_: Array | None = None
+    weighing_: Floats | None = None
+    offset_: Floats | None = None
 
     def __init__(self, clean_up: Any, encodings: Mapping[str, Sequence[Any]]) -> None:
         self.clean_up = clean_up
@@ -89,7 +100,9 @@ class TouchEncoder(BaseEstimator):
         """Learn the clean-up and return the cleaned images."""
         self.image_shape_ = touches.images.shape[1:]
         self.pads_, self.channels_ = touches.pads, touches.channels
-        self.clean_up_ = None
+        self.clean_up_ = self.baseline_ = self.drift_ = None
+        if self.clean_up is None and touches.no_contact is not None:
+            self.baseline_ = self._living(touches.no_contact[np.newaxis])[0]
         if self.clean_up is not None:
             self.clean_up_ = clone(self.clean_up).fit(
                 grey(self._living(touches.images)), no_contact=self._idle(touches)
@@ -106,6 +119,7 @@ class TouchEncoder(BaseEstimator):
         close to them as those they were learnt from.
         """
         self.encodings_, self.parts_, self.scales_ = {}, {}, {}
+        self.weighing_, self.offset_ = None, None
         parts, every = [], np.full((len(cleaned), len(self.encodings)), np.nan)
         for column, (name, steps) in enumerate(self.encodings.items()):
             self.encodings_[name] = learnt = [clone(step) for step in steps]
@@ -127,24 +141,23 @@ class TouchEncoder(BaseEstimator):
 
     def only(self, names: Iterable[str]) -> Self:
         """Return this with some of its encodings, of which none is learnt."""
-        kept = {name: self.encodings[name] for name in names}
         other = copy(self)
-        other.encodings = kept
+        other.encodings = {name: self.encodings[name] for name in names}
         return other
 
     def clean(self, touches: Touches) -> Array:
         """Return the images after the clean-up alone."""
         images = touches.images
         if images.shape[1:] != tuple(self.image_shape_):
-            known, got = (
-                " x ".join(map(str, shape))
-                for shape in (self.image_shape_, images.shape[1:])
-            )
+            shapes = self.image_shape_, images.shape[1:]
+            known, got = (" x ".join(map(str, shape)) for shape in shapes)
             raise ValueError(
                 f"touches must have {known} taxels like the training touches, got "
                 f"{got}. Use the same sensor and resolution, or learn again."
             )
         cleaned = self._living(images)
+        if self.drift_ is not None:
+            cleaned = cleaned + self.drift_
         if self.clean_up_ is not None:
             cleaned = _transformed(self.clean_up_, grey(cleaned))
         return cleaned
@@ -189,19 +202,29 @@ class TouchEncoder(BaseEstimator):
         return frozenset().union(*(getattr(s, "blind_to", ()) for s in steps))
 
     def moved(self, touches: Touches) -> Self:
-        """Return this encoder for images of another camera before the same sensor."""
+        """Return this encoder for another camera before the sensor, or another zero.
+
+        Where images are looked at as they are, and both frames of no contact are known,
+        the difference is taken off.
+        """
         other = deepcopy(self)
         other.image_shape_ = touches.images.shape[1:]
+        if self.baseline_ is not None and touches.no_contact is not None:
+            now = self._living(touches.no_contact[np.newaxis])[0].astype(np.float64)
+            other.drift_ = self.baseline_ - now
         if self.clean_up_ is not None:
             images = grey(self._living(touches.images))
             other.clean_up_ = self.clean_up_.moved(images, self._idle(touches))
         return other
 
     def _side_by_side(self, parts: list[Floats]) -> Floats:
-        if len(parts) == 1:
-            return parts[0]
-        scaled = zip(parts, self.scales_.values(), strict=True)
-        return np.hstack([part * scale for part, scale in scaled])
+        features = parts[0]
+        if len(parts) > 1:
+            scaled = zip(parts, self.scales_.values(), strict=True)
+            features = np.hstack([part * scale for part, scale in scaled])
+        if self.weighing_ is not None:
+            features = features @ self.weighing_
+        return features if self.offset_ is None else features + self.offset_
 
     def _living(self, images: Array) -> Array:
         return check_levels(living(images, self.pads_))
@@ -239,16 +262,11 @@ def living(images: Array, pads: Array | None = None) -> Array:
     if images.dtype.kind != "f" or not np.isnan(images).any():
         return images
     if pads is not None:
-        images = np.where(_gaps(pads, images.shape[1:]), 0, images)
+        gaps = np.ones(images.shape[1:], dtype=bool)
+        for row, col, n_rows, n_cols in pads:
+            gaps[row : row + n_rows, col : col + n_cols] = False
+        images = np.where(gaps, 0, images)
     return fill_dead_taxels(images)
-
-
-def _gaps(pads: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return which taxels lie in no pad, of the shape of a touch."""
-    gaps = np.ones(shape, dtype=bool)
-    for row, col, n_rows, n_cols in pads:
-        gaps[row : row + n_rows, col : col + n_cols] = False
-    return gaps
 
 
 def in_batches(values: Any) -> Iterator[Any]:

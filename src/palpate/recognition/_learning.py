@@ -104,17 +104,20 @@ def memory_of(
     blocks: NDArray[np.intp],
 ) -> Memory:
     """Return what is kept of touches that were encoded."""
-    unknown = np.full(len(labels), "")
-    sessions, ids, categories = touches.session, touches.touch_id, touches.category
+
+    def known(column: Array | None) -> Array:
+        return np.full(len(labels), "") if column is None else column.astype(str)
+
     return Memory(
         features=encoding.features,
         labels=labels,
         objects=objects,
         blocks=blocks,
-        sessions=unknown if sessions is None else sessions.astype(str),
+        sessions=known(touches.session),
+        subjects=known(touches.subject),
         nothing=encoding.nothing,
-        touch_ids=unknown if ids is None else ids,
-        categories=unknown if categories is None else categories.astype(str),
+        touch_ids=known(touches.touch_id),
+        categories=known(touches.category),
     )
 
 

@@ -14,7 +14,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import pdist
 from sklearn.metrics.pairwise import euclidean_distances
+from sklearn.utils import gen_batches
 
 from .._checks import check_label_kinds
 from .._types import Array, Floats
@@ -24,6 +26,8 @@ from ._evidence import as_touches
 N_BLOCKS = 5
 # Training touches that distances are taken to, and touches compared at once.
 MOST_MARKS, AT_ONCE = 2000, 1024
+# How many training touches tell what a middling distance is.
+N_PAIRED = 300
 # Touches of an object are copies below this share of its median squared distance.
 COPY = 0.01
 # What a decision says of something that was never learnt.
@@ -42,8 +46,8 @@ class Memory:
         What is recognised, and whose touches they are.
     blocks : ndarray of int, shape (n_touches,)
         Touches of one number are left out together.
-    sessions : ndarray of str, shape (n_touches,)
-        The mounting or day of each, "" where it is not told.
+    sessions, subjects : ndarray of str, shape (n_touches,)
+        The mounting or day of each, and the person or unit, "" where it is not told.
     nothing : ndarray of bool, shape (n_touches,)
         Which show no contact.
     touch_ids : ndarray of str, shape (n_touches,)
@@ -59,6 +63,7 @@ class Memory:
     objects: Array
     blocks: NDArray[np.intp]
     sessions: NDArray[np.str_]
+    subjects: NDArray[np.str_]
     nothing: NDArray[np.bool_]
     touch_ids: NDArray[np.str_]
     categories: NDArray[np.str_]
@@ -114,6 +119,20 @@ class Memory:
         gone = np.array([str(label) in names for label in self.labels])
         return replace(self, **{n: getattr(self, n)[~gone] for n in _COLUMNS})
 
+    def newest(self, label: object, most: int) -> Self:
+        """Return this with `most` touches of a label: evenly of its sessions, the last.
+
+        Of sessions with fewer all are kept.
+        """
+        mine = np.flatnonzero(self.labels.astype(str) == str(label))
+        age = np.empty(len(mine), dtype=np.intp)
+        for session in np.unique(self.sessions[mine]):
+            rows = self.sessions[mine] == session
+            age[rows] = np.arange(rows.sum())[::-1]
+        gone = mine[np.argsort(age, kind="stable")[most:]]
+        kept = ~np.isin(np.arange(len(self)), gone)
+        return replace(self, **{n: getattr(self, n)[kept] for n in _COLUMNS})
+
     def replaced(self, other: Self) -> Self:
         """Return this with the other's touches in place of those of its labels."""
         rest = self.without(other.classes.tolist())
@@ -146,11 +165,8 @@ class Nearest:
         """
         return np.concatenate(
             [
-                self._least(
-                    features[start : start + AT_ONCE],
-                    None if blocks is None else blocks[start : start + AT_ONCE],
-                )
-                for start in range(0, len(features), AT_ONCE)
+                self._least(features[rows], None if blocks is None else blocks[rows])
+                for rows in gen_batches(len(features), AT_ONCE)
             ]
         )
 
@@ -164,6 +180,28 @@ class Nearest:
             squared[blocks[:, np.newaxis] == self._blocks] = np.inf
         least = np.minimum.reduceat(squared, self._first, axis=1)
         return np.where(np.isfinite(least), 0.5 * np.log(least), np.nan)
+
+
+def nearest_touches(
+    memory: Memory, features: Floats, count: int
+) -> list[list[dict[str, Any]]]:
+    """Return the training touches nearest to each; none where features hold NaN.
+
+    Distances are told in units of the median among up to `N_PAIRED` training touches.
+    """
+    some = memory.features[:: -(-len(memory) // N_PAIRED)]
+    apart = pdist(some, "sqeuclidean")
+    unit = float(np.sqrt(np.median(apart))) if apart.any() else 1.0
+    found: list[list[dict[str, Any]]] = []
+    for one in features:
+        distance = np.linalg.norm(memory.features - one, axis=1)
+        known = np.isfinite(one).all()
+        rows = np.argsort(distance, kind="stable")[:count] if known else ()
+        near = [(str(memory.objects[k]), int(k), float(distance[k])) for k in rows]
+        found.append(
+            [{"object": name, "row": k, "distance": d / unit} for name, k, d in near]
+        )
+    return found
 
 
 _COLUMNS = [field.name for field in fields(Memory) if field.name != "sensor"]

@@ -3,6 +3,10 @@
 Reading one executes nothing: classes are looked up in a fixed table, their
 attributes are set from arrays and plain values, and a checksum covers all of it.
 A file is a safetensors container whose metadata hold one JSON document.
+
+In format 3, written by palpate 0.1, what was kept of the training touches lay on the
+recogniser itself, and some classes and attributes had other names. Its document is
+brought to today's shape; what decides is learnt anew from the touches that were kept.
 """
 
 import hashlib
@@ -22,13 +26,12 @@ from sklearn.preprocessing import StandardScaler
 from .. import __version__, classifiers, encodings, images
 from .._durable import replacing
 from .._types import Array
+from ._calibration import Modality
 from ._contact import ContactCheck
 from ._encoder import TouchEncoder
 from ._evidence import SequenceCalibration
-from ._format_3 import from_format_3
 from ._memory import Memory
-from ._modality import Modality
-from ._model_bounds import MB, Budget
+from ._model_checks import MB, Budget
 from ._unknown import DecisionLimits
 
 FORMAT = 4
@@ -46,6 +49,20 @@ _OWN = (
 _ROOMS = (classifiers, encodings, images)
 # Made anew from a stored model; making one computes, which reading a file must not.
 _NEVER_STORED = ("IndexQuality", "KernelDensityIndex", "TouchClassifier")
+# Attributes of format 3 by what they are called today, and those kept in `Memory`.
+_RENAMED = {
+    "trust_": "sequence_calibration_",
+    "hears_nothing_": "uses_no_contact_",
+}
+_KEPT = {
+    "features_": "features",
+    "labels_": "labels",
+    "objects_": "objects",
+    "stretches_": "blocks",
+    "nothing_": "nothing",
+    "touch_ids_": "touch_ids",
+    "sensor_": "sensor",
+}
 
 
 def _known_classes() -> dict[str, type]:
@@ -144,7 +161,7 @@ def read_model(path: str | Path, also: type) -> Any:
                 f"{FORMAT}. Learn again, or use the palpate that wrote it."
             )
         if version == 3:
-            model = from_format_3(model)
+            model = _from_format_3(model)
         return _unpack(model, budget)
     except ModelFileError:
         raise
@@ -293,3 +310,64 @@ def _unpack_object(node: dict[str, Any], budget: Budget) -> Any:
     for attribute, value in learnt.items():
         setattr(built, attribute, value)
     return built
+
+
+def _from_format_3(node: Any) -> Any:
+    """Return a packed value of format 3 as one of format 4."""
+    if isinstance(node, list):
+        return [_from_format_3(item) for item in node]
+    if not isinstance(node, dict):
+        return node
+    renewed = {key: _from_format_3(item) for key, item in node.items()}
+    if "class" not in renewed:
+        return renewed
+    if renewed["class"] == "Trust":
+        renewed["class"] = "SequenceCalibration"
+    learnt = renewed["learnt"]
+    renewed["learnt"] = {_RENAMED.get(k, k): v for k, v in learnt.items()}
+    return _with_memory(renewed) if "stretches_" in learnt else renewed
+
+
+def _with_memory(node: dict[str, Any]) -> dict[str, Any]:
+    """Gather what is kept of the training touches into a `Memory`."""
+    learnt = node["learnt"]
+    kept = {new: learnt.pop(old) for old, new in _KEPT.items() if old in learnt}
+    for gone in ("taught_", "unexplained_", "unknown_scale_"):
+        learnt.pop(gone, None)
+    shape = kept["labels"]["shape"]
+    unknown = {"text": [""] * shape[0], "shape": shape}
+    if kept.get("touch_ids", unknown)["shape"] != shape:
+        kept["touch_ids"] = unknown
+    told = dict.fromkeys(("touch_ids", "sessions", "subjects", "categories"), unknown)
+    params = {"sensor": None, **told, **kept}
+    learnt["memory_"] = {"class": "Memory", "params": params, "learnt": {}}
+    encoder = learnt["encoder_"]
+    n_features = kept["features"]["shape"][not kept["features"].get("turned")]
+    for where, old in (("params", "steps"), ("learnt", "steps_")):
+        steps = encoder[where].pop(old)
+        encoder[where][old.replace("steps", "encodings")] = {"dict": [["", steps]]}
+    encoder["learnt"] |= {
+        "parts_": {"dict": [["", n_features]]},
+        "scales_": {"dict": [["", {"float": "1.0"}]]},
+        "pads_": None,
+        "channels_": None,
+    }
+    machine = learnt["classifier_"]
+    if machine["class"] == "KernelDensityBayes":
+        machine["learnt"]["groups_"] = kept["blocks"]
+    elif machine["class"] == "MKLSVC":
+        learnt["classifier_"] = _from_probabilities(machine, kept)
+    return node
+
+
+def _from_probabilities(machine: Any, kept: Any) -> dict[str, Any]:
+    learnt = {
+        "classifier_": machine,
+        "classes_": machine["learnt"]["classes_"],
+        "touches_": kept["features"],
+        "labels_": kept["labels"],
+        "groups_": kept["blocks"],
+        "n_features_in_": machine["learnt"]["n_features_in_"],
+    }
+    params = {"classifier": {**machine, "learnt": {}}}
+    return {"class": "FromProbabilities", "params": params, "learnt": learnt}

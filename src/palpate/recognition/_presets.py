@@ -112,9 +112,18 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
     """One encoder of all encodings that the presentation allows."""
     geometry = find_geometry(touches)
     if geometry == "none":
-        return {"taxels": TouchEncoder(None, _taxel_encodings())}
+        levels = [TaxelVector(), StandardScaler()]
+        roots = [TaxelVector(), RootScaler()]
+        chains = {"taxels": levels, "roots of taxels": roots}
+        return {"taxels": TouchEncoder(None, chains)}
     if geometry == "dome":
-        every = TouchEncoder(DomeCrop(), _disc_encodings(touches))
+        principal = PrincipalShare(KEPT_SHARE)
+        on_disc = {
+            "moments and gradients": _moments(touches),
+            "patterns on rings": [RingPatterns(), principal],
+            "quantiles on rings": [RingQuantiles(), StandardScaler(), principal],
+        }
+        every = TouchEncoder(DomeCrop(), on_disc)
         return {"disc about the rim": every.only(_allowed(every, presentation))}
     every = TouchEncoder(None, _plane_encodings(touches))
     return {"whole picture": every.only(_allowed(every, presentation))}
@@ -129,13 +138,6 @@ def _allowed(encoder: TouchEncoder, presentation: str) -> list[str]:
     changes = PRESENTATIONS[presentation]
     blind = {name: len(encoder.blind_to(name) & changes) for name in encoder.encodings}
     return [name for name in blind if blind[name] == max(blind.values())]
-
-
-def _taxel_encodings() -> dict[str, list[Any]]:
-    return {
-        "taxels": [TaxelVector(), StandardScaler()],
-        "roots of taxels": [TaxelVector(), RootScaler()],
-    }
 
 
 def _plane_encodings(touches: Touches) -> dict[str, list[Any]]:
@@ -160,16 +162,6 @@ def _plane_encodings(touches: Touches) -> dict[str, list[Any]]:
     if min(touches.images.shape[1:3]) >= FINE_TAXELS:
         encodings["patterns on rings"] = [ChannelMean(), RingPatterns(), principal]
     return encodings
-
-
-def _disc_encodings(touches: Touches) -> dict[str, list[Any]]:
-    """Encodings of the disc that a dome's camera sees."""
-    principal = PrincipalShare(KEPT_SHARE)
-    return {
-        "moments and gradients": _moments(touches),
-        "patterns on rings": [RingPatterns(), principal],
-        "quantiles on rings": [RingQuantiles(), StandardScaler(), principal],
-    }
 
 
 def _moments(touches: Touches) -> list[Any]:

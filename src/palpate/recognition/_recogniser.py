@@ -16,13 +16,14 @@ from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.exceptions import NotFittedError
 from sklearn.utils import Tags
 
-from .._checks import check_number, check_option
+from .._checks import check_count, check_number, check_option
 from .._types import Array, Floats
 from ..classifiers import EncodingPool, TouchClassifier, as_groups
 from ..images import Poses, PressPose
 from ..touches import Touches, TouchSource
 from ._belief import Belief, Judge
 from ._calibration import (
+    Modality,
     draw_all,
     draw_asked,
     fit_sequence_calibration,
@@ -50,11 +51,10 @@ from ._memory import (
     training_labels,
     without_copies,
 )
-from ._modality import Modality
-from ._model_bounds import MOST_TRIED
+from ._model_checks import MOST_TRIED, check_parts, try_one_touch
 from ._model_file import ModelFileError, read_model, write_model
 from ._presets import PRESENTATIONS, Preset, find_preset
-from ._trial_touch import check_parts, try_one_touch
+from ._remounting import MountingCheck, check_mounting, learn_nuisance, remounted
 from ._unknown import DecisionLimits, LeftOut, fit_limits
 
 # Touches of one task; a multiple of the encoder's batches, for the same results.
@@ -232,15 +232,22 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             )
         return self._relearn(self.memory_.plus(self._learnt(name, touches, 2)))
 
-    def extend_object(self, name: str, touches: Touches | TouchSource) -> Self:
+    def extend_object(
+        self, name: str, touches: Touches | TouchSource, most: int | None = None
+    ) -> Self:
         """Learn more touches of a known object, beside those it has.
 
         Parameters and errors as of `add_object`, but the object must be known, and one
-        touch is enough.
+        touch is enough. With `most` no more touches of it are kept: of its sessions
+        the same number where there are enough, of each the newest, so that what is
+        met again every day neither grows for ever nor forgets its first days.
         """
         self._check_fitted()
         check_option("name", name, self._names())
-        return self._relearn(self.memory_.plus(self._learnt(name, touches, 1)))
+        memory = self.memory_.plus(self._learnt(name, touches, 1))
+        if most is not None:
+            memory = memory.newest(name, check_count("most", most, at_least=2))
+        return self._relearn(memory)
 
     def replace_objects(
         self, touches: Touches | TouchSource | None, forget: Iterable[str] = ()
@@ -262,9 +269,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         self._check_fitted()
         memory = self.memory_.without(forget)
         if touches is not None:
-            for name in np.unique(named_labels(touches, self.label)).tolist():
-                mine = np.flatnonzero(named_labels(touches, self.label) == name)
-                some = touches[mine]
+            labels = named_labels(touches, self.label)
+            for name in np.unique(labels).tolist():
+                some = touches[np.flatnonzero(labels == name)]
                 memory = memory.replaced(self._learnt(name, some, 2))
         return self._relearn(memory)
 
@@ -279,6 +286,68 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         self._check_fitted()
         check_option("name", name, self._names())
         return self._relearn(self.memory_.without([name]))
+
+    def remount(self, touches: Touches) -> Self:
+        """Get used to another session: mounted anew, another day, light or device.
+
+        Parameters
+        ----------
+        touches : Touches
+            The first touches of the session. With labels they are confirmed: they tell
+            what the session does to touches, and join the training touches. Without
+            the column of labels they are only taken for what they may be: enough where
+            there are some ten of several objects. Images may have another shape, and
+            a frame of no contact tells where the rim is, and what rest looks like.
+
+        Returns
+        -------
+        ObjectRecogniser
+            This one; `chosen_["remount"]` says what was found.
+
+        Raises
+        ------
+        ValueError
+            A label was not learnt, or no touch shows contact.
+
+        Notes
+        -----
+        1. A dome's disc is found in the new images, and cut as large in proportion.
+        2. Where training sessions met the same objects, what each adds to the features
+           is taken off, and how they differ is weighed down, as far as that helps with
+           sessions left out whole.
+        3. The new session's features are moved to where the training touches of the
+           same objects lie, less what chance would move (docs/sessions.md).
+        """
+        self._check_fitted()
+        self.__dict__.update(remounted(self, touches).__dict__)
+        return self
+
+    def learn_nuisance(self, touches: Touches) -> int:
+        """Weigh down what tells sessions from each other and not objects.
+
+        Parameters
+        ----------
+        touches : Touches
+            Of any objects, known or not, each met in several sessions (columns
+            `object` and `session`), 20 differences at least.
+
+        Returns
+        -------
+        int
+            How many differences between sessions they showed.
+        """
+        self._check_fitted()
+        return learn_nuisance(self, touches)
+
+    def check_mounting(self, touches: Touches | Evidence) -> MountingCheck:
+        """Tell whether touches come from a session like those it was taught in.
+
+        Some ten touches, or the evidence of them, of several objects if possible;
+        labels are not used. Of sessions like those of training about one in twenty is
+        called changed.
+        """
+        self._check_fitted()
+        return check_mounting(self, touches)
 
     def predict(self, X: Touches | ArrayLike) -> Array:
         """Return the most probable label after each touch alone, (n_touches,)."""
@@ -500,7 +569,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             model._check_parameters()
             if not hasattr(model, "limits_"):
                 model.limits_ = model._learnt_limits()
-            check_parts(model.judge(), model.encoder_.image_shape_, model.pose_)
+            check_parts(model.judge(), model.encoder_, model.pose_)
             if prod(model.encoder_.image_shape_) <= MOST_TRIED:
                 with np.errstate(all="ignore"):
                     blank = model.evidence(model.encoder_.blank_touch())
@@ -545,10 +614,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
                 "At least two objects must remain, got only "
                 f"{memory.classes.tolist()}. Add another object first."
             )
-        classifier = copy(self.classifier_).refit(
+        self.classifier_ = copy(self.classifier_).refit(
             memory.features, memory.labels, groups=memory.blocks
         )
-        self.classifier_ = classifier
         self._calibrate(memory)
         return self
 
@@ -580,9 +648,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
 
     def _left_out(self) -> Floats:
         """Return what counts of left-out training touches, (n_touches, n_objects)."""
-        return self._used(
-            left_out_log_likelihood(self.classifier_), self.memory_.nothing
-        )
+        said = left_out_log_likelihood(self.classifier_)
+        return self._used(said, self.memory_.nothing)
 
     def _learnt_limits(self) -> DecisionLimits:
         """Learn what may be decided from training touches left out."""
@@ -624,21 +691,16 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         return memory.category_of
 
     def _evidence_of(self, touches: Touches) -> Evidence:
-        encoding = self.encoder_, self.contact_
-        features, flags = encoded_and_flagged(*encoding, touches)
+        features, flags = encoded_and_flagged(self.encoder_, self.contact_, touches)
         if isinstance(self.classifier_, EncodingPool):
             parts = self.classifier_.log_likelihood_by_part(features)
             said, each = self.classifier_.pooled(parts), np.swapaxes(parts, 0, 1)
         else:
             said = self.classifier_.log_likelihood(features)
             each = said[:, np.newaxis]
-        return Evidence(
-            features,
-            self._used(said, np.array(flags) == NO_CONTACT),
-            flags,
-            each,
-            self._nearest().log_distances(features),
-        )
+        used = self._used(said, np.array(flags) == NO_CONTACT)
+        distances = self._nearest().log_distances(features)
+        return Evidence(features, used, flags, each, distances)
 
     def _used(self, log_likelihood: Floats, nothing: NDArray[np.bool_]) -> Floats:
         """Let touches without contact say nothing, unless a label consists of them."""
@@ -666,9 +728,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
 
     def _check_fitted(self) -> None:
         if not hasattr(self, "memory_"):
-            raise NotFittedError(
-                "This recogniser has learnt nothing yet; call fit first."
-            )
+            raise NotFittedError("It has learnt nothing yet; call fit first.")
 
     def __sklearn_tags__(self) -> Tags:
         tags = super().__sklearn_tags__()

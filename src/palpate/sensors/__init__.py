@@ -12,22 +12,21 @@ from ._address import open_sensor
 from ._bench import SimulatedBench, SimulatedSensor
 from ._camera import CameraSensor, camera_names
 from ._camera import find_camera as find_camera
-from ._check import check_sensor
 from ._contract import Frame as Frame
-from ._contract import LiveSensor, SensorError, TouchSensor
+from ._contract import LiveSensor, SensorError, TouchSensor, check_sensor
 from ._contract import channels_of as channels_of
 from ._detector import ContactError as ContactError
 from ._detector import DetectedTouch as DetectedTouch
+from ._detector import SensorMemory as SensorMemory
 from ._detector import TouchDetector
-from ._drift import SensorMemory as SensorMemory
-from ._drift import baseline_warning as baseline_warning
-from ._drift import gain_warning as gain_warning
+from ._detector import baseline_warning as baseline_warning
+from ._detector import gain_warning as gain_warning
 from ._framing import BinaryFraming, LineFraming
 from ._framing import write_binary as write_binary
 from ._framing import write_line as write_line
 from ._played import ReplaySensor
+from ._played import SimulatedStream as SimulatedStream
 from ._serial import SerialArraySensor
-from ._simulated_stream import SimulatedStream as SimulatedStream
 
 __all__ = [
     "BinaryFraming",

@@ -14,9 +14,8 @@ from urllib.parse import unquote
 
 from ._camera import CameraSensor
 from ._contract import LiveSensor
-from ._played import PlayedSensor, ReplaySensor
+from ._played import PlayedSensor, ReplaySensor, SimulatedStream
 from ._serial import SerialArraySensor, find_array
-from ._simulated_stream import SimulatedStream
 
 
 class AddressError(ValueError):
@@ -36,10 +35,6 @@ def _shape(text: str) -> tuple[int, int]:
     if found is None:
         raise ValueError
     return int(found[1]), int(found[2])
-
-
-def _shape_or_auto(text: str) -> Any:
-    return text if text == "auto" else _shape(text)
 
 
 def _word(keyword: str, **values: Any) -> _Option:
@@ -65,7 +60,11 @@ _OPTIONS: dict[str, dict[str, _Option]] = {
         "colour": _word("colour", **{"1": True, "0": False}, yes=True, no=False),
     },
     "serial": {
-        "shape": _Option("image_shape", _shape_or_auto, "such as 16x16, or auto"),
+        "shape": _Option(
+            "image_shape",
+            lambda text: text if text == "auto" else _shape(text),
+            "such as 16x16, or auto",
+        ),
         "baud": _Option("baud", int, "a whole number of bits a second"),
         "framing": _word("framing", line="line", binary="binary"),
         "checksum": _word("checksum", yes=True, no=False),
@@ -113,14 +112,22 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
     >>> open_sensor("camera:0?shape=240x320&rate=15").image_shape
     (240, 320)
     """
-    base, question, written = address.partition("?")
+    base, _, written = address.partition("?")
     kind, _, place = base.partition(":")
     if not place or kind not in _OPTIONS:
         raise AddressError(
             "sensor must be camera:NAME, serial:PORT, replay:PATH or sim:OBJECT, "
             f"got {address!r}."
         )
-    given = _from_address(address, kind, written) if question else {}
+    given: dict[str, Any] = {}
+    for part in filter(None, written.split("&")):
+        name, _, text = part.partition("=")
+        option = _OPTIONS[kind].get(name)
+        if option is None:
+            _refuse(address, kind, f"{name!r} is no option")
+        if option.keyword in given:
+            _refuse(address, kind, f"{name} must be given once, got it twice")
+        given[option.keyword] = _read(address, kind, name, unquote(text))
     for keyword, value in options.items():
         if value is not None:
             given[keyword] = _agreed(address, kind, given, keyword, value)
@@ -130,20 +137,6 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
 def desk_of(sensor: object) -> PlayedSensor | None:
     """Return the sensor if things can be placed before it by name, else None."""
     return sensor if isinstance(sensor, PlayedSensor) else None
-
-
-def _from_address(address: str, kind: str, written: str) -> dict[str, Any]:
-    """Return the options written in an address by the sensor's names for them."""
-    given: dict[str, Any] = {}
-    for part in filter(None, written.split("&")):
-        name, _, value = part.partition("=")
-        option = _OPTIONS[kind].get(name)
-        if option is None:
-            _refuse(address, kind, f"{name!r} is no option")
-        if option.keyword in given:
-            _refuse(address, kind, f"{name} must be given once, got it twice")
-        given[option.keyword] = _read(address, kind, name, unquote(value))
-    return given
 
 
 def _agreed(

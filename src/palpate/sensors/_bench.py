@@ -233,7 +233,11 @@ class _Line:
             return 0.0
         log_depth = float(np.log(depth))
         while self._to_solve and not self._reaches(log_depth):
-            self._solve(self._to_solve.pop())
+            force_n = self._to_solve.pop()
+            solved = self._contact(force_n).depth_mm
+            if solved > 0 and not self._reaches(np.log(solved)):
+                self._log_depth.append(float(np.log(solved)))
+                self._log_force.append(float(np.log(force_n)))
         if log_depth < self._log_depth[0]:  # Below the least force: as depth^1.5.
             slope = 1.5 * (log_depth - self._log_depth[0])
             return float(np.exp(self._log_force[0] + slope))
@@ -241,12 +245,6 @@ class _Line:
 
     def _reaches(self, log_depth: float) -> bool:
         return bool(self._log_depth) and self._log_depth[-1] >= log_depth
-
-    def _solve(self, force_n: float) -> None:
-        depth = self._contact(force_n).depth_mm
-        if depth > 0 and not self._reaches(np.log(depth)):
-            self._log_depth.append(float(np.log(depth)))
-            self._log_force.append(float(np.log(force_n)))
 
     def press(self, pose: SensorPose) -> DomePress | None:
         """The state of the dome at a pose, or None where it touches nothing."""

@@ -6,6 +6,7 @@ frame with the time each was taken, counts what was lost, and is disconnected. E
 `LiveSensor` is a `TouchSensor`. A driver says how to open its device, how to wait a
 moment for frames and how to close it again; everything that the contract promises is
 kept here, by a capture thread, a queue of frames, and looking for a lost device.
+`check_sensor` drives a driver through the contract.
 """
 
 import threading
@@ -15,6 +16,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -22,6 +24,7 @@ from numpy.typing import DTypeLike
 
 from .._checks import check_count
 from .._types import Array, Floats
+from ..touches import GEOMETRIES, RGB
 
 
 class SensorError(RuntimeError):
@@ -32,9 +35,9 @@ class SensorError(RuntimeError):
 class Frame:
     """One reading of a sensor at one time.
 
-    `image` (n_rows, n_cols), or (n_rows, n_cols, 3) of red, green and blue, is
-    read-only, in the sensor's unit; `time_s` is on the clock of `time.monotonic`;
-    `number` counts from 0 on connecting: a gap is a frame lost.
+    `image` (n_rows, n_cols), or (n_rows, n_cols, n_channels), is read-only, in the
+    sensor's unit; `time_s` is on the clock of `time.monotonic`; `number` counts from 0
+    on connecting: a gap is a frame lost.
     """
 
     image: Array
@@ -49,7 +52,7 @@ class TouchSensor(Protocol):
     Attributes
     ----------
     image_shape : tuple of int
-        (n_rows, n_cols) of every frame, or (n_rows, n_cols, 3) in colour.
+        (n_rows, n_cols) of every frame, or (n_rows, n_cols, n_channels).
     geometry : str or None
         How its taxels lie, see `Touches`.
     """
@@ -88,7 +91,7 @@ class LiveSensor(ABC):
     unit : str
         What its numbers count, such as "grey level" or "kPa".
     image_shape : tuple of int
-        (n_rows, n_cols) of every frame, or (n_rows, n_cols, 3) in colour.
+        (n_rows, n_cols) of every frame, or (n_rows, n_cols, n_channels).
     dtype : dtype
         Type of every frame.
     geometry : str, optional
@@ -96,6 +99,8 @@ class LiveSensor(ABC):
 
     Attributes
     ----------
+    channels : tuple of str or None
+        Names of the channels of its frames; "r", "g", "b" of three, unless set.
     lost : str
         Why no frames come at present, for people; empty while they do.
     n_frames : int
@@ -125,6 +130,7 @@ class LiveSensor(ABC):
         names = ("n_rows", "n_cols", "n_channels")
         self.image_shape = tuple(map(check_count, names, image_shape))
         self.dtype = np.dtype(dtype)
+        self.channels = channels_of(self.image_shape)
         self.geometry = geometry
         self.lost, self.n_frames, self.n_dropped = "", 0, 0
         self._queue: deque[Frame] = deque()
@@ -301,10 +307,119 @@ class LiveSensor(ABC):
 
 
 def channels_of(image_shape: Sequence[int]) -> tuple[str, ...] | None:
-    """Return what the channels of a sensor's frames are called, None without any."""
-    return ("r", "g", "b") if len(image_shape) == 3 else None
+    """Return what the channels of frames are called unless told, None without any."""
+    if len(image_shape) == 2:
+        return None
+    return RGB if image_shape[2] == len(RGB) else tuple(map(str, range(image_shape[2])))
 
 
 def as_kind(image: Floats, dtype: np.dtype[Any]) -> Array:
     """Return an image in a sensor's type of numbers, rounded where those are whole."""
     return (np.rint(image) if dtype.kind in "iu" else image).astype(dtype)
+
+
+def check_sensor(sensor: LiveSensor, *, n_frames: int = 10) -> None:
+    """Drive a sensor through its contract and say what it breaks.
+
+    Parameters
+    ----------
+    sensor : LiveSensor
+        Not connected yet; the device must be there and give frames.
+    n_frames : int, default=10
+        Frames to read in a row.
+
+    Raises
+    ------
+    AssertionError
+        The contract is broken; the message says which part.
+    SensorError
+        The device itself failed.
+
+    Examples
+    --------
+    >>> from palpate import Touches
+    >>> from palpate.sensors import ReplaySensor, check_sensor
+    >>> check_sensor(ReplaySensor(Touches([[[0, 1]], [[1, 0]]]), rate_hz=500))
+    """
+    _check_promises(sensor)
+    _refuses_frames(sensor, "before connect()")
+    _say(sensor.connect() is sensor, "connect() must return the sensor")
+    try:
+        _say(sensor.connect() is sensor, "connect() twice must change nothing")
+        _say(sensor.connected, "connected must be True after connect()")
+        _check_frames(sensor, n_frames)
+    finally:
+        sensor.disconnect()
+    _say(not sensor.connected, "connected must be False after disconnect()")
+    sensor.disconnect()
+    _refuses_frames(sensor, "after disconnect()")
+    with sensor as again:
+        _check_frame(sensor, again.read_next())
+    _say(not sensor.connected, "a with block must disconnect at its end")
+
+
+def _check_promises(sensor: LiveSensor) -> None:
+    """What must be known before connecting."""
+    _say(isinstance(sensor, TouchSensor), "a sensor must keep TouchSensor's contract")
+    _say(not sensor.connected, "check_sensor must be given one not connected yet")
+    shape: Any = sensor.image_shape
+    whole = isinstance(shape, tuple) and len(shape) in (2, 3)
+    whole = whole and all(isinstance(n, int) and n > 0 for n in shape)
+    _say(whole, "image_shape must be a tuple of two or three positive integers")
+    n_channels = () if sensor.channels is None else (len(sensor.channels),)
+    _say(shape[2:] == n_channels, "channels must name each channel of image_shape")
+    _say(isinstance(sensor.unit, str) and sensor.unit != "", "unit must be a text")
+    _say(isinstance(sensor.name, str) and sensor.name != "", "name must be a text")
+    _say(isinstance(sensor.dtype, np.dtype), "dtype must be a numpy dtype")
+    known = (None, *GEOMETRIES)
+    _say(sensor.geometry in known, f"geometry must be one of {known}")
+
+
+def _check_frames(sensor: LiveSensor, n_frames: int) -> None:
+    started_s = time.monotonic()
+    first = sensor.read_next()
+    frames = [first, *(sensor.read_next() for _ in range(n_frames - 1))]
+    for frame in frames:
+        _check_frame(sensor, frame)
+        late = frame.time_s > time.monotonic()
+        _say(not late, "time_s must be on time.monotonic()'s clock, not in the future")
+    times = [frame.time_s for frame in frames]
+    _say(times == sorted(times), "read_next() must give frames in the order of time")
+    numbers = [frame.number for frame in frames]
+    rising = all(b > a for a, b in pairwise(numbers))
+    _say(rising, "read_next() must never give one frame twice: numbers must rise")
+    latest = sensor.read_latest()
+    _check_frame(sensor, latest)
+    _say(latest.number >= numbers[-1], "read_latest() must not be older than read_next")
+    asked_s = time.monotonic()
+    image = sensor.read()
+    _say(image.shape == sensor.image_shape, "read() must give image_shape")
+    fresh = sensor.read_latest().time_s >= asked_s >= started_s
+    _say(fresh, "read() must give a frame taken after the call")
+    _say(sensor.n_frames >= n_frames, "n_frames must count the frames taken")
+    _say(sensor.n_dropped >= 0, "n_dropped must not be negative")
+    rest = sensor.no_contact()
+    if rest is not None:
+        _say(rest.shape == sensor.image_shape, "no_contact() must give image_shape")
+
+
+def _check_frame(sensor: LiveSensor, frame: Frame) -> None:
+    image = frame.image
+    _say(image.shape == sensor.image_shape, f"frames must be {sensor.image_shape}")
+    _say(image.dtype == sensor.dtype, f"frames must be {sensor.dtype}")
+    _say(not image.flags.writeable, "frames must be read-only")
+    _say(not np.isinf(image).any(), "frames must hold no infinity")
+
+
+def _refuses_frames(sensor: LiveSensor, when: str) -> None:
+    for read in (sensor.read_next, sensor.read_latest):
+        try:
+            read(0.01)
+        except SensorError:
+            continue
+        _say(False, f"{read.__name__}() must raise SensorError {when}")
+
+
+def _say(kept: bool, promise: str) -> None:
+    if not kept:
+        raise AssertionError(f"The sensor breaks its contract: {promise}.")

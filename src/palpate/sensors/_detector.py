@@ -1,15 +1,20 @@
-"""Where a touch begins and ends in a stream of frames.
+"""Where a touch begins and ends in a stream of frames; whether the sensor has changed.
 
 A frame is compared with the frame of no contact (the baseline). Its change is the root
 mean square of the difference over the taxels that work and their colours, in the
 sensor's unit. A touch begins where the change rises above one limit and ends where it
 falls below a lower one, so that a change near a limit does not make many touches of
 one.
+
+`SensorMemory` is what is remembered of a sensor: its frame of no contact, how much its
+touches change it, and, for arrays, how strongly each taxel answers. All of it can be
+kept in a model file.
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from scipy import ndimage
@@ -29,6 +34,10 @@ _IDLE_S, _STUCK_S = 2.0, 20.0
 _STEADY_NOISES = 3.0
 # An array is pressed where neighbours read so many spreads and steps above the others.
 _ARRAY_SIDE, _PRESS_SPREADS, _PRESS_STEPS, _PRESS_TAXELS = 48, 8.0, 8.0, 4
+MOST_TAXELS = 4096
+_ENOUGH_TOUCHES = 10
+_BASELINE_TOLERANCE, _GAIN_TOLERANCE, _SURE_SD = 0.25, 2.0, 4.0
+_NAMED = 3
 
 
 class ContactError(ValueError):
@@ -80,6 +89,9 @@ class TouchDetector:
         The smallest difference that the sensor's numbers can show, where it is known
         (see `LiveSensor`); 1 for integers, else 0. May be set at any time.
     """
+
+    _peak_image: Array | None
+    _idle_since_s: float
 
     def __init__(
         self,
@@ -166,7 +178,10 @@ class TouchDetector:
         now_s = frame.time_s
         if not self.touching:
             if self.change <= self.begin:
-                self._rest(now_s)
+                # How far rest is from the baseline, over about half a second.
+                if self._idle_since_s > now_s:
+                    self._idle_since_s, self._idle_change = now_s, self.change
+                self._idle_change += 0.1 * (self.change - self._idle_change)
                 return None
             self.touching, self._began_s, self._peak = True, now_s, -1.0
             self._n_frames = 0
@@ -174,7 +189,13 @@ class TouchDetector:
             self._calm_since_s, self._calm_change = now_s, self.change
         elif self.change < self.end:
             return self._ended(now_s)
-        self._hold(frame)
+        self._n_frames += 1
+        if self.change > self._peak:
+            self._peak, self._peak_image = self.change, frame.image
+        if self.summary == "mean":
+            self._recent.append((self.change, frame.image))
+        if abs(self.change - self._calm_change) > max(3 * self.noise, self.end):
+            self._calm_since_s, self._calm_change = frame.time_s, self.change
         return None
 
     def baseline_offer(self, now_s: float) -> str:
@@ -202,7 +223,7 @@ class TouchDetector:
         self._small_baseline = np.empty(0) if baseline is None else _small(baseline)
         self.touching, self.change = False, 0.0
         self._n_frames, self._peak, self._began_s = 0, -1.0, 0.0
-        self._peak_image: Array | None = None
+        self._peak_image = None
         self._recent.clear()
         self._idle_since_s, self._idle_change = float("inf"), 0.0
         self._calm_since_s, self._calm_change = 0.0, 0.0
@@ -212,21 +233,6 @@ class TouchDetector:
         whole = image is not None and image.dtype.kind in "iu"
         step = max(self.step, 1.0) if whole else self.step
         return max(_LEAST_STEPS * step, float(np.finfo(np.float32).tiny))
-
-    def _rest(self, now_s: float) -> None:
-        """Follow how far rest is from the baseline, over about half a second."""
-        if self._idle_since_s > now_s:
-            self._idle_since_s, self._idle_change = now_s, self.change
-        self._idle_change += 0.1 * (self.change - self._idle_change)
-
-    def _hold(self, frame: Frame) -> None:
-        self._n_frames += 1
-        if self.change > self._peak:
-            self._peak, self._peak_image = self.change, frame.image
-        if self.summary == "mean":
-            self._recent.append((self.change, frame.image))
-        if abs(self.change - self._calm_change) > max(3 * self.noise, self.end):
-            self._calm_since_s, self._calm_change = frame.time_s, self.change
 
     def _ended(self, now_s: float) -> DetectedTouch | None:
         self.touching = False
@@ -286,3 +292,96 @@ def _rms(difference: Floats) -> float:
     """Root mean square over taxels that are not NaN; 0 where all are."""
     alive = difference[~np.isnan(difference)]
     return float(np.sqrt(np.mean(np.square(alive)))) if alive.size else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class SensorMemory:
+    """What touches tell of the sensor that made them.
+
+    `no_contact` (n_rows, n_cols) is its baseline, `touch_change` the median over
+    touches of their root mean square difference from it. `response` is the mean over
+    touches of the share that each taxel has in a touch's change, over channels,
+    `response_var` the variance of that mean, both (n_rows, n_cols), or (0, 0) for
+    sensors of over 4096 taxels.
+    """
+
+    no_contact: Floats
+    touch_change: float
+    response: Floats
+    response_var: Floats
+    n_touches: int
+
+    @classmethod
+    def of(cls, images: Iterable[Array], no_contact: Array) -> Self:
+        """Remember the sensor that made these touches, each (n_rows, n_cols)."""
+        baseline = np.asarray(no_contact, dtype=np.float64)
+        changes, shares = [], []
+        for image in images:
+            size = np.abs(image - baseline)
+            changes.append(float(np.sqrt(np.nanmean(size**2))))
+            size = size.reshape(*size.shape[:2], -1).mean(axis=2)
+            shares.append(size / max(float(np.nansum(size)), np.finfo(float).tiny))
+            if baseline.size > MOST_TAXELS:
+                shares.clear()
+        response = np.mean(shares, axis=0) if shares else np.empty((0, 0))
+        spread = np.var(shares, axis=0) / len(shares) if shares else np.empty((0, 0))
+        return cls(baseline, float(np.median(changes)), response, spread, len(changes))
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> Self:
+        """Return what `to_dict` gave."""
+        return cls(
+            np.asarray(stored["no_contact"], dtype=np.float64),
+            float(stored["touch_change"]),
+            np.asarray(stored["response"], dtype=np.float64),
+            np.asarray(stored["response_var"], dtype=np.float64),
+            int(stored["n_touches"]),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return arrays and plain values, for a model file."""
+        return dict(vars(self))
+
+
+def baseline_warning(memory: SensorMemory, no_contact: Array) -> str:
+    """Return a sentence if rest is off by over a quarter of a touch, else nothing."""
+    if memory.no_contact.shape != no_contact.shape:
+        both = (memory.no_contact.shape, no_contact.shape)
+        known, found = (" x ".join(map(str, shape)) for shape in both)
+        return (
+            f"The model learnt from a sensor of {known} taxels, this one has {found}. "
+            "Learn again with this sensor."
+        )
+    off = float(np.sqrt(np.nanmean((no_contact - memory.no_contact) ** 2)))
+    if off <= _BASELINE_TOLERANCE * memory.touch_change:
+        return ""
+    share = f"{off / memory.touch_change:.0%}" if memory.touch_change else "all"
+    return (
+        f"At rest the sensor differs from when the model learnt by {share} of what a "
+        "touch changes. Check how it is mounted and lit, or learn again."
+    )
+
+
+def gain_warning(memory: SensorMemory, now: SensorMemory) -> str:
+    """Return a sentence if taxels answer otherwise than they did, else nothing.
+
+    Asks for 10 touches learnt and 10 recent ones. A taxel is named whose share in
+    touches differs by a factor of 2, up or down, and by 4 standard errors.
+    """
+    if min(memory.n_touches, now.n_touches) < _ENOUGH_TOUCHES:
+        return ""
+    if not memory.response.size or memory.response.shape != now.response.shape:
+        return ""
+    before, after = np.nan_to_num(memory.response), np.nan_to_num(now.response)
+    error = np.sqrt(np.nan_to_num(memory.response_var + now.response_var))
+    sure = np.abs(after - before) > _SURE_SD * error
+    far = (after > _GAIN_TOLERANCE * before) | (after < before / _GAIN_TOLERANCE)
+    taxels = np.argwhere(sure & far)
+    if not len(taxels):
+        return ""
+    named = ", ".join(f"row {row} column {col}" for row, col in taxels[:_NAMED])
+    more = f" and {len(taxels) - _NAMED} more" if len(taxels) > _NAMED else ""
+    return (
+        f"Taxels answer otherwise than when the model learnt: {named}{more}. "
+        "They may be damaged or loose; calibrate, or learn again."
+    )

@@ -8,7 +8,7 @@ pictures grey levels 0 to 255 with the first row at the top.
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -228,7 +228,13 @@ class DomeCamera(DomeSensor):
 
     def __post_init__(self) -> None:
         for name in ("image_shape", "camera_offset_mm", "disc_centre"):
-            object.__setattr__(self, name, _pair(name, getattr(self, name)))
+            value = getattr(self, name)
+            pair = tuple(value) if isinstance(value, tuple | list | np.ndarray) else ()
+            if len(pair) != 2:
+                raise ValueError(f"{name} must be a pair, got {value!r}.")
+            if name != "image_shape":
+                pair = tuple(check_number(name, number) for number in pair)
+            object.__setattr__(self, name, pair)
         n_rows, n_cols = self.image_shape
         for side in self.image_shape:
             check_count("image_shape", side, at_least=_LEAST_SIDE)
@@ -295,6 +301,25 @@ class DomeCamera(DomeSensor):
         gain = self.gain * float(np.exp(self.exposure_drift_sd * rng.standard_normal()))
         return replace(self, gain=gain, disc_centre=(float(row), float(col)))
 
+    def remounted(self, rng: np.random.Generator) -> Self:
+        """Return this sensor as it is after another mounting: camera, light, rubber.
+
+        Exposure and place of the picture drift as between recordings. Guesses beside
+        that: the rubber is 10 % stiffer or softer, the lens 0.3 mm off the axis, the
+        light 10 % more or less glossy and the picture 1 % larger or smaller (standard
+        deviations).
+        """
+        drifted = self.drifted(rng)
+        softer, gloss, size = np.exp(rng.normal(0, (0.1, 0.1, 0.01))).tolist()
+        x, y = (self.camera_offset_mm + rng.normal(0, 0.3, 2)).tolist()
+        return replace(
+            drifted,
+            youngs_mpa=self.youngs_mpa * softer,
+            specular=self.specular * gloss,
+            disc_radius=self.disc_radius * size,
+            camera_offset_mm=(x, y),
+        )
+
     def _grey(self, light: Plane) -> Plane:
         """Mottle the light, expose it, and draw the rim and the white around it."""
         mottled = light * np.float32(self.gain)
@@ -325,15 +350,6 @@ _NOT_NEGATIVE = (
     "sleeve_mm led_ring_radius_mm diffuse specular ambient noise_sd texture_sd "
     "exposure_drift_sd centre_drift_sd"
 )
-
-
-def _pair(name: str, value: Any) -> tuple[Any, Any]:
-    pair = tuple(value) if isinstance(value, tuple | list | np.ndarray) else ()
-    if len(pair) != 2:
-        raise ValueError(f"{name} must be a pair, got {value!r}.")
-    if name != "image_shape":
-        pair = tuple(check_number(name, number) for number in pair)
-    return pair[0], pair[1]
 
 
 @lru_cache(maxsize=4)

@@ -176,23 +176,6 @@ def solve_contact(
     solving rough contact problems", Wear 231(2), 1999,
     doi:10.1016/S0043-1648(99)00113-1.
     """
-    gap, reachable = _checked_gap(membrane, gap_mm)
-    if force_n is None and depth_mm is None:
-        raise ValueError("Give force_n, depth_mm or both: the press must end.")
-    most = np.inf if depth_mm is None else check_number("depth_mm", depth_mm, low=0.0)
-    force = None if force_n is None else check_positive("force_n", force_n)
-    if not reachable.any() or most == 0:
-        nothing = np.zeros(gap.shape, np.float32)
-        return Contact(0.0, 0.0, nothing, nothing, 0.0)
-    problem = _Problem(membrane, gap, reachable, tolerance_mm, max_steps)
-    if force is None:
-        return problem.at_depth(most, problem.springs(most))
-    return problem.at_first(force, most)
-
-
-def _checked_gap(
-    membrane: Membrane, gap_mm: NDArray[Any]
-) -> tuple[Grid, NDArray[np.bool_]]:
     gap = np.asarray(gap_mm, dtype=np.float32)
     if gap.shape != (membrane.n_nodes, membrane.n_nodes):
         raise ValueError(
@@ -204,7 +187,18 @@ def _checked_gap(
             "gap_mm must be at least 0, without NaN. Subtract the least gap first."
         )
     reachable = gap < _NEVER_MM
-    return np.where(reachable, gap, _NEVER_MM), reachable
+    gap = np.where(reachable, gap, _NEVER_MM)
+    if force_n is None and depth_mm is None:
+        raise ValueError("Give force_n, depth_mm or both: the press must end.")
+    most = np.inf if depth_mm is None else check_number("depth_mm", depth_mm, low=0.0)
+    force = None if force_n is None else check_positive("force_n", force_n)
+    if not reachable.any() or most == 0:
+        nothing = np.zeros(gap.shape, np.float32)
+        return Contact(0.0, 0.0, nothing, nothing, 0.0)
+    problem = _Problem(membrane, gap, reachable, tolerance_mm, max_steps)
+    if force is None:
+        return problem.at_depth(most, problem.springs(most))
+    return problem.at_first(force, most)
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +215,13 @@ class _Problem:
         return self._described(self._relaxed(start, None, depth_mm), depth_mm)
 
     def at_first(self, force_n: float, depth_mm: float) -> Contact:
-        even = self._even_depth(force_n)
+        # The depth at which such springs add up to the force.
+        ordered = np.sort(self.gap, axis=None).astype(np.float64)
+        filled = np.cumsum(ordered)
+        count = np.arange(1, len(ordered) + 1)
+        forces = (count * ordered - filled) * self._spring
+        n_pressed = max(int(np.searchsorted(forces, force_n)), 1)
+        even = float((force_n / self._spring + filled[n_pressed - 1]) / n_pressed)
         if depth_mm < 0.5 * even:
             shallow = self.at_depth(depth_mm, self.springs(depth_mm))
             if shallow.force_n <= force_n:
@@ -242,15 +242,6 @@ class _Problem:
     def springs(self, depth_mm: float) -> Grid:
         """Node forces of such springs, where to start from."""
         return np.asarray(np.maximum(np.float32(depth_mm) - self.gap, 0) * self._spring)
-
-    def _even_depth(self, force_n: float) -> float:
-        """Depth at which such springs add up to a force."""
-        ordered = np.sort(self.gap, axis=None).astype(np.float64)
-        filled = np.cumsum(ordered)
-        count = np.arange(1, len(ordered) + 1)
-        forces = (count * ordered - filled) * self._spring
-        n_pressed = max(int(np.searchsorted(forces, force_n)), 1)
-        return float((force_n / self._spring + filled[n_pressed - 1]) / n_pressed)
 
     def _relaxed(
         self, start: Grid, total: float | None, depth_mm: float | None

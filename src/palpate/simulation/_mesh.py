@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from .._checks import check_option
 from .._types import Floats
-from ._placed import SimObject, turned
-from ._shapes import Mesh, trimesh
+from ._placed import Mesh, SimObject, trimesh, turned
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply")
 MAX_MESH_BYTES = 200_000_000
@@ -171,8 +170,13 @@ def _stable_rotations(mesh: Mesh) -> tuple[Floats, ...]:
     A base has the centre of mass above it; within 10 degrees the largest counts.
     """
     hull = mesh.convex_hull
+    # Groups of coplanar faces and single faces, largest first.
+    facets = [np.asarray(facet) for facet in hull.facets]
+    grouped = np.concatenate(facets) if facets else np.zeros(0, int)
+    single = np.setdiff1d(np.arange(len(hull.faces)), grouped)
+    facets += [np.array([face]) for face in single]
     found: list[Floats] = []
-    for facet in _facets_by_area(hull):
+    for facet in sorted(facets, key=lambda facet: -hull.area_faces[facet].sum()):
         down = hull.face_normals[facet[0]]
         if any(down @ other > np.cos(np.deg2rad(10)) for other in found):
             continue
@@ -181,15 +185,6 @@ def _stable_rotations(mesh: Mesh) -> tuple[Floats, ...]:
         if len(found) == _MOST_POSES:
             break
     return tuple(_to_ground(down) for down in found)
-
-
-def _facets_by_area(hull: Mesh) -> list[NDArray[np.intp]]:
-    """Groups of coplanar faces and single faces, largest first."""
-    groups = [np.asarray(facet) for facet in hull.facets]
-    grouped = np.concatenate(groups) if groups else np.zeros(0, int)
-    single = np.setdiff1d(np.arange(len(hull.faces)), grouped)
-    groups += [np.array([face]) for face in single]
-    return sorted(groups, key=lambda facet: -hull.area_faces[facet].sum())
 
 
 def _rests_on(hull: Mesh, facet: NDArray[np.intp], down: Floats) -> bool:

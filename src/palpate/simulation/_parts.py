@@ -9,8 +9,6 @@ Coordinates are (x, y): x along the columns of the image, y along its rows
 side along x; angles turn x towards y, clockwise as displayed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Self
@@ -96,8 +94,14 @@ class Part:
             outline = polygon.exterior.coords
             holes = [ring.coords for ring in polygon.interiors]
         loops = [_loop("polygon", outline), *(_loop("holes_mm", h) for h in holes)]
-        centre = _centroid(loops)
-        moved = [loop - centre for loop in loops]
+        area, moment = 0.0, np.zeros(2)
+        for index, loop in enumerate(loops):
+            after = np.roll(loop, -1, axis=0)
+            cross = loop[:, 0] * after[:, 1] - loop[:, 1] * after[:, 0]
+            sign = np.sign(cross.sum()) * (1 if index == 0 else -1)
+            area += sign * cross.sum() / 2
+            moment += sign * (cross @ (loop + after)) / 6
+        moved = [loop - moment / area for loop in loops]
         return cls(name, moved[0], tuple(moved[1:]), **fields)
 
     @property
@@ -172,17 +176,6 @@ def _signed_area(loop: Floats) -> float:
     return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
 
 
-def _centroid(loops: list[Floats]) -> Floats:
-    area, moment = 0.0, np.zeros(2)
-    for index, loop in enumerate(loops):
-        after = np.roll(loop, -1, axis=0)
-        cross = loop[:, 0] * after[:, 1] - loop[:, 1] * after[:, 0]
-        sign = np.sign(cross.sum()) * (1 if index == 0 else -1)
-        area += sign * cross.sum() / 2
-        moment += sign * (cross @ (loop + after)) / 6
-    return moment / area
-
-
 def _rectangle(length_mm: float, width_mm: float) -> Floats:
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     return np.asarray(signs * (length_mm / 2, width_mm / 2))
@@ -199,15 +192,6 @@ def _circle(diameter_mm: float) -> Floats:
     return _on_circle(radius, step * np.arange(_CIRCLE_VERTICES))
 
 
-def _face(shape: str, size_mm: float) -> tuple[Floats, int]:
-    """Return the outline of a shape and in how many turns it looks the same."""
-    if shape == "hexagon":
-        return _on_circle(size_mm / np.sqrt(3), np.deg2rad(60 * np.arange(6))), 6
-    if shape == "square":
-        return _rectangle(size_mm, size_mm), 4
-    return _circle(size_mm), 0
-
-
 def _table_1() -> tuple[Part, ...]:
     """Build the twelve parts: (shape, size in mm, hole's diameter in mm)."""
     parts = [
@@ -217,7 +201,12 @@ def _table_1() -> tuple[Part, ...]:
     rows = [("hexagon", 13, 8), ("hexagon", 10, 6), ("square", 13, 8)]
     rows += [("square", 10, 6), ("disc", 13, 8)]
     for shape, size, hole in rows:
-        outline, symmetry = _face(shape, size)
+        outline, symmetry = _circle(size), 0  # in how many turns it looks the same
+        if shape == "hexagon":
+            corner = np.deg2rad(60 * np.arange(6))
+            outline, symmetry = _on_circle(size / np.sqrt(3), corner), 6
+        elif shape == "square":
+            outline, symmetry = _rectangle(size, size), 4
         for suffix, holes in ((f"-hole{hole}", (_circle(hole),)), ("", ())):
             name, number = f"{shape}{size}{suffix}", len(parts) + 1
             parts.append(Part(name, outline, holes, symmetry, shape, number))

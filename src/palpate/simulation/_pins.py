@@ -153,3 +153,7 @@ class TacTipPins(DomeSensor):
     def drifted(self, rng: np.random.Generator) -> Self:
         """Return this sensor as another recording would find it."""
         return replace(self, dome=self.dome.drifted(rng))
+
+    def remounted(self, rng: np.random.Generator) -> Self:
+        """Return this sensor after another mounting; see `DomeCamera.remounted`."""
+        return replace(self, dome=self.dome.remounted(rng))

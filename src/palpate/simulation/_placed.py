@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_number
-from .._types import Array, Floats
+from .._extras import needed
+from .._types import Floats
 from ._membrane import Membrane
-from ._shapes import Mesh
 
+Mesh = Any  # trimesh.Trimesh, whose package is an extra
 _MISSED_MM = 1e30
 _SLEEVE_RAYS = 64
 
@@ -155,7 +156,15 @@ class PlacedObject(_Rebuilt):
             return np.full(len(origins), np.inf, np.float32)
         ways = np.repeat(np.asarray(direction, np.float32)[None], len(origins), axis=0)
         if isinstance(self._scene, np.ndarray):
-            return _distances(self._scene, origins, ways[0])
+            # What a scene of embreex does, many times slower.
+            nearest = np.full(len(origins), np.inf, np.float32)
+            for a, b, c in self._scene.astype(float):
+                sides = np.stack([b - a, c - a, -ways[0]])
+                if np.linalg.det(sides):
+                    u, v, t = ((origins - a) @ np.linalg.inv(sides)).T
+                    hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0)
+                    nearest[hit] = np.minimum(nearest[hit], t[hit])
+            return nearest
         distance = self._scene.run(origins, ways, query="DISTANCE")
         return np.where(distance > _MISSED_MM, np.float32(np.inf), distance)
 
@@ -173,18 +182,6 @@ class PlacedObject(_Rebuilt):
         scene = EmbreeScene()
         TriangleMesh(scene, triangles)
         return scene
-
-
-def _distances(triangles: Array, origins: Array, way: Array) -> NDArray[np.float32]:
-    """Return what a scene of embreex does, many times slower."""
-    nearest = np.full(len(origins), np.inf, np.float32)
-    for a, b, c in triangles.astype(float):
-        sides = np.stack([b - a, c - a, -way])
-        if np.linalg.det(sides):
-            u, v, t = ((origins - a) @ np.linalg.inv(sides)).T
-            hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0)
-            nearest[hit] = np.minimum(nearest[hit], t[hit])
-    return nearest
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,3 +278,8 @@ def vector(name: str, value: ArrayLike) -> Floats:
     if array.shape != (3,) or not np.isfinite(array).all():
         raise ValueError(f"{name} must be three finite numbers, got {value!r}.")
     return array
+
+
+def trimesh() -> Any:
+    """Return the package `trimesh`, or say what to install."""
+    return needed("trimesh", "sim", "Simulating touches on 3-D objects")

@@ -4,10 +4,8 @@ How presses on an array differ is fixed by what a plain press rig and machined p
 are like, and stated with `simulate_presses`; nothing here knows what recognises them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, islice
 from typing import Any
 
@@ -44,6 +42,7 @@ def simulate_touches(
     max_roll_deg: float = 180.0,
     force_sd: float = 0.05,
     drift: bool = True,
+    mountings: bool = False,
     keep_misses: bool = False,
     random_state: int | None = None,
     n_jobs: int | None = None,
@@ -83,6 +82,10 @@ def simulate_touches(
         Standard deviation of the logarithm of the force at which presses end.
     drift : bool, default=True
         Whether exposure and place of the picture change between sessions.
+    mountings : bool, default=False
+        Whether every session is another mounting of the sensor, the same for all
+        objects (see `DomeCamera.remounted`), instead of a drift that each object's
+        recording has of its own.
     keep_misses : bool, default=False
         Whether approaches that meet nothing count as touches (without contact); by
         default another is drawn.
@@ -143,9 +146,19 @@ def simulate_touches(
     count = check_count("n_touches", n_touches)
     n_parts = min(check_count("n_sessions", n_sessions), count)
     parts = np.array_split(np.arange(count), n_parts)
-    seeds = zip(things, _root(random_state).spawn(len(things)), strict=True)
+    root = _root(random_state)
+    seeds = zip(things, root.spawn(len(things)), strict=True)
+    sensors = [sensor] * n_parts
+    if mountings:
+        way = replace(way, drift=False)
+        sensors = [
+            sensor.remounted(np.random.default_rng(seed))
+            for seed in root.spawn(n_parts)
+        ]
     tasks = [
-        (sensor, way, *task) for one in seeds for task in _sessions_of(*one, parts)
+        (sensors[number], way, *task)
+        for one in seeds
+        for number, *task in _sessions_of(*one, parts)
     ]
     done = _all_of(_touch_some, tasks, "Touching", n_jobs, progress)
     images, presses, ends = zip(*done, strict=True)
@@ -173,6 +186,7 @@ def simulate_presses(
     parts: Iterable[Part | str | int] | Part | str | int | None = None,
     n_presses: int = 20,
     *,
+    n_sessions: int = 1,
     array: PressureArray | None = None,
     load_kgf: float | tuple[float, float] = 4.0,
     max_shift_mm: float = 1.0,
@@ -191,6 +205,10 @@ def simulate_presses(
         Parts, or names or numbers among `PARTS`, which are the default.
     n_presses : int, default=20
         Presses of each part (20 in Liu et al. 2014).
+    n_sessions : int, default=1
+        Mountings that the presses of each part are split into. In each the array's
+        gain (15 %), its taxels' (10 %), its zero (4 levels) and its hysteresis (5 % of
+        the press before) are drawn anew: guesses.
     array : PressureArray, optional
         The device; by default that of Liu et al. One device keeps its gains.
     load_kgf : float or (float, float), default=4
@@ -220,7 +238,7 @@ def simulate_presses(
     -------
     touches : Touches
         uint8 images (n_parts * n_presses, rows, cols), part after part, geometry
-        "array". Columns: `object` (the part's name), `category`, `part` (its
+        "array". Columns: `object` (the part's name), `category`, `session`, `part` (its
         number), `press` (from 0), `position_mm` (x, y), `angle_deg` (0 to 360),
         `symmetry` (turns that look the same, 0 for all), `force_n`, `tilt_deg`
         (along x, y). For the set: `set_pitch_mm`.
@@ -236,7 +254,7 @@ def simulate_presses(
     if not isinstance(device, PressureArray):
         kind = type(array).__name__
         raise TypeError(f"array must be a PressureArray, got {kind}.")
-    draw = _Draw(
+    draw = (
         _loads(load_kgf),
         check_number("max_shift_mm", max_shift_mm, low=0),
         check_number("max_turn_deg", max_turn_deg, low=0, high=180),
@@ -245,13 +263,20 @@ def simulate_presses(
     )
     count = check_count("n_presses", n_presses)
     repeated = [part for part in found for _ in range(count)]
-    seeds = _root(random_state).spawn(len(repeated))
+    root = _root(random_state)
+    seeds = root.spawn(len(repeated))
     batches = [slice(i, i + _PER_TASK[1]) for i in range(0, len(seeds), _PER_TASK[1])]
     tasks = [(device, draw, repeated[some], seeds[some]) for some in batches]
     pressed = _all_of(_press_all, tasks, "Pressing", n_jobs, progress)
     images, presses = zip(*pressed, strict=True)
+    n_parts = min(check_count("n_sessions", n_sessions), count)
+    session = np.tile(np.sort(np.arange(count) % n_parts), len(found))
+    levels = np.stack(images)
+    if n_parts > 1:
+        levels = _in_sessions(levels, session, root.spawn(n_parts))
     return Touches(
-        np.stack(images),
+        levels,
+        session=session,
         object=np.array([part.name for part in repeated]),
         category=np.array([part.category for part in repeated]),
         geometry="array",
@@ -264,6 +289,21 @@ def simulate_presses(
         tilt_deg=np.array([press.tilt_deg for press in presses]),
         set_pitch_mm=np.array(device.pitch_mm),
     )
+
+
+def _in_sessions(
+    levels: Frame, session: NDArray[np.intp], seeds: list[SeedSequence]
+) -> Frame:
+    """Return what an array would read in each session, mounted and zeroed anew."""
+    result = np.empty_like(levels)
+    for number, seed in enumerate(seeds):
+        rng, mine = np.random.default_rng(seed), np.flatnonzero(session == number)
+        gains = np.exp(rng.normal(0, 0.1, levels.shape[1:]) + rng.normal(0, 0.15))
+        pressed = gains * levels[mine].astype(np.float64)
+        pressed[1:] += 0.05 * pressed[:-1]
+        zeroed = pressed + rng.normal(0, 4, levels.shape[1:])
+        result[mine] = np.clip(np.rint(zeroed), 0, 255).astype(levels.dtype)
+    return result
 
 
 def _root(random_state: int | None) -> SeedSequence:
@@ -360,14 +400,15 @@ def _one(
 
 def _sessions_of(
     thing: SimObject, seed: SeedSequence, parts: list[NDArray[np.intp]]
-) -> Iterator[tuple[SimObject, SeedSequence, list[SeedSequence]]]:
+) -> Iterator[tuple[int, SimObject, SeedSequence, list[SeedSequence]]]:
     """Split the work; seeds hang on the object's place and the touch's, not on this."""
     of_sessions, of_touches = seed.spawn(2)
     seeds = iter(of_touches.spawn(sum(map(len, parts))))
-    for session, part in zip(of_sessions.spawn(len(parts)), parts, strict=True):
+    sessions = zip(of_sessions.spawn(len(parts)), parts, strict=True)
+    for number, (session, part) in enumerate(sessions):
         mine = list(islice(seeds, len(part)))
         for start in range(0, len(mine), _PER_TASK[0]):
-            yield thing, session, mine[start : start + _PER_TASK[0]]
+            yield number, thing, session, mine[start : start + _PER_TASK[0]]
 
 
 def _found(objects: Iterable[SimObject | str] | SimObject | str) -> list[SimObject]:
@@ -385,33 +426,30 @@ def _found(objects: Iterable[SimObject | str] | SimObject | str) -> list[SimObje
     return things
 
 
-@dataclass(frozen=True)
-class _Draw:
-    """How presses differ, as checked arguments of `simulate_presses`."""
-
-    loads: tuple[float, float]
-    shift: float
-    turn: float
-    tilt: float
-    roughness: float
-
-    def __call__(self, rng: Generator) -> Press:
-        x, y = (self.shift * rng.uniform(-1, 1, size=2)).tolist()
-        angle = float(self.turn * rng.uniform(-1, 1) % 360)
-        load = rng.uniform(*self.loads)
-        tilt = np.clip(self.tilt * rng.standard_normal(2), -10, 10).tolist()
-        return Press(x, y, angle, load, tuple(tilt), self.roughness)
+def _drawn(
+    rng: Generator,
+    loads: tuple[float, float],
+    shift: float,
+    turn: float,
+    tilt_sd: float,
+    roughness: float,
+) -> Press:
+    x, y = (shift * rng.uniform(-1, 1, size=2)).tolist()
+    angle = float(turn * rng.uniform(-1, 1) % 360)
+    load = rng.uniform(*loads)
+    tilt = np.clip(tilt_sd * rng.standard_normal(2), -10, 10).tolist()
+    return Press(x, y, angle, load, tuple(tilt), roughness)
 
 
 def _press_all(
-    array: PressureArray, draw: _Draw, parts: list[Part], seeds: list[SeedSequence]
+    array: PressureArray, draw: Any, parts: list[Part], seeds: list[SeedSequence]
 ) -> list[tuple[Frame, Press]]:
     """Press each part once, on one thread so that sums round alike everywhere."""
     pressed = []
     with threadpool_limits(limits=1, user_api="blas"):
         for part, seed in zip(parts, seeds, strict=True):
             rng = np.random.default_rng(seed)
-            press = draw(rng)
+            press = _drawn(rng, *draw)
             stress = array.stress_kpa(part, press, rng)
             pressed.append((array.read(stress, rng), press))
     return pressed

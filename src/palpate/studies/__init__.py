@@ -1,20 +1,21 @@
 """The papers' experiments: each study prints the paper's figures beside ours.
 
-One subpackage per paper says what is measured and how it is shown; `_study` runs it,
-`_report` makes tables, pictures and a page of the result. Figures are in per cent.
+One subpackage per paper says what is measured and how it is shown; `_study` runs it and
+makes tables, pictures and a page of the result. Figures are in per cent.
 """
 
 from typing import Any
 
 from .._checks import check_option
+from ._study import Archive as Archive
 from ._study import Study as Study
-from ._touches import Archive as Archive
-from ._touches import recorded_touches as recorded_touches
+from ._study import recorded_touches as recorded_touches
 
 STUDIES: dict[str, Study] = {
     "corradi2014": Study("corradi2014", "seven shapes before a dome camera"),
     "corradi2015": Study("corradi2015", "ten objects before a dome camera"),
     "liu2014": Study("liu2014", "twelve metal parts on a 10 x 10 pressure array"),
+    "sessions": Study("sessions", "taught in some sessions, asked in another"),
 }
 
 

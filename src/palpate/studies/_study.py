@@ -1,23 +1,39 @@
-"""What the papers' studies have in common: a plan, a run, and what is made of it.
+"""What the papers' studies have in common: a plan, touches, a run, a result for people.
 
 A study's subpackage has an `EXPERIMENT` that says what differs from paper to paper;
-it is imported when the study is first used.
+it is imported when the study is first used. matplotlib is the extra `plot`, imported
+where it is used.
 """
 
+import os
 import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
+from html import escape
 from importlib import import_module
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from .._checks import check_count
-from .._durable import replacing
+from .._durable import replacing, write_text
 from .._parallel import in_parallel
-from ._report import Figures, Table, write_page
+from ..touches import Touches
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Codes = NDArray[np.intp]
+Row = dict[str, Any]
+# A title, the names of the columns, and lines of text.
+Table = tuple[str, list[str], list[list[str]]]
+Figures = dict[str, "Figure"]
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -125,15 +141,26 @@ class Study:
         Raises ValueError for an option that the study does not have, a size that makes
         no sense, or a folder without the recorded touches.
         """
-        settled = self._plan(quick, {"seed": seed, **changes}) if plan is None else plan
+        if plan is None:
+            made = self._experiment.plan
+            known = ["data", "quick", "workers", "progress", "plan"]
+            known += [field.name for field in fields(made)]
+            for option in changes:
+                if option not in known:
+                    raise ValueError(
+                        f"options of the study {self.name} must be among "
+                        f"{', '.join(known)}, got {option!r}. Leave it out."
+                    )
+            changes["seed"] = seed
+            plan = made.quick(**changes) if quick else made(**changes)
         if workers != -1:
             check_count("workers", workers)
         started = time.perf_counter()
-        measured = self._experiment.measure(settled, data, Work(workers, progress))
+        measured = self._experiment.measure(plan, data, Work(workers, progress))
         return {
             "study": self.name,
             **measured,
-            "plan": asdict(settled),
+            "plan": asdict(plan),
             "seconds": time.perf_counter() - started,
         }
 
@@ -143,15 +170,18 @@ class Study:
 
     def write_report(self, path: str | Path, result: dict[str, Any]) -> Path:
         """Write tables and pictures as one `.html` that loads nothing else."""
-        from ..evaluation import check_report_path
+        from ..evaluation import check_report_path, html_table, plots, report_page
 
         one = self._experiment
         target = check_report_path(path)
-        figures = {
-            one.captions[name]: figure for name, figure in one.pictures(result).items()
-        }
-        words = (one.title, one.introduction(result))
-        return write_page(target, *words, one.tables(result), figures)
+        sections = [f"<h1>{escape(one.title)}</h1>"]
+        sections.append(f"<p>{escape(one.introduction(result))}</p>")
+        sections += [html_table(*table) for table in one.tables(result)]
+        for name, figure in one.pictures(result).items():
+            below = escape(one.captions[name])
+            sections.append(f"<p>{plots.svg(figure)}</p><p class=note>{below}</p>")
+        write_text(target, report_page(one.title, sections))
+        return target
 
     def write_pictures(self, folder: str | Path, result: dict[str, Any]) -> list[Path]:
         """Write the pictures as `<study>-<name>.png` into an existing folder."""
@@ -170,14 +200,130 @@ class Study:
         found: Experiment = import_module(f"{__package__}.{self.name}").EXPERIMENT
         return found
 
-    def _plan(self, quick: bool, changes: dict[str, Any]) -> Plan:
-        plan = self._experiment.plan
-        known = ["data", "quick", "workers", "progress", "plan"]
-        known += [field.name for field in fields(plan)]
-        for option in changes:
-            if option not in known:
-                raise ValueError(
-                    f"options of the study {self.name} must be among "
-                    f"{', '.join(known)}, got {option!r}. Leave it out."
-                )
-        return plan.quick(**changes) if quick else plan(**changes)
+
+class Archive(NamedTuple):
+    """Recorded touches: their place in the folder, what they are, where published."""
+
+    place: Path
+    what: str
+    source: str
+
+
+BATHTIP = Archive(
+    Path("bathtip") / "bathtip50.npz",
+    "a real dome camera",
+    "github.com/Exhor/deep_visuotactile_classification",
+)
+
+
+def recorded_touches(data: str | Path | None, archive: Archive) -> Touches | str:
+    """Return the touches of an archive, or the sentence that says what is left out.
+
+    They are in `data`, by default the folder of PALPATE_DATA; a ValueError says that a
+    folder given by name does not hold them.
+    """
+    place, what, source = archive
+    named = data if data is not None else os.environ.get("PALPATE_DATA")
+    if not named:
+        return (
+            f"The rows of {what} ({place.stem}) are left out: name their "
+            "folder with --data or PALPATE_DATA."
+        )
+    path = Path(named) / place
+    if path.is_file():
+        return Touches.load(path)
+    if data is not None:
+        raise ValueError(
+            f"--data must name a folder that holds {place}, got {named}. "
+            f"Fetch the recordings from {source}, or leave --data out."
+        )
+    return (
+        f"The rows of {what} are left out: the folder of PALPATE_DATA has no {place}."
+    )
+
+
+def labels(touches: Touches, column: str = "object") -> NDArray[np.str_]:
+    """Return the object, or category, of every touch; refuse touches without."""
+    found: NDArray[np.str_] | None = getattr(touches, column)
+    if found is None:
+        raise ValueError(
+            f"The touches must have a column {column!r}, got {touches!r}. Label them."
+        )
+    return found
+
+
+def coded(touches: Touches, column: str = "object") -> Codes:
+    """Return labels as numbers, in the order of their names, shape (n_touches,)."""
+    return np.unique(labels(touches, column), return_inverse=True)[1]
+
+
+def held(rows: Iterable[Row], **wanted: Any) -> list[Row]:
+    """Return the rows that have these entries."""
+    return [r for r in rows if all(r.get(k) == v for k, v in wanted.items())]
+
+
+def pick(rows: Iterable[Row], **wanted: Any) -> Row | None:
+    """Return the first row that has these entries, or None."""
+    return next(iter(held(rows, **wanted)), None)
+
+
+def unique(values: Iterable[Value]) -> list[Value]:
+    """Return different values in the order in which they come first."""
+    return list(dict.fromkeys(values))
+
+
+def different(rows: Iterable[Row], *keys: str) -> list[tuple[Any, ...]]:
+    """Return the different combinations of these entries, in their order."""
+    return unique(tuple(row[key] for key in keys) for row in rows)
+
+
+def spread(values: Any) -> float | None:
+    """Return the standard deviation (n - 1) of an array; None for a single value."""
+    return float(values.std(ddof=1)) if len(values) > 1 else None
+
+
+def row(
+    name: str, ours: float, sd: float | None = None, paper: float | None = None
+) -> Row:
+    """Return what every row has, to be joined with what tells it from the others."""
+    return {"name": name, "paper": paper, "ours": float(ours), "sd": sd}
+
+
+def mean_row(name: str, values: Any, paper: float | None = None) -> Row:
+    """Return `row` of an array's mean and standard deviation."""
+    return row(name, values.mean(), spread(values), paper)
+
+
+def cell(row: Row | None) -> str:
+    """Return mean and standard deviation, or a dash."""
+    if row is None:
+        return "-"
+    deviation = "" if row["sd"] is None else f" ± {row['sd']:.1f}"
+    return f"{row['ours']:.1f}{deviation}"
+
+
+def paper(row: Row | None, frame: str = "{}") -> str:
+    """Return the paper's figure in a frame such as " ({})", or nothing."""
+    known = None if row is None else row["paper"]
+    return "" if known is None else frame.format(f"{known:g}")
+
+
+def with_paper(row: Row | None) -> str:
+    """Return mean and standard deviation, the paper's figure in brackets."""
+    return cell(row) + paper(row, " ({})")
+
+
+def pivot(
+    rows: Iterable[Row],
+    keys: Sequence[str],
+    columns: Iterable[Row],
+    show: Callable[[Row | None], str],
+    names: Mapping[str, str] = MappingProxyType({}),
+) -> list[list[str]]:
+    """Return lines: a combination of the entries `keys`, then a cell per column."""
+    rows, columns, lines = list(rows), list(columns), []
+    for known in different(rows, *keys):
+        mine = held(rows, **dict(zip(keys, known, strict=True)))
+        cells = [show(pick(mine, **column)) for column in columns]
+        lines.append([*(names.get(key, key) for key in known), *cells])
+    return lines

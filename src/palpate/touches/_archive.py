@@ -56,7 +56,17 @@ def read_archive(path: Path, max_bytes: int) -> tuple[Array, Arrays, Arrays]:
         raise TouchesError(f"{path} must be a file, got none there. Check the path.")
     with _explained(path):
         with zipfile.ZipFile(path) as archive:
-            _refuse_lost_members(path, len(archive.infolist()))
+            # The count at the end of the file, with which zipfile does not compare.
+            n = len(archive.infolist())
+            with path.open("rb") as file:
+                file.seek(max(0, path.stat().st_size - _MAX_ZIP_END))
+                end = file.read()
+            count = end[end.rfind(b"PK\x05\x06") + 10 :][:2]
+            if int.from_bytes(count, "little") not in (n, 0xFFFF):
+                raise TouchesError(
+                    f"it must hold the arrays that its directory counts, got {n}. "
+                    "The file is damaged: write or fetch it again."
+                )
             arrays = _inflated(archive, max_bytes)
         images = checked_images(arrays.pop("images"))
         names = arrays.pop(_WHOLE_NAMES, np.array([], dtype=np.str_)).ravel()
@@ -200,19 +210,6 @@ def _explained(path: Path) -> Iterator[None]:
             f"as one: {error or type(error).__name__}. "
             "It may be cut short or damaged: write or fetch it again."
         ) from error
-
-
-def _refuse_lost_members(path: Path, n_found: int) -> None:
-    """Compare with the count at the end of the file, which zipfile does not."""
-    with path.open("rb") as file:
-        file.seek(max(0, path.stat().st_size - _MAX_ZIP_END))
-        end = file.read()
-    count = end[end.rfind(b"PK\x05\x06") + 10 :][:2]
-    if int.from_bytes(count, "little") not in (n_found, 0xFFFF):
-        raise TouchesError(
-            f"it must hold the arrays that its directory counts, got {n_found}. "
-            "The file is damaged: write or fetch it again."
-        )
 
 
 def _refuse_odd_members(infos: list[zipfile.ZipInfo]) -> None:

@@ -1,12 +1,10 @@
-"""What a set of touches may hold: checked, picked from and joined.
+"""What a set of touches may hold: checked, picked from, joined and summarised.
 
 A name decides first: the names in `WHOLE` and those beginning with `set_` belong to
 the whole set; the names in `COLUMNS` are columns and must have one row per touch. Any
 other array is a column when it has one row per touch, and belongs to the whole set when
 it does not.
 """
-
-from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
@@ -15,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import check_option, one_spelling
-from .._types import Array
+from .._types import Array, Floats
 
 Arrays = dict[str, Array]
 
@@ -31,6 +29,8 @@ FORMER = {f"set_{name}": name for name in LAYOUT}
 GEOMETRIES = ("dome", "array", "plane", "none")
 PLAIN_KINDS = "biufcSUMm"
 _TAXELS_AT_ONCE = 2**22
+SUMMARIES = ("peak", "hold", "loading")
+_HELD = 0.8
 
 
 class TouchesError(ValueError):
@@ -224,7 +224,10 @@ def joined_whole(parts: Sequence[Arrays]) -> Arrays:
                     f"{name} must be the same in every set, got none in set {lacking}. "
                     f"Add it there, or drop it with touches.without({name!r})."
                 )
-            if not _same(part[name], parts[0][name]):
+            one, first = part[name], parts[0][name]
+            numbers = one.dtype.kind in "fc" and first.dtype.kind in "fc"
+            alike = np.array_equal(one, first, equal_nan=numbers)
+            if _kind(one) != _kind(first) or not alike:
                 drop = f"Drop it with touches.without({name!r}), or keep"
                 keep = "Keep" if name == "channels" else drop
                 raise TouchesError(
@@ -409,12 +412,6 @@ def _kind(column: Array) -> str:
     return "numbers" if kind in "iufc" else kind
 
 
-def _same(one: Array, other: Array) -> bool:
-    numbers = one.dtype.kind in "fc" and other.dtype.kind in "fc"
-    alike = _kind(one) == _kind(other)
-    return alike and bool(np.array_equal(one, other, equal_nan=numbers))
-
-
 def _row(column: Array) -> str:
     row = " x ".join(map(str, column.shape[1:]))
     return f"{row} {column.dtype} a row" if row else str(column.dtype)
@@ -426,3 +423,32 @@ def _listed(names: Array | None) -> str:
 
 def _size(images: Array) -> str:
     return " x ".join(map(str, images.shape[1:]))
+
+
+def frame_summaries(frames: Array) -> Array:
+    """Return the summaries of presses, side by side on the last axis.
+
+    Parameters
+    ----------
+    frames : ndarray of shape (n_touches, n_frames, n_rows, n_cols[, n_channels])
+        NaN stays NaN.
+
+    Returns
+    -------
+    ndarray of shape (n_touches, n_rows, n_cols, 3 * n_channels)
+        All channels of the first of `SUMMARIES`, then of the next. float32 holds 8- and
+        16-bit frames; wider ones give float64.
+    """
+    n_touches, _, n_rows, n_cols = frames.shape[:4]
+    summaries = [_summarised(press.astype(np.float64)) for press in frames]
+    dtype = np.result_type(frames.dtype, np.float32)
+    return np.array(summaries, dtype).reshape(n_touches, n_rows, n_cols, -1)
+
+
+def _summarised(press: Floats) -> Floats:
+    """Return (n_rows, n_cols, 3[, n_channels]) of one press."""
+    loads = np.nansum(press, axis=tuple(range(1, press.ndim)))
+    peak, gained = int(loads.argmax()), loads - loads[0]
+    held = press[gained >= _HELD * gained[peak]].mean(axis=0)
+    loading = (press[peak] - press[0]) / max(peak, 1)
+    return np.stack([press[peak], held, loading], axis=2)

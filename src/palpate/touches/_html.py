@@ -30,7 +30,11 @@ def touches_html(
             each = [f"{_cut(name)} ({n})" for name, n in zip(*counts, strict=True)]
             rows.append((f"{len(each)} {many}", _listed(each)))
     for what, arrays in (("columns", columns), ("whole set", whole)):
-        each = [f"{_cut(name)} ({_kind(array)})" for name, array in arrays.items()]
+        each = []
+        for name, array in arrays.items():
+            shape = " x ".join(map(str, array.shape)) or "one"
+            kind = "text" if array.dtype.kind in "US" else array.dtype
+            each.append(f"{_cut(name)} ({shape} {kind})")
         rows.append((what, _listed(each)))
     table = "".join(
         f"<tr><th style='text-align:left'>{escape(name)}</th>"
@@ -107,8 +111,3 @@ def _listed(each: list[str]) -> str:
 def _cut(name: object) -> str:
     text = str(name)
     return text if len(text) <= _LETTERS else text[:_LETTERS] + "..."
-
-
-def _kind(array: Array) -> str:
-    shape = " x ".join(map(str, array.shape)) or "one"
-    return f"{shape} {'text' if array.dtype.kind in 'US' else array.dtype}"

@@ -262,11 +262,25 @@ def _levels(data: bytes, header: Header) -> Array:
     if found != header:
         raise PictureError(f"{found} after {header}: the file changed meanwhile")
     if header.format == "PNG":
-        _refuse_broken_png(data)
+        from PIL.PngImagePlugin import ChunkStream
+
+        # Every checksum, and that of the end itself, which Pillow leaves out.
+        chunks = BytesIO(data)
+        chunks.seek(len(_PNG))
+        try:
+            ChunkStream(chunks).verify(b"IEND")
+        except Exception as error:
+            raise _damage("PNG", chunks, error) from error
+        if not data.startswith(_PNG_END, chunks.tell() - 8):
+            raise PictureError(_CUT_SHORT)
         if data[25] == 3:  # a palette
             _refuse_missing_colours(data)
     else:
-        _refuse_cut_jpeg(data, stream.tell())
+        end = _FRAME_OR_END.search(data, stream.tell())
+        if end is None:
+            raise PictureError(_CUT_SHORT)
+        if end[0] != _END_OF_IMAGE:
+            raise PictureError("a damaged JPEG (a second frame)")
     see_through = header.format == "PNG" and data[25] in _ALPHA
     levels = _decoded(data, see_through=see_through, colour=header.colour)
     if levels is None or levels.shape != header.shape or levels.dtype != header.dtype:
@@ -334,14 +348,6 @@ def _jpeg_class() -> type["JpegImageFile"]:
     return PlainJpeg
 
 
-def _refuse_cut_jpeg(data: bytes, first_scan: int) -> None:
-    found = _FRAME_OR_END.search(data, first_scan)
-    if found is None:
-        raise PictureError(_CUT_SHORT)
-    if found[0] != _END_OF_IMAGE:
-        raise PictureError("a damaged JPEG (a second frame)")
-
-
 def _png_header(stream: IO[bytes]) -> Header:
     """Test a PNG's checksums up to its pixels; refuse more than one plain picture."""
     from PIL.PngImagePlugin import ChunkStream
@@ -369,17 +375,3 @@ def _refuse_missing_colours(data: bytes) -> None:
         largest = int(np.asarray(image).max())
     if largest >= n_colours:
         raise PictureError(f"a PNG with colour {largest} of a palette of {n_colours}")
-
-
-def _refuse_broken_png(data: bytes) -> None:
-    """Test every checksum of a PNG; Pillow leaves out that of the end itself."""
-    from PIL.PngImagePlugin import ChunkStream
-
-    stream = BytesIO(data)
-    stream.seek(len(_PNG))
-    try:
-        ChunkStream(stream).verify(b"IEND")
-    except Exception as error:
-        raise _damage("PNG", stream, error) from error
-    if not data.startswith(_PNG_END, stream.tell() - 8):
-        raise PictureError(_CUT_SHORT)

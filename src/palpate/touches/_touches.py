@@ -18,12 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from .._types import Array, Floats
 from ._archive import read_archive, write_archive
 from ._columns import (
+    SUMMARIES,
     Arrays,
     TouchesError,
     belongs_to_whole,
     check_layout,
     checked_column,
     checked_images,
+    frame_summaries,
     frozen,
     joined_columns,
     joined_images,
@@ -33,7 +35,6 @@ from ._columns import (
     sorted_out,
 )
 from ._folder import folder_arrays, no_contact_picture
-from ._frames import SUMMARIES, frame_summaries
 
 MAX_PIXELS = 50_000_000
 MAX_BYTES = 4 * 2**30
@@ -52,7 +53,44 @@ class Episode(NamedTuple):
     rows: NDArray[np.intp]
 
 
-class Touches:
+class Labelled:
+    """Columns with one row per touch, some of them by their own names."""
+
+    __slots__ = ()
+    _columns: Arrays
+
+    @property
+    def columns(self) -> Mapping[str, Array]:
+        """Arrays with one row per touch, by name."""
+        return MappingProxyType(self._columns)
+
+    @property
+    def object(self) -> NDArray[np.str_] | None:
+        """Label of each touch, shape (n_touches,), or None."""
+        return self._columns.get("object")
+
+    @property
+    def category(self) -> NDArray[np.str_] | None:
+        """Category of each touch, shape (n_touches,), or None."""
+        return self._columns.get("category")
+
+    @property
+    def order(self) -> Array | None:
+        """Position of each touch in its recording, shape (n_touches,), or None."""
+        return self._columns.get("order")
+
+    @property
+    def session(self) -> Array | None:
+        """Session of each touch, shape (n_touches,), or None."""
+        return self._columns.get("session")
+
+    @property
+    def subject(self) -> Array | None:
+        """Person or unit of each touch, shape (n_touches,), or None."""
+        return self._columns.get("subject")
+
+
+class Touches(Labelled):
     """A set of touches: one image each, with columns of what is known of them.
 
     Parameters
@@ -107,7 +145,6 @@ class Touches:
 
     __slots__ = ("_columns", "_images", "_whole")
     _images: Array
-    _columns: Arrays
     _whole: Arrays
 
     def __init__(
@@ -239,39 +276,9 @@ class Touches:
         return self._images
 
     @property
-    def columns(self) -> Mapping[str, Array]:
-        """Arrays with one row per touch, by name."""
-        return MappingProxyType(self._columns)
-
-    @property
     def whole(self) -> Mapping[str, Array]:
         """Arrays that describe the whole set, by name."""
         return MappingProxyType(self._whole)
-
-    @property
-    def object(self) -> NDArray[np.str_] | None:
-        """Label of each touch, shape (n_touches,), or None."""
-        return self._columns.get("object")
-
-    @property
-    def category(self) -> NDArray[np.str_] | None:
-        """Category of each touch, shape (n_touches,), or None."""
-        return self._columns.get("category")
-
-    @property
-    def order(self) -> Array | None:
-        """Position of each touch in its recording, shape (n_touches,), or None."""
-        return self._columns.get("order")
-
-    @property
-    def session(self) -> Array | None:
-        """Session of each touch, shape (n_touches,), or None."""
-        return self._columns.get("session")
-
-    @property
-    def subject(self) -> Array | None:
-        """Person or unit of each touch, shape (n_touches,), or None."""
-        return self._columns.get("subject")
 
     @property
     def touch_id(self) -> NDArray[np.str_] | None:

@@ -4,10 +4,10 @@
 FastAPI application (the extra `web`).
 """
 
-from ._events import Event as Event
 from ._learning import LearningError as LearningError
 from ._learning import learn_job as learn_job
 from ._learning import remember_library as remember_library
+from ._sensor_watch import Event as Event
 from ._serving import address_of as address_of
 from ._serving import checked_token as checked_token
 from ._serving import create_app, new_token
@@ -18,5 +18,8 @@ from ._serving import require_web as require_web
 from ._serving import run_app as run_app
 from ._serving import server_of as server_of
 from ._session import LiveSession
+from ._teaching import Variety as Variety
+from ._teaching import advice as advice
+from ._teaching import object_quality as object_quality
 
 __all__ = ["LiveSession", "create_app", "new_token"]

@@ -4,12 +4,15 @@ What a session refuses becomes an answer here: 409 for what cannot be done now, 
 for what was not asked well, 507 where the disk has no room.
 """
 
+import asyncio
 import errno
 import sqlite3
-from collections.abc import AsyncIterator, Collection
-from contextlib import asynccontextmanager
+from collections import deque
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from typing import Any
 
-from fastapi import FastAPI, Request, Response
+from fastapi import FastAPI, Request, Response, WebSocket, WebSocketDisconnect
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import FileResponse, JSONResponse
 from fastapi.staticfiles import StaticFiles
@@ -19,23 +22,17 @@ from ..sensors import ContactError, SensorError
 from ._learning import LearningError
 from ._request_guard import STATIC, RequestGuard, cookie_name
 from ._routes import router
+from ._sensor_watch import Event
 from ._session import LiveSession
 from ._teaching import MissingObjectError
-from ._websocket import Hub
 
 _COOKIE_S = 30 * 24 * 3600
 _NOT_NOW = (ContactError, SensorError, LearningError)
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
+_MOST_CLIENTS, _LONGEST_QUEUE, _PATIENCE_S = 64, 200, 10.0  # of the websocket
 
 
-def build_app(
-    session: LiveSession,
-    token: str,
-    *,
-    max_body: int,
-    rate_hz: float,
-    names: Collection[str],
-) -> FastAPI:
+def build_app(session: LiveSession, token: str, **limits: Any) -> FastAPI:
     """Return the application; `palpate.web.create_app` explains the arguments."""
 
     @asynccontextmanager
@@ -61,7 +58,7 @@ def build_app(
     )
     app.state.session = session
     app.include_router(router)
-    app.websocket("/ws")(Hub(session).serve)
+    app.websocket("/ws")(_Hub(session).serve)
 
     @app.get("/", include_in_schema=False)
     async def page(request: Request) -> Response:
@@ -76,9 +73,7 @@ def build_app(
         return shown
 
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
-    app.add_middleware(
-        RequestGuard, token=token, max_body=max_body, rate_hz=rate_hz, names=names
-    )
+    app.add_middleware(RequestGuard, token=token, **limits)
     return app
 
 
@@ -116,3 +111,95 @@ def _lacks_room(error: BaseException) -> bool:
             return code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR)
         cause = cause.__cause__
     return False
+
+
+class _Hub:
+    """Hands events of a session to all its websockets, none waiting for another.
+
+    Every client has a place for one frame, the newest, and a short queue for all else.
+    One that stops reading misses frames; when its queue is full it is let go.
+    """
+
+    def __init__(self, session: LiveSession) -> None:
+        self._session = session
+        self._clients: set[_Client] = set()
+
+    async def serve(self, socket: WebSocket) -> None:
+        """Send one client everything until it goes."""
+        if len(self._clients) >= _MOST_CLIENTS:
+            await socket.close(code=1013, reason="Too many pages are open.")
+            return
+        await socket.accept()
+        client = _Client(socket, asyncio.get_running_loop())
+        self._clients.add(client)
+        self._session.listeners.add(client.receive)
+        state = await asyncio.to_thread(self._session.to_dict)
+        await asyncio.to_thread(client.receive, Event("state", state))
+        listening = asyncio.create_task(client.listen())
+        sending = asyncio.create_task(client.send())
+        try:
+            await asyncio.wait(
+                (listening, sending), return_when=asyncio.FIRST_COMPLETED
+            )
+        finally:
+            self._session.listeners.discard(client.receive)
+            self._clients.discard(client)
+            for task in (listening, sending):
+                task.cancel()
+            await asyncio.gather(listening, sending, return_exceptions=True)
+            with suppress(RuntimeError, TimeoutError, WebSocketDisconnect):
+                async with asyncio.timeout(1.0):
+                    await socket.close()
+
+
+class _Client:
+    def __init__(self, socket: WebSocket, loop: asyncio.AbstractEventLoop) -> None:
+        self._socket, self._loop = socket, loop
+        self._frame: Event | None = None
+        self._waiting: deque[Event] = deque()
+        self._some = asyncio.Event()
+        self._full = False
+
+    def receive(self, event: Event) -> None:
+        """Take an event from another thread, where its text is written too."""
+        _ = event.text
+        self._loop.call_soon_threadsafe(self.put, event)
+
+    def put(self, event: Event) -> None:
+        """Keep an event until it is sent; a newer frame takes the place of one."""
+        if event.kind == "frame":
+            self._frame = event
+        elif len(self._waiting) < _LONGEST_QUEUE:
+            self._waiting.append(event)
+        else:
+            self._full = True
+        self._some.set()
+
+    async def send(self) -> None:
+        """Send what there is, as it comes; end where the client is too slow."""
+        while not self._full:
+            await self._some.wait()
+            self._some.clear()
+            while self._waiting:
+                await self._send_one(self._waiting.popleft())
+            frame, self._frame = self._frame, None
+            if frame is not None:
+                await self._send_one(frame)
+
+    async def listen(self) -> None:
+        """Read until the client goes; "ping" is answered, all else ignored."""
+        while True:
+            message = await self._socket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            if message.get("text") == "ping":
+                self.put(Event("pong"))
+
+    async def _send_one(self, event: Event) -> None:
+        async with asyncio.timeout(_PATIENCE_S):
+            if not event.picture:
+                await self._socket.send_text(event.text)
+                return
+            text = event.text.encode()
+            length = len(text).to_bytes(4, "big")
+            await self._socket.send_bytes(length + text + event.picture)

@@ -2,6 +2,7 @@
 
 import base64
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -11,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from .._types import Array, Floats
-from ..recognition import Belief, ObjectRecogniser
-from ..sensors import channels_of
+from ..recognition import Belief, Evidence, ObjectRecogniser
 from ..touches import Touches
 from ._images import thumbnail
 
@@ -78,36 +78,39 @@ class LiveEpisode:
     """Touches of one object, from the first to the decision and beyond.
 
     Without a recogniser touches are collected without a belief; `neighbours` finds
-    the learnt touches most similar to the last one, `nearest`. `error` is the accepted
-    share of wrong decisions.
+    the learnt touches most similar to the last one, `nearest`. `accepted` are the
+    shares of errors, as `Belief.decide` takes them.
     """
 
     def __init__(
         self,
         number: int,
         recogniser: ObjectRecogniser | None,
-        error: float,
+        accepted: dict[str, Any],
         neighbours: Neighbours | None = None,
     ) -> None:
-        self.number, self.error = number, error
+        self.number, self.accepted = number, accepted
         self.recogniser, self.neighbours = recogniser, neighbours
         self.nearest: list[dict[str, Any]] = []
         self.belief: Belief | None = None if recogniser is None else recogniser.start()
         self.touches: list[LiveTouch] = []
         self.images: list[Array] = []
+        self.channels: Sequence[str] | None = None
         self.open = True
+        self.evidence: Evidence | None = None  # of the last touch
 
-    def add(self, image: Array) -> LiveTouch:
+    def add(self, image: Array, channels: Sequence[str] | None) -> LiveTouch:
         """Take in a touch and return it; one that is refused changes nothing."""
+        self.channels = channels
         touch = LiveTouch(len(self.touches) + 1, time.time())
         if self.recogniser is not None and self.belief is not None:
-            channels = channels_of(image.shape)
             touches = Touches(image[np.newaxis], channels=channels)
             evidence = self.recogniser.evidence(touches)
             self.belief.update(evidence)
+            self.evidence = evidence
             touch.posterior = self.belief.posterior
             touch.unknown = self.belief.unknown
-            touch.limit = self.belief.unknown_limit(self.error)
+            touch.limit = self.belief.unknown_limit(self.accepted["refusal"])
             if self.neighbours is not None:
                 self.nearest = self.neighbours.of(evidence.features)
         self.images.append(image)  # first, for those who read meanwhile
@@ -117,14 +120,14 @@ class LiveEpisode:
     @property
     def decision(self) -> str | None:
         """The object, "unknown", or None, as the belief is now."""
-        return None if self.belief is None else self.belief.decide(self.error)
+        return None if self.belief is None else self.belief.decide(**self.accepted)
 
     @property
     def category(self) -> str | None:
         """The category where only that is sure, or None."""
         if self.belief is None or not self.touches or not self.belief.categories:
             return None
-        named = self.belief.decide(self.error, level="any")
+        named = self.belief.decide(**self.accepted, level="any")
         return named.name if named is not None and named.level == "category" else None
 
     @property
@@ -134,14 +137,14 @@ class LiveEpisode:
             return "Nothing is learnt yet: teach two objects, then learn."
         if not self.touches:
             return "No touch yet."
-        return self.belief.reason(self.error)
+        return self.belief.reason(**self.accepted)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, without images."""
         return {
             "number": self.number,
             "open": self.open,
-            "error": self.error,
+            **self.accepted,
             "decision": self.decision,
             "category": self.category,
             "promise": self.belief.promise._asdict() if self.belief else None,
@@ -158,7 +161,7 @@ class LiveEpisode:
         episode = np.full(len(times), self.number)
         images = np.stack(self.images[: len(times)])
         about = {"time_s": times, "episode": episode}
-        return Touches(images, **about, channels=channels_of(images.shape[1:]))
+        return Touches(images, **about, channels=self.channels)
 
 
 def episode_report(episode: LiveEpisode) -> str:
@@ -169,19 +172,20 @@ def episode_report(episode: LiveEpisode) -> str:
     if not episode.touches:
         raise ValueError("The episode has no touch yet; touch something first.")
     began = time.localtime(episode.touches[0].time_s)
+    pictures = (thumbnail(image, episode.channels) for image in episode.images)
     return Template(_PAGE.read_text(encoding="utf-8")).substitute(
         number=episode.number,
         decision=escape(episode.decision or "undecided"),
         reason=escape(episode.reason),
         when=time.strftime("%Y-%m-%d %H:%M", began),
         count=len(episode.touches),
-        error=f"{episode.error:.1%}",
-        items="".join(map(_item, episode.touches, episode.images)),
+        error=f"{episode.accepted['error']:.1%}",
+        items="".join(map(_item, episode.touches, pictures)),
     )
 
 
-def _item(touch: LiveTouch, image: Array) -> str:
-    picture = base64.b64encode(thumbnail(image)).decode()
+def _item(touch: LiveTouch, png: bytes) -> str:
+    picture = base64.b64encode(png).decode()
     shown = sorted(touch.posterior.items(), key=lambda item: -item[1])[:_SHOWN]
     rows = "".join(_row(name, share) for name, share in shown)
     unknown = ""

@@ -11,18 +11,19 @@ import json
 import re
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from types import NoneType
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from .._types import Array
-from ..touches import TouchesError, as_shown, decode_bytes
+from ..touches import RGB, TouchesError, as_shown, decode_bytes
 
 ARRAY_SIDE = 48
-MAX_PIXELS = 4_000_000
+MAX_PIXELS, MOST_CHANNELS = 4_000_000, 64
 _QUALITY = 80
 _THUMBNAIL = 96
 NPY = "application/x-npy"
@@ -40,12 +41,17 @@ _BODY = 'The body must be {"image": [[0, 1], [2, null]]} with rows of numbers'
 class FramePainter:
     """Turns frames into JPEG or PNG bytes; keeps the range of what it has shown.
 
-    Images of at most 48 taxels a side are of an array, shown in false colour unless
-    they have three colours of their own.
+    Frames with the channels "r", "g" and "b" are shown in these colours, of others the
+    mean. Images of at most 48 taxels a side are of an array, shown in false colour
+    unless they have colours of their own.
     """
 
-    def __init__(self, image_shape: tuple[int, ...]) -> None:
-        self.coloured = len(image_shape) == 2 and max(image_shape) <= ARRAY_SIDE
+    def __init__(
+        self, image_shape: Sequence[int], channels: Sequence[str] | None = None
+    ) -> None:
+        own = set(RGB) <= set(channels or ())
+        self.coloured = not own and max(image_shape[:2]) <= ARRAY_SIDE
+        self._channels = channels
         self.content_type = "image/png" if self.coloured else "image/jpeg"
         self._low, self._high = float("inf"), float("-inf")
 
@@ -59,17 +65,15 @@ class FramePainter:
 
     def levels(self, image: Array) -> NDArray[np.uint8]:
         """Return a frame as it is shown: blue, green and red, or grey."""
+        image = as_shown(image[np.newaxis], self._channels)[0]
         if self.coloured:
-            return self._false_colour(image)
+            levels = self._stretched(image)
+            painted = cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)
+            painted[np.isnan(image.astype(np.float64))] = (90, 90, 90)
+            return painted.astype(np.uint8, copy=False)
         if image.ndim == 3:  # OpenCV writes blue first
             image = np.ascontiguousarray(image[..., ::-1])
         return image if image.dtype == np.uint8 else self._stretched(image)
-
-    def _false_colour(self, image: Array) -> NDArray[np.uint8]:
-        levels = self._stretched(image)
-        painted = cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)
-        painted[np.isnan(image.astype(np.float64))] = (90, 90, 90)
-        return painted.astype(np.uint8, copy=False)
 
     def _stretched(self, image: Array) -> NDArray[np.uint8]:
         """Return 0 to 255 over the widest range seen so far."""
@@ -83,23 +87,20 @@ class FramePainter:
 
 
 def thumbnail(image: Array, channels: Sequence[str] | None = None) -> bytes:
-    """Return one touch as a small PNG, stretched to its own range.
-
-    In colour where its channels are, in false colour or grey where they are others.
-    """
-    shown = as_shown(image[np.newaxis], channels)[0]
-    painter = FramePainter(shown.shape)
-    n_rows, n_cols = shown.shape[:2]
+    """Return one touch as a small PNG, stretched to its own range."""
+    painter = FramePainter(image.shape, channels)
+    n_rows, n_cols = image.shape[:2]
     scale = _THUMBNAIL / max(n_rows, n_cols)
     size = max(1, round(n_cols * scale)), max(1, round(n_rows * scale))
     how = cv2.INTER_NEAREST if painter.coloured else cv2.INTER_AREA
-    return _png(cv2.resize(painter.levels(shown), size, interpolation=how))
+    return _png(cv2.resize(painter.levels(image), size, interpolation=how))
 
 
-def read_picture(data: bytes, content_type: str) -> Array:
-    """Return the grey levels of a JPEG or PNG of at most 4 megapixels, or explain.
+def read_picture(data: bytes, content_type: str, colour: bool) -> Array:
+    """Return the levels of a JPEG or PNG of at most 4 megapixels, or explain.
 
-    Or numbers as `numpy.save` writes them, (n_rows, n_cols), as they are.
+    Grey, or with `colour` red, green and blue where it has them. Or numbers, as
+    `numpy.save` writes them, (n_rows, n_cols[, n_channels]), as they are.
     """
     kind = content_type.partition(";")[0].strip().lower()
     if kind not in KINDS:
@@ -108,8 +109,10 @@ def read_picture(data: bytes, content_type: str) -> Array:
         )
     if kind == NPY:
         return _read_npy(data)
-    levels: Array = decode_bytes(data, max_pixels=MAX_PIXELS)
-    return levels
+    with suppress(TouchesError):  # as of a grey one, before it is decoded
+        if colour:
+            return decode_bytes(data, max_pixels=MAX_PIXELS, colour=True)
+    return decode_bytes(data, max_pixels=MAX_PIXELS)
 
 
 def _read_npy(data: bytes) -> Array:
@@ -118,14 +121,17 @@ def _read_npy(data: bytes) -> Array:
         if np.lib.format.read_magic(file)[0] != 1:
             raise ValueError
         shape, by_column, kind = np.lib.format.read_array_header_1_0(file)
-        if len(shape) != 2 or kind.kind not in "iuf":
+        if len(shape) not in (2, 3) or kind.kind not in "iuf":
+            raise ValueError
+        if max(shape[2:], default=0) > MOST_CHANNELS:
             raise ValueError
         image = np.frombuffer(data, kind, offset=file.tell())
         image = image.reshape(shape, order="F" if by_column else "C")
     except ValueError:
         raise TouchesError(
-            "The array must be whole numbers or floats of shape (n_rows, n_cols) as "
-            f"numpy.save writes them, got {len(data)} other bytes. Send a PNG instead."
+            "The array must be whole numbers or floats of shape (n_rows, n_cols"
+            f"[, at most {MOST_CHANNELS} channels]) as numpy.save writes them, got "
+            f"{len(data)} other bytes. Send a PNG instead."
         ) from None
     return _finite(np.ascontiguousarray(image.astype(kind.newbyteorder("="))))
 
@@ -174,15 +180,27 @@ def _finite(image: Array) -> Array:
     return image
 
 
-def check_image(
-    image: Array, shape: Sequence[int], dtype: np.dtype[Any] | None
-) -> Array:
+Names = Sequence[str] | None  # of channels
+
+
+class ImageKind(NamedTuple):
+    """What images are like: (n_rows, n_cols[, n_channels]), type, channels."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any] | None
+    channels: Names
+
+
+def check_image(image: Array, kind: ImageKind) -> Array:
     """Return an image of the right size as the right type, or explain."""
+    shape, dtype, channels = kind
     if image.shape != tuple(shape):
-        got = " x ".join(map(str, image.shape))
-        raise ValueError(
-            f"The image must have {' x '.join(map(str, shape))} taxels, got {got}."
-        )
+        want, got = (" x ".join(map(str, s[:2])) for s in (shape, image.shape))
+        want += " taxels"
+        if channels is not None or image.ndim == 3:
+            want += f" with channels {', '.join(channels)}" if channels else " in grey"
+            got += f" with {image.shape[2]} channels" if image.ndim == 3 else " in grey"
+        raise ValueError(f"The image must have {want}, got {got}.")
     if dtype is None or dtype == image.dtype:
         return image
     if dtype.kind in "iu":

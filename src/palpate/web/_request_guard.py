@@ -24,6 +24,7 @@ from starlette.datastructures import MutableHeaders
 from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 STATIC = Path(__file__).parent / "static"
 _RULES = (
@@ -49,8 +50,8 @@ _DROP_TIMES, _DROP_S = 10, 0.5
 # Bodies are images at these addresses; elsewhere they are a few words, which are read
 # in the event loop.
 _IMAGES, _FEW_WORDS = ("/api/touch", "/api/teach/touch"), 2**16
-# A body of which nothing comes for so long is given up.
-_PART_S = 20.0
+# A head that takes so long, and a body of which nothing comes for so long, is given up.
+_HEAD_S, _PART_S = 10.0, 20.0
 
 
 class RequestGuard:
@@ -199,6 +200,40 @@ class RequestGuard:
             if not too_large:
                 raise
         return None if too_large else bytes(body)
+
+
+class PatientProtocol(H11Protocol):
+    """HTTP that hangs up on clients that begin a request and never end its head.
+
+    uvicorn limits how long a connection may rest between two requests, not how long
+    the first one, or one that was begun, may take.
+    """
+
+    _ending: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin to wait."""
+        super().connection_made(transport)
+        self._wait()
+
+    def data_received(self, data: bytes) -> None:
+        """Go on waiting unless a request is whole, or a websocket by now."""
+        super().data_received(data)
+        self._wait()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Wait no more."""
+        super().connection_lost(exc)
+        self._wait(False)
+
+    def _wait(self, whether: bool = True) -> None:
+        asked = self.cycle is not None and not self.cycle.response_complete
+        if not whether or asked or self.transport.get_protocol() is not self:
+            if self._ending is not None:
+                self._ending.cancel()
+            self._ending = None
+        elif self._ending is None:
+            self._ending = self.loop.call_later(_HEAD_S, self.transport.close)
 
 
 def cookie_name(asked: HTTPConnection) -> str:

@@ -6,6 +6,7 @@ thread of its own; what a session refuses becomes a clear answer in `_app`.
 
 import asyncio
 import tempfile
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,16 +18,14 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.background import BackgroundTask
 
 from .._types import Array
-from ..library import LibraryError, quoted
+from ..library import LibraryError
 from ..touches import Touches
 from ._episode import LiveTouch, episode_report
 from ._images import KINDS, read_json, read_picture, thumbnail
 from ._session import LiveSession
 from ._teaching import Teacher
 
-Name = Annotated[
-    str, Field(min_length=1, max_length=80, description="Name of an object.")
-]
+Name = Annotated[str, Field(min_length=1, max_length=80, description="Object's name.")]
 
 
 class Answer(BaseModel):
@@ -74,9 +73,7 @@ class Renaming(OneObject):
     """An object's name and its new one."""
 
     name: Name
-    merge: Annotated[
-        bool, Field(description="Make it one with the object of that name.")
-    ] = False
+    merge: Annotated[bool, Field(description="Join the object of that name.")] = False
 
 
 class NamedImage(OneObject, Image):
@@ -107,6 +104,7 @@ class EpisodeState(BaseModel):
     number: int
     open: bool
     error: Annotated[float, Field(description="Accepted share of wrong decisions.")]
+    refusal: Annotated[float, Field(description="And of known objects refused.")]
     decision: Annotated[
         str | None, Field(description='An object, "unknown", or null: undecided.')
     ]
@@ -144,6 +142,11 @@ class State(BaseModel):
     lesson: dict[str, Any] | None
     episode: EpisodeState
     nearest: list[NearTouch]
+    quality: Annotated[
+        list[dict[str, Any]],
+        Field(description="Of each learnt object, how left-out touches are recognised"),
+    ]
+    advice: Annotated[list[str], Field(description="What to teach next.")]
     learning: bool
     learn_error: str
     message: str
@@ -162,21 +165,16 @@ _REFUSALS: dict[int | str, dict[str, Any]] = {
     429: {"model": Answer, "description": "Too many requests."},
     507: {"model": Answer, "description": "The disk has no room."},
 }
-_PICTURE = {
-    "requestBody": {
-        "required": True,
-        "content": {
-            kind: {"schema": {"type": "string", "format": "binary"}} for kind in KINDS
-        },
-    }
-}
 
 
-def _numbers(what: type[Image]) -> dict[str, Any]:
-    content = {"application/json": {"schema": what.model_json_schema()}}
+def _body(schema: dict[str, Any], *kinds: str) -> dict[str, Any]:
+    content = {kind: {"schema": schema} for kind in kinds}
     return {"requestBody": {"required": True, "content": content}}
 
 
+_PICTURE = _body({"type": "string", "format": "binary"}, *KINDS)
+_IMAGE = _body(Image.model_json_schema(), "application/json")
+_NAMED_IMAGE = _body(NamedImage.model_json_schema(), "application/json")
 _TOKEN = HTTPBearer(auto_error=False, description="The token that the server printed.")
 router = APIRouter(prefix="/api", responses=_REFUSALS, dependencies=[Depends(_TOKEN)])
 
@@ -196,7 +194,9 @@ async def _teacher(session: Session) -> Teacher:
 
 async def _picture(request: Request) -> Array:
     kind = request.headers.get("content-type", "")
-    return await asyncio.to_thread(read_picture, await request.body(), kind)
+    session: LiveSession = request.app.state.session
+    colour = request.query_params.get("colour") == "1" or session.takes_colour()
+    return await asyncio.to_thread(read_picture, await request.body(), kind, colour)
 
 
 async def _posted(request: Request) -> tuple[dict[str, Any], Array]:
@@ -245,7 +245,8 @@ def undo_baseline(session: Session) -> Done:
 @router.get("/baseline/press", tags=["sensor"], response_class=Response)
 def press(session: Session) -> Response:
     """Return the last test press, as its difference from the baseline, as a PNG."""
-    return _shown(session.press_difference())
+    channels = None if session.watch is None else session.watch.sensor.channels
+    return _shown(session.press_difference(), channels)
 
 
 @router.post("/zero", tags=["sensor"], deprecated=True)
@@ -281,10 +282,7 @@ def end(session: Session) -> Any:
 
 
 @router.post(
-    "/touch",
-    response_model=EpisodeState,
-    tags=["episode"],
-    openapi_extra=_numbers(Image),
+    "/touch", response_model=EpisodeState, tags=["episode"], openapi_extra=_IMAGE
 )
 def touch(posted: Posted, session: Session) -> Any:
     """Take one touch, as numbers, into the episode; return the belief.
@@ -328,10 +326,10 @@ def report(session: Session) -> Response:
 )
 def episode_picture(number: int, session: Session) -> Response:
     """Return one touch of the episode as a small PNG."""
-    images = session.episode.images
-    if not 1 <= number <= len(images):
+    episode = session.episode
+    if not 1 <= number <= len(episode.images):
         raise HTTPException(404, f"The episode has no touch {number}.")
-    return _shown(images[number - 1])
+    return _shown(episode.images[number - 1], episode.channels)
 
 
 @router.post("/teach", tags=["teach"])
@@ -354,7 +352,7 @@ def undo(session: Session) -> Done:
     return Done(message=f"The last touch of {session.undo()} is undone.")
 
 
-@router.post("/teach/touch", tags=["teach"], openapi_extra=_numbers(NamedImage))
+@router.post("/teach/touch", tags=["teach"], openapi_extra=_NAMED_IMAGE)
 def teach_touch(posted: Posted, session: Session) -> Stored:
     """Store one touch, as numbers, of an object; answered once on the disk."""
     rest, image = posted
@@ -409,10 +407,8 @@ def stored(
 def picture(key: str, teacher: StoredTouches) -> Response:
     """Return a stored touch as a small PNG."""
     try:
-        image, channels = teacher.library.image(key), None
-        if image.ndim == 3:
-            touch = teacher.library.select(f"id = {quoted(key)}")
-            channels = touch.whole["channels"].tolist()
+        image = teacher.library.image(key)
+        channels = teacher.channels(key) if image.ndim == 3 else None
     except LibraryError as error:
         raise HTTPException(404, str(error)) from error
     shown = _shown(image, channels)
@@ -420,7 +416,7 @@ def picture(key: str, teacher: StoredTouches) -> Response:
     return shown
 
 
-def _shown(image: Array, channels: list[str] | None = None) -> Response:
+def _shown(image: Array, channels: Sequence[str] | None) -> Response:
     return Response(thumbnail(image, channels), media_type="image/png")
 
 

@@ -146,7 +146,7 @@ def server_of(app: Any, *, log_level: str = "warning") -> "Server":
     """Return the server of an ASGI application; it is not running yet."""
     import uvicorn
 
-    from ._patience import PatientProtocol
+    from ._request_guard import PatientProtocol
 
     config = uvicorn.Config(
         app,

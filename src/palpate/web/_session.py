@@ -7,18 +7,24 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
+
 from .._checks import check_number
 from .._types import Array
-from ..recognition import ObjectRecogniser
-from ..sensors import LiveSensor, SensorError, desk_of
+from ..recognition import OTHER_MOUNTING, Evidence, ObjectRecogniser
+from ..sensors import LiveSensor, SensorError, channels_of, desk_of
 from ._episode import LiveEpisode, Neighbours
-from ._events import Event, Health, Listeners
-from ._images import check_image
+from ._images import ImageKind, Names, check_image
 from ._learning import LearningError, learn_apart
-from ._sensor_watch import SensorWatch
-from ._teaching import Teacher, checked_name
+from ._sensor_watch import Event, Health, Listeners, SensorWatch
+from ._teaching import Teacher, advice, object_quality
 
 LONGEST_EPISODE = 1000
+ONE_SESSION = (
+    "All was taught in one session. For another day: lift the sensor, place it again, "
+    "let the light settle, take the baseline, and teach ten more touches of each."
+)
+LOOK_EVERY = 10  # touches, at the mounting
 
 
 class LiveSession:
@@ -35,6 +41,8 @@ class LiveSession:
         Folder of the library that keeps what is taught; made where there is none.
     error : float, default=0.01
         Accepted share of wrong decisions.
+    refusal : float, optional
+        Accepted share of known objects called unknown; `error` unless given.
     summary : {"peak", "mean"}, default="peak"
         What stands for a touch, see `TouchDetector`.
 
@@ -66,9 +74,13 @@ class LiveSession:
         model: str | Path | None = None,
         library: str | Path | None = None,
         error: float = 0.01,
+        refusal: float | None = None,
         summary: str = "peak",
     ) -> None:
-        self.error = check_number("error", error, low=1e-6, high=0.5)
+        refusal = error if refusal is None else refusal
+        self.accepted: dict[str, Any] = {"error": error, "refusal": refusal}
+        for name, share in self.accepted.items():
+            check_number(name, share, low=1e-6, high=0.5)
         self.listeners, self.health = Listeners(), Health(sensor)
         self.watch: SensorWatch | None = None
         if sensor is not None:
@@ -79,9 +91,12 @@ class LiveSession:
         self._stopped = False
         self.recogniser: ObjectRecogniser | None = None
         self._neighbours: Neighbours | None = None
-        self.episode = LiveEpisode(1, None, self.error)
+        self._quality: list[dict[str, Any]] = []
+        self.episode = LiveEpisode(1, None, self.accepted)
         self.learning, self.learn_error = False, ""
-        self.message = self.trouble = ""
+        self.message = self.trouble = self.alarm = ""
+        self._met: list[Evidence] = []
+        self._n_met = 0
         self._drop_next: list[str] | None = None
         self._lock, self._learn_lock = threading.RLock(), threading.Lock()
         self.model_path = None if model is None else Path(model)
@@ -131,6 +146,16 @@ class LiveSession:
         """The frame of touching nothing, where there is one."""
         return None if self.watch is None else self.watch.detector.baseline
 
+    @property
+    def advice(self) -> list[str]:
+        """What to teach next, in sentences, as lessons and learning tell."""
+        verdicts = {} if self.teacher is None else self.teacher.verdicts
+        said = [self.alarm, *verdicts.values(), *advice(self._quality)]
+        memory = None if self.recogniser is None else self.recogniser.memory_
+        if self.watch is not None and memory and len(np.unique(memory.sessions)) == 1:
+            said.append(ONE_SESSION)
+        return [sentence for sentence in said if sentence]
+
     def post_touch(self, image: Array) -> dict[str, Any]:
         """Take one touch from outside into the episode; return the episode.
 
@@ -139,15 +164,13 @@ class LiveSession:
         ValueError
             The image does not suit the sensor or the model.
         """
-        self._recognise(self._checked(image), time.monotonic())
+        self._recognise(*self._checked(image), time.monotonic())
         return self.episode.to_dict()
 
     def post_lesson(self, name: str, image: Array) -> str:
         """Store one touch of an object from outside; return its id."""
         with self._changing():
-            return self._teacher().store(
-                checked_name(name), self._checked(image), self.baseline
-            )
+            return self._teacher().store(name, *self._checked(image), self.baseline)
 
     def begin_episode(self) -> None:
         """Put the touches of the episode aside; the next one begins a new one."""
@@ -171,13 +194,13 @@ class LiveSession:
             self._watched().end_press()
             self.message = self.trouble = ""
             for image in self.episode.images[:wanted] if keep_episode else ():
-                self.message = teacher.take(image, self.baseline)
+                self.message = self._take(image)
             self._new_episode()
 
     def stop_teaching(self) -> None:
         """End the lesson; what was stored stays."""
         with self._changing():
-            self._teacher().lesson = None
+            self._teacher().end()
 
     def undo(self) -> str:
         """Leave out the touch stored last in this session; return its object."""
@@ -235,10 +258,18 @@ class LiveSession:
         if wait:
             thread.join()
 
-    def take_baseline(self, *, force: bool = False, ask_press: bool = False) -> None:
-        """Take the frame of touching nothing; see `SensorWatch.take_baseline`."""
+    def take_baseline(
+        self, *, force: bool = False, ask_press: bool = False, changed: str = ""
+    ) -> None:
+        """Take the frame of touching nothing; see `SensorWatch.take_baseline`.
+
+        What is taught from now on is of another session; `changed` says why, in words.
+        """
         self._watched().take_baseline(force=force, ask_press=ask_press)
         self.message = "The baseline is taken."
+        self._met, self._n_met, self.alarm = [], 0, ""
+        if self.teacher is not None:
+            self.teacher.begin_session(changed or "new baseline")
         self._notify_state()
 
     def end_press(self, *, undo: bool = False) -> None:
@@ -280,6 +311,8 @@ class LiveSession:
                 "lesson": None if lesson is None else lesson.to_dict(),
                 "episode": self.episode.to_dict(),
                 "nearest": self.episode.nearest,
+                "quality": self._quality,
+                "advice": self.advice,
                 "learning": self.learning,
                 "learn_error": self.learn_error,
                 "message": self.message,
@@ -304,23 +337,28 @@ class LiveSession:
             )
         return self.teacher
 
-    def _checked(self, image: Array) -> Array:
-        """Return an image as the sensor gives them, else as the newest stored touch is.
-
-        Raises
-        ------
-        ValueError
-            It has another size, or values that those cannot hold.
-        """
+    def _kind(self) -> ImageKind | None:
+        """Return what images are like: the sensor's, newest stored, or the model's."""
         if self.watch is not None:
             sensor = self.watch.sensor
-            return check_image(image, sensor.image_shape, sensor.dtype)
-        stored = None if self.teacher is None else self.teacher.newest_type()
-        if stored is not None:
-            return check_image(image, *stored)
-        if self.recogniser is not None:
-            return check_image(image, self.recogniser.encoder_.image_shape_, None)
-        return image
+            return ImageKind(sensor.image_shape, sensor.dtype, sensor.channels)
+        stored = None if self.teacher is None else self.teacher.newest_kind()
+        if stored is not None or self.recogniser is None:
+            return stored
+        encoder = self.recogniser.encoder_
+        return ImageKind(encoder.image_shape_, None, encoder.channels_)
+
+    def takes_colour(self) -> bool:
+        """Whether images have channels, so that pictures are read in colour."""
+        kind = self._kind()
+        return kind is not None and kind.channels is not None
+
+    def _checked(self, image: Array) -> tuple[Array, Names]:
+        """Return a posted image of the right kind, and its channels, or explain."""
+        kind = self._kind()
+        if kind is None:
+            return image, channels_of(image.shape)
+        return check_image(image, kind), kind.channels
 
     def _knows(self, name: str) -> bool:
         return self.recogniser is not None and name in self.recogniser.classes_
@@ -329,8 +367,11 @@ class LiveSession:
         """Recognise with another model from the next touch on."""
         ids = set() if self.teacher is None else self.teacher.known_ids()
         neighbours = None if recogniser is None else Neighbours(recogniser, ids)
+        quality = [] if recogniser is None else object_quality(recogniser)
         with self._lock:
             self.recogniser, self._neighbours = recogniser, neighbours
+            self._met, self._n_met, self.alarm = [], 0, ""
+            self._quality = quality
             if self.watch is not None:
                 self.watch.compare_with(recogniser)
             self._new_episode()
@@ -338,8 +379,13 @@ class LiveSession:
     def _new_episode(self) -> None:
         number = self.episode.number + bool(self.episode.touches)
         self.episode = LiveEpisode(
-            number, self.recogniser, self.error, self._neighbours
+            number, self.recogniser, self.accepted, self._neighbours
         )
+
+    def _take(self, image: Array) -> str:
+        """Take a touch into the lesson; return what to say."""
+        noise = self._watched().detector.noise
+        return self._teacher().take(image, self.baseline, noise)
 
     def _taken(self, image: Array, ended_s: float) -> None:
         """Take a touch of the sensor: into the lesson, else into the episode."""
@@ -347,27 +393,42 @@ class LiveSession:
             with self._lock:
                 teaching = self.teacher is not None and self.teacher.lesson is not None
                 if teaching:
-                    self.message = self._teacher().take(image, self.baseline)
+                    self.message = self._take(image)
             if not teaching:
-                self._recognise(image, ended_s)
+                self._recognise(image, self._watched().sensor.channels, ended_s)
             self.trouble = ""
         except (ValueError, OSError, MemoryError) as error:
             self.message = self.trouble = str(error)
         if teaching or self.trouble:
             self._notify_state()
 
-    def _recognise(self, image: Array, ended_s: float) -> None:
+    def _recognise(self, image: Array, channels: Names, ended_s: float) -> None:
         if self.watch is not None and self.watch.misfit:
             raise ValueError(self.watch.misfit)
         with self._lock:
             if not self.episode.open or len(self.episode.touches) >= LONGEST_EPISODE:
                 self._new_episode()
-            touch = self.episode.add(image)
+            touch = self.episode.add(image, channels)
             touch.latency_ms = 1e3 * (time.monotonic() - ended_s)
             self.health.count_touch(touch.latency_ms)
             episode = {**self.episode.to_dict(), "touches": [touch.to_dict()]}
             values = {"episode": episode, "nearest": self.episode.nearest}
         self.listeners.notify(Event("touch", values))
+        self._check_mounting()
+
+    def _check_mounting(self) -> None:
+        """After every ten touches, tell whether the sensor is as it was when taught."""
+        with self._lock:
+            recogniser, evidence = self.recogniser, self.episode.evidence
+            if recogniser is None or evidence is None:
+                return
+            self._met = met = [*self._met, evidence][-3 * LOOK_EVERY :]
+            self._n_met += 1
+            if self._n_met % LOOK_EVERY:
+                return
+        check = recogniser.check_mounting(Evidence.together(met))
+        self.alarm = OTHER_MOUNTING.format("") if check.changed else ""
+        self._notify_state()
 
     def _learn_again(self, drop: Sequence[str]) -> None:
         """Learn after a change, where there was a model; after learning under way."""
@@ -405,7 +466,8 @@ class LiveSession:
         if names:
             self._use(ObjectRecogniser.load(self.model_path))
             touches = f"{answer['n_touches']} touches"
-            self.message = f"Learnt {len(names)} objects from {touches}."
+            more = " What to teach next stands under Teach." * bool(self.advice)
+            self.message = f"Learnt {len(names)} objects from {touches}.{more}"
             return
         self._use(None)
         self.model_path.unlink(missing_ok=True)

@@ -1,4 +1,9 @@
-"""Teaching: touches of a named object, each on the disk before it is acknowledged."""
+"""Teaching: touches of a named object, each on the disk before it is acknowledged.
+
+And whether they will do: how touches differ, and what was learnt is asked about every
+touch of it as if that, and its neighbours, had not been taught. Neither says anything
+of places that were never touched.
+"""
 
 import threading
 import time
@@ -6,17 +11,26 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from .._checks import check_count
-from .._types import Array
+from .._types import Array, Floats
 from ..library import LibraryError, SensorDescription, TouchLibrary, TouchRow, quoted
-from ..sensors import LiveSensor, SensorError, channels_of
+from ..recognition import ObjectRecogniser, with_floor
+from ..sensors import LiveSensor, SensorError
 from ..touches import Touches
+from ._images import ImageKind, Names
 from ._learning import LEAST_TOUCHES, of_size
 
 LONGEST_NAME = 80
 MOST_PER_LESSON = 1000
+# 1 less the cosine of two changes. Recorded touches moved by a hundredth of the picture
+# and made a fifth harder differ by 0.03 to 0.06 from themselves; two touches of a box,
+# a shoe or a bottle by 0.3 to 0.5 at the median, of a ball or a soft toy by 0.06.
+_ALIKE, _SIDE, _MAPPED = 0.03, 24, 60
+# Touches of a draw, draws, shares that are enough of draws and touches, objects named.
+_SOME, _DRAWN, _WELL, _HALF, _MOST_SAID = 8, 40, 0.9, 0.5, 4
 
 
 class MissingObjectError(LibraryError):
@@ -26,6 +40,69 @@ class MissingObjectError(LibraryError):
         super().__init__(f"There is no object {name!r} in the library. Teach it first.")
 
 
+class Variety:
+    """Which touches of a lesson are alike.
+
+    A touch is its change from the baseline on at most 24 cells a side, of length 1: a
+    harder press of one place is the same. `like` holds for each touch the number of the
+    first one that it is like, within the noise of the sensor, or None: it is new.
+    """
+
+    def __init__(self) -> None:
+        self.like: list[int | None] = []
+        self._touches: list[tuple[Floats, float]] = []
+
+    @property
+    def n_new(self) -> int:
+        """How many touches are like none before them."""
+        return self.like.count(None)
+
+    def add(self, image: Array, baseline: Array | None, noise: float) -> None:
+        """Take in a touch; `noise` (sensor's unit) is that of one taxel."""
+        change = np.nan_to_num(image.astype(np.float32))
+        if baseline is not None:
+            change = np.nan_to_num(change - baseline)
+        power = max(float(np.mean(change**2)), 1e-12)
+        n_rows, n_cols = image.shape[:2]
+        scale = min(1.0, _SIDE / max(n_rows, n_cols))
+        size = max(1, round(n_cols * scale)), max(1, round(n_rows * scale))
+        channels = np.moveaxis(np.atleast_3d(change), 2, 0)
+        cells = [cv2.resize(c, size, interpolation=cv2.INTER_AREA) for c in channels]
+        small = np.ravel(cells).astype(np.float64)
+        small /= max(float(np.linalg.norm(small)), 1e-12)
+        self._append(small, _ALIKE / 2 + noise**2 / power)
+
+    def drop(self, number: int) -> None:
+        """Leave a touch out; `number` counts from 0."""
+        kept = [*self._touches[:number], *self._touches[number + 1 :]]
+        self.like, self._touches = [], []
+        for touch in kept:
+            self._append(*touch)
+
+    def _append(self, change: Floats, limit: float) -> None:
+        like = (
+            number
+            for number, (other, its) in enumerate(self._touches, start=1)
+            if self.like[number - 1] is None and 1 - other @ change <= limit + its
+        )
+        self.like.append(next(like, None))
+        self._touches.append((change, limit))
+
+    def map(self) -> list[dict[str, Any]]:
+        """Return the newest touches as places, -1 to 1, in two main directions."""
+        if not self.like:
+            return []
+        start = max(0, len(self.like) - _MAPPED)
+        changes = np.stack([change for change, _ in self._touches[start:]])
+        left, spread, _ = np.linalg.svd(changes - changes.mean(0), full_matrices=False)
+        places = np.pad(left * spread, ((0, 0), (0, 2)))[:, :2]
+        places *= np.where(places[0] < 0, -1, 1)  # the same way round each time
+        return [
+            {"number": start + k + 1, "x": x, "y": y, "like": self.like[start + k]}
+            for k, (x, y) in enumerate(places.tolist())
+        ]
+
+
 @dataclass(eq=False)
 class Lesson:
     """One object being taught: touches wanted, and the ids of those stored so far."""
@@ -33,10 +110,34 @@ class Lesson:
     name: str
     wanted: int
     ids: list[str] = field(default_factory=list)
+    variety: Variety = field(default_factory=Variety)
+
+    @property
+    def prompt(self) -> str:
+        """What to do where the last two touches showed nothing new, else empty."""
+        like = self.variety.like
+        same = len(like) > 2 and None not in like[-2:]
+        return "The last two touches are like earlier ones: touch it elsewhere." * same
+
+    @property
+    def verdict(self) -> str:
+        """What to do where most touches are alike, else empty."""
+        n_touches, n_like = len(self.ids), len(self.ids) - self.variety.n_new
+        return (n_touches > 3 and 2 * n_like > n_touches) * (
+            f"Of {n_touches} touches of {self.name} {n_like} are like others: ten more "
+            "touches of it, elsewhere, unless it is the same all over."
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
-        return {"name": self.name, "wanted": self.wanted, "done": len(self.ids)}
+        return {
+            "name": self.name,
+            "wanted": self.wanted,
+            "done": len(self.ids),
+            "n_new": self.variety.n_new,
+            "map": self.variety.map(),
+            "prompt": self.prompt,
+        }
 
 
 class Teacher:
@@ -54,10 +155,12 @@ class Teacher:
             self._described = SensorDescription(
                 sensor.name, unit=sensor.unit, geometry=sensor.geometry
             )
-        self._session = time.strftime("%Y-%m-%d %H:%M:%S")
+        self.begin_session()
         self._lessons = 0
         self._stored: list[str] = []
         self.lesson: Lesson | None = None
+        # Of each object taught, that its last lesson was of touches alike, or "".
+        self.verdicts: dict[str, str] = {}
         if TouchLibrary.is_library(self.folder):
             self.open()
 
@@ -78,6 +181,11 @@ class Teacher:
         if self._opened is not None:
             self._opened.close()
 
+    def begin_session(self, why: str = "") -> None:
+        """Let touches stored from now on be of another session: `why`, in words."""
+        started = time.strftime("%Y-%m-%d %H:%M:%S")
+        self._session = f"{started} {why}".strip()
+
     def begin(self, name: str, wanted: int) -> None:
         """Start to teach an object; a lesson under way ends."""
         check_count("count", wanted)
@@ -88,17 +196,27 @@ class Teacher:
                 "There is no sensor here whose touches could be stored. Post them "
                 "(teach/touch), or start again with --sensor."
             )
+        lesson = Lesson(checked_name(name), wanted)
+        self.end()
         self._lessons += 1
-        self.lesson = Lesson(checked_name(name), wanted)
+        self.lesson = lesson
 
-    def store(self, name: str, image: Array, baseline: Array | None) -> str:
+    def end(self) -> None:
+        """End the lesson under way, if any; what was stored stays."""
+        if self.lesson is not None:
+            self.verdicts[self.lesson.name] = self.lesson.verdict
+        self.lesson = None
+
+    def store(
+        self, name: str, image: Array, channels: Names, baseline: Array | None
+    ) -> str:
         """Store one touch of an object; return its id once it is on the disk."""
         touch = Touches(
             image[np.newaxis],
             object=[checked_name(name)],
             time_s=[time.time()],
             no_contact=baseline,
-            channels=channels_of(image.shape),
+            channels=channels,
             geometry=self._described.geometry,
         )
         (key,) = self.library.add(
@@ -111,17 +229,19 @@ class Teacher:
         self._stored.append(key)
         return key
 
-    def take(self, image: Array, baseline: Array | None) -> str:
+    def take(self, image: Array, baseline: Array | None, noise: float) -> str:
         """Store one touch of the lesson, which ends when full; return what to say."""
         assert self.lesson is not None
         lesson = self.lesson
-        lesson.ids.append(self.store(lesson.name, image, baseline))
+        channels = None if self._sensor is None else self._sensor.channels
+        lesson.ids.append(self.store(lesson.name, image, channels, baseline))
         count = f"{len(lesson.ids)} of {lesson.wanted}"
         said = f"Touch {count} of {lesson.name} is stored."
+        lesson.variety.add(image, baseline, noise)
         if len(lesson.ids) < lesson.wanted:
             return said
-        self.lesson = None
-        return f"{said} Learn to recognise it."
+        self.end()
+        return f"{said} {lesson.verdict or 'Learn to recognise it.'}"
 
     def undo(self) -> str:
         """Leave the touch stored last by this teacher out; return its object.
@@ -135,7 +255,9 @@ class Teacher:
             self.library.retract([key], reason="undone on the page")
             self._stored.pop()
             if self.lesson is not None and key in self.lesson.ids:
-                self.lesson.ids.remove(key)
+                number = self.lesson.ids.index(key)
+                self.lesson.ids.pop(number)
+                self.lesson.variety.drop(number)
             if rows:
                 return str(rows[0].object)
         raise LibraryError(
@@ -157,6 +279,7 @@ class Teacher:
                 f"{old!r} must have at least {LEAST_TOUCHES} touches in the library to "
                 f"be learnt by another name, got {n_usable}. Teach it some more first."
             )
+        self.verdicts.pop(old, None)
         if merge:
             self.library.merge_objects(old, tidy)
         else:
@@ -168,6 +291,7 @@ class Teacher:
         stored = name in self._counts()
         if not stored and not learnt:
             raise MissingObjectError(name)
+        self.verdicts.pop(name, None)
         if stored:
             self.library.retract(object=name, reason="forgotten on the page")
 
@@ -204,15 +328,23 @@ class Teacher:
         """Return the size of the images to learn: the sensor's, or the newest's."""
         if self._sensor is not None:
             return self._sensor.image_shape
-        newest = self.newest_type()
-        return None if newest is None else newest[0]
+        newest = self.newest_kind()
+        return None if newest is None else newest.shape
 
-    def newest_type(self) -> tuple[tuple[int, ...], np.dtype[Any]] | None:
-        """Return size and type of the newest touch's image, or None."""
+    def channels(self, key: str) -> list[str]:
+        """Return what the channels of a stored touch are called."""
+        touch = self.library.select(f"id = {quoted(key)}")
+        names: list[str] = touch.whole["channels"].tolist()
+        return names
+
+    def newest_kind(self) -> ImageKind | None:
+        """Return what the newest touch's image is like, or None."""
         rows = self.library.list(limit=1, offset=max(0, len(self.library) - 1))
         if not rows:
             return None
-        return rows[0].image_shape, np.dtype(rows[0].dtype)
+        shape, dtype = rows[0].image_shape, np.dtype(rows[0].dtype)
+        names = self.channels(rows[0].id) if len(shape) == 3 else None
+        return ImageKind(shape, dtype, names)
 
     def _counts(self) -> dict[str, int]:
         """Return how many touches each object has, sorted by name."""
@@ -241,3 +373,55 @@ def checked_name(name: str) -> str:
             "of objects it has not learnt."
         )
     return tidy
+
+
+def object_quality(recogniser: ObjectRecogniser) -> list[dict[str, Any]]:
+    """Return how often left-out touches of each object are recognised.
+
+    By `name`: `n_touches` with contact; `after_one` and `after_eight`, shares of right
+    answers after one touch and after eight drawn ones, None where there are not so
+    many; `taken_for`, the most frequent wrong answer to one touch, or None.
+    """
+    memory, names = recogniser.memory_, recogniser.classes_.astype(str).tolist()
+    said = with_floor(recogniser.left_out_log_likelihood(), recogniser.floor_)
+    felt = recogniser.uses_no_contact_ | ~memory.nothing
+    rng, result = np.random.default_rng(0), []
+    for code, name in enumerate(names):
+        rows = np.flatnonzero((memory.labels == recogniser.classes_[code]) & felt)
+        answers = np.bincount(said[rows].argmax(axis=1), minlength=len(names))
+        right, answers[code] = answers[code], 0
+        drawn = rng.permuted(np.tile(rows, (_DRAWN, 1)), axis=1)[:, :_SOME]
+        best = said[drawn].sum(axis=1).argmax(axis=1)
+        after_eight = float(np.mean(best == code)) if len(rows) >= _SOME else None
+        result.append(
+            {
+                "name": name,
+                "n_touches": len(rows),
+                "after_one": float(right / len(rows)) if len(rows) else None,
+                "after_eight": after_eight,
+                "taken_for": names[answers.argmax()] if answers.any() else None,
+            }
+        )
+    return result
+
+
+def advice(qualities: list[dict[str, Any]]) -> list[str]:
+    """Return what to teach next, in sentences, of what `object_quality` returned.
+
+    Of objects that too few touches, one or eight, are right of, the worst first.
+    """
+    few = [one["name"] for one in qualities if one["after_eight"] is None]
+    judged = (one for one in qualities if one["after_eight"] is not None)
+    low = [x for x in judged if x["after_one"] < _HALF or x["after_eight"] < _WELL]
+    low = sorted(low, key=lambda one: one["after_one"])[:_MOST_SAID]
+    weak, said = {one["name"]: one["taken_for"] for one in low}, []
+    for name, other in weak.items():
+        if other is None or weak.get(other) != name:
+            what = f"is taken for {other}" if other else "is not sure"
+            said.append(f"{name} {what}: ten more touches of {name}, elsewhere.")
+        elif name < other:
+            what = f"{name} and {other} are taken for each other"
+            said.append(f"{what}: ten more touches of each, elsewhere.")
+    if few:
+        said.append(f"Fewer than {_SOME} touches cannot be judged: {', '.join(few)}.")
+    return said

@@ -13,7 +13,16 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from ..._types import Array, Floats
-from ._problem import Point, Solution, Task, View, balanced, weighted, without_small
+from ._problem import (
+    Point,
+    Solution,
+    Step,
+    Task,
+    View,
+    balanced,
+    weighted,
+    without_small,
+)
 
 # From this size on one matrix at a time is as fast as all at once.
 _LARGE = 192
@@ -66,8 +75,8 @@ class DenseKernels:
         missing = task.real - weighted(weights, forces) - task.labels * point.bias
         return View(energies, missing, square, forces)
 
-    def newton(self, task: Task, point: Point, view: View) -> DualNewton:
-        return DualNewton(self, task, point, view)
+    def newton(self, task: Task, point: Point, view: View) -> Step:
+        return DualNewton(self, task, point, view).direction
 
     def settled(self, task: Task, point: Point, share: float) -> Point:
         n, left = point.n_touches, point.left.copy()
@@ -111,7 +120,12 @@ class DenseKernels:
         matrix *= self.labels[:, None, :]
         matrix += root.transpose(0, 2, 1) @ root
         matrix[:, np.arange(n), np.arange(n)] += diagonal
-        return _small_solver(matrix) if n < _LARGE else _large_solver(matrix)
+        if n < _LARGE:
+            return _small_solver(matrix)
+        solvers = [cholesky_solver(one) for one in matrix]
+        return lambda right: np.stack(
+            [one(r) for one, r in zip(solvers, right, strict=True)]
+        )
 
 
 def _small_solver(matrix: Floats) -> Solver:
@@ -122,15 +136,6 @@ def _small_solver(matrix: Floats) -> Solver:
             size = np.abs(matrix).max(axis=(1, 2))[:, None, None]
             lift = 1e-14 * np.maximum(size, 1e-300) * np.eye(matrix.shape[1])
             return cast(Floats, np.linalg.solve(matrix + lift, right))
-
-    return solve
-
-
-def _large_solver(matrix: Floats) -> Solver:
-    solvers = [cholesky_solver(one) for one in matrix]
-
-    def solve(right: Floats) -> Floats:
-        return np.stack([one(r) for one, r in zip(solvers, right, strict=True)])
 
     return solve
 
@@ -204,16 +209,7 @@ class DualNewton:
         ahead = (self._gain * push).sum(axis=1, keepdims=True) + self._surplus
         right = self._missing + wanted[:, :n] - wanted[:, n : 2 * n]
         right += self._lean * ahead - weighted(self._gain * push, forces)
-        alpha, bias = self._balanced(right)
-        push += (forces @ alpha[:, :, None])[:, :, 0]
-        level = (self._gain * push).sum(axis=1, keepdims=True) + self._surplus
-        level /= self._total
-        left = np.concatenate([alpha, -alpha, self._gain * (push - level)], axis=1)
-        free = np.concatenate([bias, level], axis=1)
-        return Point(left, wanted - self._ratio * left, free, n)
-
-    def _balanced(self, right: Floats) -> tuple[Floats, Floats]:
-        """Solve for the multipliers and the bias that keeps them in balance."""
+        # The multipliers, and the bias that keeps them in balance.
         labels = self._labels
         if self._towards_bias is None:
             both = self._solve(np.stack([right, labels], axis=2))
@@ -223,4 +219,10 @@ class DualNewton:
             alpha = self._solve(right[:, :, None])[:, :, 0]
         pull = (labels * alpha).sum(axis=1, keepdims=True) + self._imbalance
         bias = pull / self._stiff
-        return alpha - bias * self._towards_bias, bias
+        alpha = alpha - bias * self._towards_bias
+        push += (forces @ alpha[:, :, None])[:, :, 0]
+        level = (self._gain * push).sum(axis=1, keepdims=True) + self._surplus
+        level /= self._total
+        left = np.concatenate([alpha, -alpha, self._gain * (push - level)], axis=1)
+        free = np.concatenate([bias, level], axis=1)
+        return Point(left, wanted - self._ratio * left, free, n)

@@ -12,7 +12,6 @@ all; touches to recognise get the same factors.
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf
@@ -140,7 +139,19 @@ def _fill(
     powers: dict[tuple[float, int], Floats] = {}
     for place, kernel in zip(places, kernels, strict=True):
         if isinstance(kernel, PolynomialKernel):
-            place[...] = _power(kernel.offset, kernel.degree, product, powers)
+            # From the highest power already known.
+            offset, degree = kernel.offset, kernel.degree
+            below = max(
+                (p for o, p in powers if o == offset and p <= degree), default=0
+            )
+            if below == 0:
+                powers[offset, 1] = offset + product
+                below = 1
+            power, base = powers[offset, below], powers[offset, 1]
+            for _ in range(degree - below):
+                power = power * base
+            powers[offset, degree] = power
+            place[...] = power
         elif isinstance(kernel, LinearKernel):
             place[...] = product
 
@@ -167,51 +178,12 @@ def _fill_gaussians(
             known[sigma] = place, 0
 
 
-def _power(
-    offset: float, degree: int, product: Floats, known: dict[tuple[float, int], Floats]
-) -> Floats:
-    """(offset + product)^degree from the highest power already known."""
-    below = max((p for o, p in known if o == offset and p <= degree), default=0)
-    if below == 0:
-        known[offset, 1] = offset + product
-        below = 1
-    power, base = known[offset, below], known[offset, 1]
-    for _ in range(degree - below):
-        power = power * base
-    known[offset, degree] = power
-    return power
-
-
-class Bank(ABC):
-    """Kernels among training touches, however they are held."""
+class DenseBank(ABC):
+    """Kernels among training touches, as whole matrices."""
 
     n_folds = 5
     n_touches: int
     scales: Floats
-
-    @property
-    @abstractmethod
-    def n_columns(self) -> int:
-        """Number of coefficients of a machine."""
-
-    @abstractmethod
-    def batch_size(self, n_touches: int) -> int:
-        """How many problems of that size to hold at a time."""
-
-    @abstractmethod
-    def system(self, index: Array, labels: Floats) -> Any:
-        """Return the kernels among the touches of each row of `index`."""
-
-    @abstractmethod
-    def machines(
-        self, system: Any, index: Array, solution: Solution
-    ) -> tuple[Floats, Floats]:
-        """Return coefficients (n_rows, n_columns) and bias (n_rows,)."""
-
-
-class DenseBank(Bank):
-    """Kernels among training touches, as whole matrices."""
-
     normalize: str | None
 
     @abstractmethod
@@ -220,13 +192,16 @@ class DenseBank(Bank):
 
     @property
     def n_columns(self) -> int:
+        """Number of coefficients of a machine."""
         return self.n_touches
 
     def batch_size(self, n_touches: int) -> int:
+        """How many problems of that size to hold at a time."""
         per_problem = 8 * len(self.scales) * n_touches**2
         return max(1, BLOCK_BYTES // per_problem)
 
     def system(self, index: Array, labels: Floats) -> DenseKernels:
+        """Return the kernels among the touches of each row of `index`."""
         blocks = self.blocks(index)
         if self.normalize == "trace":
             # No kernel has a large constant part.
@@ -253,7 +228,14 @@ class FeatureBank(DenseBank):
         self.kernels, self.normalize = kernels, normalize
         self.n_touches = len(touches)
         self.centred, self.mean, diagonals = centre(kernels, touches)
-        mean = self._mean_kernel() if normalize == "variance" else None
+        mean = None
+        if normalize == "variance":
+            mean = np.zeros(len(kernels))
+            for rows in row_blocks(len(touches), len(touches) * len(mean)):
+                part = self.centred[rows]
+                stack = kernel_stack(kernels, part, self.centred, self.mean)
+                mean += stack.sum(axis=(1, 2))
+            mean /= len(touches) ** 2
         self.scales = kernel_scales(diagonals, mean, normalize)
 
     def blocks(self, index: Array) -> Floats:
@@ -261,15 +243,6 @@ class FeatureBank(DenseBank):
         stack = kernel_stack(self.kernels, chosen, chosen, self.mean)
         stack *= self.scales[:, None, None]
         return stack
-
-    def _mean_kernel(self) -> Floats:
-        """Mean of each kernel matrix, shape (n_kernels,)."""
-        total = np.zeros(len(self.kernels))
-        for rows in row_blocks(len(self.centred), len(self.centred) * len(total)):
-            part = self.centred[rows]
-            stack = kernel_stack(self.kernels, part, self.centred, self.mean)
-            total += stack.sum(axis=(1, 2))
-        return total / len(self.centred) ** 2
 
 
 class GivenBank(DenseBank):

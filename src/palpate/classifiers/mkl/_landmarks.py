@@ -20,10 +20,11 @@ from scipy.linalg import eigh
 
 from ..._types import Array, Floats
 from ._dense import DenseKernels, cholesky_solver
-from ._kernels import Bank, Kernel, centre, kernel_scales, kernel_stack
+from ._kernels import Kernel, centre, kernel_scales, kernel_stack
 from ._problem import (
     Point,
     Solution,
+    Step,
     Task,
     View,
     balanced,
@@ -80,7 +81,7 @@ class LandmarkFeatures:
         return total
 
 
-class NystroemBank(Bank):
+class NystroemBank:
     """Approximate kernels among training touches, through landmarks drawn from them."""
 
     n_folds = 1
@@ -100,16 +101,23 @@ class NystroemBank(Bank):
         stack = kernel_stack(kernels, landmarks, landmarks, self.mean)
         maps = [_whitening(kernel) for kernel in stack]
         self.features = LandmarkFeatures(kernels, landmarks, self.mean, maps)
-        mean = self._mean_kernel() if normalize == "variance" else None
+        mean = None
+        if normalize == "variance":
+            # Of each approximate kernel matrix: the squared mean feature.
+            ranks = self.features.ranks
+            squared = (self.features.sums(self.centred) / self.n_touches) ** 2
+            mean = np.add.reduceat(squared, np.cumsum(ranks) - ranks)
         self.scales = kernel_scales(diagonals, mean, normalize)
         for one, scale in zip(maps, self.scales, strict=True):
             one *= np.sqrt(scale)
 
     @property
     def n_columns(self) -> int:
+        """Number of coefficients of a machine."""
         return sum(self.features.ranks)
 
     def batch_size(self, n_touches: int) -> int:
+        """How many problems of that size to hold at a time."""
         return 1
 
     def system(self, index: Array, labels: Floats) -> LowRankKernels | DenseKernels:
@@ -117,7 +125,14 @@ class NystroemBank(Bank):
         centred, ranks = self.centred[index[0]], self.features.ranks
         n_bytes = 8 * len(centred) * self.n_columns
         if n_bytes > _KEPT_BYTES:
-            return self._again_and_again(centred, labels)
+            # Features are computed whenever they are asked for.
+            mean = self.features.sums(centred) / len(centred)
+
+            def again() -> Iterator[tuple[slice, Floats]]:
+                for rows, part in self.features.blocks(centred):
+                    yield rows, part - mean
+
+            return LowRankKernels(again, mean, ranks, labels)
         features = np.empty((len(centred), self.n_columns))
         for rows, part in self.features.blocks(centred):
             features[rows] = part
@@ -134,16 +149,6 @@ class NystroemBank(Bank):
 
         return LowRankKernels(blocks, mean, ranks, labels)
 
-    def _again_and_again(self, centred: Floats, labels: Floats) -> LowRankKernels:
-        """A problem whose features are computed whenever they are asked for."""
-        mean = self.features.sums(centred) / len(centred)
-
-        def blocks() -> Iterator[tuple[slice, Floats]]:
-            for rows, part in self.features.blocks(centred):
-                yield rows, part - mean
-
-        return LowRankKernels(blocks, mean, self.features.ranks, labels)
-
     def machines(
         self, system: LowRankKernels | DenseKernels, index: Array, solution: Solution
     ) -> tuple[Floats, Floats]:
@@ -155,13 +160,6 @@ class NystroemBank(Bank):
         weights = np.repeat(solution.weights[0], self.features.ranks)
         normal = (weights * (signed @ features))[None]
         return normal, solution.bias - normal @ features.mean(axis=0)
-
-    def _mean_kernel(self) -> Floats:
-        """Mean of each approximate kernel matrix: the squared mean feature."""
-        total = self.features.sums(self.centred)
-        ends = np.cumsum(self.features.ranks)
-        starts = ends - self.features.ranks
-        return np.asarray(np.add.reduceat((total / self.n_touches) ** 2, starts))
 
 
 def _whitening(kernel: Floats) -> Floats:
@@ -209,8 +207,8 @@ class LowRankKernels:
         energies = 0.5 * self.lengths(pull)[None] ** 2
         return View(energies, missing, square, pull[None])
 
-    def newton(self, task: Task, point: Point, view: View) -> PrimalNewton:
-        return PrimalNewton(self, task, point, view)
+    def newton(self, task: Task, point: Point, view: View) -> Step:
+        return PrimalNewton(self, task, point, view).direction
 
     def settled(self, task: Task, point: Point, share: float) -> Point:
         """Take the shares that suit the normal vector best."""

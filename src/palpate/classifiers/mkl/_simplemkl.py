@@ -13,8 +13,6 @@ a few times where the answer contradicts it, and only then is the interior point
 Every machine is accepted by its duality gap alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from dataclasses import dataclass
 
@@ -22,8 +20,7 @@ import numpy as np
 
 from ..._types import Array, Floats
 from ._dense import DenseKernels
-from ._interior import relative_gap, solve_interior
-from ._problem import Point, Solution, Task, View
+from ._problem import Point, Solution, Task, View, relative_gap, solve_interior
 
 _GOLDEN = (5**0.5 - 1) / 2
 # The longest first move along a direction.

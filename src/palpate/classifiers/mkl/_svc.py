@@ -30,7 +30,6 @@ from ..._checks import (
 )
 from ..._types import Array, Floats
 from ._kernels import (
-    Bank,
     FeatureBank,
     GivenBank,
     Kernel,
@@ -39,10 +38,13 @@ from ._kernels import (
     kernel_stack,
 )
 from ._landmarks import LandmarkFeatures, NystroemBank
-from ._pairs import PairMachines, Settings, learn_pairs
-from ._posterior import (
+from ._pairs import (
+    Bank,
+    PairMachines,
+    Settings,
     couple,
     fit_temperature,
+    learn_pairs,
     put_left_out,
     sharpen,
     side_with_votes,
@@ -236,7 +238,16 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         self._store(bank, machines)
         self.temperature_ = 1.0
         if settings.calibrate and len(self.classes_) > 2:
-            self._fit_temperature(touches, codes, machines)
+            # Training touches are judged by machines that did not learn them.
+            judged = (
+                np.isfinite(machines.left_out).sum(axis=1) == len(self.classes_) - 1
+            )
+            decisions = self._decisions(touches[judged])
+            put_left_out(
+                decisions, machines.left_out[judged], codes[judged], self.pairs_
+            )
+            chances = couple(decisions, self.sigmoids_, self.pairs_)
+            self.temperature_ = fit_temperature(chances, codes[judged])
         self._warn(settings)
         return self
 
@@ -250,7 +261,12 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
     def pair_decisions(self, X: ArrayLike) -> Floats:
         """Return the decision of each pair's machine, shape (n_touches, n_pairs)."""
         check_is_fitted(self)
-        return self._decisions(self._validated_touches(X))
+        if self._is_given():
+            touches = check_given(X, (self.n_features_in_, self.weights_.shape[1]))
+        else:
+            touches = validate_data(self, X, dtype=np.float64, reset=False)
+            check_squarable("X", touches)
+        return self._decisions(touches)
 
     def predict(self, X: ArrayLike) -> Array:
         """Return the label with most votes of each touch."""
@@ -344,12 +360,6 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         check_classification_targets(labels)
         return touches, labels
 
-    def _validated_touches(self, X: ArrayLike) -> Floats:
-        if self._is_given():
-            return check_given(X, (self.n_features_in_, self.weights_.shape[1]))
-        touches: Floats = validate_data(self, X, dtype=np.float64, reset=False)
-        return check_squarable("X", touches)
-
     def _store(self, bank: Bank, machines: PairMachines) -> None:
         self.pairs_, self.weights_ = machines.pairs, machines.weights
         self.objective_, self.gap_ = machines.objective, machines.gap
@@ -368,16 +378,6 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
             self.touches_ = bank.centred[self.support_]
         if isinstance(bank, FeatureBank | NystroemBank):
             self.kernels_, self.mean_ = list(bank.kernels), bank.mean
-
-    def _fit_temperature(
-        self, touches: Floats, codes: Array, machines: PairMachines
-    ) -> None:
-        """Judge training touches by machines that did not learn them."""
-        judged = np.isfinite(machines.left_out).sum(axis=1) == len(self.classes_) - 1
-        decisions = self._decisions(touches[judged])
-        put_left_out(decisions, machines.left_out[judged], codes[judged], self.pairs_)
-        chances = couple(decisions, self.sigmoids_, self.pairs_)
-        self.temperature_ = fit_temperature(chances, codes[judged])
 
     def _warn(self, settings: Settings) -> None:
         short = self.gap_ > settings.tol

@@ -1,10 +1,9 @@
 // The belief: bars, unknown score, its history over the episode, and the decision.
 
 import { get, post } from "./api.js";
-import { find, make, percent, pictures, say, show, step, text } from "./dom.js";
+import { drawn, find, make, percent, pictures, say, show, step, text } from "./dom.js";
 import { teachThese } from "./teach.js";
 
-const SVG = "http://www.w3.org/2000/svg";
 const SHOWN = 6;
 const HUES = 7;
 const FEW = 4;
@@ -178,21 +177,17 @@ function column(touch, at, top) {
   const parts = top.map((name) => [hue(name), touch.posterior[name] ?? 0]);
   parts.push([OTHERS, 1 - parts.reduce((sum, [, share]) => sum + share, 0)]);
   return parts.filter(([, share]) => share > 0.002).map(([fill, share]) => {
-    const block = document.createElementNS(SVG, "rect");
-    const place = { x: at + 0.06, y: above, width: 0.88, height: share };
-    for (const [name, value] of Object.entries(place)) block.setAttribute(name, value);
-    block.style.fill = fill;
+    const block = band(at, above, share, fill);
     if (strange(touch)) block.style.opacity = "0.25";
     above += share;
     return block;
-  }).concat(strange(touch) ? [mark(at)] : []);
+  }).concat(strange(touch) ? [band(at, 0, 0.12, "var(--warn)")] : []);
 }
 
-function mark(at) {
-  const band = document.createElementNS(SVG, "rect");
-  for (const [name, value] of Object.entries({ x: at + 0.06, y: 0, width: 0.88, height: 0.12 })) band.setAttribute(name, value);
-  band.style.fill = "var(--warn)";
-  return band;
+function band(at, y, height, fill) {
+  const block = drawn("rect", { x: at + 0.06, y, width: 0.88, height });
+  block.style.fill = fill;
+  return block;
 }
 
 function drawStrip(touches) {

@@ -14,6 +14,14 @@ export function make(tag, properties = {}, ...children) {
   return element;
 }
 
+// An element of a drawing.
+export function drawn(tag, place, words = "") {
+  const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [name, value] of Object.entries(place)) element.setAttribute(name, value);
+  text(element, words);
+  return element;
+}
+
 export function text(element, words) {
   if (element.textContent !== words) element.textContent = words;
 }

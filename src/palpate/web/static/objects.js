@@ -1,13 +1,13 @@
 // Objects of the library: their touches, renaming, forgetting, export.
 
 import { get, post } from "./api.js";
-import { find, make, show, text } from "./dom.js";
+import { find, make, percent, show, text } from "./dom.js";
 
 const THUMBNAILS = 8;
 const cards = new Map();
 let wanted = null;
 
-export function showObjects({ library, model }) {
+export function showObjects({ library, model, quality }) {
   const objects = library ? library.objects : [];
   const learnt = new Set(model ? model.objects : []);
   const names = new Set(objects.map((one) => one.name));
@@ -15,6 +15,8 @@ export function showObjects({ library, model }) {
     .map((name) => ({ name, n_touches: 0 }));
   const all = [...objects, ...alone];
   show(find("none"), all.length === 0);
+  show(find("left-out"), quality.length > 0);
+  const known = new Map(quality.map((one) => [one.name, one]));
   for (const [name, card] of cards) {
     if (all.some((one) => one.name === name)) continue;
     card.remove();
@@ -25,6 +27,7 @@ export function showObjects({ library, model }) {
     const card = cards.get(one.name);
     if (find("list").children[at] !== card) find("list").insertBefore(card, find("list").children[at] ?? null);
     update(card, one, learnt.has(one.name), names.has(one.name));
+    text(card.querySelector(".quality"), worded(known.get(one.name)));
   });
   if (cards.has(wanted)) focusOn(wanted);
 }
@@ -35,7 +38,7 @@ function makeCard(name, manage) {
   const link = { class: "button", download: "", "aria-label": `Export ${name}`,
     href: `/api/objects/archive?object=${encodeURIComponent(name)}` };
   return make("li", { class: "object" },
-    make("h3", {}, name), make("p", { class: "meta" }), make("div", { class: "thumbs" }),
+    make("h3", {}, name), make("p", { class: "meta" }), make("div", { class: "thumbs" }), make("p", { class: "quality" }),
     ...(manage ? [make("div", { class: "row" }, make("button", about, "Rename"),
       make("button", leave, "Forget"), make("a", link, "Export"))] : []));
 }
@@ -55,6 +58,13 @@ function update(card, { name, n_touches: count }, learnt, stored) {
     card.dataset.count = String(count);
     showThumbs(thumbs, name);
   }
+}
+
+function worded(quality) {
+  if (!quality || quality.after_one === null) return "";
+  const { n_touches: n, after_one: one, after_eight: eight, taken_for: other } = quality;
+  return `Asked again: ${Math.round(n * one)} of ${n} touches right` + (eight === null ? "" : `, after eight touches ${percent(eight)}`) +
+    (other ? `; else mostly taken for ${other}.` : ".");
 }
 
 async function showThumbs(place, name) {

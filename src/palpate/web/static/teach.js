@@ -1,7 +1,7 @@
 // Teaching: a name, so many touches, undo, learn.
 
 import { get, post } from "./api.js";
-import { find, make, pictures, show, step, text } from "./dom.js";
+import { drawn, find, make, pictures, show, step, text } from "./dom.js";
 
 const SHOWN = 12;
 let keeping = 0;
@@ -21,7 +21,7 @@ export function teachThese(count) {
   if (count) find("name").focus();
 }
 
-export function showTeach({ library, lesson, learning, learn_error: error, model, sensor }) {
+export function showTeach({ library, lesson, learning, learn_error: error, model, sensor, advice }) {
   show(find("no-library"), library === null);
   show(find("teaching"), library !== null);
   text(find("learnt"), learning ? "learning…"
@@ -30,6 +30,7 @@ export function showTeach({ library, lesson, learning, learn_error: error, model
   show(find("learn"), library !== null && lesson === null);
   show(find("stop"), lesson !== null);
   show(find("progress"), lesson !== null);
+  show(find("why-not"), lesson === null);
   show(find("belief"), lesson === null);
   document.body.dataset.lesson = String(lesson !== null);
   step(2, lesson ? `${lesson.name}: ${lesson.done} of ${lesson.wanted}` : learning ? "learning…"
@@ -40,6 +41,8 @@ export function showTeach({ library, lesson, learning, learn_error: error, model
   showButtons(library, model, learning, sensor);
   show(find("learn-error"), error !== "");
   text(find("learn-error"), error);
+  show(find("advice"), advice.length > 0 && !lesson && !learning);
+  find("advice").lastElementChild.replaceChildren(...advice.map((one) => make("li", {}, one)));
   showKnown(library.objects);
 }
 
@@ -58,10 +61,13 @@ function showButtons(library, model, learning, sensor) {
   text(find("why-not"), why.join(" "));
 }
 
-async function showLesson({ name, wanted, done }) {
+async function showLesson({ name, wanted, done, map, n_new: differ, prompt }) {
   text(find("progress-text"), `Touch ${name}: ${done} of ${wanted} are stored.`);
   find("bar").max = wanted;
   find("bar").value = done;
+  show(find("elsewhere"), prompt !== "");
+  text(find("elsewhere"), prompt);
+  showVariety(map, done, differ);
   const list = find("lesson-strip");
   const now = `${name} ${done}`;
   if (list.dataset.shown === now) return;
@@ -69,8 +75,20 @@ async function showLesson({ name, wanted, done }) {
   const few = Math.min(SHOWN, done);
   const ids = few ? await get(`objects/touches?object=${encodeURIComponent(name)}&limit=${few}`) : [];
   if (!ids || list.dataset.shown !== now) return;
+  const like = new Map(map.map((one) => [one.number, one.like ? `${one.number} ≈ ${one.like}` : String(one.number)]));
   pictures(list, ids.reverse().map(({ id }, at) => ({ key: id, alt: `Touch ${done - few + at + 1} of ${name}`,
-    label: String(done - few + at + 1), src: `/api/touches/${id}/picture` })));
+    label: like.get(done - few + at + 1), src: `/api/touches/${id}/picture` })));
+}
+
+// A dot for each touch that differs from those before it, with how many are like it.
+function showVariety(map, done, differ) {
+  const [chart, caption] = find("variety").children;
+  show(find("variety"), map.length > 1);
+  text(caption, `${differ} of ${done} touches differ. Each dot is one of these, with how often it came; near dots resemble each other.`);
+  const dots = map.filter((one) => one.like === null)
+    .map(({ number, x, y }) => [1 + map.filter(({ like }) => like === number).length, x, y]).sort(([a], [b]) => b - a);
+  chart.replaceChildren(...dots.map(([count, cx, cy]) => drawn("circle", { cx, cy, r: 0.09 * Math.sqrt(count) })),
+    ...dots.filter(([count]) => count > 1).map(([count, x, y]) => drawn("text", { x, y }, String(count))));
 }
 
 // Whether the library holds an object that the model does not know.

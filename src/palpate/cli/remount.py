@@ -1,0 +1,117 @@
+"""`palpate remount`: a model for another day, and what tells days apart."""
+
+from typing import Annotated, Any
+
+import typer
+
+from ._options import (
+    AsJson,
+    MaxModelMb,
+    ModelOutput,
+    ModelPath,
+    Reading,
+    TouchesPath,
+    grouped,
+    option,
+)
+from ._output import answer, stages
+
+TO_CONFIRM = 5  # objects
+
+sensor = typer.Typer(no_args_is_help=True, help="What a sensor does to touches.")
+
+
+@grouped
+def remount(
+    model: ModelPath,
+    touches: TouchesPath,
+    output: ModelOutput,
+    *,
+    unlabelled: Annotated[
+        bool,
+        option("--unlabelled", "Do not use the labels of TOUCHES, if it has any."),
+    ] = False,
+    reading: Reading,
+    max_model_mb: MaxModelMb = 2000,
+    as_json: AsJson = False,
+) -> None:
+    """Get a model used to a sensor that was mounted anew, to another day or device.
+
+    TOUCHES are the first of the session. Labelled ones are confirmed: they join what
+    was learnt. Without labels some ten touches of several objects are enough.
+    """
+    from ..recognition import ObjectRecogniser, check_model_path
+    from ..web import object_quality
+
+    check_model_path(output)
+    with stages() as stage:
+        stage(f"reading {touches}")
+        session = reading.touches(touches)
+        if unlabelled:
+            named = {"object", "category"} & set(session.columns)
+            session = session.without(*named)
+        recogniser = ObjectRecogniser.load(model)
+        stage(f"getting used to {len(session)} touches")
+        same_shape = session.images.shape[1:] == tuple(recogniser.encoder_.image_shape_)
+        check = recogniser.check_mounting(session) if same_shape else None
+        found = recogniser.remount(session).chosen_["remount"]
+        written = recogniser.save(output)
+    weakest = sorted(object_quality(recogniser), key=lambda x: x["after_one"] or 0.0)
+    changed = check is None or check.changed
+    values = {
+        "model": str(written),
+        "changed": changed,
+        "reasons": check.reasons if check else ["The images have another shape."],
+        **found,
+        "confirm": [one["name"] for one in weakest[:TO_CONFIRM]],
+    }
+    answer(as_json, values, *_sentences(values), written)
+
+
+@sensor.command("learn-nuisance")
+@grouped
+def learn_nuisance(
+    model: ModelPath,
+    touches: TouchesPath,
+    output: ModelOutput,
+    *,
+    reading: Reading,
+    max_model_mb: MaxModelMb = 2000,
+    as_json: AsJson = False,
+) -> None:
+    """Learn from any objects met in several sessions what tells sessions apart.
+
+    MODEL need not know the objects of TOUCHES, only the sensor: what differs between
+    their sessions is weighed down in the model that is written.
+    """
+    from ..recognition import ObjectRecogniser, check_model_path
+
+    check_model_path(output)
+    with stages() as stage:
+        stage(f"reading {touches}")
+        met = reading.touches(touches)
+        recogniser = ObjectRecogniser.load(model)
+        stage(f"learning from {len(met)} touches")
+        n_differences = recogniser.learn_nuisance(met)
+        written = recogniser.save(output)
+    values = {"model": str(written), "n_differences": n_differences}
+    answer(as_json, values, f"{n_differences} differences are weighed down.", written)
+
+
+def _sentences(values: dict[str, Any]) -> list[str]:
+    seen = "another" if values["changed"] else "no other"
+    said = [f"The touches show {seen} mounting or light than when it was taught."]
+    said += values["reasons"]
+    if "centred" in values:
+        taken = "was taken off", "was left: sessions left out say that it is better so"
+        said.append(f"What training sessions add {taken[not values['centred']]}.")
+    if values.get("weighed"):
+        said.append("How training sessions differ is weighed down.")
+    way = "their labels" if values["labelled"] else "what they are taken for"
+    said.append(
+        f"{values['n_touches']} touches were moved by {values['moved']:.0%} of the "
+        f"variance of all, by {way}."
+    )
+    names = ", ".join(values["confirm"])
+    said.append(f"To go further, confirm 1 to 5 touches of each, first of: {names}.")
+    return said

@@ -1,0 +1,320 @@
+"""Files of a library: plain `.npy` arrays, and the touches in them as rows of values.
+
+A file holds one or several arrays, one after the other, each exactly as
+`numpy.save` writes it; `numpy.load` reads the first. It gets its name, the SHA-256
+of its bytes, only when all of it is on the disk, and is never changed. Reading never
+unpickles, and reads no more than the size of the file allows.
+
+Short values (numbers and text, at most `WIDE` numbers a touch) become cells of the
+database; longer ones (a press as thirty frames) stay arrays in the touch's own file.
+The same cells are written into that file as well, so that a lost database can be
+rebuilt from the files.
+"""
+
+import hashlib
+import io
+import json
+import os
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from math import prod
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.lib import format as npy
+
+from .._durable import flush_folder, write_bytes
+from .._types import Array
+from ..touches import Touches
+from ._store import LibraryError
+
+_MAX_HEADER = 2**14
+_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+_NAME = re.compile("[0-9a-f]{64}")
+_PLAIN_KINDS = "biufcSUMm"
+WIDE = 16
+CELLS = (
+    "object",
+    "category",
+    "session",
+    "episode",
+    "sensor",
+    "order",
+    "time_s",
+    "force_n",
+    "press",
+    "frame",
+    "source_path",
+)
+# What tells two touches with the same image apart.
+IDENTITY = (
+    *(name for name in CELLS if name not in ("category", "source_path")),
+    "position_mm",
+    "position_raw",
+)
+_CANONICAL = json.JSONEncoder(
+    sort_keys=True, separators=(",", ":"), allow_nan=False, check_circular=False
+)
+
+
+def file_path(folder: Path, name: str) -> Path:
+    """Return where the file called `name` (64 hexadecimal digits) stands."""
+    if not _NAME.fullmatch(name):
+        raise LibraryError(
+            f"Files must be named by 64 hexadecimal digits, got {name!r}."
+        )
+    return folder / name[:2] / f"{name}.npy"
+
+
+def packed(arrays: Sequence[Array]) -> bytes:
+    """Return arrays as the bytes of one file."""
+    stream = io.BytesIO()
+    for array in arrays:
+        npy.write_array(stream, np.asarray(array, order="C"), allow_pickle=False)
+    return stream.getvalue()
+
+
+def publish(folder: Path, content: bytes) -> str:
+    """Put a file in place and return its name; afterwards it is on the disk."""
+    name = hashlib.sha256(content).hexdigest()
+    target = file_path(folder, name)
+    if target.is_file() and target.read_bytes() == content:
+        flush_folder(target.parent)
+        return name
+    if not target.parent.is_dir():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        flush_folder(folder)
+    write_bytes(target, content)
+    return name
+
+
+def read_values(
+    path: Path, start: int, shape: tuple[int, ...], dtype: np.dtype[Any]
+) -> Array:
+    """Return values that begin at a byte of a file; the caller checks them."""
+    n_bytes = prod(shape) * dtype.itemsize
+    with _readable(path), path.open("rb") as file:
+        room = os.fstat(file.fileno()).st_size - start
+        file.seek(max(0, start))
+        content = file.read(min(n_bytes, max(0, room)))
+    if len(content) != n_bytes or dtype.hasobject:
+        raise LibraryError(f"{path} must be whole, got a file that is cut short.")
+    return np.frombuffer(content, dtype=dtype).reshape(shape)
+
+
+def read_file(folder: Path, name: str) -> list[Array]:
+    """Return all arrays of a file, which must be what its name says."""
+    path = file_path(folder, name)
+    with _readable(path):
+        content = path.read_bytes()
+    if hashlib.sha256(content).hexdigest() != name:
+        raise LibraryError(f"{path} must be as it was written, got altered content.")
+    arrays, start = [], 0
+    while start < len(content):
+        stream = io.BytesIO(content[start : start + _MAX_HEADER + 16])
+        try:
+            read_header = _HEADERS[npy.read_magic(stream)]
+            shape, fortran, dtype = read_header(stream, max_header_size=_MAX_HEADER)
+        except Exception as error:  # the header is a literal: it fails in many ways
+            raise _no_array(path, str(error)[:80]) from error
+        if dtype.hasobject or dtype.kind not in _PLAIN_KINDS or fortran:
+            raise _no_array(path, f"values of {dtype}")
+        first = start + stream.tell()
+        last = first + prod(shape) * dtype.itemsize
+        if not dtype.itemsize or min(shape, default=0) < 0 or last > len(content):
+            raise _no_array(path, f"shape {shape} of {dtype}")
+        values = np.frombuffer(content[first:last], dtype=dtype)
+        array, start = values.reshape(shape), last
+        arrays.append(array)
+    return arrays
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+        raise LibraryError(f"{path} must be readable, got: {reason}.") from error
+
+
+def _no_array(path: Path, got: str) -> LibraryError:
+    return LibraryError(
+        f"{path} must hold plain arrays as numpy.save writes them, got {got}. "
+        "It is damaged: `palpate library check --repair` sets it aside."
+    )
+
+
+class Column(NamedTuple):
+    """One column of some touches: its type, the shape of a row, and where it is."""
+
+    name: str
+    dtype: str
+    shape: tuple[int, ...]
+    wide: bool
+
+    @classmethod
+    def all_of(cls, layout: list[Any]) -> "list[Column]":
+        """Return columns from what JSON makes of them."""
+        return [cls(n, d, tuple(s), bool(w)) for n, d, s, w in layout]
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """Some touches as they are stored together in one file.
+
+    `values` are the plain values per touch of the columns in `layout` that are not
+    wide, `recording` a row of that table, the same for all; `added_s` counts from 1970,
+    `ids` have 16 bytes each, `digests` are the SHA-256 of the images.
+    """
+
+    layout: list[Column]
+    values: dict[str, list[Any]]
+    wide: dict[str, Array]
+    images: Array
+    recording: dict[str, Any]
+    added_s: float
+    ids: list[bytes]
+    digests: list[bytes]
+
+    def arrays(self) -> list[Array]:
+        """Return what is written into the file: images, wide columns, the rest."""
+        sheet = {
+            "format": 1,
+            "layout": [list(column) for column in self.layout],
+            "values": self.values,
+            "recording": self.recording,
+            "added_s": self.added_s,
+            "ids": [key.hex() for key in self.ids],
+        }
+        text = np.frombuffer(canonical(sheet).encode(), dtype=np.uint8)
+        return [self.images, *self.wide.values(), text]
+
+    def picked(self, rows: Sequence[int]) -> "Sheet":
+        """Return some of these touches."""
+        return replace(
+            self,
+            values={n: [cells[i] for i in rows] for n, cells in self.values.items()},
+            wide={name: array[list(rows)] for name, array in self.wide.items()},
+            images=self.images[list(rows)],
+            ids=[self.ids[i] for i in rows],
+            digests=[self.digests[i] for i in rows],
+        )
+
+
+def sheet_of(touches: Touches, recording: dict[str, Any], added_s: float) -> Sheet:
+    """Return touches as a sheet, each with its identity."""
+    layout, values, wide = [], {}, {}
+    for name, array in touches.columns.items():
+        is_wide = not _fits_cells(array)
+        layout.append(Column(name, array.dtype.str, array.shape[1:], is_wide))
+        if is_wide:
+            wide[name] = np.ascontiguousarray(array)
+        else:
+            values[name] = _cells(name, array)
+    images = np.ascontiguousarray(touches.images)
+    digests = [image_digest(image) for image in images]
+    known = [(n, values[n]) for n in IDENTITY if n in values]
+    ids = [
+        identity(d, {n: cells[row] for n, cells in known}, wide, row)
+        for row, d in enumerate(digests)
+    ]
+    return Sheet(layout, values, wide, images, recording, added_s, ids, digests)
+
+
+def read_sheet(arrays: Sequence[Array]) -> Sheet:
+    """Return the sheet that `Sheet.arrays` wrote; many errors where it is none."""
+    images, *blocks, text = arrays
+    if images.ndim not in (3, 4) or text.dtype != np.uint8:
+        raise ValueError("no images, or no sheet after them")
+    sheet = json.loads(text.tobytes())
+    if sheet["format"] != 1:
+        raise ValueError(f"sheet format {sheet['format']!r}")
+    layout = Column.all_of(sheet["layout"])
+    names = [column.name for column in layout if column.wide]
+    wide = dict(zip(names, blocks, strict=True))
+    ids = [bytes.fromhex(key) for key in sheet["ids"]]
+    lengths = {len(ids), len(images), *map(len, sheet["values"].values())}
+    if lengths | {len(array) for array in wide.values()} != {len(images)}:
+        raise ValueError("columns of unequal length")
+    digests = [image_digest(image) for image in images]
+    same = sheet["recording"], float(sheet["added_s"])
+    return Sheet(layout, sheet["values"], wide, images, *same, ids, digests)
+
+
+def column_array(columns: Sequence[Column], cells: Sequence[Any]) -> Array:
+    """Return cells as one array; None is NaN or "", numbers among text become text."""
+    dtypes = {np.dtype(column.dtype) for column in columns}
+    is_text = any(dtype.kind == "U" for dtype in dtypes)
+    if any(cell is None for cell in cells):
+        nothing = "" if is_text else np.nan
+        blank = np.full(columns[0].shape, nothing).tolist()
+        cells = [blank if cell is None else cell for cell in cells]
+    if is_text:
+        return np.array(cells, dtype=np.str_)
+    array = np.array(cells)
+    dtype = np.result_type(*dtypes)
+    if array.dtype.kind == "O" and dtype.kind in "biuf":  # None in vectors
+        array = array.astype(np.float64)
+    lacks = array.dtype.kind == "f" and np.isnan(array).any()
+    if lacks and dtype.kind in "biu":
+        dtype = np.result_type(dtype, np.float16)
+    return array.astype(dtype)
+
+
+def image_digest(image: Array) -> bytes:
+    """Return the SHA-256 of an image: its type, its shape and its values."""
+    start = f"{image.dtype.str} {image.shape}".encode()
+    return hashlib.sha256(start + image.tobytes()).digest()
+
+
+def canonical(value: Any) -> str:
+    """Return `value` as JSON that is the same whenever the value is."""
+    return _CANONICAL.encode(value)
+
+
+def _fits_cells(array: Array) -> bool:
+    kind, n_numbers = array.dtype.kind, int(np.prod(array.shape[1:]))
+    if n_numbers > WIDE or not n_numbers or kind not in "biufU":
+        return False
+    if kind == "f":
+        return array.dtype.itemsize <= 8 and not np.isinf(array).any()
+    return kind != "u" or array.dtype.itemsize < 8 or int(array.max()) < 2**63
+
+
+def _cells(name: str, array: Array) -> list[Any]:
+    """Return the plain values of a column; NaN is None."""
+    if array.dtype.kind == "f" and np.isnan(array).any():
+        gaps, array = np.isnan(array), array.astype(object)
+        array[gaps] = None
+    if array.dtype.kind == "U":
+        try:
+            "".join(array.ravel().tolist()).encode()
+        except UnicodeEncodeError as error:
+            raise LibraryError(
+                f"column {name!r} must be text that UTF-8 can hold, got {error}. "
+                "Clean it first."
+            ) from error
+    cells: list[Any] = array.tolist()
+    return cells
+
+
+def identity(
+    digest: bytes, cells: dict[str, Any], wide: dict[str, Array], row: int
+) -> bytes:
+    """Return the id of a touch: of its image, plain `cells` and its `row` of `wide`."""
+    known = {n: cells[n] for n in IDENTITY if n in cells}
+    whole = {n: _whole_numbers(cell) for n, cell in known.items() if cell is not None}
+    parts = [digest, canonical(whole).encode()]
+    parts += [n.encode() + wide[n][row].tobytes() for n in IDENTITY if n in wide]
+    return hashlib.sha256(b"\0".join(parts)).digest()[:16]
+
+
+def _whole_numbers(cell: Any) -> Any:
+    """Write 3.0 as 3, so that the type of a column does not tell touches apart."""
+    if isinstance(cell, list):
+        return [_whole_numbers(item) for item in cell]
+    return int(cell) if isinstance(cell, float) and cell.is_integer() else cell

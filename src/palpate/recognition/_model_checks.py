@@ -1,0 +1,174 @@
+"""What a model file may ask for before anything is built from it, and whether it works.
+
+A checksum tells damage, not intent: who forges a model computes it anew. So whatever
+sizes something has a limit, and what would take seconds to try is refused. A model that
+was read is tried on a blank touch before anyone relies on it.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from .._checks import check_count, check_number
+from .._types import Array, Floats
+from ..images import PressPose
+from ._belief import Belief, Judge
+from ._calibration import Modality
+from ._encoder import TouchEncoder
+from ._evidence import Evidence, SequenceCalibration
+from ._memory import Memory
+from ._unknown import LEVELS, DecisionLimits
+
+MB = 2**20
+MAX_PIXELS = 50_000_000
+# A blank touch of larger images is not tried.
+MOST_TRIED = 800_000
+_MOST = {
+    **dict.fromkeys(("degree", "order", "n_orientations", "n_partitions"), 60),
+    **dict.fromkeys(("n_points", "n_rings", "radii", "n_harmonics", "cell"), 32),
+    **dict.fromkeys(("shape", "side", "cells", "n", "resample", "n_quantiles"), 1024),
+    **dict.fromkeys(("size", "size_"), 2048),
+}
+
+
+@dataclass
+class Budget:
+    """What one file of `n_bytes` holds, and what reading it has used so far."""
+
+    n_bytes: int
+    tensors: Mapping[str, Array]
+    known: Mapping[str, type]
+    objects: int = 0
+    text: float = 0.0
+    used: Counter[str] = field(default_factory=Counter)
+
+    def check_document(self, document: str) -> None:
+        """Refuse a document that would become too many values."""
+        n_values = sum(map(document.count, ",[{"))
+        if not document.isascii() or n_values > 1_000_000 + self.n_bytes / 50:
+            raise ValueError(f"{n_values} values are too many for its size")
+
+    def check_texts(self, items: Sequence[Any]) -> None:
+        """Refuse texts that would take too much memory."""
+        longest = max(map(len, items), default=0)
+        self.text += 4 * longest * len(items)
+        if longest > 1000 or self.text > 32 * MB + self.n_bytes / 2:
+            raise ValueError(f"{len(items)} texts of up to {longest} letters")
+
+    def array(self, name: str, shape: list[int]) -> Array:
+        """Return an array of its own shape, unless it was used again and again."""
+        array = self.tensors[name]
+        self.used[name] += 1
+        if self.used[name] > 4 or list(array.shape) != (shape or [1]):
+            raise ValueError(f"the array {name} has shape {array.shape}, not {shape}")
+        return array.reshape(shape)
+
+    def check_object(self, values: Mapping[str, Any]) -> None:
+        """Refuse attributes of one object that would size or repeat too much."""
+        self.objects += 1
+        for name, value in values.items():
+            most = _MOST.get(name, 2**53)
+            for one in value if isinstance(value, list | tuple) else (value,):
+                if isinstance(one, int) and abs(one) > most:
+                    raise ValueError(f"{name} must be at most {most}, got {one}")
+        levels, order = prod(values.get("image_shape_", ())), values.get("order", 0)
+        n_kernels = len(values.get("kernels_", ())) * len(values.get("touches_", ()))
+        # Zernike moments of high order keep tables for each level.
+        costly = order > 20 and levels * order**2 > 2e7
+        if costly or n_kernels > 5_000_000 or self.objects > 500:
+            raise ValueError(f"{self.objects} parts, too much for one touch")
+        counts, n_points = values.get("counts_"), len(values.get("points_", ()))
+        if counts is not None and not 0 <= counts.min() <= counts.max() <= n_points:
+            raise ValueError("counts_ are more touches than there are")
+
+
+def check_parts(judge: Judge, encoder: TouchEncoder, pose: object) -> None:
+    """Refuse a model whose parts are of the wrong kind, or do not fit together."""
+    image_shape = encoder.image_shape_
+    if len(image_shape) not in (2, 3) or not 0 < prod(image_shape) <= MAX_PIXELS:
+        raise ValueError(f"images of {' x '.join(map(str, image_shape))} are none")
+    _check_memory(judge.memory)
+    n = judge.memory.features.shape[1]
+    shapes = {"drift_": tuple(image_shape), "offset_": (n,), "weighing_": (n, n)}
+    for name, shape in shapes.items():
+        if (found := getattr(encoder, name)) is not None and found.shape != shape:
+            raise ValueError(f"its {name} has shape {found.shape}, not {shape}")
+    if not np.array_equal(judge.classes, judge.memory.classes.astype(str)):
+        raise ValueError("its objects are not those of its touches")
+    _check_calibration(judge.sequence_calibration)
+    _check_limits(judge.limits, len(judge.classes))
+    check_number("floor_", judge.floor, low=0, high=0.5)
+    if not isinstance(pose, PressPose | None):
+        raise TypeError(f"pose_ is a {type(pose).__name__}")
+    for name, sense in judge.senses.items():
+        if not isinstance(sense, Modality):
+            raise TypeError(f"{name} is a {type(sense).__name__}")
+        _check_calibration(sense.sequence_calibration_)
+
+
+def try_one_touch(belief: Belief, blank: Evidence, log_likelihood: Floats) -> None:
+    """Take in a blank touch twice, so that a model that cannot work is found now.
+
+    A blank touch may count as no contact, whose row is zeros whatever the classifier:
+    so `log_likelihood` (1, n_objects) is what the classifier itself says of it.
+    """
+    if not np.isfinite(log_likelihood).all():
+        raise ValueError("its parts do not fit together")
+    for _ in range(2):
+        belief.update(blank._replace(log_likelihood=log_likelihood))
+    if abs(sum(belief.posterior.values()) - 1) > 1e-6:
+        raise ValueError("its belief does not sum to one")
+    if not 0 <= belief.unknown <= 1:
+        raise ValueError("its unknown score is no number")
+    belief.decide()
+    belief.explain()
+
+
+def _check_memory(memory: object) -> None:
+    if not isinstance(memory, Memory):
+        raise TypeError(f"memory_ is a {type(memory).__name__}")
+    columns = [v for k, v in vars(memory).items() if k != "sensor"]
+    if {len(column) for column in columns} != {len(memory)} or not len(memory):
+        raise ValueError("its sizes do not agree")
+    if not np.isfinite(memory.features).all():
+        raise ValueError("its features hold NaN or infinity")
+
+
+def _check_calibration(calibration: object) -> None:
+    if not isinstance(calibration, SequenceCalibration):
+        raise TypeError(f"a sequence calibration is a {type(calibration).__name__}")
+    check_number("strength", calibration.strength, low=0, high=100)
+    check_number("correlation", calibration.correlation, low=0, high=1)
+
+
+def _check_limits(limits: object, n_objects: int) -> None:
+    if not isinstance(limits, DecisionLimits):
+        raise TypeError(f"limits_ is a {type(limits).__name__}")
+    n_levels, n_lengths = len(LEVELS), len(limits.quantiles)
+    shapes = {
+        "weights": limits.weights.shape[:1],
+        "usual": (n_objects,),
+        "far": (*limits.far.shape[:1], 2),
+        "naming": (n_levels,),
+        "naming_category": (n_levels,),
+        "refusing": (n_levels,),
+        "wrong": (n_levels,),
+        "quantiles": (n_lengths, n_levels),
+    }
+    for name, shape in shapes.items():
+        values = getattr(limits, name)
+        if values.shape != shape or not values.size:
+            raise ValueError(f"{name} of its limits is no such table")
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} of its limits holds NaN or infinity")
+        if name not in ("usual", "far") and not ((values >= 0) & (values <= 1)).all():
+            raise ValueError(f"{name} of its limits is not between 0 and 1")
+    if not (limits.far[:, 1] > 0).all():
+        raise ValueError("far of its limits has no spread")
+    check_count("n_units", limits.n_units)
+    if not isinstance(limits.population, str):
+        raise TypeError("population of its limits is no text")

@@ -1,0 +1,272 @@
+"""What a session (a mounting, a baseline, a day) does to features, and taking it off.
+
+A session moves the features of all touches in much the same way. How far is told by
+what was met in it: by labels where there are some, else by what the touches are taken
+for, all of them together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+from scipy.special import softmax
+from sklearn.metrics.pairwise import euclidean_distances
+
+from .._types import Array, Floats
+
+# How many touches the belief that all objects are asked about alike is worth.
+N_PRIOR = 3.0
+N_ROUNDS = 6
+# Variance between sessions that no pair showed, as a share of the mean of those shown.
+UNSEEN = 0.3
+N_DRAWS = 200
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Where the features of each encoding begin, shape (n_parts + 1,)."""
+
+    cuts: NDArray[np.intp]
+
+    def sums(self, values: Floats) -> Floats:
+        """Return the sums over each part of the last axis."""
+        return np.add.reduceat(values, self.cuts[:-1], axis=-1)
+
+    def spread(self, factors: Floats) -> Floats:
+        """Return a factor of each part for each of its features."""
+        return np.repeat(factors, np.diff(self.cuts))
+
+
+@dataclass(frozen=True)
+class Taught:
+    """Training touches, for comparing a session with them.
+
+    Attributes
+    ----------
+    features : ndarray of shape (n_touches, n_features)
+        What the recogniser learnt from.
+    codes, blocks : ndarray of int, shape (n_touches,)
+        Column of each touch's label, and what it is left out with.
+    posterior : ndarray of shape (n_touches, n_objects)
+        What each is taken for when its block is left out.
+    parts : Parts
+        Of the features.
+    """
+
+    features: Floats
+    codes: NDArray[np.intp]
+    blocks: NDArray[np.intp]
+    posterior: Floats
+    parts: Parts
+
+    @cached_property
+    def means(self) -> Floats:
+        """The mean touch of each object, shape (n_objects, n_features)."""
+        return group_means(self.features, self.codes)
+
+    def log_distances(self, features: Floats) -> Floats:
+        """Return the logarithm of each touch's distance to the nearest of these."""
+        squared = euclidean_distances(features, self.features, squared=True)
+        nearest: Floats = np.log(np.maximum(squared.min(axis=1), 1e-300)) / 2
+        return nearest
+
+    @cached_property
+    def noise(self) -> tuple[Floats, Floats]:
+        """Return how far touches stray from their block, and blocks from their object.
+
+        Mean squared lengths, (n_parts,) each: of a touch from its block's mean, and of
+        a block's mean from the mean of the object's other blocks.
+        """
+        runs = np.unique(
+            np.stack([self.codes, self.blocks]), axis=1, return_inverse=True
+        )
+        (whose, _), run = runs[0], runs[1].ravel()
+        counts, n_runs = np.bincount(run), np.bincount(whose)[whose]
+        middle = group_means(self.features, run)
+        several = counts[run] > 1
+        free = max(int(several.sum() - (counts > 1).sum()), 1)
+        strays = (self.features - middle[run])[several] ** 2
+        touch = self.parts.sums(strays).sum(axis=0) / free
+        some = n_runs > 1
+        totals = group_means(self.features, self.codes)[whose]
+        sizes = np.bincount(self.codes)[whose]
+        rest = (totals * sizes[:, None] - middle * counts[:, None])[some]
+        rest /= (sizes - counts)[some, None]
+        if not some.any():
+            return touch, touch
+        return touch, self.parts.sums((middle[some] - rest) ** 2).mean(axis=0)
+
+
+def group_means(values: Floats, codes: NDArray[np.intp]) -> Floats:
+    """Return the mean row of each code, shape (n_codes, n_features)."""
+    one_hot = np.eye(codes.max() + 1)[codes]
+    means: Floats = one_hot.T @ values / one_hot.sum(axis=0)[:, np.newaxis]
+    return means
+
+
+def session_effects(features: Floats, codes: Array, sessions: Array) -> Floats:
+    """Return what each touch's session adds to its features, (n_touches, n_features).
+
+    By least squares features = object + session, so that sessions in which nothing was
+    met that others met add nothing; their mean over touches is 0.
+    """
+    of = np.unique(sessions, return_inverse=True)[1]
+    effects = np.zeros_like(features)
+    for _ in range(30):
+        objects = group_means(features - effects, codes)
+        effects = group_means(features - objects[codes], of)[of]
+    centred: Floats = effects - effects.mean(axis=0)
+    return centred
+
+
+def between_sessions(
+    features: Floats, codes: Array, sessions: Array, subjects: Array
+) -> Floats:
+    """Return how the same thing differs between sessions, (n_things, n_features).
+
+    An object, of one person where `subjects` tell them, met in several sessions: the
+    means of its sessions less their mean; no rows where nothing was met twice.
+    """
+    things = np.stack([codes.astype(str), subjects.astype(str)])
+    thing = np.unique(things, axis=1, return_inverse=True)[1].ravel()
+    rows = []
+    for one in range(thing.max() + 1):
+        mine = np.flatnonzero(thing == one)
+        of = np.unique(sessions[mine], return_inverse=True)[1]
+        if of.max():
+            means = group_means(features[mine], of)
+            rows.append((means - means.mean(axis=0)) * np.sqrt(len(means) / of.max()))
+    return np.concatenate(rows) if rows else np.empty((0, features.shape[1]))
+
+
+def weighed_down(differences: Floats, features: Floats, parts: Parts) -> Floats:
+    """Return the matrix that weighs down how sessions differ, part by part.
+
+    Within-class covariance normalisation [1]_: the inverse root of the covariance of
+    `differences`, to which `UNSEEN` of its mean is added; each part keeps its variance.
+    Shape (n_features, n_features).
+
+    References
+    ----------
+    .. [1] A. O. Hatch, S. Kajarekar and A. Stolcke, "Within-class covariance
+       normalization for SVM-based speaker recognition", Interspeech 2006.
+    """
+    whole = np.zeros((features.shape[1],) * 2)
+    for start, end in zip(parts.cuts[:-1], parts.cuts[1:], strict=True):
+        some, mine = differences[:, start:end], features[:, start:end]
+        values, axes = np.linalg.eigh(some.T @ some)
+        values = np.maximum(values, 0)
+        scale = values.mean() or 1.0
+        matrix = (axes / np.sqrt(values / scale + UNSEEN)) @ axes.T
+        factor = np.sqrt(mine.var(axis=0).sum())
+        factor /= np.sqrt((mine @ matrix).var(axis=0).sum()) or 1.0
+        whole[start:end, start:end] = factor * matrix
+    return whole
+
+
+def shift_by_labels(
+    features: Floats, codes: NDArray[np.intp], taught: Taught
+) -> Floats:
+    """Return what to add to a session's features, by the labels of its touches.
+
+    Each object weighs the same; of what the noise of so many touches would give by
+    itself nothing is left (James and Stein).
+    """
+    names, which = np.unique(codes, return_inverse=True)
+    apart = group_means(taught.means[codes] - features, which).mean(axis=0)
+    return _less_noise(apart, taught.noise[0] / len(names), taught.parts)
+
+
+def shift_unlabelled(
+    features: Floats, say: Callable[[Floats], Floats], taught: Taught
+) -> tuple[Floats, Floats]:
+    """Return what to add to a session's features, without labels, and objects' shares.
+
+    `say` gives log-likelihoods (n_touches, n_objects) of features. The mean of the
+    session goes to that of the objects it asks about: of all alike, or in the shares
+    (n_objects,) that explain what the touches are taken for, as they are or moved so,
+    given what left-out training touches are mistaken for [1]_. A move that blocks of
+    the training touches would make by chance is not made. Of these, and of no move, the
+    shortest is returned after which touches lie as near to training touches as after
+    any, to within one standard error.
+
+    References
+    ----------
+    .. [1] Z. C. Lipton, Y.-X. Wang and A. J. Smola, "Detecting and correcting for label
+       shift with black box predictors", ICML 2018. arXiv:1802.03916
+    """
+    means, middle = taught.means, features.mean(axis=0)
+    taken_for = group_means(taught.posterior, taught.codes)
+    alike = np.full(len(means), 1 / len(means))
+
+    def shares_after(shift: Floats) -> Floats:
+        found = softmax(say(features + shift), axis=1).mean(axis=0)
+        return _shares(found, taken_for, len(features))
+
+    every = [alike]
+    for start in (np.zeros_like(middle), alike @ means - middle):
+        shares = shares_after(start)
+        for _ in range(N_ROUNDS - 1):
+            shares = shares_after(shares @ means - middle)
+        every.append(shares)
+    moves = [(np.zeros_like(middle), every[1])]
+    for shares in every:
+        n_units = min(effective_number(shares), len(features))
+        shift, noise = shares @ means - middle, taught.noise[1] / n_units
+        moves.append((_less_noise(shift, noise, taught.parts), shares))
+    distances = [taught.log_distances(features + shift) for shift, _ in moves]
+    nearest = min(distances, key=np.mean)
+    chance = [(one - nearest).std() / np.sqrt(len(one)) for one in distances]
+    near = [np.mean(d - nearest) <= c for d, c in zip(distances, chance, strict=True)]
+    enough = [move for move, is_near in zip(moves, near, strict=True) if is_near]
+    return min(enough, key=lambda move: np.linalg.norm(move[0]))
+
+
+def effective_number(shares: Floats) -> float:
+    """Return the exponential of the entropy of shares."""
+    return float(np.exp(-(shares * np.log(np.maximum(shares, 1e-300))).sum()))
+
+
+def usual_means(
+    values: Floats, taught: Taught, n_touches: int, n_objects: int, seed: int
+) -> Floats:
+    """Return the means of draws of training touches' values (n_touches,).
+
+    A draw is of the same block of the recordings of so many objects.
+    """
+    rng = np.random.default_rng(seed)
+    first = np.full(taught.codes.max() + 1, taught.blocks.max())
+    np.minimum.at(first, taught.codes, taught.blocks)
+    run = taught.blocks - first[taught.codes]
+    found = []
+    for _ in range(N_DRAWS):
+        whose = rng.permutation(len(first))[:n_objects]
+        mine = np.flatnonzero(np.isin(taught.codes, whose))
+        mine = mine[run[mine] == rng.choice(run[mine])]
+        rows = rng.choice(mine, min(n_touches, len(mine)), replace=False)
+        found.append(values[rows].mean())
+    return np.array(found)
+
+
+def _shares(found: Floats, taken_for: Floats, n_touches: int) -> Floats:
+    """Return the shares of objects whose touches are taken for `found`, on average."""
+    n_objects = len(found)
+    told, prior = np.sqrt(n_touches), np.sqrt(N_PRIOR)
+    sums_to_one = 1e3
+    rows = [
+        told * taken_for.T,
+        prior * np.eye(n_objects),
+        sums_to_one * np.ones(n_objects),
+    ]
+    aims = [told * found, np.full(n_objects, prior / n_objects), [sums_to_one]]
+    return np.asarray(nnls(np.vstack(rows), np.concatenate(aims))[0])
+
+
+def _less_noise(shift: Floats, noise: Floats, parts: Parts) -> Floats:
+    squared = np.maximum(parts.sums(shift**2), 1e-300)
+    return shift * parts.spread(np.maximum(0, 1 - noise / squared))

@@ -1,0 +1,419 @@
+"""Episodes of the Corradi 2015 study: how touches are parted and answered; rows.
+
+Everything that the study compares is a task that runs by itself. Answers and beliefs
+become rows; so do timings.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.decomposition import PCA
+
+from ..._types import Floats
+from ...classifiers import KernelDensityBayes
+from ...recognition import ObjectRecogniser
+from ...touches import Touches
+from .._study import Codes, Row, coded, labels, mean_row, row, spread
+from .plan import (
+    LATER_CATEGORY,
+    LATER_OBJECTS,
+    LATER_TRAIN,
+    N_KNOWN,
+    PAPER,
+    PAPER_CLUSTERS,
+    PAPER_MS,
+    Corradi2015Plan,
+    Encoded,
+    Encoder,
+    Objects,
+)
+from .recognisers import (
+    BagOfTouches,
+    ClusterBayes,
+    Densities,
+    Mixtures,
+    Nuisance,
+    Recogniser,
+    principal_components,
+)
+
+MAIN, DEFAULT = "corradi2015", "default"
+FLOORED, CLUSTERS = "with a floor", "k-means"
+IDLE = {name: f"idle, {name}" for name in (MAIN, DEFAULT)}
+_CONTROLS: dict[str, Recogniser] = {
+    name: Nuisance(name) for name in ("disc centre", "brightness")
+}
+LATER_TOUCHES = 20
+CONFUSED_AFTER = (5, 15)
+UNSEEN_AFTER = (1, 5, 10, 30)
+_FIGURES: dict[tuple[str, str], dict[int, float]] = {
+    ("ten objects", MAIN): PAPER,
+    ("ten objects", CLUSTERS): PAPER_CLUSTERS,
+    ("all objects", MAIN): LATER_OBJECTS,
+    ("category", MAIN): LATER_CATEGORY,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Partition:
+    """Rows to learn from, episodes (n_episodes, n_touches) of rows, their labels."""
+
+    train: Codes
+    episodes: Codes
+    truth: Codes
+
+
+class Answered(NamedTuple):
+    """The label after each touch, (n_episodes, n_touches), and the right ones."""
+
+    experiment: str
+    data: str
+    recogniser: str
+    answers: Codes
+    truth: Codes
+    facts: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A partition to be answered by recognisers and, given a `label`, by `default`."""
+
+    experiment: str
+    data: str
+    touches: Touches
+    encoded: Encoded
+    partition: Partition
+    compared: dict[str, Recogniser]
+    label: str | None = None
+
+    def __call__(self) -> list[Answered]:
+        """Return the answers of each recogniser."""
+        alone = only_idle(self.partition, self.encoded.idle)
+        found = []
+        for name, one in self.compared.items():
+            found.append(self._answered(name, self.partition, one))
+            if name == MAIN and alone is not None:
+                found.append(self._answered(IDLE[MAIN], alone, one))
+        if self.label is not None:
+            recogniser = ObjectRecogniser(DEFAULT, label=self.label)
+            recogniser.fit(self.touches[self.partition.train])
+            for name, part in {DEFAULT: self.partition, IDLE[DEFAULT]: alone}.items():
+                if part is not None:
+                    found.append(self._answered(name, part, recogniser))
+        return found
+
+    def _answered(
+        self, name: str, partition: Partition, one: Recogniser | ObjectRecogniser
+    ) -> Answered:
+        facts: dict[str, float] = {}
+        if isinstance(one, ObjectRecogniser):
+            scores = preset_beliefs(one, self.touches, partition.episodes)
+        else:
+            values = self.encoded.features[one.features]
+            train = values[partition.train], self.encoded.codes[partition.train]
+            scores = one.scores(*train, values[partition.episodes])
+            facts = one.facts(*train) if isinstance(one, Mixtures) else facts
+        answers: Codes = scores.argmax(axis=-1)
+        known = (self.experiment, self.data, name)
+        return Answered(*known, answers, partition.truth, facts)
+
+
+def known_tasks(plan: Corradi2015Plan, objects: Objects) -> Iterator[Compared]:
+    """Recognise the ten objects in every partition."""
+    encoded = Encoder(objects.known)(objects.known)
+    made = partial(Compared, "ten objects", objects.data, objects.known, encoded)
+    sizes = (plan.n_train, plan.n_test, plan.few_train)
+    for number in range(plan.partitions):
+        seed = (plan.seed, 0, number)
+        partition = draw_partition(encoded.codes, *sizes, seed)
+        yield made(partition, recognisers(plan))
+        if number < plan.default_partitions:
+            yield made(partition, _CONTROLS)
+            yield made(partition, {}, "object")
+
+
+def later_tasks(plan: Corradi2015Plan, touches: Touches) -> Iterator[Compared]:
+    """Recognise all objects, and the categories of objects that were not learnt."""
+    encoded = Encoder(touches, bags=False)(touches)
+    sizes = (LATER_TRAIN, LATER_TOUCHES, LATER_TRAIN)
+    partitions = [
+        draw_partition(encoded.codes, *sizes, (plan.seed, 1, number))
+        for number in range(plan.later_partitions)
+    ]
+    by_category, folds = category_folds(plan, touches, encoded)
+    asked = [("all objects", "object", encoded, one) for one in partitions]
+    asked += [("category", "category", by_category, fold) for fold in folds]
+    for experiment, label, features, partition in asked:
+        made = partial(Compared, experiment, "bathtip", touches, features, partition)
+        yield made({MAIN: Densities()})
+        first = experiment == "category" or partition is partitions[0]
+        if first and plan.default_partitions:
+            yield made(_CONTROLS)
+            yield made({}, label)
+
+
+def recognisers(plan: Corradi2015Plan) -> dict[str, Recogniser]:
+    """Return what is compared, by name."""
+    mixtures = {f"mixtures of {n}": Mixtures(n, plan.seed) for n in plan.components}
+    return {
+        MAIN: Densities(),
+        FLOORED: Densities(floor=1e-3),
+        CLUSTERS: ClusterBayes(plan.clusters, plan.seed),
+        **mixtures,
+        "bag, Fourier": BagOfTouches("polar Fourier", plan.clusters, plan.seed),
+        "bag, moments": BagOfTouches("moment-normalised", plan.clusters, plan.seed),
+    }
+
+
+def category_folds(
+    plan: Corradi2015Plan, touches: Touches, encoded: Encoded
+) -> tuple[Encoded, list[Partition]]:
+    """Leave one object of every category out, in as many folds as they have objects."""
+    categories, of_touch = np.unique(labels(touches, "category"), return_inverse=True)
+    relabelled = Encoded(categories, of_touch, encoded.features, encoded.idle)
+    category_of = of_touch[np.unique(encoded.codes, return_index=True)[1]]
+    members = [np.flatnonzero(category_of == c) for c in range(len(categories))]
+    folds = []
+    for fold in range(min(len(some) for some in members)):
+        left_out = [some[fold] for some in members]
+        rows = np.flatnonzero(np.isin(encoded.codes, left_out))
+        codes = np.unique(encoded.codes[rows], return_inverse=True)[1]
+        seed = (plan.seed, 2, fold)
+        orders, which = draw_orders(codes, LATER_TOUCHES, plan.orders, seed)
+        train = np.setdiff1d(np.arange(len(of_touch)), rows)
+        truth = category_of[np.unique(encoded.codes[rows])][which]
+        folds.append(Partition(train, rows[orders], truth))
+    return relabelled, folds
+
+
+def unseen_beliefs(
+    plan: Corradi2015Plan, objects: Objects, preset: str
+) -> dict[str, Floats]:
+    """Return the mean posterior (n_touches, n_known) for each object never learnt."""
+    recogniser = ObjectRecogniser(preset, random_state=plan.seed).fit(objects.known)
+    codes = coded(objects.unseen)
+    longest = min(plan.n_test, int(np.bincount(codes).min()))
+    episodes, which = draw_orders(codes, longest, plan.orders, (plan.seed, 3))
+    beliefs = preset_beliefs(recogniser, objects.unseen, episodes)
+    return {
+        str(name): beliefs[which == code].mean(axis=0)
+        for code, name in enumerate(np.unique(labels(objects.unseen)))
+    }
+
+
+def draw_partition(
+    codes: Codes, n_train: int, n_test: int, few_train: int, seed: Sequence[int]
+) -> Partition:
+    """Draw touches to learn (`few_train` where too few) and to test, by object."""
+    rng = np.random.default_rng(seed)
+    train, episodes = [], []
+    for code in range(codes.max() + 1):
+        rows = rng.permutation(np.flatnonzero(codes == code))
+        enough = len(rows) >= n_train + n_test
+        n_learnt = n_train if enough else min(few_train, len(rows) - n_test)
+        train.append(rows[:n_learnt])
+        episodes.append(rows[n_learnt : n_learnt + n_test])
+    held = np.stack(episodes)
+    return Partition(np.sort(np.concatenate(train)), held, np.arange(len(held)))
+
+
+def draw_orders(
+    codes: Codes, n_touches: int, n_orders: int, seed: Sequence[int]
+) -> tuple[Codes, Codes]:
+    """Draw orders of the touches of every object: rows of episodes, their codes."""
+    rng = np.random.default_rng(seed)
+    known = range(codes.max() + 1)
+    episodes = [
+        rng.permutation(np.flatnonzero(codes == code))[:n_touches]
+        for code in known
+        for _ in range(n_orders)
+    ]
+    return np.stack(episodes), np.repeat(np.arange(len(known)), n_orders)
+
+
+def only_idle(partition: Partition, idle: NDArray[np.bool_] | None) -> Partition | None:
+    """Return the test touches without contact, each an episode; None without any."""
+    if idle is None or not idle[partition.episodes].any():
+        return None
+    held = idle[partition.episodes]
+    truth = np.broadcast_to(partition.truth[:, np.newaxis], held.shape)[held]
+    rows = partition.episodes[held][:, np.newaxis]
+    return Partition(partition.train, rows, truth)
+
+
+def preset_beliefs(
+    recogniser: ObjectRecogniser, touches: Touches, episodes: Codes
+) -> Floats:
+    """Return the posterior after each touch, (n_episodes, n_touches, n_labels)."""
+    rows, places = np.unique(episodes, return_inverse=True)
+    log_likelihood = recogniser.log_likelihood(touches[rows])
+    found = []
+    for episode in places.reshape(episodes.shape):
+        belief = recogniser.start()
+        after = []
+        for touch in episode:
+            belief.update_from_log_likelihood(log_likelihood[touch])
+            posterior = belief.posterior
+            after.append([posterior[name] for name in recogniser.classes_.tolist()])
+        found.append(after)
+    return np.array(found)
+
+
+def experiment_rows(answered: Iterable[Answered], plan: Corradi2015Plan) -> list[Row]:
+    """Return the rows of every experiment, data, recogniser and number of touches."""
+    together: dict[tuple[str, str, str], list[Answered]] = {}
+    for one in answered:
+        together.setdefault(one[:3], []).append(one)
+    rows = []
+    for (experiment, data, name), some in together.items():
+        known = {"data": data, "table": experiment, "recogniser": name}
+        names = some[0].facts
+        facts = {n: float(np.mean([one.facts[n] for one in some])) for n in names}
+        if name in IDLE.values():
+            # Of all touches without contact, however they fell.
+            right = np.concatenate([one.answers[:, 0] == one.truth for one in some])
+            curve = np.array([[right.mean()]])
+        else:
+            curve = accuracy(some)
+        for k in plan.touches:
+            if k <= curve.shape[1]:
+                paper = _FIGURES.get((experiment, name), {}).get(k)
+                shown = after_touches(experiment, name, k)
+                figures = mean_row(shown, 100 * curve[:, k - 1], paper)
+                sizes = {"touches": k, "partitions": len(some)}
+                rows.append({**figures, **known, **sizes, **facts})
+    return rows
+
+
+def after_touches(table: str, recogniser: str, k: int) -> str:
+    """Return the name of a row."""
+    return f"{table}, {recogniser}, {k} touch{'es' if k != 1 else ''}"
+
+
+def accuracy(answered: Iterable[Answered]) -> Floats:
+    """Return the share right, (n_partitions, n_touches)."""
+    return np.array(
+        [(one.answers == one.truth[:, np.newaxis]).mean(axis=0) for one in answered]
+    )
+
+
+def confusion(answered: Iterable[Answered], k: int, n_labels: int) -> Floats:
+    """Return the share of each answer (columns) after k touches per label."""
+    counts = np.zeros((n_labels, n_labels))
+    for one in answered:
+        np.add.at(counts, (one.truth, one.answers[:, k - 1]), 1)
+    shares: Floats = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    return shares
+
+
+def confusions(
+    answered: Iterable[Answered], objects: Objects, plan: Corradi2015Plan
+) -> dict[str, Any]:
+    """Return shares of answers (columns) per object (rows), and the worst pairs."""
+    mine = [a for a in answered if a[:3] == ("ten objects", objects.data, MAIN)]
+    names = np.unique(labels(objects.known)).tolist()
+    after = sorted({min(k, plan.n_test) for k in CONFUSED_AFTER})
+    matrices = {str(k): confusion(mine, k, len(names)) for k in after}
+    return {
+        "names": names,
+        "after": {k: matrix.round(4).tolist() for k, matrix in matrices.items()},
+        "pairs": {k: worst_pairs(matrix, names) for k, matrix in matrices.items()},
+    }
+
+
+def worst_pairs(
+    confusion: Floats, names: Sequence[str], most: int = 3
+) -> list[dict[str, Any]]:
+    """Return the pairs that are taken for each other most often, worst first."""
+    both = (confusion + confusion.T) / 2
+    above = np.transpose(np.triu_indices(len(names), 1)).tolist()
+    pairs = sorted(above, key=lambda pair: -both[*pair])[:most]
+    return [
+        {"objects": [names[i], names[j]], "share": float(100 * both[i, j])}
+        for i, j in pairs
+    ]
+
+
+def unseen_rows(beliefs: dict[str, dict[str, Floats]], objects: Objects) -> list[Row]:
+    """Return which known object each unseen one is taken for, after some touches."""
+    known = np.unique(labels(objects.known)).tolist()
+    asked = [
+        (preset, name, k, curve[k - 1])
+        for preset, curves in beliefs.items()
+        for name, curve in curves.items()
+        for k in UNSEEN_AFTER
+        if k <= len(curve)
+    ]
+    rows = []
+    for preset, name, k, belief in asked:
+        order = np.argsort(-belief, kind="stable")[:3].tolist()
+        share = {known[i]: float(100 * belief[i]) for i in order}
+        best = known[order[0]]
+        shown = f"{name} taken for {best}, {preset}, {k} touches"
+        facts = {"data": objects.data, "table": "unseen", "recogniser": preset}
+        what = {"unseen": name, "touches": k, "beliefs": share}
+        rows.append({**row(shown, share[best]), **facts, **what})
+    return rows
+
+
+def timing_rows(touches: Touches, data: str, sizes: Sequence[int]) -> list[Row]:
+    """Return CPU milliseconds, medians, one touch at a time."""
+    some = touches[: min(len(touches), max(sizes))]
+    encoder, images = Encoder(some, bags=False), some.images
+    discs = encoder.crop.transform(images)
+    moments = encoder.moments.fit(discs)
+    values = moments.transform(discs)
+
+    def whole(i: int) -> None:
+        moments.transform(encoder.crop.transform(images[i : i + 1]))
+
+    def alone(i: int) -> None:
+        moments.transform(discs[i : i + 1])
+
+    disc, frame = (" x ".join(map(str, one.shape[1:])) for one in (discs, images))
+    rows = [
+        _timed(f"Zernike moments of a disc, {disc}", PAPER_MS["encode", 0], alone),
+        _timed(f"rim, disc and moments of an image, {frame}", None, whole),
+    ]
+    for size in sizes:
+        if len(values) >= size:
+            rows += _learning(values[:size])
+    return [{**row, "data": data, "table": "timings", "unit": "ms"} for row in rows]
+
+
+def _learning(values: Floats) -> list[Row]:
+    size = len(values)
+    codes = np.arange(size) % N_KNOWN
+
+    def learn(_: int) -> tuple[PCA, KernelDensityBayes]:
+        principal = principal_components(values)
+        model = KernelDensityBayes().fit(principal.transform(values), codes)
+        return principal, model
+
+    principal, model = learn(0)
+
+    def recognise(i: int) -> None:
+        model.log_likelihood(principal.transform(values[i : i + 1]))
+
+    learning, recognising = (PAPER_MS.get((w, size)) for w in ("learn", "recognise"))
+    return [
+        _timed(f"learn {size} touches", learning, learn, times=15),
+        _timed(f"recognise a touch among {size}", recognising, recognise),
+    ]
+
+
+def _timed(
+    name: str, paper: float | None, work: Callable[[int], object], times: int = 60
+) -> Row:
+    spent = []
+    work(0)
+    for i in range(times):
+        start = time.process_time()
+        work(i)
+        spent.append(1e3 * (time.process_time() - start))
+    return row(f"{name}, ms", np.median(spent), spread(np.array(spent)), paper)

@@ -1,0 +1,209 @@
+"""The study of sessions: taught on some days or mountings, asked on another.
+
+Simulated domes and arrays that are mounted anew, and every archive of the folder of
+recorded touches in which objects were met in several sessions. Each session in turn is
+asked and the others teach, with what `remount` does beside nothing done, what nuisance
+values alone achieve, and the last quarter of the same sessions as a ceiling.
+"""
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...evaluation import Plan as Asked
+from ...evaluation import evaluate, plots, roc_area, split_by_count, split_touches
+from ...recognition import MountingCheck, ObjectRecogniser
+from ...simulation import simulate_presses, simulate_touches
+from ...touches import Touches, TouchesError
+from .. import _study as shared
+from .._study import Experiment, Figures, Plan, Row, Table, Work, coded
+
+WAYS = {
+    "none": "as it is",
+    "recentre": "its touches without labels",
+    "recentre:20": "its first 20 without labels",
+    "confirm:1": "one confirmed touch an object",
+    "confirm:3": "three confirmed",
+}
+CEILING = "the last quarter of the same sessions"
+ALARM = "alarm"
+N_ALARM_TOUCHES = 10
+TITLE = "Taught in some sessions, asked in another"
+CAPTIONS = {"sessions": "Right after one touch (per cent), each session left out."}
+
+
+@dataclass(frozen=True)
+class SessionsPlan(Plan):
+    """Sizes of the study of sessions."""
+
+    sessions: int = 4
+    touches_each: int = 20
+    touches: tuple[int, ...] = (1, 5, 10)
+    orders: int = 20
+    draws: int = 100
+    ways: tuple[str, ...] = tuple(WAYS)
+    objects: tuple[str, ...] | None = None
+    recorded: bool = True
+    first_look: ClassVar[dict[str, Any]] = {
+        "sessions": 3,
+        "touches_each": 8,
+        "touches": (1, 5),
+        "orders": 5,
+        "draws": 20,
+        "recorded": False,
+        "ways": ("none", "recentre", "confirm:1"),
+        "objects": ("mug", "ball", "stapler", "box", "pen"),
+    }
+
+    def __post_init__(self) -> None:
+        self.check_counts("touches", "orders", "draws")
+        self.check_counts("sessions", "touches_each", at_least=2)
+
+
+def _measure(plan: SessionsPlan, data: str | Path | None, work: Work) -> dict[str, Any]:
+    n_touches = plan.sessions * plan.touches_each
+    sizes: dict[str, Any] = {"n_sessions": plan.sessions, "random_state": plan.seed}
+    dome = simulate_touches(
+        plan.objects, n_touches, mountings=True, n_jobs=work.workers, **sizes
+    )
+    sources = {
+        "simulated dome": dome,
+        "simulated array": simulate_presses(n_presses=n_touches, **sizes),
+    }
+    folder, skipped = data or os.environ.get("PALPATE_DATA"), []
+    if folder and plan.recorded:
+        sources |= dict(_recorded(Path(folder)))
+    else:
+        why = "name their folder with --data" if plan.recorded else "a first look"
+        skipped = [f"Recorded touches are left out: {why}."]
+    tasks = [
+        (plan, name, touches, way)
+        for name, touches in sources.items()
+        for way in (*plan.ways, CEILING, ALARM)
+    ]
+    found = work.done(_rows_of, tasks, "Sessions")
+    return {"rows": [one for rows in found for one in rows], "skipped": skipped}
+
+
+def _recorded(folder: Path) -> Iterator[tuple[str, Touches]]:
+    """Yield archives in which at least two objects were met in several sessions."""
+    for path in sorted(folder.rglob("*.npz")):
+        try:
+            touches = Touches.load(path)
+        except TouchesError:
+            continue
+        objects, sessions = touches.object, touches.session
+        if objects is None or sessions is None:
+            continue
+        met = np.unique(np.stack([objects, sessions.astype(str)]), axis=1)[0]
+        names, n_sessions = np.unique(met, return_counts=True)
+        several = np.isin(objects, names[n_sessions > 1])
+        if len(np.unique(objects[several])) > 1:
+            yield path.stem, touches[several]
+
+
+def _rows_of(plan: SessionsPlan, data: str, touches: Touches, way: str) -> list[Row]:
+    if way == ALARM:
+        return _alarm(plan, data, touches)
+    asked = Asked(touches=plan.touches, orders=plan.orders, seed=plan.seed)
+    if way == CEILING:
+        return _ceiling(asked, data, touches)
+    asked = replace(asked, remount=way)
+    figures, trials = evaluate(touches, split="session", plan=asked)
+    rows = []
+    for k in plan.touches:
+        scores = [t.episodes.scores(k) for t in trials]
+        shares = [one.accuracy.mean() for one in scores if one is not None]
+        if shares:
+            known = {"log_loss": figures["log_loss"][str(k)]}
+            rows.append({**_row(data, WAYS.get(way, way), k, shares), **known})
+    if way == "none":
+        for name, curve in figures["controls"].items():
+            for k, share in (curve or {}).items():
+                rows.append(_row(data, f"{name} alone", int(k), [share]))
+    return rows
+
+
+def _ceiling(asked: Asked, data: str, touches: Touches) -> list[Row]:
+    """Ask the last quarter of each session; where it is too short, person by person."""
+    assert touches.session is not None
+    each = [touches[touches.session == name] for name in np.unique(touches.session)]
+    fewest = min(int(np.bincount(coded(one)).min()) for one in each)
+    if fewest < 4 and touches.subject is None:
+        return []
+    split = "last" if fewest > 3 else "subject"
+    after = [evaluate(one, split=split, plan=asked)[0]["accuracy"] for one in each]
+    return [
+        _row(data, CEILING, k, [one[str(k)] for one in after])
+        for k in asked.touches
+        if all(str(k) in one for one in after)
+    ]
+
+
+def _alarm(plan: SessionsPlan, data: str, touches: Touches) -> list[Row]:
+    """Ask about ten touches of the session left out, and of those that were taught."""
+    found: dict[str, list[float]] = {"area": [], "false alarms": [], "caught": []}
+    for fold in split_touches(touches, "session"):
+        n_taught = 3 * int(np.bincount(coded(fold.train)).min()) // 4
+        if n_taught < 2:
+            return []
+        rng = np.random.default_rng(plan.seed)
+        taught, same = split_by_count(fold.train, n_taught, plan.seed)
+        recogniser = ObjectRecogniser(random_state=plan.seed).fit(taught)
+        checks: list[list[MountingCheck]] = [[], []]
+        for side, some in zip(checks, (same, fold.test), strict=True):
+            for _ in range(plan.draws):
+                ten = rng.permutation(len(some))[:N_ALARM_TOUCHES]
+                side.append(recogniser.check_mounting(some[ten]))
+        found["area"].append(roc_area(*([c.distance for c in side] for side in checks)))
+        for name, side in zip(("false alarms", "caught"), checks, strict=True):
+            found[name].append(float(np.mean([check.changed for check in side])))
+    return [
+        _row(data, f"{ALARM}: {name}", N_ALARM_TOUCHES, shares)
+        for name, shares in found.items()
+    ]
+
+
+def _row(data: str, way: str, k: int, shares: list[float]) -> Row:
+    shown = shared.mean_row(f"{data}, {way}, after {k}", 100 * np.array(shares))
+    return {**shown, "data": data, "way": way, "touches": k}
+
+
+def tables(result: dict[str, Any]) -> list[Table]:
+    """Return a table for each source of touches, figures in per cent."""
+    made = []
+    for data in shared.unique(row["data"] for row in result["rows"]):
+        mine = shared.held(result["rows"], data=data)
+        counts = sorted({row["touches"] for row in mine})
+        after = [{"touches": k} for k in counts]
+        lines = shared.pivot(mine, ["way"], after, shared.cell)
+        made.append((data, ["what is done", *(f"after {k}" for k in counts)], lines))
+    return made
+
+
+def pictures(result: dict[str, Any]) -> Figures:
+    """Return bars of the accuracy after one touch."""
+    names = shared.unique(row["data"] for row in result["rows"])
+    figure, axes = plots.panels(1, 1, (7, 1 + 1.1 * len(names)))
+    place, ways = axes[0, 0], [*WAYS.values(), CEILING]
+    for row in shared.held(result["rows"], touches=1):
+        if row["way"] not in ways:
+            continue
+        number = ways.index(row["way"])
+        at = names.index(row["data"]) + 0.13 * (number - len(ways) / 2)
+        colour = plots.CONTROLS[0] if row["way"] == CEILING else plots.OURS
+        alpha = 0.35 + 0.65 * number / len(ways)
+        place.barh(at, row["ours"], 0.12, color=colour, alpha=alpha)
+        place.text(row["ours"] + 1, at, row["way"], fontsize=7, va="center")
+    place.set(yticks=range(len(names)), yticklabels=names, xlim=(0, 130))
+    place.set(xticks=range(0, 101, 20), xlabel="right after one touch, %")
+    place.invert_yaxis()
+    return {"sessions": figure}
+
+
+_shown = (lambda result: str(__doc__).partition("\n\n")[2], TITLE, CAPTIONS)
+EXPERIMENT = Experiment(SessionsPlan, _measure, tables, pictures, *_shown)

@@ -1,0 +1,92 @@
+"""`palpate remount`, `palpate sensor learn-nuisance` and what `recognise` says."""
+
+import json
+
+import numpy as np
+import pytest
+
+from palpate import Touches
+from palpate.recognition import ObjectRecogniser
+
+CENTRES = 4 * np.random.default_rng(7).normal(size=(4, 8))
+MOVE = np.array([6.0, -5, 4, 0, 7, -3, 5, 4])
+
+
+def visited(moved, n, seed, session):
+    rng = np.random.default_rng(seed)
+    names = np.repeat(list("abcd"), n)
+    images = CENTRES[["abcd".index(name) for name in names]] + moved
+    images = images + rng.normal(size=images.shape)
+    told = {"object": names, "session": [session] * len(names)}
+    return Touches(images[:, None], geometry="none", **told)
+
+
+@pytest.fixture
+def files(tmp_path):
+    ObjectRecogniser().fit(visited(0, 12, 0, "mon")).save(tmp_path / "m.palpate")
+    visited(MOVE, 6, 1, "tue").save(tmp_path / "tue.npz")
+    visited(0, 6, 2, "mon").save(tmp_path / "mon.npz")
+    return tmp_path
+
+
+@pytest.mark.parametrize("unlabelled", [True, False])
+def test_remount_writes_a_model_for_the_session(palpate, files, unlabelled):
+    model, again = files / "m.palpate", files / "again.palpate"
+    options = ["--unlabelled"] if unlabelled else []
+    done = palpate(
+        *["remount", model, files / "tue.npz", "-o", again, "--json", *options]
+    )
+    said = json.loads(done.stdout)
+    assert said["changed"]
+    assert said["labelled"] != unlabelled
+    assert set(said["confirm"]) == set("abcd")
+    there = visited(MOVE, 10, 3, "tue")
+    assert ObjectRecogniser.load(again).score(there) > 0.95
+    assert ObjectRecogniser.load(model).score(there) < 0.9
+
+
+def test_remount_says_what_it_found(palpate, files):
+    done = palpate(
+        *["remount", files / "m.palpate", files / "tue.npz", "-o", files / "o.palpate"]
+    )
+    assert "show another mounting or light" in done.stdout
+    assert "confirm 1 to 5 touches of each" in done.stdout
+    assert done.stdout.rstrip().endswith("o.palpate")
+
+
+def test_recognise_warns_of_another_mounting(palpate, files):
+    model = files / "m.palpate"
+    warned = palpate("recognise", model, files / "tue.npz")
+    assert "see palpate remount" in warned.stdout
+    calm = palpate("recognise", model, files / "mon.npz")
+    assert "palpate remount" not in calm.stdout
+    said = json.loads(palpate("recognise", model, files / "tue.npz", "--json").stdout)
+    assert said["mounting"]["changed"]
+
+
+def test_nuisance_is_learnt_from_other_objects(palpate, files):
+    days = [visited(k * MOVE / 4, 2, 10 + k, f"day {k}") for k in range(6)]
+    renamed = Touches.concatenate(days)
+    names = np.char.add("other ", renamed.object)
+    renamed.with_columns(object=names).save(files / "others.npz")
+    model, out = files / "m.palpate", files / "n.palpate"
+    done = palpate(
+        *["sensor", "learn-nuisance", model, files / "others.npz", "-o", out, "--json"]
+    )
+    assert json.loads(done.stdout)["n_differences"] == 24
+    few = palpate("sensor", "learn-nuisance", model, files / "tue.npz", "-o", out)
+    assert few.returncode == 1
+    assert "at least 20 things in several sessions" in few.stderr
+
+
+def test_learn_and_evaluate_say_what_to_expect_of_another_day(palpate, files):
+    both = files / "both.npz"
+    days = [visited(0, 6, 0, "mon"), visited(MOVE, 6, 1, "tue")]
+    Touches.concatenate(days).save(both)
+    learnt = palpate("learn", both, "-o", files / "two.palpate")
+    assert "Taught in 2 sessions an object: expect" in learnt.stdout
+    one = palpate("learn", files / "mon.npz", "-o", files / "one.palpate")
+    assert "Taught in 1 session an object, and none in two" in one.stdout
+    split = ["--split", "session", "--touches", "1", "--remount", "recentre"]
+    figures = palpate("evaluate", "--train", both, *split, "--json")
+    assert json.loads(figures.stdout)["remount"] == "recentre"

@@ -1,0 +1,112 @@
+"""Sessions and persons left out, and what a recogniser does with one it is asked in."""
+
+import numpy as np
+import pytest
+
+from palpate import Touches
+from palpate.evaluation import Plan, evaluate, split_touches
+
+CENTRES = 4 * np.random.default_rng(7).normal(size=(5, 8))
+MOVES = {"mon": np.zeros(8), "tue": np.array([6.0, -5, 4, 0, 7, -3, 5, 4])}
+PLAN = Plan(touches=(1, 3), orders=4)
+
+
+def visited(session, n, seed, objects="abcde", subject="ann"):
+    rng = np.random.default_rng(seed)
+    names = np.repeat(list(objects), n)
+    images = CENTRES[["abcde".index(name) for name in names]] + MOVES[session]
+    images = images + rng.normal(size=images.shape)
+    told = {"session": [session] * len(names), "subject": [subject] * len(names)}
+    order = np.tile(np.arange(n), len(objects))
+    return Touches(images[:, None], object=names, order=order, geometry="none", **told)
+
+
+@pytest.fixture(scope="module")
+def week():
+    """Five objects on two days, of which the second did not meet "e"."""
+    days = [visited("mon", 8, 0), visited("tue", 6, 1, "abcd", "bob")]
+    return Touches.concatenate(days)
+
+
+@pytest.mark.parametrize("split", ["session", "subject"])
+def test_each_session_or_person_is_asked_and_the_others_teach(week, split):
+    folds = split_touches(week, split)
+    column = "session" if split == "session" else "subject"
+    for fold in folds:
+        asked, taught = (set(one.columns[column]) for one in (fold.test, fold.train))
+        assert len(asked) == 1
+        assert not asked & taught
+        assert set(fold.test.object) == set("abcd")
+        assert fold.left_out == ("e",)
+    assert sum(len(fold.test) for fold in folds) == 32 + 24
+    figures, _ = evaluate(week, split=split, plan=PLAN)
+    assert figures["split"] == split
+    assert figures["n_folds"] == 2
+    assert figures["left_out"] == ["e"]
+
+
+def test_one_session_cannot_be_split():
+    with pytest.raises(ValueError, match="at least two values of 'session', got 1"):
+        split_touches(visited("mon", 4, 0), "session")
+    with pytest.raises(ValueError, match="must have a column 'subject'"):
+        split_touches(visited("mon", 4, 0).without("subject"), "subject")
+
+
+def test_using_the_touches_of_a_session_without_labels_helps():
+    train, test = visited("mon", 12, 0), visited("tue", 12, 1)
+    as_it_is, _ = evaluate(train, test, plan=PLAN)
+    every = Plan(touches=(1, 3), orders=4, remount="recentre")
+    used, (trial,) = evaluate(train, test, plan=every)
+    assert used["accuracy"]["1"] > as_it_is["accuracy"]["1"] + 0.1
+    assert used["n_test_touches"] == 60
+    assert used["remount"] == "recentre"
+    assert not trial.recogniser.chosen_["remount"]["labelled"]
+    first = Plan(touches=(1, 3), orders=4, remount="recentre:10")
+    _, (trial,) = evaluate(train, test, plan=first)
+    assert trial.recogniser.chosen_["remount"]["n_touches"] == 10
+
+
+def test_labels_of_the_test_touches_tell_recentring_nothing():
+    train, test = visited("mon", 12, 0), visited("tue", 12, 1)
+    plan = Plan(touches=(1,), orders=2, remount="recentre")
+    _, (trial,) = evaluate(train, test, plan=plan)
+    mixed = np.random.default_rng(0).permutation(test.object)
+    _, (other,) = evaluate(train, test.with_columns(object=mixed), plan=plan)
+    told = trial.recogniser.encoder_.offset_, other.recogniser.encoder_.offset_
+    assert np.array_equal(*told)
+
+
+def test_each_session_of_the_test_is_recentred_by_itself(monkeypatch):
+    monkeypatch.setitem(MOVES, "wed", -MOVES["tue"][::-1])
+    train = visited("mon", 12, 0)
+    test = Touches.concatenate([visited("tue", 10, 1), visited("wed", 10, 2)])
+    plan = Plan(touches=(1,), orders=2, remount="recentre")
+    assert evaluate(train, test, plan=plan)[0]["accuracy"]["1"] > 0.9
+
+
+def test_confirmed_touches_are_the_first_of_each_object_and_are_not_asked():
+    train, test = visited("mon", 12, 0), visited("tue", 5, 1)
+    plan = Plan(touches=(1, 3), orders=4, remount="confirm:2")
+    figures, (trial,) = evaluate(train, test, plan=plan)
+    assert figures["n_test_touches"] == 15
+    assert set(trial.fold.test.order) == {2, 3, 4}
+    assert len(trial.recogniser.memory_) == 60 + 10
+    assert trial.recogniser.chosen_["remount"]["labelled"]
+    with pytest.raises(ValueError, match="'confirm:5', which takes all"):
+        evaluate(train, test, plan=Plan(touches=(1,), remount="confirm:5"))
+
+
+@pytest.mark.parametrize(
+    "words", ["twice", "confirm", "recentre:0", "confirm:-1", "none:3", "recentre:x"]
+)
+def test_what_remounting_cannot_be_is_refused(words):
+    with pytest.raises(ValueError, match=f"remount must.*{words}"):
+        Plan(remount=words)
+
+
+def test_what_is_expected_of_another_session_is_told(week):
+    figures, _ = evaluate(week, split="between", plan=Plan(touches=(1,), orders=2))
+    sessions = figures["sessions"]
+    assert sessions["least"] == 1
+    assert sessions["median"] == 2
+    assert 0 < sessions["expected"] < figures["accuracy"]["1"]

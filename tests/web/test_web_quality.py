@@ -1,0 +1,200 @@
+"""Whether what is taught will do: touches compared, left-out touches asked, advice."""
+
+import time
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate import Touches
+from palpate.recognition import ObjectRecogniser
+from palpate.web import LiveSession, Variety, advice, object_quality
+
+REST = np.full((40, 60), 7.0)
+
+
+def pressed(row, col, force=100.0):
+    """A round press of an array that rests at 7."""
+    rows, cols = np.mgrid[:40, :60]
+    return REST + force * np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / 20)
+
+
+def told(images, baseline=REST, noise=0.0):
+    variety = Variety()
+    for image in images:
+        variety.add(image, baseline, noise)
+    return variety
+
+
+def test_one_place_is_alike_however_hard_and_another_is_not():
+    images = [pressed(10, 10), pressed(10, 10, 250), pressed(30, 45), pressed(30.2, 45)]
+    variety = told(images)
+    assert variety.like == [None, 1, None, 3]
+    assert variety.n_new == 2
+    dead = np.where(np.arange(60) == 3, np.nan, images[0])
+    assert told([dead, *images]).like == [None, 1, 1, None, 4]
+    line = [image[10:11] for image in images]
+    assert told(line, REST[10:11]).like[:2] == [None, 1]
+    colour = [np.stack([image] * 3, axis=-1) for image in images]
+    assert told(colour, np.stack([REST] * 3, axis=-1)).like == variety.like
+
+
+def test_what_the_noise_of_the_sensor_hides_is_no_difference(rng):
+    press, noise = pressed(10, 10, 30), 8.0
+    images = [press + rng.normal(scale=noise, size=press.shape) for _ in range(6)]
+    small = [image[::2, ::2] for image in images]  # no mean over neighbours
+    assert told(small, REST[::2, ::2]).n_new > 1
+    assert told(small, REST[::2, ::2], noise).n_new == 1
+
+
+def test_touches_that_have_nothing_in_common_are_a_root_of_two_apart():
+    variety = told([pressed(8, 8), pressed(32, 50), pressed(8, 8)])
+    first, other, again = ((one["x"], one["y"]) for one in variety.map())
+    assert_allclose(first, again, atol=1e-12)
+    assert_allclose(np.hypot(*np.subtract(first, other)), 2**0.5, atol=1e-3)
+    assert [one["like"] for one in variety.map()] == [None, None, 1]
+    assert Variety().map() == []
+    (alone,) = told([pressed(8, 8)]).map()
+    assert (alone["x"], alone["y"]) == (0, 0)
+
+
+def test_a_touch_that_is_undone_is_compared_no_more():
+    variety = told([pressed(8, 8), pressed(32, 50), pressed(8, 8)])
+    variety.drop(0)
+    assert variety.like == [None, None]
+
+
+@pytest.fixture(scope="module")
+def quality(drawn):
+    """Of the disc, and of a bar under two names."""
+    bars = np.flatnonzero(drawn.object == "bar")
+    names = drawn.object.copy()
+    names[bars[::2]] = "rod"
+    known = drawn.with_columns(object=names)[np.flatnonzero(names != "both")]
+    recogniser = ObjectRecogniser().fit(known)
+    return recogniser, object_quality(recogniser)
+
+
+def test_left_out_touches_are_counted(quality):
+    recogniser, found = quality
+    bar, disc, rod = found
+    assert disc["name"] == "disc"
+    assert (disc["after_one"], disc["after_eight"], disc["taken_for"]) == (1, 1, None)
+    assert (bar["taken_for"], rod["taken_for"]) == ("rod", "bar")
+    assert [one["n_touches"] for one in found] == [15, 30, 15]
+    # Each touch by itself, one after the other.
+    said = recogniser.left_out_log_likelihood()
+    for one in found:
+        mine = said[recogniser.memory_.labels == one["name"]]
+        right = sum(recogniser.classes_[row.argmax()] == one["name"] for row in mine)
+        assert one["after_one"] == right / len(mine)
+
+
+def test_a_model_that_was_read_says_the_same(quality, tmp_path):
+    recogniser, found = quality
+    read = ObjectRecogniser.load(recogniser.save(tmp_path / "m.palpate"))
+    assert object_quality(read) == found
+
+
+SOME = range(4)  # the worst
+EACH = "ten more touches of each, elsewhere."
+
+
+def of(name, after_eight, other=None, after_one=0.8):
+    figures = {"after_one": after_one, "after_eight": after_eight}
+    return {"name": name, "taken_for": other, **figures}
+
+
+@pytest.mark.parametrize(
+    ("qualities", "said"),
+    [
+        ([of("cup", 1.0, "mug"), of("mug", 0.95, "cup")], []),
+        (
+            [of("cup", 0.5, "mug"), of("mug", 0.95)],
+            ["cup is taken for mug: ten more touches of cup, elsewhere."],
+        ),
+        (
+            [of("cup", 0.5, "mug"), of("mug", 0.8, "cup")],
+            ["cup and mug are taken for each other: " + EACH],
+        ),
+        (
+            [of("cup", 1.0, "mug"), of("mug", 1.0, "pen", 0.4)],
+            ["mug is taken for pen: ten more touches of mug, elsewhere."],
+        ),
+        (
+            [of(str(n), 0.1 * n, "mug", 0.1 * n) for n in range(8)],
+            [
+                f"{n} is taken for mug: ten more touches of {n}, elsewhere."
+                for n in SOME
+            ],
+        ),
+        (
+            [of("cup", 0.5, "mug"), of("mug", 0.5, "pen"), of("pen", None)],
+            [
+                "cup is taken for mug: ten more touches of cup, elsewhere.",
+                "mug is taken for pen: ten more touches of mug, elsewhere.",
+                "Fewer than 8 touches cannot be judged: pen.",
+            ],
+        ),
+    ],
+)
+def test_advice_follows_from_the_figures(qualities, said):
+    assert advice(qualities) == said
+
+
+def waited(condition, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.01)
+    assert condition()
+
+
+def test_a_lesson_in_one_place_is_told_and_one_elsewhere_is_not(
+    make_session, hand, tmp_path, learning_here, drawn
+):
+    with LiveSession(hand, library=tmp_path / "library") as session:
+        session.take_baseline()
+        session.teach("cup", 5)
+        for number in range(1, 6):
+            hand.pressed = True
+            time.sleep(0.1)
+            hand.pressed = False
+            waited(lambda n=number: session.teacher.library.count() == n)
+            if number < 5:
+                lesson = session.to_dict()["lesson"]
+                assert lesson["n_new"] == 1
+                assert ("elsewhere" in lesson["prompt"]) == (number > 2)
+        verdict = "Of 5 touches of cup 4 are like others"
+        waited(lambda: verdict in session.message)
+        assert session.advice[0].startswith(verdict)
+        session.forget("cup")
+        assert session.advice == []
+    session = make_session()
+    with session:
+        for name in ("disc", "bar"):
+            session.teach(name, 8)
+            session.place(name)
+            waited(lambda: session.teacher.lesson is None)
+            session.place(None)
+            time.sleep(0.3)
+        assert session.advice == []
+        session.learn(wait=True)
+        assert [one["after_eight"] for one in session.to_dict()["quality"]] == [1, 1]
+        session.post_lesson("cup", drawn.images[-1])
+        session.post_lesson("cup", drawn.images[-2])
+        session.learn(wait=True)
+        few, day = session.advice
+        assert few == "Fewer than 8 touches cannot be judged: cup."
+        assert day.startswith("All was taught in one session. For another day: lift")
+        assert "What to teach next" in session.message
+
+
+def test_touches_without_contact_do_not_count(drawn):
+    known = drawn[drawn.object != "both"]
+    images = known.images.copy()
+    images[:5] = drawn.no_contact  # of the disc
+    about = {"no_contact": drawn.no_contact, "geometry": "array"}
+    touches = Touches(images, object=known.object, **about)
+    bar, disc = object_quality(ObjectRecogniser().fit(touches))
+    assert (bar["n_touches"], disc["n_touches"]) == (30, 25)
+    assert disc["after_one"] == 1
