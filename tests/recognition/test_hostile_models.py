@@ -124,7 +124,7 @@ def with_array_again(learnt, tensors):
         (0, with_long_label, "20001 texts of up to 50000 letters"),
         (5, with_many_kernels, "501 parts"),
         (4, with_many_counted, "more touches than there are"),
-        (1, with_array_again, "array t0"),
+        (1, with_array_again, "array t1"),
         (1, with_all("image_shape_", {"tuple": [9000, 9000]}), "9000 x 9000"),
         (1, with_all("image_shape_", {"tuple": [{"float": 1e400}, 5]}), "inf"),
     ],
@@ -174,7 +174,9 @@ def test_what_could_not_be_read_is_not_written(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["offset_", "weighing_", "drift_"])
+@pytest.mark.parametrize(
+    "name", ["offset_", "weighing_", "drift_", "still_", "broken_", "look_offset_"]
+)
 def test_what_is_added_to_a_touch_must_be_as_large_as_it(tmp_path, name):
     # Else a small column would be spread over all features, a thousand times over.
     model = deepcopy(models()[0])

@@ -1,6 +1,7 @@
 """Adapting to another device: what is found again, what is kept, what is refused."""
 
 from copy import deepcopy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -316,3 +317,97 @@ def test_a_session_of_one_object_is_not_centred_onto_another(moved, at_most):
         again.remount(there.without("object"))
         lost += _right(again, there) < before - 0.1
     assert lost <= at_most
+
+
+SIDE = 12
+PARTS = ("bar", "disc", "ring")
+
+
+def _presses(n, seed, gain=1.0):
+    """Parts on an array of 12 x 12 whose noise moves every taxel."""
+    rng = np.random.default_rng(seed)
+    rows, cols = np.indices((SIDE, SIDE)) - 5.5
+    away = np.hypot(rows, cols)
+    shapes = np.abs(rows) < 2, away < 4, (away > 3) & (away < 5)
+    names = np.repeat(PARTS, n)
+    levels = np.repeat(np.stack(shapes), n, axis=0) * (
+        10 * np.exp(rng.normal(0, 0.2, 3 * n))[:, np.newaxis, np.newaxis]
+    )
+    images = gain * (levels + rng.normal(0, 0.5, levels.shape))
+    return Touches(images, object=names, geometry="array")
+
+
+@pytest.mark.parametrize("labelled", [False, True])
+@pytest.mark.parametrize("gain", [0.4, 2.5])
+def test_the_gain_of_an_array_is_found_and_taken_off(gain, labelled):
+    there = _presses(8, 1, gain)
+    first = there if labelled else there.without("object")
+    recogniser = ObjectRecogniser().fit(_presses(20, 0)).remount(first)
+    found = recogniser.chosen_["remount"]["gain"]
+    assert found == pytest.approx(1 / gain, rel=0.15)
+    assert recogniser.encoder_.gain_ == found
+    assert recogniser.score(_presses(20, 2, gain), np.repeat(PARTS, 20)) > 0.9
+
+
+def test_an_array_of_the_same_gain_keeps_it():
+    recogniser = ObjectRecogniser().fit(_presses(20, 0))
+    recogniser.remount(_presses(8, 1).without("object"))
+    assert recogniser.chosen_["remount"]["gain"] == pytest.approx(1, abs=0.1)
+    assert recogniser.chosen_["remount"]["broken"] == 0
+
+
+@pytest.mark.parametrize("level", [0.0, 40.0])
+def test_taxels_that_are_stuck_are_filled_from_their_neighbours(level, tmp_path):
+    recogniser = ObjectRecogniser().fit(_presses(20, 0))
+    there = _presses(8, 1)
+    stuck = np.zeros((SIDE, SIDE), dtype=bool)
+    stuck[[2, 5, 9], [7, 5, 1]] = True
+    images = np.where(stuck, level, there.images)
+    broken = Touches(images, object=there.object, geometry="array")
+    few = deepcopy(recogniser).remount(broken[::3].without("object"))
+    assert few.encoder_.broken_ is None  # eight touches do not tell
+    whole = recogniser.log_likelihood(there)
+    as_it_is = np.abs(recogniser.log_likelihood(broken) - whole).mean()
+    recogniser.remount(broken.without("object"))
+    assert np.array_equal(recogniser.encoder_.broken_, stuck)
+    assert recogniser.chosen_["remount"]["broken"] == 3
+    assert np.abs(recogniser.log_likelihood(broken) - whole).mean() < as_it_is / 2
+    loaded = ObjectRecogniser.load(recogniser.save(tmp_path / "m.palpate"))
+    assert np.array_equal(
+        loaded.log_likelihood(broken), recogniser.log_likelihood(broken)
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda images: 1.5 * images, "times stronger"),
+        (lambda images: (images + np.roll(images, 1, axis=2)) / 2, "detail"),
+    ],
+    ids=["gain", "blurred"],
+)
+def test_another_gain_or_a_softer_rubber_raises_the_alarm(change, said):
+    recogniser = ObjectRecogniser().fit(_presses(20, 0))
+    same = _presses(4, 1)
+    assert not recogniser.check_mounting(same).changed
+    other = Touches(change(same.images), object=same.object, geometry="array")
+    check = recogniser.check_mounting(other)
+    assert check.changed
+    assert check.distance > check.usual
+    assert said in check.reasons[0]
+    # Who got used to it is not warned again.
+    recogniser.remount(other.without("object"))
+    assert not recogniser.check_mounting(other).changed
+
+
+def test_a_model_that_kept_no_looks_still_tells_by_distances():
+    recogniser = ObjectRecogniser().fit(_presses(20, 0))
+    memory = recogniser.memory_
+    recogniser.memory_ = replace(memory, looks=np.full_like(memory.looks, np.nan))
+    same = _presses(4, 1)
+    assert not recogniser.check_mounting(same).changed
+    assert recogniser.check_mounting(
+        Touches(same.images + 20, geometry="array")
+    ).changed
+    recogniser.remount(same.without("object"))
+    assert recogniser.chosen_["remount"]["gain"] == 1

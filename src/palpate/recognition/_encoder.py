@@ -14,6 +14,7 @@ from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
 from ..images import fill_dead_taxels, grey, typical_rim
 from ..touches import Touches
+from ._sessions import looks
 
 # So many touches pass through all steps at a time, so that memory stays bounded.
 BATCH = 256
@@ -21,6 +22,9 @@ BATCH = 256
 SMALL_SIDE = 8
 ARRAY_SIDE = 48
 LOOK_AT = 50
+# A taxel that moved at least every other time and is still in so many touches is
+# stuck: one time in 500 by chance.
+STUCK_TOUCHES = 10
 
 
 @runtime_checkable
@@ -69,8 +73,19 @@ class TouchEncoder(BaseEstimator):
         What the touches' channels are called.
     baseline_ : ndarray of the shape of a touch, or None
         The frame of no contact, where images are looked at as they are.
+    still_ : ndarray of the shape of a touch, or None
+        The level of each taxel in half of the training touches, where images are
+        looked at as they are; NaN where it changes from touch to touch of every object.
+    reach_ : float
+        How far the levels of training touches are apart.
+    broken_ : ndarray of bool of the shape of a touch, or None
+        Which taxels are stuck since, and are filled from their neighbours.
+    gain_ : float
+        What images are multiplied by, to take off a sensor's other gain.
     drift_ : ndarray of the shape of a touch, or None
-        What is added to images: by how much the baseline was higher when it learnt.
+        What is added to images then: by how much the baseline was higher.
+    look_offset_ : ndarray of shape (7,) or None
+        What is added to looks, so that this session does not look like another one.
     weighing_ : ndarray of shape (n_features, n_features) or None
         What features are multiplied by, to weigh down how sessions differ.
     offset_ : ndarray of shape (n_features,) or None
@@ -79,7 +94,12 @@ class TouchEncoder(BaseEstimator):
 
     image_shape_: tuple[int, ...]
     baseline_: Array | None = None
+    still_: Array | None = None
+    reach_: float = 0.0
+    broken_: Array | None = None
+    gain_: float = 1.0
     drift_: Array | None = None
+    look_offset_: Floats | None = None
     weighing_: Floats | None = None
     offset_: Floats | None = None
 
@@ -101,8 +121,13 @@ class TouchEncoder(BaseEstimator):
         self.image_shape_ = touches.images.shape[1:]
         self.pads_, self.channels_ = touches.pads, touches.channels
         self.clean_up_ = self.baseline_ = self.drift_ = None
-        if self.clean_up is None and touches.no_contact is not None:
-            self.baseline_ = self._living(touches.no_contact[np.newaxis])[0]
+        self.gain_, self.still_, self.broken_ = 1.0, None, None
+        self.look_offset_ = None
+        if self.clean_up is None:
+            self.still_ = _still(touches)
+            self.reach_ = float(np.nanmax(touches.images)) - np.nanmin(touches.images)
+            if touches.no_contact is not None:
+                self.baseline_ = self._living(touches.no_contact[np.newaxis])[0]
         if self.clean_up is not None:
             self.clean_up_ = clone(self.clean_up).fit(
                 grey(self._living(touches.images)), no_contact=self._idle(touches)
@@ -156,6 +181,8 @@ class TouchEncoder(BaseEstimator):
                 f"{got}. Use the same sensor and resolution, or learn again."
             )
         cleaned = self._living(images)
+        if self.gain_ != 1:
+            cleaned = self.gain_ * cleaned
         if self.drift_ is not None:
             cleaned = cleaned + self.drift_
         if self.clean_up_ is not None:
@@ -190,6 +217,17 @@ class TouchEncoder(BaseEstimator):
             [self.encode(self.clean(some)) for some in in_batches(touches)]
         )
 
+    def look(self, touches: Touches) -> Floats:
+        """Return what tells of light, rubber and gain, (n_touches, 7); see `looks`."""
+        rest = self._idle(touches)
+        if rest is None and self.baseline_ is not None:
+            rest = grey(self.baseline_[np.newaxis])[0]
+        if rest is not None and rest.shape != touches.images.shape[1:3]:
+            rest = None
+        parts = [looks(grey(self._living(s.images)), rest) for s in in_batches(touches)]
+        found = np.concatenate(parts)
+        return found if self.look_offset_ is None else found + self.look_offset_
+
     def blank_touch(self) -> Touches:
         """Return one touch of zeros such as `fit` saw."""
         return Touches(
@@ -201,17 +239,25 @@ class TouchEncoder(BaseEstimator):
         steps = self.encodings[name]
         return frozenset().union(*(getattr(s, "blind_to", ()) for s in steps))
 
-    def moved(self, touches: Touches) -> Self:
+    def moved(self, touches: Touches, gain: float = 1.0) -> Self:
         """Return this encoder for another camera before the sensor, or another zero.
 
-        Where images are looked at as they are, and both frames of no contact are known,
-        the difference is taken off.
+        Where images are looked at as they are, taxels that have broken since are filled
+        from their neighbours, images are multiplied by `gain`, and where both frames of
+        no contact are known, the difference is taken off.
         """
         other = deepcopy(self)
         other.image_shape_ = touches.images.shape[1:]
+        other.gain_, other.look_offset_, other.broken_ = gain, None, None
+        if self.still_ is not None and len(touches) >= STUCK_TOUCHES:
+            first = touches.images[0]
+            usual = np.abs(first - self.still_) <= self.reach_ / 2
+            broken = (touches.images == first).all(axis=0) & ~usual
+            if broken.any() and not broken.all():
+                other.broken_ = broken
         if self.baseline_ is not None and touches.no_contact is not None:
-            now = self._living(touches.no_contact[np.newaxis])[0].astype(np.float64)
-            other.drift_ = self.baseline_ - now
+            now = other._living(touches.no_contact[np.newaxis])[0].astype(np.float64)
+            other.drift_ = self.baseline_ - gain * now
         if self.clean_up_ is not None:
             images = grey(self._living(touches.images))
             other.clean_up_ = self.clean_up_.moved(images, self._idle(touches))
@@ -227,6 +273,8 @@ class TouchEncoder(BaseEstimator):
         return features if self.offset_ is None else features + self.offset_
 
     def _living(self, images: Array) -> Array:
+        if self.broken_ is not None:
+            images = np.where(self.broken_, np.nan, images)
         return check_levels(living(images, self.pads_))
 
     def _idle(self, touches: Touches) -> Array | None:
@@ -235,6 +283,19 @@ class TouchEncoder(BaseEstimator):
         if frame is None:
             return None
         return np.asarray(grey(self._living(frame[np.newaxis]))[0])
+
+
+def _still(touches: Touches) -> Array:
+    """Return the median level of each taxel, NaN where it is never still.
+
+    It is where some object's touches have one level more than half of the time.
+    """
+    still = np.zeros(touches.images.shape[1:], dtype=bool)
+    objects = np.zeros(len(touches)) if touches.object is None else touches.object
+    for name in np.unique(objects):
+        mine = touches.images[objects == name]
+        still |= (mine == np.median(mine, axis=0)).mean(axis=0) > 0.5
+    return np.where(still, np.median(touches.images, axis=0), np.nan)
 
 
 def find_geometry(touches: Touches) -> str:

@@ -38,6 +38,8 @@ class Evidence(NamedTuple):
         The log-likelihood of each encoding alone.
     log_distances : ndarray of shape (n_touches, n_objects)
         Logarithm of the distance to the nearest training touch of each object.
+    looks : ndarray of shape (n_touches, 7)
+        Spectrum and load, which tell of another mounting.
     """
 
     features: Floats
@@ -45,6 +47,7 @@ class Evidence(NamedTuple):
     flags: list[str]
     by_encoding: Floats
     log_distances: Floats
+    looks: Floats
 
     @classmethod
     def together(cls, parts: Sequence[Evidence]) -> Evidence:
@@ -55,6 +58,7 @@ class Evidence(NamedTuple):
             [flag for part in parts for flag in part.flags],
             np.concatenate([part.by_encoding for part in parts]),
             np.concatenate([part.log_distances for part in parts]),
+            np.concatenate([part.looks for part in parts]),
         )
 
     def one(self, touch: int) -> Evidence:
@@ -66,6 +70,7 @@ class Evidence(NamedTuple):
             self.flags[row],
             self.by_encoding[row],
             self.log_distances[row],
+            self.looks[row],
         )
 
 

@@ -19,6 +19,7 @@ from ._evidence import with_floor
 from ._memory import Memory
 from ._model_file import state_digest
 from ._presets import PRESENTATIONS, Preset
+from ._sessions import N_LOOKS
 
 # An encoding is learnt from this many touches of a source, the same number of each
 # label where there are enough.
@@ -38,6 +39,7 @@ class Encoded:
 
     features: Floats
     nothing: NDArray[np.bool_]
+    looks: Floats
 
 
 def learn_encoding(
@@ -73,7 +75,7 @@ def learn_encoding(
     contact.learn_poses(encoder, every)
     if isinstance(touches, Touches):
         nothing = contact.no_contact(touches, cleaned)
-        result = Encoded(features, nothing)
+        result = Encoded(features, nothing, encoder.look(touches))
     else:
         result = encoded(encoder, contact, touches)
     return encoder, contact, chosen, result
@@ -86,14 +88,16 @@ def encoded(
 
     def encode(some: Touches) -> Floats:
         features, flags = encoded_and_flagged(encoder, contact, some)
-        return np.column_stack([features, np.array(flags) == NO_CONTACT])
+        nothing = np.array(flags) == NO_CONTACT
+        return np.column_stack([features, encoder.look(some), nothing])
 
     if isinstance(touches, Touches):
         table = encode(touches)
     else:
-        key = state_digest(encoder) + state_digest(contact)
+        key = state_digest(encoder) + state_digest(contact) + "-looks"
         table = touches.features(key, encode)
-    return Encoded(np.ascontiguousarray(table[:, :-1]), table[:, -1] > 0)
+    own, seen = np.ascontiguousarray(table[:, : -N_LOOKS - 1]), table[:, -N_LOOKS - 1 :]
+    return Encoded(own, seen[:, -1] > 0, seen[:, :-1])
 
 
 def memory_of(
@@ -118,6 +122,7 @@ def memory_of(
         nothing=encoding.nothing,
         touch_ids=known(touches.touch_id),
         categories=known(touches.category),
+        looks=encoding.looks,
     )
 
 

@@ -8,7 +8,7 @@ learning.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Self
 
 import numpy as np
@@ -22,6 +22,7 @@ from .._checks import check_label_kinds
 from .._types import Array, Floats
 from ..touches import Touches, TouchSource
 from ._evidence import as_touches
+from ._sessions import N_LOOKS
 
 N_BLOCKS = 5
 # Training touches that distances are taken to, and touches compared at once.
@@ -54,6 +55,8 @@ class Memory:
         Where each lies in a library, "" for those of none.
     categories : ndarray of str, shape (n_touches,)
         What kind of thing each is of, "" where it is not told.
+    looks : ndarray of shape (n_touches, 7)
+        Spectrum and load of each, NaN where an older model did not keep them.
     sensor : mapping or None
         What the sensor was like, as plain values; the first one that was told stays.
     """
@@ -67,7 +70,13 @@ class Memory:
     nothing: NDArray[np.bool_]
     touch_ids: NDArray[np.str_]
     categories: NDArray[np.str_]
+    looks: Floats = field(default_factory=lambda: np.empty((0, N_LOOKS)))
     sensor: Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        if not len(self.looks):
+            unknown = np.full((len(self.labels), N_LOOKS), np.nan)
+            object.__setattr__(self, "looks", unknown)
 
     def __len__(self) -> int:
         return len(self.labels)

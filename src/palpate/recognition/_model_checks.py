@@ -21,6 +21,7 @@ from ._calibration import Modality
 from ._encoder import TouchEncoder
 from ._evidence import Evidence, SequenceCalibration
 from ._memory import Memory
+from ._sessions import N_LOOKS
 from ._unknown import LEVELS, DecisionLimits
 
 MB = 2**20
@@ -94,6 +95,9 @@ def check_parts(judge: Judge, encoder: TouchEncoder, pose: object) -> None:
     _check_memory(judge.memory)
     n = judge.memory.features.shape[1]
     shapes = {"drift_": tuple(image_shape), "offset_": (n,), "weighing_": (n, n)}
+    shapes |= dict.fromkeys(("still_", "broken_"), tuple(image_shape))
+    shapes |= {"look_offset_": (N_LOOKS,)}
+    check_number("gain_", encoder.gain_, low=1e-6, high=1e6)
     for name, shape in shapes.items():
         if (found := getattr(encoder, name)) is not None and found.shape != shape:
             raise ValueError(f"its {name} has shape {found.shape}, not {shape}")
@@ -134,6 +138,8 @@ def _check_memory(memory: object) -> None:
     columns = [v for k, v in vars(memory).items() if k != "sensor"]
     if {len(column) for column in columns} != {len(memory)} or not len(memory):
         raise ValueError("its sizes do not agree")
+    if memory.looks.shape[1:] != (N_LOOKS,):
+        raise ValueError(f"its looks have {memory.looks.shape[1:]} values")
     if not np.isfinite(memory.features).all():
         raise ValueError("its features hold NaN or infinity")
 

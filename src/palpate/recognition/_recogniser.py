@@ -700,7 +700,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             each = said[:, np.newaxis]
         used = self._used(said, np.array(flags) == NO_CONTACT)
         distances = self._nearest().log_distances(features)
-        return Evidence(features, used, flags, each, distances)
+        looks = self.encoder_.look(touches)
+        return Evidence(features, used, flags, each, distances, looks)
 
     def _used(self, log_likelihood: Floats, nothing: NDArray[np.bool_]) -> Floats:
         """Let touches without contact say nothing, unless a label consists of them."""

@@ -13,16 +13,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import log_softmax, softmax
+from scipy.stats import t as t_distribution
 
 from .._types import Array, Floats
 from ..images import DomeCrop
 from ..touches import Touches
 from ._calibration import left_out_log_likelihood
 from ._contact import NO_CONTACT, ContactCheck
+from ._encoder import TouchEncoder
 from ._evidence import Evidence, as_touches
 from ._learning import encoded, memory_of
 from ._memory import Memory, Nearest, blocks_in_order
 from ._sessions import (
+    N_LOOKS,
     Parts,
     Taught,
     between_sessions,
@@ -30,6 +33,7 @@ from ._sessions import (
     session_effects,
     shift_by_labels,
     shift_unlabelled,
+    unlikeness,
     usual_means,
     weighed_down,
 )
@@ -60,8 +64,9 @@ class MountingCheck:
     changed : bool
         Whether `distance` is above what 95 % of draws of training touches show.
     distance, usual : float
-        Mean logarithm of the touches' distances to the nearest training touches, and
-        that limit: of training touches to those of other blocks.
+        How unlike training touches these are, and that limit, in standard deviations
+        above the mean of draws: by their distances to the nearest training touches (of
+        other blocks), or by spectrum and load, whichever is more.
     reasons : list of str
         What was seen, in sentences.
     """
@@ -87,7 +92,7 @@ def remounted(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecognise
     if labels is not None:
         _refuse_unknown(labels, recogniser)
     result = copy(recogniser)
-    result.encoder_ = recogniser.encoder_.moved(new)
+    result.encoder_, gain = _as_taught(recogniser, new, labels)
     shape = tuple(recogniser.encoder_.image_shape_)
     if new.no_contact is not None or new.images.shape[1:] != shape:
         contact = ContactCheck().fit(new, result.encoder_)
@@ -114,7 +119,9 @@ def remounted(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecognise
         shift = shift_by_labels(features[counts], codes[counts], taught)
     before = result.encoder_.offset_
     result.encoder_.offset_ = shift if before is None else shift + before
-    found |= {"n_touches": len(new), "labelled": labels is not None}
+    found |= {"n_touches": len(new), "labelled": labels is not None, "gain": gain}
+    broken = result.encoder_.broken_
+    found["broken"] = 0 if broken is None else int(broken.sum())
     variance = max(taught.features.var(axis=0).sum(), 1e-300)
     found["moved"] = float((shift**2).sum() / variance)
     result.chosen_ = {**result.chosen_, "remount": found}
@@ -122,9 +129,44 @@ def remounted(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecognise
         objects = labels if new.object is None else new.object
         one_group = np.zeros(len(new), dtype=np.intp)
         encoding.features = features + shift
+        encoding.looks = result.encoder_.look(new)
         there = memory_of(new, encoding, labels, objects, one_group)
         result._relearn(result.memory_.plus(there))
     return result
+
+
+def _as_taught(
+    recogniser: ObjectRecogniser, new: Touches, labels: Array | None
+) -> tuple[TouchEncoder, float]:
+    """Return an encoder that makes images of the session as they were, and the gain.
+
+    The gain of an array is told by the loads, of the same objects where labels tell
+    them; kept where touches come nearer to training touches (one standard error).
+    """
+    encoder, memory = recogniser.encoder_.moved(new), recogniser.memory_
+    seen, taught = encoder.look(new), memory.looks[_counted(recogniser)]
+    if np.isnan(taught).any():
+        return encoder, 1.0
+    gain, kept = 1.0, encoder
+    if encoder.clean_up_ is None:
+        asked = np.zeros(len(new)) if labels is None else labels
+        of = memory.labels[_counted(recogniser)]
+        ratios = [
+            np.median(taught[slice(None) if labels is None else of == name, -1])
+            - np.median(seen[asked == name, -1])
+            for name in np.unique(asked)
+        ]
+        gain = float(np.exp(np.mean(ratios)))
+        other, nearest = recogniser.encoder_.moved(new, gain), recogniser._nearest()
+        near = [
+            nearest.log_distances(one.transform(new)).min(axis=1)
+            for one in (encoder, other)
+        ]
+        better = near[0] - near[1]
+        if better.mean() > better.std() / np.sqrt(len(better)):
+            kept = other
+    kept.look_offset_ = taught.mean(axis=0) - seen.mean(axis=0)
+    return kept, gain if kept is not encoder else 1.0
 
 
 def learn_nuisance(recogniser: ObjectRecogniser, touches: Touches) -> int:
@@ -175,16 +217,42 @@ def check_mounting(
     n_objects = max(1, round(effective_number(posterior)))
     own, taught = _usual_distances(recogniser)
     n_touches, seed = int(counts.sum()), recogniser.random_state
-    drawn = usual_means(own, taught, n_touches, n_objects, seed)
-    usual = float(np.quantile(drawn, 1 - FALSE_ALARMS))
-    if found > usual:
-        times = f"{np.exp(found - np.median(drawn)):.1f} times as far"
-        reasons.insert(
-            0,
-            f"These {n_touches} touches lie {times} from training touches as those "
-            "from each other.",
+    drawn, runs = usual_means(own, taught, n_touches, n_objects, seed)
+    now = np.append(found, evidence.looks[counts].mean(axis=0))
+    if np.isnan(drawn).any():  # of a model that kept no looks
+        drawn, now = drawn[:, :1], now[:1]
+        drawn = np.column_stack([drawn, np.zeros((len(drawn), 2))])
+        now = np.append(now, [0.0, 0.0])
+    unlike, distance = unlikeness(drawn, runs, now)
+    # Of a few blocks even the largest is exceeded often: two signs, each as a t-test.
+    n_runs = len(np.unique(runs))
+    least = t_distribution.ppf(1 - FALSE_ALARMS / 2, max(n_runs - 1, 1))
+    least *= np.sqrt(1 + 1 / n_runs)
+    usual = float(max(np.quantile(unlike, 1 - FALSE_ALARMS), least))
+    if distance > usual:
+        reasons.insert(0, _why(drawn, now, usual, n_touches))
+    return MountingCheck(distance > usual, distance, usual, reasons)
+
+
+def _why(drawn: Floats, now: Floats, usual: float, n_touches: int) -> str:
+    """Return in a sentence what is unlike the training touches."""
+    beyond = (now - drawn.mean(axis=0)) / np.maximum(drawn.std(axis=0), 1e-9)
+    beyond[0] = max(beyond[0], 0)  # nearer than usual is no sign
+    clear = [k for k in (0, N_LOOKS) if abs(beyond[k]) > usual]
+    these, most = f"These {n_touches} touches", int(np.abs(beyond).argmax())
+    most = clear[0] if clear else most
+    times = float(np.exp(abs(now[most] - np.median(drawn[:, most]))))
+    if most == 0:
+        return (
+            f"{these} lie {times:.1f} times as far from training touches as those from "
+            "each other."
         )
-    return MountingCheck(found > usual, found, usual, reasons)
+    way = "weaker" if beyond[most] < 0 else "stronger"
+    if most == N_LOOKS:
+        return f"{these} press {times:.1f} times {way} than training touches."
+    detail = "coarse" if most <= N_LOOKS // 2 else "fine"
+    root = float(np.sqrt(times))
+    return f"{these} show {detail} detail {root:.1f} times {way} than training touches."
 
 
 def _usual_distances(recogniser: ObjectRecogniser) -> tuple[Floats, Taught]:
@@ -200,7 +268,8 @@ def _usual_distances(recogniser: ObjectRecogniser) -> tuple[Floats, Taught]:
         blocks = blocks_in_order(visit)
         nearest = Nearest(replace(memory, blocks=blocks))
         far = nearest.log_distances(memory.features, blocks)
-        own = np.where(np.isnan(far), np.inf, far).min(axis=1)[some]
+        own = np.where(np.isnan(far), np.inf, far).min(axis=1)
+        own = np.column_stack([own, memory.looks])[some]
         taught = replace(taught_of(recogniser), blocks=blocks[some])
         recogniser.__dict__["_usual_to"] = made = memory, own, taught
     return made[1], made[2]

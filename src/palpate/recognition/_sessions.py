@@ -25,6 +25,12 @@ N_ROUNDS = 6
 # Variance between sessions that no pair showed, as a share of the mean of those shown.
 UNSEEN = 0.3
 N_DRAWS = 200
+# A touch's look: the power of its image, at most so many taxels wide, in so many
+# octaves, and its load.
+LOOK_SIDE, N_OCTAVES = 64, 6
+N_LOOKS = N_OCTAVES + 1
+# How much of the covariance of looks between them is not believed.
+SHRUNK = 0.3
 
 
 @dataclass(frozen=True)
@@ -234,23 +240,85 @@ def effective_number(shares: Floats) -> float:
 
 def usual_means(
     values: Floats, taught: Taught, n_touches: int, n_objects: int, seed: int
-) -> Floats:
-    """Return the means of draws of training touches' values (n_touches,).
+) -> tuple[Floats, NDArray[np.intp]]:
+    """Return the means of draws of training touches' values (n_touches, n_values).
 
-    A draw is of the same block of the recordings of so many objects.
+    A draw is of the same block of the recordings of so many objects; which, (n_draws,),
+    is returned too.
     """
     rng = np.random.default_rng(seed)
     first = np.full(taught.codes.max() + 1, taught.blocks.max())
     np.minimum.at(first, taught.codes, taught.blocks)
     run = taught.blocks - first[taught.codes]
-    found = []
+    found, of = [], []
     for _ in range(N_DRAWS):
         whose = rng.permutation(len(first))[:n_objects]
         mine = np.flatnonzero(np.isin(taught.codes, whose))
-        mine = mine[run[mine] == rng.choice(run[mine])]
+        of.append(rng.choice(run[mine]))
+        mine = mine[run[mine] == of[-1]]
         rows = rng.choice(mine, min(n_touches, len(mine)), replace=False)
-        found.append(values[rows].mean())
-    return np.array(found)
+        found.append(values[rows].mean(axis=0))
+    return np.array(found), np.array(of)
+
+
+def looks(images: Array, rest: Array | None) -> Floats:
+    """Return what light, rubber and gain alone would change, (n_touches, N_LOOKS).
+
+    The logarithm of the power in octaves of the spectrum of images (n_touches, n_rows,
+    n_cols), the coarsest first, and of the mean difference from `rest`, a frame of no
+    contact (0 where it is None).
+    """
+    import cv2
+
+    small = np.asarray(images, dtype=np.float32)
+    shrink = LOOK_SIDE / max(small.shape[1:])
+    if shrink < 1:
+        size = tuple(max(1, round(shrink * side)) for side in small.shape[:0:-1])
+        area = cv2.INTER_AREA
+        small = np.stack([cv2.resize(one, size, interpolation=area) for one in small])
+    n_rows, n_cols = small.shape[1:]
+    window = np.outer(np.hanning(n_rows + 2)[1:-1], np.hanning(n_cols + 2)[1:-1])
+    waves = np.fft.rfft2((small - small.mean(axis=(1, 2), keepdims=True)) * window)
+    power = np.abs(waves) ** 2
+    across, down = np.fft.rfftfreq(n_cols), np.fft.fftfreq(n_rows)
+    octave = np.log2(np.maximum(np.hypot(down[:, np.newaxis], across), 1e-9) * 2)
+    octave = np.clip(N_OCTAVES + np.ceil(octave).astype(int) - 1, 0, N_OCTAVES - 1)
+    sums = np.stack([power[:, octave == k].sum(axis=1) for k in range(N_OCTAVES)])
+    sums = np.maximum(sums, 1e-6 * sums.sum(axis=0))
+    away = np.abs(images - (0.0 if rest is None else rest.astype(np.float64)))
+    found: Floats = np.vstack([sums, away.mean(axis=(1, 2))]).T
+    return np.log(np.maximum(found, 1e-12))
+
+
+def unlikeness(
+    drawn: Floats, runs: NDArray[np.intp], found: Floats
+) -> tuple[Floats, float]:
+    """Return how unlike its kind each draw is, (n_draws,), and how unlike `found` is.
+
+    Of means of draws (n_draws, 1 + N_LOOKS): the larger of two, each in standard
+    deviations above what draws have: of the first column, and of the Mahalanobis
+    distance of the others from draws of other `runs` (n_draws,).
+    """
+    lengths = np.empty(len(drawn) + 1)
+    for run in np.unique(runs):
+        mine = runs == run
+        others = drawn[~mine if not mine.all() else mine, 1:]
+        lengths[:-1][mine] = _mahalanobis(others, drawn[mine, 1:])
+    lengths[-1] = _mahalanobis(drawn[:, 1:], found[np.newaxis, 1:])[0]
+    both = np.column_stack([np.append(drawn[:, 0], found[0]), lengths])
+    spread = np.maximum(both[:-1].std(axis=0), 1e-9)
+    most = ((both - both[:-1].mean(axis=0)) / spread).max(axis=1)
+    return most[:-1], float(most[-1])
+
+
+def _mahalanobis(kind: Floats, values: Floats) -> Floats:
+    """Return the distances of rows from others of a kind, shape (n_values,)."""
+    away = values - kind.mean(axis=0)
+    covariance = np.cov(kind.T)
+    covariance[~np.eye(len(covariance), dtype=bool)] *= 1 - SHRUNK
+    axes = np.linalg.inv(covariance + 1e-4 * np.eye(len(covariance)))
+    squared = np.einsum("ij,jk,ik->i", away, axes, away)
+    return np.asarray(np.sqrt(np.maximum(squared, 0)))
 
 
 def _shares(found: Floats, taken_for: Floats, n_touches: int) -> Floats:

@@ -164,6 +164,9 @@ class DomeCamera(DomeSensor):
         picture. The default is cut by the left, upper and lower edges.
     n_leds, led_ring_radius_mm, diffuse, specular, shininess, ambient
         The light, see `Lighting`.
+    light_slope : tuple of float, default=(0.0, 0.0)
+        By what share the light is more a radius of the rim farther down, and farther
+        right, in the picture: LEDs that differ, or a dome that sits askew.
     gain, gamma : float, default=1.0, 2.2
         Grey = 255 (gain x light)^(1 / gamma), cut at 255.
     noise_sd : float, default=3.6
@@ -218,6 +221,7 @@ class DomeCamera(DomeSensor):
     specular: float = 1.0
     shininess: float = 10.0
     ambient: float = 0.0
+    light_slope: tuple[float, float] = (0.0, 0.0)
     gain: float = 1.0
     gamma: float = 2.2
     noise_sd: float = 3.6
@@ -227,7 +231,7 @@ class DomeCamera(DomeSensor):
     texture_seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("image_shape", "camera_offset_mm", "disc_centre"):
+        for name in _PAIRS.split():
             value = getattr(self, name)
             pair = tuple(value) if isinstance(value, tuple | list | np.ndarray) else ()
             if len(pair) != 2:
@@ -304,26 +308,30 @@ class DomeCamera(DomeSensor):
     def remounted(self, rng: np.random.Generator) -> Self:
         """Return this sensor as it is after another mounting: camera, light, rubber.
 
-        Exposure and place of the picture drift as between recordings. Guesses beside
-        that: the rubber is 10 % stiffer or softer, the lens 0.3 mm off the axis, the
-        light 10 % more or less glossy and the picture 1 % larger or smaller (standard
-        deviations).
+        Exposure and place of the picture drift as between recordings of a BathTip,
+        whose spread the others are too (docs/how-real.md; standard deviations): the
+        light 10 % more or less glossy and 7 % brighter at one side of the rim than in
+        the middle, the picture 0.3 % larger or smaller, the lens 0.3 mm off the axis,
+        were half of how the rim wanders the camera's place and half its tilt. That the
+        rubber is 10 % stiffer or softer is a guess.
         """
         drifted = self.drifted(rng)
-        softer, gloss, size = np.exp(rng.normal(0, (0.1, 0.1, 0.01))).tolist()
+        softer, gloss, size = np.exp(rng.normal(0, (0.1, 0.1, 0.003))).tolist()
         x, y = (self.camera_offset_mm + rng.normal(0, 0.3, 2)).tolist()
+        slope = (self.light_slope + rng.normal(0, 0.07, 2)).tolist()
         return replace(
             drifted,
             youngs_mpa=self.youngs_mpa * softer,
             specular=self.specular * gloss,
             disc_radius=self.disc_radius * size,
             camera_offset_mm=(x, y),
+            light_slope=tuple(slope),
         )
 
     def _grey(self, light: Plane) -> Plane:
         """Mottle the light, expose it, and draw the rim and the white around it."""
         mottled = light * np.float32(self.gain)
-        if self.texture_sd > 0:
+        if self.texture_sd > 0 or any(self.light_slope):
             mottled *= _mottling(self)
         np.maximum(mottled, 0, out=mottled)
         grey = np.float32(255) * mottled ** np.float32(1 / self.gamma)
@@ -345,6 +353,7 @@ class DomeCamera(DomeSensor):
         return cv2.resize(noise, (n_cols, n_rows), interpolation=cv2.INTER_NEAREST)
 
 
+_PAIRS = "image_shape camera_offset_mm disc_centre light_slope"
 _POSITIVE = "force_n max_depth_mm camera_distance_mm disc_radius shininess gain gamma"
 _NOT_NEGATIVE = (
     "sleeve_mm led_ring_radius_mm diffuse specular ambient noise_sd texture_sd "
@@ -374,7 +383,7 @@ def _optics(camera: DomeCamera) -> Optics:
 
 @lru_cache(maxsize=4)
 def _mottling(camera: DomeCamera) -> Plane:
-    """Factor of mean 1 on each pixel: blots of a hundredth of the picture's height."""
+    """Factor on each pixel: blots of a hundredth of the picture's height, the slope."""
     import cv2
     from scipy.ndimage import gaussian_filter
 
@@ -386,4 +395,11 @@ def _mottling(camera: DomeCamera) -> Plane:
     shrink = np.array([[120 / rows, 0, 0.0], [0, 120 / rows, 0.0]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     field = cv2.warpAffine(blots, shrink, (cols, rows), flags=flags)
-    return optics.enlarged(np.float32(1) + field)
+    factor = optics.enlarged(np.float32(1) + field)
+    if any(camera.light_slope):
+        n_rows, n_cols = camera.image_shape
+        (row, col), (down, right) = camera.disc_centre, camera.light_slope
+        radius = camera.disc_radius * n_rows
+        factor += down * ((np.arange(n_rows) - row * n_rows) / radius)[:, np.newaxis]
+        factor += right * ((np.arange(n_cols) - col * n_rows) / radius)
+    return factor

@@ -207,8 +207,9 @@ def simulate_presses(
         Presses of each part (20 in Liu et al. 2014).
     n_sessions : int, default=1
         Mountings that the presses of each part are split into. In each the array's
-        gain (15 %), its taxels' (10 %), its zero (4 levels) and its hysteresis (5 % of
-        the press before) are drawn anew: guesses.
+        gain (4 %), its taxels' (14 %) and its zero (1 level) are drawn anew, as a mat's
+        on two mattresses; 1 % of a press is left in the next, as on a 10 x 10 array
+        (standard deviations; docs/how-real.md).
     array : PressureArray, optional
         The device; by default that of Liu et al. One device keeps its gains.
     load_kgf : float or (float, float), default=4
@@ -298,10 +299,10 @@ def _in_sessions(
     result = np.empty_like(levels)
     for number, seed in enumerate(seeds):
         rng, mine = np.random.default_rng(seed), np.flatnonzero(session == number)
-        gains = np.exp(rng.normal(0, 0.1, levels.shape[1:]) + rng.normal(0, 0.15))
+        gains = np.exp(rng.normal(0, 0.14, levels.shape[1:]) + rng.normal(0, 0.04))
         pressed = gains * levels[mine].astype(np.float64)
-        pressed[1:] += 0.05 * pressed[:-1]
-        zeroed = pressed + rng.normal(0, 4, levels.shape[1:])
+        pressed[1:] += 0.01 * pressed[:-1]
+        zeroed = pressed + rng.normal(0, 1, levels.shape[1:])
         result[mine] = np.clip(np.rint(zeroed), 0, 255).astype(levels.dtype)
     return result
 
