@@ -86,7 +86,13 @@ def sight(
 
 
 def moved(
-    touches: Touches, *, lengths: Sequence[int], orders: int = 20, seed: int = 0
+    touches: Touches,
+    *,
+    lengths: Sequence[int],
+    orders: int = 20,
+    seed: int = 0,
+    remount: str = "none",
+    label: str = "object",
 ) -> dict[str, dict[str, Any]]:
     """Learn all objects, and the moved ones on one side of their move alone.
 
@@ -95,11 +101,21 @@ def moved(
     """
     early = before_the_move(touches)
     mine = np.isin(labels(touches), MOVED)
-    plan = Plan(touches=tuple(lengths), orders=orders, seed=seed)
+    sizes: Any = {"touches": tuple(lengths), "orders": orders, "seed": seed}
+    plan = Plan(label=label, remount=remount, **sizes)
     return {
         way: evaluate(touches[~mine | side], touches[mine & ~side], plan=plan)[0]
         for way, side in zip(WAYS, (early, ~early), strict=True)
     }
+
+
+def lacks_move(touches: Touches) -> str:
+    """Return what touches lack for `moved`, "" for nothing."""
+    if touches.object is None or not np.isin(touches.object, MOVED).any():
+        return f"object among {', '.join(MOVED)}"
+    if touches.order is None or RIM not in touches.columns:
+        return f"columns 'order' and {RIM!r}"
+    return ""
 
 
 def before_the_move(touches: Touches) -> NDArray[np.bool_]:
@@ -142,12 +158,7 @@ def beside_tasks(
             "The rows of sight beside touch are left out: the folder of recorded "
             f"touches has no {WORDS}."
         )
-    lacking = ""
-    if not np.isin(labels(touches), MOVED).any():
-        lacking = f"object among {', '.join(MOVED)}"
-    elif touches.order is None or RIM not in touches.columns:
-        lacking = f"columns 'order' and {RIM!r}"
-    if lacking:
+    if lacking := lacks_move(touches):
         skipped.append(
             "The rows of objects whose camera moved are left out: the recorded touches "
             f"have no {lacking}."

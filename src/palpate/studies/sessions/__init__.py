@@ -21,6 +21,7 @@ from ...simulation import simulate_presses, simulate_touches
 from ...touches import Touches, TouchesError
 from .. import _study as shared
 from .._study import Experiment, Figures, Plan, Row, Table, Work, coded
+from ..corradi2015.beside import lacks_move, moved
 
 WAYS = {
     "none": "as it is",
@@ -31,6 +32,7 @@ WAYS = {
 }
 CEILING = "the last quarter of the same sessions"
 ALARM = "alarm"
+PAIRS, MOVED = "pairs of others known", "after the camera jumped"
 N_ALARM_TOUCHES = 10
 TITLE = "Taught in some sessions, asked in another"
 CAPTIONS = {"sessions": "Right after one touch (per cent), each session left out."}
@@ -74,44 +76,57 @@ def _measure(plan: SessionsPlan, data: str | Path | None, work: Work) -> dict[st
         "simulated dome": dome,
         "simulated array": simulate_presses(n_presses=n_touches, **sizes),
     }
+    ways = dict.fromkeys(sources, (*plan.ways, CEILING, ALARM))
     folder, skipped = data or os.environ.get("PALPATE_DATA"), []
     if folder and plan.recorded:
-        sources |= dict(_recorded(Path(folder)))
+        for name, touches, its_ways in _recorded(plan, Path(folder)):
+            sources[name], ways[name] = touches, its_ways
     else:
         why = "name their folder with --data" if plan.recorded else "a first look"
         skipped = [f"Recorded touches are left out: {why}."]
     tasks = [
         (plan, name, touches, way)
         for name, touches in sources.items()
-        for way in (*plan.ways, CEILING, ALARM)
+        for way in ways[name]
     ]
     found = work.done(_rows_of, tasks, "Sessions")
     return {"rows": [one for rows in found for one in rows], "skipped": skipped}
 
 
-def _recorded(folder: Path) -> Iterator[tuple[str, Touches]]:
-    """Yield archives in which at least two objects were met in several sessions."""
+def _recorded(
+    plan: SessionsPlan, folder: Path
+) -> Iterator[tuple[str, Touches, tuple[str, ...]]]:
+    """Yield archives, and what can be asked of them.
+
+    All in which at least two objects were met in several sessions, and those objects
+    whose camera jumped within their recording.
+    """
     for path in sorted(folder.rglob("*.npz")):
         try:
             touches = Touches.load(path)
         except TouchesError:
             continue
         objects, sessions = touches.object, touches.session
+        if not lacks_move(touches):
+            yield path.stem, touches, (MOVED,)
         if objects is None or sessions is None:
             continue
         met = np.unique(np.stack([objects, sessions.astype(str)]), axis=1)[0]
         names, n_sessions = np.unique(met, return_counts=True)
         several = np.isin(objects, names[n_sessions > 1])
         if len(np.unique(objects[several])) > 1:
-            yield path.stem, touches[several]
+            people = () if touches.subject is None else (PAIRS,)
+            ways = *plan.ways, *people, CEILING, ALARM
+            yield path.stem, touches[several], ways
 
 
 def _rows_of(plan: SessionsPlan, data: str, touches: Touches, way: str) -> list[Row]:
     if way == ALARM:
         return _alarm(plan, data, touches)
     asked = Asked(touches=plan.touches, orders=plan.orders, seed=plan.seed)
-    if way == CEILING:
-        return _ceiling(asked, data, touches)
+    beside = {CEILING: _ceiling, PAIRS: _pairs_known, MOVED: _moved}
+    if way in beside:
+        return beside[way](asked, data, touches)
     asked = replace(asked, remount=way)
     figures, trials = evaluate(touches, split="session", plan=asked)
     rows = []
@@ -142,6 +157,42 @@ def _ceiling(asked: Asked, data: str, touches: Touches) -> list[Row]:
         for k in asked.touches
         if all(str(k) in one for one in after)
     ]
+
+
+def _pairs_known(asked: Asked, data: str, touches: Touches) -> list[Row]:
+    """Ask half of the people in one session, of the others all sessions are known."""
+    people = np.unique(np.asarray(touches.subject), return_inverse=True)[1]
+    names: Any = touches.session
+    tests = [
+        (names == name) & (people % 2 == half)
+        for name in np.unique(names)
+        for half in range(2)
+    ]
+    rows = []
+    for way in ("none", "recentre"):
+        plan = replace(asked, remount=way)
+        found = [evaluate(touches[~t], touches[t], plan=plan)[0] for t in tests]
+        for k in map(str, asked.touches):
+            shares = [one["accuracy"][k] for one in found if k in one["accuracy"]]
+            if shares:
+                rows.append(_row(data, f"{PAIRS}, {WAYS[way]}", int(k), shares))
+    return rows
+
+
+def _moved(asked: Asked, data: str, touches: Touches) -> list[Row]:
+    """Ask about objects on the other side of the jump, among all the others."""
+    rows = []
+    for label, way in (
+        ("object", "none"),
+        ("object", "recentre"),
+        ("category", "none"),
+    ):
+        sizes: Any = {"lengths": asked.touches, "orders": asked.orders}
+        found = moved(touches, **sizes, seed=asked.seed, remount=way, label=label)
+        for k in map(str, asked.touches):
+            shares = [one["accuracy"][k] for one in found.values()]
+            rows.append(_row(data, f"{label} {MOVED}, {WAYS[way]}", int(k), shares))
+    return rows
 
 
 def _alarm(plan: SessionsPlan, data: str, touches: Touches) -> list[Row]:
