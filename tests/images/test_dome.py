@@ -350,3 +350,20 @@ def test_levels_that_single_precision_cannot_hold_are_refused(rng):
     np.testing.assert_allclose(
         crop.transform(1e36 * images), crop.transform(images), atol=1e-5
     )
+
+
+def test_channels_are_cut_about_one_rim_and_keep_how_they_differ():
+    row, col = np.mgrid[:100, :120]
+    inside = np.hypot(row - 48, col - 61) < 40
+    grey = np.where(inside, 90.0 + 0.2 * row, 255)[np.newaxis]
+    colour = np.stack([grey - 20 * inside, grey, grey + 20 * inside], axis=3)
+    crop = DomeCrop().fit(grey)
+    discs = crop.by_channel(colour)
+    alone = crop.transform(grey)
+    assert discs.shape == (*alone.shape, 3)
+    assert np.allclose(discs.mean(axis=3), alone, atol=1e-4)
+    deviation = (0.2 * row)[np.hypot(row - 48, col - 61) < crop.disc_radius_].std()
+    apart = (discs[..., 2] - discs[..., 0])[alone != 0]
+    assert np.allclose(apart, 40 / deviation, rtol=0.02)
+    flat = DomeCrop(missing="inscribed").fit(np.full((2, 30, 30), 7.0))
+    assert not flat.by_channel(np.full((2, 30, 30, 3), 7.0)).any()

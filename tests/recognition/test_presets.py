@@ -5,8 +5,9 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from palpate import Touches
+from palpate.images import ChannelMean
 from palpate.recognition import PRESETS, ObjectRecogniser
-from palpate.simulation import simulate_presses
+from palpate.simulation import DomeCamera, simulate_presses, simulate_touches
 
 PARTS = ("bar10", "disc13", "square10-hole6")
 
@@ -89,3 +90,28 @@ def test_poses_need_a_pitch(presses):
     with pytest.raises(ValueError, match="learnt no poses"):
         learnt.pose(bare, bare.object)
     assert learnt.fit_pose(bare, pitch_mm=2).pose(bare[:1], ["bar10"]).symmetry[0] == 2
+
+
+def test_what_a_dome_shows_in_colour_alone_is_told():
+    camera = DomeCamera(image_shape=(64, 64), n_nodes=24)
+    grey = simulate_touches(["ball"], 48, camera, random_state=0).images / 2.0
+    grey -= grey.mean(axis=(1, 2), keepdims=True)
+    rng = np.random.default_rng(0)
+    names = np.where(rng.random(len(grey)) < 0.5, "warm", "cold")
+    lean = np.where(names == "warm", 0.5, -0.5)[:, None, None]
+    channels = np.stack([(1 + lean) * grey, grey, (1 - lean) * grey], axis=3)
+    images = np.clip(120 + channels, 0, 255).astype(np.uint8)
+    coloured = Touches(images, object=names, channels=("r", "g", "b"), geometry="dome")
+    train, test = coloured[:32], coloured[32:]
+    recogniser = ObjectRecogniser().fit(train)
+    assert "colours on rings" in recogniser.chosen_["encoding"]
+    assert recogniser.score(test, test.object) > 0.9
+    without = ObjectRecogniser().fit(
+        Touches(
+            ChannelMean().fit_transform(train.images),
+            object=train.object,
+            geometry="dome",
+        )
+    )
+    middle = Touches(ChannelMean().fit_transform(test.images), geometry="dome")
+    assert without.score(middle, test.object) < 0.75

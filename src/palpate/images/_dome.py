@@ -146,6 +146,28 @@ class DomeCrop(ImageEstimator):
         discs = _crop(images, rims, self.disc_radius_, self.size_)
         return _standardise(discs) if self.output == "standardised" else discs
 
+    def by_channel(self, images: Array) -> NDArray[np.float32]:
+        """Return the disc of each channel, (n_touches, size_, size_, n_channels).
+
+        Of checked images (n_touches, n_rows, n_cols, n_channels), about the rim of
+        their mean over channels; standardised as that mean is, so that how channels
+        differ is kept.
+        """
+        rims = self._rims(images.mean(axis=3, dtype=np.float32).astype(np.float64))
+        planes = np.moveaxis(images, 3, 0).astype(np.float64)
+        cut = self.disc_radius_, self.size_
+        discs = np.stack([_crop(plane, rims, *cut) for plane in planes], axis=3)
+        if self.output == "standardised":
+            mask = inscribed_mask(self.size_, self.size_)
+            middle = discs.mean(axis=3)[:, mask]
+            mean, spread = middle.mean(axis=1), middle.std(axis=1)
+            flat = spread <= FLAT * np.maximum(np.abs(middle).max(axis=1), FLAT)
+            spread[flat] = np.inf
+            discs -= mean[:, np.newaxis, np.newaxis, np.newaxis]
+            discs /= spread[:, np.newaxis, np.newaxis, np.newaxis]
+            discs *= mask[:, :, np.newaxis]
+        return discs
+
     def moved(self, X: ArrayLike, no_contact: ArrayLike | None = None) -> Self:
         """Return this clean-up for another camera before the same sensor.
 

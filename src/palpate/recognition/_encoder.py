@@ -50,9 +50,12 @@ class TouchEncoder(BaseEstimator):
     ----------
     clean_up : transformer of images or None
         Image -> cleaner image, such as `DomeCrop`; None leaves images alone. Its `fit`
-        takes the frame of no contact as `no_contact`. Channels are averaged before it.
+        takes the frame of no contact as `no_contact`.
     encodings : mapping of str to sequence of transformers
         Of each the first step takes images, the others feature vectors.
+    channels : bool, default=False
+        Whether the clean-up cleans channels one by one (`DomeCrop.by_channel`); else
+        their mean.
 
     Attributes
     ----------
@@ -103,9 +106,14 @@ class TouchEncoder(BaseEstimator):
     weighing_: Floats | None = None
     offset_: Floats | None = None
 
-    def __init__(self, clean_up: Any, encodings: Mapping[str, Sequence[Any]]) -> None:
-        self.clean_up = clean_up
-        self.encodings = encodings
+    def __init__(
+        self,
+        clean_up: Any,
+        encodings: Mapping[str, Sequence[Any]],
+        channels: bool = False,
+    ) -> None:
+        self.clean_up, self.encodings = clean_up, encodings
+        self.channels = channels
 
     def fit(self, touches: Touches) -> Self:
         """Learn every step from `touches`."""
@@ -185,7 +193,10 @@ class TouchEncoder(BaseEstimator):
             cleaned = self.gain_ * cleaned
         if self.drift_ is not None:
             cleaned = cleaned + self.drift_
-        if self.clean_up_ is not None:
+        if self.clean_up_ is not None and self.channels and cleaned.ndim == 4:
+            every = in_batches(cleaned)
+            cleaned = np.concatenate([self.clean_up_.by_channel(s) for s in every])
+        elif self.clean_up_ is not None:
             cleaned = _transformed(self.clean_up_, grey(cleaned))
         return cleaned
 

@@ -123,7 +123,11 @@ def _default_encoders(touches: Touches, presentation: str) -> dict[str, TouchEnc
             "patterns on rings": [RingPatterns(), principal],
             "quantiles on rings": [RingQuantiles(), StandardScaler(), principal],
         }
-        every = TouchEncoder(DomeCrop(), on_disc)
+        if colours := touches.images.ndim == 4:
+            on_disc = {name: [ChannelMean(), *on_disc[name]] for name in on_disc}
+            quantiles = [RingQuantiles(), StandardScaler(), principal]
+            on_disc["colours on rings"] = quantiles
+        every = TouchEncoder(DomeCrop(), on_disc, channels=colours)
         return {"disc about the rim": every.only(_allowed(every, presentation))}
     every = TouchEncoder(None, _plane_encodings(touches))
     return {"whole picture": every.only(_allowed(every, presentation))}
