@@ -4,7 +4,7 @@ Only numpy is imported here, so that `import palpate` stays cheap.
 """
 
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from numbers import Integral, Number, Real
 from typing import Any
 
@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 # larger levels leave single precision.
 LARGEST_TO_SQUARE = 1e150
 LARGEST_LEVEL = 1e37
+# An image of a longer side is a camera's, made of pixels; others are of an array.
+ARRAY_SIDE = 48
 
 
 # Line breaks, and what a terminal would obey: control characters.
@@ -86,6 +88,12 @@ def are_plain_vectors(X: object, n_features: int) -> bool:
     )
 
 
+def size_said(shape: Sequence[int]) -> str:
+    """Return how large an image is, for people: "480 x 640 pixels"."""
+    cells = "pixels" if max(shape[:2]) > ARRAY_SIDE else "taxels"
+    return f"{' x '.join(map(str, shape))} {cells}"
+
+
 def check_images(
     X: ArrayLike,
     *,
@@ -136,9 +144,8 @@ def check_image_shape(
     if 0 in images.shape:
         raise ValueError(f"Expected at least one touch, got shape {images.shape}.")
     if shape is not None and images.shape[1:] != shape:
-        got = " x ".join(map(str, images.shape[1:]))
         raise ValueError(
-            f"Images have {got} taxels, but the encoder was fitted on "
+            f"Images have {size_said(images.shape[1:])}, but the encoder was fitted on "
             f"{' x '.join(map(str, shape))}; resize them or fit again."
         )
     return images

@@ -85,6 +85,8 @@ def need_baseline(session: "LiveSession") -> None:
     """Take the frame of no contact where the sensor does not know it."""
     from ..sensors import ContactError
 
+    if session.watch is not None and session.watch.sensor.unfixed:
+        print(session.watch.sensor.unfixed, file=sys.stderr)
     if session.baseline is None:
         print("Leave the sensor alone: taking its baseline.", file=sys.stderr)
         try:

@@ -261,13 +261,13 @@ def _strategy(
 
 
 def _camera(recogniser: "ObjectRecogniser") -> Any:
+    from .._checks import size_said
     from ..simulation import DomeCamera
 
     shape = recogniser.encoder_.image_shape_
     if len(shape) != 2 or min(shape) < _LEAST_SIDE:
-        got = " x ".join(map(str, shape))
         raise ValueError(
-            f"MODEL must be of a dome camera, got one of {got} taxels. Make one "
+            f"MODEL must be of a dome camera, got one of {size_said(shape)}. Make one "
             "with: palpate explore learn."
         )
     return DomeCamera(image_shape=(shape[0], shape[1]))
