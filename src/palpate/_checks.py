@@ -5,6 +5,7 @@ Only numpy is imported here, so that `import palpate` stays cheap.
 
 import unicodedata
 from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
 from numbers import Integral, Number, Real
 from typing import Any
 
@@ -68,8 +69,16 @@ def check_option(name: str, value: object, options: Iterable[object]) -> Any:
     valid = list(options)
     if not any(value is option or value == option for option in valid):
         listed = ", ".join(map(repr, valid))
-        raise ValueError(f"{name} must be one of {listed}, got {value!r}.")
+        near = did_you_mean(value, valid)
+        raise ValueError(f"{name} must be one of {listed}, got {value!r}.{near}")
     return value
+
+
+def did_you_mean(name: object, known: Iterable[object]) -> str:
+    """Return " Did you mean 'mug'?" where one of some names is nearly this one."""
+    named = {str(one).casefold(): one for one in known}
+    near = get_close_matches(str(name).casefold(), named, 1)
+    return f" Did you mean {named[near[0]]!r}?" if near else ""
 
 
 def are_plain_vectors(X: object, n_features: int) -> bool:

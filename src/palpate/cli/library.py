@@ -18,7 +18,7 @@ library = typer.Typer(
 
 LibraryPath = Annotated[Path, argument("LIBRARY", "The folder of the library.")]
 Object = Annotated[str, argument("An object.")]
-Filter = Annotated[str, argument("A filter, as for --where.")]
+Filter = Annotated[str | None, argument("FILTER", "A filter, as --where.")]
 
 
 @library.command()
@@ -45,17 +45,15 @@ def add(
     as_json: AsJson = False,
 ) -> None:
     """Add touches; LIBRARY is made where there is none. Adding twice adds once."""
-    from ..library import SensorDescription
+    from ..library import SensorDescription, is_bag, read_bag
 
     if sensor is None and (kind, unit, pitch_mm) != (None, None, None):
         raise ValueError("--kind, --unit and --pitch-mm must come with --sensor NAME.")
-    if topic is None:
+    if topic is None and not is_bag(touches):
         if object_name is not None:
             raise ValueError("--object must come with a bag and --topic.")
         found = reading.touches(touches)
     else:
-        from ..library import read_bag
-
         fix = (
             "All messages of a bag's topic are read; choose afterwards with "
             "`palpate library retract`."
@@ -63,7 +61,7 @@ def add(
         reading.refuse(
             "with --topic", fix, "where", "name_pattern", "no_contact", "colour"
         )
-        found = read_bag(touches, topic, object=object_name)
+        found = read_bag(touches, topic or "", object=object_name)
     described = sensor and SensorDescription(sensor, kind, unit, pitch_mm)
     with _opened(folder, create=True) as opened:
         before = opened.stats()
@@ -94,6 +92,7 @@ def list_touches(
     """List touches (or objects) in the order in which they were added."""
     rows: list[Any]
     with _opened(folder) as opened:
+        opened.refuse_unknown(where)
         rows = opened.list(where, limit, offset, retracted=retracted)
         if objects:
             rows = opened.objects()
@@ -153,6 +152,7 @@ def export(
 ) -> None:
     """Write touches to an archive, a Parquet file or a LeRobotDataset."""
     with _opened(folder) as opened:
+        opened.refuse_unknown(where)
         n_touches = opened.export(output, where)
     written = {"written": str(output), "n_touches": n_touches}
     answer(as_json, written, f"{n_touches} touches are in {output}.")
@@ -205,12 +205,15 @@ def stats(folder: LibraryPath, as_json: AsJson = False) -> None:
 
 @library.command()
 def rename(
-    folder: LibraryPath, old: Object, new: Annotated[str, argument("Its new name.")]
+    folder: LibraryPath,
+    old: Object,
+    new: Annotated[str, argument("Its new name.")],
+    as_json: AsJson = False,
 ) -> None:
     """Give an object another name."""
     with _opened(folder) as opened:
         opened.rename_object(old, new)
-    print(f"{old} is now {new}.")
+    answer(as_json, {"old": old, "new": new}, f"{old} is now {new}.")
 
 
 @library.command()
@@ -218,31 +221,45 @@ def merge(
     folder: LibraryPath,
     source: Object,
     into: Annotated[str, argument("What it really is.")],
+    as_json: AsJson = False,
 ) -> None:
     """Make two objects one."""
     with _opened(folder) as opened:
         opened.merge_objects(source, into)
-    print(f"{source} is now part of {into}.")
+    merged = {"source": source, "into": into}
+    answer(as_json, merged, f"{source} is now part of {into}.")
 
 
 @library.command()
 def retract(
-    folder: LibraryPath, where: Filter, reason: Annotated[str, option("Why.")]
+    folder: LibraryPath,
+    given: Filter = None,
+    *,
+    where: Where = None,
+    reason: Annotated[str, option("Why.")],
+    as_json: AsJson = False,
 ) -> None:
     """Leave touches out from now on; they are kept and can be restored."""
     with _opened(folder) as opened:
-        ids = [row.id for row in opened.list(where, limit=None)]
+        ids = [row.id for row in _meant(opened, given, where)]
         n_retracted = opened.retract(ids, reason=reason)
-    print(f"{n_retracted} touches are retracted.")
+    said = f"{n_retracted} touches are retracted."
+    answer(as_json, {"retracted": n_retracted}, said)
 
 
 @library.command()
-def restore(folder: LibraryPath, where: Filter) -> None:
+def restore(
+    folder: LibraryPath,
+    given: Filter = None,
+    *,
+    where: Where = None,
+    as_json: AsJson = False,
+) -> None:
     """Take retracted touches back in."""
     with _opened(folder) as opened:
-        rows = opened.list(where, limit=None, retracted=True)
+        rows = _meant(opened, given, where, retracted=True)
         n_restored = opened.restore([row.id for row in rows if row.retracted])
-    print(f"{n_restored} touches are back.")
+    answer(as_json, {"restored": n_restored}, f"{n_restored} touches are back.")
 
 
 _ID_SHOWN = 12
@@ -253,6 +270,18 @@ def _opened(folder: Path, *, create: bool = False) -> "TouchLibrary":
     from ..library import TouchLibrary
 
     return TouchLibrary.open(folder, create=create)
+
+
+def _meant(
+    opened: "TouchLibrary", given: str | None, where: str | None, **how: Any
+) -> "list[TouchRow]":
+    """Return the touches of the one filter, which may be given in two ways."""
+    if (given is None) == (where is None):
+        got = "neither" if where is None else "both"
+        raise ValueError(f"Give either FILTER or --where FILTER, got {got}.")
+    chosen = where if given is None else given
+    opened.refuse_unknown(chosen)
+    return opened.list(chosen, limit=None, **how)
 
 
 def _one_touch(opened: "TouchLibrary", start: str) -> "TouchRow":

@@ -14,7 +14,7 @@ from ._options import (
     grouped,
     option,
 )
-from ._output import print_json, table
+from ._output import answer, listed, print_json, table
 
 
 @grouped
@@ -45,8 +45,8 @@ def study(
     from ..studies import STUDIES
 
     if list_names or not name:
-        for known, one in STUDIES.items():
-            print(f"{known:12s} {one.summary}")
+        known = {which: one.summary for which, one in STUDIES.items()}
+        answer(as_json, {"studies": known}, *listed(known))
         return
     one = STUDIES[check_option("study", name, STUDIES)]
     options: dict[str, Any] = {"data": data, "quick": quick, "seed": seed}

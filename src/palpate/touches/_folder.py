@@ -42,7 +42,10 @@ def folder_arrays(
 ) -> Arrays:
     """Return what `Touches` is made of, by name; `read_folder` explains the rest."""
     pattern = None if name_pattern is None else _compiled(name_pattern)
-    names = _picture_names(root, None if no_contact is None else Path(no_contact))
+    if is_picture(root) and root.is_file():
+        root, names = root.parent, [root.name]
+    else:
+        names = _picture_names(root, None if no_contact is None else Path(no_contact))
     try:
         columns = {} if pattern is None else _from_names(names, pattern)
         if "object" not in columns:
@@ -56,6 +59,11 @@ def folder_arrays(
         whole["no_contact"] = _like(Path(no_contact), header, max_pixels)
     images = decode_pictures(paths, header, max_bytes=max_bytes, progress=progress)
     return {"images": images, **whole, **columns, "source_path": np.array(names)}
+
+
+def is_picture(path: Path) -> bool:
+    """Whether a file is a picture by its name."""
+    return path.suffix.lower() in _ENDINGS
 
 
 def no_contact_picture(
@@ -94,7 +102,7 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
         )
     try:
         found = _files(root)
-        pictures = [name for name in found if Path(name).suffix.lower() in _ENDINGS]
+        pictures = [name for name in found if is_picture(Path(name))]
         if no_contact and root.resolve() in no_contact.resolve(strict=True).parents:
             pictures = [n for n in pictures if not no_contact.samefile(root / n)]
     except OSError as error:
