@@ -228,11 +228,8 @@ def test_failures_say_what_to_do(palpate, arguments, code, message, tmp_path):
     assert as_json.stderr == f"palpate: {told['error']}\n"
 
 
-def test_with_json_help_and_lists_end_well(palpate):
+def test_with_json_help_ends_well(palpate):
     assert palpate("learn", "--json", "-h").returncode == 0
-    assert "zernike" in json.loads(palpate("bench", "--json").stdout)["benches"]
-    studies = json.loads(palpate("study", "--list", "--json").stdout)["studies"]
-    assert "liu2014" in studies
 
 
 def test_touches_without_an_order_are_split_as_read_and_it_is_said(

@@ -229,10 +229,11 @@ def test_an_address_says_what_of_the_picture_is_taken():
 @pytest.mark.parametrize(
     ("option", "message"),
     [
-        ("crop=4,10,12", "crop must be first row, first column, rows, columns, got"),
-        ("crop=4,a", "crop must be first row, .* such as 0,80,480,480, got '4,a'"),
-        ("crop=20,0,5,5", "within 24 rows x 32 columns, got 5 x 5 from row 20"),
-        ("crop=-1,0,5,5", "first row must be at least 0, got -1"),
+        ("crop=4,10,12", "columns within 24 x 32, got 4,10,12. Take"),
+        ("crop=4,a", "crop must be row,.* like 0,80,480,480, got '4,a'"),
+        ("crop=20,0,5,5", "columns within 24 x 32, got 20,0,5,5. Take"),
+        ("crop=-1,0,5,5", "columns within 24 x 32, got -1,0,5,5. Take"),
+        ("crop=1,1,0,5", "columns within 24 x 32, got 1,1,0,5. Take"),
         ("rotation=45", "rotation must be one of 0, 90, 180, 270, got 45"),
         ("scale=2", "scale must be finite and between -inf and 1.0, got 2.0"),
         ("scale=0", "scale must be positive and finite, got 0.0"),
@@ -244,15 +245,10 @@ def test_what_cannot_be_taken_is_refused_with_the_value(option, message):
         open_sensor(f"camera:0?shape=24x32&{option}")
 
 
-def test_a_camera_sends_as_it_is_asked_or_is_refused():
+def test_a_camera_is_asked_how_to_send_pictures():
     capture = FakeCapture()
     with camera(capture, fourcc="MJPG"):
         assert int(capture.settings[FOURCC]).to_bytes(4, "little") == b"MJPG"
-    capture = FakeCapture()
-    capture.get = lambda what: int.from_bytes(b"YUYV", "little")
-    with pytest.raises(SensorError, match=r"must send MJPG, got 'YUYV'. Leave"):
-        camera(capture, fourcc="MJPG").connect()
-    assert capture.released == 1
 
 
 def device():

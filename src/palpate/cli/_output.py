@@ -28,11 +28,6 @@ def answer(as_json: bool, values: dict[str, Any], *lines: object) -> None:
         print(printable(str(line)))
 
 
-def listed(known: dict[str, str]) -> list[str]:
-    """Return a line for each name and what it is."""
-    return [f"{name:12s} {what}" for name, what in known.items()]
-
-
 def printable(text: str) -> str:
     """Return text in which what a terminal would obey is written out."""
     kept = (c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)

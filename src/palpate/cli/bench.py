@@ -3,7 +3,7 @@
 from typing import Annotated, Any
 
 from ._options import AsJson, ListNames, argument
-from ._output import answer, listed, print_json, stages, table
+from ._output import print_json, stages, table
 
 
 def bench(
@@ -15,8 +15,8 @@ def bench(
     from ..bench import BENCHES, run_bench
 
     if list_names or not name:
-        known = {which: what for which, (_, what) in BENCHES.items()}
-        answer(as_json, {"benches": known}, *listed(known))
+        for known, (_, what) in BENCHES.items():
+            print(f"{known:12s} {what}")
         return
     with stages() as stage:
         stage(f"measuring {name}")

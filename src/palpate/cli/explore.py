@@ -111,9 +111,7 @@ def recognise(
     error: ErrorRate = 0.01,
     refusal: Refusal = None,
     folder: Folder = None,
-    yaw: Annotated[
-        float | None, option("Turn about the vertical, degrees. Default: drawn.")
-    ] = None,
+    yaw: Annotated[float | None, option("Turn, degrees. Default: drawn.")] = None,
     face: Annotated[int, option("Which face it rests on; 0 is the usual one.")] = 0,
     fault: Annotated[
         list[str] | None,

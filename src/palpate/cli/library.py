@@ -32,12 +32,8 @@ def add(
     sensor: Annotated[str | None, option("Name of the sensor.")] = None,
     kind: Annotated[str | None, option("Kind of sensor: camera, array...")] = None,
     unit: Annotated[str | None, option("Unit of the images, such as kPa.")] = None,
-    pitch_mm: Annotated[
-        float | None, option("Distance of neighbouring taxels in mm.")
-    ] = None,
-    topic: Annotated[
-        str | None, option("Of a bag (ROS 2, MCAP): the topic to read.")
-    ] = None,
+    pitch_mm: Annotated[float | None, option("Distance of taxels in mm.")] = None,
+    topic: Annotated[str | None, option("Topic of a bag (ROS 2, MCAP).")] = None,
     object_name: Annotated[
         str | None, option("--object", "Of a bag: what is touched in all of it.")
     ] = None,
@@ -45,11 +41,12 @@ def add(
     as_json: AsJson = False,
 ) -> None:
     """Add touches; LIBRARY is made where there is none. Adding twice adds once."""
-    from ..library import SensorDescription, is_bag, read_bag
+    from ..library import SensorDescription, read_bag
 
     if sensor is None and (kind, unit, pitch_mm) != (None, None, None):
         raise ValueError("--kind, --unit and --pitch-mm must come with --sensor NAME.")
-    if topic is None and not is_bag(touches):
+    in_folder = (touches / "metadata.yaml").is_file()
+    if topic is None and not in_folder and touches.suffix not in (".mcap", ".db3"):
         if object_name is not None:
             raise ValueError("--object must come with a bag and --topic.")
         found = reading.touches(touches)
@@ -81,12 +78,8 @@ def list_touches(
     where: Where = None,
     limit: Annotated[int, option("At most so many.")] = 50,
     offset: Annotated[int, option("After so many.")] = 0,
-    retracted: Annotated[
-        bool, option("--retracted", "Show retracted touches too.")
-    ] = False,
-    objects: Annotated[
-        bool, option("--objects", "List objects instead of touches.")
-    ] = False,
+    retracted: Annotated[bool, option("--retracted", "Retracted ones too.")] = False,
+    objects: Annotated[bool, option("--objects", "List objects instead.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """List touches (or objects) in the order in which they were added."""
@@ -111,9 +104,7 @@ def list_touches(
 def show(
     folder: LibraryPath,
     touch: Annotated[str, argument("Id of a touch, or how it begins, as listed.")],
-    output: Annotated[
-        Path | None, option("-o", "--output", "Write the image to this .npy file.")
-    ] = None,
+    output: Annotated[Path | None, option("-o", "--output", "Its image, .npy.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Show what is known of one touch; write its image with -o."""
@@ -140,12 +131,7 @@ def export(
     folder: LibraryPath,
     output: Annotated[
         Path,
-        option(
-            "-o",
-            "--output",
-            "An archive (.npz), a Parquet file (.parquet), or a new folder "
-            "for a LeRobotDataset.",
-        ),
+        option("-o", "--output", "An .npz, a .parquet, or a folder (LeRobotDataset)."),
     ],
     where: Where = None,
     as_json: AsJson = False,
@@ -161,9 +147,7 @@ def export(
 @library.command()
 def check(
     folder: LibraryPath,
-    repair: Annotated[
-        bool, option("--repair", "Set aside what is damaged, keep the rest.")
-    ] = False,
+    repair: Annotated[bool, option("--repair", "Set aside what is damaged.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Compare everything with its checksums; exit code 1 where something is wrong."""

@@ -14,7 +14,7 @@ from ._options import (
     grouped,
     option,
 )
-from ._output import answer, listed, print_json, table
+from ._output import print_json, table
 
 
 @grouped
@@ -24,9 +24,7 @@ def study(
     data: Annotated[
         Path | None, option("Folder of recorded touches. Default: PALPATE_DATA.")
     ] = None,
-    quick: Annotated[
-        bool, option("--quick", "A first look, few runs and small grids.")
-    ] = False,
+    quick: Annotated[bool, option("--quick", "A first look: few runs.")] = False,
     protocol: Annotated[
         str | None,
         option(
@@ -45,8 +43,8 @@ def study(
     from ..studies import STUDIES
 
     if list_names or not name:
-        known = {which: one.summary for which, one in STUDIES.items()}
-        answer(as_json, {"studies": known}, *listed(known))
+        for known, one in STUDIES.items():
+            print(f"{known:12s} {one.summary}")
         return
     one = STUDIES[check_option("study", name, STUDIES)]
     options: dict[str, Any] = {"data": data, "quick": quick, "seed": seed}

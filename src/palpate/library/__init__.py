@@ -6,7 +6,6 @@ plain `.npy` files for their images.
 
 from ._adding import SensorDescription, TouchRow
 from ._checking import CheckReport, check_library
-from ._exchange import is_bag as is_bag
 from ._exchange import read_bag
 from ._library import TouchLibrary
 from ._reading import Selection

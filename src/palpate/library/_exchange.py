@@ -114,11 +114,6 @@ def read_bag(
     )
 
 
-def is_bag(path: Path) -> bool:
-    """Whether this looks like a ROS 2 bag: by its ending, or what its folder holds."""
-    return path.suffix in (".mcap", ".db3") or (path / "metadata.yaml").is_file()
-
-
 def _messages(
     reader: Any, topic: str, max_bytes: int
 ) -> tuple[list[Array], list[float], str]:

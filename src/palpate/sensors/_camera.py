@@ -125,14 +125,7 @@ class CameraSensor(LiveSensor):
                 "uses it, plug it in again, or check that you may read its device."
             )
         if self.fourcc is not None:
-            code = cv2.VideoWriter.fourcc(*self.fourcc)
-            capture.set(cv2.CAP_PROP_FOURCC, code)
-            if (got := int(capture.get(cv2.CAP_PROP_FOURCC))) != code:
-                named = got.to_bytes(4, "little", signed=got < 0).decode("latin-1")
-                raise SensorError(
-                    f"The camera {self.camera!r} must send {self.fourcc}, got "
-                    f"{named!r}. Leave fourcc out, or give another."
-                )
+            capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*self.fourcc))
         n_rows, n_cols = self.picture_shape
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, n_cols)
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, n_rows)
@@ -163,11 +156,7 @@ class CameraSensor(LiveSensor):
             )
 
     def _fix(self, capture: Any) -> None:
-        """Switch off what changes the picture by itself, where the driver obeys.
-
-        The values of the first time are set again later: a camera that was unplugged
-        begins with its own, and baseline and model would be of another picture.
-        """
+        """Switch off what changes the picture by itself; keep what it first was at."""
         import cv2
 
         controls = {
@@ -221,23 +210,16 @@ def _checked_crop(
     crop: Sequence[int] | None, shape: Sequence[int]
 ) -> tuple[int, int, int, int]:
     """Return the part of a picture to take, all of it by default, or explain."""
-    names = ("first row", "first column", "rows", "columns")
-    if crop is None:
-        return (0, 0, shape[0], shape[1])
-    if len(crop) != len(names):
-        raise ValueError(f"crop must be {', '.join(names)}, got {crop!r}.")
-    least = (0, 0, 1, 1)
-    checked = (
-        check_count(n, v, at_least=k)
-        for n, v, k in zip(names, crop, least, strict=True)
+    given = (0, 0, *shape) if crop is None else tuple(crop)
+    if len(given) == 4:
+        row, col, n_rows, n_cols = map(int, given)
+        within = row + n_rows <= shape[0] and col + n_cols <= shape[1]
+        if min(row, col) >= 0 and min(n_rows, n_cols) > 0 and within:
+            return row, col, n_rows, n_cols
+    raise ValueError(
+        "crop must be first row, first column, rows, columns within "
+        f"{shape[0]} x {shape[1]}, got {','.join(map(str, given))}. Take less of them."
     )
-    row, col, n_rows, n_cols = checked
-    if row + n_rows > shape[0] or col + n_cols > shape[1]:
-        raise ValueError(
-            f"crop must lie within {shape[0]} rows x {shape[1]} columns, got "
-            f"{n_rows} x {n_cols} from row {row}, column {col}. Take less of them."
-        )
-    return row, col, n_rows, n_cols
 
 
 def camera_names() -> list[tuple[str, str]]:

@@ -346,12 +346,9 @@ class SensorMemory:
 def baseline_warning(memory: SensorMemory, no_contact: Array) -> str:
     """Return a sentence if rest is off by over a quarter of a touch, else nothing."""
     if memory.no_contact.shape != no_contact.shape:
-        both = (memory.no_contact.shape, no_contact.shape)
-        known, found = map(size_said, both)
-        return (
-            f"The model learnt from a sensor of {known}, this one has {found}. "
-            "Learn again with this sensor."
-        )
+        known, found = map(size_said, (memory.no_contact.shape, no_contact.shape))
+        what = f"The model learnt from a sensor of {known}, this one has {found}."
+        return f"{what} Learn again with this sensor."
     off = float(np.sqrt(np.nanmean((no_contact - memory.no_contact) ** 2)))
     if off <= _BASELINE_TOLERANCE * memory.touch_change:
         return ""

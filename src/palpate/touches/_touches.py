@@ -34,7 +34,7 @@ from ._columns import (
     plain_array,
     sorted_out,
 )
-from ._folder import folder_arrays, is_picture, no_contact_picture
+from ._folder import ENDINGS, folder_arrays, no_contact_picture
 
 MAX_PIXELS = 50_000_000
 MAX_BYTES = 4 * 2**30
@@ -203,7 +203,7 @@ class Touches(Labelled):
             The file or folder cannot be read as touches; it names the file and fix.
         """
         place = Path(path)
-        if place.is_dir() or (is_picture(place) and place.is_file()):
+        if place.is_dir() or (place.suffix.lower() in ENDINGS and place.is_file()):
             limits = (max_pixels, max_bytes, progress)
             how = (name_pattern, no_contact, colour)
             return cls(**folder_arrays(place, *how, *limits))
