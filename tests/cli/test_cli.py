@@ -323,7 +323,9 @@ def test_square_brackets_are_no_markup(palpate, monkeypatch, tmp_path):
     words = " ".join(palpate("learn", "--help").stdout.replace("│", " ").split())
     assert 'needs pip install "palpate[distributed]"' in words
     shown = palpate("simulate", "array", "--help").stdout
-    assert "senses, mm. [0.65 pitch]" in " ".join(shown.replace("│", " ").split())
+    assert "Side of a taxel, mm [0.65 pitch]." in " ".join(
+        shown.replace("│", " ").split()
+    )
     names = ["[bold]mug[/bold]", ":cat: [/]"]
     with TouchLibrary.open(tmp_path / "[red]lab", create=True) as library:
         library.add(Touches(np.zeros((2, 3, 3)), object=names))
