@@ -2,9 +2,12 @@
 
 `python benchmarks/live_pictures.py [FOLDER]`; needs the extras `web` and `test` and
 Debian's chromium. Six household objects are taught twelve touches each; another one,
-which was not, is then touched until nothing more is asked for.
+which was not, is then touched until nothing more is asked for. `python
+benchmarks/live_pictures.py --report [FOLDER]` runs `palpate demo` and draws the first
+part of its report.
 """
 
+import subprocess
 import sys
 import tempfile
 import threading
@@ -47,9 +50,28 @@ def pictured(page: Page, address: str, folder: Path, name: str) -> None:
     page.screenshot(path=folder / f"live-{name}.png")
 
 
+def report(folder: Path) -> None:
+    """Run the demo, and draw the first part of its report."""
+    with tempfile.TemporaryDirectory() as place, sync_playwright() as driver:
+        words = ["-m", "palpate", "demo", "--output", place]
+        subprocess.run([sys.executable, *words], check=True)
+        (written,) = Path(place).rglob("*.html")
+        browser = driver.chromium.launch(
+            executable_path="/usr/bin/chromium", args=["--no-sandbox"]
+        )
+        page = browser.new_page(viewport={"width": 1080, "height": 950})
+        page.goto(written.as_uri())
+        page.screenshot(path=folder / "report.png")
+        browser.close()
+
+
 def main() -> None:
-    """Draw both pictures."""
-    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/images")
+    """Draw both pictures, or that of the report."""
+    words = [word for word in sys.argv[1:] if word != "--report"]
+    folder = Path(words[0] if words else "docs/images")
+    if "--report" in sys.argv:
+        report(folder)
+        return
     sensor = open_sensor("sim:mug", rate_hz=40.0, hold=2, gap=3)
     with (
         tempfile.TemporaryDirectory() as place,

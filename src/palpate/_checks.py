@@ -4,7 +4,8 @@ Only numpy is imported here, so that `import palpate` stays cheap.
 """
 
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
 from numbers import Integral, Number, Real
 from typing import Any
 
@@ -15,6 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 # larger levels leave single precision.
 LARGEST_TO_SQUARE = 1e150
 LARGEST_LEVEL = 1e37
+# An image of a longer side is a camera's, made of pixels; others are of an array.
+ARRAY_SIDE = 48
 
 
 # Line breaks, and what a terminal would obey: control characters.
@@ -66,8 +69,16 @@ def check_option(name: str, value: object, options: Iterable[object]) -> Any:
     valid = list(options)
     if not any(value is option or value == option for option in valid):
         listed = ", ".join(map(repr, valid))
-        raise ValueError(f"{name} must be one of {listed}, got {value!r}.")
+        near = did_you_mean(value, valid)
+        raise ValueError(f"{name} must be one of {listed}, got {value!r}.{near}")
     return value
+
+
+def did_you_mean(name: object, known: Iterable[object]) -> str:
+    """Return " Did you mean 'mug'?" where one of some names is nearly this one."""
+    named = {str(one).casefold(): one for one in known}
+    near = get_close_matches(str(name).casefold(), named, 1)
+    return f" Did you mean {named[near[0]]!r}?" if near else ""
 
 
 def are_plain_vectors(X: object, n_features: int) -> bool:
@@ -84,6 +95,12 @@ def are_plain_vectors(X: object, n_features: int) -> bool:
         and X.shape[1] == n_features
         and bool(np.isfinite(X).all())
     )
+
+
+def size_said(shape: Sequence[int]) -> str:
+    """Return how large an image is, for people: "480 x 640 pixels"."""
+    cells = "pixels" if max(shape[:2]) > ARRAY_SIDE else "taxels"
+    return f"{' x '.join(map(str, shape))} {cells}"
 
 
 def check_images(
@@ -136,9 +153,8 @@ def check_image_shape(
     if 0 in images.shape:
         raise ValueError(f"Expected at least one touch, got shape {images.shape}.")
     if shape is not None and images.shape[1:] != shape:
-        got = " x ".join(map(str, images.shape[1:]))
         raise ValueError(
-            f"Images have {got} taxels, but the encoder was fitted on "
+            f"Images have {size_said(images.shape[1:])}, but the encoder was fitted on "
             f"{' x '.join(map(str, shape))}; resize them or fit again."
         )
     return images

@@ -148,6 +148,7 @@ def test_every_command_has_help_and_stands_in_the_docs(palpate, words):
     command = dict(commands())[words]
     assert command.help
     assert all(parameter.help for parameter in command.params)
+    assert any("--json" in parameter.opts for parameter in command.params)
     asked = palpate(*words, "--help")
     assert asked.returncode == 0
     assert palpate(*words, "-h").stdout == asked.stdout
@@ -220,6 +221,43 @@ def test_failures_say_what_to_do(palpate, arguments, code, message, tmp_path):
     assert message in done.stderr
     assert done.stdout == ""
     assert "Traceback" not in done.stderr
+    as_json = palpate(*arguments, "--json", cwd=tmp_path)
+    assert as_json.returncode == code
+    assert list(told := json.loads(as_json.stdout)) == ["error"]
+    assert message in told["error"]
+    assert as_json.stderr == f"palpate: {told['error']}\n"
+
+
+def test_with_json_help_ends_well(palpate):
+    assert palpate("learn", "--json", "-h").returncode == 0
+
+
+def test_touches_without_an_order_are_split_as_read_and_it_is_said(
+    palpate, archive, tmp_path
+):
+    words = ["evaluate", "--train", archive, "--split", "last", "--touches", "1"]
+    said = "there is no order (a column `order`), so touches were split as they were"
+    assert said in " ".join(palpate(*words).stdout.split())
+    assert said in json.loads(palpate(*words, "--json").stdout)["chosen"]["found"][-1]
+    touches = Touches.load(archive)
+    path = tmp_path / "t.npz"
+    touches.with_columns(order=np.arange(len(touches))).save(path)
+    assert said not in palpate("evaluate", "--train", path, *words[3:]).stdout
+
+
+def test_one_picture_is_recognised(palpate, tmp_path, rng):
+    for name, level in (("mug", 0), ("pen", 90)):
+        (tmp_path / "t" / name).mkdir(parents=True)
+        for number in range(8):
+            levels = (level + rng.random((16, 16)) * 60).astype(np.uint8)
+            Image.fromarray(levels).save(tmp_path / "t" / name / f"{number}.png")
+    palpate("learn", tmp_path / "t", "-o", tmp_path / "m.palpate")
+    picture = tmp_path / "t" / "pen" / "3.png"
+    done = palpate("recognise", tmp_path / "m.palpate", picture, "--json")
+    (episode,) = json.loads(done.stdout)["episodes"]
+    assert episode["object"] is None
+    (belief,) = episode["beliefs"]
+    assert max(belief["posterior"], key=belief["posterior"].get) == "pen"
 
 
 def test_a_split_without_labels_is_refused(palpate, archive, tmp_path):
@@ -285,7 +323,9 @@ def test_square_brackets_are_no_markup(palpate, monkeypatch, tmp_path):
     words = " ".join(palpate("learn", "--help").stdout.replace("│", " ").split())
     assert 'needs pip install "palpate[distributed]"' in words
     shown = palpate("simulate", "array", "--help").stdout
-    assert "senses, mm. [0.65 pitch]" in " ".join(shown.replace("│", " ").split())
+    assert "Side of a taxel, mm [0.65 pitch]." in " ".join(
+        shown.replace("│", " ").split()
+    )
     names = ["[bold]mug[/bold]", ":cat: [/]"]
     with TouchLibrary.open(tmp_path / "[red]lab", create=True) as library:
         library.add(Touches(np.zeros((2, 3, 3)), object=names))

@@ -70,6 +70,52 @@ def test_objects_are_renamed_merged_retracted_and_restored(palpate, folder):
     assert "n_touches" in palpate("library", "stats", folder).stdout
 
 
+def test_a_filter_to_retract_may_be_an_option_and_says_what_it_did(palpate, folder):
+    def told(*words):
+        done = palpate("library", *words, "--json")
+        return done.returncode, json.loads(done.stdout)
+
+    where = "--where", "object = ball"
+    why = "--reason", "wet"
+    assert told("retract", folder, *where, *why) == (0, {"retracted": 20})
+    assert told("retract", folder, *where, *why) == (0, {"retracted": 0})
+    assert told("restore", folder, *where) == (0, {"restored": 20})
+    for words, got in ((why, "neither"), ((*why, *where, "object = pen"), "both")):
+        code, said = told("retract", folder, *words)
+        assert (code, said["error"][-len(got) - 1 :]) == (1, f"{got}.")
+    assert told("stats", folder)[1]["n_retracted"] == 0
+    assert told("rename", folder, "mug", "cup") == (0, {"old": "mug", "new": "cup"})
+    merged = {"source": "cup", "into": "pen"}
+    assert told("merge", folder, "cup", "pen") == (0, merged)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("library", "rename", "LIB", "mgu", "cup"),
+        ("library", "merge", "LIB", "pen", "mugg"),
+        ("library", "retract", "LIB", "object = Mugs", "--reason", "wet"),
+        ("library", "restore", "LIB", "--where", "order < 3 and (object=mgu)"),
+        ("library", "list", "LIB", "--where", "object == 'mgu'"),
+        ("library", "export", "LIB", "-o", "x.npz", "--where", "object = mgu"),
+        ("learn", "LIB", "-o", "x.palpate", "--where", "object = mgu"),
+        ("evaluate", "--train", "LIB", "--split", "last", "--where", "object = mgu"),
+    ],
+    ids=" ".join,
+)
+def test_a_misspelt_object_is_named_with_the_one_meant(palpate, folder, words):
+    done = palpate(*(folder if word == "LIB" else word for word in words))
+    assert done.returncode == 1
+    assert "library ('ball', 'mug', 'pen'), got " in done.stderr
+    assert done.stderr.endswith(" Did you mean 'mug'?\n")
+
+
+def test_names_that_were_merged_may_still_be_filtered_by(palpate, folder):
+    palpate("library", "merge", folder, "mug", "pen")
+    done = palpate("library", "list", folder, "--where", "object = mug", "--json")
+    assert (done.returncode, json.loads(done.stdout)["rows"]) == (0, [])
+
+
 def test_a_check_finds_damage_and_repairs(palpate, folder):
     assert palpate("library", "check", folder).returncode == 0
     next((folder / "images").rglob("*.npy")).unlink()

@@ -96,6 +96,16 @@ def test_live_follows_an_episode_to_its_decision(palpate, replay, recording, tmp
         assert 1 <= len(episode["touches"]) <= 5
 
 
+def test_live_says_what_the_camera_changes_by_itself(
+    palpate, replay, recording, tmp_path, monkeypatch
+):
+    model, said = tmp_path / "model.palpate", "does not keep exposure fixed"
+    ObjectRecogniser().fit(Touches.load(recording)).save(model)
+    monkeypatch.setattr("palpate.sensors.LiveSensor.unfixed", said)
+    words = ["live", model, *replay, "--gap", "3", "--place", "bar", "-n", "1"]
+    assert said in palpate(*words).stderr
+
+
 LEVELS = "--error", "0.02", "--refusal", "0.3"
 
 
@@ -223,7 +233,7 @@ def test_live_says_why_a_model_does_not_suit_the_sensor(palpate, recording, tmp_
     ObjectRecogniser().fit(Touches.load(recording)).save(model)
     done = palpate("live", model, "--sensor", "sim:mug", "--timeout", "4")
     assert done.returncode == 1
-    assert "120 x 120 taxels" in done.stderr
+    assert "120 x 120 pixels" in done.stderr
     assert "got one of 12 x 12" in done.stderr
 
 

@@ -6,8 +6,10 @@ import re
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from typer.testing import CliRunner
 
 from palpate import Touches
+from palpate.cli import app
 from palpate.library import LibraryError, TouchLibrary, read_bag
 
 pq = pytest.importorskip("pyarrow.parquet")
@@ -233,6 +235,19 @@ def test_a_digest_of_all_messages_is_kept(bag, tmp_path):
         assert library.touches().whole["set_bag_sha256"] == digest
 
 
+def test_a_bag_without_a_topic_lists_its_topics(bag, tmp_path):
+    path = bag(_image(np.zeros((2, 2), np.uint8), "mono8"), topic="/finger/image")
+    words = ["library", "add", str(tmp_path / "lab"), str(path)]
+    kind = r"\(/finger/image of sensor_msgs/msg/Image\), got "
+    for more, got in (
+        ((), "''"),
+        (("--topic", "/finger/imag"), "'/finger/imag'.*mean"),
+    ):
+        done = CliRunner().invoke(app, [*words, *more])
+        assert re.search(kind + got, str(done.exception))
+    assert not (tmp_path / "lab").exists()
+
+
 def test_a_fourth_channel_of_a_bag_is_left_out(bag):
     """Its value must not matter; blue comes first in bgra8: 0.114 * 255 = 29.07."""
     bgra = np.array([[[255, 0, 0, 0], [255, 0, 0, 255]]], dtype=np.uint8)
@@ -264,8 +279,8 @@ def test_arrays_of_a_bag_are_touches(bag, sizes, shape):
 
 def test_what_is_no_touch_is_refused(bag, tmp_path):
     good = _image(np.zeros((2, 2), np.uint8), "mono8")
-    with pytest.raises(LibraryError, match=r"one of the bag \(/pad\), got '/other'"):
-        read_bag(bag(good), "/other")
+    with pytest.raises(LibraryError, match=r"bag \(/pad of .*Image\), got '/p'"):
+        read_bag(bag(good), "/p")
     with pytest.raises(LibraryError, match="encoded as mono8"):
         read_bag(bag(_image(np.zeros((2, 2), np.uint8), "bayer_rggb8")), "/pad")
     short = _image(np.zeros((2, 2), np.uint8), "mono8")

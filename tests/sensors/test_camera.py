@@ -1,8 +1,10 @@
 """A camera without a camera: a capture object that does what drivers do."""
 
+import os
 import sys
 import threading
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,9 +17,12 @@ from palpate.sensors import (
     camera_names,
     check_sensor,
     find_camera,
+    open_sensor,
 )
 
-AUTO_EXPOSURE, EXPOSURE, WIDTH, HEIGHT = 21, 15, 3, 4  # OpenCV's numbers
+# OpenCV's numbers.
+AUTO_EXPOSURE, EXPOSURE, WIDTH, HEIGHT, GAIN = 21, 15, 3, 4, 14
+FOURCC, AUTO_FOCUS, FOCUS, TEMPERATURE = 6, 39, 28, 45
 
 
 class FakeCapture:
@@ -26,6 +31,8 @@ class FakeCapture:
     def __init__(self, shape=(24, 32), opens=True, gives=True, obeys=True):
         self.shape, self.opens, self.gives, self.obeys = shape, opens, gives, obeys
         self.settings = {EXPOSURE: 0.25}
+        self.picture = np.zeros((*shape, 3), np.uint8)
+        self.picture[..., 0] = 100  # blue
         self.plugged, self.released, self.n_read = threading.Event(), 0, 0
         self.plugged.set()
 
@@ -44,9 +51,7 @@ class FakeCapture:
         self.n_read += 1
         if not self.gives or not self.plugged.is_set():
             return False, None
-        picture = np.zeros((*self.shape, 3), np.uint8)
-        picture[..., 0] = 100  # blue
-        return True, picture
+        return True, self.picture
 
     def release(self):
         self.released += 1
@@ -102,9 +107,166 @@ def test_exposure_is_fixed_where_the_driver_lets_it():
         assert capture.settings[AUTO_EXPOSURE] == 1
         assert capture.settings[EXPOSURE] == 0.25  # what it had settled on
         assert (capture.settings[WIDTH], capture.settings[HEIGHT]) == (32, 24)
-        assert sensor.fixed == {"exposure": True, "white balance": True, "focus": True}
+        assert set(sensor.fixed) == {"exposure", "white balance", "focus", "gain"}
+        assert all(sensor.fixed.values())
+        assert sensor.unfixed == ""
     with camera(FakeCapture(obeys=False), exposure=3.0) as sensor:
         assert not any(sensor.fixed.values())
+        assert "keep exposure and white balance and focus and gain" in sensor.unfixed
+
+
+def test_what_a_camera_does_not_have_is_not_missed():
+    capture = FakeCapture()
+    capture.settings |= {AUTO_FOCUS: -1, FOCUS: -1, GAIN: -1}
+    with camera(capture) as sensor:
+        assert sensor.fixed == {"exposure": True, "white balance": True}
+        assert capture.settings[GAIN] == -1
+    with camera(FakeCapture(), gain=7.0) as sensor:
+        assert sensor.kept["gain"] == 7.0
+
+
+class Replugged(FakeCapture):
+    """Begins with its own automatic values whenever it is plugged in."""
+
+    def __init__(self):
+        super().__init__()
+        self.light = 100.0
+
+    def plug(self, light):
+        self.light = light
+        self.settings = {AUTO_EXPOSURE: 3, TEMPERATURE: light}
+        self.plugged.set()
+
+    def get(self, what):
+        automatic = self.settings.get(AUTO_EXPOSURE) != 1
+        return self.light if automatic and what == EXPOSURE else super().get(what)
+
+    def read(self):
+        self.picture[..., 0] = self.get(EXPOSURE)
+        return super().read()
+
+
+def test_exposure_is_kept_when_the_camera_is_found_again():
+    capture = Replugged()
+    capture.plug(100.0)
+    sensor = camera(capture)
+    sensor.retry_s = 0.01
+    with sensor:
+        before = sensor.read()
+        capture.plugged.clear()
+        time.sleep(0.05)
+        capture.plug(200.0)  # a hand lies over it, say
+        drained(sensor)
+        after = sensor.read_next(5.0)
+        assert capture.settings[EXPOSURE] == 100.0
+        assert capture.settings[TEMPERATURE] == 100.0
+        # Not even the first frame is of the exposure it began with.
+        assert (after.image == before).all()
+    capture.plug(50.0)
+    with sensor:
+        assert (sensor.read() == before).all()
+
+
+def test_a_read_that_does_not_end_is_not_cut_off():
+    capture = FakeCapture()
+    free, reading = threading.Event(), threading.Event()
+    sensor = camera(capture)
+    sensor.patience_s = 0.05
+    sensor.connect()
+    sensor.read_next()
+
+    def hang():
+        reading.set()
+        free.wait(10)
+        return True, capture.picture
+
+    capture.read = hang
+    reading.wait(5)
+    sensor.disconnect()
+    assert not sensor.connected
+    assert capture.released == 0
+    with pytest.raises(SensorError, match=r"has not ended its last read. Unplug it"):
+        sensor.connect()
+    free.set()
+    deadline = time.monotonic() + 5
+    while not capture.released and time.monotonic() < deadline:
+        time.sleep(0.005)
+    assert capture.released == 1
+    with sensor:
+        assert sensor.read_next().image.shape == (24, 32)
+
+
+def test_a_part_of_the_picture_is_cut_turned_and_shrunk():
+    capture = FakeCapture(shape=(24, 32))
+    rng = np.random.default_rng(0)
+    capture.picture = rng.integers(0, 255, (24, 32, 3), np.uint8)
+    part = capture.picture[4:16, 10:28, ::-1]
+    colour = {"colour": True, "crop": (4, 10, 12, 18)}
+    with camera(capture, **colour) as sensor:
+        assert sensor.image_shape == (12, 18, 3)
+        assert (sensor.read() == part).all()
+    for rotation in (90, 180, 270):
+        with camera(capture, rotation=rotation, **colour) as sensor:
+            assert (sensor.read() == np.rot90(part, rotation // 90)).all()
+    check_sensor(camera(capture, rotation=90, scale=0.5, **colour))
+    with camera(capture, rotation=90, scale=0.5, **colour) as sensor:
+        assert sensor.image_shape == (9, 6, 3)
+        means = part.reshape(6, 2, 9, 2, 3).mean(axis=(1, 3))
+        # OpenCV rounds means over areas to the nearest level.
+        assert abs(sensor.read() - np.rot90(means)).max() <= 0.5
+    with camera(capture, scale=0.25, crop=(0, 0, 1, 32)) as sensor:
+        assert sensor.read().shape == (1, 8)
+
+
+def test_an_address_says_what_of_the_picture_is_taken():
+    said = "camera:0?shape=24x32&crop=4,10,12,18&rotation=270&scale=0.5&gain=3"
+    sensor = open_sensor(f"{said}&fourcc=MJPG")
+    assert sensor.picture_shape == (24, 32)
+    assert sensor.image_shape == (9, 6)
+    assert (sensor.kept, sensor.fourcc) == ({"gain": 3.0}, "MJPG")
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("crop=4,10,12", "columns within 24 x 32, got 4,10,12. Take"),
+        ("crop=4,a", "crop must be row,.* like 0,80,480,480, got '4,a'"),
+        ("crop=20,0,5,5", "columns within 24 x 32, got 20,0,5,5. Take"),
+        ("crop=-1,0,5,5", "columns within 24 x 32, got -1,0,5,5. Take"),
+        ("crop=1,1,0,5", "columns within 24 x 32, got 1,1,0,5. Take"),
+        ("rotation=45", "rotation must be one of 0, 90, 180, 270, got 45"),
+        ("scale=2", "scale must be finite and between -inf and 1.0, got 2.0"),
+        ("scale=0", "scale must be positive and finite, got 0.0"),
+        ("fourcc=MJPEG", "fourcc must be four letters such as MJPG, got 'MJPEG'"),
+    ],
+)
+def test_what_cannot_be_taken_is_refused_with_the_value(option, message):
+    with pytest.raises(ValueError, match=message):
+        open_sensor(f"camera:0?shape=24x32&{option}")
+
+
+def test_a_camera_is_asked_how_to_send_pictures():
+    capture = FakeCapture()
+    with camera(capture, fourcc="MJPG"):
+        assert int(capture.settings[FOURCC]).to_bytes(4, "little") == b"MJPG"
+
+
+def device():
+    """Return a V4L2 camera of this machine, if there is one."""
+    there = [os.environ.get("PALPATE_CAMERA"), *sorted(Path("/dev").glob("video*"))]
+    return next((str(path) for path in there if path), None)
+
+
+@pytest.mark.camera
+@pytest.mark.skipif(device() is None, reason="no /dev/video*, and no PALPATE_CAMERA")
+def test_a_real_camera_keeps_the_contract_and_its_exposure():
+    with CameraSensor(device()) as sensor:
+        sensor.read()
+        kept = dict(sensor.kept)
+        assert set(sensor.fixed) >= {"exposure", "white balance"}
+    check_sensor(sensor)
+    assert sensor.kept == kept
+    check_sensor(CameraSensor(device(), crop=(0, 80, 480, 480), scale=0.5, rotation=90))
 
 
 def test_an_unplugged_camera_is_found_again():
@@ -136,7 +298,10 @@ def test_frames_nobody_reads_are_dropped_and_counted():
     [
         (FakeCapture(opens=False), "cannot be opened. Close the program"),
         (FakeCapture(gives=False), "opens but gives no picture"),
-        (FakeCapture(shape=(48, 64)), "must give 32 x 24 pixels, got 64 x 48"),
+        (
+            FakeCapture(shape=(48, 64)),
+            r"24 rows x 32 columns, got 48 x 64\. Ask",
+        ),
     ],
 )
 def test_what_is_wrong_is_one_sentence_with_the_fix(capture, message):

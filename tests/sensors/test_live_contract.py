@@ -216,7 +216,7 @@ def test_a_shape_that_the_sensor_does_not_have_is_refused(tmp_path):
 def test_an_address_says_what_is_to_be_set(tmp_path):
     camera = open_sensor("camera:USB Camera?shape=480x640&rate=15&exposure=3")
     assert (camera.camera, camera.image_shape) == ("USB Camera", (480, 640))
-    assert (camera.rate_hz, camera.exposure) == (15, 3)
+    assert (camera.rate_hz, camera.kept) == (15, {"exposure": 3})
     for written, shape in (("1", (24, 32, 3)), ("yes", (24, 32, 3)), ("0", (24, 32))):
         sensor = open_sensor(f"camera:0?shape=24x32&colour={written}")
         assert sensor.image_shape == shape

@@ -73,6 +73,6 @@ def test_a_taxel_that_fades_in_colour_is_named_once(presses):
     warning = gain_warning(before, SensorMemory.of(faded, rest))
     assert warning.count("row") == 1
     assert "row 2 column 4." in warning
-    assert "6 x 6 x 3 taxels, this one has 6 x 6." in baseline_warning(
+    assert "6 x 6 x 3 taxels, this one has 6 x 6 taxels." in baseline_warning(
         before, rest[..., 0]
     )

@@ -94,8 +94,19 @@ def test_missing_and_empty_folders(put, tmp_path):
     (root / "b.npz").write_bytes(b"x")
     with pytest.raises(TouchesError, match=r"got 2 files of .bmp, .npz.*one by one"):
         Touches.load(root)
-    with pytest.raises(TouchesError, match="into a folder"):
+    with pytest.raises(TouchesError, match="JPEG or PNG picture, or a folder"):
         Touches.load(root / "a.bmp")
+
+
+def test_one_picture_is_one_touch(put):
+    root = put("mug/1.png", "mug/2.png")
+    alone = Touches.load(root / "mug" / "2.png")
+    assert_array_equal(alone.images, Touches.load(root)[1:].images)
+    assert alone.object is None
+    named = Touches.load(root / "mug" / "2.png", name_pattern=r"(?P<order>\d+)")
+    assert named.order.tolist() == [2]
+    with pytest.raises(TouchesError, match="got nothing there"):
+        Touches.load(root / "3.png")
 
 
 def test_pictures_of_another_size_or_format_are_named(put):

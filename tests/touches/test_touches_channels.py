@@ -132,7 +132,9 @@ def test_an_archive_whose_channels_are_not_named_is_refused(tmp_path):
 def test_sets_of_unlike_channels_are_not_joined():
     colour, grey = coloured(), Touches(np.zeros((1, 4, 6), np.uint8))
     assert len(Touches.concatenate([colour, colour[:1]])) == 3
-    with pytest.raises(TouchesError, match=r"all be 4 x 6 x 3 taxels.* got 4 x 6 in"):
+    with pytest.raises(
+        TouchesError, match=r"all be 4 x 6 x 3 taxels .* 4 x 6 taxels in"
+    ):
         Touches.concatenate([colour, grey])
     turned = colour.with_columns(channels=["b", "g", "r"])
     with pytest.raises(TouchesError, match=r"channels must be the same.*\. Keep the"):

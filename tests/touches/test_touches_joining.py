@@ -44,7 +44,7 @@ def test_a_whole_set_entry_stays_one_where_it_is_as_long_as_the_set():
 @pytest.mark.parametrize(
     ("one", "other", "message"),
     [
-        ({}, {"size": (3, 4)}, "3 x 3 taxels like set 0, got 3 x 4 in set 1"),
+        ({}, {"size": (3, 4)}, "3 x 3 taxels like set 0, got 3 x 4 taxels in set 1"),
         ({}, {"dtype": np.uint16}, "uint8 like set 0, got uint16 in set 1"),
         (
             {"object": ["a", "b"]},

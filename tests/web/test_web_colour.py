@@ -35,7 +35,7 @@ def shown(tmp_path, make_session, connected):
             grey = cv2.imencode(".png", image[..., 0])[1].tobytes()
             kind = {"content-type": "image/png"}
             refused = client.post("/api/touch/picture", content=grey, headers=kind)
-            assert f"60 x 60 taxels with channels {', '.join(channels)}" in refused.text
+            assert f"60 x 60 pixels with channels {', '.join(channels)}" in refused.text
             assert "got 60 x 60 in grey" in refused.text
         data = np.frombuffer(answer.content, np.uint8)
         return cv2.imdecode(data, cv2.IMREAD_COLOR)
@@ -307,8 +307,8 @@ def test_a_model_of_the_other_kind_is_refused_with_the_fix(
         assert session.learn_error == ""
     kinds = ["colour", "grey"] if colour else ["grey", "colour"]
     message = (
-        f"must be of images of 48 x 64 taxels in {kinds[1]}, which camera gel gives, "
-        f"got one of 48 x 64 taxels in {kinds[0]}.* with colour={int(colour)}"
+        f"must be of images of 48 x 64 pixels in {kinds[1]}, which camera gel gives, "
+        f"got one of 48 x 64 pixels in {kinds[0]}.* with colour={int(colour)}"
     )
     with pytest.raises(ValueError, match=message):
         LiveSession(camera(colour=not colour), model=model).start()

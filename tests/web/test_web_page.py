@@ -366,6 +366,17 @@ def test_the_first_baseline_is_tried_by_a_press(page, hand, serving, tmp_path):
         expect(page.locator("#strip li")).to_have_count(1)
 
 
+@pytest.mark.parametrize("width", [1280, 390])
+def test_what_the_camera_changes_by_itself_is_said(page, hand, serving, width):
+    hand.unfixed = "The driver of camera 'dome' does not keep exposure fixed."
+    page.set_viewport_size({"width": width, "height": 800})
+    with serving(LiveSession(hand)) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        expect(page.locator("#warnings li")).to_have_text(hand.unfixed)
+        wide = page.evaluate("document.documentElement.scrollWidth")
+        assert wide <= width
+
+
 @pytest.fixture
 def taught(make_session, drawn, learning_here):
     """A session that has learnt the disc and the bar."""

@@ -133,6 +133,14 @@ def test_a_first_baseline_of_a_pressed_array_is_refused(hand):
         assert (session.baseline == 20).all()
 
 
+def test_what_the_sensor_changes_by_itself_is_told(hand):
+    hand.fixed, hand.unfixed = {"exposure": False}, "It does not keep exposure fixed."
+    with LiveSession(hand) as session:
+        told = session.to_dict()["sensor"]
+        assert told["fixed"] == {"exposure": False}
+        assert told["warnings"] == [hand.unfixed]
+
+
 def test_a_lesson_ends_the_test_press(hand, tmp_path):
     with LiveSession(hand, library=tmp_path / "library") as session:
         session.take_baseline(ask_press=True)

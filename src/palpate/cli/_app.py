@@ -7,12 +7,13 @@ that `palpate --help` answers at once.
 import errno
 import os
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from .. import __version__
 from ._options import option
+from ._output import answer
 from .bench import bench
 from .benchmark import benchmark
 from .demo import demo
@@ -48,6 +49,7 @@ app.add_typer(library, name="library")
 app.add_typer(explore, name="explore")
 app.add_typer(sensor, name="sensor")
 
+_Usage: Any = typer.BadParameter.__base__  # every wrong use of the command line
 # What a verb may fail with; anything else is a fault of palpate and shows where.
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES)
 FAILURES = (ValueError, TypeError, OSError, RuntimeError, ImportError, MemoryError)
@@ -74,15 +76,21 @@ def _root(
 def main() -> None:
     """Run the command line; exit 1 for a failure, 2 for wrong usage.
 
-    PALPATE_DEBUG=1 in the environment shows the whole traceback of a failure.
+    With --json what went wrong is printed as `{"error": ...}` too. PALPATE_DEBUG=1 in
+    the environment shows the whole traceback of a failure.
     """
+    as_json = "--json" in sys.argv
     try:
-        app()
+        sys.exit(app(standalone_mode=not as_json))
     except FAILURES as error:
         if os.environ.get("PALPATE_DEBUG"):
             raise
-        print(f"palpate: {_sentence(error)}", file=sys.stderr)
-        sys.exit(1)
+        said, code = _sentence(error), 1
+    except _Usage as error:  # with --json; otherwise typer shows it
+        said, code = error.format_message(), error.exit_code
+    answer(as_json, {"error": said})
+    print(f"palpate: {said}", file=sys.stderr)
+    sys.exit(code)
 
 
 def _sentence(error: BaseException) -> str:

@@ -191,6 +191,7 @@ class Reading:
         if opened is None:
             return self._recording(path)
         with opened as library:
+            library.refuse_unknown(self.where)
             return library.touches(self.where)
 
     @contextmanager
@@ -201,6 +202,7 @@ class Reading:
             yield self._recording(path)
             return
         with opened as library:
+            library.refuse_unknown(self.where)
             yield library.select(self.where)
 
     def _library(self, path: Path) -> "TouchLibrary | None":

@@ -36,38 +36,21 @@ class SensorOptions:
 
     image_shape: Annotated[
         str | None,
-        option(
-            "--shape",
-            "Rows x columns of a camera (480x640) or an array (16x16, auto).",
-        ),
+        option("--shape", "Rows x columns: 480x640, 16x16; of an array auto."),
     ] = None
-    rate_hz: Annotated[
-        float | None, option("--rate", "Frames per second, where chosen.")
-    ] = None
+    rate_hz: Annotated[float | None, option("--rate", "Frames per second.")] = None
     colour: Annotated[
-        bool | None,
-        option("--colour", "Read a camera in red, green and blue, not in grey levels."),
+        bool | None, option("--colour", "Read a camera in red, green and blue.")
     ] = None
     baud: Annotated[int | None, option("Bits per second of a serial port.")] = None
-    framing: Annotated[
-        str | None, option('How a serial array writes: "line" or "binary".')
-    ] = None
+    framing: Annotated[str | None, option('An array: "line" or "binary".')] = None
     checksum: Annotated[
         bool | None,
-        option(
-            "--checksum/--no-checksum",
-            "Refuse serial lines without a checksum. Default: once one with it came.",
-        ),
+        option("--checksum/--no-checksum", "Refuse serial lines without a checksum."),
     ] = None
-    hold: Annotated[
-        int | None, option("Frames that a replayed or simulated touch is held.")
-    ] = None
-    gap: Annotated[
-        int | None, option("Frames of nothing between two such touches.")
-    ] = None
-    place: Annotated[
-        str | None, option("What lies before a replayed or simulated sensor at first.")
-    ] = None
+    hold: Annotated[int | None, option("Frames a played touch is held.")] = None
+    gap: Annotated[int | None, option("Frames of nothing between two such.")] = None
+    place: Annotated[str | None, option("What lies there to be played first.")] = None
     name_pattern: NamePattern = None
     no_contact: NoContact = None
 
@@ -85,6 +68,8 @@ def need_baseline(session: "LiveSession") -> None:
     """Take the frame of no contact where the sensor does not know it."""
     from ..sensors import ContactError
 
+    if session.watch is not None and session.watch.sensor.unfixed:
+        print(session.watch.sensor.unfixed, file=sys.stderr)
     if session.baseline is None:
         print("Leave the sensor alone: taking its baseline.", file=sys.stderr)
         try:

@@ -39,12 +39,8 @@ Stage = Callable[[str], None]
 
 
 def demo(
-    real: Annotated[
-        bool, option("--real", "Use the recorded touches in PALPATE_DATA.")
-    ] = False,
-    folder: Annotated[
-        Path, option("--output", "Where to write the model and the report.")
-    ] = Path("demo"),
+    real: Annotated[bool, option("--real", "Recorded ones, PALPATE_DATA.")] = False,
+    folder: Annotated[Path, option("--output", "For model and report.")] = Path("demo"),
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:

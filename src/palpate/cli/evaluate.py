@@ -30,12 +30,8 @@ def evaluate(
             "Split --train itself: between, last, unseen-objects, session or subject."
         ),
     ] = None,
-    touches: Annotated[
-        str, option("Give figures after so many touches.")
-    ] = "1,5,15,30",
-    train_touches: Annotated[
-        int | None, option("Draw so many per object to train.")
-    ] = None,
+    touches: Annotated[str, option("Figures after so many.")] = "1,5,15,30",
+    train_touches: Annotated[int | None, option("Train on so many each.")] = None,
     remount: Annotated[
         str,
         option(
@@ -45,9 +41,7 @@ def evaluate(
         ),
     ] = "none",
     orders: Annotated[int, option("Random orders of each object's touches.")] = 20,
-    unknown: Annotated[
-        Path | None, option("Touches of objects that are not trained on.")
-    ] = None,
+    unknown: Annotated[Path | None, option("Touches of objects not trained.")] = None,
     test_where: Annotated[str | None, option("The same for --test.")] = None,
     unknown_where: Annotated[str | None, option("The same for --unknown.")] = None,
     error: ErrorRate = 0.01,

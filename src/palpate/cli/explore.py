@@ -111,9 +111,7 @@ def recognise(
     error: ErrorRate = 0.01,
     refusal: Refusal = None,
     folder: Folder = None,
-    yaw: Annotated[
-        float | None, option("Turn about the vertical, degrees. Default: drawn.")
-    ] = None,
+    yaw: Annotated[float | None, option("Turn, degrees. Default: drawn.")] = None,
     face: Annotated[int, option("Which face it rests on; 0 is the usual one.")] = 0,
     fault: Annotated[
         list[str] | None,
@@ -261,13 +259,13 @@ def _strategy(
 
 
 def _camera(recogniser: "ObjectRecogniser") -> Any:
+    from .._checks import size_said
     from ..simulation import DomeCamera
 
     shape = recogniser.encoder_.image_shape_
     if len(shape) != 2 or min(shape) < _LEAST_SIDE:
-        got = " x ".join(map(str, shape))
         raise ValueError(
-            f"MODEL must be of a dome camera, got one of {got} taxels. Make one "
+            f"MODEL must be of a dome camera, got one of {size_said(shape)}. Make one "
             "with: palpate explore learn."
         )
     return DomeCamera(image_shape=(shape[0], shape[1]))

@@ -18,7 +18,7 @@ library = typer.Typer(
 
 LibraryPath = Annotated[Path, argument("LIBRARY", "The folder of the library.")]
 Object = Annotated[str, argument("An object.")]
-Filter = Annotated[str, argument("A filter, as for --where.")]
+Filter = Annotated[str | None, argument("FILTER", "A filter, as --where.")]
 
 
 @library.command()
@@ -32,12 +32,8 @@ def add(
     sensor: Annotated[str | None, option("Name of the sensor.")] = None,
     kind: Annotated[str | None, option("Kind of sensor: camera, array...")] = None,
     unit: Annotated[str | None, option("Unit of the images, such as kPa.")] = None,
-    pitch_mm: Annotated[
-        float | None, option("Distance of neighbouring taxels in mm.")
-    ] = None,
-    topic: Annotated[
-        str | None, option("Of a bag (ROS 2, MCAP): the topic to read.")
-    ] = None,
+    pitch_mm: Annotated[float | None, option("Distance of taxels in mm.")] = None,
+    topic: Annotated[str | None, option("Topic of a bag (ROS 2, MCAP).")] = None,
     object_name: Annotated[
         str | None, option("--object", "Of a bag: what is touched in all of it.")
     ] = None,
@@ -45,17 +41,16 @@ def add(
     as_json: AsJson = False,
 ) -> None:
     """Add touches; LIBRARY is made where there is none. Adding twice adds once."""
-    from ..library import SensorDescription
+    from ..library import SensorDescription, read_bag
 
     if sensor is None and (kind, unit, pitch_mm) != (None, None, None):
         raise ValueError("--kind, --unit and --pitch-mm must come with --sensor NAME.")
-    if topic is None:
+    in_folder = (touches / "metadata.yaml").is_file()
+    if topic is None and not in_folder and touches.suffix not in (".mcap", ".db3"):
         if object_name is not None:
             raise ValueError("--object must come with a bag and --topic.")
         found = reading.touches(touches)
     else:
-        from ..library import read_bag
-
         fix = (
             "All messages of a bag's topic are read; choose afterwards with "
             "`palpate library retract`."
@@ -63,7 +58,7 @@ def add(
         reading.refuse(
             "with --topic", fix, "where", "name_pattern", "no_contact", "colour"
         )
-        found = read_bag(touches, topic, object=object_name)
+        found = read_bag(touches, topic or "", object=object_name)
     described = sensor and SensorDescription(sensor, kind, unit, pitch_mm)
     with _opened(folder, create=True) as opened:
         before = opened.stats()
@@ -83,17 +78,14 @@ def list_touches(
     where: Where = None,
     limit: Annotated[int, option("At most so many.")] = 50,
     offset: Annotated[int, option("After so many.")] = 0,
-    retracted: Annotated[
-        bool, option("--retracted", "Show retracted touches too.")
-    ] = False,
-    objects: Annotated[
-        bool, option("--objects", "List objects instead of touches.")
-    ] = False,
+    retracted: Annotated[bool, option("--retracted", "Retracted ones too.")] = False,
+    objects: Annotated[bool, option("--objects", "List objects instead.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """List touches (or objects) in the order in which they were added."""
     rows: list[Any]
     with _opened(folder) as opened:
+        opened.refuse_unknown(where)
         rows = opened.list(where, limit, offset, retracted=retracted)
         if objects:
             rows = opened.objects()
@@ -112,9 +104,7 @@ def list_touches(
 def show(
     folder: LibraryPath,
     touch: Annotated[str, argument("Id of a touch, or how it begins, as listed.")],
-    output: Annotated[
-        Path | None, option("-o", "--output", "Write the image to this .npy file.")
-    ] = None,
+    output: Annotated[Path | None, option("-o", "--output", "Its image, .npy.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Show what is known of one touch; write its image with -o."""
@@ -141,18 +131,14 @@ def export(
     folder: LibraryPath,
     output: Annotated[
         Path,
-        option(
-            "-o",
-            "--output",
-            "An archive (.npz), a Parquet file (.parquet), or a new folder "
-            "for a LeRobotDataset.",
-        ),
+        option("-o", "--output", "An .npz, a .parquet, or a folder (LeRobotDataset)."),
     ],
     where: Where = None,
     as_json: AsJson = False,
 ) -> None:
     """Write touches to an archive, a Parquet file or a LeRobotDataset."""
     with _opened(folder) as opened:
+        opened.refuse_unknown(where)
         n_touches = opened.export(output, where)
     written = {"written": str(output), "n_touches": n_touches}
     answer(as_json, written, f"{n_touches} touches are in {output}.")
@@ -161,9 +147,7 @@ def export(
 @library.command()
 def check(
     folder: LibraryPath,
-    repair: Annotated[
-        bool, option("--repair", "Set aside what is damaged, keep the rest.")
-    ] = False,
+    repair: Annotated[bool, option("--repair", "Set aside what is damaged.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Compare everything with its checksums; exit code 1 where something is wrong."""
@@ -205,12 +189,15 @@ def stats(folder: LibraryPath, as_json: AsJson = False) -> None:
 
 @library.command()
 def rename(
-    folder: LibraryPath, old: Object, new: Annotated[str, argument("Its new name.")]
+    folder: LibraryPath,
+    old: Object,
+    new: Annotated[str, argument("Its new name.")],
+    as_json: AsJson = False,
 ) -> None:
     """Give an object another name."""
     with _opened(folder) as opened:
         opened.rename_object(old, new)
-    print(f"{old} is now {new}.")
+    answer(as_json, {"old": old, "new": new}, f"{old} is now {new}.")
 
 
 @library.command()
@@ -218,31 +205,45 @@ def merge(
     folder: LibraryPath,
     source: Object,
     into: Annotated[str, argument("What it really is.")],
+    as_json: AsJson = False,
 ) -> None:
     """Make two objects one."""
     with _opened(folder) as opened:
         opened.merge_objects(source, into)
-    print(f"{source} is now part of {into}.")
+    merged = {"source": source, "into": into}
+    answer(as_json, merged, f"{source} is now part of {into}.")
 
 
 @library.command()
 def retract(
-    folder: LibraryPath, where: Filter, reason: Annotated[str, option("Why.")]
+    folder: LibraryPath,
+    given: Filter = None,
+    *,
+    where: Where = None,
+    reason: Annotated[str, option("Why.")],
+    as_json: AsJson = False,
 ) -> None:
     """Leave touches out from now on; they are kept and can be restored."""
     with _opened(folder) as opened:
-        ids = [row.id for row in opened.list(where, limit=None)]
+        ids = [row.id for row in _meant(opened, given, where)]
         n_retracted = opened.retract(ids, reason=reason)
-    print(f"{n_retracted} touches are retracted.")
+    said = f"{n_retracted} touches are retracted."
+    answer(as_json, {"retracted": n_retracted}, said)
 
 
 @library.command()
-def restore(folder: LibraryPath, where: Filter) -> None:
+def restore(
+    folder: LibraryPath,
+    given: Filter = None,
+    *,
+    where: Where = None,
+    as_json: AsJson = False,
+) -> None:
     """Take retracted touches back in."""
     with _opened(folder) as opened:
-        rows = opened.list(where, limit=None, retracted=True)
+        rows = _meant(opened, given, where, retracted=True)
         n_restored = opened.restore([row.id for row in rows if row.retracted])
-    print(f"{n_restored} touches are back.")
+    answer(as_json, {"restored": n_restored}, f"{n_restored} touches are back.")
 
 
 _ID_SHOWN = 12
@@ -253,6 +254,18 @@ def _opened(folder: Path, *, create: bool = False) -> "TouchLibrary":
     from ..library import TouchLibrary
 
     return TouchLibrary.open(folder, create=create)
+
+
+def _meant(
+    opened: "TouchLibrary", given: str | None, where: str | None, **how: Any
+) -> "list[TouchRow]":
+    """Return the touches of the one filter, which may be given in two ways."""
+    if (given is None) == (where is None):
+        got = "neither" if where is None else "both"
+        raise ValueError(f"Give either FILTER or --where FILTER, got {got}.")
+    chosen = where if given is None else given
+    opened.refuse_unknown(chosen)
+    return opened.list(chosen, limit=None, **how)
 
 
 def _one_touch(opened: "TouchLibrary", start: str) -> "TouchRow":

@@ -22,9 +22,7 @@ def live(
     model: ModelPath,
     sensor: SensorAddress,
     *,
-    touches: Annotated[
-        int, option("-n", "--touches", "Most touches of an episode.")
-    ] = 30,
+    touches: Annotated[int, option("-n", "--touches", "Most of an episode.")] = 30,
     episodes: Annotated[int, option("How many episodes; 0 goes on until Ctrl-C.")] = 1,
     timeout: Patience = 120.0,
     error: ErrorRate = 0.01,

@@ -21,13 +21,8 @@ def record(
     sensor: SensorAddress,
     library: Annotated[Path, option("Folder that keeps the touches; made if missing.")],
     *,
-    touches: Annotated[
-        int, option("-n", "--touches", "How many touches to take.")
-    ] = 12,
-    output: Annotated[
-        Path | None,
-        option("-o", "--output", "Write the object's touches to an archive too."),
-    ] = None,
+    touches: Annotated[int, option("-n", "--touches", "How many.")] = 12,
+    output: Annotated[Path | None, option("-o", "--output", "An .npz too.")] = None,
     sessions: Annotated[
         int,
         option(

@@ -17,9 +17,7 @@ SETS = ("household", "unseen", "shapes")
 # Share of the pitch that senses, where --sensing is not given (the paper's 1.3 / 2).
 SENSING_SHARE = 0.65
 
-simulate = typer.Typer(
-    no_args_is_help=True, help="Make touches with a simulated sensor."
-)
+simulate = typer.Typer(no_args_is_help=True, help="Make touches by simulation.")
 
 Output = Annotated[Path, option("-o", "--output", "The touch archive to write (.npz).")]
 Workers = Annotated[
@@ -53,15 +51,9 @@ class DomeTouches:
             "and rubber; in each the object is turned anew."
         ),
     ] = 1
-    any_pose: Annotated[
-        bool, option("--any-pose", "Let objects rest on any of their faces.")
-    ] = False
-    aim_sd: Annotated[
-        float, option("Presses face the centre to within this sd, mm.")
-    ] = 5.0
-    no_drift: Annotated[
-        bool, option("--no-drift", "Keep the sensor as it is in all sessions.")
-    ] = False
+    any_pose: Annotated[bool, option("--any-pose", "Rest on any of its faces.")] = False
+    aim_sd: Annotated[float, option("Presses miss the centre by this sd, mm.")] = 5.0
+    no_drift: Annotated[bool, option("--no-drift", "Keep the sensor as it is.")] = False
     unit: Unit = "mm"
     workers: Workers = -1
     seed: Seed = 0
@@ -100,20 +92,15 @@ class DomeTouches:
 def array(
     output: Output,
     parts: Annotated[
-        list[str] | None,
-        argument(
-            "PART", "Names (bar10, disc13-hole8...) or numbers, 1 to 12. Default: all."
-        ),
+        list[str] | None, argument("PART", "Names (bar10...) or 1 to 12. Default: all.")
     ] = None,
     presses: Annotated[int, option("Presses of each.")] = 20,
-    sessions: Annotated[
-        int, option("Mountings: in each gains, zero and hysteresis are drawn anew.")
-    ] = 1,
+    sessions: Annotated[int, option("Mountings: gains and zero are new.")] = 1,
     rows: Annotated[int, option("Taxels down.")] = 10,
     cols: Annotated[int, option("Taxels across.")] = 10,
     pitch: Annotated[float, option("Distance of taxels, mm.")] = 2.0,
     sensing: Annotated[
-        float | None, option("Side of what a taxel senses, mm. [0.65 pitch]")
+        float | None, option("Side of a taxel, mm [0.65 pitch].")
     ] = None,
     load: Annotated[str, option("Load in kgf, or a range such as 1:5.")] = "4",
     cover: Annotated[float, option("Thickness of the cover, mm.")] = 0.9,

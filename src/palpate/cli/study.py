@@ -24,9 +24,7 @@ def study(
     data: Annotated[
         Path | None, option("Folder of recorded touches. Default: PALPATE_DATA.")
     ] = None,
-    quick: Annotated[
-        bool, option("--quick", "A first look, few runs and small grids.")
-    ] = False,
+    quick: Annotated[bool, option("--quick", "A first look: few runs.")] = False,
     protocol: Annotated[
         str | None,
         option(

@@ -25,6 +25,9 @@ from ._trial import Plan, Trial, figures_of
 
 Progress = Callable[[str], None]
 N_TIMED = 100
+_UNORDERED = (
+    "there is no order (a column `order`), so touches were split as they were read"
+)
 
 
 def silent(stage: str) -> None:
@@ -102,7 +105,11 @@ def evaluate(
         progress(f"{len(folds)} folds")
         tasks = [(fold, unknown, plan, silent) for fold in folds]
         trials = in_parallel(_run, tasks, "Folds", show=False)
-    return figures_of(trials, plan, split), trials
+    figures = figures_of(trials, plan, split)
+    if split in ("between", "last") and train.order is None:
+        found = figures["chosen"].get("found", ())
+        figures["chosen"] = {**figures["chosen"], "found": [*found, _UNORDERED]}
+    return figures, trials
 
 
 def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) -> Trial:

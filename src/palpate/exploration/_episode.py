@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._checks import check_count
+from .._checks import check_count, size_said
 from ..sensors import TouchSensor
 from ..simulation import SensorPose
 from ._guarded import Clock, Guard, guarded_touch
@@ -256,8 +256,8 @@ def _refuse_other_size(log: EpisodeLog, sensor: TouchSensor) -> None:
         found = np.asarray(record.image).shape
         if record.touched and found != shape:
             raise EpisodeError(
-                f"{log.folder} must hold touches of {' x '.join(map(str, shape))} "
-                f"taxels, as the sensor makes, got {found} in attempt {number}. "
+                f"{log.folder} must hold touches of {size_said(shape)}, "
+                f"as the sensor makes, got {found} in attempt {number}. "
                 "Use that sensor, or another folder."
             )
 

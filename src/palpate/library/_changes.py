@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from .._checks import one_spelling
+from .._checks import did_you_mean, one_spelling
 from .._durable import write_text
 from ._files import canonical
 from ._rows import id_bytes, read_rows
@@ -216,7 +216,7 @@ def known_object(store: Store, name: str) -> tuple[int, str]:
         listed = ", ".join(map(repr, known[:20])) + ", ..." * (len(known) > 20)
         raise LibraryError(
             f"object must be one in the library ({listed or 'it has none'}), got "
-            f"{name!r}."
+            f"{name!r}.{did_you_mean(name, known)}"
         )
     return found
 

@@ -42,6 +42,7 @@ from typing import Any
 
 import numpy as np
 
+from .._checks import did_you_mean
 from .._durable import PARTIAL, flush_all, flush_folder
 from .._extras import needed
 from .._types import Array, Floats
@@ -118,8 +119,12 @@ def _messages(
 ) -> tuple[list[Array], list[float], str]:
     chosen = [c for c in reader.connections if c.topic == topic]
     if not chosen:
-        listed = ", ".join(sorted({c.topic for c in reader.connections})) or "none"
-        raise LibraryError(f"topic must be one of the bag ({listed}), got {topic!r}.")
+        kinds = {c.topic: c.msgtype for c in reader.connections}
+        listed = ", ".join(f"{name} of {kinds[name]}" for name in sorted(kinds))
+        raise LibraryError(
+            f"topic must be one of the bag ({listed or 'it has none'}), got {topic!r}."
+            f"{did_you_mean(topic, kinds)}"
+        )
     images: list[Array] = []
     times: list[float] = []
     n_bytes = 0

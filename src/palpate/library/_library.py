@@ -34,6 +34,7 @@ from ._reading import (
 from ._repairing import RepairReport, repair_library
 from ._rows import FROM, Numbers, read_one, read_rows, without_damaged
 from ._store import FILE_NAME, LibraryError, Store, holds_files, is_unicode
+from ._where import objects_asked
 
 MAX_BYTES = 64 * 2**30
 Sensors = list[SensorDescription]
@@ -198,6 +199,11 @@ class TouchLibrary:
         tail = f"WHERE {sql} ORDER BY t.number LIMIT ? OFFSET ?"
         rows = read_rows(store, TouchRow._fields, tail, [*values, *some])
         return [TouchRow._make((*known, bool(gone), why)) for *known, gone, why in rows]
+
+    def refuse_unknown(self, where: str | None) -> None:
+        """Refuse a filter `object = NAME` of a name that no object has, or had."""
+        for name in objects_asked(where or ""):
+            known_object(self._store, name)
 
     def count(self, where: str | None = None) -> int:
         """Return how many touches meet a filter."""

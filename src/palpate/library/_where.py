@@ -39,6 +39,7 @@ _TOKENS = re.compile(
 _INTEGER = re.compile("[+-]?[0-9]+")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|[+-]?inf", re.I)
 _EQUAL, _UNEQUAL, _ORDERED = ("=", "=="), ("!=", "<>"), ("<", "<=", ">", ">=")
+_NAMED = [("object", sign) for sign in _EQUAL]
 _LONGEST = 10_000
 _DEEPEST = 50
 _DEEPEST_SQL = 30  # SQLite's parser holds 100 symbols, up to three for each bracket
@@ -78,6 +79,13 @@ def parse_where(text: str, extra: Collection[str] = ()) -> Condition:
             "`in (...)`, or leave out brackets."
         )
     return condition
+
+
+def objects_asked(text: str) -> list[str]:
+    """Return the names that a filter wants objects to have (`object = NAME`)."""
+    tokens = [token.text for token in _tokens(text)]
+    threes = zip(tokens, tokens[1:], tokens[2:], strict=False)
+    return [name for column, sign, name in threes if (column, sign) in _NAMED]
 
 
 class _Parser:

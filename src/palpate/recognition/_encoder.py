@@ -9,7 +9,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 import numpy as np
 from sklearn.base import BaseEstimator, clone
 
-from .._checks import check_levels
+from .._checks import ARRAY_SIDE, check_levels, size_said
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
 from ..images import fill_dead_taxels, grey, typical_rim
@@ -20,7 +20,6 @@ from ._sessions import looks
 BATCH = 256
 # Geometry of a sensor that says nothing of itself; see `find_geometry`.
 SMALL_SIDE = 8
-ARRAY_SIDE = 48
 LOOK_AT = 50
 # A taxel that moved at least every other time and is still in so many touches is
 # stuck: one time in 500 by chance.
@@ -182,11 +181,10 @@ class TouchEncoder(BaseEstimator):
         """Return the images after the clean-up alone."""
         images = touches.images
         if images.shape[1:] != tuple(self.image_shape_):
-            shapes = self.image_shape_, images.shape[1:]
-            known, got = (" x ".join(map(str, shape)) for shape in shapes)
+            known, got = map(size_said, (self.image_shape_, images.shape[1:]))
             raise ValueError(
-                f"touches must have {known} taxels like the training touches, got "
-                f"{got}. Use the same sensor and resolution, or learn again."
+                f"touches must have {known} like the training touches, got {got}. "
+                "Use the same sensor and resolution, or learn again."
             )
         cleaned = self._living(images)
         if self.gain_ != 1:

@@ -37,6 +37,10 @@ def _shape(text: str) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
+def _whole(text: str) -> tuple[int, ...]:
+    return tuple(map(int, text.split(",")))
+
+
 def _word(keyword: str, **values: Any) -> _Option:
     """Return an option that must be one of some words."""
     return _Option(keyword, values.__getitem__, " or ".join(values))
@@ -57,6 +61,11 @@ _OPTIONS: dict[str, dict[str, _Option]] = {
         **_SHAPE,
         **_RATE,
         "exposure": _Option("exposure", float, "a number in the driver's own unit"),
+        "gain": _Option("gain", float, "a number in the driver's own unit"),
+        "crop": _Option("crop", _whole, "row,column,rows,columns like 0,80,480,480"),
+        "rotation": _Option("rotation", int, "0, 90, 180 or 270 degrees"),
+        "scale": _Option("scale", float, "a share of at most 1, such as 0.5"),
+        "fourcc": _Option("fourcc", str, "four letters such as MJPG"),
         "colour": _word("colour", **{"1": True, "0": False}, yes=True, no=False),
     },
     "serial": {
@@ -88,13 +97,8 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
     ----------
     address : str
         `camera:NAME`, `serial:PORT`, `replay:PATH` or `sim:OBJECT`, and after a `?`
-        options, as in `camera:USB Camera?shape=480x640&rate=30`: `shape` (rows x
-        columns), `rate` (Hz), `exposure`, `colour` (1 or 0) of a camera; `shape`,
-        `baud`, `framing`, `checksum` (yes or no), `dtype`, `unit` of a serial array,
-        whose shape must be given, or `auto` to listen to it; `shape`, `rate`, `hold`,
-        `gap`, `place` (what lies on the desk at first), `no-contact`, `name-pattern`
-        of a replay; `shape`, `rate`, `hold`, `gap`, `place`, `seed` of a simulated
-        sensor.
+        options, as in `camera:USB Camera?shape=480x640&rate=30`; docs/live.md lists
+        them, and so does the refusal of one that is unknown.
     **options
         The same as Python values or as text, named as the sensor names them:
         `image_shape`, `rate_hz`, `no_contact`...; what else the sensor takes; see
@@ -203,7 +207,7 @@ def _made(kind: str, place: str, given: dict[str, Any]) -> LiveSensor:
             given |= {name: v for name, v in listened.items() if name not in given}
             given["image_shape"] = shape = listened["image_shape"]
         sensor = SerialArraySensor(place, **given)
-    if shape is not None and sensor.image_shape[:2] != shape:
+    if shape is not None and kind != "camera" and sensor.image_shape[:2] != shape:
         (n_rows, n_cols), (asked_rows, asked_cols) = sensor.image_shape[:2], shape
         raise AddressError(
             f"shape must be that of the {sensor.name}, {n_rows} x {n_cols}, got "

@@ -4,6 +4,7 @@ Cameras change their numbers whenever one is plugged in, so one is chosen by its
 or by a path that stays, such as `/dev/v4l/by-id/...`.
 """
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .._checks import check_number, check_positive
+from .._checks import check_count, check_number, check_option, check_positive
 from .._extras import needed
 from .._types import Array
 from ._contract import LiveSensor, SensorError
@@ -19,6 +20,7 @@ from ._contract import LiveSensor, SensorError
 # What the Linux driver (V4L2) means by exposure set by hand; others use 0.25 or 0.
 _BY_HAND = 1
 _WARM_UP = 5
+_ABSENT = -1  # what OpenCV reads where the driver has no such control
 
 OpenCapture = Callable[[str], Any]
 
@@ -35,11 +37,20 @@ class CameraSensor(LiveSensor):
         (n_rows, n_cols) to ask the camera for.
     rate_hz : float, default=30
         Frames per second to ask for.
-    exposure : float, optional
-        Exposure in the driver's own unit, kept fixed; None fixes what the camera
-        has settled on after a few frames.
+    exposure, gain : float, optional
+        In the driver's own unit, kept fixed; None fixes what the camera has settled
+        on after a few frames of the first connection, also when it is found again.
     colour : bool, default=False
         Give frames (n_rows, n_cols, 3) of red, green and blue, as the camera does.
+    crop : (int, int, int, int), optional
+        First row, first column, rows and columns of its picture to take.
+    rotation : {0, 90, 180, 270}, default=0
+        Degrees to turn what is taken, anticlockwise.
+    scale : float, default=1
+        Shrink what is taken to this share of its rows and columns, more than 0 and
+        at most 1; pixels become means over areas.
+    fourcc : str, optional
+        How the camera is to send pictures, four letters such as "MJPG".
     open_capture : callable, optional
         Returns an object like `cv2.VideoCapture` for `camera`; for tests, and for
         cameras that OpenCV does not know.
@@ -47,8 +58,10 @@ class CameraSensor(LiveSensor):
     Attributes
     ----------
     fixed : dict of str to bool
-        Of "exposure", "white balance" and "focus", which the driver agreed to keep
-        fixed; known once connected.
+        Of "exposure", "white balance" and, where it has them, "focus" and "gain",
+        which the driver agreed to keep fixed; known once connected.
+    kept : dict of str to float
+        What these are kept at, once connected; -1 where the driver does not say.
 
     Notes
     -----
@@ -66,15 +79,32 @@ class CameraSensor(LiveSensor):
         *,
         rate_hz: float = 30.0,
         exposure: float | None = None,
+        gain: float | None = None,
         colour: bool = False,
+        crop: tuple[int, int, int, int] | None = None,
+        rotation: int = 0,
+        scale: float = 1.0,
+        fourcc: str | None = None,
         open_capture: OpenCapture | None = None,
     ) -> None:
         unit, more = ("colour level", (3,)) if colour else ("grey level", ())
-        super().__init__(f"camera {camera}", unit, (*image_shape, *more), np.uint8)
+        self.picture_shape = tuple(map(check_count, ("n_rows", "n_cols"), image_shape))
+        self.crop = _checked_crop(crop, self.picture_shape)
+        turns = check_option("rotation", rotation, (0, 90, 180, 270)) // 90
+        share = check_positive("scale", check_number("scale", scale, high=1.0))
+        sides = [max(1, math.floor(n * share + 0.5)) for n in self.crop[2:]]
+        shape = (*(sides[::-1] if turns % 2 else sides), *more)
+        super().__init__(f"camera {camera}", unit, shape, np.uint8)
         self.camera = camera
         self.rate_hz = check_positive("rate_hz", rate_hz)
-        self.exposure = None if exposure is None else check_number("exposure", exposure)
-        self.fixed: dict[str, bool] = {}
+        given = {"exposure": exposure, "gain": gain}
+        self.kept = {n: check_number(n, v) for n, v in given.items() if v is not None}
+        if fourcc is not None and not (len(fourcc) == 4 and fourcc.isascii()):
+            raise ValueError(
+                f"fourcc must be four letters such as MJPG, got {fourcc!r}."
+            )
+        self.fourcc = fourcc
+        self._sides, self._turns = sides, turns
         self._open_capture = open_capture or _open_video
         self._capture: Any = None
 
@@ -94,11 +124,18 @@ class CameraSensor(LiveSensor):
                 f"The camera {self.camera!r} cannot be opened. Close the program that "
                 "uses it, plug it in again, or check that you may read its device."
             )
-        n_rows, n_cols = self.image_shape[:2]
+        if self.fourcc is not None:
+            capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*self.fourcc))
+        n_rows, n_cols = self.picture_shape
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, n_cols)
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, n_rows)
         capture.set(cv2.CAP_PROP_FPS, self.rate_hz)
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        self._check_picture(capture)
+        self._fix(capture)
+        self._check_picture(capture)  # so that no frame from before is given
+
+    def _check_picture(self, capture: Any) -> None:
         for _ in range(_WARM_UP):
             arrived, picture = capture.read()
         if not arrived:
@@ -111,40 +148,78 @@ class CameraSensor(LiveSensor):
                 f"The camera {self.camera!r} must give colours, got grey levels. Leave "
                 "colour out."
             )
-        if picture.shape[:2] != (n_rows, n_cols):
-            got_rows, got_cols = picture.shape[:2]
+        if picture.shape[:2] != self.picture_shape:
+            asked, got = self.picture_shape, picture.shape[:2]
             raise SensorError(
-                f"The camera {self.camera!r} must give {n_cols} x {n_rows} pixels, got "
-                f"{got_cols} x {got_rows}. Ask for {got_cols}x{got_rows}."
+                f"The camera {self.camera!r} must give {asked[0]} rows x {asked[1]} "
+                f"columns, got {got[0]} x {got[1]}. Ask for shape={got[0]}x{got[1]}."
             )
-        # What changes the picture by itself is switched off, where the driver obeys.
-        settled = capture.get(cv2.CAP_PROP_EXPOSURE)
-        exposure = settled if self.exposure is None else self.exposure
-        by_hand = capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _BY_HAND)
-        self.fixed = {
-            "exposure": bool(by_hand and capture.set(cv2.CAP_PROP_EXPOSURE, exposure)),
-            "white balance": bool(capture.set(cv2.CAP_PROP_AUTO_WB, 0)),
-            "focus": bool(capture.set(cv2.CAP_PROP_AUTOFOCUS, 0)),
+
+    def _fix(self, capture: Any) -> None:
+        """Switch off what changes the picture by itself; keep what it first was at."""
+        import cv2
+
+        controls = {
+            "exposure": (cv2.CAP_PROP_AUTO_EXPOSURE, _BY_HAND, cv2.CAP_PROP_EXPOSURE),
+            "white balance": (cv2.CAP_PROP_AUTO_WB, 0, cv2.CAP_PROP_WB_TEMPERATURE),
+            "focus": (cv2.CAP_PROP_AUTOFOCUS, 0, cv2.CAP_PROP_FOCUS),
+            "gain": (None, 0, cv2.CAP_PROP_GAIN),
         }
+        settled = {name: capture.get(control[2]) for name, control in controls.items()}
+        self.kept, given, self.fixed = settled | self.kept, self.kept, {}
+        for name, (automatic, off, level) in controls.items():
+            known = capture.get(level if automatic is None else automatic) != _ABSENT
+            if not known and name in ("focus", "gain") and name not in given:
+                continue  # nothing there that could change
+            value = self.kept[name]
+            obeys = automatic is None or capture.set(automatic, off)
+            obeys = obeys and (value == _ABSENT or capture.set(level, value))
+            self.fixed[name] = bool(obeys)
+        loose = " and ".join(name for name, kept in self.fixed.items() if not kept)
+        self.unfixed = loose and (
+            f"The driver of camera {self.camera!r} does not keep {loose} fixed: the "
+            "picture may change untouched. Fix that with another program, or keep the "
+            "light as it is and take the baseline often."
+        )
 
     def _grab(self) -> Sequence[Array]:
+        import cv2
+
         arrived, picture = self._capture.read()
         if not arrived:
             raise SensorError(
                 f"the camera {self.camera!r} stopped giving pictures. Plug it in again."
             )
+        row, col, n_rows, n_cols = self.crop
+        taken = picture[row : row + n_rows, col : col + n_cols]
         if picture.ndim == 3:
-            import cv2
-
             colour = len(self.image_shape) == 3
             to = cv2.COLOR_BGR2RGB if colour else cv2.COLOR_BGR2GRAY
-            picture = cv2.cvtColor(picture, to)
-        return [picture]
+            taken = cv2.cvtColor(taken, to)
+        if self._sides != [n_rows, n_cols]:
+            taken = cv2.resize(taken, self._sides[::-1], interpolation=cv2.INTER_AREA)
+        return [np.rot90(taken, self._turns)]
 
     def _close(self) -> None:
         if self._capture is not None:
             self._capture.release()
         self._capture = None
+
+
+def _checked_crop(
+    crop: Sequence[int] | None, shape: Sequence[int]
+) -> tuple[int, int, int, int]:
+    """Return the part of a picture to take, all of it by default, or explain."""
+    given = (0, 0, *shape) if crop is None else tuple(crop)
+    if len(given) == 4:
+        row, col, n_rows, n_cols = map(int, given)
+        within = row + n_rows <= shape[0] and col + n_cols <= shape[1]
+        if min(row, col) >= 0 and min(n_rows, n_cols) > 0 and within:
+            return row, col, n_rows, n_cols
+    raise ValueError(
+        "crop must be first row, first column, rows, columns within "
+        f"{shape[0]} x {shape[1]}, got {','.join(map(str, given))}. Take less of them."
+    )
 
 
 def camera_names() -> list[tuple[str, str]]:

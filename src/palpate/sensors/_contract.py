@@ -113,10 +113,18 @@ class LiveSensor(ABC):
     retry_s : float
         When the device fails, it is opened again after so many seconds, over and
         over, until it is back or the sensor is disconnected.
+    patience_s : float
+        Disconnecting waits at most so long (seconds) for the last read to end.
+    fixed : dict of str to bool
+        Of what the device could change by itself, what it agreed to keep fixed.
+    unfixed : str
+        What it may change by itself, and what to do, for people; empty where nothing.
     """
 
     queue_length: ClassVar[int] = 2
     retry_s: float = 0.5
+    patience_s: float = 5.0
+    unfixed: str = ""
 
     def __init__(
         self,
@@ -133,6 +141,7 @@ class LiveSensor(ABC):
         self.channels = channels_of(self.image_shape)
         self.geometry = geometry
         self.lost, self.n_frames, self.n_dropped = "", 0, 0
+        self.fixed: dict[str, bool] = {}
         self._queue: deque[Frame] = deque()
         self._arrived = threading.Condition()
         self._stop = threading.Event()
@@ -148,7 +157,7 @@ class LiveSensor(ABC):
     @property
     def connected(self) -> bool:
         """Whether it runs; True also while it tries to find a lost device again."""
-        return self._thread is not None
+        return self._thread is not None and not self._stop.is_set()
 
     def no_contact(self) -> Array | None:
         """Return the frame of touching nothing, or None where it is not known."""
@@ -162,8 +171,13 @@ class LiveSensor(ABC):
         SensorError
             The device is missing, busy, or not what was promised; says the fix.
         """
-        if self._thread is not None:
+        if self.connected:
             return self
+        if self._thread is not None and self._thread.is_alive():
+            raise SensorError(
+                f"{self.name} has not ended its last read. Unplug it, wait, try again."
+            )
+        self._thread = None
         self._queue.clear()
         self._latest, self.lost = None, ""
         self.n_frames = self.n_dropped = self._number = 0
@@ -176,15 +190,16 @@ class LiveSensor(ABC):
         return self
 
     def disconnect(self) -> None:
-        """Stop frames and free the device; nothing happens where none run."""
-        thread, self._thread = self._thread, None
-        if thread is None:
+        """Stop frames and free the device; nothing happens where none run.
+
+        A device that does not answer is freed when its read ends, never during it.
+        """
+        if self._thread is None:
             return
         self._stop.set()
         with self._arrived:
             self._arrived.notify_all()
-        thread.join(timeout=5.0)
-        self._close()
+        self._thread.join(timeout=self.patience_s)
 
     def read_next(self, timeout_s: float = 2.0) -> Frame:
         """Return the oldest frame not returned by this method yet, waiting for it.
@@ -254,6 +269,8 @@ class LiveSensor(ABC):
                     self._put(image)
             except Exception as error:  # a driver's bug must not end the stream unseen
                 self._recover(error)
+        with suppress(Exception):
+            self._close()
 
     def _recover(self, error: Exception) -> None:
         """Try to open the device again until it is back."""
@@ -289,14 +306,14 @@ class LiveSensor(ABC):
             self._arrived.notify_all()
 
     def _wait(self, ready: Callable[[], bool], timeout_s: float) -> None:
-        if self._thread is None:
+        if not self.connected:
             raise SensorError(f"{self.name} is not connected; call connect() first.")
         self._arrived.wait_for(lambda: ready() or self._stop.is_set(), timeout_s)
         if not ready():
             raise self._silent(timeout_s)
 
     def _silent(self, timeout_s: float) -> SensorError:
-        if self._thread is None:
+        if not self.connected:
             return SensorError(f"{self.name} was disconnected.")
         if self.lost:
             return SensorError(f"{self.name} is lost: {self.lost}")

@@ -19,7 +19,7 @@ from typing import Any, Self
 import numpy as np
 from scipy import ndimage
 
-from .._checks import check_count, check_option, check_positive
+from .._checks import ARRAY_SIDE, check_count, check_option, check_positive, size_said
 from .._types import Array, Floats
 from ._contract import Frame, as_kind
 
@@ -33,7 +33,7 @@ _LARGEST_SIDE = 160
 _IDLE_S, _STUCK_S = 2.0, 20.0
 _STEADY_NOISES = 3.0
 # An array is pressed where neighbours read so many spreads and steps above the others.
-_ARRAY_SIDE, _PRESS_SPREADS, _PRESS_STEPS, _PRESS_TAXELS = 48, 8.0, 8.0, 4
+_PRESS_SPREADS, _PRESS_STEPS, _PRESS_TAXELS = 8.0, 8.0, 4
 MOST_TAXELS = 4096
 _ENOUGH_TOUCHES = 10
 _BASELINE_TOLERANCE, _GAIN_TOLERANCE, _SURE_SD = 0.25, 2.0, 4.0
@@ -266,7 +266,7 @@ def _pressed(image: Floats, least: float) -> str:
 
     Offsets of single taxels do not, nor does a slope over the array.
     """
-    if image.ndim == 3 or max(image.shape) > _ARRAY_SIDE or np.isnan(image).all():
+    if image.ndim == 3 or max(image.shape) > ARRAY_SIDE or np.isnan(image).all():
         return ""
     low, rest = np.nanpercentile(image, (5, 25))  # of noise these are a spread apart
     above = np.nan_to_num(image - rest)
@@ -346,12 +346,9 @@ class SensorMemory:
 def baseline_warning(memory: SensorMemory, no_contact: Array) -> str:
     """Return a sentence if rest is off by over a quarter of a touch, else nothing."""
     if memory.no_contact.shape != no_contact.shape:
-        both = (memory.no_contact.shape, no_contact.shape)
-        known, found = (" x ".join(map(str, shape)) for shape in both)
-        return (
-            f"The model learnt from a sensor of {known} taxels, this one has {found}. "
-            "Learn again with this sensor."
-        )
+        known, found = map(size_said, (memory.no_contact.shape, no_contact.shape))
+        what = f"The model learnt from a sensor of {known}, this one has {found}."
+        return f"{what} Learn again with this sensor."
     off = float(np.sqrt(np.nanmean((no_contact - memory.no_contact) ** 2)))
     if off <= _BASELINE_TOLERANCE * memory.touch_change:
         return ""

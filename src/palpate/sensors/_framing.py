@@ -8,16 +8,7 @@ between them (as in NMEA 0183)::
 
     $0,0,12,255*1E
 
-**Bytes**, about a quarter as long and numbered. All integers are little-endian:
-
-| bytes | what |
-|---|---|
-| 2 | A5 5A |
-| 1 | type of a taxel: 1 uint8, 2 uint16, 3 int16, 4 float32 |
-| 1, 1 | rows, columns |
-| 2 | number of the frame, 0 to 65535 and round again |
-| rows x columns x size | taxels, row after row |
-| 2 | CRC-16/CCITT-FALSE of everything after A5 5A |
+**Bytes**, about a quarter as long and numbered: docs/live.md has the layout.
 
 Whatever is no frame is skipped: after garbage, or a frame that was cut or changed on
 the way, the next whole frame is read.
@@ -36,12 +27,8 @@ from .._types import Array
 SYNC = b"\xa5\x5a"
 _HEAD = struct.Struct("<BBBH")
 # Of each type of taxel its code in a frame, and how its bytes lie.
-_TYPES = {
-    "uint8": (1, "<u1"),
-    "uint16": (2, "<u2"),
-    "int16": (3, "<i2"),
-    "float32": (4, "<f4"),
-}
+_TYPES = {"uint8": (1, "<u1"), "uint16": (2, "<u2")}
+_TYPES |= {"int16": (3, "<i2"), "float32": (4, "<f4")}
 _LONGEST_NUMBER = 32
 _MANY_MISSED = 1000
 _LARGEST_WHOLE = 2**53

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from .._checks import check_count, check_option, check_positive
+from .._checks import ARRAY_SIDE, check_count, check_option, check_positive
 from .._types import Array
 from ..simulation import (
     HOUSEHOLD,
@@ -32,7 +32,6 @@ from ._contract import LiveSensor, SensorError, as_kind
 
 _LONGEST_WAIT_S = 0.2
 _UNLABELLED = "recording"
-_ARRAY_SIDE = 48
 _NOISE_FRAMES = 8
 _DOME_NOISE, _ARRAY_NOISE = 1.0, 0.5
 
@@ -183,7 +182,7 @@ class ReplaySensor(PlayedSensor):
         self._no_contact = recorded.no_contact
         if self._no_contact is not None:
             self._no_contact = self._no_contact.astype(self._images.dtype)
-        elif max(self._images.shape[1:3]) <= _ARRAY_SIDE:
+        elif max(self._images.shape[1:3]) <= ARRAY_SIDE:
             self._no_contact = np.zeros_like(self._images[0])
         super().__init__(
             f"replay of {source}",

@@ -20,6 +20,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._checks import did_you_mean
 from .._types import Floats
 from ._placed import Mesh, SimObject, trimesh, turned
 
@@ -36,10 +37,10 @@ def find_object(name: str) -> SimObject:
     for thing in things:
         if thing.name == name:
             return thing
-    listed = ", ".join(thing.name for thing in things)
+    names = [thing.name for thing in things]
     raise ValueError(
-        f"name must be one of {listed}, got {name!r}. "
-        "For a mesh file use load_mesh(path)."
+        f"name must be one of {', '.join(names)}, got {name!r}."
+        f"{did_you_mean(name, names)} For a mesh file use load_mesh(path)."
     )
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import check_option, one_spelling
+from .._checks import check_option, one_spelling, size_said
 from .._types import Array, Floats
 
 Arrays = dict[str, Array]
@@ -178,9 +178,10 @@ def joined_images(parts: Sequence[Array]) -> Array:
     """Stack images of one size and type."""
     for number, part in enumerate(parts):
         if part.shape[1:] != parts[0].shape[1:]:
+            first, other = (size_said(one.shape[1:]) for one in (parts[0], part))
             raise TouchesError(
-                f"images must all be {_size(parts[0])} taxels like set 0, "
-                f"got {_size(part)} in set {number}. Resize or crop them first."
+                f"images must all be {first} like set 0, got {other} in set {number}. "
+                "Resize or crop them first."
             )
         if part.dtype != parts[0].dtype:
             raise TouchesError(
@@ -309,7 +310,7 @@ def check_layout(images: Array, columns: Arrays, whole: Arrays) -> None:
     if 0 in frames.shape or frames.shape[2:] != images.shape[1:]:
         raise TouchesError(
             "press_frames must hold for each touch at least one frame of "
-            f"{_size(images)} taxels like the images, got shape {frames.shape}. "
+            f"{size_said(images.shape[1:])} like the images, got shape {frames.shape}. "
             "Crop them, call them something else, or leave them out."
         )
     _refuse_odd_levels("press_frames", frames)
@@ -347,7 +348,7 @@ def _checked_pads(array: Array, images: Array) -> Array:
         if min(n_rows, n_cols) < 1:
             what = "that has no taxel"
         elif min(row, col) < 0 or not fits:
-            what = f"that leaves the picture of {_size(taken[None])} taxels"
+            what = f"that leaves the picture of {size_said(taken.shape)}"
         elif taken[box].any():
             what = "that overlaps another one"
         if what:
@@ -370,8 +371,8 @@ def _checked_whole(name: str, array: Array, images: Array) -> Array:
     if name == "no_contact":
         if array.shape != images.shape[1:]:
             raise TouchesError(
-                f"no_contact must be one image of {_size(images)} taxels like the "
-                f"touches, got shape {array.shape}. Crop or resize it, or leave it out."
+                f"no_contact must be one image of {size_said(images.shape[1:])} like "
+                f"the touches, got shape {array.shape}. Crop, resize or leave it out."
             )
         _refuse_odd_levels("no_contact", array[np.newaxis])
     if name != "geometry":
@@ -419,10 +420,6 @@ def _row(column: Array) -> str:
 
 def _listed(names: Array | None) -> str:
     return "none" if names is None else repr(names.tolist())
-
-
-def _size(images: Array) -> str:
-    return " x ".join(map(str, images.shape[1:]))
 
 
 def frame_summaries(frames: Array) -> Array:

@@ -21,7 +21,7 @@ from ._pictures import (
     refusal,
 )
 
-_ENDINGS = (".jpg", ".jpeg", ".png")
+ENDINGS = (".jpg", ".jpeg", ".png")
 _TEXT_GROUPS = ("object", "category", "session")
 _POSITIONS = {"position_raw": ("x", "y", "z"), "position_mm": ("x_mm", "y_mm", "z_mm")}
 _NEEDED = ("object", "category", "session", "order", "n", *sum(_POSITIONS.values(), ()))
@@ -42,7 +42,10 @@ def folder_arrays(
 ) -> Arrays:
     """Return what `Touches` is made of, by name; `read_folder` explains the rest."""
     pattern = None if name_pattern is None else _compiled(name_pattern)
-    names = _picture_names(root, None if no_contact is None else Path(no_contact))
+    if root.is_file():
+        root, names = root.parent, [root.name]
+    else:
+        names = _picture_names(root, None if no_contact is None else Path(no_contact))
     try:
         columns = {} if pattern is None else _from_names(names, pattern)
         if "object" not in columns:
@@ -94,7 +97,7 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
         )
     try:
         found = _files(root)
-        pictures = [name for name in found if Path(name).suffix.lower() in _ENDINGS]
+        pictures = [name for name in found if Path(name).suffix.lower() in ENDINGS]
         if no_contact and root.resolve() in no_contact.resolve(strict=True).parents:
             pictures = [n for n in pictures if not no_contact.samefile(root / n)]
     except OSError as error:
@@ -104,7 +107,7 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
         got = f"{len(found)} files of {', '.join(kinds[:5])}" if found else "no files"
         hint = " Archives are loaded one by one." if ".npz" in kinds else ""
         raise TouchesError(
-            f"{root} must hold pictures ending in {', '.join(_ENDINGS)}, got {got}. "
+            f"{root} must hold pictures ending in {', '.join(ENDINGS)}, got {got}. "
             f"Convert them, or give another folder.{hint}"
         )
     return sorted(pictures, key=_natural_order)

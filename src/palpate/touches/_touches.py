@@ -34,7 +34,7 @@ from ._columns import (
     plain_array,
     sorted_out,
 )
-from ._folder import folder_arrays, no_contact_picture
+from ._folder import ENDINGS, folder_arrays, no_contact_picture
 
 MAX_PIXELS = 50_000_000
 MAX_BYTES = 4 * 2**30
@@ -180,7 +180,7 @@ class Touches(Labelled):
         max_bytes: int = MAX_BYTES,
         progress: bool | None = None,
     ) -> Self:
-        """Read a touch archive (`.npz`) or a folder of pictures.
+        """Read a touch archive (`.npz`), a folder of pictures, or one picture.
 
         Parameters
         ----------
@@ -203,15 +203,15 @@ class Touches(Labelled):
             The file or folder cannot be read as touches; it names the file and fix.
         """
         place = Path(path)
-        if place.is_dir():
+        if place.is_dir() or (place.suffix.lower() in ENDINGS and place.is_file()):
             limits = (max_pixels, max_bytes, progress)
             how = (name_pattern, no_contact, colour)
             return cls(**folder_arrays(place, *how, *limits))
         if place.suffix.lower() != ".npz":
             got = "another kind of file" if place.exists() else "nothing there"
             raise TouchesError(
-                f"{place} must be a touch archive (.npz) or a folder of pictures, "
-                f"got {got}. Check the path; put single pictures into a folder."
+                f"{place} must be a touch archive (.npz), a JPEG or PNG picture, or a "
+                f"folder of pictures, got {got}. Check the path."
             )
         if name_pattern is not None:
             raise TouchesError(

@@ -19,10 +19,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import ARRAY_SIDE, size_said
 from .._types import Array
 from ..touches import RGB, TouchesError, as_shown, decode_bytes
 
-ARRAY_SIDE = 48
 MAX_PIXELS, MOST_CHANNELS = 4_000_000, 64
 _QUALITY = 80
 _THUMBNAIL = 96
@@ -195,8 +195,7 @@ def check_image(image: Array, kind: ImageKind) -> Array:
     """Return an image of the right size as the right type, or explain."""
     shape, dtype, channels = kind
     if image.shape != tuple(shape):
-        want, got = (" x ".join(map(str, s[:2])) for s in (shape, image.shape))
-        want += " taxels"
+        want, got = size_said(shape[:2]), " x ".join(map(str, image.shape[:2]))
         if channels is not None or image.ndim == 3:
             want += f" with channels {', '.join(channels)}" if channels else " in grey"
             got += f" with {image.shape[2]} channels" if image.ndim == 3 else " in grey"

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import size_said
 from .._types import Array
 from ..library import LibraryError, Selection, TouchLibrary
 from ..recognition import ObjectRecogniser
@@ -24,11 +25,11 @@ LEAST_OBJECTS, LEAST_TOUCHES = 2, 2
 # So many touches, spread over all, show what a sensor answers, read so many at once.
 _ENOUGH, _AT_ONCE = 200, 16
 _TOO_LITTLE = (
-    "Too little to learn: at least two objects with two touches each of {new} taxels. "
+    "Too little to learn: at least two objects with two touches each of {new}. "
     "The model of another sensor ({old}) stays."
 )
 _NOT_FURTHER = (
-    "The model must be of the sensor's {new} taxels to be learnt further, but it knows "
+    "The model must be of the sensor's {new} to be learnt further, but it knows "
     "{names} from images of {old}, and their touches are not in the library. Forget "
     "those, or start with another --model."
 )
@@ -172,7 +173,7 @@ def _refuse_other_size(
 ) -> None:
     """Refuse to learn further a model of images of another size than these."""
     shapes = (base.encoder_.image_shape_, image_shape)
-    old, new = (" x ".join(map(str, shape)) for shape in shapes)
+    old, new = map(size_said, shapes)
     if old != new:
         raise LearningError(sentence.format(old=old, new=new, names=names))
 

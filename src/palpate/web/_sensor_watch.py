@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from .._checks import size_said
 from .._types import Array, Floats
 from ..recognition import ObjectRecogniser
 from ..sensors import (
@@ -245,7 +246,8 @@ class SensorWatch:
             "touching": self.detector.touching,
             "press": self._press_to_dict() if self._asking else None,
             "offer": self.detector.baseline_offer(time.monotonic()),
-            "warnings": list(self._warnings),
+            "fixed": sensor.fixed,
+            "warnings": [*self._warnings, *filter(None, [sensor.unfixed])],
             "desk": None
             if desk is None
             else {"objects": list(desk.objects), "placed": desk.placed},
@@ -345,7 +347,7 @@ class SensorWatch:
 
 def _kind(image_shape: tuple[int, ...], other: tuple[int, ...]) -> str:
     """Say how large images are, and whether in colour where others differ in that."""
-    size = f"{image_shape[0]} x {image_shape[1]} taxels"
+    size = size_said(image_shape[:2])
     if len(image_shape) == len(other):
         return size
     return f"{size} in {'colour' if len(image_shape) == 3 else 'grey'}"

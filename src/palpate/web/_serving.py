@@ -155,6 +155,7 @@ def server_of(app: Any, *, log_level: str = "warning") -> "Server":
         http=PatientProtocol,
         ws="websockets-sansio",
         ws_max_size=2**16,
+        ws_per_message_deflate=False,  # pictures are small already, and time is not
         timeout_graceful_shutdown=3,
         server_header=False,
     )

@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from .._checks import check_count
+from .._checks import check_count, did_you_mean
 from .._types import Array, Floats
 from ..library import LibraryError, SensorDescription, TouchLibrary, TouchRow, quoted
 from ..recognition import ObjectRecogniser, with_floor
@@ -36,8 +36,11 @@ _SOME, _DRAWN, _WELL, _HALF, _MOST_SAID = 8, 40, 0.9, 0.5, 4
 class MissingObjectError(LibraryError):
     """There is no object of that name."""
 
-    def __init__(self, name: str) -> None:
-        super().__init__(f"There is no object {name!r} in the library. Teach it first.")
+    def __init__(self, name: str, known: dict[str, int]) -> None:
+        super().__init__(
+            f"There is no object {name!r} in the library.{did_you_mean(name, known)} "
+            "Teach it first."
+        )
 
 
 class Variety:
@@ -290,7 +293,7 @@ class Teacher:
         """Leave all touches of an object out, of one that library or model know."""
         stored = name in self._counts()
         if not stored and not learnt:
-            raise MissingObjectError(name)
+            raise MissingObjectError(name, self._counts())
         self.verdicts.pop(name, None)
         if stored:
             self.library.retract(object=name, reason="forgotten on the page")
@@ -354,7 +357,7 @@ class Teacher:
         """Return the newest touches of an object, all without a limit, in order."""
         count = self._counts().get(name, 0)
         if not count:
-            raise MissingObjectError(name)
+            raise MissingObjectError(name, self._counts())
         offset = 0 if limit is None else max(0, count - limit)
         return self.library.list(f"object = {quoted(name)}", limit, offset)
 

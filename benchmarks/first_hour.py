@@ -1,0 +1,261 @@
+"""From nothing to a recognised touch of three recorded things, as the page does it.
+
+`python benchmarks/first_hour.py FOLDER OUT.json [--draws 30] [--first 0] [--table]`,
+with the folder of recorded touches (`bathtip/bathtip50.npz`); half an hour on one core,
+and docs/live.md has the table that `--table` prints of OUT.json. Each draw takes three
+of the 50 things. A simulated hand presses recorded touches on a live sensor, and a
+`LiveSession` takes the baseline, teaches, learns and recognises, as behind the page.
+Touches of the first three quarters of each recording are taught. Asked are the twelve
+of its last quarter whose places are farthest from those taught, in their order. Taught:
+
+- "in a row": twelve touches after one another of each thing.
+- "in a row, advice followed": the same, but "touch it elsewhere" is obeyed, with a
+  touch from anywhere in the first three quarters, and so is "ten more touches of ...",
+  until nothing more is said, three times at most.
+- "all over": twelve touches from anywhere in the first three quarters.
+- "all over, advice followed": the same, and then as above.
+"""
+
+import argparse
+import json
+import queue
+import re
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate import Touches
+from palpate._durable import write_text
+from palpate.sensors import LiveSensor
+from palpate.web import LiveSession
+
+N_THINGS, N_TAUGHT, N_MORE, N_ROUNDS, N_ASKED = 3, 12, 10, 3, 12
+AFTER = (1, 8)
+WAYS = ("in a row", "all over")
+_MORE = re.compile(r"ten more touches of (?P<name>each|it|.*), elsewhere")
+_ALIKE = re.compile(r"Of \d+ touches of (?P<name>.*) \d+ are like others")
+_PAIR = re.compile(r"(?P<one>.*) and (?P<other>.*) are taken for each other")
+
+
+class Hand(LiveSensor):
+    """A sensor that rests, but for the pictures that are pressed on it."""
+
+    queue_length = 1000
+
+    def __init__(self, rest: np.ndarray[Any, Any]) -> None:
+        super().__init__("recorded dome", "grey level", rest.shape, rest.dtype)
+        self._rest = rest
+        self._pressed: queue.Queue[Any] = queue.Queue()
+
+    def press(self, image: np.ndarray[Any, Any]) -> None:
+        """Press and let go."""
+        for frame in (*[image] * 3, *[self._rest] * 3):
+            self._pressed.put(frame)
+
+    def _open(self) -> None:
+        pass
+
+    def _grab(self) -> list[np.ndarray[Any, Any]]:
+        try:
+            return [self._pressed.get(timeout=0.01)]
+        except queue.Empty:
+            return [self._rest]
+
+    def _close(self) -> None:
+        pass
+
+
+class Desk:
+    """A session whose things are touched by rows of one recording of each."""
+
+    def __init__(self, things: Touches, folder: Path, rng: np.random.Generator) -> None:
+        self.things, self.rng = things, rng
+        self.hand = Hand(things.no_contact)
+        self.session = LiveSession(self.hand, library=folder)
+        self.names = np.unique(things.object).tolist()
+        self.first, self.last = {}, {}
+        for name in self.names:
+            rows = np.flatnonzero(things.object == name)
+            rows = rows[np.argsort(things.order[rows], kind="stable")]
+            cut = len(rows) - len(rows) // 4
+            self.first[name], self.last[name] = rows[:cut].tolist(), rows[cut:].tolist()
+        self.taught: dict[str, list[int]] = {name: [] for name in self.names}
+
+    def _touch(self, row: int, count: Callable[[], int]) -> bool:
+        """Press one touch; tell whether the session took it for one."""
+        before, end_s = count(), time.monotonic() + 2.0
+        self.hand.press(self.things.images[row])
+        while count() == before and time.monotonic() < end_s:
+            time.sleep(0.002)
+        return count() > before
+
+    def _elsewhere(self, name: str) -> int:
+        """Return a row of the first three quarters that was not taught."""
+        left = sorted(set(self.first[name]) - set(self.taught[name]))
+        return int(self.rng.choice(left))
+
+    def teach(self, name: str, wanted: int, *, in_a_row: bool, obey: bool) -> None:
+        """Teach so many touches; with `obey` go elsewhere when the page says so."""
+        self.session.teach(name, wanted)
+        lesson = self.session.teacher.lesson
+        rows = self.first[name]
+        at = int(self.rng.integers(len(rows) - wanted + 1)) if in_a_row else 0
+        while len(lesson.ids) < wanted:
+            told = obey and lesson.prompt
+            fresh = in_a_row and not told and rows[at % len(rows)]
+            row = self._elsewhere(name) if fresh is False else fresh
+            at = rows.index(row) + 1
+            if row not in self.taught[name]:
+                self.taught[name].append(row)
+                self._touch(row, lambda: len(lesson.ids))
+        while self.session.teacher.lesson is not None:
+            time.sleep(0.002)
+
+    def learn(self) -> None:
+        """Learn, or say why not."""
+        self.session.learn(wait=True)
+        if self.session.learn_error:
+            raise RuntimeError(self.session.learn_error)
+
+    def follow_advice(self) -> int:
+        """Do what stands under "Teach next" until nothing does; return how often."""
+        for number in range(N_ROUNDS):
+            names = [n for n in advised(self.session.advice) if self._room(n)]
+            if not names:
+                return number
+            for name in names:
+                self.teach(name, N_MORE, in_a_row=False, obey=True)
+            self.learn()
+        return N_ROUNDS
+
+    def _room(self, name: str) -> bool:
+        return len(self.first[name]) - len(self.taught[name]) > N_MORE
+
+    def _farthest(self, name: str) -> tuple[list[int], float]:
+        """Return the rows of the last quarter farthest from what was taught, in order.
+
+        And how far they are from the nearest taught touch, in the median: in steps,
+        the median distance between touches that follow each other in the recording.
+        """
+        places = self.things.columns["position_raw"].astype(float)
+        of_thing = places[[*self.first[name], *self.last[name]]]
+        step = np.median(np.linalg.norm(np.diff(of_thing, axis=0), axis=1))
+        taught, asked = places[self.taught[name]], places[self.last[name]]
+        away = np.linalg.norm(asked[:, None] - taught, axis=2).min(axis=1)
+        chosen = np.sort(np.argsort(-away, kind="stable")[:N_ASKED])
+        rows = [self.last[name][place] for place in chosen.tolist()]
+        return rows, float(np.median(away[chosen]) / step)
+
+    def ask(self) -> list[dict[str, Any]]:
+        """Ask about each thing where it was not taught; return what was said."""
+        said = []
+        for name in self.names:
+            self.session.begin_episode()
+            right, first = "", None
+            rows, steps = self._farthest(name)
+            for row in rows:
+                if self._touch(row, lambda: len(self.session.episode.touches)):
+                    episode = self.session.episode
+                    right += str(int(episode.belief.best == name))
+                    first = first or episode.decision
+            known = {"right": right, "first": first, "steps": steps}
+            said.append({"object": name, **known})
+        return said
+
+
+def advised(sentences: list[str]) -> list[str]:
+    """Return what is to be taught ten more touches of; another day is not to be had."""
+    names: list[str] = []
+    for sentence in sentences:
+        more = _MORE.search(sentence)
+        if more is None or sentence.startswith("All was taught"):
+            continue
+        if more["name"] == "each" and (pair := _PAIR.search(sentence)):
+            names += pair["one"], pair["other"]
+        elif more["name"] == "it" and (alike := _ALIKE.search(sentence)):
+            names.append(alike["name"])
+        else:
+            names.append(more["name"])
+    return list(dict.fromkeys(names))
+
+
+def one_draw(touches: Touches, seed: int) -> dict[str, Any]:
+    """Teach and ask three things in every way."""
+    rng = np.random.default_rng([seed, N_THINGS])
+    names = rng.choice(np.unique(touches.object), N_THINGS, replace=False)
+    things = touches[np.isin(touches.object, names)]
+    result: dict[str, Any] = {"things": sorted(names.tolist())}
+    for way in WAYS:
+        for obey in (False, True):
+            with tempfile.TemporaryDirectory() as place:
+                desk = Desk(things, Path(place) / "desk", np.random.default_rng(seed))
+                with desk.session as session:
+                    session.take_baseline()
+                    for name in desk.names:
+                        in_a_row = way == "in a row"
+                        desk.teach(name, N_TAUGHT, in_a_row=in_a_row, obey=obey)
+                    desk.learn()
+                    n_rounds = desk.follow_advice() if obey else 0
+                    n_taught = {n: len(rows) for n, rows in desk.taught.items()}
+                    shown = way + ", advice followed" * obey
+                    told = {"advice": session.advice, "rounds": n_rounds}
+                    said = {"asked": desk.ask(), "taught": n_taught}
+                    result[shown] = {**said, **told}
+    return result
+
+
+def table(draws: list[dict[str, Any]]) -> str:
+    """Return what was said as a table of docs/live.md, in per cent of episodes."""
+    head = (
+        "| taught | touches of each | first decision: right | wrong | unknown | none "
+    )
+    head += "| best after 1 touch right | after 8 | worst draw after 8 |"
+    lines = [head, "|---" * 9 + "|"]
+    for way in (name for name in draws[0] if name != "things"):
+        asked = [draw[way]["asked"] for draw in draws]
+        flat = [episode for episodes in asked for episode in episodes]
+        firsts = [
+            np.mean([e["first"] == e["object"] for e in flat]),
+            np.mean([e["first"] not in (None, "unknown", e["object"]) for e in flat]),
+            np.mean([e["first"] == "unknown" for e in flat]),
+            np.mean([e["first"] is None for e in flat]),
+        ]
+        right = [
+            [np.mean([e["right"][k - 1] == "1" for e in some]) for some in asked]
+            for k in AFTER
+        ]
+        each = np.mean([list(draw[way]["taught"].values()) for draw in draws])
+        worst = f"{min(right[1]):.0%}"
+        spread = [f"{np.mean(r):.0%} ± {np.std(r, ddof=1):.0%}" for r in right]
+        cells = [way, f"{each:.0f}", *(f"{share:.0%}" for share in firsts), *spread]
+        lines.append("| " + " | ".join([*cells, worst]) + " |")
+    return "\n".join(lines).replace("%", "")
+
+
+def main() -> None:
+    """Measure some draws; those that are in the file already are kept."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--draws", type=int, default=30)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--table", action="store_true")
+    asked = parser.parse_args()
+    draws = json.loads(asked.out.read_text()) if asked.out.exists() else {}
+    if not asked.table:
+        touches = Touches.load(asked.folder / "bathtip" / "bathtip50.npz")
+        for seed in range(asked.first, asked.first + asked.draws):
+            if str(seed) not in draws:
+                draws[str(seed)] = one_draw(touches, seed)
+                lines = (f'"{k}": {json.dumps(draw)}' for k, draw in draws.items())
+                write_text(asked.out, "{" + ",\n".join(lines) + "}\n")
+                print(seed, flush=True)
+    print(table(list(draws.values())))
+
+
+if __name__ == "__main__":
+    main()

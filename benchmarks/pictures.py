@@ -1,0 +1,112 @@
+"""Which picture of the documentation is made by what, and whether it is of today.
+
+    python benchmarks/pictures.py                   # which pictures are stale
+    python benchmarks/pictures.py live-desktop.png  # make it anew, and note that
+    python benchmarks/pictures.py --made NAME ...   # note that they were made
+    python benchmarks/pictures.py --study corradi2015 [--quick] [NAME ...]
+
+`docs/images/made.json` holds for each picture the command that makes it, the files that
+say what it shows, and a hash of these. Of Python files the code counts, not comments,
+docstrings and layout; of a page named as `PAGE.md#tables` the rows of its tables: the
+picture of a study belongs to the tables of the same run. A picture whose files have
+changed is stale: make it anew, and look at it. `--study` runs a study with the recorded
+touches of PALPATE_DATA and writes its pictures (all, or those named).
+"""
+
+import argparse
+import ast
+import hashlib
+import io
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import tokenize
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+IMAGES = ROOT / "docs" / "images"
+MADE = IMAGES / "made.json"
+TABLES = "#tables"
+
+
+def main() -> None:
+    """Tell what is stale, or make pictures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*")
+    parser.add_argument("--made", action="store_true")
+    parser.add_argument("--study")
+    parser.add_argument("--quick", action="store_true")
+    asked = parser.parse_args()
+    known = json.loads(MADE.read_text("utf-8"))
+    if asked.study:
+        draw_study(asked.study, asked.names, asked.quick)
+        return
+    if not asked.names:
+        print("\n".join(stale(known)) or "All pictures are of today.")
+        return
+    for command in {known[name]["command"] for name in asked.names}:
+        if not asked.made:
+            subprocess.run([sys.executable, *command.split()[1:]], check=True, cwd=ROOT)
+    for name in asked.names:
+        known[name]["sha256"] = inputs_hash(known[name]["inputs"])
+    MADE.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
+
+
+def stale(known: dict[str, dict[str, Any]]) -> list[str]:
+    """Return the pictures whose inputs are not those that they were made of."""
+    return [
+        n for n, one in known.items() if inputs_hash(one["inputs"]) != one["sha256"]
+    ]
+
+
+def inputs_hash(inputs: list[str]) -> str:
+    """Return one hash of all that some patterns below the root name."""
+    digest = hashlib.sha256()
+    for pattern in inputs:
+        paths = sorted(ROOT.glob(pattern.removesuffix(TABLES)))
+        if not paths:
+            raise FileNotFoundError(f"{MADE} names {pattern}, which is not there.")
+        for path in paths:
+            digest.update(_shown(path, tables=pattern.endswith(TABLES)))
+    return digest.hexdigest()
+
+
+def _shown(path: Path, *, tables: bool) -> bytes:
+    """Return what counts of a file."""
+    data = path.read_bytes()
+    if tables:
+        return b"\n".join(line for line in data.splitlines() if line[:1] == b"|")
+    if path.suffix != ".py":
+        return data
+    lines = data.decode().splitlines()
+    for node in ast.walk(ast.parse(data)):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+            first = node.body[0] if node.body else None
+            if ast.get_docstring(node) is not None and isinstance(first, ast.Expr):
+                gone = range(first.lineno - 1, first.end_lineno or first.lineno)
+                lines = ["" if n in gone else line for n, line in enumerate(lines)]
+    kept = "\n".join(lines)
+    for token in tokenize.generate_tokens(io.StringIO(data.decode()).readline):
+        if token.type == tokenize.COMMENT:
+            kept = kept.replace(token.string, "")
+    return "".join(kept.split()).encode()
+
+
+def draw_study(name: str, wanted: list[str], quick: bool) -> None:
+    """Run a study and write its pictures, or some of them, to docs/images."""
+    from palpate.studies import STUDIES
+
+    study = STUDIES[name]
+    result = study.run(data=os.environ.get("PALPATE_DATA"), quick=quick, seed=0)
+    with tempfile.TemporaryDirectory() as place:
+        for path in study.write_pictures(place, result):
+            if not wanted or path.name in wanted:
+                (IMAGES / path.name).write_bytes(path.read_bytes())
+                print(IMAGES / path.name)
+
+
+if __name__ == "__main__":
+    main()

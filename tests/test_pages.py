@@ -1,0 +1,69 @@
+"""What the pages show: pictures of today that name their commands, an install line."""
+
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import pictures
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+KNOWN = json.loads(pictures.MADE.read_text("utf-8"))
+SHOWN = re.compile(r"!\[[^\]]+\]\((?:docs/)?images/([\w.-]+)\)")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_picture_stands_beside_its_command(page):
+    text = " ".join(page.read_text("utf-8").split())
+    for name in SHOWN.findall(text):
+        command, *_ = KNOWN[name]["command"].partition(" --quick")
+        assert command in text
+        script = ROOT / command.split()[1]
+        assert script.is_file()
+    assert text.count("](images/") + text.count("](docs/images/") == len(
+        SHOWN.findall(text)
+    )
+
+
+def test_every_picture_is_shown_and_none_is_older_than_what_it_shows():
+    there = {path.name for path in pictures.IMAGES.glob("*.png")}
+    text = "".join(page.read_text("utf-8") for page in PAGES)
+    assert set(SHOWN.findall(text)) == there == set(KNOWN)
+    # CONTRIBUTING.md says what to do about those named here.
+    assert pictures.stale(KNOWN) == []
+
+
+def test_a_picture_is_stale_when_code_or_a_table_changes_and_not_for_words(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(pictures, "ROOT", tmp_path)
+    code, page = tmp_path / "a.py", tmp_path / "b.md"
+    inputs = ["*.py", "b.md#tables"]
+
+    def hashed(source, text):
+        code.write_text(source)
+        page.write_text(text)
+        return pictures.inputs_hash(inputs)
+
+    first = hashed('"""Words."""\nSIZE = 3\n', "Words.\n\n| 5 |\n")
+    assert (
+        hashed('"""More\nwords."""\n\nSIZE = 3  # rows\n', "Other.\n| 5 |\n") == first
+    )
+    assert hashed('"""Words."""\nSIZE = 4\n', "Words.\n\n| 5 |\n") != first
+    assert hashed('"""Words."""\nSIZE = 3\n', "Words.\n\n| 6 |\n") != first
+    known = {"x.png": {"inputs": inputs, "sha256": first}}
+    assert pictures.stale(known) == ["x.png"]
+    with pytest.raises(FileNotFoundError, match=r"names gone\.py, which is not there"):
+        pictures.inputs_hash(["gone.py"])
+
+
+def test_the_install_line_names_the_repository_and_extras_that_exist():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    readme = PAGES[0].read_text("utf-8")
+    (line,) = re.findall(r'pip install "palpate\[(.+)\] @ git\+(\S+)"', readme)
+    assert line[1] == project["urls"]["Source"]
+    assert set(line[0].split(",")) <= set(project["optional-dependencies"])
+    assert f'pip install ".[{line[0]}]"' in readme

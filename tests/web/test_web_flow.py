@@ -1,0 +1,62 @@
+"""From nothing to a recognised touch, made where nothing was taught."""
+
+import numpy as np
+import pytest
+
+from first_hour import N_ASKED, N_TAUGHT, Desk, advised, table
+from palpate import Touches
+from palpate.web import advice
+
+
+def of(name, after_one, after_eight, other):
+    figures = {"after_one": after_one, "after_eight": after_eight}
+    return {"name": name, "taken_for": other, **figures}
+
+
+def test_what_the_page_advises_is_what_is_taught():
+    pair = advice([of("a mug", 0.3, 0.5, "a cup"), of("a cup", 0.3, 0.5, "a mug")])
+    assert sorted(advised(pair)) == ["a cup", "a mug"]
+    assert advised(advice([of("pen", 0.3, 0.5, "a cup, blue")])) == ["pen"]
+    assert advised(advice([of("pen", 0.3, 0.5, None)])) == ["pen"]
+    assert advised(advice([of("pen", 0.3, None, "cup")])) == []
+    alike = (
+        "Of 12 touches of a mug 9 are like others: ten more touches of it, elsewhere"
+    )
+    assert advised([f"{alike}, unless it is the same all over."]) == ["a mug"]
+
+
+def test_shares_are_of_episodes():
+    right = {"object": "pen", "right": "0" + "1" * 11, "first": "pen"}
+    wrong = {"object": "cup", "right": "1" + "0" * 11, "first": "pen"}
+    none = {"object": "mug", "right": "1" * 12, "first": None}
+    stranger = {"object": "box", "right": "1" * 12, "first": "unknown"}
+    way = {"asked": [right, wrong, none, stranger], "taught": {"pen": 12, "cup": 22}}
+    line = table([{"in a row": way}] * 2).splitlines()[2]
+    cells = [cell.strip() for cell in line.strip("|").split("|")]
+    assert cells == ["in a row", "17", *["25"] * 4, "75 ± 0", "75 ± 0", "75"]
+
+
+@pytest.mark.realdata
+def test_three_recorded_things_are_recognised_where_they_were_not_taught(
+    data_folder, tmp_path, learning_here
+):
+    touches = Touches.load(data_folder / "bathtip" / "bathtip50.npz")
+    names = ["ball_greenfootball", "can_largeyellow", "stapler_greyred"]
+    things = touches[np.isin(touches.object, names)]
+    desk = Desk(things, tmp_path / "desk", np.random.default_rng(0))
+    with desk.session as session:
+        session.take_baseline()
+        for name in names:
+            desk.teach(name, N_TAUGHT, in_a_row=False, obey=True)
+        library = session.to_dict()["library"]
+        assert [one["n_touches"] for one in library["objects"]] == [N_TAUGHT] * 3
+        desk.learn()
+        assert desk.follow_advice() <= 3
+        said = desk.ask()
+    asked = {name: set(desk.last[name]) for name in names}
+    assert all(not asked[name] & set(desk.taught[name]) for name in names)
+    # Chance is a third of the touches, and one thing of three after eight.
+    assert np.mean([one["right"][7] == "1" for one in said]) >= 2 / 3
+    assert np.mean([mark == "1" for one in said for mark in one["right"]]) > 0.6
+    assert all(len(one["right"]) == N_ASKED for one in said)
+    assert [one["first"] for one in said].count("unknown") <= 1
