@@ -51,8 +51,8 @@ class SessionsPlan(Plan):
     objects: tuple[str, ...] | None = None
     recorded: bool = True
     first_look: ClassVar[dict[str, Any]] = {
-        "sessions": 3,
-        "touches_each": 8,
+        "sessions": 2,
+        "touches_each": 10,
         "touches": (1, 5),
         "orders": 5,
         "draws": 20,
@@ -72,9 +72,10 @@ def _measure(plan: SessionsPlan, data: str | Path | None, work: Work) -> dict[st
     dome = simulate_touches(
         plan.objects, n_touches, mountings=True, n_jobs=work.workers, **sizes
     )
+    parts = None if plan.objects is None else range(1, len(plan.objects) + 1)
     sources = {
         "simulated dome": dome,
-        "simulated array": simulate_presses(n_presses=n_touches, **sizes),
+        "simulated array": simulate_presses(parts, n_touches, **sizes),
     }
     ways = dict.fromkeys(sources, (*plan.ways, CEILING, ALARM))
     folder, skipped = data or os.environ.get("PALPATE_DATA"), []
