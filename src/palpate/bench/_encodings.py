@@ -278,8 +278,7 @@ def _centrosome(size: int, order: int) -> Encode:
 
     def encode(images: Array) -> Floats:
         levels = images[0][inside].astype(np.float64)
-        moments: Floats = np.abs((levels[:, None] * values).sum(axis=0)) * scale
-        return moments
+        return np.asarray(np.abs((levels[:, None] * values).sum(axis=0)) * scale)
 
     return encode
 
@@ -299,8 +298,7 @@ def dense_basis(size: int, order: int) -> Encode:
         parts = levels.astype(np.float64, copy=False) @ basis
         sizes = np.abs(parts[:, : len(degrees)])
         sizes[:, waves] = np.hypot(sizes[:, waves], parts[:, len(degrees) :])
-        scaled: Floats = sizes * scale
-        return scaled
+        return np.asarray(sizes * scale)
 
     return encode
 

@@ -106,8 +106,7 @@ def _peers(stored: Floats, labels: Array) -> dict[str, Measure]:
         x = new / deviations
         sums = [logsumexp(cdist(x, p, "sqeuclidean") / -2, axis=1) for p in parts]
         counts = [len(part) for part in parts]
-        logs: Floats = np.stack(sums, axis=1) - np.log(counts) - gaussian
-        return logs
+        return np.asarray(np.stack(sums, axis=1) - np.log(counts) - gaussian)
 
     return {
         "float32 matrix product": product,

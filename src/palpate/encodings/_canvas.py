@@ -224,8 +224,7 @@ class RingPatterns(CanvasEncoder):
     def transform_checked(self, images: Array) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
         shares = self._shares(images)
-        steady: Floats = shares - shares @ self.unsteady_.T @ self.unsteady_
-        return steady
+        return np.asarray(shares - shares @ self.unsteady_.T @ self.unsteady_)
 
     def _shares(self, images: Array) -> Floats:
         """Roots of the shares of each pattern in each ring, (n_touches, n_features)."""
@@ -314,8 +313,7 @@ def _quantiles(values: Array, share: Floats) -> Floats:
     lower = place.astype(np.intp)
     upper = np.minimum(lower + 1, values.shape[1] - 1)
     part = place - lower
-    found: Floats = ordered[:, lower] * (1 - part) + ordered[:, upper] * part
-    return found
+    return np.asarray(ordered[:, lower] * (1 - part) + ordered[:, upper] * part)
 
 
 def _patterns(

@@ -302,8 +302,7 @@ class RootScaler(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
 
     def scale(self, features: Floats) -> Floats:
         """Do what `transform` does, without its checks."""
-        scaled: Floats = (_root(features) - self.mean_) / self.scale_
-        return scaled
+        return np.asarray((_root(features) - self.mean_) / self.scale_)
 
 
 def _root(features: Floats) -> Floats:

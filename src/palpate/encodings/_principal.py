@@ -72,8 +72,7 @@ class PrincipalEncoder(ImageEstimator):
     def transform_checked(self, images: Array) -> Floats:
         """Return the scores, shape (n_touches, n_components_)."""
         features = self.first_.transform_checked(images) - self.mean_
-        scores: Floats = features @ self.components_.T
-        return scores
+        return np.asarray(features @ self.components_.T)
 
     def _learn(self, images: Array) -> None:
         self.first_ = self._first()
@@ -238,8 +237,7 @@ class PrincipalShare(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEsti
             features = np.asarray(X)
         else:
             features = validate_data(self, X, dtype=np.float64, reset=False)
-        scores: Floats = (features - self.mean_) @ self.components_.T
-        return scores
+        return np.asarray((features - self.mean_) @ self.components_.T)
 
     def unexplained(self, X: Floats, scores: Floats) -> Floats:
         """Return how much of each touch the kept components leave out.
@@ -419,8 +417,7 @@ class KernelPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator
         return kernel
 
     def _scores(self, kernel: Floats) -> Floats:
-        scores: Floats = kernel @ self.coefficients_ - self.offset_
-        return scores
+        return np.asarray(kernel @ self.coefficients_ - self.offset_)
 
     def _learn(self, kernel: Floats, wanted: Components) -> None:
         column_mean = kernel.mean(axis=0)
@@ -461,8 +458,7 @@ def _kernel(left: Floats, right: Floats, sigma: float) -> Floats:
     # Touches many widths apart are infinitely so: their kernel is 0.
     with np.errstate(over="ignore"):
         exponent = squared / (-2 * sigma**2)
-    kernel: Floats = np.expm1(exponent)
-    return kernel
+    return np.asarray(np.expm1(exponent))
 
 
 def _leading(centred: Floats, wanted: Components) -> tuple[Floats, Floats]:

@@ -149,8 +149,7 @@ def outer_boundary(shape: NDArray[np.bool_]) -> Floats:
     largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
     mask = (labels == largest).astype(np.uint8)
     outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    walk: Floats = outlines[0].reshape(-1, 2).astype(np.float64)
-    return walk
+    return np.asarray(outlines[0].reshape(-1, 2).astype(np.float64))
 
 
 def _descriptors(outline: Floats) -> Floats:
@@ -165,5 +164,4 @@ def _descriptors(outline: Floats) -> Floats:
 def _mean(values: Array, inside: NDArray[np.bool_]) -> Floats:
     """Mean of `values` over the True pixels of each image, 0 where there is none."""
     count = np.maximum(inside.sum(axis=(1, 2)), 1)
-    mean: Floats = np.where(inside, values, 0.0).sum(axis=(1, 2)) / count
-    return mean
+    return np.asarray(np.where(inside, values, 0.0).sum(axis=(1, 2)) / count)

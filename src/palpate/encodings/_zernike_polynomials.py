@@ -63,8 +63,7 @@ def legendre_weights(order: int) -> NDArray[np.complex128]:
         whole = part.astype(np.int64).astype(object)
         both = np.matmul(to_legendre.T, np.matmul(whole, to_legendre))
         parts.append((both / scale**2).astype(np.float64))
-    weights: NDArray[np.complex128] = parts[0] + 1j * parts[1]
-    return weights
+    return np.asarray(parts[0] + 1j * parts[1])
 
 
 def _monomial_weights(order: int) -> Iterator[NDArray[np.complex128]]:

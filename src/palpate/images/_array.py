@@ -242,8 +242,7 @@ def _resize_matrix(n_in: int, n_out: int) -> Floats:
         centre = centre.clip(0, n_in - 1)
     distance = np.abs(centre[:, None] - np.arange(n_in)) / max(scale, 1.0)
     weight = np.maximum(1 - distance, 0)
-    weights: Floats = weight / weight.sum(axis=1, keepdims=True)
-    return weights
+    return np.asarray(weight / weight.sum(axis=1, keepdims=True))
 
 
 def _binarise_block(

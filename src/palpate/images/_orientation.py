@@ -71,8 +71,7 @@ def above_least(images: ArrayLike, mask: NDArray[np.bool_]) -> Floats:
     """Return levels above each image's least level in the mask, zero outside it."""
     checked = check_images(images)
     least = np.where(mask, checked, np.inf).min(axis=(1, 2), keepdims=True)
-    levels: Floats = (checked - least) * mask
-    return levels
+    return np.asarray((checked - least) * mask)
 
 
 def _powers(n: int) -> Floats:

@@ -109,8 +109,7 @@ def symmetrise(template: Floats, symmetry: int) -> Floats:
         return template
     copies = np.repeat(template[np.newaxis], n_copies, axis=0)
     angles = np.arange(n_copies) * (360 / n_copies)
-    mean: Floats = repose(copies, angles, interpolation="cubic").mean(axis=0)
-    return mean
+    return np.asarray(repose(copies, angles, interpolation="cubic").mean(axis=0))
 
 
 def template_angle(template: Floats, centroid: Floats, symmetry: int) -> float:
@@ -134,8 +133,7 @@ def _average(images: Floats, poses: Floats) -> Floats:
     total = _pull(images, poses).sum(axis=0)
     reached = weight > 0.02 * len(images)
     nearest = distance_transform_edt(~reached, return_indices=True)[1]
-    mean: Floats = (total / np.maximum(weight, 1e-9))[tuple(nearest)]
-    return mean
+    return np.asarray((total / np.maximum(weight, 1e-9))[tuple(nearest)])
 
 
 def _pull(images: Floats, poses: Floats) -> Floats:
@@ -278,8 +276,7 @@ def _solve_planes(images: Floats, drawn: Floats, poses: Floats) -> Pair:
 def _plane(weights: Floats, poses: Floats, shape: tuple[int, ...]) -> Floats:
     x, y = _offsets(poses, shape)
     level, along_x, along_y = weights.T[:, :, None, None]
-    plane: Floats = level + (along_x * x + along_y * y) / _PLANE_TAXELS
-    return plane
+    return np.asarray(level + (along_x * x + along_y * y) / _PLANE_TAXELS)
 
 
 def _offsets(poses: Floats, shape: tuple[int, ...]) -> Pair:

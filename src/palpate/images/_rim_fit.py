@@ -207,8 +207,7 @@ class _Rays:
         down, right = circle[0] - self.row, circle[1] - self.col
         along = self.sin * down + self.cos * right
         inner = circle[2] ** 2 - (down * down + right * right) + along * along
-        offset: Array = along + np.sqrt(np.maximum(inner, 0)) - self.radius
-        return offset
+        return np.asarray(along + np.sqrt(np.maximum(inner, 0)) - self.radius)
 
     def edges(self, circle: Array, width: float) -> Array:
         """Each ray's steepest edge near `circle`: row, col, slope, usual slope, ray."""
@@ -283,5 +282,4 @@ def _slope_kernel(spread: float) -> NDArray[np.float32]:
     reach = int(np.ceil(2.5 * spread))
     t = np.arange(-reach, reach + 1, dtype=np.float32)
     kernel = t * np.exp(-(t**2) / (2 * spread**2))
-    row: NDArray[np.float32] = (kernel / np.abs(kernel).sum())[None]
-    return row
+    return np.asarray((kernel / np.abs(kernel).sum())[None])

@@ -206,8 +206,7 @@ class TouchLibrary:
 
     def image(self, id: str) -> Array:
         """Return the image of one touch, (n_rows, n_cols[, n_channels])."""
-        image: Array = read_images(self.folder, [read_one(self._store, id)])[0]
-        return image
+        return np.asarray(read_images(self.folder, [read_one(self._store, id)])[0])
 
     def no_contact(self, session: str | int | None = None) -> Array | None:
         """Return the latest no-contact image of a session (of all), or None.

@@ -126,8 +126,7 @@ def with_images(store: Store, numbers: Numbers) -> Numbers:
             f"{store.folder} are missing or altered.",
             stacklevel=3,
         )
-    some: Numbers = numbers[np.array(whole, bool)]
-    return some
+    return np.asarray(numbers[np.array(whole, bool)])
 
 
 def is_whole(store: Store, row: StoredTouch) -> bool:
@@ -350,8 +349,7 @@ class Selection(Labelled):
                 "rows must be places in the selection that rise, got others. "
                 "Sort them and drop those that come twice."
             )
-        picked: Numbers = self._numbers[places]
-        return picked
+        return np.asarray(self._numbers[places])
 
 
 def _cached(cache: Path) -> tuple[Array, Floats]:

@@ -163,8 +163,7 @@ def classifier(name: str, seed: int) -> Any:
 def answers(name: str, train: Floats, codes: Codes, test: Floats, seed: int) -> Codes:
     """Return the label that a classifier gives to each test touch."""
     # The network stops after so many steps, converged or not.
-    predicted: Codes = fitted(classifier(name, seed), train, codes).predict(test)
-    return predicted
+    return np.asarray(fitted(classifier(name, seed), train, codes).predict(test))
 
 
 @dataclass(frozen=True)

@@ -307,8 +307,7 @@ def confusion(answered: Iterable[Answered], k: int, n_labels: int) -> Floats:
     counts = np.zeros((n_labels, n_labels))
     for one in answered:
         np.add.at(counts, (one.truth, one.answers[:, k - 1]), 1)
-    shares: Floats = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    return shares
+    return np.asarray(counts / np.maximum(counts.sum(axis=1, keepdims=True), 1))
 
 
 def confusions(

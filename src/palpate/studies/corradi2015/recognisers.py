@@ -170,8 +170,7 @@ class BagOfTouches(_Clustered):
         difference = (seen[:, :, np.newaxis] - shares) ** 2
         both = seen[:, :, np.newaxis] + shares
         distance = difference / np.where(both > 0, both, 1.0)
-        scores: Floats = -0.5 * distance.sum(axis=-1)
-        return scores
+        return np.asarray(-0.5 * distance.sum(axis=-1))
 
 
 @dataclass(frozen=True)
