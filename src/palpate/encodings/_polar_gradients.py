@@ -6,8 +6,6 @@ and by its curvature. Turning the image shifts each ring of such values along it
 so the sizes of their Fourier coefficients along the ring stay as they are.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import cv2

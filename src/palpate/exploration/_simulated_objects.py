@@ -6,8 +6,6 @@ known to the teacher, so the places and directions of touches are in the object'
 frame, as a `TouchMap` wants them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial

@@ -4,8 +4,6 @@ The unknowns besides the multipliers a are eliminated by hand: bounds are diagon
 shares and their level leave a matrix of rank below the number of kernels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Self, cast
 

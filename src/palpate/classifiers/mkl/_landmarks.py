@@ -9,8 +9,6 @@ The hyperplane is its normal vector in the space of the features, so Newton's st
 one row per feature and not one per touch; touches are only gone through, in blocks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from typing import Self
 
@@ -120,7 +118,7 @@ class NystroemBank:
         """How many problems of that size to hold at a time."""
         return 1
 
-    def system(self, index: Array, labels: Floats) -> LowRankKernels | DenseKernels:
+    def system(self, index: Array, labels: Floats) -> "LowRankKernels | DenseKernels":
         """Return one problem, by features or, where it is small, by matrices."""
         centred, ranks = self.centred[index[0]], self.features.ranks
         n_bytes = 8 * len(centred) * self.n_columns
@@ -150,7 +148,7 @@ class NystroemBank:
         return LowRankKernels(blocks, mean, ranks, labels)
 
     def machines(
-        self, system: LowRankKernels | DenseKernels, index: Array, solution: Solution
+        self, system: "LowRankKernels | DenseKernels", index: Array, solution: Solution
     ) -> tuple[Floats, Floats]:
         """Return the normal vector (1, n_columns) and the bias (1,)."""
         if isinstance(system, LowRankKernels):
