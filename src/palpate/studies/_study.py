@@ -166,7 +166,7 @@ class Study:
 
     def tables(self, result: dict[str, Any]) -> list[Table]:
         """Return what a person reads of a result: (title, columns, rows of text)."""
-        return self._experiment.tables(result)
+        return [table for table in self._experiment.tables(result) if table[2]]
 
     def write_report(self, path: str | Path, result: dict[str, Any]) -> Path:
         """Write tables and pictures as one `.html` that loads nothing else."""
@@ -176,7 +176,7 @@ class Study:
         target = check_report_path(path)
         sections = [f"<h1>{escape(one.title)}</h1>"]
         sections.append(f"<p>{escape(one.introduction(result))}</p>")
-        sections += [html_table(*table) for table in one.tables(result)]
+        sections += [html_table(*table) for table in self.tables(result)]
         for name, figure in one.pictures(result).items():
             below = escape(one.captions[name])
             sections.append(f"<p>{plots.svg(figure)}</p><p class=note>{below}</p>")
@@ -294,12 +294,14 @@ def mean_row(name: str, values: Any, paper: float | None = None) -> Row:
     return row(name, values.mean(), spread(values), paper)
 
 
-def cell(row: Row | None) -> str:
-    """Return mean and standard deviation, or a dash."""
+def cell(row: Row | None, digits: int = 1, between: str = " ± ") -> str:
+    """Return mean and, unless `between` is empty, standard deviation; or a dash."""
     if row is None:
         return "-"
-    deviation = "" if row["sd"] is None else f" ± {row['sd']:.1f}"
-    return f"{row['ours']:.1f}{deviation}"
+    shown = (
+        [row["ours"]] if row["sd"] is None or not between else [row["ours"], row["sd"]]
+    )
+    return between.join(f"{value:.{digits}f}" for value in shown)
 
 
 def paper(row: Row | None, frame: str = "{}") -> str:
@@ -308,9 +310,9 @@ def paper(row: Row | None, frame: str = "{}") -> str:
     return "" if known is None else frame.format(f"{known:g}")
 
 
-def with_paper(row: Row | None) -> str:
+def with_paper(row: Row | None, digits: int = 1) -> str:
     """Return mean and standard deviation, the paper's figure in brackets."""
-    return cell(row) + paper(row, " ({})")
+    return cell(row, digits) + paper(row, " ({})")
 
 
 def pivot(

@@ -7,6 +7,7 @@ on images and on their derivatives, with each of its four classifiers.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -122,8 +123,7 @@ def tables(result: dict[str, Any]) -> list[Table]:
     made += [_best(shared.held(rows, table="best")), _paired(result["paired"])]
     shares = [[data, f"{share:.1f}"] for data, share in result["duplicates"].items()]
     title = "Touches that another one of the set nearly repeats (correlation > 0.99)"
-    made.append((title, ["data", "share, %"], shares))
-    return [table for table in made if table[2]]
+    return [*made, (title, ["data", "share, %"], shares)]
 
 
 def _table_2(rows: Sequence[Row]) -> Table:
@@ -134,9 +134,7 @@ def _table_2(rows: Sequence[Row]) -> Table:
         "Table 2: Davies-Bouldin index, q = 2, smaller is better (paper in brackets)"
     )
 
-    def index(row: Row | None) -> str:
-        return "-" if row is None else f"{row['ours']:.2f}{shared.paper(row, ' ({})')}"
-
+    index = partial(shared.with_paper, digits=2)
     lines = shared.pivot(rows, ["encoding"], columns, index)
     return title, ["encoding", *heads], lines
 

@@ -134,8 +134,7 @@ def tables(result: dict[str, Any]) -> list[Table]:
         what = row["name"].removesuffix(", ms")
         timed.append([what, shared.paper(row) or "-", f"{row['ours']:.3g}"])
     columns = ["what", "paper (MATLAB)", "ours"]
-    made.append(("Milliseconds, one thread", columns, timed))
-    return [table for table in made if table[2]]
+    return [*made, ("Milliseconds, one thread", columns, timed)]
 
 
 def _curves(experiment: str, data: str, rows: Sequence[Row]) -> Table:
@@ -147,18 +146,10 @@ def _curves(experiment: str, data: str, rows: Sequence[Row]) -> Table:
     ]
     names = shared.unique(row["recogniser"] for row in rows)
     for name in sorted(names, key=lambda name: _FIRST.get(name, len(_FIRST))):
-        found = [_short(shared.pick(rows, recogniser=name, touches=k)) for k in counts]
-        lines.append([name, *found])
+        found = [shared.pick(rows, recogniser=name, touches=k) for k in counts]
+        lines.append([name, *(shared.cell(row, 0, "±") for row in found)])
     title = f"{_TITLES[experiment]}, {DATA_NAMES[data]}: right after so many touches, %"
     return title, ["recogniser", *map(str, counts)], lines if rows else []
-
-
-def _short(row: Row | None) -> str:
-    """Return mean and standard deviation without decimals, or a dash."""
-    if row is None:
-        return "-"
-    deviation = "" if row["sd"] is None else f"±{row['sd']:.0f}"
-    return f"{row['ours']:.0f}{deviation}"
 
 
 def _mixtures(rows: Sequence[Row]) -> Table:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -165,8 +166,8 @@ def recognisers(plan: Corradi2015Plan) -> dict[str, Recogniser]:
         FLOORED: Densities(floor=1e-3),
         CLUSTERS: ClusterBayes(plan.clusters, plan.seed),
         **mixtures,
-        "bag, Fourier": BagOfTouches("polar Fourier", plan.clusters, plan.seed),
-        "bag, moments": BagOfTouches("moment-normalised", plan.clusters, plan.seed),
+        "bag, Fourier": BagOfTouches(plan.clusters, plan.seed, "polar Fourier"),
+        "bag, moments": BagOfTouches(plan.clusters, plan.seed, "moment-normalised"),
     }
 
 
@@ -341,15 +342,12 @@ def worst_pairs(
 def unseen_rows(beliefs: dict[str, dict[str, Floats]], objects: Objects) -> list[Row]:
     """Return which known object each unseen one is taken for, after some touches."""
     known = np.unique(labels(objects.known)).tolist()
-    asked = [
-        (preset, name, k, curve[k - 1])
-        for preset, curves in beliefs.items()
-        for name, curve in curves.items()
-        for k in UNSEEN_AFTER
-        if k <= len(curve)
-    ]
+    every = [(p, *one) for p, curves in beliefs.items() for one in curves.items()]
     rows = []
-    for preset, name, k, belief in asked:
+    for (preset, name, curve), k in product(every, UNSEEN_AFTER):
+        if k > len(curve):
+            continue
+        belief = curve[k - 1]
         order = np.argsort(-belief, kind="stable")[:3].tolist()
         share = {known[i]: float(100 * belief[i]) for i in order}
         best = known[order[0]]
@@ -368,11 +366,11 @@ def timing_rows(touches: Touches, data: str, sizes: Sequence[int]) -> list[Row]:
     moments = encoder.moments.fit(discs)
     values = moments.transform(discs)
 
-    def whole(i: int) -> None:
-        moments.transform(encoder.crop.transform(images[i : i + 1]))
+    def whole(i: int) -> object:
+        return moments.transform(encoder.crop.transform(images[i : i + 1]))
 
-    def alone(i: int) -> None:
-        moments.transform(discs[i : i + 1])
+    def alone(i: int) -> object:
+        return moments.transform(discs[i : i + 1])
 
     disc, frame = (" x ".join(map(str, one.shape[1:])) for one in (discs, images))
     rows = [

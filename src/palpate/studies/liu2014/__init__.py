@@ -6,6 +6,7 @@ presses, and real presses of another array where they are at hand.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,7 @@ def _measure(plan: Liu2014Plan, data: str | Path | None, work: Work) -> dict[str
 def tables(result: dict[str, Any]) -> list[Table]:
     """Return (title, columns, rows) of every table, figures in per cent."""
     rows = result["rows"]
-    made = [
+    return [
         _methods("Table 2", shared.held(rows, table="Table 2")),
         _methods("Equal grids", shared.held(rows, table="equal grids")),
         _methods("Controls, and our moments", shared.held(rows, table="controls")),
@@ -69,7 +70,6 @@ def tables(result: dict[str, Any]) -> list[Table]:
         _conditions("Load, cover 0.9 mm", "load, kgf", "load_kgf", rows, "Fig. 5"),
         _conditions("Cover, 4 kgf", "cover, mm", "cover_mm", rows, "Fig. 6"),
     ]
-    return [table for table in made if table[2]]
 
 
 def _methods(title: str, rows: Sequence[Row]) -> Table:
@@ -113,13 +113,10 @@ def _counts(rows: Sequence[Row]) -> Table:
     some = [row for row in rows if row["table"] in ("Fig. 12", "Fig. 14")]
     counts = shared.unique(row["n"] for row in some)
     keys = ["data", "classes", "encoding", "features"]
-    lines = shared.pivot(some, keys, [{"n": n} for n in counts], _mean, DATA_NAMES)
+    mean = partial(shared.cell, between="")
+    lines = shared.pivot(some, keys, [{"n": n} for n in counts], mean, DATA_NAMES)
     heads = [*keys, *(f"n = {n}" for n in counts)]
     return "Figs 12 and 14: 3-NN against the number of descriptors", heads, lines
-
-
-def _mean(row: Row | None) -> str:
-    return "-" if row is None else f"{row['ours']:.1f}"
 
 
 def _conditions(
