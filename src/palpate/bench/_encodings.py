@@ -21,10 +21,9 @@ from typing import Any
 import cv2
 import numpy as np
 from joblib import cpu_count
-from numpy.typing import NDArray
 
 from .._extras import missing
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats, Singles
 from ..encodings import (
     ENCODINGS,
     ZernikeMoments,
@@ -73,7 +72,7 @@ from PIL import Image
 def work(folder): return np.stack([np.asarray(Image.open(p).convert('L'))
     for p in sorted(Path(folder).rglob('*.jpg'))])
 """
-Discs = NDArray[np.float32]
+Discs = Singles
 Encode = Callable[[Array], Floats]
 _TYPES = ("float64", "float32", "uint8")
 _N_TOUCHES = 32
@@ -303,7 +302,7 @@ def dense_basis(size: int, order: int) -> Encode:
     return encode
 
 
-def _disc(size: int) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def _disc(size: int) -> tuple[Floats, Floats, Bools]:
     """Taxel centres x and y, in radii, and which lie in the inscribed disc."""
     side = (2 * np.arange(size) + 1 - size) / size
     x, y = np.meshgrid(side, side)

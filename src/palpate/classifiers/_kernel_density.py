@@ -10,11 +10,11 @@ brought back by any later touch.
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_number, check_option, check_positive
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats, Indices
 from ._kernel_sums import (
     blocks_of,
     count_tiles,
@@ -120,7 +120,7 @@ class KernelDensityBayes(BayesRule):
     """
 
     classes_: Array
-    counts_: NDArray[np.intp]
+    counts_: Indices
     points_: Floats
     log_norms_: Floats
 
@@ -233,7 +233,7 @@ class KernelDensityBayes(BayesRule):
         ends = np.cumsum(self.counts_)
         return [slice(e - n, e) for e, n in zip(ends, self.counts_, strict=True)]
 
-    def _store(self, points: Floats, counts: NDArray[np.intp]) -> None:
+    def _store(self, points: Floats, counts: Indices) -> None:
         """Set everything that is stored per object, each object by itself."""
         self.points_, self.counts_ = points, counts
         parts = [points[rows] for rows in self._rows()]
@@ -274,9 +274,7 @@ class KernelDensityBayes(BayesRule):
             sums[pairs, place] = exact_log_sums(x[pairs], points, precision)
         return sums + self.log_norms_
 
-    def _without(
-        self, place: int, met: NDArray[np.bool_], group: NDArray[np.intp]
-    ) -> Floats:
+    def _without(self, place: int, met: Bools, group: Indices) -> Floats:
         """Return one object's log densities at touches `met`, without their groups."""
         rows = self._rows()[place]
         groups = group[met], group[rows]

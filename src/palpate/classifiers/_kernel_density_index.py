@@ -10,13 +10,13 @@ as fast.
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import softmax
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count
 from .._extras import needed
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices, Singles
 from ._kernel_density import KernelDensityBayes
 from ._kernel_sums import (
     blocks_of,
@@ -184,7 +184,7 @@ class KernelDensityIndex:
             float(off.max()),
         )
 
-    def _sums_of(self, cells: NDArray[np.float32]) -> Floats:
+    def _sums_of(self, cells: Singles) -> Floats:
         """Return the log of the sum over the cells of each object."""
         top = np.maximum.reduceat(cells, self.starts_, axis=1)
         counts = np.diff(np.append(self.starts_, cells.shape[1]))
@@ -192,9 +192,7 @@ class KernelDensityIndex:
         sums = np.add.reduceat(relative, self.starts_, axis=1)
         return np.asarray(top.astype(np.float64) + np.log(sums))
 
-    def _refined(
-        self, x: NDArray[np.float32], place: int, cells: Array, shared: Floats
-    ) -> float:
+    def _refined(self, x: Singles, place: int, cells: Array, shared: Floats) -> float:
         """Return the log sum of one object: near cells by touch, far ones rough."""
         first = self.starts_[place]
         own = cells[first : np.append(self.starts_, len(cells))[place + 1]]
@@ -212,7 +210,7 @@ class KernelDensityIndex:
         return float(total)
 
 
-def _cells(faiss: Any, points: Floats, n_cells: int, seed: int) -> NDArray[np.intp]:
+def _cells(faiss: Any, points: Floats, n_cells: int, seed: int) -> Indices:
     """Return the cell of each point, by k-means on some of them."""
     single = np.ascontiguousarray(points, dtype=np.float32)
     means = faiss.Kmeans(
@@ -224,13 +222,11 @@ def _cells(faiss: Any, points: Floats, n_cells: int, seed: int) -> NDArray[np.in
         max_points_per_centroid=_TAUGHT_PER_CELL,
     )
     means.train(single)
-    nearest: NDArray[np.intp] = means.index.search(single, 1)[1][:, 0]
+    nearest: Indices = means.index.search(single, 1)[1][:, 0]
     return np.unique(nearest, return_inverse=True)[1]
 
 
-def _weights(
-    points: Floats, cell: NDArray[np.intp], precision: Floats | None
-) -> NDArray[np.float32]:
+def _weights(points: Floats, cell: Indices, precision: Floats | None) -> Singles:
     """Return what [x^2, x, 1] is multiplied by, (2 * n_directions + 1, n_cells)."""
     order = np.argsort(cell, kind="stable")
     counts = np.bincount(cell)

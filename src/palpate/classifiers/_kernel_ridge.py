@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotrf, dtrtri
 from scipy.optimize import minimize, minimize_scalar
@@ -21,7 +21,7 @@ from sklearn.metrics.pairwise import euclidean_distances
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_positive, check_squarable
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices
 from ._touch_classifier import BayesRule, as_groups, as_touches, labelled_touches
 
 # Temperature and bend of the posterior are fitted to at most so many touches, and so
@@ -36,7 +36,7 @@ _JITTER = 1e-8
 Shape = tuple[float, float, float]
 
 # Rows of touches, some of them -> their kernel with the landmarks.
-KernelOf = Callable[[NDArray[np.intp]], Floats]
+KernelOf = Callable[[Indices], Floats]
 
 
 class KernelRidgeClassifier(BayesRule):
@@ -355,7 +355,7 @@ def _learn_from_landmarks(
     kernel_of: KernelOf,
     own_kernel: Floats,
     target: Floats,
-    group: NDArray[np.intp],
+    group: Indices,
     ridge: float,
 ) -> tuple[Floats, Floats]:
     """Return coefficients (n_landmarks, n_outputs) and left-out answers to `target`.
@@ -368,7 +368,7 @@ def _learn_from_landmarks(
     n_landmarks = len(own_kernel)
     root = cholesky(own_kernel + _JITTER * np.eye(n_landmarks), lower=True)
 
-    def features(rows: NDArray[np.intp]) -> Floats:
+    def features(rows: Indices) -> Floats:
         solved = solve_triangular(root, kernel_of(rows).T, lower=True)
         return np.ascontiguousarray(solved.T)
 
@@ -400,6 +400,6 @@ def _residual_without(
     return np.asarray(residual + some @ cho_solve(others, some.T @ residual))
 
 
-def _members(group: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+def _members(group: Indices) -> list[Indices]:
     order = np.argsort(group, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)

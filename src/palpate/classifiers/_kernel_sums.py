@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats, Indices
 
 Tiles = NDArray[np.floating]
 
@@ -61,12 +61,12 @@ def make_tiles(
     return tiles, np.array([lengths.max(), np.abs(bias).max()])
 
 
-def count_tiles(counts: NDArray[np.intp]) -> NDArray[np.intp]:
+def count_tiles(counts: Indices) -> Indices:
     """Return how many tiles hold each of `counts` touches."""
     return -(-counts // TILE)
 
 
-def tile_log_sums(x: Floats, tiles: Tiles, tile_counts: NDArray[np.intp]) -> Floats:
+def tile_log_sums(x: Floats, tiles: Tiles, tile_counts: Indices) -> Floats:
     """Return log of the sum of exp(x'p + b) per object, (n_touches, n_objects).
 
     Objects have `tile_counts` (n_objects,) tiles each, one object after the other.
@@ -97,7 +97,7 @@ def squared_distances(x: Floats, means: Floats, precisions: Floats | None) -> Fl
 
 def is_precise(
     x: Floats, reaches: Floats, dtype: str, max_error: float = MAX_ERROR
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Return which pairs the tiles answer within `max_error`, (n_touches, n_objects).
 
     A product of n numbers rounds by at most (n + 2) units of the last place of the
@@ -168,7 +168,7 @@ class Whitening(NamedTuple):
 
     centre: Floats  # (n_features,), mean of the training touches
     spread: Floats  # (n_features,), their standard deviation
-    varies: NDArray[np.bool_]  # (n_features,), by more than rounding
+    varies: Bools  # (n_features,), by more than rounding
     rotation: Floats | None  # (n_varying, n_directions), to unit variance
     log_volume: float  # of the unit cell, in units of the features
 
@@ -205,7 +205,7 @@ def whiten(
     touches: Floats,
     centre: Floats,
     spread: Floats,
-    varies: NDArray[np.bool_],
+    varies: Bools,
     rotation: Floats | None,
 ) -> Floats:
     """Return whitened touches, shape (n_touches, n_directions), always finite."""

@@ -6,14 +6,14 @@ Beside that, the checks that the classifiers of feature vectors share.
 from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import log_softmax
 from sklearn.base import BaseEstimator, ClassifierMixin, clone
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from .._checks import are_plain_vectors, check_label_kinds
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices
 
 _N_FOLDS = 5
 _LEAST_PROBABILITY = 1e-12
@@ -62,7 +62,7 @@ class BayesRule(ClassifierMixin, BaseEstimator):
     """
 
     classes_: Array
-    counts_: NDArray[np.intp]
+    counts_: Indices
     prior = "uniform"
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
@@ -197,7 +197,7 @@ def as_touches(estimator: BaseEstimator, X: ArrayLike) -> Floats:
     return np.asarray(validate_data(estimator, X, dtype=np.float64, reset=False))
 
 
-def as_groups(groups: ArrayLike | None, n_touches: int) -> NDArray[np.intp]:
+def as_groups(groups: ArrayLike | None, n_touches: int) -> Indices:
     """Return the number of each training touch's group; by default its own."""
     if groups is None:
         return np.arange(n_touches)

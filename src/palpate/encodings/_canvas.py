@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_count, check_images, check_levels, check_number
 from .._image_estimator import ImageEstimator
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices
 
 _CLIP = 0.2
 # Below this share of the strongest cell, a block is not brought to length 1.
@@ -299,7 +299,7 @@ class RingQuantiles(CanvasEncoder):
 
 
 @lru_cache(maxsize=16)
-def _places(shape: tuple[int, int], n_rings: int) -> list[NDArray[np.intp]]:
+def _places(shape: tuple[int, int], n_rings: int) -> list[Indices]:
     """Which pixels, counted row by row, lie in each ring of the inscribed disc."""
     row, col = (np.arange(n) - (n - 1) / 2 for n in shape)
     radius = np.hypot(row[:, np.newaxis], col) / (min(shape) / 2)

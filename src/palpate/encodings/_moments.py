@@ -10,12 +10,12 @@ from itertools import combinations
 from math import comb, factorial, sqrt
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_images, check_option, check_positive
 from .._image_estimator import ImageEstimator, by_channel
-from .._types import Array, Floats
+from .._types import Array, Bools, Complexes, Floats, Indices
 from ..images import CentralMoments, above_least, central_moments, inscribed_mask
 
 # Powers of the coordinates lose all digits to cancellation beyond this order.
@@ -111,7 +111,7 @@ class CentroidMoments(ImageEstimator):
         waves = self.degrees_[:, 1] > 0
         return np.where(waves, np.abs(moments), moments.real)
 
-    def complex_moments(self, X: ArrayLike) -> NDArray[np.complex128]:
+    def complex_moments(self, X: ArrayLike) -> Complexes:
         """Return the moments with their phases, shape (n_touches, n_moments).
 
         A press turned by an angle a from the column axis towards the row axis has
@@ -119,7 +119,7 @@ class CentroidMoments(ImageEstimator):
         """
         return by_channel(self._moments_of, self._images(X))
 
-    def _moments_of(self, images: Array) -> NDArray[np.complex128]:
+    def _moments_of(self, images: Array) -> Complexes:
         images = images.astype(np.float64, copy=False)
         scale = self.width * min(images.shape[1:]) / 2
         levels = images / size_of(images, self.normalise)[:, None, None]
@@ -130,7 +130,7 @@ class CentroidMoments(ImageEstimator):
         products = across @ levels.transpose(0, 2, 1) @ down.transpose(0, 2, 1)
         flat = products.reshape(len(images), -1) / scale
         # Conjugated, as moments are integrals against the pattern's conjugate.
-        moments: NDArray[np.complex128]
+        moments: Complexes
         moments = flat @ self.patterns_.conj().reshape(len(self.patterns_), -1).T
         return moments
 
@@ -175,15 +175,13 @@ def _centroid(images: Floats, power: float) -> tuple[Floats, Floats]:
     return row, col
 
 
-def _windowed_powers(
-    n: int, centre: Floats, scale: float, power: NDArray[np.intp]
-) -> Floats:
+def _windowed_powers(n: int, centre: Floats, scale: float, power: Indices) -> Floats:
     """exp(-x^2 / 2) x^power along one side, (n_touches, n_powers, n)."""
     x = (np.arange(n) - centre[:, None]) / scale
     return np.exp(-(x**2) / 2)[:, None] * x[:, None] ** power[:, None]
 
 
-def _pattern(n: int, m: int, order: int) -> NDArray[np.complex128]:
+def _pattern(n: int, m: int, order: int) -> Complexes:
     """Weights of x^i y^j in the normalised u^m L_k(|u|^2) of order n."""
     k = (n - m) // 2
     weights = np.zeros((order + 1, order + 1), dtype=complex)
@@ -284,7 +282,7 @@ class HuMoments(ImageEstimator):
         return np.array([f"hu{i + 1}" for i in range(self.n_components)], dtype=object)
 
 
-def _relative(images: Floats, mask: NDArray[np.bool_]) -> Floats:
+def _relative(images: Floats, mask: Bools) -> Floats:
     levels = above_least(images, mask)
     mean = levels.sum(axis=(1, 2), keepdims=True) / mask.sum()
     size = np.abs(images).max(axis=(1, 2), keepdims=True)

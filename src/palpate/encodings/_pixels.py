@@ -269,10 +269,7 @@ class PhotometricGradients(ImageEstimator, by_channel=False):
     """
 
     def __init__(
-        self,
-        lights: ArrayLike,
-        baseline: str | ArrayLike = "median",
-        cells: int = 32,
+        self, lights: ArrayLike, baseline: str | ArrayLike = "median", cells: int = 32
     ) -> None:
         self.lights, self.baseline, self.cells = lights, baseline, cells
 

@@ -7,12 +7,11 @@ walk along the outline begins. Nonzero is foreground.
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, binary_fill_holes
 
 from .._checks import check_count, check_option
 from .._image_estimator import ImageEstimator
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats
 
 # Up, down, left and right within an image; never from one image to the next.
 _CROSS = np.array([[[0, 1, 0], [1, 1, 1], [0, 1, 0]]], dtype=bool)
@@ -140,7 +139,7 @@ class FourierDescriptors(ImageEstimator):
         return np.array([f"fourier{i + 1}" for i in range(self.n)], dtype=object)
 
 
-def outer_boundary(shape: NDArray[np.bool_]) -> Floats:
+def outer_boundary(shape: Bools) -> Floats:
     """The largest component's outer boundary (column, row) as a closed walk, (n, 2)."""
     pixels = shape.astype(np.uint8)
     n_labels, labels, stats, _ = cv2.connectedComponentsWithStats(pixels)
@@ -161,7 +160,7 @@ def _descriptors(outline: Floats) -> Floats:
     return size / size[0] if size[0] > 1e-9 * size.max() else np.zeros_like(size)
 
 
-def _mean(values: Array, inside: NDArray[np.bool_]) -> Floats:
+def _mean(values: Array, inside: Bools) -> Floats:
     """Mean of `values` over the True pixels of each image, 0 where there is none."""
     count = np.maximum(inside.sum(axis=(1, 2)), 1)
     return np.asarray(np.where(inside, values, 0.0).sum(axis=(1, 2)) / count)

@@ -13,7 +13,7 @@ from math import hypot, pi
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import (
@@ -25,7 +25,7 @@ from .._checks import (
     check_positive,
 )
 from .._image_estimator import ImageEstimator
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices
 from ._zernike_polynomials import noll_degrees, signed_degrees, zernike_degrees
 from ._zernike_tables import HIGHEST_SEPARABLE_ORDER, Disc, Grid, zernike_moments
 
@@ -226,8 +226,8 @@ class ZernikeMoments(ImageEstimator):
 class _Layout(NamedTuple):
     """Degrees of the columns, where they are among m >= 0, and their weights."""
 
-    degrees: NDArray[np.intp]
-    columns: NDArray[np.intp]
+    degrees: Indices
+    columns: Indices
     weights: Floats
 
 

@@ -22,12 +22,12 @@ from itertools import product
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 from scipy.special import log_softmax, logsumexp
 
 from .._checks import check_count
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices
 from ..recognition import (
     Belief,
     Evidence,
@@ -40,7 +40,7 @@ from ..recognition import (
 from ..touches import Touches
 
 Weights = tuple[float, float, float]
-Episodes = list[NDArray[np.intp]]
+Episodes = list[Indices]
 # Widths in units of the places (radians, on a hemisphere), bandwidths as shares of
 # the mean squared distance between features.
 WIDTHS = (0.08, 0.15, 0.3, 0.6)

@@ -12,7 +12,7 @@ from itertools import islice
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import spsolve
 from sklearn.base import clone
@@ -26,7 +26,7 @@ from .._checks import (
     check_positive,
 )
 from .._image_estimator import ImageEstimator
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats
 
 _OUTPUTS = ("resized", "gamma", "filtered", "binary")
 # Interpolation leaves rounding of this relative size in what should be constant.
@@ -190,7 +190,7 @@ def otsu_threshold(images: ArrayLike) -> Floats:
 
 def binarise(
     images: ArrayLike, n_partitions: int = 2, *, min_contrast: float = 0.0
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Threshold each of n x n partitions of each image by its own Otsu threshold.
 
     Partitions that span at most the share `min_contrast` of the image's span are
@@ -243,9 +243,7 @@ def _resize_matrix(n_in: int, n_out: int) -> Floats:
     return np.asarray(weight / weight.sum(axis=1, keepdims=True))
 
 
-def _binarise_block(
-    block: Floats, whole: Floats, least_span: Floats
-) -> NDArray[np.bool_]:
+def _binarise_block(block: Floats, whole: Floats, least_span: Floats) -> Bools:
     flat = block.reshape(len(block), -1)
     threshold = _threshold_rows(flat)
     constant = np.isnan(threshold) | (np.ptp(flat, axis=1) <= least_span)
@@ -342,7 +340,7 @@ def fill_dead_taxels(images: ArrayLike, *, dead: str = "fill") -> Floats:
     return filled
 
 
-def _solve(images: Floats, is_dead: NDArray[np.bool_]) -> Floats:
+def _solve(images: Floats, is_dead: Bools) -> Floats:
     """Solve for the taxels of `is_dead`, the same in each of `images`."""
     number = np.where(is_dead, np.cumsum(is_dead).reshape(is_dead.shape) - 1, -1)
     n_dead = int(is_dead.sum())

@@ -19,7 +19,7 @@ from sklearn.utils.validation import check_is_fitted
 from .._checks import check_images, check_number, check_option
 from .._durable import write_text
 from .._image_estimator import ImageEstimator
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices
 
 _FORMAT, _VERSION = "palpate taxel calibration", 1
 _NUMBERS = ("gain", "offset", "noise", "dead_zone_kpa", "saturation_kpa")
@@ -318,7 +318,7 @@ def _median(values: Floats) -> Floats:
     return np.where(nothing, np.nan, median)
 
 
-def _group_loads(loads: Floats) -> tuple[Floats, NDArray[np.intp]]:
+def _group_loads(loads: Floats) -> tuple[Floats, Indices]:
     """Distinct loads, rising, and which of them each frame belongs to."""
     distinct, which = np.unique(loads, return_inverse=True)
     if len(distinct) <= _MOST_LOADS:
@@ -330,7 +330,7 @@ def _group_loads(loads: Floats) -> tuple[Floats, NDArray[np.intp]]:
 
 def _best_segment(
     loads: Floats, levels: Floats
-) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]:
+) -> tuple[Indices, Indices, Floats, Floats]:
     """First and last load of each taxel's linear part, and its line."""
     n_loads, n_taxels = levels.shape
     pairs = np.array(list(combinations(range(n_loads), 2)))

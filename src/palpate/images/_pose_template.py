@@ -11,10 +11,9 @@ look the same is settled on presses that the template has not seen.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from .._types import Floats
+from .._types import Floats, Indices
 from ._orientation import interpolate, repose
 
 Pair = tuple[Floats, Floats]
@@ -226,14 +225,12 @@ def render(template: Floats, poses: Floats, shape: tuple[int, ...]) -> Floats:
     return interpolate(template[np.newaxis], where, "zero", "cubic")
 
 
-def _free(symmetry: int) -> NDArray[np.intp]:
+def _free(symmetry: int) -> Indices:
     """Which of angle, x and y can be found."""
     return np.array([0, 1, 2] if symmetry else [1, 2])
 
 
-def _slopes(
-    images: Floats, template: Floats, poses: Floats, free: NDArray[np.intp]
-) -> Floats:
+def _slopes(images: Floats, template: Floats, poses: Floats, free: Indices) -> Floats:
     """Derivatives of the residuals, (n_touches, n_free, n_residuals)."""
     steps = np.diag(_DIFFERENCE)[free]
     ahead_and_behind = poses + np.concatenate([steps, -steps])[:, np.newaxis]

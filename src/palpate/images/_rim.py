@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_finite, check_image_shape, check_levels, check_positive
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats, Singles
 from . import _rim_fit
 from ._rim_fit import Fit
 
@@ -70,7 +70,7 @@ class Rims:
     row: Floats
     col: Floats
     radius: Floats
-    visible: NDArray[np.bool_]
+    visible: Bools
     score: Floats
 
     @classmethod
@@ -225,7 +225,7 @@ def _as_grey(image: Array) -> Array:
     if image.dtype == np.uint8:
         return np.ascontiguousarray(image)
     low, high = image.min(), image.max()
-    grey: NDArray[np.float32] = (image / 2 - low / 2) / (high / 2 - low / 2)
+    grey: Singles = (image / 2 - low / 2) / (high / 2 - low / 2)
     return grey.astype(np.float32)
 
 

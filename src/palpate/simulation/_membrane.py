@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from .._checks import check_count, check_number, check_positive
-from .._types import Floats
+from .._types import Bools, Floats, Singles
 
-Grid = NDArray[np.float32]
+Grid = Singles
 # Nodes closer to the rim than this share of the radius carry no contact: there the
 # dome stands along the axis and its height is no longer a function one can press.
 _USED_RADIUS = 0.95
@@ -207,7 +207,7 @@ class _Problem:
 
     membrane: Membrane
     gap: Grid
-    reachable: NDArray[np.bool_]
+    reachable: Bools
     tolerance: float
     max_steps: int
 

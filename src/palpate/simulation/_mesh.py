@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import check_option
-from .._types import Floats
+from .._types import Floats, Indices
 from ._placed import Mesh, SimObject, trimesh, turned
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply")
@@ -187,7 +187,7 @@ def _stable_rotations(mesh: Mesh) -> tuple[Floats, ...]:
     return tuple(_to_ground(down) for down in found)
 
 
-def _rests_on(hull: Mesh, facet: NDArray[np.intp], down: Floats) -> bool:
+def _rests_on(hull: Mesh, facet: Indices, down: Floats) -> bool:
     """Whether the centre, moved along `down` onto the facet, lies in a face of it."""
     corners, centre = hull.triangles[facet], hull.center_mass
     onto = centre + down * ((corners[0, 0] - centre) @ down)

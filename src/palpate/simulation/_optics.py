@@ -15,9 +15,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .._types import Array
+from .._types import Array, Bools, Singles
 from ._membrane import Membrane
 
 Plane = Array  # float32 throughout: half the time of float64
@@ -40,7 +39,7 @@ class Lighting:
     shininess: float = 10.0  # exponent of the highlight
 
     @property
-    def led_mm(self) -> NDArray[np.float32]:
+    def led_mm(self) -> Singles:
         """Places of the LEDs, (n_leds, 3)."""
         angle = np.arange(self.n_leds) * (2 * np.pi / self.n_leds)
         x, y = self.ring_radius_mm * np.cos(angle), self.ring_radius_mm * np.sin(angle)
@@ -134,7 +133,7 @@ class Optics:
         self._undented, self._at_rim = self._met_undented()
         self._ahead = self._sphere(x, y) - self._depths[:, None, None]
 
-    def _met_undented(self) -> tuple[Plane, NDArray[np.bool_]]:
+    def _met_undented(self) -> tuple[Plane, Bools]:
         """Exact depth where rays meet the sphere, and those at its steep rim."""
         radius = self._membrane.radius_mm
         rim = self._view.distance_mm - radius

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 from numpy.random import Generator, SeedSequence
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from .._checks import check_count, check_number, check_option, check_positive
 from .._parallel import in_parallel
+from .._types import Indices
 from ..touches import Touches
 from ._array import Press, PressureArray
 from ._dome import DomeCamera, DomePress, Frame
@@ -291,9 +291,7 @@ def simulate_presses(
     )
 
 
-def _in_sessions(
-    levels: Frame, session: NDArray[np.intp], seeds: list[SeedSequence]
-) -> Frame:
+def _in_sessions(levels: Frame, session: Indices, seeds: list[SeedSequence]) -> Frame:
     """Return what an array would read in each session, mounted and zeroed anew."""
     result = np.empty_like(levels)
     for number, seed in enumerate(seeds):
@@ -399,7 +397,7 @@ def _one(
 
 
 def _sessions_of(
-    thing: SimObject, seed: SeedSequence, parts: list[NDArray[np.intp]]
+    thing: SimObject, seed: SeedSequence, parts: list[Indices]
 ) -> Iterator[tuple[int, SimObject, SeedSequence, list[SeedSequence]]]:
     """Split the work; seeds hang on the object's place and the touch's, not on this."""
     of_sessions, of_touches = seed.spawn(2)

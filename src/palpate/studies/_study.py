@@ -23,12 +23,13 @@ from threadpoolctl import threadpool_limits
 from .._checks import check_count
 from .._durable import replacing, write_text
 from .._parallel import in_parallel
+from .._types import Indices
 from ..touches import Touches
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Codes = NDArray[np.intp]
+Codes = Indices
 Row = dict[str, Any]
 # A title, the names of the columns, and lines of text.
 Table = tuple[str, list[str], list[list[str]]]

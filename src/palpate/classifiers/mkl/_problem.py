@@ -23,7 +23,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._types import Array, Floats
+from ..._types import Array, Bools, Floats
 
 # Bytes of kernel values held at a time beside what the caller holds.
 BLOCK_BYTES = 32 * 2**20
@@ -376,9 +376,7 @@ class Best:
         self._found_at = np.zeros(n_problems, dtype=np.int64)
         self.rows = everywhere  # of the problems that are not done
 
-    def improve(
-        self, task: Task, point: Point, view: View, *, last: bool
-    ) -> NDArray[np.bool_]:
+    def improve(self, task: Task, point: Point, view: View, *, last: bool) -> Bools:
         """Note what is better; return which problems should go on.
 
         No proof, but for the `last` point, while the products alone say all are far.

@@ -111,12 +111,7 @@ def _measure(
     every, last = sets[-1].every or sets[0].known, sets[-1].data
     rows += shared.on_one_thread(episodes.timing_rows, every, last, plan.timed)
     confusion = {one.data: episodes.confusions(answered, one, plan) for one in sets}
-    return {
-        "rows": rows,
-        "confusion": confusion,
-        "unseen": unseen,
-        "skipped": skipped,
-    }
+    return {"rows": rows, "confusion": confusion, "unseen": unseen, "skipped": skipped}
 
 
 def tables(result: dict[str, Any]) -> list[Table]:

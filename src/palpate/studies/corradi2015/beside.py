@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._types import Floats
+from ..._types import Bools, Floats
 from ...evaluation import Fold, Plan, evaluate, split_touches
 from ...recognition import ObjectRecogniser
 from ...touches import Touches
@@ -102,7 +102,7 @@ def moved(
     }
 
 
-def before_the_move(touches: Touches) -> NDArray[np.bool_]:
+def before_the_move(touches: Touches) -> Bools:
     """Mark touches before the camera moved; all of the objects where it did not."""
     assert touches.order is not None
     centres = touches.columns[RIM][:, :2]

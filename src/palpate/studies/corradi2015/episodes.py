@@ -12,10 +12,9 @@ from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.decomposition import PCA
 
-from ..._types import Floats
+from ..._types import Bools, Floats
 from ...classifiers import KernelDensityBayes
 from ...recognition import ObjectRecogniser
 from ...touches import Touches
@@ -237,7 +236,7 @@ def draw_orders(
     return np.stack(episodes), np.repeat(np.arange(len(known)), n_orders)
 
 
-def only_idle(partition: Partition, idle: NDArray[np.bool_] | None) -> Partition | None:
+def only_idle(partition: Partition, idle: Bools | None) -> Partition | None:
     """Return the test touches without contact, each an episode; None without any."""
     if idle is None or not idle[partition.episodes].any():
         return None

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import clone
 
-from ..._types import Floats
+from ..._types import Bools, Floats, Singles
 from ...evaluation import brightness, without_contact
 from ...images import DomeCrop, Rims, crop_discs, standardise_discs
 from ...recognition import PRESETS
@@ -147,7 +147,7 @@ class Encoded:
     names: NDArray[np.str_]
     codes: Codes
     features: dict[str, Floats]
-    idle: NDArray[np.bool_] | None
+    idle: Bools | None
 
 
 class Encoder:
@@ -182,12 +182,12 @@ class Encoder:
         names, codes = np.unique(labels(touches), return_inverse=True)
         return Encoded(names, codes, features, without_contact(touches))
 
-    def _discs(self, images: NDArray[Any], rims: Rims) -> NDArray[np.float32]:
+    def _discs(self, images: NDArray[Any], rims: Rims) -> Singles:
         discs = crop_discs(images, rims, self.crop.disc_radius_, self.crop.size_)
         return standardise_discs(discs)
 
 
-def polar_fourier(discs: NDArray[np.float32]) -> Floats:
+def polar_fourier(discs: Singles) -> Floats:
     """Return Fourier magnitudes along 8 circles, blind to turning, (n_touches, 72)."""
     half = (discs.shape[1] - 1) / 2
     radius = half * (np.arange(N_RINGS) + 0.5) / N_RINGS
@@ -199,7 +199,7 @@ def polar_fourier(discs: NDArray[np.float32]) -> Floats:
     return np.asarray(found.reshape(len(discs), -1), dtype=np.float64)
 
 
-def moment_normalised(pressed: NDArray[np.float32]) -> Floats:
+def moment_normalised(pressed: Singles) -> Floats:
     """Move, turn and scale what is pressed (n_touches, size, size); (n_touches, 256).
 
     The centroid comes to the middle, the main axis to the columns with the longer tail
@@ -208,7 +208,7 @@ def moment_normalised(pressed: NDArray[np.float32]) -> Floats:
     return np.stack([_normalised(image) for image in pressed])
 
 
-def _normalised(image: NDArray[np.float32]) -> Floats:
+def _normalised(image: Singles) -> Floats:
     total = float(image.sum())
     row, col = np.indices(image.shape)
     if total <= 0:
