@@ -158,16 +158,20 @@ def bench_zernike(
         peers = _peers(size, order)
         for dtype in _TYPES:
             images = grey.astype(dtype)
+
+            def each_ms(encode: Encode, some: Array) -> float:
+                return cpu_ms(lambda: encode(some), seconds) / len(some)
+
             for some, batch in ((images[:1], "single"), (images, f"batch {n_touches}")):
                 theirs = {
-                    peer: {"peer_ms": _time(encode, some[:limit], seconds)}
+                    peer: {"peer_ms": each_ms(encode, some[:limit])}
                     if encode
                     else {"reason": missing(peer, "bench", "A peer")}
                     for peer, (encode, limit) in peers.items()
                 }
                 for method in ("sample", "exact"):
                     encoder = ZernikeMoments(order, method=method).fit(some[:1])
-                    ours = _time(encoder.transform, some, seconds)
+                    ours = each_ms(encoder.transform, some)
                     name = f"{size} x {size} {dtype} {method} {batch}"
                     rows += [row(name, ours, p, **found) for p, found in theirs.items()]
     return rows
@@ -245,19 +249,13 @@ def _pictures(data: Path | None) -> list[Picture]:
     return [np.frombuffer(found[i].read_bytes(), np.uint8) for i in spread]
 
 
-def _time(encode: Encode, images: Array, seconds: float) -> float:
-    """Milliseconds for one image."""
-    return cpu_ms(lambda: encode(images), seconds) / len(images)
-
-
 def _peers(size: int, order: int) -> dict[str, tuple[Encode | None, int | None]]:
     """How each peer encodes, None where absent, and how many images it takes."""
     makers = {"mahotas": _mahotas, "centrosome": _centrosome}
-    peers: dict[str, tuple[Encode | None, int | None]] = {
-        name: (make(size, order) if find_spec(name) else None, 1)
-        for name, make in makers.items()
+    return {
+        **{n: (m(size, order) if find_spec(n) else None, 1) for n, m in makers.items()},
+        "dense basis": (dense_basis(size, order), None),
     }
-    return peers | {"dense basis": (dense_basis(size, order), None)}
 
 
 def _mahotas(size: int, order: int) -> Encode:

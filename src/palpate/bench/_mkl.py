@@ -198,7 +198,6 @@ def _walk(stack: Floats, codes: Array, pairs: Array, C: float) -> None:
 
 
 def _row_large(n_touches: int) -> Row:
-    """Learn from very many touches, and say the memory it took."""
     found = measured_apart(_LARGE, n_touches)
     exact = 4 * 8 * n_touches**2 / 2**30
     return row(

@@ -177,7 +177,6 @@ class EncodingPool(BayesRule):
         return dict(zip(self.machines_, every, strict=True))
 
     def _parts(self, touches: Floats) -> dict[str, Floats]:
-        """Return the features of each machine."""
         cuts = np.cumsum(list(self.parts.values()))[:-1]
         pieces = np.split(touches, cuts, axis=1)
         parts = dict(zip(self.parts, pieces, strict=True))

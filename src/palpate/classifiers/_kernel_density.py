@@ -162,9 +162,9 @@ class KernelDensityBayes(BayesRule):
         check_number("min_variance", self.min_variance, low=1e-12)
         check_option("precision", self.precision, ("auto", "single", "double"))
         touches, labels = labelled_touches(self, X, y)
-        learnt = learn_whitening(touches, full=self.bandwidth == "full")
-        self.centre_, self.spread_, self.varies_ = learnt[:3]
-        self.rotation_, self.log_volume_ = learnt[3:]
+        self.centre_, self.spread_, self.varies_, self.rotation_, self.log_volume_ = (
+            learn_whitening(touches, full=self.bandwidth == "full")
+        )
         self.dtype_ = "float64" if self.precision == "double" else "float32"
         self._learn(touches, labels, groups)
         if self.precision == "auto":

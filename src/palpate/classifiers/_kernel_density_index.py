@@ -151,7 +151,12 @@ class KernelDensityIndex:
             x = model._whiten(touches[rows])
             one = np.ones((len(x), 1))
             cells = np.hstack([x**2, x, one]).astype(np.float32) @ self.weights_
-            sums = self._sums_of(cells) + model.log_norms_
+            # The log of the sum over the cells of each object.
+            top = np.maximum.reduceat(cells, self.starts_, axis=1)
+            counts = np.diff(np.append(self.starts_, cells.shape[1]))
+            relative = np.exp(cells - np.repeat(top, counts, axis=1))
+            totals = np.add.reduceat(relative, self.starts_, axis=1)
+            sums = top.astype(np.float64) + np.log(totals) + model.log_norms_
             kept = np.argpartition(-sums, self.n_exact - 1, axis=1)[:, : self.n_exact]
             shared = squared_distances(x, model.means_, model.precisions_) / 2
             precise = is_precise(x, model.reaches_, "float32", MAX_ERROR)
@@ -183,14 +188,6 @@ class KernelDensityIndex:
             float(np.quantile(error, 0.99)),
             float(off.max()),
         )
-
-    def _sums_of(self, cells: Singles) -> Floats:
-        """Return the log of the sum over the cells of each object."""
-        top = np.maximum.reduceat(cells, self.starts_, axis=1)
-        counts = np.diff(np.append(self.starts_, cells.shape[1]))
-        relative = np.exp(cells - np.repeat(top, counts, axis=1))
-        sums = np.add.reduceat(relative, self.starts_, axis=1)
-        return np.asarray(top.astype(np.float64) + np.log(sums))
 
     def _refined(self, x: Singles, place: int, cells: Array, shared: Floats) -> float:
         """Return the log sum of one object: near cells by touch, far ones rough."""

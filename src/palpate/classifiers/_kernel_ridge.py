@@ -142,17 +142,22 @@ class KernelRidgeClassifier(BayesRule):
         TypeError
             For labels that are partly text, partly something else.
         """
-        touches, labels = labelled_touches(self, X, y)
-        check_squarable("X", touches)
-        self.classes_, codes = np.unique(labels, return_inverse=True)
+        touches, codes, group = self._taken(X, y, groups)
         if len(self.classes_) < 2:
             raise ValueError(
                 f"y must hold at least two labels, got 1 class: {self.classes_[0]}."
             )
-        group = as_groups(groups, len(touches))
         self._choose(touches, codes, group)
         self._learn(touches, codes, group)
         return self
+
+    def _taken(
+        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None, reset: bool = True
+    ) -> tuple[Floats, Array, Array]:
+        touches, labels = labelled_touches(self, X, y, reset=reset)
+        check_squarable("X", touches)
+        self.classes_, codes = np.unique(labels, return_inverse=True)
+        return touches, codes, as_groups(groups, len(touches))
 
     def _choose(self, touches: Floats, codes: Array, group: Array) -> None:
         """Set `unit_`, `width_` and `ridge_` by the log loss of left-out groups."""
@@ -244,10 +249,7 @@ class KernelRidgeClassifier(BayesRule):
     ) -> Self:
         """Learn other touches with the width and ridge already chosen."""
         check_is_fitted(self)
-        touches, labels = labelled_touches(self, X, y, reset=False)
-        check_squarable("X", touches)
-        self.classes_, codes = np.unique(labels, return_inverse=True)
-        self._learn(touches, codes, as_groups(groups, len(touches)))
+        self._learn(*self._taken(X, y, groups, reset=False))
         return self
 
 
@@ -288,8 +290,7 @@ def _left_out(
     root: Floats, coefficients: Floats, target: Floats, group: Array
 ) -> Floats:
     """Scores of every touch had its group never been learnt."""
-    n_classes = target.shape[1]
-    scores: Floats = target + 1 / n_classes
+    scores: Floats = target + 1 / target.shape[1]
     for members in _members(group):
         mine = root[:, members]
         scores[members] -= np.linalg.solve(mine.T @ mine, coefficients[members])
@@ -385,19 +386,15 @@ def _learn_from_landmarks(
     for members in _members(group):
         some = features(members)
         residual = target[members] - some @ weights
-        left_out[members] -= _residual_without(some, residual, inner, factor)
+        # Without the group, through the smaller of two matrices.
+        if len(some) <= n_landmarks:
+            hat = some @ cho_solve(factor, some.T)
+            alone = np.linalg.solve(np.eye(len(some)) - hat, residual)
+        else:
+            others = cho_factor(inner - some.T @ some)
+            alone = residual + some @ cho_solve(others, some.T @ residual)
+        left_out[members] -= alone
     return solve_triangular(root, weights, lower=True, trans="T"), left_out
-
-
-def _residual_without(
-    some: Floats, residual: Floats, inner: Floats, factor: tuple[Floats, bool]
-) -> Floats:
-    """Residuals of a group that was left out, through the smaller of two matrices."""
-    if len(some) <= len(inner):
-        hat = some @ cho_solve(factor, some.T)
-        return np.asarray(np.linalg.solve(np.eye(len(some)) - hat, residual))
-    others = cho_factor(inner - some.T @ some)
-    return np.asarray(residual + some @ cho_solve(others, some.T @ residual))
 
 
 def _members(group: Indices) -> list[Indices]:

@@ -13,8 +13,6 @@ there, however far the touch x is from everything. Every tile is a product of it
 own, so what one object answers never depends on which others are stored.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
@@ -163,14 +161,10 @@ def _sums_of_tiles(extended: Tiles, tiles: Tiles) -> tuple[Tiles, Tiles]:
     return largest, ones @ exponents
 
 
-class Whitening(NamedTuple):
-    """Where touches are, how far they spread, and along which directions."""
-
-    centre: Floats  # (n_features,), mean of the training touches
-    spread: Floats  # (n_features,), their standard deviation
-    varies: Bools  # (n_features,), by more than rounding
-    rotation: Floats | None  # (n_varying, n_directions), to unit variance
-    log_volume: float  # of the unit cell, in units of the features
+# Centre and spread (n_features,): mean and standard deviation of the training touches;
+# which vary by more than rounding; the rotation (n_varying, n_directions) to unit
+# variance; and the log volume of the unit cell, in units of the features.
+Whitening = tuple[Floats, Floats, Bools, Floats | None, float]
 
 
 def learn_whitening(touches: Floats, *, full: bool) -> Whitening:
@@ -189,7 +183,7 @@ def learn_whitening(touches: Floats, *, full: bool) -> Whitening:
     varies = spread > ROUNDING * np.abs(touches).max(axis=0)
     log_volume = float(np.log(spread[varies]).sum())
     if not (full and varies.any()):
-        return Whitening(centre, spread, varies, None, log_volume)
+        return centre, spread, varies, None, log_volume
     standardised = (touches[:, varies] - centre[varies]) / spread[varies]
     correlation = standardised.T @ standardised / max(1, len(standardised) - 1)
     variances, directions = np.linalg.eigh(correlation)
@@ -198,7 +192,7 @@ def learn_whitening(touches: Floats, *, full: bool) -> Whitening:
     kept = variances > max(least, ROUNDING)
     rotation = directions[:, kept] / np.sqrt(variances[kept])
     log_rest = float(np.log(variances[kept]).sum() / 2)
-    return Whitening(centre, spread, varies, rotation, log_volume + log_rest)
+    return centre, spread, varies, rotation, log_volume + log_rest
 
 
 def whiten(

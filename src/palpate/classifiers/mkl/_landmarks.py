@@ -109,10 +109,7 @@ class NystroemBank:
         for one, scale in zip(maps, self.scales, strict=True):
             one *= np.sqrt(scale)
 
-    @property
-    def n_columns(self) -> int:
-        """Number of coefficients of a machine."""
-        return sum(self.features.ranks)
+        self.n_columns = sum(self.features.ranks)
 
     def batch_size(self, n_touches: int) -> int:
         """How many problems of that size to hold at a time."""
@@ -235,8 +232,6 @@ class LowRankKernels:
         return type(self)(self._blocks, self._mean, self.ranks.tolist(), labels)
 
     def take(self, keep: Array) -> Self:
-        if len(keep) != 1 or not np.asarray(keep).all():
-            raise IndexError("A low-rank system holds one problem.")
         return self
 
     def lengths(self, columns: Floats) -> Floats:

@@ -299,11 +299,9 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         return np.asarray(votes.argmax(axis=1))
 
     def _is_given(self) -> bool:
-        """Whether the kernels come computed."""
         return isinstance(self.kernels, str) and self.kernels == "precomputed"
 
     def _settings(self) -> Settings:
-        """Return how to learn a pair, or explain what does not fit."""
         check_option("solver", self.solver, _TOLERANCES)
         check_option("approximation", self.approximation, ("auto", "none", "nystroem"))
         check_option("probability", self.probability, (True, False))
