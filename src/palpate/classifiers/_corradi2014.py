@@ -112,7 +112,12 @@ class KernelDensityNaiveBayes(BayesRule):
         ValueError
             For NaN, infinity, variances that overflow, or unequal lengths.
         """
-        self._check_parameters()
+        if isinstance(self.bandwidth, str):
+            check_option("bandwidth", self.bandwidth, RULES)
+        else:
+            check_positive("bandwidth", self.bandwidth)
+        check_option("prior", self.prior, ("uniform", "counts"))
+        check_positive("min_bandwidth", self.min_bandwidth)
         touches, labels = labelled_touches(self, X, y)
         self.classes_, codes = np.unique(labels, return_inverse=True)
         self.counts_ = np.bincount(codes)
@@ -141,14 +146,6 @@ class KernelDensityNaiveBayes(BayesRule):
                 sums[rows] += self._log_sums(x[rows, feature], feature)
         return np.asarray(sums + constants)
 
-    def _check_parameters(self) -> None:
-        if isinstance(self.bandwidth, str):
-            check_option("bandwidth", self.bandwidth, RULES)
-        else:
-            check_positive("bandwidth", self.bandwidth)
-        check_option("prior", self.prior, ("uniform", "counts"))
-        check_positive("min_bandwidth", self.min_bandwidth)
-
     def _standardise(self, touches: Floats) -> Floats:
         return whiten(touches, self.centre_, self.spread_, self.varies_, None)
 
@@ -165,11 +162,6 @@ class KernelDensityNaiveBayes(BayesRule):
         np.exp(exponents, out=exponents)
         sums: Floats = np.add.reduceat(exponents, starts, axis=0)
         return (largest + np.log(sums)).T
-
-
-def _scott(values: Floats) -> Floats:
-    """Return the bandwidth that is best for Gaussian values, per feature."""
-    return np.asarray((4 / 3) ** 0.2 * _deviations(values) * len(values) ** -0.2)
 
 
 def _silverman(values: Floats) -> Floats:
@@ -189,7 +181,7 @@ def _deviations(values: Floats) -> Floats:
 
 
 RULES: dict[str, Callable[[Floats], Floats]] = {
-    "scott": _scott,
+    "scott": lambda v: np.asarray((4 / 3) ** 0.2 * _deviations(v) * len(v) ** -0.2),
     "silverman": _silverman,
 }
 
@@ -264,7 +256,12 @@ class OnePerLabelSVC(ClassifierMixin, BaseEstimator):
         ValueError
             For fewer than two labels, NaN, infinity, or unequal lengths.
         """
-        self._check_parameters()
+        check_positive("C", self.C)
+        check_option("kernel", self.kernel, KERNELS)
+        if isinstance(self.gamma, str):
+            check_option("gamma", self.gamma, ("scale", "auto"))
+        else:
+            check_positive("gamma", self.gamma)
         touches, labels = labelled_touches(self, X, y)
         check_squarable("X", touches)
         self.classes_, codes = np.unique(labels, return_inverse=True)
@@ -314,11 +311,3 @@ class OnePerLabelSVC(ClassifierMixin, BaseEstimator):
         best = values.argmax(axis=1)
         winners = np.where(claims.any(axis=1), last_claim, best)
         return np.asarray(self.classes_[winners])
-
-    def _check_parameters(self) -> None:
-        check_positive("C", self.C)
-        check_option("kernel", self.kernel, KERNELS)
-        if isinstance(self.gamma, str):
-            check_option("gamma", self.gamma, ("scale", "auto"))
-        else:
-            check_positive("gamma", self.gamma)

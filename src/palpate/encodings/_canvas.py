@@ -10,9 +10,9 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from .._checks import check_count, check_images, check_levels, check_number
+from .._checks import check_count, check_number
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats, Indices
 
@@ -35,7 +35,7 @@ class CanvasEncoder(ImageEstimator):
     single precision, by `_vector`.
     """
 
-    _most, _multiple = 64, 1
+    _most, _multiple, _bounded = 64, 1, True
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
@@ -53,9 +53,6 @@ class CanvasEncoder(ImageEstimator):
 
     def _vector(self, image: Array) -> Array:
         raise NotImplementedError
-
-    def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
-        return check_levels(check_images(X, shape=shape, channels=True))
 
 
 class EdgeHistograms(CanvasEncoder):
@@ -108,10 +105,7 @@ class EdgeHistograms(CanvasEncoder):
         across[:, 1:-1] = image[:, 2:] - image[:, :-2]
         down[1:-1] = image[2:] - image[:-2]
         length, angle = np.hypot(across, down), cv2.phase(across, down)
-        return _blocks(self._histograms(length, angle)).ravel()
-
-    def _histograms(self, length: Array, angle: Array) -> Floats:
-        """Votes, (n_cell_rows, n_cell_cols, n_orientations)."""
+        # Votes, (n_cell_rows, n_cell_cols, n_orientations).
         n, cell = self.n_orientations, self.cell
         rows, cols = length.shape[0] // cell, length.shape[1] // cell
         place = angle * (n / np.pi) - 0.5
@@ -125,7 +119,8 @@ class EdgeHistograms(CanvasEncoder):
             np.concatenate([length - share, share], axis=None),
             minlength=n * rows * cols,
         )
-        return votes.reshape(rows, cols, n).astype(np.float64, copy=False)
+        histograms = votes.reshape(rows, cols, n).astype(np.float64, copy=False)
+        return _blocks(histograms).ravel()
 
 
 def _blocks(histograms: Floats) -> Floats:
@@ -205,9 +200,10 @@ class RingPatterns(CanvasEncoder):
     def _learn(self, images: Array) -> None:
         _check_rings(self.n_rings)
         check_number("n_points", check_count("n_points", self.n_points), low=4, high=32)
-        if not self._radii():
+        radii = np.atleast_1d(self.radii).tolist()
+        if not radii:
             raise ValueError("radii must hold at least one radius, got none.")
-        for radius in self._radii():
+        for radius in radii:
             check_number("radii", radius, low=0, high=25)
         check_number("contrast", self.contrast, low=0)
         n_unsteady = check_count("n_unsteady", self.n_unsteady, at_least=0)
@@ -238,17 +234,14 @@ class RingPatterns(CanvasEncoder):
         first = n_codes * np.repeat(np.arange(len(places)), [len(p) for p in places])
         least = image - max(self.contrast * image.take(inside).std(), 1e-5)
         unit = min(image.shape) / _CANVAS
-        counts = np.empty((len(self._radii()), len(places), n_codes))
-        for found, radius in zip(counts, self._radii(), strict=True):
+        radii = np.atleast_1d(self.radii).tolist()
+        counts = np.empty((len(radii), len(places), n_codes))
+        for found, radius in zip(counts, radii, strict=True):
             code = _patterns(image, least, max(radius * unit, 1.0), self.n_points)
             some = np.bincount(first + code.take(inside), minlength=found.size)
             found[:] = some.reshape(found.shape)
         shares: Floats = counts / counts.sum(axis=2, keepdims=True)
         return np.sqrt(shares).ravel()
-
-    def _radii(self) -> list[float]:
-        radii: list[float] = np.atleast_1d(self.radii).tolist()
-        return radii
 
 
 class RingQuantiles(CanvasEncoder):

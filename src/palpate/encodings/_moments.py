@@ -15,7 +15,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_images, check_option, check_positive
 from .._image_estimator import ImageEstimator, by_channel
-from .._types import Array, Bools, Complexes, Floats, Indices
+from .._types import Array, Complexes, Floats, Indices
 from ..images import CentralMoments, above_least, central_moments, inscribed_mask
 
 # Powers of the coordinates lose all digits to cancellation beyond this order.
@@ -269,8 +269,13 @@ class HuMoments(ImageEstimator):
         mask = np.ones(images.shape[1:], dtype=bool)
         if self.region == "disc":
             mask = inscribed_mask(*images.shape[1:])
-        raw = self.levels == "raw"
-        seen = images * mask if raw else _relative(images, mask)
+        if self.levels == "raw":
+            seen = images * mask
+        else:
+            levels = above_least(images, mask)
+            mean = levels.sum(axis=(1, 2), keepdims=True) / mask.sum()
+            blank = mean <= 1e-12 * np.abs(images).max(axis=(1, 2), keepdims=True)
+            seen = np.where(blank, 0.0, levels / np.where(blank, 1.0, mean))
         invariants = _hu(central_moments(seen))[:, : self.n_components]
         if not self.log:
             return invariants
@@ -280,14 +285,6 @@ class HuMoments(ImageEstimator):
         """Return "hu1" to "hu7"."""
         check_is_fitted(self)
         return np.array([f"hu{i + 1}" for i in range(self.n_components)], dtype=object)
-
-
-def _relative(images: Floats, mask: Bools) -> Floats:
-    levels = above_least(images, mask)
-    mean = levels.sum(axis=(1, 2), keepdims=True) / mask.sum()
-    size = np.abs(images).max(axis=(1, 2), keepdims=True)
-    blank = mean <= 1e-12 * size
-    return np.where(blank, 0.0, levels / np.where(blank, 1.0, mean))
 
 
 def _hu(moments: CentralMoments) -> Floats:
@@ -351,6 +348,8 @@ class PadShapes(ImageEstimator):
     (2, 41)
     """
 
+    _allow_nan = True
+
     def __init__(self, pads: ArrayLike | None = None) -> None:
         self.pads = pads
 
@@ -389,9 +388,6 @@ class PadShapes(ImageEstimator):
         share = load / np.where(top > 0, load.sum(axis=0), 1)
         differences = [a - b for a, b in combinations(pads[:, :, :_COMPARED], 2)]
         return np.hstack([*pads, share.T, *differences])
-
-    def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
-        return check_images(X, shape=shape, allow_nan=True, channels=True)
 
 
 def _numbers(box: Floats, top: Floats) -> Floats:

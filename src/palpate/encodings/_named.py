@@ -103,7 +103,6 @@ def encoder_named(
 def _counts_of(
     parts: list[str], n_components: Components | Iterable[Components]
 ) -> list[Components]:
-    """Return the number of components of each part of a union."""
     if isinstance(n_components, Iterable):
         counts = list(n_components)
         if len(counts) != len(parts):
@@ -126,7 +125,6 @@ def _counts_of(
 
 
 def _make(part: str, n_components: Components, options: dict[str, Any]) -> Any:
-    """Return the encoder of one name with that many features."""
     kind, defaults = ENCODINGS[part]
     chosen = {**defaults, **options}
     if n_components is None:

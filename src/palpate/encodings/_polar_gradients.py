@@ -10,9 +10,8 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
 
-from .._checks import check_count, check_images, check_levels, check_number
+from .._checks import check_count, check_number
 from .._image_estimator import ImageEstimator
 from .._types import Array, Complexes, Floats, Singles
 
@@ -72,7 +71,7 @@ class PolarGradients(ImageEstimator):
     (2, 120)
     """
 
-    blind_to = frozenset({"turns"})
+    blind_to, _bounded = frozenset({"turns"}), True
 
     def __init__(
         self, n_rings: int = 14, n_harmonics: int = 16, smoothing: float = 0.025
@@ -98,9 +97,6 @@ class PolarGradients(ImageEstimator):
         sizes = np.abs(self._harmonics(images))
         sizes /= self.scale_[:, np.newaxis, np.newaxis]
         return sizes.reshape(len(images), -1)
-
-    def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
-        return check_levels(check_images(X, shape=shape, channels=True))
 
     def _harmonics(self, images: Array) -> Complexes:
         """Fourier coefficients, (n_touches, 6, n_rings, n_harmonics + 1)."""

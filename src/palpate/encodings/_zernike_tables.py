@@ -90,21 +90,15 @@ def whole_nodes(disc: Disc, taxels: Indices, n_nodes: int) -> Nodes:
     return x, y, np.broadcast_to(area, x.shape)
 
 
-class Chords(NamedTuple):
-    """Lines along x that fill the parts inside the disc of taxels that its rim cuts.
-
-    All arrays are (n_taxels, n_lines); sums with `weight` over lines integrate.
-    """
-
-    y: Floats
-    left: Floats
-    right: Floats
-    weight: Floats
+Chords = tuple[Floats, Floats, Floats, Floats]
 
 
 def cut_chords(disc: Disc, taxels: Indices, order: int) -> Chords:
     """Chords that integrate polynomials of degree `order` to rounding error.
 
+    They are lines along x that fill the parts inside the disc of taxels that its rim
+    cuts: y, left and right end and weight, (n_taxels, n_lines) each; sums with the
+    weight over lines integrate.
     Each taxel is split where the rim crosses its edges; between, y = sin(t) makes the
     chords' ends analytic in t, so that Gauss-Legendre points converge at once.
     """
@@ -126,17 +120,18 @@ def cut_chords(disc: Disc, taxels: Indices, order: int) -> Chords:
     start = np.maximum(left[:, None], -rim)
     stop = np.maximum(np.minimum(right[:, None], rim), start)
     weights = (reach[..., None] * weight).reshape(shape) * rim
-    return Chords(np.sin(angle), start, stop, weights)
+    return np.sin(angle), start, stop, weights
 
 
 def cut_nodes(disc: Disc, taxels: Indices, order: int, n_nodes: int) -> Nodes:
     """Points and weights that integrate over the parts of cut taxels inside."""
     chords = cut_chords(disc, taxels, order)
+    y, left, right, along = (part[..., None] for part in chords)
     node, weight = leggauss(n_nodes)
-    half = ((chords.right - chords.left) / 2)[..., None]
-    x = (chords.left[..., None] + half) + half * node
-    weights = chords.weight[..., None] * half * weight
-    y = np.broadcast_to(chords.y[..., None], x.shape)
+    half = (right - left) / 2
+    x = (left + half) + half * node
+    weights = along * half * weight
+    y = np.broadcast_to(y, x.shape)
     shape = len(taxels), x.shape[1] * n_nodes
     return x.reshape(shape), y.reshape(shape), weights.reshape(shape)
 
@@ -295,11 +290,11 @@ def _legendre_sums(centres: Floats, step: float, order: int, exact: bool) -> Flo
 
 def _cut_integrals(disc: Disc, taxels: Indices, order: int) -> Floats:
     """P_i(x) P_j(y) over the parts inside, (n_taxels, order + 1, order + 1)."""
-    chords = cut_chords(disc, taxels, order)
-    along = _legendre_antiderivatives(chords.right, order)
-    along -= _legendre_antiderivatives(chords.left, order)
-    along *= chords.weight[..., None]
-    return along.transpose(0, 2, 1) @ legvander(chords.y, order)
+    y, left, right, weight = cut_chords(disc, taxels, order)
+    along = _legendre_antiderivatives(right, order)
+    along -= _legendre_antiderivatives(left, order)
+    along *= weight[..., None]
+    return along.transpose(0, 2, 1) @ legvander(y, order)
 
 
 def _legendre_antiderivatives(x: Floats, order: int) -> Floats:

@@ -70,6 +70,8 @@ class ArrayCleanUp(ImageEstimator):
     array([221])
     """
 
+    _allow_nan = True
+
     def __init__(
         self,
         shape: tuple[int, int] = (33, 33),
@@ -96,9 +98,6 @@ class ArrayCleanUp(ImageEstimator):
         """Return this clean-up for another array of the same kind."""
         other: Self = clone(self).fit(X, no_contact=no_contact)
         return other
-
-    def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
-        return check_images(X, shape=shape, allow_nan=True, channels=True)
 
     def _learn(self, images: Array) -> None:
         self.transform_checked(images[:1])

@@ -286,21 +286,18 @@ class PrimalNewton:
         self._excess = point.level[0] - slope * energies - point.slack[0]
         self._surplus = point.shares.sum() - 1
         self._apart = view.pull[0] - pulls
-        self._solve = cholesky_solver(self._matrix())
-
-    def _per_column(self, per_kernel: Floats) -> Floats:
-        return np.repeat(per_kernel, self._system.ranks)
-
-    def _matrix(self) -> Floats:
-        matrix = self._system.gram(self._ease * np.abs(self._labels))
+        matrix = system.gram(self._ease * np.abs(self._labels))
         diagonal = np.arange(len(self._lean))
         matrix[diagonal, diagonal] += self._per_column(1 / self._weights)
-        for gain, part in zip(self._gain, self._system.slices, strict=True):
+        for gain, part in zip(self._gain, system.slices, strict=True):
             lean = self._lean[part]
             matrix[part, part] -= np.outer(gain * lean, lean)
         tilt = self._per_column(self._gain) * self._lean
         matrix[:-1, :-1] += np.outer(tilt / self._gain.sum(), tilt)
-        return matrix
+        self._solve = cholesky_solver(matrix)
+
+    def _per_column(self, per_kernel: Floats) -> Floats:
+        return np.repeat(per_kernel, self._system.ranks)
 
     def direction(self, target: Floats) -> Point:
         """Return the step that changes the products of left and right by `target`."""

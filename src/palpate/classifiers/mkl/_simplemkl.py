@@ -115,8 +115,7 @@ def _descend(
         move = longest = _longest(weights, direction)
     else:
         return weights, here
-    found = yield from _golden(weights, here, direction, move, precision)
-    return found
+    return (yield from _golden(weights, here, direction, move, precision))
 
 
 def _golden(
