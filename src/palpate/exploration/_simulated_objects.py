@@ -210,7 +210,6 @@ def _session(
     session: int,
     n_touches: int,
 ) -> Touches:
-    """Put object `number` down once and touch it."""
     seeds = np.random.SeedSequence((random_state, number, session))
     seed = int(seeds.generate_state(1)[0])
     rng = np.random.default_rng([seed, 1])

@@ -17,7 +17,7 @@ the place that u is on the object, and adding up to 1. So r says how much better
 place explains the touch than any place does, and is 1 where the map knows nothing.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Any, Self
 
@@ -52,16 +52,6 @@ _ELSEWHERE = 1e-3
 _TINY = 1e-6
 # Directions may have been written with a few digits.
 _LENGTH_TOLERANCE = 0.01
-
-
-def _all_pairs(closeness: Floats, touches: Floats) -> Floats:
-    """Sums over training touches, for each station and touch."""
-    return closeness @ touches.T
-
-
-def _row_by_row(closeness: Floats, touches: Floats) -> Floats:
-    """Sums over training touches, of station i for touch i."""
-    return np.asarray((closeness * touches).sum(axis=1))
 
 
 class TouchMap:
@@ -162,7 +152,7 @@ class TouchMap:
         left_out, ratios = self.left_out(), []
         for stations in turned_back(self.places_, self.n_turns).swapaxes(0, 1):
             close = self.closeness(stations)
-            ratios.append(self.station_ratio(*left_out, close, _row_by_row))
+            ratios.append(self.station_ratio(*left_out, close, row_by_row=True))
         return np.stack(ratios, axis=-1)
 
     @property
@@ -227,19 +217,23 @@ class TouchMap:
         nearness: Floats,
         allowed: Floats,
         closeness: Floats,
-        summed: Callable[[Floats, Floats], Floats] = _all_pairs,
+        row_by_row: bool = False,
     ) -> Floats:
         """Return log r of touches at stations, (n_stations, n_objects, n_touches).
 
         `nearness` holds N of the touches and `allowed` 0 where a training touch does
         not count for one, (n_touches, n_training); `closeness` is from `closeness`.
-        r is the weighted mean over the plain mean, 1 where nothing counts.
+        r is the weighted mean over the plain mean, 1 where nothing counts. `row_by_row`
+        asks of station i for touch i alone.
         """
         near, ratios = nearness * allowed, []
         for rows in self.rows_of_object:
             close, free = closeness[:, rows], allowed[:, rows]
-            weight = np.maximum(summed(close, free), _TINY)
-            placed = summed(close, near[:, rows]) / weight
+            if row_by_row:
+                sums = [(close * one).sum(axis=1) for one in (free, near[:, rows])]
+            else:
+                sums = [close @ one.T for one in (free, near[:, rows])]
+            placed = sums[1] / np.maximum(sums[0], _TINY)
             n_free = np.maximum(free.sum(axis=1), 1)
             anywhere = near[:, rows].sum(axis=1) / n_free
             ratios.append(np.log((placed + _TINY) / (anywhere + _TINY)))

@@ -21,7 +21,7 @@ import numpy as np
 from .._checks import check_option, check_positive
 from .._progress import Progress
 from ..touches import GEOMETRIES, Touches
-from ._changes import find_object, next_time, renamings
+from ._changes import Names, find_object, next_time
 from ._files import IDENTITY, Sheet, file_path, identity, packed, publish, sheet_of
 from ._rows import (
     FROM,
@@ -286,7 +286,7 @@ def _matched(store: Store, sheet: Sheet) -> Sheet:
     found = {label: find_object(store, label) for label in set(labels)}
     now = {name: known[1] if known else name for name, known in found.items()}
     former: dict[str | None, list[str]] = {name: [] for name in now.values()}
-    for old, new in renamings(store):
+    for _, _, old, new in reversed(Names(store).known):
         for name, before in former.items():
             if new == name or new in before:
                 before.append(old)

@@ -149,22 +149,22 @@ class Names:
             "SELECT time_s, action, content FROM changes "
             "WHERE action IN ('rename', 'merge') ORDER BY id"
         )
-        contents = ((time_s, act, from_json(text)) for time_s, act, text in rows)
-        self._known = [
+        self.known = [
             (time_s, action, c.get("old", c.get("source")), c.get("new", c.get("into")))
-            for time_s, action, c in contents
+            for time_s, action, text in rows
+            for c in [from_json(text)]
         ]
 
     def now(self, label: str | None, since_s: float) -> str | None:
         """Return what an object is called that had this name at a time."""
-        for time_s, action, old, new in self._known:
+        for time_s, action, old, new in self.known:
             if old == label and (time_s > since_s or action == "merge"):
                 label, since_s = new, time_s  # a merged name stays with its object
         return label
 
     def before(self, name: str | None, time_s: float) -> str | None:
         """Return what an object, not what it was merged into, was called at a time."""
-        for changed_s, action, old, new in reversed(self._known):
+        for changed_s, action, old, new in reversed(self.known):
             if action == "rename" and changed_s > time_s and new == name:
                 name = old
         return name
@@ -182,16 +182,6 @@ def retract_again(store: Store, after: int) -> None:
             ids = [i for i in read_change(_path(store, name))["ids"] if i in new]
             with store.writing():
                 _leave_out(store, key if action == "retract" else None, ids)
-
-
-def renamings(store: Store) -> list[tuple[str, str]]:
-    """Return the old and the new name of every rename and merge, newest first."""
-    rows = store.rows(
-        "SELECT content FROM changes WHERE action IN ('rename', 'merge') "
-        "ORDER BY id DESC"
-    )
-    known = [from_json(row[0]) for row in rows]
-    return [(c.get("old", c.get("source")), c.get("new", c.get("into"))) for c in known]
 
 
 def find_object(store: Store, name: str | None) -> tuple[int, str] | None:

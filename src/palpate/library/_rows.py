@@ -49,9 +49,8 @@ _FIELDS = {
 }
 _RECORDED = "sensor, kind, unit, pitch_mm, geometry, n_rows, n_cols, dtype"
 _INSERT = (
-    'INSERT INTO touches (id, object, category, session, episode, sensor, "order", '
-    "time_s, force_n, press, frame, source_path, extra, layout, recording, file, "
-    f"place, image, added_s) VALUES {holders(19)} ON CONFLICT (id) DO "
+    f"INSERT INTO touches ({', '.join(SEALED['touches'][1:-1])}) "
+    f"VALUES {holders(19)} ON CONFLICT (id) DO "
 )
 _HEALED = [f'"{n}"' for n in (*CELLS[1:], "extra", "layout", "recording", "file")]
 _HEAL = (

@@ -217,12 +217,8 @@ class Store:
     def broken(self, table: str, last: int | None = None, first: int = 1) -> list[int]:
         """Return the keys of rows whose seal is broken, from `first` up to `last`.
 
-        From the first row on, each is read once in the life of the store.
-
-        Raises
-        ------
-        DatabaseDamaged
-            Rows are missing.
+        From the first row on, each is read once in the life of the store. Missing rows
+        raise `DatabaseDamaged`.
         """
         with self._lock:
             seen, found = self._seen.get(table, (0, []))
@@ -461,12 +457,11 @@ _CHECK = "Check that the folder may be written to, and run `palpate library chec
 
 def _explained(path: Path, error: sqlite3.Error) -> LibraryError:
     """Return what SQLite stumbled over as one sentence with the fix."""
-    name = "_".join(getattr(error, "sqlite_errorname", "").split("_")[:2])
+    full_name = getattr(error, "sqlite_errorname", "")
+    name = "_".join(full_name.split("_")[:2])
     start = f"{path} must be a sound database, got: {error}. "
     unusable = f"{path} must be readable and writable, got: {error}. "
-    broken_seal = (
-        error.sqlite_errorname == "SQLITE_CONSTRAINT_TRIGGER" if name else False
-    )
+    broken_seal = full_name == "SQLITE_CONSTRAINT_TRIGGER"
     if broken_seal or name in ("SQLITE_CORRUPT", "SQLITE_NOTADB"):
         return DatabaseDamaged(start + _REBUILD)
     if name in ("SQLITE_BUSY", "SQLITE_LOCKED"):

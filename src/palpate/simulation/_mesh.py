@@ -184,7 +184,16 @@ def _stable_rotations(mesh: Mesh) -> tuple[Floats, ...]:
             found.append(down)
         if len(found) == _MOST_POSES:
             break
-    return tuple(_to_ground(down) for down in found)
+    # Each base's rotation turns the direction `down` into -z.
+    rotations = []
+    for down in found:
+        axis = np.cross(down, (0.0, 0.0, -1.0))
+        if np.linalg.norm(axis) < 1e-9:
+            rotations.append(np.eye(3) if down[2] < 0 else turned((1, 0, 0), 180))
+        else:
+            angle = np.arccos(np.clip(-down[2], -1, 1))
+            rotations.append(turned(axis, float(np.degrees(angle))))
+    return tuple(rotations)
 
 
 def _rests_on(hull: Mesh, facet: Indices, down: Floats) -> bool:
@@ -194,11 +203,3 @@ def _rests_on(hull: Mesh, facet: Indices, down: Floats) -> bool:
     ahead = np.roll(corners, -1, axis=1)
     side = np.cross(ahead - corners, onto - corners) @ down
     return bool((side >= -1e-9 * hull.scale**2).all(axis=1).any())
-
-
-def _to_ground(down: Floats) -> Floats:
-    """Rotation that turns the direction `down` into -z."""
-    axis = np.cross(down, (0.0, 0.0, -1.0))
-    if np.linalg.norm(axis) < 1e-9:
-        return np.eye(3) if down[2] < 0 else turned((1, 0, 0), 180)
-    return turned(axis, float(np.degrees(np.arccos(np.clip(-down[2], -1, 1)))))

@@ -305,9 +305,9 @@ def _in_sessions(levels: Frame, session: Indices, seeds: list[SeedSequence]) -> 
 
 
 def _root(random_state: int | None) -> SeedSequence:
-    if random_state is None:
-        return SeedSequence()
-    return SeedSequence(check_count("random_state", random_state, at_least=0))
+    if random_state is not None:
+        check_count("random_state", random_state, at_least=0)
+    return SeedSequence(random_state)
 
 
 def _all_of(
@@ -325,8 +325,6 @@ def _all_of(
 
 @dataclass(frozen=True)
 class _Way:
-    """How objects are come at."""
-
     strategy: str
     hemisphere_mm: float
     max_tilt_deg: float
@@ -372,7 +370,6 @@ def _touch_some(
     session: SeedSequence,
     seeds: list[SeedSequence],
 ) -> list[_Touch]:
-    """Make some touches of one session."""
     rng = np.random.default_rng(session)
     placed = way.placed(thing, rng)
     now = sensor.drifted(rng) if way.drift else sensor
@@ -424,30 +421,20 @@ def _found(objects: Iterable[SimObject | str] | SimObject | str) -> list[SimObje
     return things
 
 
-def _drawn(
-    rng: Generator,
-    loads: tuple[float, float],
-    shift: float,
-    turn: float,
-    tilt_sd: float,
-    roughness: float,
-) -> Press:
-    x, y = (shift * rng.uniform(-1, 1, size=2)).tolist()
-    angle = float(turn * rng.uniform(-1, 1) % 360)
-    load = rng.uniform(*loads)
-    tilt = np.clip(tilt_sd * rng.standard_normal(2), -10, 10).tolist()
-    return Press(x, y, angle, load, tuple(tilt), roughness)
-
-
 def _press_all(
     array: PressureArray, draw: Any, parts: list[Part], seeds: list[SeedSequence]
 ) -> list[tuple[Frame, Press]]:
     """Press each part once, on one thread so that sums round alike everywhere."""
+    loads, shift, turn, tilt_sd, roughness = draw
     pressed = []
     with threadpool_limits(limits=1, user_api="blas"):
         for part, seed in zip(parts, seeds, strict=True):
             rng = np.random.default_rng(seed)
-            press = _drawn(rng, *draw)
+            x, y = (shift * rng.uniform(-1, 1, size=2)).tolist()
+            angle = float(turn * rng.uniform(-1, 1) % 360)
+            load = rng.uniform(*loads)
+            tilt = np.clip(tilt_sd * rng.standard_normal(2), -10, 10).tolist()
+            press = Press(x, y, angle, load, tuple(tilt), roughness)
             stress = array.stress_kpa(part, press, rng)
             pressed.append((array.read(stress, rng), press))
     return pressed
