@@ -19,14 +19,9 @@ from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_squarable
 from .._types import Array, Floats
+from . import _touch_classifier
 from ._kernel_ridge import KernelRidgeClassifier, fair_shares
-from ._touch_classifier import (
-    BayesRule,
-    TouchClassifier,
-    as_groups,
-    as_touches,
-    labelled_touches,
-)
+from ._touch_classifier import BayesRule, TouchClassifier, as_groups, labelled_touches
 
 TOGETHER = "all together"
 # No machine may say of a touch that an object is less probable than this (nats).
@@ -162,7 +157,7 @@ class EncodingPool(BayesRule):
         In the order of `machines_`; zeros for those that weigh nothing.
         """
         check_is_fitted(self)
-        parts = self._parts(as_touches(self, X))
+        parts = self._parts(_touch_classifier.as_touches(self, X))
         return np.stack([self._said(name, part) for name, part in parts.items()])
 
     def left_out_log_likelihood(self) -> Floats:

@@ -15,17 +15,8 @@ from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_number, check_option, check_positive
 from .._types import Array, Bools, Floats, Indices
-from ._kernel_sums import (
-    blocks_of,
-    count_tiles,
-    exact_log_sums,
-    is_precise,
-    learn_whitening,
-    make_tiles,
-    squared_distances,
-    tile_log_sums,
-    whiten,
-)
+from . import _kernel_sums
+from ._kernel_sums import blocks_of, count_tiles, exact_log_sums, is_precise, make_tiles
 from ._touch_classifier import BayesRule, as_groups, as_touches, labelled_touches
 
 # With precision="auto" a model computes in float64 when it has at most this many
@@ -163,7 +154,7 @@ class KernelDensityBayes(BayesRule):
         check_option("precision", self.precision, ("auto", "single", "double"))
         touches, labels = labelled_touches(self, X, y)
         self.centre_, self.spread_, self.varies_, self.rotation_, self.log_volume_ = (
-            learn_whitening(touches, full=self.bandwidth == "full")
+            _kernel_sums.learn_whitening(touches, full=self.bandwidth == "full")
         )
         self.dtype_ = "float64" if self.precision == "double" else "float32"
         self._learn(touches, labels, groups)
@@ -217,7 +208,9 @@ class KernelDensityBayes(BayesRule):
     def _whiten(self, touches: Floats) -> Floats:
         """Return touches in bandwidths from the centre of all training touches."""
         bandwidth = self.spread_ * self.scale
-        return whiten(touches, self.centre_, bandwidth, self.varies_, self.rotation_)
+        return _kernel_sums.whiten(
+            touches, self.centre_, bandwidth, self.varies_, self.rotation_
+        )
 
     def _learn(self, touches: Floats, labels: Array, groups: ArrayLike | None) -> None:
         """Store touches object by object, each object whitened by itself."""
@@ -265,8 +258,8 @@ class KernelDensityBayes(BayesRule):
 
     def _log_densities(self, x: Floats) -> Floats:
         """Return log p(touch | object) of at most 64 whitened touches."""
-        sums = tile_log_sums(x, self.tiles_, count_tiles(self.counts_))
-        sums -= squared_distances(x, self.means_, self.precisions_) / 2
+        sums = _kernel_sums.tile_log_sums(x, self.tiles_, count_tiles(self.counts_))
+        sums -= _kernel_sums.squared_distances(x, self.means_, self.precisions_) / 2
         rough = ~is_precise(x, self.reaches_, self.dtype_)
         for place in np.flatnonzero(rough.any(axis=0)).tolist():
             pairs, points = rough[:, place], self.points_[self._rows()[place]]

@@ -17,14 +17,9 @@ from sklearn.utils.validation import check_is_fitted
 from .._checks import check_count
 from .._extras import needed
 from .._types import Array, Floats, Indices, Singles
+from . import _kernel_sums
 from ._kernel_density import KernelDensityBayes
-from ._kernel_sums import (
-    blocks_of,
-    exact_log_sums,
-    is_precise,
-    make_tiles,
-    squared_distances,
-)
+from ._kernel_sums import blocks_of, exact_log_sums, is_precise, make_tiles
 from ._touch_classifier import as_touches
 
 TOUCHES_PER_CELL = 8
@@ -158,7 +153,9 @@ class KernelDensityIndex:
             totals = np.add.reduceat(relative, self.starts_, axis=1)
             sums = top.astype(np.float64) + np.log(totals) + model.log_norms_
             kept = np.argpartition(-sums, self.n_exact - 1, axis=1)[:, : self.n_exact]
-            shared = squared_distances(x, model.means_, model.precisions_) / 2
+            shared = (
+                _kernel_sums.squared_distances(x, model.means_, model.precisions_) / 2
+            )
             precise = is_precise(x, model.reaches_, "float32", MAX_ERROR)
             extended = np.hstack([x, one]).astype(np.float32)
             for row, place in (

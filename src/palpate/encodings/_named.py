@@ -14,17 +14,12 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from .._checks import check_count, check_image_shape, check_option
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
+from . import _principal
 from ._canvas import EdgeHistograms, RingPatterns, RingQuantiles
 from ._moments import N_MOMENTS, CentroidMoments, HuMoments, PadShapes
 from ._pixels import PAPER_SIDE, GridLevels, ScaledPixels, TaxelVector
 from ._polar_gradients import PolarGradients
-from ._principal import (
-    Components,
-    OrientedPCA,
-    PrincipalEncoder,
-    ZernikePCA,
-    check_components,
-)
+from ._principal import Components, OrientedPCA, PrincipalEncoder, ZernikePCA
 from ._zernike import ZernikeMoments
 
 # Name: (encoder, parameters in which it differs from the encoder's own defaults).
@@ -113,7 +108,7 @@ def _counts_of(
         return counts
     if len(parts) == 1:
         return [n_components]
-    known = check_components(n_components)
+    known = _principal.check_components(n_components)
     counts = [known] * len(parts)
     for i, part in enumerate(parts):
         principal = issubclass(ENCODINGS[part][0], PrincipalEncoder)

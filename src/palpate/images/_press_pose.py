@@ -22,14 +22,9 @@ from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_images, check_label_kinds, check_positive
 from .._types import Array, Bools, Complexes, Floats, Indices
+from . import _pose_template
 from ._array import binarise, correct_gamma, fill_dead_taxels, otsu_threshold, resize
-from ._pose_template import (
-    find_symmetry,
-    learn_template,
-    pose_variances,
-    register,
-    template_angle,
-)
+from ._pose_template import find_symmetry, learn_template, pose_variances, register
 
 Waves = Complexes
 
@@ -344,7 +339,7 @@ class PressPose(BaseEstimator):
         if symmetry == 1:
             centroid = _turn(outline - poses[:, 1:], -poses[:, 0]).mean(axis=0)
         if angles is None or symmetry == 0:
-            zero = -template_angle(template, centroid, symmetry)
+            zero = -_pose_template.template_angle(template, centroid, symmetry)
         else:
             # The circular mean of angles that repeat every 360 / symmetry.
             apart = np.deg2rad(np.rad2deg(poses[:, 0]) - angles[pressed])

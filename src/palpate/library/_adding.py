@@ -21,17 +21,10 @@ import numpy as np
 from .._checks import check_option, check_positive
 from .._progress import Progress
 from ..touches import GEOMETRIES, Touches
+from . import _rows
 from ._changes import Names, find_object, next_time
 from ._files import IDENTITY, Sheet, file_path, identity, packed, publish, sheet_of
-from ._rows import (
-    FROM,
-    SET_ASIDE,
-    Numbers,
-    layouts,
-    shape_of,
-    without_damaged,
-    write_rows,
-)
+from ._rows import FROM, SET_ASIDE, Numbers, layouts, shape_of, without_damaged
 from ._store import ARRAYS, FEATURES, FILE_NAME, IMAGES, LibraryError, Store
 from ._where import COLUMNS, Condition, parse_where
 
@@ -272,7 +265,7 @@ def _store_sheet(store: Store, sheet: Sheet) -> None:
         if (now := next_time(store)) > kept.added_s:  # another changed names since
             kept = replace(kept, added_s=now)
             name = publish(images, packed(kept.arrays()))
-        write_rows(store, kept, name, lost)
+        _rows.write_rows(store, kept, name, lost)
 
 
 def _matched(store: Store, sheet: Sheet) -> Sheet:

@@ -11,16 +11,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from ..._types import Array, Floats
-from ._problem import (
-    Point,
-    Solution,
-    Step,
-    Task,
-    View,
-    balanced,
-    weighted,
-    without_small,
-)
+from . import _problem
+from ._problem import Point, Solution, Step, Task, View, balanced, weighted
 
 # From this size on one matrix at a time is as fast as all at once.
 _LARGE = 192
@@ -79,7 +71,7 @@ class DenseKernels:
     def settled(self, task: Task, point: Point, share: float) -> Point:
         n, left = point.n_touches, point.left.copy()
         left[:, :n] = balanced(self.labels, point.alpha)
-        left[:, 2 * n :] = without_small(point.shares, share**task.norm)
+        left[:, 2 * n :] = _problem.without_small(point.shares, share**task.norm)
         return Point(left, point.right, point.free, n)
 
     def decisions(self, solution: Solution) -> Floats:

@@ -17,19 +17,10 @@ from numpy.random import RandomState
 from scipy.linalg import eigh
 
 from ..._types import Array, Floats
+from . import _problem
 from ._dense import DenseKernels, cholesky_solver
 from ._kernels import Kernel, centre, kernel_scales, kernel_stack
-from ._problem import (
-    Point,
-    Solution,
-    Step,
-    Task,
-    View,
-    balanced,
-    norms,
-    row_blocks,
-    without_small,
-)
+from ._problem import Point, Solution, Step, Task, View, balanced, norms, row_blocks
 
 # Directions of a kernel below this share of its largest are rounding.
 _RANK_TOLERANCE = 1e-10
@@ -212,7 +203,7 @@ class LowRankKernels:
         normal, power = self.normal(task, point), 2 * task.norm / (task.norm + 1)
         shares = self.lengths(normal[0])[None] ** power
         shares[shares.sum(axis=1) == 0] = 1
-        left[:, 2 * n :] = without_small(shares, share**task.norm)
+        left[:, 2 * n :] = _problem.without_small(shares, share**task.norm)
         settled = Point(left, point.right, free, n)
         weights = task.weights(settled)
         inverse = np.where(weights > 0, 1 / np.where(weights > 0, weights, 1), 0)
@@ -232,6 +223,8 @@ class LowRankKernels:
         return type(self)(self._blocks, self._mean, self.ranks.tolist(), labels)
 
     def take(self, keep: Array) -> Self:
+        if len(keep) != 1 or not np.asarray(keep).all():
+            raise IndexError("A low-rank system holds one problem.")
         return self
 
     def lengths(self, columns: Floats) -> Floats:

@@ -27,27 +27,10 @@ from ..._checks import (
     check_squarable,
 )
 from ..._types import Array, Floats
-from ._kernels import (
-    FeatureBank,
-    GivenBank,
-    Kernel,
-    check_given,
-    check_kernels,
-    kernel_stack,
-)
+from . import _kernels, _pairs
+from ._kernels import FeatureBank, GivenBank, Kernel, check_given, check_kernels
 from ._landmarks import LandmarkFeatures, NystroemBank
-from ._pairs import (
-    Bank,
-    PairMachines,
-    Settings,
-    couple,
-    fit_temperature,
-    learn_pairs,
-    put_left_out,
-    sharpen,
-    side_with_votes,
-    vote,
-)
+from ._pairs import Bank, PairMachines, Settings, couple, fit_temperature, sharpen, vote
 from ._problem import row_blocks
 
 # Decisions this small tell nothing but the solver's rounding; the margin is 1.
@@ -232,7 +215,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
                 f"{self.classes_[0]}. Add touches of another."
             )
         bank = self._make_bank(touches, codes)
-        machines = learn_pairs(bank, codes, settings)
+        machines = _pairs.learn_pairs(bank, codes, settings)
         self._store(bank, machines)
         self.temperature_ = 1.0
         if settings.calibrate and len(self.classes_) > 2:
@@ -241,7 +224,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
                 np.isfinite(machines.left_out).sum(axis=1) == len(self.classes_) - 1
             )
             decisions = self._decisions(touches[judged])
-            put_left_out(
+            _pairs.put_left_out(
                 decisions, machines.left_out[judged], codes[judged], self.pairs_
             )
             chances = couple(decisions, self.sigmoids_, self.pairs_)
@@ -277,7 +260,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         decisions = self.pair_decisions(X)
         chances = couple(decisions, self.sigmoids_, self.pairs_)
         sharpened = sharpen(chances, self.temperature_)
-        return side_with_votes(sharpened, self._winners(decisions))
+        return _pairs.side_with_votes(sharpened, self._winners(decisions))
 
     @available_if(_has_probability)
     def predict_log_proba(self, X: ArrayLike) -> Floats:
@@ -416,7 +399,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         else:
             kernels = [self.kernels_[k] for k in used]
             centred = touches - self.mean_
-            stack = kernel_stack(kernels, centred, self.touches_, self.mean_)
+            stack = _kernels.kernel_stack(kernels, centred, self.touches_, self.mean_)
         decisions = np.zeros((len(touches), len(self.pairs_)))
         for k, kernel in zip(used, stack, strict=True):
             rows = np.flatnonzero(factors[:, k])

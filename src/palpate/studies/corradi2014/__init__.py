@@ -16,18 +16,8 @@ import numpy as np
 from ...evaluation import plots
 from .. import _study as shared
 from .._study import BATHTIP, Experiment, Figures, Row, Table, Work, recorded_touches
-from .judging import (
-    DATA,
-    Judged,
-    candidate_features,
-    compare_fold,
-    compared_rows,
-    corrected_t_test,
-    holm,
-    judge,
-    judge_unseen,
-    recording,
-)
+from . import judging
+from .judging import DATA, Judged, candidate_features, compare_fold, compared_rows, holm
 from .plan import (
     CLASSIFIERS,
     TACTIP,
@@ -69,11 +59,11 @@ def _measure(
     rows, paired = _shapes_rows(sets, plan, work)
     duplicates = {one.data: near_duplicates(one.images["image"]) for one in sets}
     if not isinstance(dome, str):
-        seen = recording(dome[:: plan.recorded_step])
+        seen = judging.recording(dome[:: plan.recorded_step])
         rows_at = np.linspace(0, len(seen.codes) - 1, _MOST_ALIKE).astype(int)
         duplicates[DATA] = near_duplicates(seen.images["image"][np.unique(rows_at)])
         tasks = [(seen.only(v), v, e, plan) for e in plan.encodings for v in VARIANTS]
-        for some in work.done(judge_unseen, tasks, "judging unseen objects"):
+        for some in work.done(judging.judge_unseen, tasks, "judging unseen objects"):
             rows += some
         names = [(seen, name) for name in plan.candidates]
         made = work.done(candidate_features, names, "encoding")
@@ -94,14 +84,14 @@ def _shapes_rows(
     """Return the rows, and where image and derivative differ on the same folds."""
     keys = [(s, e, v) for s in sets for e in plan.encodings for v in VARIANTS]
     tasks = [(s.only(v), v, e, plan) for s, e, v in keys]
-    judged: list[Judged] = work.done(judge, tasks, "judging encodings")
+    judged: list[Judged] = work.done(judging.judge, tasks, "judging encodings")
     found = {(s.data, e, v): one for (s, e, v), one in zip(keys, judged, strict=True)}
     paired: list[Row] = []
     for data, encoding in dict.fromkeys(key[:2] for key in found):
         image, derivative = (found[data, encoding, v].folds for v in VARIANTS)
         for kind in CLASSIFIERS:
             known: Row = {"data": data, "encoding": encoding, "classifier": kind}
-            test = corrected_t_test(image[kind] - derivative[kind])
+            test = judging.corrected_t_test(image[kind] - derivative[kind])
             figures = zip(("difference", "error", "p"), test, strict=True)
             paired.append({**known, **dict(figures)})
     for row, p in zip(paired, holm([row["p"] for row in paired]), strict=True):
