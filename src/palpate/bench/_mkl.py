@@ -84,8 +84,6 @@ def bench_mkl(
 
 @dataclass
 class _Case:
-    """Touches to learn from and as many to recognise, of the same labels."""
-
     touches: Floats
     others: Floats
     codes: Array

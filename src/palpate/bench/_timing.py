@@ -92,7 +92,6 @@ def drawn_dome(
 
 
 def coded(picture: Picture) -> bytes:
-    """Return a picture as JPEG."""
     import cv2
 
     return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 95])[1])

@@ -227,7 +227,6 @@ class KernelDensityBayes(BayesRule):
         return [slice(e - n, e) for e, n in zip(ends, self.counts_, strict=True)]
 
     def _store(self, points: Floats, counts: Indices) -> None:
-        """Set everything that is stored per object, each object by itself."""
         self.points_, self.counts_ = points, counts
         parts = [points[rows] for rows in self._rows()]
         self.means_ = np.array([part.mean(axis=0) for part in parts])

@@ -60,7 +60,6 @@ def make_tiles(
 
 
 def count_tiles(counts: Indices) -> Indices:
-    """Return how many tiles hold each of `counts` touches."""
     return -(-counts // TILE)
 
 

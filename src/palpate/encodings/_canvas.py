@@ -300,7 +300,6 @@ def _places(shape: tuple[int, int], n_rings: int) -> list[Indices]:
 
 
 def _quantiles(values: Array, share: Floats) -> Floats:
-    """Quantiles of each row of `values`, linearly interpolated."""
     ordered = np.sort(values, axis=1)
     place = share * (values.shape[1] - 1)
     lower = place.astype(np.intp)

@@ -81,7 +81,6 @@ class PolarGradients(ImageEstimator):
         self.smoothing = smoothing
 
     def _learn(self, images: Array) -> None:
-        """Learn how strong each channel is."""
         check_count("n_rings", self.n_rings)
         check_count("n_harmonics", self.n_harmonics)
         check_number("n_harmonics", self.n_harmonics, high=_PLACES // 2 - 1)

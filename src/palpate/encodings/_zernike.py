@@ -183,7 +183,6 @@ class ZernikeMoments(ImageEstimator):
         return images
 
     def _learn(self, images: Array) -> None:
-        """Place the disc in images of this size."""
         least = 1 if self.drop_constant else 0
         if check_count("order", self.order, at_least=least) > _HIGHEST_ORDER:
             raise ValueError(

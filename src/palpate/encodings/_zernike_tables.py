@@ -75,7 +75,6 @@ class Disc(NamedTuple):
         return np.hypot(y[:, None], x) < 1
 
     def is_cut(self) -> Bools:
-        """Taxels that the rim cuts, (n_rows, n_cols)."""
         return self.touches() & ~self.holds_whole()
 
 

@@ -108,7 +108,6 @@ class ArrayCleanUp(ImageEstimator):
         return next(made for step, made in self._steps(images) if step == wanted)
 
     def _steps(self, images: Array) -> Iterator[tuple[str, Array]]:
-        """Yield each step's name and what it makes of the images."""
         filled = fill_dead_taxels(images, dead=self.dead)
         yield "filled", filled
         resized = resize(filled, self.shape)

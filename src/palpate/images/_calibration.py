@@ -233,7 +233,6 @@ class TaxelCalibration(ImageEstimator):
 
 
 def _read_calibration(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Read parameters and learnt values, or say what is wrong with the file."""
     content = _read(Path(path))
     try:
         params = dict(content["params"])

@@ -219,7 +219,6 @@ class _Rays:
         return np.stack([row, col, top, self.typical[ray], ray])[:, top > 0]
 
     def judge(self, circle: Array, edges: Array) -> Fit:
-        """Weigh the evidence for `circle`."""
         offset = self.predict(circle)
         y = self.row + self.sin * (self.radius + offset)
         x = self.col + self.cos * (self.radius + offset)

@@ -164,7 +164,6 @@ def list_objects(store: Store) -> list[ObjectRow]:
 
 
 def stats_of(store: Store) -> Stats:
-    """Return how much there is, in touches and in bytes."""
     without_damaged(store, "raise")
     [row] = store.rows(
         "SELECT count(*), count(retraction), (SELECT count(*) FROM files), "

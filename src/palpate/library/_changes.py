@@ -79,7 +79,6 @@ def readable_changes(files: dict[str, Path]) -> dict[str, dict[str, Any]]:
 
 
 def change_files(store: Store) -> dict[str, Path]:
-    """Return the files of all changes by name."""
     return {path.stem: path for path in sorted((store.folder / CHANGES).glob("*.json"))}
 
 
@@ -196,7 +195,6 @@ def find_object(store: Store, name: str | None) -> tuple[int, str] | None:
 
 
 def known_object(store: Store, name: str) -> tuple[int, str]:
-    """Return key and present name of an object, or say that there is none."""
     is_name = isinstance(name, str) and is_unicode(name)
     found = find_object(store, name) if is_name else None
     if found is None and is_name and (spelling := one_spelling(name)):
@@ -281,7 +279,6 @@ _ACTIONS: dict[str, Callable[[Store, int, dict[str, Any]], int]] = {
 
 
 def checked_name(name: object) -> str:
-    """Return a new name of an object, or say what is wrong with it."""
     if not isinstance(name, str) or not name.strip():
         raise LibraryError(f"The new name must be a text, got {name!r}. Give one.")
     if (spelling := one_spelling(name)) is None:

@@ -211,7 +211,6 @@ def image_problem(
 
 
 def touches_in(store: Store, file: int, state: str) -> list[StoredTouch]:
-    """Return what a file should hold: touches in this state."""
     return _rows.stored_touches(store, f"WHERE t.file = ? AND {state}", [file])
 
 

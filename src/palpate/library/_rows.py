@@ -196,7 +196,6 @@ def without_damaged(
 
 
 def layouts(store: Store) -> dict[int, list[Column]]:
-    """Return the columns of touches by the key of their layout."""
     rows = store.rows("SELECT id, columns FROM layouts ORDER BY id")
     return {key: Column.all_of(from_json(text)) for key, text in rows}
 
@@ -208,7 +207,6 @@ def distinct(store: Store, what: str, numbers: Numbers) -> list[tuple[Any, ...]]
 
 
 def id_bytes(key: str) -> bytes:
-    """Return an id as it stands in the database."""
     try:
         return bytes.fromhex(key)
     except (ValueError, TypeError) as error:

@@ -182,7 +182,6 @@ class Store:
             self._connection.close()
 
     def rows(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
-        """Return all rows of a query."""
         with self._lock, self._explained():
             return self._connection.execute(sql, values).fetchall()
 
@@ -191,7 +190,6 @@ class Store:
         return next(iter(self.rows(sql, values)), None)
 
     def count(self, sql: str, values: Sequence[Any] = ()) -> int:
-        """Return the one number that a query gives."""
         return int(self.rows(sql, values)[0][0])
 
     def among(self, sql: str, keys: Sequence[Any]) -> list[tuple[Any, ...]]:

@@ -203,8 +203,6 @@ def solve_contact(
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """One gap to close, by force or by depth."""
-
     membrane: Membrane
     gap: Grid
     reachable: Bools

@@ -73,7 +73,6 @@ def load_mesh(
 
 
 def _read(file: Path) -> tuple[Floats, NDArray[np.int64]]:
-    """Return vertices and triangles as the file has them."""
     kind = file.suffix.lower()
     if kind not in MESH_SUFFIXES:
         raise MeshError(
@@ -111,7 +110,6 @@ def _read(file: Path) -> tuple[Floats, NDArray[np.int64]]:
 def _closed_surface(
     file: Path, vertices: Floats, faces: NDArray[np.int64], unit: str
 ) -> Mesh:
-    """Return the surface when one can press on it, else say why not."""
     solid = bool(len(faces) and len(vertices))
     _demand(file, solid, "must have triangles, got none: it is empty.")
     few = f"must have at most {MAX_MESH_FACES} triangles, got {len(faces)}."

@@ -319,7 +319,6 @@ def moved(mesh: Mesh, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Mesh:
 
 
 def hull(points: ArrayLike) -> Mesh:
-    """Return the convex hull of points, (n_points, 3)."""
     return trimesh().PointCloud(np.asarray(points, float)).convex_hull
 
 

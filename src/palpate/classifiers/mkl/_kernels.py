@@ -75,7 +75,6 @@ def paper_kernels() -> list[Kernel]:
 
 
 def check_kernels(kernels: object) -> list[Kernel]:
-    """Return the list that `kernels` names or is, or explain."""
     if isinstance(kernels, str) and kernels == "paper":
         return paper_kernels()
     if isinstance(kernels, str) or not isinstance(kernels, Iterable):
@@ -329,7 +328,6 @@ def centre(kernels: Sequence[Kernel], touches: Floats) -> tuple[Floats, Floats, 
 
 
 def _refuse_not_a_kernel(matrix: Floats, k: int, rounding: float) -> None:
-    """Raise if kernel `k` is not symmetric or not positive semi-definite."""
     if not (matrix == matrix.T).all():
         skew = np.abs(matrix - matrix.T).max()
         if skew > rounding * np.abs(matrix).max():

@@ -63,7 +63,6 @@ class LandmarkFeatures:
             yield rows, self(centred[rows])
 
     def sums(self, centred: Floats) -> Floats:
-        """Return the features summed over the touches."""
         total = np.zeros(sum(self.ranks))
         for _, part in self.blocks(centred):
             total += part.sum(axis=0)
@@ -103,7 +102,6 @@ class NystroemBank:
         self.n_columns = sum(self.features.ranks)
 
     def batch_size(self, n_touches: int) -> int:
-        """How many problems of that size to hold at a time."""
         return 1
 
     def system(self, index: Array, labels: Floats) -> "LowRankKernels | DenseKernels":
@@ -211,7 +209,6 @@ class LowRankKernels:
         return settled
 
     def decisions(self, solution: Solution) -> Floats:
-        """Return the decisions about all touches, also where the label is 0."""
         return self.spread(solution.normal[0])[None] + solution.bias[:, None]
 
     def true_bias(self, solution: Solution) -> Floats:
@@ -219,7 +216,6 @@ class LowRankKernels:
         return np.asarray(solution.bias - solution.normal @ self._mean)
 
     def with_labels(self, labels: Floats) -> Self:
-        """Return the same kernels with some labels set to 0."""
         return type(self)(self._blocks, self._mean, self.ranks.tolist(), labels)
 
     def take(self, keep: Array) -> Self:

@@ -211,7 +211,6 @@ class SingleKernelMachines:
         self._alpha[rows], self._bias[rows], self._state[rows] = alpha, bias, state
 
     def solution(self, weights: Floats, n_iter: Array) -> Solution:
-        """Return the machines at the final `weights`, with the gap of the whole."""
         self._system = self._whole
         self._rows = np.arange(len(weights))
         values, _ = self.evaluate(self._rows, weights)

@@ -306,7 +306,6 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         )
 
     def _make_bank(self, touches: Floats, codes: Array) -> Bank:
-        """Return the kernels among training touches: whole, given, or by landmarks."""
         check_option("normalize", self.normalize, ("trace", "variance", None))
         n_landmarks = check_count("n_landmarks", self.n_landmarks)
         through_landmarks = self.approximation == "nystroem"

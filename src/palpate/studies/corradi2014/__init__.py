@@ -100,7 +100,6 @@ def _shapes_rows(
 
 
 def tables(result: dict[str, Any]) -> list[Table]:
-    """Return (title, columns, rows) of every table."""
     rows = result["rows"]
     made = [_table_2(shared.held(rows, table="Table 2", q=2))]
     fig_3 = shared.held(rows, table="Fig. 3")
@@ -167,7 +166,6 @@ def _paired(paired: Sequence[Row]) -> Table:
 
 
 def pictures(result: dict[str, Any]) -> Figures:
-    """Return the figures "shapes", "table2" and "fig3"."""
     rows = result["rows"]
     return {
         "shapes": _shapes(result["plan"]["seed"]),
@@ -177,7 +175,6 @@ def pictures(result: dict[str, Any]) -> Figures:
 
 
 def _shapes(seed: int) -> Any:
-    """Draw one touch of each shape and its derivative, by dome and by pins (Fig. 2)."""
     sets = list(simulated_shapes(Corradi2014Plan(n_touches=10, seed=seed)))
     figure, axes = plots.panels(4, len(SHAPES), (8.4, 5.0), pictures=True)
     for number, (shapes, variant) in enumerate((s, v) for s in sets for v in VARIANTS):
@@ -192,7 +189,6 @@ def _shapes(seed: int) -> Any:
 
 
 def _indices(rows: Sequence[Row]) -> Any:
-    """Draw the Davies-Bouldin indices, the paper's as hollow marks."""
     sets = shared.unique(row["data"] for row in rows)
     size = (3.2 * len(sets) + 1, 3.4)
     figure, (axes,) = plots.panels(1, len(sets), size, sharey=True)
@@ -223,7 +219,6 @@ def _indices(rows: Sequence[Row]) -> Any:
 
 
 def _bars(rows: Sequence[Row]) -> Any:
-    """Draw accuracy of encodings and classifiers, one panel per data and variant."""
     sets = shared.unique(row["data"] for row in rows)
     size = (9.2, 2.5 * len(sets))
     figure, axes = plots.panels(len(sets), 2, size, sharex=True, sharey=True)
@@ -262,7 +257,6 @@ def _panel(place: Any, rows: Sequence[Row], encodings: Sequence[str]) -> None:
 
 
 def introduction(result: dict[str, Any]) -> str:
-    """Return the first paragraph of the page."""
     plan = result["plan"]
     missing = " ".join(result["skipped"])
     return (

@@ -95,7 +95,6 @@ class Encoded:
     def features(
         self, train: Codes, test: Codes, counts: Counts
     ) -> dict[int, tuple[Floats, Floats]]:
-        """Return training and test features for each number of components."""
         if not self.principal:
             return {n: (self.known[n][train], self.asked[n][test]) for n in counts}
         old, new = self.known[0][train], self.asked[0][test]
@@ -161,7 +160,6 @@ def classifier(name: str, seed: int) -> Any:
 
 
 def answers(name: str, train: Floats, codes: Codes, test: Floats, seed: int) -> Codes:
-    """Return the label that a classifier gives to each test touch."""
     # The network stops after so many steps, converged or not.
     return np.asarray(fitted(classifier(name, seed), train, codes).predict(test))
 
@@ -290,7 +288,6 @@ class Recording:
     fold: Codes
 
     def only(self, *variants: str) -> "Recording":
-        """Return the same touches with the images of these variants alone."""
         return replace(self, images={v: self.images[v] for v in variants})
 
 

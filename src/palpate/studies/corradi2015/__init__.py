@@ -115,7 +115,6 @@ def _measure(
 
 
 def tables(result: dict[str, Any]) -> list[Table]:
-    """Return (title, columns, rows) of every table, figures in per cent."""
     rows = result["rows"]
     made = [
         _curves(experiment, data, shared.held(rows, table=experiment, data=data))
@@ -184,7 +183,6 @@ def _strongest(row: Row | None) -> str:
 
 
 def pictures(result: dict[str, Any]) -> Figures:
-    """Return the figures "accuracy", "confusion", "unseen" and, if run, "later"."""
     rows = result["rows"]
     known = shared.held(rows, table="ten objects")
     sides = [
@@ -210,7 +208,6 @@ def _accuracy(
     height: float,
     legend_of: int,
 ) -> Any:
-    """Draw accuracy against touches, one panel per (rows, published figures, title)."""
     figure, axes = plots.panels(1, len(sides), (4.4 * len(sides), height))
     for place, (rows, figures, title) in zip(axes[0], sides, strict=True):
         for name, (colour, line, width) in _STYLES.items():
@@ -238,7 +235,6 @@ def _accuracy(
 
 
 def _confusion(confusion: dict[str, Any]) -> Any:
-    """Draw the confusion matrices of each data after a few and after more touches."""
     n_columns = max(len(found["after"]) for found in confusion.values())
     size = (4.5 * n_columns, 4.2 * len(confusion))
     figure, axes = plots.panels(len(confusion), n_columns, size)
@@ -252,7 +248,6 @@ def _confusion(confusion: dict[str, Any]) -> Any:
 
 
 def _beliefs(result: dict[str, Any]) -> Any:
-    """Draw the mean belief in the known objects against touches of unseen ones."""
     found = {data: one[MAIN] for data, one in result["unseen"].items()}
     n_columns = max(len(curves) for curves in found.values())
     size = (2.5 * n_columns, 2.7 * len(found))
@@ -281,7 +276,6 @@ def _beliefs(result: dict[str, Any]) -> Any:
 
 
 def introduction(result: dict[str, Any]) -> str:
-    """Return the first paragraph of the page."""
     plan = result["plan"]
     recorded = " ".join(result["skipped"]) or (
         "Recorded touches are a later set than the paper's own: the first object of "

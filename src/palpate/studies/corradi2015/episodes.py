@@ -92,7 +92,6 @@ class Compared:
     label: str | None = None
 
     def __call__(self) -> list[Answered]:
-        """Return the answers of each recogniser."""
         alone = only_idle(self.partition, self.encoded.idle)
         found = []
         for name, one in self.compared.items():
@@ -158,7 +157,6 @@ def later_tasks(plan: Corradi2015Plan, touches: Touches) -> Iterator[Compared]:
 
 
 def recognisers(plan: Corradi2015Plan) -> dict[str, Recogniser]:
-    """Return what is compared, by name."""
     mixtures = {f"mixtures of {n}": Mixtures(n, plan.seed) for n in plan.components}
     return {
         MAIN: Densities(),
@@ -291,7 +289,6 @@ def experiment_rows(answered: Iterable[Answered], plan: Corradi2015Plan) -> list
 
 
 def after_touches(table: str, recogniser: str, k: int) -> str:
-    """Return the name of a row."""
     return f"{table}, {recogniser}, {k} touch{'es' if k != 1 else ''}"
 
 

@@ -169,7 +169,6 @@ class Encoder:
         self.idle_disc = discs[0]
 
     def __call__(self, touches: Touches) -> Encoded:
-        """Encode touches of the same sensor."""
         rims = self.crop.rims(touches.images)
         discs = self._discs(touches.images, rims)
         features = {"Zernike": self.moments.fit(discs).transform(discs)}

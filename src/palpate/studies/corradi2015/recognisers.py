@@ -59,7 +59,6 @@ class _Clustered:
     def with_clusters(
         self, n_clusters: int, train: Floats, codes: Codes, episodes: Floats
     ) -> Floats:
-        """Return `scores` for a number of clusters."""
         raise NotImplementedError
 
     def choose(self, train: Floats, codes: Codes) -> int:

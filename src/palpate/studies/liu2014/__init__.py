@@ -59,7 +59,6 @@ def _measure(plan: Liu2014Plan, data: str | Path | None, work: Work) -> dict[str
 
 
 def tables(result: dict[str, Any]) -> list[Table]:
-    """Return (title, columns, rows) of every table, figures in per cent."""
     rows = result["rows"]
     return [
         _methods("Table 2", shared.held(rows, table="Table 2")),
@@ -92,7 +91,6 @@ def _methods(title: str, rows: Sequence[Row]) -> Table:
 
 
 def _class_sets(rows: Sequence[Row]) -> Table:
-    """Figs 12 to 14 at the largest n, the paper's value in brackets."""
     some = [r for r in rows if r["table"].startswith("Fig") and "condition" not in r]
     most = max((row["n"] for row in some if row.get("n")), default=0)
     encodings = ("FD", "GE", "FD+GE", "sorted pixels", "raw pixels")
@@ -109,7 +107,6 @@ def _beside_paper(row: Row | None) -> str:
 
 
 def _counts(rows: Sequence[Row]) -> Table:
-    """Accuracy against the number of Fourier descriptors."""
     some = [row for row in rows if row["table"] in ("Fig. 12", "Fig. 14")]
     counts = shared.unique(row["n"] for row in some)
     keys = ["data", "classes", "encoding", "features"]
@@ -140,7 +137,6 @@ def _conditions(
 
 
 def pictures(result: dict[str, Any]) -> Figures:
-    """Return the figures "stages", "parts" and "conditions"."""
     touches = simulated_presses(Liu2014Plan(**result["plan"]))
     return {
         "stages": _stages(touches),
@@ -150,7 +146,6 @@ def pictures(result: dict[str, Any]) -> Figures:
 
 
 def _stages(touches: Touches) -> Any:
-    """Draw every stage of the clean-up of one press of a few parts (Fig. 10)."""
     names = shared.unique(labels(touches).tolist())
     spaced = np.linspace(0, len(names) - 1, min(STAGES_SHOWN, len(names)))
     shown = [names[i] for i in spaced.round().astype(int)]
@@ -169,7 +164,6 @@ def _stages(touches: Touches) -> Any:
 
 
 def _parts(touches: Touches) -> Any:
-    """Draw a few presses of every part, the part's outline over its taxels."""
     names = shared.unique(labels(touches).tolist())
     half = -(-len(names) // 2)
     figure, axes = _images(half, 2 * PRESSES_SHOWN, 0.95)
@@ -196,7 +190,6 @@ def _parts(touches: Touches) -> Any:
 
 
 def _over_conditions(rows: Sequence[Row]) -> Any:
-    """Draw accuracy, overlap and pieces against load and against cover."""
     figure, axes = plots.panels(2, 2, (7.6, 5.2), sharex="col", sharey="row")
     sides = (("Fig. 5", "load_kgf", "load, kgf"), ("Fig. 6", "cover_mm", "cover, mm"))
     for column, (table, key, label) in enumerate(sides):
@@ -231,7 +224,6 @@ def _images(n_rows: int, n_columns: int, side: float) -> tuple[Any, Any]:
 
 
 def introduction(result: dict[str, Any]) -> str:
-    """Return the first paragraph of the page."""
     plan = result["plan"]
     real = " ".join(result["skipped"]) or (
         "Real presses are those of 17 objects on another 10 x 10 array, each object in "

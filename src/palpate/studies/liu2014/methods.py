@@ -158,7 +158,6 @@ class _Machines:
     """A classifier with one machine per setting."""
 
     def machines(self, train: Floats) -> list[Any]:
-        """Return the machines, unfitted."""
         raise NotImplementedError
 
     def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
@@ -273,7 +272,6 @@ class Job:
         return float(len(self.method.settings) * self.row["n_classes"] ** 2)
 
     def run(self, plan: Liu2014Plan, number: int) -> list[Half]:
-        """Do one run of twofold cross-validation."""
         twofold = Twofold(self.row["features"] == "z-scored", plan.inner_folds)
         seed = (plan.seed, number)
         return twofold.run(self.method, self.features, self.codes, seed)
@@ -288,7 +286,6 @@ class Job:
 
 
 def run_jobs(jobs: Sequence[Job], plan: Liu2014Plan, work: Work) -> list[Row]:
-    """Return the rows of all jobs."""
     # The longest first, so that no worker is left with one at the end.
     order = sorted(range(len(jobs)), key=lambda j: -jobs[j].work)
     tasks = [(jobs[j], plan, number) for j in order for number in range(plan.runs)]
