@@ -17,17 +17,9 @@ from ...evaluation import plots
 from .. import _study as shared
 from .._study import BATHTIP, Experiment, Figures, Row, Table, Work, recorded_touches
 from . import judging
+from . import plan as stated
 from .judging import DATA, Judged, candidate_features, compare_fold, compared_rows, holm
-from .plan import (
-    CLASSIFIERS,
-    TACTIP,
-    VARIANTS,
-    Corradi2014Plan,
-    Shapes,
-    near_duplicates,
-    recorded_shapes,
-    simulated_shapes,
-)
+from .plan import CLASSIFIERS, TACTIP, VARIANTS, Corradi2014Plan, near_duplicates
 
 TITLE = "One touch of a dome camera: Corradi et al. (2014) beside ours"
 CAPTIONS = {
@@ -52,10 +44,10 @@ def _measure(
     plan: Corradi2014Plan, data: str | Path | None, work: Work
 ) -> dict[str, Any]:
     pins, dome = (recorded_touches(data, archive) for archive in (TACTIP, BATHTIP))
-    sets = list(simulated_shapes(plan))
+    sets = list(stated.simulated_shapes(plan))
     if not isinstance(pins, str):
         some, upright = pins[:: plan.recorded_step], plan.recorded_upright
-        sets += recorded_shapes(some, plan.seed, upright=upright)
+        sets += stated.recorded_shapes(some, plan.seed, upright=upright)
     rows, paired = _shapes_rows(sets, plan, work)
     duplicates = {one.data: near_duplicates(one.images["image"]) for one in sets}
     if not isinstance(dome, str):
@@ -79,7 +71,7 @@ def _measure(
 
 
 def _shapes_rows(
-    sets: list[Shapes], plan: Corradi2014Plan, work: Work
+    sets: list[stated.Shapes], plan: Corradi2014Plan, work: Work
 ) -> tuple[list[Row], list[Row]]:
     """Return the rows, and where image and derivative differ on the same folds."""
     keys = [(s, e, v) for s in sets for e in plan.encodings for v in VARIANTS]
@@ -175,7 +167,7 @@ def pictures(result: dict[str, Any]) -> Figures:
 
 
 def _shapes(seed: int) -> Any:
-    sets = list(simulated_shapes(Corradi2014Plan(n_touches=10, seed=seed)))
+    sets = list(stated.simulated_shapes(Corradi2014Plan(n_touches=10, seed=seed)))
     figure, axes = plots.panels(4, len(SHAPES), (8.4, 5.0), pictures=True)
     for number, (shapes, variant) in enumerate((s, v) for s in sets for v in VARIANTS):
         for code in range(len(SHAPES)):

@@ -36,16 +36,8 @@ from ...encodings import RootScaler, encoder_named
 from ...evaluation import davies_bouldin
 from ...touches import Touches
 from .._study import Codes, Row, coded, fitted, mean_row, row
-from .plan import (
-    BEST,
-    CLASSIFIERS,
-    TABLE_2,
-    Corradi2014Plan,
-    Images,
-    Shapes,
-    rim_discs,
-    variants,
-)
+from . import plan as stated
+from .plan import BEST, CLASSIFIERS, TABLE_2, Corradi2014Plan, Images, Shapes, variants
 
 SENSORS = ("simulated", "simulated-pins")
 N_FOLDS = 5
@@ -298,7 +290,7 @@ def recording(touches: Touches) -> Recording:
     for category in np.unique(codes):
         mine = codes == category
         fold[mine] = np.unique(objects[mine], return_inverse=True)[1]
-    return Recording(variants(rim_discs(touches)), codes, objects, fold)
+    return Recording(variants(stated.rim_discs(touches)), codes, objects, fold)
 
 
 def judge_unseen(

@@ -17,18 +17,10 @@ from ...evaluation import plots
 from .. import _study as shared
 from .._study import BATHTIP, Experiment, Figures, Row, Table, Work, recorded_touches
 from . import episodes
+from . import plan as stated
 from .beside import MOVES, SIGHT, beside_tasks
 from .episodes import CLUSTERS, DEFAULT, FLOORED, MAIN
-from .plan import (
-    LATER_CATEGORY,
-    LATER_OBJECTS,
-    LATER_SIGHT,
-    PAPER,
-    PAPER_CLUSTERS,
-    Corradi2015Plan,
-    recorded_objects,
-    simulated_objects,
-)
+from .plan import LATER_CATEGORY, LATER_OBJECTS, LATER_SIGHT, PAPER, Corradi2015Plan
 
 TITLE = "Ten objects, touch by touch: Corradi et al. (2015) beside ours"
 CAPTIONS = {
@@ -52,7 +44,7 @@ _TITLES = {
     MOVES["after -> before"]: "Learnt after the camera moved and recognised before",
 }
 _PAPER_LINES: dict[str, list[tuple[str, dict[int, float]]]] = {
-    "ten objects": [("the paper", PAPER), ("its k-means", PAPER_CLUSTERS)],
+    "ten objects": [("the paper", PAPER), ("its k-means", stated.PAPER_CLUSTERS)],
     "all objects": [("first author", LATER_OBJECTS)],
     "category": [("first author", LATER_CATEGORY)],
     **{
@@ -85,11 +77,11 @@ def _measure(
     plan: Corradi2015Plan, data: str | Path | None, work: Work
 ) -> dict[str, Any]:
     recorded = recorded_touches(data, BATHTIP)
-    sets, skipped = [simulated_objects(plan, work.workers)], []
+    sets, skipped = [stated.simulated_objects(plan, work.workers)], []
     if isinstance(recorded, str):
         skipped.append(recorded)
     else:
-        sets.append(recorded_objects(recorded))
+        sets.append(stated.recorded_objects(recorded))
     tasks = [task for objects in sets for task in episodes.known_tasks(plan, objects)]
     if plan.later and not isinstance(recorded, str):
         tasks += episodes.later_tasks(plan, recorded)

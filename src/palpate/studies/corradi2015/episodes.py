@@ -19,43 +19,25 @@ from ...classifiers import KernelDensityBayes
 from ...recognition import ObjectRecogniser
 from ...touches import Touches
 from .._study import Codes, Row, coded, labels, mean_row, row, spread
-from .plan import (
-    LATER_CATEGORY,
-    LATER_OBJECTS,
-    LATER_TRAIN,
-    N_KNOWN,
-    PAPER,
-    PAPER_CLUSTERS,
-    PAPER_MS,
-    Corradi2015Plan,
-    Encoded,
-    Encoder,
-    Objects,
-)
-from .recognisers import (
-    BagOfTouches,
-    ClusterBayes,
-    Densities,
-    Mixtures,
-    Nuisance,
-    Recogniser,
-    principal_components,
-)
+from . import plan as stated
+from . import recognisers as known_by
+from .plan import LATER_TRAIN, PAPER_MS, Corradi2015Plan, Encoded, Encoder, Objects
+from .recognisers import BagOfTouches, ClusterBayes, Densities, Mixtures, Recogniser
 
 MAIN, DEFAULT = "corradi2015", "default"
 FLOORED, CLUSTERS = "with a floor", "k-means"
 IDLE = {name: f"idle, {name}" for name in (MAIN, DEFAULT)}
 _CONTROLS: dict[str, Recogniser] = {
-    name: Nuisance(name) for name in ("disc centre", "brightness")
+    name: known_by.Nuisance(name) for name in ("disc centre", "brightness")
 }
 LATER_TOUCHES = 20
 CONFUSED_AFTER = (5, 15)
 UNSEEN_AFTER = (1, 5, 10, 30)
 _FIGURES: dict[tuple[str, str], dict[int, float]] = {
-    ("ten objects", MAIN): PAPER,
-    ("ten objects", CLUSTERS): PAPER_CLUSTERS,
-    ("all objects", MAIN): LATER_OBJECTS,
-    ("category", MAIN): LATER_CATEGORY,
+    ("ten objects", MAIN): stated.PAPER,
+    ("ten objects", CLUSTERS): stated.PAPER_CLUSTERS,
+    ("all objects", MAIN): stated.LATER_OBJECTS,
+    ("category", MAIN): stated.LATER_CATEGORY,
 }
 
 
@@ -381,10 +363,10 @@ def timing_rows(touches: Touches, data: str, sizes: Sequence[int]) -> list[Row]:
 
 def _learning(values: Floats) -> list[Row]:
     size = len(values)
-    codes = np.arange(size) % N_KNOWN
+    codes = np.arange(size) % stated.N_KNOWN
 
     def learn(_: int) -> tuple[PCA, KernelDensityBayes]:
-        principal = principal_components(values)
+        principal = known_by.principal_components(values)
         model = KernelDensityBayes().fit(principal.transform(values), codes)
         return principal, model
 

@@ -29,22 +29,8 @@ from ...classifiers import MKLSVC
 from ...encodings import CentroidMoments, KernelPCA, sorted_taxels
 from ...touches import Touches
 from .._study import Codes, Row, Work, coded, fitted, spread
-from .plan import (
-    FIGURES,
-    PAPER_COVER_MM,
-    PAPER_LOAD_KGF,
-    PAPER_N,
-    PAPER_PARTITIONS,
-    SCALINGS,
-    TABLE_2,
-    Encoded,
-    Liu2014Plan,
-    count_pieces,
-    encode,
-    footprints,
-    overlap,
-    simulated_presses,
-)
+from . import plan as stated
+from .plan import PAPER_N, PAPER_PARTITIONS, Encoded, Liu2014Plan, encode, overlap
 
 Setting = dict[str, Any]
 _WHOLE = {"encoding": "FD+GE", "classes": "all"}
@@ -314,15 +300,15 @@ def study_jobs(plan: Liu2014Plan, touches: Touches, data: str) -> list[Job]:
 
 def condition_jobs(plan: Liu2014Plan) -> Iterator[Job]:
     """Press all parts at every load, then under every cover; 3-NN names them."""
-    asked = [(f"{load:g} kgf", load, PAPER_COVER_MM) for load in plan.loads_kgf]
-    asked += [(f"cover {mm:g} mm", PAPER_LOAD_KGF, mm) for mm in plan.covers_mm]
+    asked = [(f"{load:g} kgf", load, stated.PAPER_COVER_MM) for load in plan.loads_kgf]
+    asked += [(f"cover {mm:g} mm", stated.PAPER_LOAD_KGF, mm) for mm in plan.covers_mm]
     for number, (condition, load, cover) in enumerate(asked):
         table = "Fig. 5" if number < len(plan.loads_kgf) else "Fig. 6"
-        touches = simulated_presses(plan, load, cover)
+        touches = stated.simulated_presses(plan, load, cover)
         encoded = encode(touches.images, PAPER_PARTITIONS, plan.n)
         whole = encode(touches.images, 1, 1).binary
-        pieces = count_pieces(whole)
-        truth = footprints(touches, whole.shape[1:])
+        pieces = stated.count_pieces(whole)
+        truth = stated.footprints(touches, whole.shape[1:])
         row: Row = {
             "table": table,
             "condition": condition,
@@ -331,7 +317,7 @@ def condition_jobs(plan: Liu2014Plan) -> Iterator[Job]:
             "cover_mm": cover,
             "pieces": float(pieces.mean()),
             "in_pieces": 100 * float((pieces > 1).mean()),
-            "pieces_2x2": float(count_pieces(encoded.binary).mean()),
+            "pieces_2x2": float(stated.count_pieces(encoded.binary).mean()),
             "overlap": 100 * float(overlap(whole, truth).mean()),
             "overlap_2x2": 100 * float(overlap(encoded.binary, truth).mean()),
             "data": "simulated",
@@ -360,7 +346,7 @@ def _table_2(
     suffix, paper = f", {partitions} x {partitions}", dict[str, float]()
     if partitions == PAPER_PARTITIONS:
         methods["KPCA (eq. 5)+MKL-SVM"] = Fused(mkl, *grid, scaling="paper")
-        suffix, paper = "", TABLE_2 if plan.n == PAPER_N else {}
+        suffix, paper = "", stated.TABLE_2 if plan.n == PAPER_N else {}
     features = encoded.features("FD+GE", plan.n)
     for name, method in methods.items():
         row = {"name": name + suffix, "table": "Table 2", "paper": paper.get(name)}
@@ -411,7 +397,7 @@ def _figures(plan: Liu2014Plan, encoded: Encoded, touches: Touches) -> Iterator[
         sets = {name: np.isin(part, some) for name, some in plan.class_sets.items()}
     asked = [(classes, *one) for classes in sets for one in compared]
     for classes, figure, encoding, count in asked:
-        held, known = sets[classes], FIGURES.get((encoding, classes))
+        held, known = sets[classes], stated.FIGURES.get((encoding, classes))
         shown = "" if count is None else f", n = {count}"
         row = {
             "name": f"{encoding} k-NN{shown}, {classes}",
@@ -431,7 +417,7 @@ def _figures(plan: Liu2014Plan, encoded: Encoded, touches: Touches) -> Iterator[
 def _jobs(row: Row, features: Floats, codes: Codes, method: Method) -> Iterator[Job]:
     """Yield the same for z-scored and for raw features."""
     sizes = {"n_classes": len(np.unique(codes)), "n_touches": len(codes)}
-    for scaling in SCALINGS:
+    for scaling in stated.SCALINGS:
         known: Row = {"paper": None, **sizes, "features": scaling}
         yield Job({**known, **row}, features, codes, method)
 
