@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_number, check_option, check_positive
-from .._types import Array, Bools, Floats, Indices
+from .._types import Array, Floats, Indices
 from . import _kernel_sums
 from ._kernel_sums import blocks_of, count_tiles, exact_log_sums, is_precise, make_tiles
 from ._touch_classifier import BayesRule, as_groups, as_touches, labelled_touches
@@ -196,11 +196,19 @@ class KernelDensityBayes(BayesRule):
         """
         check_is_fitted(self)
         group = self.groups_[self.order_]
-        sums = [self._log_densities(self.points_[r]) for r in blocks_of(len(group))]
-        result = np.vstack(sums)
+        blocks = blocks_of(len(group))
+        result = np.vstack([self._log_densities(self.points_[b]) for b in blocks])
         for place, rows in enumerate(self._rows()):
             met = np.isin(group, group[rows])
-            result[met, place] = self._without(place, met, group)
+            # One object's densities at touches `met`, without their groups.
+            groups, points = (group[met], group[rows]), self.points_[rows]
+            precision = self._precision(place)
+            sums = exact_log_sums(self.points_[met], points, precision, groups)
+            n_left_out = np.bincount(group[rows], minlength=group.max() + 1)[groups[0]]
+            share = (self.counts_[place] - n_left_out) / self.counts_[place]
+            densities = sums + self.log_norms_[place]
+            densities[share > 0] -= np.log(share[share > 0])
+            result[met, place] = densities
         in_order = np.empty_like(result)
         in_order[self.order_] = result
         return in_order
@@ -265,16 +273,3 @@ class KernelDensityBayes(BayesRule):
             precision = self._precision(place)
             sums[pairs, place] = exact_log_sums(x[pairs], points, precision)
         return sums + self.log_norms_
-
-    def _without(self, place: int, met: Bools, group: Indices) -> Floats:
-        """Return one object's log densities at touches `met`, without their groups."""
-        rows = self._rows()[place]
-        groups = group[met], group[rows]
-        precision = self._precision(place)
-        sums = exact_log_sums(self.points_[met], self.points_[rows], precision, groups)
-        n_left_out = np.bincount(groups[1], minlength=group.max() + 1)[groups[0]]
-        n_touches = self.counts_[place]
-        share = (n_touches - n_left_out) / n_touches
-        densities: Floats = sums + self.log_norms_[place]
-        densities[share > 0] -= np.log(share[share > 0])
-        return densities

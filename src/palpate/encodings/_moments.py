@@ -123,7 +123,13 @@ class CentroidMoments(ImageEstimator):
         images = images.astype(np.float64, copy=False)
         scale = self.width * min(images.shape[1:]) / 2
         levels = images / size_of(images, self.normalise)[:, None, None]
-        row, col = _centroid(levels, self.centre_power)
+        # Each image's centroid; the middle of an empty image.
+        top = np.abs(levels).max(axis=(1, 2), keepdims=True)
+        weight = np.abs(levels / np.where(top > 0, top, 1.0)) ** self.centre_power
+        weight[top[:, 0, 0] == 0] = 1.0
+        total = weight.sum(axis=(1, 2))
+        row = weight.sum(axis=2) @ np.arange(images.shape[1]) / total
+        col = weight.sum(axis=1) @ np.arange(images.shape[2]) / total
         power = np.arange(self.patterns_.shape[1])
         down = _windowed_powers(images.shape[1], row, scale, power)
         across = _windowed_powers(images.shape[2], col, scale, power)
@@ -161,18 +167,6 @@ def size_of(images: Floats, normalise: str | None) -> Floats:
     else:
         size = np.sqrt((relative**2).sum(axis=(1, 2)))
     return top * np.where(size > 0, size, 1.0)
-
-
-def _centroid(images: Floats, power: float) -> tuple[Floats, Floats]:
-    """Row and column of each image's centroid; the middle of an empty image."""
-    _, n_rows, n_cols = images.shape
-    top = np.abs(images).max(axis=(1, 2), keepdims=True)
-    weight = np.abs(images / np.where(top > 0, top, 1.0)) ** power
-    weight[top[:, 0, 0] == 0] = 1.0
-    total = weight.sum(axis=(1, 2))
-    row = weight.sum(axis=2) @ np.arange(n_rows) / total
-    col = weight.sum(axis=1) @ np.arange(n_cols) / total
-    return row, col
 
 
 def _windowed_powers(n: int, centre: Floats, scale: float, power: Indices) -> Floats:

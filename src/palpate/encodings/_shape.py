@@ -130,8 +130,13 @@ class FourierDescriptors(ImageEstimator):
                 outline = np.column_stack(
                     [np.interp(wanted, along, side) for side in closed.T]
                 )
-            found = _descriptors(outline)[: self.n]
-            row[: len(found)] = found
+            if len(outline) < 3:
+                continue
+            size = np.linalg.norm(np.fft.fft(outline, axis=0), axis=1)[1:]
+            # An outline whose first wave vanishes has no size to divide by.
+            if size[0] > 1e-9 * size.max():
+                found = (size / size[0])[: self.n]
+                row[: len(found)] = found
         return descriptors
 
     def get_feature_names_out(self, input_features: object = None) -> Array:
@@ -149,15 +154,6 @@ def outer_boundary(shape: Bools) -> Floats:
     mask = (labels == largest).astype(np.uint8)
     outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     return np.asarray(outlines[0].reshape(-1, 2).astype(np.float64))
-
-
-def _descriptors(outline: Floats) -> Floats:
-    """s[1] to s[L - 1] of an outline of L points; empty for a line or a dot."""
-    if len(outline) < 3:
-        return np.empty(0)
-    size = np.linalg.norm(np.fft.fft(outline, axis=0), axis=1)[1:]
-    # An outline whose first wave vanishes has no size to divide by.
-    return size / size[0] if size[0] > 1e-9 * size.max() else np.zeros_like(size)
 
 
 def _mean(values: Array, inside: Bools) -> Floats:

@@ -289,7 +289,11 @@ def fit_taxels(readings: Floats, loads: Floats, least_gain: float) -> dict[str, 
     Readings are conductances (n_frames, n_taxels), NaN where there is none; a taxel is
     dead below the share `least_gain` of the median gain.
     """
-    steps, group = _group_loads(loads)
+    # Distinct loads, rising, and which of them each frame belongs to.
+    steps, group = np.unique(loads, return_inverse=True)
+    if len(steps) > _MOST_LOADS:
+        group = (np.arange(len(steps)) * _MOST_LOADS // len(steps))[group]
+        steps = np.array([np.median(loads[group == i]) for i in range(_MOST_LOADS)])
     silent = np.isnan(readings).mean(axis=0) > 0.5
     known = np.where(silent, 0.0, readings)
     levels = np.stack([_median(known[group == i]) for i in range(len(steps))])
@@ -315,16 +319,6 @@ def _median(values: Floats) -> Floats:
     nothing = np.isnan(values).all(axis=0)
     median: Floats = np.nanmedian(np.where(nothing, 0.0, values), axis=0)
     return np.where(nothing, np.nan, median)
-
-
-def _group_loads(loads: Floats) -> tuple[Floats, Indices]:
-    """Distinct loads, rising, and which of them each frame belongs to."""
-    distinct, which = np.unique(loads, return_inverse=True)
-    if len(distinct) <= _MOST_LOADS:
-        return distinct, which
-    group_of = np.arange(len(distinct)) * _MOST_LOADS // len(distinct)
-    group = group_of[which]
-    return np.array([np.median(loads[group == i]) for i in range(_MOST_LOADS)]), group
 
 
 def _best_segment(

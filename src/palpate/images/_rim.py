@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_finite, check_image_shape, check_levels, check_positive
-from .._types import Array, Bools, Floats, Singles
+from .._types import Array, Bools, Floats
 from . import _rim_fit
 from ._rim_fit import Fit
 
@@ -204,7 +204,12 @@ def _find(image: Array, near: Circle | None) -> Circle:
         missing = Circle(near.row, near.col, near.radius, False, 0.0)
     if min(shape) < SMALLEST_SIDE or image.max() == image.min():
         return missing
-    grey = _as_grey(image)
+    # 8-bit as it is, anything else stretched to 0..1 in single precision.
+    if image.dtype == np.uint8:
+        grey = np.ascontiguousarray(image)
+    else:
+        low, high = image.min(), image.max()
+        grey = ((image / 2 - low / 2) / (high / 2 - low / 2)).astype(np.float32)
     best: Fit | None = None
     for fit in _candidates(grey, near):
         if _is_rim(fit, shape, near) and (best is None or fit.evidence > best.evidence):
@@ -218,15 +223,6 @@ def _find(image: Array, near: Circle | None) -> Circle:
         again = _rim_fit.refine(grey, best.circle, best.sign)
         best = again if again and _is_rim(again, shape, near) else best
     return Circle(*best.circle, True, best.support)
-
-
-def _as_grey(image: Array) -> Array:
-    """8-bit as it is, anything else stretched to 0..1 in single precision."""
-    if image.dtype == np.uint8:
-        return np.ascontiguousarray(image)
-    low, high = image.min(), image.max()
-    grey: Singles = (image / 2 - low / 2) / (high / 2 - low / 2)
-    return grey.astype(np.float32)
 
 
 def _candidates(grey: Array, near: Circle | None) -> Iterator[Fit]:

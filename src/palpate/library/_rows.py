@@ -4,7 +4,6 @@ import hashlib
 import json
 import warnings
 from collections.abc import Collection, Iterator, Sequence
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -109,12 +108,8 @@ def read_rows(
     store: Store, fields: tuple[str, ...], tail: str, values: Sequence[Any]
 ) -> list[tuple[Any, ...]]:
     """Return fields of touches; `tail` is the query from WHERE on."""
-    return store.rows(f"{_select(fields)} {tail}", values)
-
-
-@cache
-def _select(fields: tuple[str, ...]) -> str:
-    return f"SELECT {', '.join(_FIELDS[name] for name in fields)} {_JOINED}"
+    listed = ", ".join(_FIELDS[name] for name in fields)
+    return store.rows(f"SELECT {listed} {_JOINED} {tail}", values)
 
 
 def stored_touches(store: Store, tail: str, values: Sequence[Any]) -> list[StoredTouch]:

@@ -93,14 +93,6 @@ def seal(*values: Any) -> bytes:
     return hashlib.blake2b(marshal.dumps(values, 2), digest_size=8).digest()
 
 
-def seal_all() -> Iterator[str]:
-    """Yield what gives seals to a library that was made without."""
-    yield "DROP INDEX IF EXISTS touches_of_object"
-    for table, columns in SEALED.items():
-        yield f"ALTER TABLE {table} ADD COLUMN seal BLOB"
-        yield f"UPDATE {table} SET seal = seal_of({', '.join(columns)})"
-
-
 def triggers() -> Iterator[str]:
     """Yield what makes a connection seal the rows that it writes."""
     for table, columns in SEALED.items():
@@ -356,7 +348,14 @@ class Store:
             self._connection.create_function("seal_of", -1, seal, deterministic=True)
             if self.count("PRAGMA user_version") == 0 and create:
                 run("PRAGMA journal_mode = WAL")
-                self._make_tables()
+                with self._transaction():
+                    # Where there are some, another process was faster, or it is
+                    # another database.
+                    if not self.one("SELECT 1 FROM sqlite_master"):
+                        for statement in _TABLES.split(";"):
+                            self.run(statement)
+                        self.run(f"PRAGMA application_id = {_APPLICATION}")
+                        self._seal_rows()
             version = self.count("PRAGMA user_version")
             application = self.count("PRAGMA application_id")
         if version > VERSION:
@@ -385,18 +384,12 @@ class Store:
 
     def _seal_rows(self) -> None:
         if self.count("PRAGMA user_version") < VERSION:
-            for statement in seal_all():
-                self.run(statement)
+            # In a library that was made without.
+            self.run("DROP INDEX IF EXISTS touches_of_object")
+            for table, columns in SEALED.items():
+                self.run(f"ALTER TABLE {table} ADD COLUMN seal BLOB")
+                self.run(f"UPDATE {table} SET seal = seal_of({', '.join(columns)})")
             self.run(f"PRAGMA user_version = {VERSION}")
-
-    def _make_tables(self) -> None:
-        with self._transaction():
-            if self.one("SELECT 1 FROM sqlite_master"):
-                return  # another process was faster, or it is another database
-            for statement in _TABLES.split(";"):
-                self.run(statement)
-            self.run(f"PRAGMA application_id = {_APPLICATION}")
-            self._seal_rows()
 
 
 def holders(n_values: int) -> str:

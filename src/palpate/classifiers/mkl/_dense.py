@@ -111,23 +111,20 @@ class DenseKernels:
         matrix += root.transpose(0, 2, 1) @ root
         matrix[:, np.arange(n), np.arange(n)] += diagonal
         if n < _LARGE:
-            return _small_solver(matrix)
+
+            def solve(right: Floats) -> Floats:
+                try:
+                    return cast(Floats, np.linalg.solve(matrix, right))
+                except np.linalg.LinAlgError:
+                    size = np.abs(matrix).max(axis=(1, 2))[:, None, None]
+                    lift = 1e-14 * np.maximum(size, 1e-300) * np.eye(n)
+                    return cast(Floats, np.linalg.solve(matrix + lift, right))
+
+            return solve
         solvers = [cholesky_solver(one) for one in matrix]
         return lambda right: np.stack(
             [one(r) for one, r in zip(solvers, right, strict=True)]
         )
-
-
-def _small_solver(matrix: Floats) -> Solver:
-    def solve(right: Floats) -> Floats:
-        try:
-            return cast(Floats, np.linalg.solve(matrix, right))
-        except np.linalg.LinAlgError:
-            size = np.abs(matrix).max(axis=(1, 2))[:, None, None]
-            lift = 1e-14 * np.maximum(size, 1e-300) * np.eye(matrix.shape[1])
-            return cast(Floats, np.linalg.solve(matrix + lift, right))
-
-    return solve
 
 
 def cholesky_solver(matrix: Floats) -> Solver:

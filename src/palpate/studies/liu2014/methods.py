@@ -264,7 +264,7 @@ class Job:
 
     def rows(self, runs: Runs, plan: Liu2014Plan) -> Iterator[Row]:
         """Yield a row per protocol; where nothing is chosen, one outside Table 2."""
-        single = self.light and self.row["table"] != "Table 2"
+        single = len(self.method.settings) == 1 and self.row["table"] != "Table 2"
         for protocol in plan.protocols[:1] if single else plan.protocols:
             summary = nested_figure if protocol == "nested" else paper_figure
             figure = summary(self.method.settings, runs)
