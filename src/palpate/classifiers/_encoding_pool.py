@@ -21,7 +21,13 @@ from .._checks import check_count, check_squarable
 from .._types import Array, Floats
 from . import _touch_classifier
 from ._kernel_ridge import KernelRidgeClassifier, fair_shares
-from ._touch_classifier import BayesRule, TouchClassifier, as_groups, labelled_touches
+from ._touch_classifier import (
+    BayesRule,
+    Groups,
+    TouchClassifier,
+    as_groups,
+    labelled_touches,
+)
 
 TOGETHER = "all together"
 # No machine may say of a touch that an object is less probable than this (nats).
@@ -85,7 +91,7 @@ class EncodingPool(BayesRule):
         self.machine = machine
         self.together = together
 
-    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> Self:
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Let every machine learn its part, and weigh them by left-out groups.
 
         Parameters
@@ -129,9 +135,7 @@ class EncodingPool(BayesRule):
         self.left_out_ = self.pooled(every)
         return self
 
-    def refit(
-        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None
-    ) -> Self:
+    def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Learn other touches with the widths, ridges and weights already chosen."""
         check_is_fitted(self)
         touches, labels = labelled_touches(self, X, y, reset=False)

@@ -17,7 +17,13 @@ from .._checks import check_number, check_option, check_positive
 from .._types import Array, Floats, Indices
 from . import _kernel_sums
 from ._kernel_sums import blocks_of, count_tiles, exact_log_sums, is_precise, make_tiles
-from ._touch_classifier import BayesRule, as_groups, as_touches, labelled_touches
+from ._touch_classifier import (
+    BayesRule,
+    Groups,
+    as_groups,
+    as_touches,
+    labelled_touches,
+)
 
 # With precision="auto" a model computes in float64 when it has at most this many
 # touches, or when float32 is good enough for less than this share of its pairs.
@@ -129,7 +135,7 @@ class KernelDensityBayes(BayesRule):
         self.min_variance = min_variance
         self.precision = precision
 
-    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> Self:
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Store the touches of every object.
 
         Parameters
@@ -165,9 +171,7 @@ class KernelDensityBayes(BayesRule):
                 self._store(self.points_, self.counts_)
         return self
 
-    def refit(
-        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None
-    ) -> Self:
+    def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Store other touches in the bandwidth and precision that `fit` chose.
 
         The likelihoods of objects whose touches are as before stay the same to the bit,
@@ -220,7 +224,7 @@ class KernelDensityBayes(BayesRule):
             touches, self.centre_, bandwidth, self.varies_, self.rotation_
         )
 
-    def _learn(self, touches: Floats, labels: Array, groups: ArrayLike | None) -> None:
+    def _learn(self, touches: Floats, labels: Array, groups: Groups) -> None:
         """Store touches object by object, each object whitened by itself."""
         self.groups_ = as_groups(groups, len(touches))
         self.classes_, codes = np.unique(labels, return_inverse=True)

@@ -22,7 +22,13 @@ from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_positive, check_squarable
 from .._types import Array, Floats, Indices
-from ._touch_classifier import BayesRule, as_groups, as_touches, labelled_touches
+from ._touch_classifier import (
+    BayesRule,
+    Groups,
+    as_groups,
+    as_touches,
+    labelled_touches,
+)
 
 # Temperature and bend of the posterior are fitted to at most so many touches, and so
 # many of their answers, one for each label.
@@ -121,7 +127,7 @@ class KernelRidgeClassifier(BayesRule):
         self.max_touches = max_touches
         self.n_landmarks = n_landmarks
 
-    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> Self:
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Choose width, ridge and temperature on left-out groups; learn from all.
 
         Parameters
@@ -152,7 +158,7 @@ class KernelRidgeClassifier(BayesRule):
         return self
 
     def _taken(
-        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None, reset: bool = True
+        self, X: ArrayLike, y: ArrayLike, groups: Groups, reset: bool = True
     ) -> tuple[Floats, Array, Array]:
         touches, labels = labelled_touches(self, X, y, reset=reset)
         check_squarable("X", touches)
@@ -244,9 +250,7 @@ class KernelRidgeClassifier(BayesRule):
         shape = (self.temperature_, self.bend_, 1.0)
         return _log_posterior(shape, scores, self.log_counts_)
 
-    def refit(
-        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None
-    ) -> Self:
+    def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Learn other touches with the width and ridge already chosen."""
         check_is_fitted(self)
         self._learn(*self._taken(X, y, groups, reset=False))

@@ -15,6 +15,8 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from .._checks import are_plain_vectors, check_label_kinds
 from .._types import Array, Floats, Indices
 
+# What each training touch is left out with: (n_touches,), by default itself alone.
+Groups = ArrayLike | None
 _N_FOLDS = 5
 _LEAST_PROBABILITY = 1e-12
 
@@ -31,13 +33,11 @@ class TouchClassifier(Protocol):
 
     classes_: Array
 
-    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> Self:
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Learn touches; those of one group are left out together."""
         ...
 
-    def refit(
-        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None
-    ) -> Self:
+    def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Learn other touches with the widths and weights that `fit` chose."""
         ...
 
@@ -121,7 +121,7 @@ class FromProbabilities(BayesRule):
     def __init__(self, classifier: Any) -> None:
         self.classifier = classifier
 
-    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> Self:
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Learn touches (n_touches, n_features); see `TouchClassifier.fit`.
 
         Raises
@@ -140,9 +140,7 @@ class FromProbabilities(BayesRule):
         self.classes_ = np.asarray(self.classifier_.classes_)
         return self
 
-    def refit(
-        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None
-    ) -> Self:
+    def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Learn other touches; what the classifier chooses it chooses again."""
         return self.fit(X, y, groups)
 
@@ -197,7 +195,7 @@ def as_touches(estimator: BaseEstimator, X: ArrayLike) -> Floats:
     return np.asarray(validate_data(estimator, X, dtype=np.float64, reset=False))
 
 
-def as_groups(groups: ArrayLike | None, n_touches: int) -> Indices:
+def as_groups(groups: Groups, n_touches: int) -> Indices:
     """Return the number of each training touch's group; by default its own."""
     if groups is None:
         return np.arange(n_touches)

@@ -16,14 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import (
-    check_count,
-    check_finite,
-    check_image_shape,
-    check_number,
-    check_option,
-    check_positive,
-)
+from .. import _checks
+from .._checks import check_count, check_finite, check_number, check_option
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats, Indices
 from ._zernike_polynomials import noll_degrees, signed_degrees, zernike_degrees
@@ -172,7 +166,7 @@ class ZernikeMoments(ImageEstimator):
         return np.array([f"zernike{n},{m}" for n, m in self.indices_], dtype=object)
 
     def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
-        return check_image_shape(X, shape=shape, channels=True)
+        return _checks.check_image_shape(X, shape=shape, channels=True)
 
     def _images(self, X: ArrayLike) -> Array:
         images = super()._images(X)
@@ -204,7 +198,7 @@ class ZernikeMoments(ImageEstimator):
         inscribed = self.disc == "inscribed"
         radius = min(n_rows, n_cols) / 2 if inscribed else hypot(n_rows, n_cols) / 2
         if self.radius is not None:
-            radius = check_positive("radius", self.radius)
+            radius = _checks.check_positive("radius", self.radius)
         disc = Disc(n_rows, n_cols, row, col, radius)
         counted = disc.touches() if self.method == "exact" else disc.holds_centre()
         if not counted.any():

@@ -18,13 +18,8 @@ from scipy.sparse.linalg import spsolve
 from sklearn.base import clone
 from sklearn.utils import Tags
 
-from .._checks import (
-    check_count,
-    check_images,
-    check_number,
-    check_option,
-    check_positive,
-)
+from .. import _checks
+from .._checks import check_count, check_images, check_option, check_positive
 from .._image_estimator import ImageEstimator
 from .._types import Array, Bools, Floats
 
@@ -197,7 +192,7 @@ def binarise(
     """
     checked = check_images(images)
     n_parts = check_count("n_partitions", n_partitions)
-    contrast = check_number("min_contrast", min_contrast, low=0, high=1)
+    contrast = _checks.check_number("min_contrast", min_contrast, low=0, high=1)
     if n_parts > min(checked.shape[1:]):
         raise ValueError(
             f"n_partitions must be at most {min(checked.shape[1:])}, the shorter side "

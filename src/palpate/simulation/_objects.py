@@ -338,11 +338,11 @@ def rounded_hull(corners: ArrayLike, radius: float, n: int = 16) -> Mesh:
     return hull(np.concatenate(balls))
 
 
-def rounded_box(size: ArrayLike, radius: float, n: int = 16) -> Mesh:
+def rounded_box(size: ArrayLike, radius: float) -> Mesh:
     """Return a box standing on z = 0, its centre above the origin, edges rounded."""
     half = np.asarray(size, float) / 2
     signs = np.array(np.meshgrid(*3 * [[-1, 1]])).reshape(3, -1).T
-    return moved(rounded_hull(signs * (half - radius), radius, n), z=half[2])
+    return moved(rounded_hull(signs * (half - radius), radius), z=half[2])
 
 
 def revolved(profile_rz: ArrayLike, n: int = 96) -> Mesh:

@@ -18,14 +18,8 @@ from sklearn.utils.validation import (
     validate_data,
 )
 
-from ..._checks import (
-    check_count,
-    check_label_kinds,
-    check_number,
-    check_option,
-    check_positive,
-    check_squarable,
-)
+from ... import _checks
+from ..._checks import check_count, check_option, check_positive, check_squarable
 from ..._types import Array, Floats
 from . import _kernels, _pairs
 from ._kernels import FeatureBank, GivenBank, Kernel, check_given, check_kernels
@@ -288,7 +282,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         check_option("solver", self.solver, _TOLERANCES)
         check_option("approximation", self.approximation, ("auto", "none", "nystroem"))
         check_option("probability", self.probability, (True, False))
-        norm = check_number("norm", self.norm, low=1)
+        norm = _checks.check_number("norm", self.norm, low=1)
         through_landmarks = self.approximation == "nystroem"
         if self.solver == "simplemkl" and (norm != 1 or through_landmarks):
             raise ValueError(
@@ -326,7 +320,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         return FeatureBank(kernels, touches, self.normalize)
 
     def _validated(self, X: ArrayLike, y: ArrayLike) -> tuple[Floats, Array]:
-        check_label_kinds(y)
+        _checks.check_label_kinds(y)
         if self._is_given():
             touches = check_given(X)
             labels = column_or_1d(y, warn=True)

@@ -304,13 +304,11 @@ def confusions(
     }
 
 
-def worst_pairs(
-    confusion: Floats, names: Sequence[str], most: int = 3
-) -> list[dict[str, Any]]:
-    """Return the pairs that are taken for each other most often, worst first."""
+def worst_pairs(confusion: Floats, names: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the three pairs most often taken for each other, worst first."""
     both = (confusion + confusion.T) / 2
     above = np.transpose(np.triu_indices(len(names), 1)).tolist()
-    pairs = sorted(above, key=lambda pair: -both[*pair])[:most]
+    pairs = sorted(above, key=lambda pair: -both[*pair])[:3]
     return [
         {"objects": [names[i], names[j]], "share": float(100 * both[i, j])}
         for i, j in pairs

@@ -5,7 +5,9 @@ per setting; it is never given the labels of what it answers for. Settings are c
 inside the training half, but every one answers for the test half, so that what the
 paper did (the setting that is best on the reported runs) can be shown beside the honest
 figure. Labels are whole numbers. Kernel widths are in median distances of the training
-touches, so that one grid serves z-scored and raw features.
+touches, so that one grid serves z-scored and raw features. A method's `settings` are
+its grid, simplest first: among equally good ones the first is taken; `answers` are the
+labels of the test touches, (n_settings, n_test).
 
 A job gives one row or two. The paper looks at images of a bar: light loads leave them
 incomplete, heavy ones distort them, thin covers break them up, thick ones blur them
@@ -15,7 +17,7 @@ incomplete, heavy ones distort them, thin covers break them up, thick ones blur 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.spatial.distance import pdist
@@ -36,15 +38,99 @@ Setting = dict[str, Any]
 _WHOLE = {"encoding": "FD+GE", "classes": "all"}
 
 
-class Method(Protocol):
-    """A classifier over its whole grid of settings."""
+class Method:
+    """A classifier over its whole grid of settings, one machine for each."""
 
     @property
     def settings(self) -> Sequence[Setting]:
-        """The grid, simplest first: among equally good settings the first is taken."""
+        raise NotImplementedError
+
+    def machines(self, train: Floats) -> list[Any]:
+        raise NotImplementedError
 
     def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
-        """Return the label of each test touch, shape (n_settings, n_test)."""
+        # One pair of many that stops short of its tolerance is still a machine.
+        machines = self.machines(train)
+        return np.stack([fitted(m, train, codes).predict(test) for m in machines])
+
+
+@dataclass(frozen=True)
+class Neighbours(Method):
+    """The k nearest neighbours, k = 3 as in the paper."""
+
+    k: int = 3
+
+    @property
+    def settings(self) -> Sequence[Setting]:
+        return [{"k": self.k}]
+
+    def machines(self, train: Floats) -> list[Any]:
+        return [KNeighborsClassifier(self.k, algorithm="brute")]
+
+
+@dataclass(frozen=True)
+class GaussianSVM(Method):
+    """One-against-one SVMs with a Gaussian kernel (scikit-learn's `SVC`)."""
+
+    widths: Sequence[float]
+    costs: Sequence[float]
+
+    @property
+    def settings(self) -> Sequence[Setting]:
+        return [{"width": width, "C": C} for C in self.costs for width in self.widths]
+
+    def machines(self, train: Floats) -> list[Any]:
+        unit = median_distance(train)
+        grid = [(one["C"], 0.5 / (one["width"] * unit) ** 2) for one in self.settings]
+        return [SVC(C=C, gamma=gamma) for C, gamma in grid]
+
+
+@dataclass(frozen=True)
+class MKL(Method):
+    """The MKL-SVM over the paper's 22 kernels; `normalize` as `MKLSVC` has it."""
+
+    costs: Sequence[float]
+    normalize: str = "trace"
+
+    @property
+    def settings(self) -> Sequence[Setting]:
+        return [{"C": C} for C in self.costs]
+
+    def machines(self, train: Floats) -> list[Any]:
+        options: dict[str, Any] = {"normalize": self.normalize, "probability": False}
+        return [MKLSVC(C=C, **options) for C in self.costs]
+
+
+@dataclass(frozen=True)
+class Fused(Method):
+    """Kernel PCA (`scaling` as `KernelPCA` has it) before a classifier."""
+
+    classifier: Method
+    widths: Sequence[float]
+    components: Sequence[int]
+    scaling: str = "unit"
+
+    @property
+    def settings(self) -> Sequence[Setting]:
+        return [
+            {"kpca_width": width, "components": kept, **inner}
+            for width in self.widths
+            for kept in self.components
+            for inner in self.classifier.settings
+        ]
+
+    def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
+        unit = median_distance(train)
+        found = []
+        for width in self.widths:
+            options: Setting = {"sigma": width * unit, "scaling": self.scaling}
+            fusion = KernelPCA(max(self.components), **options).fit(train)
+            old, new = fusion.transform(train), fusion.transform(test)
+            # Fewer components are the first columns of the most.
+            for kept in self.components:
+                both = old[:, :kept], codes, new[:, :kept]
+                found.append(self.classifier.answers(*both))
+        return np.concatenate(found)
 
 
 @dataclass(frozen=True)
@@ -138,97 +224,6 @@ def _pooled(run: Sequence[Half], settings: Sequence[int]) -> float:
     """Share right over both halves, each with its own setting."""
     shares = [half.right[s] for half, s in zip(run, settings, strict=True)]
     return float(np.average(shares, weights=[half.n_test for half in run]))
-
-
-class _Machines:
-    """A classifier with one machine per setting."""
-
-    def machines(self, train: Floats) -> list[Any]:
-        raise NotImplementedError
-
-    def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
-        # One pair of many that stops short of its tolerance is still a machine.
-        machines = self.machines(train)
-        return np.stack([fitted(m, train, codes).predict(test) for m in machines])
-
-
-@dataclass(frozen=True)
-class Neighbours(_Machines):
-    """The k nearest neighbours, k = 3 as in the paper."""
-
-    k: int = 3
-
-    @property
-    def settings(self) -> Sequence[Setting]:
-        return [{"k": self.k}]
-
-    def machines(self, train: Floats) -> list[Any]:
-        return [KNeighborsClassifier(self.k, algorithm="brute")]
-
-
-@dataclass(frozen=True)
-class GaussianSVM(_Machines):
-    """One-against-one SVMs with a Gaussian kernel (scikit-learn's `SVC`)."""
-
-    widths: Sequence[float]
-    costs: Sequence[float]
-
-    @property
-    def settings(self) -> Sequence[Setting]:
-        return [{"width": width, "C": C} for C in self.costs for width in self.widths]
-
-    def machines(self, train: Floats) -> list[Any]:
-        unit = median_distance(train)
-        grid = [(one["C"], 0.5 / (one["width"] * unit) ** 2) for one in self.settings]
-        return [SVC(C=C, gamma=gamma) for C, gamma in grid]
-
-
-@dataclass(frozen=True)
-class MKL(_Machines):
-    """The MKL-SVM over the paper's 22 kernels; `normalize` as `MKLSVC` has it."""
-
-    costs: Sequence[float]
-    normalize: str = "trace"
-
-    @property
-    def settings(self) -> Sequence[Setting]:
-        return [{"C": C} for C in self.costs]
-
-    def machines(self, train: Floats) -> list[Any]:
-        options: dict[str, Any] = {"normalize": self.normalize, "probability": False}
-        return [MKLSVC(C=C, **options) for C in self.costs]
-
-
-@dataclass(frozen=True)
-class Fused:
-    """Kernel PCA (`scaling` as `KernelPCA` has it) before a classifier."""
-
-    classifier: Method
-    widths: Sequence[float]
-    components: Sequence[int]
-    scaling: str = "unit"
-
-    @property
-    def settings(self) -> Sequence[Setting]:
-        return [
-            {"kpca_width": width, "components": kept, **inner}
-            for width in self.widths
-            for kept in self.components
-            for inner in self.classifier.settings
-        ]
-
-    def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
-        unit = median_distance(train)
-        found = []
-        for width in self.widths:
-            options: Setting = {"sigma": width * unit, "scaling": self.scaling}
-            fusion = KernelPCA(max(self.components), **options).fit(train)
-            old, new = fusion.transform(train), fusion.transform(test)
-            # Fewer components are the first columns of the most.
-            for kept in self.components:
-                both = old[:, :kept], codes, new[:, :kept]
-                found.append(self.classifier.answers(*both))
-        return np.concatenate(found)
 
 
 def median_distance(touches: Floats) -> float:
