@@ -5,7 +5,7 @@ are like, and stated with `simulate_presses`; nothing here knows what recognises
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain, islice
 from typing import Any
 
@@ -140,7 +140,7 @@ def simulate_touches(
         max_roll_deg=check_number("max_roll_deg", max_roll_deg, low=0.0, high=180.0),
         force_sd=check_number("force_sd", force_sd, low=0.0, high=2.0),
         any_pose=check_option("pose", pose, ("usual", "any")) == "any",
-        drift=bool(drift),
+        drift=bool(drift) and not mountings,
         keep_misses=bool(keep_misses),
     )
     count = check_count("n_touches", n_touches)
@@ -150,11 +150,8 @@ def simulate_touches(
     seeds = zip(things, root.spawn(len(things)), strict=True)
     sensors = [sensor] * n_parts
     if mountings:
-        way = replace(way, drift=False)
-        sensors = [
-            sensor.remounted(np.random.default_rng(seed))
-            for seed in root.spawn(n_parts)
-        ]
+        rngs = map(np.random.default_rng, root.spawn(n_parts))
+        sensors = [sensor.remounted(rng) for rng in rngs]
     tasks = [
         (sensors[number], way, *task)
         for one in seeds
