@@ -170,7 +170,13 @@ class KernelRidgeClassifier(BayesRule):
         widths = [check_positive("widths", w) for w in self.widths]
         ridges = [check_positive("ridges", r) for r in self.ridges]
         at_most = check_count("max_choice_touches", self.max_choice_touches, at_least=2)
-        some = _thin_labels(codes, at_most)
+        # Touches of all labels, or of every k-th where fewer than 4 of each fit.
+        step = -(-4 * (int(codes.max()) + 1) // at_most)
+        if len(codes) <= at_most or step == 1:
+            some = _thin(codes, at_most)
+        else:
+            mine = np.flatnonzero(codes % step == 0)
+            some = mine[_thin(codes[mine], at_most)]
         codes = np.unique(codes[some], return_inverse=True)[1]
         chosen = touches[some]
         squared = euclidean_distances(chosen - chosen.mean(axis=0), squared=True)
@@ -261,15 +267,6 @@ def _thin(codes: Array, at_most: int) -> Array:
     """Return every k-th touch of each label, for the least k that fits."""
     step = -(-len(codes) // at_most)
     return np.sort(np.argsort(codes, kind="stable")[::step])
-
-
-def _thin_labels(codes: Array, at_most: int) -> Array:
-    """Return touches of all labels, or of every k-th where fewer than 4 of each fit."""
-    step = -(-4 * (int(codes.max()) + 1) // at_most)
-    if len(codes) <= at_most or step == 1:
-        return _thin(codes, at_most)
-    mine = np.flatnonzero(codes % step == 0)
-    return mine[_thin(codes[mine], at_most)]
 
 
 def _one_hot(codes: Array, n_classes: int) -> Floats:

@@ -270,7 +270,13 @@ def _table(grid: Grid) -> _Table:
     j, i = np.nonzero(np.add.outer(np.arange(order + 1), np.arange(order + 1)) <= order)
     weights = legendre_weights(order)[:, i, j].T
     cut = np.flatnonzero(disc.is_cut()) if grid.exact else np.empty(0, dtype=np.intp)
-    rows = _cut_integrals(disc, cut, order)[:, i, j] @ _parts(weights)
+    # P_i(x) P_j(y) over the parts inside, (n_taxels, order + 1, order + 1).
+    y, left, right, weight = cut_chords(disc, cut, order)
+    along = _legendre_antiderivatives(right, order)
+    along -= _legendre_antiderivatives(left, order)
+    along *= weight[..., None]
+    integrals = along.transpose(0, 2, 1) @ legvander(y, order)
+    rows = integrals[:, i, j] @ _parts(weights)
     both = np.vstack([_parts(weights), rows])
     return _Table(halves, across, j * (order + 1) + i, cut, both)
 
@@ -285,15 +291,6 @@ def _legendre_sums(centres: Floats, step: float, order: int, exact: bool) -> Flo
     points = np.clip(centres[:, None] + step / 2 * node, -1, 1)
     sums: Floats = np.einsum("tgi,g->ti", legvander(points, order), weight * step / 2)
     return sums
-
-
-def _cut_integrals(disc: Disc, taxels: Indices, order: int) -> Floats:
-    """P_i(x) P_j(y) over the parts inside, (n_taxels, order + 1, order + 1)."""
-    y, left, right, weight = cut_chords(disc, taxels, order)
-    along = _legendre_antiderivatives(right, order)
-    along -= _legendre_antiderivatives(left, order)
-    along *= weight[..., None]
-    return along.transpose(0, 2, 1) @ legvander(y, order)
 
 
 def _legendre_antiderivatives(x: Floats, order: int) -> Floats:

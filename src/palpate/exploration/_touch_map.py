@@ -176,13 +176,6 @@ class TouchMap:
         """How touches of one episode and their places add up."""
         return SequenceCalibration(1.0, self.correlation_)
 
-    def evidence_at(self, evidence: Evidence, places: Floats) -> Floats:
-        """Return the evidence of touches at places, (n_touches, n_objects, n_turns)."""
-        ratio = self.placed_ratio(evidence.features, places)
-        # Places of touches that say nothing say nothing either.
-        ratio[~evidence.log_likelihood.any(axis=1)] = 0.0
-        return self.weighed(log_softmax(evidence.log_likelihood, axis=1), ratio)
-
     def set_kernels(self, width: float, bandwidth_share: float) -> None:
         """Set the width, and the bandwidth by its share of the features' spread."""
         spread = float(self._squared.mean())
@@ -304,8 +297,11 @@ class PlacedBelief(Belief):
         """
         where = places_of(touch, places, self._map.n_turns)
         evidence = self._evidence_of(as_touches(touch))
-        placed = self._map.evidence_at(evidence, where)
-        self._placed = self._placed + placed.sum(axis=0)
+        ratio = self._map.placed_ratio(evidence.features, where)
+        # Places of touches that say nothing say nothing either.
+        ratio[~evidence.log_likelihood.any(axis=1)] = 0.0
+        said = log_softmax(evidence.log_likelihood, axis=1)
+        self._placed = self._placed + self._map.weighed(said, ratio).sum(axis=0)
         return super().update(evidence)
 
     @property

@@ -113,7 +113,7 @@ def find_rim(image: ArrayLike, *, near: Circle | None = None) -> Circle:
             "image must have shape (n_rows, n_cols), got an array of shape "
             f"{grey.shape}. For many touches use find_rims."
         )
-    return _find(as_images(grey[None])[0], _checked(near))
+    return _find(as_images(grey[None])[0], near)
 
 
 def find_rims(
@@ -144,7 +144,7 @@ def find_rims(
         If `images` are no finite images.
     """
     checked = as_images(images)
-    near = _checked(near) or typical_rim(checked, no_contact=no_contact)
+    near = near or typical_rim(checked, no_contact=no_contact)
     return rims_near(checked, near)
 
 
@@ -190,18 +190,13 @@ def as_images(X: ArrayLike, *, shape: tuple[int, ...] | None = None) -> Array:
     return check_levels(check_finite(images.astype(np.float64, copy=False)))
 
 
-def _checked(near: Circle | None) -> Circle | None:
-    if near is not None:
-        check_positive("near.radius", near.radius)
-    return near
-
-
 def _find(image: Array, near: Circle | None) -> Circle:
     shape = image.shape
     if near is None:
         missing = Circle.inscribed(shape)
     else:
-        missing = Circle(near.row, near.col, near.radius, False, 0.0)
+        radius = check_positive("near.radius", near.radius)
+        missing = Circle(near.row, near.col, radius, False, 0.0)
     if min(shape) < SMALLEST_SIDE or image.max() == image.min():
         return missing
     # 8-bit as it is, anything else stretched to 0..1 in single precision.

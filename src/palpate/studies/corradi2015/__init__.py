@@ -291,5 +291,3 @@ def introduction(result: dict[str, Any]) -> str:
 EXPERIMENT = Experiment(
     Corradi2015Plan, _measure, tables, pictures, introduction, TITLE, CAPTIONS
 )
-
-__all__ = ["EXPERIMENT", "Corradi2015Plan"]

@@ -242,5 +242,3 @@ def introduction(result: dict[str, Any]) -> str:
 EXPERIMENT = Experiment(
     Liu2014Plan, _measure, tables, pictures, introduction, TITLE, CAPTIONS
 )
-
-__all__ = ["EXPERIMENT", "REAL", "Liu2014Plan", "reposed_presses", "simulated_presses"]
