@@ -96,9 +96,7 @@ class EdgeHistograms(CanvasEncoder):
 
     def _learn(self, images: Array) -> None:
         check_count("n_orientations", self.n_orientations)
-        cell = check_count("cell", self.cell)
-        if cell > 16:
-            raise ValueError(f"cell must be at most 16, got {cell}.")
+        check_count("cell", self.cell, at_most=16)
 
     def _vector(self, image: Array) -> Array:
         across, down = np.zeros_like(image), np.zeros_like(image)
@@ -198,7 +196,7 @@ class RingPatterns(CanvasEncoder):
         self.contrast, self.n_unsteady = contrast, n_unsteady
 
     def _learn(self, images: Array) -> None:
-        _check_rings(self.n_rings)
+        check_count("n_rings", self.n_rings, at_most=_MOST_RINGS)
         check_number("n_points", check_count("n_points", self.n_points), low=4, high=32)
         radii = np.atleast_1d(self.radii).tolist()
         if not radii:
@@ -274,7 +272,7 @@ class RingQuantiles(CanvasEncoder):
         self.n_rings, self.n_quantiles = n_rings, n_quantiles
 
     def _learn(self, images: Array) -> None:
-        _check_rings(self.n_rings)
+        check_count("n_rings", self.n_rings, at_most=_MOST_RINGS)
         check_count("n_quantiles", self.n_quantiles)
 
     def _vector(self, image: Array) -> Array:
@@ -354,8 +352,3 @@ def _moved(images: Array, row: float, col: float) -> Array:
     size, edge = images.shape[:0:-1], cv2.BORDER_REPLICATE
     way = np.array([[1, 0, col], [0, 1, row]], np.float32)
     return np.stack([cv2.warpAffine(one, way, size, borderMode=edge) for one in images])
-
-
-def _check_rings(n_rings: object) -> None:
-    if check_count("n_rings", n_rings) > _MOST_RINGS:
-        raise ValueError(f"n_rings must be at most {_MOST_RINGS}, got {n_rings}.")

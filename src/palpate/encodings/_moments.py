@@ -95,9 +95,8 @@ class CentroidMoments(ImageEstimator):
         return both if self.normalise is None else both | {"gain"}
 
     def _learn(self, images: Array) -> None:
-        order = check_count("order", self.order, at_least=0)
-        if order > _HIGHEST_ORDER:
-            raise ValueError(f"order must be at most {_HIGHEST_ORDER}, got {order}.")
+        most = _HIGHEST_ORDER
+        order = check_count("order", self.order, at_least=0, at_most=most)
         check_positive("width", self.width)
         check_option("normalise", self.normalise, ("energy", "total", None))
         check_positive("centre_power", self.centre_power)

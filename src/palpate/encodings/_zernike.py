@@ -178,10 +178,7 @@ class ZernikeMoments(ImageEstimator):
 
     def _learn(self, images: Array) -> None:
         least = 1 if self.drop_constant else 0
-        if check_count("order", self.order, at_least=least) > _HIGHEST_ORDER:
-            raise ValueError(
-                f"order must be at most {_HIGHEST_ORDER}, got {self.order}."
-            )
+        check_count("order", self.order, at_least=least, at_most=_HIGHEST_ORDER)
         check_option("method", self.method, ("exact", "sample"))
         check_option("output", self.output, ("abs", "complex", "noll", "noll_abs"))
         check_option("weight", self.weight, ("n+1", "noll", "none"))
