@@ -36,7 +36,7 @@ def check_count(
         raise TypeError(f"{name} must be an integer, got {type(value).__name__}.")
     if value < at_least:
         raise ValueError(f"{name} must be at least {at_least}, got {value}.")
-    if at_most is not None and value > at_most:
+    if at_most is not None and int(value) > at_most:
         raise ValueError(f"{name} must be at most {at_most}, got {value}.")
     return int(value)
 

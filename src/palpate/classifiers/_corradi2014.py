@@ -98,14 +98,7 @@ class KernelDensityNaiveBayes(BayesRule):
         self.min_bandwidth = min_bandwidth
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
-        """Store the touches of every label and set the bandwidths.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_touches, n_features)
-            Feature vectors of the touches.
-        y : array-like of shape (n_touches,)
-            Their labels.
+        """Store touches `X` (n_touches, n_features) with labels `y`, set bandwidths.
 
         Raises
         ------
@@ -242,14 +235,9 @@ class OnePerLabelSVC(ClassifierMixin, BaseEstimator):
         self.gamma = gamma
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
-        """Train one machine per label against all others.
+        """Train one machine per label `y`, at least two, against all others.
 
-        Parameters
-        ----------
-        X : array-like of shape (n_touches, n_features)
-            Feature vectors, roughly of equal scale.
-        y : array-like of shape (n_touches,)
-            Their labels, at least two different ones.
+        `X` (n_touches, n_features) are feature vectors, roughly of equal scale.
 
         Raises
         ------

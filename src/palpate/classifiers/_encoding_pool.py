@@ -94,15 +94,8 @@ class EncodingPool(BayesRule):
     def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Let every machine learn its part, and weigh them by left-out groups.
 
-        Parameters
-        ----------
-        X : array-like of shape (n_touches, n_features)
-            The parts side by side.
-        y : array-like of shape (n_touches,)
-            Labels, at least two different ones.
-        groups : array-like of shape (n_touches,), optional
-            Touches of one group are left out together; by default every touch is a
-            group of its own.
+        Parameters are those of `TouchClassifier.fit`, the parts side by side in `X`
+        (n_touches, n_features).
 
         Raises
         ------

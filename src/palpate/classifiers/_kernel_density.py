@@ -136,17 +136,9 @@ class KernelDensityBayes(BayesRule):
         self.precision = precision
 
     def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
-        """Store the touches of every object.
+        """Store touches `X` (n_touches, n_features) of every object in `y`.
 
-        Parameters
-        ----------
-        X : array-like of shape (n_touches, n_features)
-            Feature vectors of the touches.
-        y : array-like of shape (n_touches,)
-            Their objects.
-        groups : array-like of shape (n_touches,), optional
-            Touches of one group (a block of a recording) are left out together in
-            `left_out_log_likelihood`; by default each is left out alone.
+        Parameters are those of `TouchClassifier.fit`.
 
         Raises
         ------

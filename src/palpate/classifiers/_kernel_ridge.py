@@ -130,15 +130,8 @@ class KernelRidgeClassifier(BayesRule):
     def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Choose width, ridge and temperature on left-out groups; learn from all.
 
-        Parameters
-        ----------
-        X : array-like of shape (n_touches, n_features)
-            Feature vectors, roughly of unit scale per feature.
-        y : array-like of shape (n_touches,)
-            Labels, at least two different ones.
-        groups : array-like of shape (n_touches,), optional
-            Touches of one group are left out together; by default every touch
-            is a group of its own.
+        Parameters are those of `TouchClassifier.fit`; features of `X` (n_touches,
+        n_features) are roughly of unit scale, labels `y` at least two different ones.
 
         Raises
         ------

@@ -34,7 +34,23 @@ class TouchClassifier(Protocol):
     classes_: Array
 
     def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
-        """Learn touches; those of one group are left out together."""
+        """Learn touches; those of one group are left out together.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_touches, n_features)
+            Feature vectors of the touches.
+        y : array-like of shape (n_touches,)
+            Their labels: one object each.
+        groups : array-like of shape (n_touches,), optional
+            Touches of one group (a block of a recording, an object) are left out
+            together; by default every touch is a group of its own.
+
+        Raises
+        ------
+        ValueError, TypeError
+            For NaN, infinity, unequal lengths, or labels of several kinds.
+        """
         ...
 
     def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
