@@ -33,6 +33,7 @@ class DenseKernels:
         self, kernels: Floats, labels: Floats, means: Floats | None = None
     ) -> None:
         self.kernels, self.labels, self.means = kernels, labels, means
+        self.n_kernels = int(kernels.shape[1])
 
     @classmethod
     def centred(cls, kernels: Floats, labels: Floats) -> Self:
@@ -45,10 +46,6 @@ class DenseKernels:
         kernels -= means[:, :, :, None]
         kernels -= kernels.mean(axis=2)[:, :, None, :]
         return cls(kernels, labels, means)
-
-    @property
-    def n_kernels(self) -> int:
-        return int(self.kernels.shape[1])
 
     def pulls(self, alpha: Floats) -> Floats:
         return np.zeros((len(alpha), 0))

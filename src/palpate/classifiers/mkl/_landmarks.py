@@ -170,10 +170,7 @@ class LowRankKernels:
         ends = np.cumsum(self.ranks)
         self.slices = [slice(e - r, e) for e, r in zip(ends, self.ranks, strict=True)]
         self.crowded = labels.shape[1] > _CROWD * len(mean)
-
-    @property
-    def n_kernels(self) -> int:
-        return len(self.slices)
+        self.n_kernels = len(self.slices)
 
     def pulls(self, alpha: Floats) -> Floats:
         return self.gather((self.labels * alpha)[0])[None]

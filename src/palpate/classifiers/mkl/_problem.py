@@ -110,9 +110,7 @@ class KernelSystem(Protocol):
     labels: Floats
     crowded: bool  # more touches than dimensions by far
 
-    @property
-    def n_kernels(self) -> int:
-        """Number of kernels."""
+    n_kernels: int
 
     def pulls(self, alpha: Floats) -> Floats:
         """Return the unknowns besides multipliers, (n_problems, n_columns)."""
