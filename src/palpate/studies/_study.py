@@ -284,15 +284,19 @@ def spread(values: Any) -> float | None:
 
 
 def row(
-    name: str, ours: float, sd: float | None = None, paper: float | None = None
+    name: str,
+    ours: float,
+    sd: float | None = None,
+    paper: float | None = None,
+    **facts: Any,
 ) -> Row:
-    """Return what every row has, to be joined with what tells it from the others."""
-    return {"name": name, "paper": paper, "ours": float(ours), "sd": sd}
+    """Return what every row has, then `facts` that tell it from the others."""
+    return {"name": name, "paper": paper, "ours": float(ours), "sd": sd, **facts}
 
 
-def mean_row(name: str, values: Any, paper: float | None = None) -> Row:
+def mean_row(name: str, values: Any, paper: float | None = None, **facts: Any) -> Row:
     """Return `row` of an array's mean and standard deviation."""
-    return row(name, values.mean(), spread(values), paper)
+    return row(name, values.mean(), spread(values), paper, **facts)
 
 
 def cell(row: Row | None, digits: int = 1, between: str = " ± ") -> str:

@@ -194,8 +194,8 @@ def _row(
 ) -> Row:
     """Return a row in per cent; the deviation is that of objects."""
     shown = after_touches(table, known["recogniser"], known["touches"])
-    figures = row(shown, 100 * share, None if sd is None else float(100 * sd), paper)
-    return {**figures, "data": "bathtip", "table": table, **known}
+    of = None if sd is None else float(100 * sd)
+    return row(shown, 100 * share, of, paper, data="bathtip", table=table, **known)
 
 
 def _fused(

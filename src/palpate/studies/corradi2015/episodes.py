@@ -264,9 +264,8 @@ def experiment_rows(answered: Iterable[Answered], plan: Corradi2015Plan) -> list
             if k <= curve.shape[1]:
                 paper = _FIGURES.get((experiment, name), {}).get(k)
                 shown = after_touches(experiment, name, k)
-                figures = mean_row(shown, 100 * curve[:, k - 1], paper)
-                sizes = {"touches": k, "partitions": len(some)}
-                rows.append({**figures, **known, **sizes, **facts})
+                sizes = {**known, "touches": k, "partitions": len(some), **facts}
+                rows.append(mean_row(shown, 100 * curve[:, k - 1], paper, **sizes))
     return rows
 
 
@@ -328,9 +327,9 @@ def unseen_rows(beliefs: dict[str, dict[str, Floats]], objects: Objects) -> list
         share = {known[i]: float(100 * belief[i]) for i in order}
         best = known[order[0]]
         shown = f"{name} taken for {best}, {preset}, {k} touches"
-        facts = {"data": objects.data, "table": "unseen", "recogniser": preset}
-        what = {"unseen": name, "touches": k, "beliefs": share}
-        rows.append({**row(shown, share[best]), **facts, **what})
+        facts: Row = {"data": objects.data, "table": "unseen", "recogniser": preset}
+        facts |= {"unseen": name, "touches": k, "beliefs": share}
+        rows.append(row(shown, share[best], **facts))
     return rows
 
 

@@ -98,13 +98,8 @@ class Corradi2015Plan(Plan):
         self.check_counts("partitions", "later_partitions", "n_test", "orders")
         self.check_counts("default_partitions", "seed", at_least=0)
         self.check_counts("n_train", "few_train", at_least=6)
-        self.check_counts("n_simulated", at_least=self.least)
+        self.check_counts("n_simulated", at_least=self.few_train + self.n_test)
         self.check_counts("touches", "clusters", "components", "timed")
-
-    @property
-    def least(self) -> int:
-        """Fewest touches an object may have."""
-        return self.few_train + self.n_test
 
 
 @dataclass(frozen=True)
