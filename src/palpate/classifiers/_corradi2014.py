@@ -7,6 +7,8 @@ touches. Each machine answers "mine" or "not mine" without knowing of the others
 touch may be claimed by several labels or by none; both cases need a rule.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import Self
 

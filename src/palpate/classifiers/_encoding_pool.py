@@ -6,6 +6,8 @@ side, and their log posteriors of touches left out with their group are added wi
 weights of least log loss: a logarithmic opinion pool.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from copy import copy
 from typing import Any, Self

@@ -7,6 +7,8 @@ out of a sum because it is far away, since an object at minus infinity could not
 brought back by any later touch.
 """
 
+from __future__ import annotations
+
 from typing import Self
 
 import numpy as np

@@ -7,6 +7,8 @@ touch by touch. Worth while from some 10^5 stored touches on; below, the exact s
 as fast.
 """
 
+from __future__ import annotations
+
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -8,6 +8,8 @@ temperature of the posterior are all chosen on touches left out with their group
 without a single further fit.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable
 from typing import Self
 

@@ -3,6 +3,8 @@
 Beside that, the checks that the classifiers of feature vectors share.
 """
 
+from __future__ import annotations
+
 from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np

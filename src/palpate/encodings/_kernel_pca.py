@@ -5,6 +5,8 @@ the leading principal directions of its feature space. New touches are centred b
 training touches, never by each other.
 """
 
+from __future__ import annotations
+
 from typing import Self
 
 import numpy as np

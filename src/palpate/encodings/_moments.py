@@ -6,6 +6,8 @@ plane; turning a press only turns the phase of its complex moments, so their mag
 stay. `sorted_taxels` is the control: what can be told without any geometry.
 """
 
+from __future__ import annotations
+
 from itertools import combinations
 from math import comb, factorial, sqrt
 

@@ -1,5 +1,7 @@
 """Encodings by name, several of them side by side, and the scale they share."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Sequence
 from math import isqrt
 from typing import Any, Self

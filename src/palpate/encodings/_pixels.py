@@ -1,5 +1,7 @@
 """Levels as features: taxels, means over a grid, slopes of a gel lit from sides."""
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import ArrayLike
 

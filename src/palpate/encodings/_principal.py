@@ -10,6 +10,8 @@ References
    doi:10.1007/978-3-319-10401-0
 """
 
+from __future__ import annotations
+
 from numbers import Integral
 from typing import Self
 

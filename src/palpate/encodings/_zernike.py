@@ -8,6 +8,8 @@ x points along the columns, y along the rows (downwards in a picture), and the a
 turns from x towards y.
 """
 
+from __future__ import annotations
+
 from functools import lru_cache
 from math import hypot, pi
 from typing import NamedTuple
@@ -207,7 +209,7 @@ class ZernikeMoments(ImageEstimator):
         self.centre_, self.radius_ = (row, col), radius
         self.indices_ = self._layout().degrees.copy()
 
-    def _layout(self) -> "_Layout":
+    def _layout(self) -> _Layout:
         noll, skip = self.output in ("noll", "noll_abs"), bool(self.drop_constant)
         both = bool(self.repeat_negative)
         return _layout(int(self.order), noll, self.weight, skip, both)

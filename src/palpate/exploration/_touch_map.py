@@ -17,6 +17,8 @@ the place that u is on the object, and adding up to 1. So r says how much better
 place explains the touch than any place does, and is 1 where the map knows nothing.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Any, Self
@@ -160,7 +162,7 @@ class TouchMap:
         """Number of known objects."""
         return len(self.rows_of_object)
 
-    def start(self, prior: Mapping[str, float] | None = None) -> "PlacedBelief":
+    def start(self, prior: Mapping[str, float] | None = None) -> PlacedBelief:
         """Return the belief before the first touch of an episode.
 
         Parameters

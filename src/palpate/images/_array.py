@@ -7,6 +7,8 @@ chain. Arrays of any shape are accepted, 10 x 10 taxels to 33 x 33 pixels being 
 paper's (doi:10.1155/2014/497275). `ChannelMean` brings several channels to grey.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator
 from itertools import islice
 from typing import Self

@@ -6,6 +6,8 @@ are learnt for every taxel from frames under known uniform loads, as of a pressu
 chamber; a taxel that does not follow its load is dead, and reads NaN.
 """
 
+from __future__ import annotations
+
 import json
 from itertools import combinations
 from pathlib import Path

@@ -10,6 +10,8 @@ References
    doi:10.1145/800031.808600
 """
 
+from __future__ import annotations
+
 from typing import Self
 
 import cv2

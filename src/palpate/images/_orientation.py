@@ -5,6 +5,8 @@ positions for re-posing count from the image's centre. A positive angle, in degr
 turns from the column axis towards the row axis: clockwise as displayed.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache

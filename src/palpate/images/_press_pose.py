@@ -9,6 +9,8 @@ Positions are in mm from the middle of the array, x along columns and y along ro
 (downwards); angles turn x towards y, clockwise as displayed.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product

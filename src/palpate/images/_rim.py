@@ -11,6 +11,8 @@ Rows grow downwards; pixel centres are at whole numbers, so that an image of n r
 reaches from -0.5 to n - 0.5.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from operator import attrgetter
@@ -47,7 +49,7 @@ class Circle:
     score: float = 1.0
 
     @classmethod
-    def inscribed(cls, shape: tuple[int, int]) -> "Circle":
+    def inscribed(cls, shape: tuple[int, int]) -> Circle:
         """The largest disc in a frame of `shape`; not a visible rim."""
         rows, cols = shape
         return cls((rows - 1) / 2, (cols - 1) / 2, min(rows, cols) / 2, False, 0.0)
@@ -74,7 +76,7 @@ class Rims:
     score: Floats
 
     @classmethod
-    def of(cls, circles: Iterable[Circle]) -> "Rims":
+    def of(cls, circles: Iterable[Circle]) -> Rims:
         """Gather circles, one a touch."""
         columns = zip(*map(_IN_ORDER, circles), strict=True)
         kinds = (float, float, float, bool, float)
@@ -89,8 +91,8 @@ class Rims:
     @overload
     def __getitem__(self, key: int | np.integer) -> Circle: ...
     @overload
-    def __getitem__(self, key: slice | NDArray[Any]) -> "Rims": ...
-    def __getitem__(self, key: Any) -> "Circle | Rims":
+    def __getitem__(self, key: slice | NDArray[Any]) -> Rims: ...
+    def __getitem__(self, key: Any) -> Circle | Rims:
         picked = {f.name: getattr(self, f.name)[key] for f in fields(self)}
         if np.ndim(picked["row"]):
             return Rims(**picked)

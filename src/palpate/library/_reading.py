@@ -6,6 +6,8 @@ at any time. Each file holds the ids of some touches and their features under th
 of its content; a damaged one is computed again.
 """
 
+from __future__ import annotations
+
 import os
 import tempfile
 import warnings
@@ -278,7 +280,7 @@ class Selection(Labelled):
         """What describes all of the touches alike, by name; see `Touches`."""
         return read_whole(self._store, self._numbers)
 
-    def __getitem__(self, rows: ArrayLike) -> "Selection":
+    def __getitem__(self, rows: ArrayLike) -> Selection:
         """Pick touches by their places, which must rise; no image is read."""
         return Selection(self._store, self._picked(rows))
 

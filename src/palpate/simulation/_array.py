@@ -17,6 +17,8 @@ the contact have square cells; positions on them are in cells, (column, row) for
 of loops and (row, column) for arrays. Pressures are in kPa.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import ceil

@@ -5,6 +5,8 @@ the columns of its image (to the right), y along the rows (downwards); its place
 that of its tip, the middle of the dome.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -115,7 +117,7 @@ class PlacedObject(_Rebuilt):
     @classmethod
     def resting(
         cls, thing: SimObject, pose: int = 0, yaw_rad: float = 0.0
-    ) -> "PlacedObject":
+    ) -> PlacedObject:
         """Put it in a resting pose on the ground z = 0, its middle above the origin."""
         rotation = thing.resting_rotations[pose]
         low, high = cls(thing, rotation, yaw_rad).bounds_mm
@@ -219,7 +221,7 @@ class SensorPose:
         cos, sin = np.cos(self.roll_rad), np.sin(self.roll_rad)
         return np.column_stack([cos * x + sin * y, cos * y - sin * x, way])
 
-    def advanced(self, way_mm: float) -> "SensorPose":
+    def advanced(self, way_mm: float) -> SensorPose:
         """Return this pose moved along its direction."""
         there = np.asarray(self.position_mm) + way_mm * np.asarray(self.direction)
         return SensorPose(there, self.direction, self.roll_rad)

@@ -1,5 +1,7 @@
 """A support vector machine that learns its kernel from a bank of kernels."""
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Sequence
 from typing import Self
@@ -34,7 +36,7 @@ _MOST_TOUCHES = 3000
 _TOLERANCES = {"interior": 1e-6, "simplemkl": 1e-2}
 
 
-def _has_probability(estimator: "MKLSVC") -> bool:
+def _has_probability(estimator: MKLSVC) -> bool:
     if not estimator.probability:
         raise AttributeError(
             "predict_proba needs MKLSVC(probability=True); fit again with it."
