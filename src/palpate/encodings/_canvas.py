@@ -35,7 +35,8 @@ class CanvasEncoder(ImageEstimator):
     single precision, by `_vector`.
     """
 
-    _most, _multiple, _bounded = 64, 1, True
+    _most, _multiple = 64, 1
+    _bounded = True
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the features, shape (n_touches, n_features)."""

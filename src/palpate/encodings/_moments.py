@@ -97,8 +97,8 @@ class CentroidMoments(ImageEstimator):
         return both if self.normalise is None else both | {"gain"}
 
     def _learn(self, images: Array) -> None:
-        most = _HIGHEST_ORDER
-        order = check_count("order", self.order, at_least=0, at_most=most)
+        check_count("order", self.order, at_least=0, at_most=_HIGHEST_ORDER)
+        order = int(self.order)
         check_positive("width", self.width)
         check_option("normalise", self.normalise, ("energy", "total", None))
         check_positive("centre_power", self.centre_power)

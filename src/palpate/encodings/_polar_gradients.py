@@ -71,7 +71,8 @@ class PolarGradients(ImageEstimator):
     (2, 120)
     """
 
-    blind_to, _bounded = frozenset({"turns"}), True
+    blind_to = frozenset({"turns"})
+    _bounded = True
 
     def __init__(
         self, n_rings: int = 14, n_harmonics: int = 16, smoothing: float = 0.025

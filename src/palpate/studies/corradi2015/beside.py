@@ -194,8 +194,9 @@ def _row(
 ) -> Row:
     """Return a row in per cent; the deviation is that of objects."""
     shown = after_touches(table, known["recogniser"], known["touches"])
-    of = None if sd is None else float(100 * sd)
-    return row(shown, 100 * share, of, paper, data="bathtip", table=table, **known)
+    deviation = None if sd is None else float(100 * sd)
+    facts = {"data": "bathtip", "table": table, **known}
+    return row(shown, 100 * share, deviation, paper, **facts)
 
 
 def _fused(
