@@ -281,13 +281,15 @@ class RingQuantiles(CanvasEncoder):
         down = cv2.Sobel(image, cv2.CV_32F, 0, 1, scale=1 / 8)
         both = np.stack([image.ravel(), np.hypot(across, down).ravel()])
         share = (np.arange(self.n_quantiles) + 0.5) / self.n_quantiles
-        return np.stack(
-            [
-                _quantiles(both.take(places, axis=1), share)
-                for places in _places(image.shape, self.n_rings)
-            ],
-            axis=1,
-        ).ravel()
+        rings = []
+        for places in _places(image.shape, self.n_rings):
+            ordered = np.sort(both.take(places, axis=1), axis=1)
+            place = share * (len(places) - 1)
+            lower = place.astype(np.intp)
+            upper = np.minimum(lower + 1, len(places) - 1)
+            part = place - lower
+            rings.append(ordered[:, lower] * (1 - part) + ordered[:, upper] * part)
+        return np.stack(rings, axis=1).ravel()
 
 
 @lru_cache(maxsize=16)
@@ -296,15 +298,6 @@ def _places(shape: tuple[int, int], n_rings: int) -> list[Indices]:
     row, col = (np.arange(n) - (n - 1) / 2 for n in shape)
     radius = np.hypot(row[:, np.newaxis], col) / (min(shape) / 2)
     return [np.flatnonzero(np.floor(radius * n_rings) == k) for k in range(n_rings)]
-
-
-def _quantiles(values: Array, share: Floats) -> Floats:
-    ordered = np.sort(values, axis=1)
-    place = share * (values.shape[1] - 1)
-    lower = place.astype(np.intp)
-    upper = np.minimum(lower + 1, values.shape[1] - 1)
-    part = place - lower
-    return np.asarray(ordered[:, lower] * (1 - part) + ordered[:, upper] * part)
 
 
 def _patterns(

@@ -357,37 +357,34 @@ class _Way:
         return SensorPose(goal + away * outward, -outward, float(roll))
 
 
-_Touch = tuple[Frame, DomePress, SensorPose]
-
-
 def _touch_some(
     sensor: DomeCamera | TacTipPins,
     way: _Way,
     thing: SimObject,
     session: SeedSequence,
     seeds: list[SeedSequence],
-) -> list[_Touch]:
+) -> list[tuple[Frame, DomePress, SensorPose]]:
+    """Return pictures, presses and the poses at their ends, of one session."""
     rng = np.random.default_rng(session)
     placed = way.placed(thing, rng)
     now = sensor.drifted(rng) if way.drift else sensor
-    return [_one(now, way, placed, np.random.default_rng(seed)) for seed in seeds]
-
-
-def _one(
-    sensor: DomeCamera | TacTipPins, way: _Way, placed: PlacedObject, rng: Generator
-) -> _Touch:
-    """Return picture, press and the pose at its end."""
-    force = sensor.dome.force_n * float(np.exp(rng.normal(0, way.force_sd)))
-    solid = len(placed.thing.mesh.faces) > 0
-    for _ in range(_ATTEMPTS):
-        pose = way.start(placed, rng)
-        press = sensor.press(placed, pose, force_n=force)
-        if press.touched or way.keep_misses or not solid:
-            return sensor.image(press, rng), press, pose.advanced(press.travel_mm)
-    raise ValueError(
-        f"objects must be where the sensor goes, but {placed.thing.name!r} was missed "
-        f"{_ATTEMPTS} times. Lower aim_sd_mm or pass keep_misses=True."
-    )
+    solid = len(thing.mesh.faces) > 0
+    touches = []
+    for rng in map(np.random.default_rng, seeds):
+        force = now.dome.force_n * float(np.exp(rng.normal(0, way.force_sd)))
+        for _ in range(_ATTEMPTS):
+            pose = way.start(placed, rng)
+            press = now.press(placed, pose, force_n=force)
+            if press.touched or way.keep_misses or not solid:
+                break
+        else:
+            raise ValueError(
+                f"objects must be where the sensor goes, but {thing.name!r} was missed "
+                f"{_ATTEMPTS} times. Lower aim_sd_mm or pass keep_misses=True."
+            )
+        end = pose.advanced(press.travel_mm)
+        touches.append((now.image(press, rng), press, end))
+    return touches
 
 
 def _sessions_of(
