@@ -31,12 +31,16 @@ def one_spelling(text: str) -> str | None:
     return unicodedata.normalize("NFC", text)
 
 
-def check_count(name: str, value: object, *, at_least: int = 1) -> int:
+def check_count(
+    name: str, value: object, *, at_least: int = 1, at_most: int | None = None
+) -> int:
     """Return `value` as an int, or say what `name` should have been."""
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError(f"{name} must be an integer, got {type(value).__name__}.")
     if value < at_least:
         raise ValueError(f"{name} must be at least {at_least}, got {value}.")
+    if at_most is not None and int(value) > at_most:
+        raise ValueError(f"{name} must be at most {at_most}, got {value}.")
     return int(value)
 
 

@@ -12,7 +12,7 @@ from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
-from ._checks import check_images
+from ._checks import check_images, check_levels
 from ._types import Array
 
 
@@ -34,7 +34,8 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
     """
 
     image_shape_: tuple[int, ...]
-    _by_channel = True
+    # Whether NaN is taken, and whether sums must stay finite in single precision.
+    _by_channel, _allow_nan, _bounded = True, False, False
 
     def __init_subclass__(cls, by_channel: bool = True, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -100,7 +101,9 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
 
     def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
         """Return `X` as images that this takes, of `shape` if given, or explain."""
-        return check_images(X, shape=shape, channels=True)
+        nan = self._allow_nan
+        images = check_images(X, shape=shape, allow_nan=nan, channels=True)
+        return check_levels(images) if self._bounded else images
 
     def _images(self, X: ArrayLike) -> Array:
         """Return `X` as images of the size that `fit` saw, or explain."""

@@ -7,3 +7,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Array = NDArray[Any]
+Singles = NDArray[np.float32]
+Complexes = NDArray[np.complex128]
+Bools = NDArray[np.bool_]
+Indices = NDArray[np.intp]

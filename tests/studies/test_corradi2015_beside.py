@@ -161,7 +161,8 @@ def test_the_study_asks_them_with_the_later_experiments(later, rng, monkeypatch)
         **{n: [] for n in ("unseen_rows", "timing_rows")},
     }
     for name, answer in stubs.items():
-        place = corradi2015 if hasattr(corradi2015, name) else corradi2015.episodes
+        places = (corradi2015, corradi2015.episodes, corradi2015.stated)
+        place = next(one for one in places if hasattr(one, name))
         monkeypatch.setattr(place, name, lambda *_, it=answer: fresh(it))
     plan = Corradi2015Plan(later=later)
     result = run_study("corradi2015", plan=plan, workers=1, progress=False)

@@ -142,7 +142,7 @@ def test_clusters_count_touches_with_one_added(two_places):
 def test_bags_compare_histograms_by_chi_squared(two_places):
     train, codes, places = two_places
     episodes = places[[0, 1]][np.newaxis]
-    scores = BagOfTouches("Zernike", (2,)).scores(train, codes, episodes)[0]
+    scores = BagOfTouches((2,)).scores(train, codes, episodes)[0]
     seen = np.array([[1.0, 0.0], [0.5, 0.5]])
     known = np.array([[0.9, 0.1], [0.1, 0.9]])
     expected = [[-((s - k) ** 2 / (s + k)).sum() / 2 for k in known] for s in seen]
@@ -156,7 +156,7 @@ def test_the_number_of_clusters_is_the_one_that_recognises():
     # Diagonal corners belong together: two clusters cannot tell the objects apart.
     which = np.r_[np.tile([0, 1], 12), np.tile([2, 3], 12)]
     train = corners[which] + 0.1 * rng.normal(size=(48, 2))
-    assert BagOfTouches("Zernike", (1, 4)).choose(train, codes) == 4
+    assert BagOfTouches((1, 4)).choose(train, codes) == 4
 
 
 def test_one_component_is_the_gaussian_of_the_object(rng):

@@ -47,8 +47,7 @@ def run_bench(name: str, **options: Any) -> list[dict[str, Any]]:
     check_option("name", name, BENCHES)
     module = import_module(f"{__name__}.{BENCHES[name][0]}")
     measure = getattr(module, f"bench_{name.replace('-', '_')}")
-    rows: list[dict[str, Any]] = measure(**options)
-    return rows
+    return list(measure(**options))
 
 
 __all__ = ["BENCHES", "run_bench"]

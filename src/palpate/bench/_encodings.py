@@ -21,10 +21,9 @@ from typing import Any
 import cv2
 import numpy as np
 from joblib import cpu_count
-from numpy.typing import NDArray
 
 from .._extras import missing
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats, Singles
 from ..encodings import (
     ENCODINGS,
     ZernikeMoments,
@@ -33,19 +32,8 @@ from ..encodings import (
     zernike_values,
 )
 from ..images import DomeCrop, crop_discs, standardise_discs
-from ._timing import (
-    N_COLS,
-    N_ROWS,
-    Picture,
-    Row,
-    coded,
-    cpu_ms,
-    drawn_dome,
-    measured_apart,
-    one_thread,
-    real_touches,
-    row,
-)
+from . import _timing
+from ._timing import N_COLS, Picture, Row, coded, cpu_ms, drawn_dome, one_thread, row
 
 _FRAME = """
 {work}
@@ -73,7 +61,7 @@ from PIL import Image
 def work(folder): return np.stack([np.asarray(Image.open(p).convert('L'))
     for p in sorted(Path(folder).rglob('*.jpg'))])
 """
-Discs = NDArray[np.float32]
+Discs = Singles
 Encode = Callable[[Array], Floats]
 _TYPES = ("float64", "float32", "uint8")
 _N_TOUCHES = 32
@@ -88,7 +76,7 @@ def bench_decode(
     Without real touches (`bathtip/originals`) `n_pictures` are drawn; the fastest of
     `repeats` counts. Rows have CPU and wall time and peaks of memory in MiB.
     """
-    real = real_touches(data)
+    real = _timing.real_touches(data)
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         if real is None:
@@ -106,10 +94,10 @@ def bench_decode(
         for path in folder.iterdir():
             path.read_bytes()
         ours, peer = (
-            measured_apart(_FRAME.format(work=work, repeats=repeats), folder)
+            _timing.measured_apart(_FRAME.format(work=work, repeats=repeats), folder)
             for work in (_OURS, _PEER)
         )
-    size = f"{ours['n']:.0f} x {N_COLS} x {N_ROWS} uint8 JPEG"
+    size = f"{ours['n']:.0f} x {N_COLS} x {_timing.N_ROWS} uint8 JPEG"
     facts = {"n_cores": cpu_count(), "array_mib": ours["array_mib"]}
     facts |= {"peak_mib": ours["peak_mib"], "peak_before_mib": ours["before_mib"]}
     facts["peer_peak_mib"] = peer["peak_mib"]
@@ -131,7 +119,7 @@ def bench_encodings(
     Rows of encodings hold `ours_ms` of encoding alone, `touch_ms` of crop, standardise
     and encode, and the share of each stage in per cent of everything.
     """
-    real = real_touches(data)
+    real = _timing.real_touches(data)
     pictures, kind = _pictures(real), "drawn" if real is None else "real"
     with one_thread():
         stages, discs = _stages(pictures, seconds)
@@ -159,16 +147,20 @@ def bench_zernike(
         peers = _peers(size, order)
         for dtype in _TYPES:
             images = grey.astype(dtype)
+
+            def each_ms(encode: Encode, some: Array) -> float:
+                return cpu_ms(lambda: encode(some), seconds) / len(some)
+
             for some, batch in ((images[:1], "single"), (images, f"batch {n_touches}")):
                 theirs = {
-                    peer: {"peer_ms": _time(encode, some[:limit], seconds)}
+                    peer: {"peer_ms": each_ms(encode, some[:limit])}
                     if encode
                     else {"reason": missing(peer, "bench", "A peer")}
                     for peer, (encode, limit) in peers.items()
                 }
                 for method in ("sample", "exact"):
                     encoder = ZernikeMoments(order, method=method).fit(some[:1])
-                    ours = _time(encoder.transform, some, seconds)
+                    ours = each_ms(encoder.transform, some)
                     name = f"{size} x {size} {dtype} {method} {batch}"
                     rows += [row(name, ours, p, **found) for p, found in theirs.items()]
     return rows
@@ -246,19 +238,13 @@ def _pictures(data: Path | None) -> list[Picture]:
     return [np.frombuffer(found[i].read_bytes(), np.uint8) for i in spread]
 
 
-def _time(encode: Encode, images: Array, seconds: float) -> float:
-    """Milliseconds for one image."""
-    return cpu_ms(lambda: encode(images), seconds) / len(images)
-
-
 def _peers(size: int, order: int) -> dict[str, tuple[Encode | None, int | None]]:
     """How each peer encodes, None where absent, and how many images it takes."""
     makers = {"mahotas": _mahotas, "centrosome": _centrosome}
-    peers: dict[str, tuple[Encode | None, int | None]] = {
-        name: (make(size, order) if find_spec(name) else None, 1)
-        for name, make in makers.items()
+    return {
+        **{n: (m(size, order) if find_spec(n) else None, 1) for n, m in makers.items()},
+        "dense basis": (dense_basis(size, order), None),
     }
-    return peers | {"dense basis": (dense_basis(size, order), None)}
 
 
 def _mahotas(size: int, order: int) -> Encode:
@@ -278,8 +264,7 @@ def _centrosome(size: int, order: int) -> Encode:
 
     def encode(images: Array) -> Floats:
         levels = images[0][inside].astype(np.float64)
-        moments: Floats = np.abs((levels[:, None] * values).sum(axis=0)) * scale
-        return moments
+        return np.asarray(np.abs((levels[:, None] * values).sum(axis=0)) * scale)
 
     return encode
 
@@ -299,13 +284,12 @@ def dense_basis(size: int, order: int) -> Encode:
         parts = levels.astype(np.float64, copy=False) @ basis
         sizes = np.abs(parts[:, : len(degrees)])
         sizes[:, waves] = np.hypot(sizes[:, waves], parts[:, len(degrees) :])
-        scaled: Floats = sizes * scale
-        return scaled
+        return np.asarray(sizes * scale)
 
     return encode
 
 
-def _disc(size: int) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def _disc(size: int) -> tuple[Floats, Floats, Bools]:
     """Taxel centres x and y, in radii, and which lie in the inscribed disc."""
     side = (2 * np.arange(size) + 1 - size) / size
     x, y = np.meshgrid(side, side)

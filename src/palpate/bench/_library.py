@@ -25,10 +25,13 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
+from sklearn.decomposition import PCA
 from sklearn.neighbors import KernelDensity
 
 from .._types import Array, Floats
 from ..classifiers import KernelDensityBayes, KernelDensityIndex
+from ..encodings import ZernikeMoments
+from ..images import DomeCrop
 from ..library import TouchLibrary
 from ..touches import Touches
 from ._timing import Row, cpu_ms, one_thread, real_touches, row, wall_ms
@@ -71,7 +74,6 @@ def bench_likelihood(
 def _rows(
     name: str, stored: Floats, labels: Array, new: Floats, seconds: float
 ) -> list[Row]:
-    """Time ours and every peer at one size."""
     model = KernelDensityBayes(precision="single").fit(stored, labels)
     peers = _peers(stored, labels)
     reference = peers["scipy cdist + logsumexp, float64"](new)
@@ -94,9 +96,6 @@ def _peers(stored: Floats, labels: Array) -> dict[str, Measure]:
     log_volume = np.log(deviations).sum()
     gaussian = log_volume + stored.shape[1] * np.log(2 * np.pi) / 2
 
-    def product(new: Floats) -> Floats:
-        return np.asarray(new.astype(np.float32) @ columns)
-
     def one_leaf(new: Floats) -> Floats:
         x = new / deviations
         scores = [tree.score_samples(x) for tree in trees]
@@ -106,11 +105,10 @@ def _peers(stored: Floats, labels: Array) -> dict[str, Measure]:
         x = new / deviations
         sums = [logsumexp(cdist(x, p, "sqeuclidean") / -2, axis=1) for p in parts]
         counts = [len(part) for part in parts]
-        logs: Floats = np.stack(sums, axis=1) - np.log(counts) - gaussian
-        return logs
+        return np.asarray(np.stack(sums, axis=1) - np.log(counts) - gaussian)
 
     return {
-        "float32 matrix product": product,
+        _PRODUCT: lambda new: np.asarray(new.astype(np.float32) @ columns),
         "scipy cdist + logsumexp, float64": written_out,
         "scikit-learn KernelDensity leaf_size=n": one_leaf,
     }
@@ -147,13 +145,10 @@ def _store_rows(folder: Path, size: int, seed: int) -> list[Row]:
             for first in range(0, size, _AT_ONCE):
                 library.add(_touches(first, min(_AT_ONCE, size - first), seed))
 
-        def add_singly() -> None:
-            for touch in single:
-                library.add(touch)
-
         added_ms, stats = wall_ms(add_all) / size, library.stats()
         single = _touches(size, _ADDED_SINGLY, seed + 1)
-        single_ms = wall_ms(add_singly) / _ADDED_SINGLY
+        all_ms = wall_ms(lambda: [library.add(touch) for touch in single])
+        single_ms = all_ms / _ADDED_SINGLY
     bare_ms = wall_ms(lambda: _save_bare(folder, single)) / _ADDED_SINGLY
     raw, peer = size * 100, "numpy.save + fsync"
     rows = [
@@ -210,7 +205,6 @@ def _touches(first: int, count: int, seed: int) -> Touches:
 def _likelihood_rows(
     name: str, stored: Floats, labels: Array, new: Floats, seconds: float
 ) -> list[Row]:
-    """Time the exact sums, then the index beside them."""
     model = KernelDensityBayes().fit(stored, labels)
     some = {"single": new[:1], "batch 64": new[:64]}
 
@@ -246,9 +240,6 @@ def _likelihood_rows(
 
 def _real_features() -> tuple[Floats, Array] | None:
     """Return Zernike magnitudes and objects of half the real touches, or None."""
-    from ..encodings import ZernikeMoments
-    from ..images import DomeCrop
-
     path = (real_touches(None) or Path()) / "bathtip" / "bathtip50.npz"
     if not path.is_file():
         return None
@@ -271,8 +262,6 @@ def _features(
     else:
         values, objects = real
     if n_features < values.shape[1]:
-        from sklearn.decomposition import PCA
-
         values = PCA(n_features, random_state=0).fit_transform(values)
     held_out = np.arange(len(values)) % 10 == seed % 10
     known, of_known = values[~held_out], objects[~held_out]

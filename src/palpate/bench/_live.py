@@ -13,6 +13,7 @@ import json
 import tempfile
 import threading
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ _N_TOUCHES = 12
 _OFFERED_HZ = 30.0
 _STREAM = f"{N_COLS} x {N_ROWS} uint8 replay"
 _WAYS = ("frame to", "touch to belief at")
-_NO_PEER = "no other tool shows a belief over objects live"
+_alone = partial(row, reason="no other tool shows a belief over objects live")
 
 
 def bench_latency(
@@ -156,14 +157,14 @@ def _page_rows(page: Any, seconds: float) -> list[Row]:
             to_belief_ms.append(touch["latency_ms"] + way_ms)
     taken_s, cpu_s = time.monotonic() - began_s, time.process_time() - began_cpu_s
     seen, known = max(1, n_frames), to_belief_ms or [float("nan")]
-    kib = n_bytes / seen / 1024
-    streamed = {"frames_per_s": n_frames / taken_s, "kib_per_frame": kib}
+    streamed: Row = {"frames_per_s": n_frames / taken_s}
+    streamed["kib_per_frame"] = n_bytes / seen / 1024
     frame, touched = (f"{_STREAM} {what} page" for what in _WAYS)
-    median, counted = float(np.median(known)), {"n_touches": len(to_belief_ms)}
+    median, n_touches = float(np.median(known)), len(to_belief_ms)
     return [
         _alone(f"{frame} wall", 1e3 * taken_s / seen, **streamed),
         _alone(f"{frame} cpu", 1e3 * cpu_s / seen),
-        _alone(f"{touched} median", median, **counted),
+        _alone(f"{touched} median", median, n_touches=n_touches),
         _alone(f"{touched} greatest", float(max(known))),
     ]
 
@@ -189,7 +190,3 @@ def _array_row(seconds: float) -> Row:
             n_lost=sensor.n_dropped,
             n_touches=n_touches,
         )
-
-
-def _alone(name: str, ours_ms: float, **extra: Any) -> Row:
-    return row(name, ours_ms, reason=_NO_PEER, **extra)

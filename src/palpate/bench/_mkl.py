@@ -84,8 +84,6 @@ def bench_mkl(
 
 @dataclass
 class _Case:
-    """Touches to learn from and as many to recognise, of the same labels."""
-
     touches: Floats
     others: Floats
     codes: Array
@@ -198,7 +196,6 @@ def _walk(stack: Floats, codes: Array, pairs: Array, C: float) -> None:
 
 
 def _row_large(n_touches: int) -> Row:
-    """Learn from very many touches, and say the memory it took."""
     found = measured_apart(_LARGE, n_touches)
     exact = 4 * 8 * n_touches**2 / 2**30
     return row(

@@ -11,7 +11,8 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from time import perf_counter, process_time
+from time import process_time
+from timeit import timeit
 from typing import Any
 
 import numpy as np
@@ -43,30 +44,28 @@ def cpu_ms(function: Callable[[], object], seconds: float = 0.5) -> float:
 
     After an unmeasured call runs repeat it until `seconds` are spent, at least once.
     """
+
+    def run(repeats: int) -> float:
+        return timeit(function, timer=process_time, number=repeats) / repeats
+
     function()
-    once = _run(function, 1)
-    repeats = max(1, round(seconds / 10 / max(once, 1e-7)))
-    runs = [_run(function, repeats) / repeats]
-    spent = runs[0] * repeats
-    while spent < seconds and len(runs) < 10:
-        runs.append(_run(function, repeats) / repeats)
-        spent += runs[-1] * repeats
+    repeats = max(1, round(seconds / 10 / max(run(1), 1e-7)))
+    runs = [run(repeats)]
+    while sum(runs) * repeats < seconds and len(runs) < 10:
+        runs.append(run(repeats))
     return 1e3 * sorted(runs)[len(runs) // 2]
 
 
 def wall_ms(function: Callable[[], object]) -> float:
     """Return the time of one call by the clock, in milliseconds."""
-    start = perf_counter()
-    function()
-    return 1e3 * (perf_counter() - start)
+    return 1e3 * timeit(function, number=1)
 
 
 def measured_apart(code: str, *arguments: object) -> dict[str, Any]:
     """Run code after `_PEAK` in a process of its own; return the JSON it prints."""
     command = [sys.executable, "-c", _PEAK + code, *map(str, arguments)]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+    return dict(json.loads(done.stdout))
 
 
 def real_touches(data: str | Path | None) -> Path | None:
@@ -92,12 +91,10 @@ def drawn_dome(
     return levels.clip(0, 255).astype(np.uint8)
 
 
-def coded(picture: Picture, quality: int = 95) -> bytes:
-    """Return a picture as JPEG."""
+def coded(picture: Picture) -> bytes:
     import cv2
 
-    options = [cv2.IMWRITE_JPEG_QUALITY, quality]
-    return bytes(cv2.imencode(".jpg", picture, options)[1])
+    return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 95])[1])
 
 
 def row(
@@ -118,11 +115,3 @@ def row(
         "ratio": None if peer_ms is None else peer_ms / ours_ms,
         **extra,
     }
-
-
-def _run(function: Callable[[], object], repeats: int) -> float:
-    """CPU seconds of `repeats` calls."""
-    start = process_time()
-    for _ in range(repeats):
-        function()
-    return process_time() - start

@@ -100,21 +100,19 @@ class KernelDensityNaiveBayes(BayesRule):
         self.min_bandwidth = min_bandwidth
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
-        """Store the touches of every label and set the bandwidths.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_touches, n_features)
-            Feature vectors of the touches.
-        y : array-like of shape (n_touches,)
-            Their labels.
+        """Store touches `X` (n_touches, n_features) with labels `y`, set bandwidths.
 
         Raises
         ------
         ValueError
             For NaN, infinity, variances that overflow, or unequal lengths.
         """
-        self._check_parameters()
+        if isinstance(self.bandwidth, str):
+            check_option("bandwidth", self.bandwidth, RULES)
+        else:
+            check_positive("bandwidth", self.bandwidth)
+        check_option("prior", self.prior, ("uniform", "counts"))
+        check_positive("min_bandwidth", self.min_bandwidth)
         touches, labels = labelled_touches(self, X, y)
         self.classes_, codes = np.unique(labels, return_inverse=True)
         self.counts_ = np.bincount(codes)
@@ -143,14 +141,6 @@ class KernelDensityNaiveBayes(BayesRule):
                 sums[rows] += self._log_sums(x[rows, feature], feature)
         return np.asarray(sums + constants)
 
-    def _check_parameters(self) -> None:
-        if isinstance(self.bandwidth, str):
-            check_option("bandwidth", self.bandwidth, RULES)
-        else:
-            check_positive("bandwidth", self.bandwidth)
-        check_option("prior", self.prior, ("uniform", "counts"))
-        check_positive("min_bandwidth", self.min_bandwidth)
-
     def _standardise(self, touches: Floats) -> Floats:
         return whiten(touches, self.centre_, self.spread_, self.varies_, None)
 
@@ -167,11 +157,6 @@ class KernelDensityNaiveBayes(BayesRule):
         np.exp(exponents, out=exponents)
         sums: Floats = np.add.reduceat(exponents, starts, axis=0)
         return (largest + np.log(sums)).T
-
-
-def _scott(values: Floats) -> Floats:
-    """Return the bandwidth that is best for Gaussian values, per feature."""
-    return np.asarray((4 / 3) ** 0.2 * _deviations(values) * len(values) ** -0.2)
 
 
 def _silverman(values: Floats) -> Floats:
@@ -191,7 +176,7 @@ def _deviations(values: Floats) -> Floats:
 
 
 RULES: dict[str, Callable[[Floats], Floats]] = {
-    "scott": _scott,
+    "scott": lambda v: np.asarray((4 / 3) ** 0.2 * _deviations(v) * len(v) ** -0.2),
     "silverman": _silverman,
 }
 
@@ -252,21 +237,21 @@ class OnePerLabelSVC(ClassifierMixin, BaseEstimator):
         self.gamma = gamma
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
-        """Train one machine per label against all others.
+        """Train one machine per label `y`, at least two, against all others.
 
-        Parameters
-        ----------
-        X : array-like of shape (n_touches, n_features)
-            Feature vectors, roughly of equal scale.
-        y : array-like of shape (n_touches,)
-            Their labels, at least two different ones.
+        `X` (n_touches, n_features) are feature vectors, roughly of equal scale.
 
         Raises
         ------
         ValueError
             For fewer than two labels, NaN, infinity, or unequal lengths.
         """
-        self._check_parameters()
+        check_positive("C", self.C)
+        check_option("kernel", self.kernel, KERNELS)
+        if isinstance(self.gamma, str):
+            check_option("gamma", self.gamma, ("scale", "auto"))
+        else:
+            check_positive("gamma", self.gamma)
         touches, labels = labelled_touches(self, X, y)
         check_squarable("X", touches)
         self.classes_, codes = np.unique(labels, return_inverse=True)
@@ -316,11 +301,3 @@ class OnePerLabelSVC(ClassifierMixin, BaseEstimator):
         best = values.argmax(axis=1)
         winners = np.where(claims.any(axis=1), last_claim, best)
         return np.asarray(self.classes_[winners])
-
-    def _check_parameters(self) -> None:
-        check_positive("C", self.C)
-        check_option("kernel", self.kernel, KERNELS)
-        if isinstance(self.gamma, str):
-            check_option("gamma", self.gamma, ("scale", "auto"))
-        else:
-            check_positive("gamma", self.gamma)

@@ -21,12 +21,13 @@ from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_squarable
 from .._types import Array, Floats
+from . import _touch_classifier
 from ._kernel_ridge import KernelRidgeClassifier, fair_shares
 from ._touch_classifier import (
     BayesRule,
+    Groups,
     TouchClassifier,
     as_groups,
-    as_touches,
     labelled_touches,
 )
 
@@ -92,18 +93,11 @@ class EncodingPool(BayesRule):
         self.machine = machine
         self.together = together
 
-    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> Self:
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Let every machine learn its part, and weigh them by left-out groups.
 
-        Parameters
-        ----------
-        X : array-like of shape (n_touches, n_features)
-            The parts side by side.
-        y : array-like of shape (n_touches,)
-            Labels, at least two different ones.
-        groups : array-like of shape (n_touches,), optional
-            Touches of one group are left out together; by default every touch is a
-            group of its own.
+        Parameters are those of `TouchClassifier.fit`, the parts side by side in `X`
+        (n_touches, n_features).
 
         Raises
         ------
@@ -136,9 +130,7 @@ class EncodingPool(BayesRule):
         self.left_out_ = self.pooled(every)
         return self
 
-    def refit(
-        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None
-    ) -> Self:
+    def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Learn other touches with the widths, ridges and weights already chosen."""
         check_is_fitted(self)
         touches, labels = labelled_touches(self, X, y, reset=False)
@@ -164,7 +156,7 @@ class EncodingPool(BayesRule):
         In the order of `machines_`; zeros for those that weigh nothing.
         """
         check_is_fitted(self)
-        parts = self._parts(as_touches(self, X))
+        parts = self._parts(_touch_classifier.as_touches(self, X))
         return np.stack([self._said(name, part) for name, part in parts.items()])
 
     def left_out_log_likelihood(self) -> Floats:
@@ -179,7 +171,6 @@ class EncodingPool(BayesRule):
         return dict(zip(self.machines_, every, strict=True))
 
     def _parts(self, touches: Floats) -> dict[str, Floats]:
-        """Return the features of each machine."""
         cuts = np.cumsum(list(self.parts.values()))[:-1]
         pieces = np.split(touches, cuts, axis=1)
         parts = dict(zip(self.parts, pieces, strict=True))

@@ -12,23 +12,20 @@ from __future__ import annotations
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_number, check_option, check_positive
-from .._types import Array, Floats
-from ._kernel_sums import (
-    blocks_of,
-    count_tiles,
-    exact_log_sums,
-    is_precise,
-    learn_whitening,
-    make_tiles,
-    squared_distances,
-    tile_log_sums,
-    whiten,
+from .._types import Array, Floats, Indices
+from . import _kernel_sums
+from ._kernel_sums import blocks_of, count_tiles, exact_log_sums, is_precise, make_tiles
+from ._touch_classifier import (
+    BayesRule,
+    Groups,
+    as_groups,
+    as_touches,
+    labelled_touches,
 )
-from ._touch_classifier import BayesRule, as_groups, as_touches, labelled_touches
 
 # With precision="auto" a model computes in float64 when it has at most this many
 # touches, or when float32 is good enough for less than this share of its pairs.
@@ -122,7 +119,7 @@ class KernelDensityBayes(BayesRule):
     """
 
     classes_: Array
-    counts_: NDArray[np.intp]
+    counts_: Indices
     points_: Floats
     log_norms_: Floats
 
@@ -140,18 +137,10 @@ class KernelDensityBayes(BayesRule):
         self.min_variance = min_variance
         self.precision = precision
 
-    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> Self:
-        """Store the touches of every object.
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
+        """Store touches `X` (n_touches, n_features) of every object in `y`.
 
-        Parameters
-        ----------
-        X : array-like of shape (n_touches, n_features)
-            Feature vectors of the touches.
-        y : array-like of shape (n_touches,)
-            Their objects.
-        groups : array-like of shape (n_touches,), optional
-            Touches of one group (a block of a recording) are left out together in
-            `left_out_log_likelihood`; by default each is left out alone.
+        Parameters are those of `TouchClassifier.fit`.
 
         Raises
         ------
@@ -164,9 +153,9 @@ class KernelDensityBayes(BayesRule):
         check_number("min_variance", self.min_variance, low=1e-12)
         check_option("precision", self.precision, ("auto", "single", "double"))
         touches, labels = labelled_touches(self, X, y)
-        learnt = learn_whitening(touches, full=self.bandwidth == "full")
-        self.centre_, self.spread_, self.varies_ = learnt[:3]
-        self.rotation_, self.log_volume_ = learnt[3:]
+        self.centre_, self.spread_, self.varies_, self.rotation_, self.log_volume_ = (
+            _kernel_sums.learn_whitening(touches, full=self.bandwidth == "full")
+        )
         self.dtype_ = "float64" if self.precision == "double" else "float32"
         self._learn(touches, labels, groups)
         if self.precision == "auto":
@@ -176,9 +165,7 @@ class KernelDensityBayes(BayesRule):
                 self._store(self.points_, self.counts_)
         return self
 
-    def refit(
-        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None
-    ) -> Self:
+    def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Store other touches in the bandwidth and precision that `fit` chose.
 
         The likelihoods of objects whose touches are as before stay the same to the bit,
@@ -207,11 +194,19 @@ class KernelDensityBayes(BayesRule):
         """
         check_is_fitted(self)
         group = self.groups_[self.order_]
-        sums = [self._log_densities(self.points_[r]) for r in blocks_of(len(group))]
-        result = np.vstack(sums)
+        blocks = blocks_of(len(group))
+        result = np.vstack([self._log_densities(self.points_[b]) for b in blocks])
         for place, rows in enumerate(self._rows()):
             met = np.isin(group, group[rows])
-            result[met, place] = self._without(place, met, group)
+            # One object's densities at touches `met`, without their groups.
+            groups, points = (group[met], group[rows]), self.points_[rows]
+            precision = self._precision(place)
+            sums = exact_log_sums(self.points_[met], points, precision, groups)
+            n_left_out = np.bincount(group[rows], minlength=group.max() + 1)[groups[0]]
+            share = (self.counts_[place] - n_left_out) / self.counts_[place]
+            densities = sums + self.log_norms_[place]
+            densities[share > 0] -= np.log(share[share > 0])
+            result[met, place] = densities
         in_order = np.empty_like(result)
         in_order[self.order_] = result
         return in_order
@@ -219,9 +214,11 @@ class KernelDensityBayes(BayesRule):
     def _whiten(self, touches: Floats) -> Floats:
         """Return touches in bandwidths from the centre of all training touches."""
         bandwidth = self.spread_ * self.scale
-        return whiten(touches, self.centre_, bandwidth, self.varies_, self.rotation_)
+        return _kernel_sums.whiten(
+            touches, self.centre_, bandwidth, self.varies_, self.rotation_
+        )
 
-    def _learn(self, touches: Floats, labels: Array, groups: ArrayLike | None) -> None:
+    def _learn(self, touches: Floats, labels: Array, groups: Groups) -> None:
         """Store touches object by object, each object whitened by itself."""
         self.groups_ = as_groups(groups, len(touches))
         self.classes_, codes = np.unique(labels, return_inverse=True)
@@ -235,8 +232,7 @@ class KernelDensityBayes(BayesRule):
         ends = np.cumsum(self.counts_)
         return [slice(e - n, e) for e, n in zip(ends, self.counts_, strict=True)]
 
-    def _store(self, points: Floats, counts: NDArray[np.intp]) -> None:
-        """Set everything that is stored per object, each object by itself."""
+    def _store(self, points: Floats, counts: Indices) -> None:
         self.points_, self.counts_ = points, counts
         parts = [points[rows] for rows in self._rows()]
         self.means_ = np.array([part.mean(axis=0) for part in parts])
@@ -267,26 +263,11 @@ class KernelDensityBayes(BayesRule):
 
     def _log_densities(self, x: Floats) -> Floats:
         """Return log p(touch | object) of at most 64 whitened touches."""
-        sums = tile_log_sums(x, self.tiles_, count_tiles(self.counts_))
-        sums -= squared_distances(x, self.means_, self.precisions_) / 2
+        sums = _kernel_sums.tile_log_sums(x, self.tiles_, count_tiles(self.counts_))
+        sums -= _kernel_sums.squared_distances(x, self.means_, self.precisions_) / 2
         rough = ~is_precise(x, self.reaches_, self.dtype_)
         for place in np.flatnonzero(rough.any(axis=0)).tolist():
             pairs, points = rough[:, place], self.points_[self._rows()[place]]
             precision = self._precision(place)
             sums[pairs, place] = exact_log_sums(x[pairs], points, precision)
         return sums + self.log_norms_
-
-    def _without(
-        self, place: int, met: NDArray[np.bool_], group: NDArray[np.intp]
-    ) -> Floats:
-        """Return one object's log densities at touches `met`, without their groups."""
-        rows = self._rows()[place]
-        groups = group[met], group[rows]
-        precision = self._precision(place)
-        sums = exact_log_sums(self.points_[met], self.points_[rows], precision, groups)
-        n_left_out = np.bincount(groups[1], minlength=group.max() + 1)[groups[0]]
-        n_touches = self.counts_[place]
-        share = (n_touches - n_left_out) / n_touches
-        densities: Floats = sums + self.log_norms_[place]
-        densities[share > 0] -= np.log(share[share > 0])
-        return densities

@@ -12,21 +12,16 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import softmax
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count
 from .._extras import needed
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices, Singles
+from . import _kernel_sums
 from ._kernel_density import KernelDensityBayes
-from ._kernel_sums import (
-    blocks_of,
-    exact_log_sums,
-    is_precise,
-    make_tiles,
-    squared_distances,
-)
+from ._kernel_sums import blocks_of, exact_log_sums, is_precise, make_tiles
 from ._touch_classifier import as_touches
 
 TOUCHES_PER_CELL = 8
@@ -153,9 +148,16 @@ class KernelDensityIndex:
             x = model._whiten(touches[rows])
             one = np.ones((len(x), 1))
             cells = np.hstack([x**2, x, one]).astype(np.float32) @ self.weights_
-            sums = self._sums_of(cells) + model.log_norms_
+            # The log of the sum over the cells of each object.
+            top = np.maximum.reduceat(cells, self.starts_, axis=1)
+            counts = np.diff(np.append(self.starts_, cells.shape[1]))
+            relative = np.exp(cells - np.repeat(top, counts, axis=1))
+            totals = np.add.reduceat(relative, self.starts_, axis=1)
+            sums = top.astype(np.float64) + np.log(totals) + model.log_norms_
             kept = np.argpartition(-sums, self.n_exact - 1, axis=1)[:, : self.n_exact]
-            shared = squared_distances(x, model.means_, model.precisions_) / 2
+            shared = (
+                _kernel_sums.squared_distances(x, model.means_, model.precisions_) / 2
+            )
             precise = is_precise(x, model.reaches_, "float32", MAX_ERROR)
             extended = np.hstack([x, one]).astype(np.float32)
             for row, place in (
@@ -186,17 +188,7 @@ class KernelDensityIndex:
             float(off.max()),
         )
 
-    def _sums_of(self, cells: NDArray[np.float32]) -> Floats:
-        """Return the log of the sum over the cells of each object."""
-        top = np.maximum.reduceat(cells, self.starts_, axis=1)
-        counts = np.diff(np.append(self.starts_, cells.shape[1]))
-        relative = np.exp(cells - np.repeat(top, counts, axis=1))
-        sums = np.add.reduceat(relative, self.starts_, axis=1)
-        return np.asarray(top.astype(np.float64) + np.log(sums))
-
-    def _refined(
-        self, x: NDArray[np.float32], place: int, cells: Array, shared: Floats
-    ) -> float:
+    def _refined(self, x: Singles, place: int, cells: Array, shared: Floats) -> float:
         """Return the log sum of one object: near cells by touch, far ones rough."""
         first = self.starts_[place]
         own = cells[first : np.append(self.starts_, len(cells))[place + 1]]
@@ -214,7 +206,7 @@ class KernelDensityIndex:
         return float(total)
 
 
-def _cells(faiss: Any, points: Floats, n_cells: int, seed: int) -> NDArray[np.intp]:
+def _cells(faiss: Any, points: Floats, n_cells: int, seed: int) -> Indices:
     """Return the cell of each point, by k-means on some of them."""
     single = np.ascontiguousarray(points, dtype=np.float32)
     means = faiss.Kmeans(
@@ -226,13 +218,11 @@ def _cells(faiss: Any, points: Floats, n_cells: int, seed: int) -> NDArray[np.in
         max_points_per_centroid=_TAUGHT_PER_CELL,
     )
     means.train(single)
-    nearest: NDArray[np.intp] = means.index.search(single, 1)[1][:, 0]
+    nearest: Indices = means.index.search(single, 1)[1][:, 0]
     return np.unique(nearest, return_inverse=True)[1]
 
 
-def _weights(
-    points: Floats, cell: NDArray[np.intp], precision: Floats | None
-) -> NDArray[np.float32]:
+def _weights(points: Floats, cell: Indices, precision: Floats | None) -> Singles:
     """Return what [x^2, x, 1] is multiplied by, (2 * n_directions + 1, n_cells)."""
     order = np.argsort(cell, kind="stable")
     counts = np.bincount(cell)

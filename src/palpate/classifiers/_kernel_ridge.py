@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotrf, dtrtri
 from scipy.optimize import minimize, minimize_scalar
@@ -23,8 +23,14 @@ from sklearn.metrics.pairwise import euclidean_distances
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_positive, check_squarable
-from .._types import Array, Floats
-from ._touch_classifier import BayesRule, as_groups, as_touches, labelled_touches
+from .._types import Array, Floats, Indices
+from ._touch_classifier import (
+    BayesRule,
+    Groups,
+    as_groups,
+    as_touches,
+    labelled_touches,
+)
 
 # Temperature and bend of the posterior are fitted to at most so many touches, and so
 # many of their answers, one for each label.
@@ -38,7 +44,7 @@ _JITTER = 1e-8
 Shape = tuple[float, float, float]
 
 # Rows of touches, some of them -> their kernel with the landmarks.
-KernelOf = Callable[[NDArray[np.intp]], Floats]
+KernelOf = Callable[[Indices], Floats]
 
 
 class KernelRidgeClassifier(BayesRule):
@@ -123,18 +129,11 @@ class KernelRidgeClassifier(BayesRule):
         self.max_touches = max_touches
         self.n_landmarks = n_landmarks
 
-    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> Self:
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Choose width, ridge and temperature on left-out groups; learn from all.
 
-        Parameters
-        ----------
-        X : array-like of shape (n_touches, n_features)
-            Feature vectors, roughly of unit scale per feature.
-        y : array-like of shape (n_touches,)
-            Labels, at least two different ones.
-        groups : array-like of shape (n_touches,), optional
-            Touches of one group are left out together; by default every touch
-            is a group of its own.
+        Parameters are those of `TouchClassifier.fit`; features of `X` (n_touches,
+        n_features) are roughly of unit scale, labels `y` at least two different ones.
 
         Raises
         ------
@@ -144,24 +143,35 @@ class KernelRidgeClassifier(BayesRule):
         TypeError
             For labels that are partly text, partly something else.
         """
-        touches, labels = labelled_touches(self, X, y)
-        check_squarable("X", touches)
-        self.classes_, codes = np.unique(labels, return_inverse=True)
+        touches, codes, group = self._taken(X, y, groups)
         if len(self.classes_) < 2:
             raise ValueError(
                 f"y must hold at least two labels, got 1 class: {self.classes_[0]}."
             )
-        group = as_groups(groups, len(touches))
         self._choose(touches, codes, group)
         self._learn(touches, codes, group)
         return self
+
+    def _taken(
+        self, X: ArrayLike, y: ArrayLike, groups: Groups, reset: bool = True
+    ) -> tuple[Floats, Array, Array]:
+        touches, labels = labelled_touches(self, X, y, reset=reset)
+        check_squarable("X", touches)
+        self.classes_, codes = np.unique(labels, return_inverse=True)
+        return touches, codes, as_groups(groups, len(touches))
 
     def _choose(self, touches: Floats, codes: Array, group: Array) -> None:
         """Set `unit_`, `width_` and `ridge_` by the log loss of left-out groups."""
         widths = [check_positive("widths", w) for w in self.widths]
         ridges = [check_positive("ridges", r) for r in self.ridges]
         at_most = check_count("max_choice_touches", self.max_choice_touches, at_least=2)
-        some = _thin_labels(codes, at_most)
+        # Touches of all labels, or of every k-th where fewer than 4 of each fit.
+        step = -(-4 * (int(codes.max()) + 1) // at_most)
+        if len(codes) <= at_most or step == 1:
+            some = _thin(codes, at_most)
+        else:
+            mine = np.flatnonzero(codes % step == 0)
+            some = mine[_thin(codes[mine], at_most)]
         codes = np.unique(codes[some], return_inverse=True)[1]
         chosen = touches[some]
         squared = euclidean_distances(chosen - chosen.mean(axis=0), squared=True)
@@ -241,15 +251,10 @@ class KernelRidgeClassifier(BayesRule):
         shape = (self.temperature_, self.bend_, 1.0)
         return _log_posterior(shape, scores, self.log_counts_)
 
-    def refit(
-        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None
-    ) -> Self:
+    def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Learn other touches with the width and ridge already chosen."""
         check_is_fitted(self)
-        touches, labels = labelled_touches(self, X, y, reset=False)
-        check_squarable("X", touches)
-        self.classes_, codes = np.unique(labels, return_inverse=True)
-        self._learn(touches, codes, as_groups(groups, len(touches)))
+        self._learn(*self._taken(X, y, groups, reset=False))
         return self
 
 
@@ -257,15 +262,6 @@ def _thin(codes: Array, at_most: int) -> Array:
     """Return every k-th touch of each label, for the least k that fits."""
     step = -(-len(codes) // at_most)
     return np.sort(np.argsort(codes, kind="stable")[::step])
-
-
-def _thin_labels(codes: Array, at_most: int) -> Array:
-    """Return touches of all labels, or of every k-th where fewer than 4 of each fit."""
-    step = -(-4 * (int(codes.max()) + 1) // at_most)
-    if len(codes) <= at_most or step == 1:
-        return _thin(codes, at_most)
-    mine = np.flatnonzero(codes % step == 0)
-    return mine[_thin(codes[mine], at_most)]
 
 
 def _one_hot(codes: Array, n_classes: int) -> Floats:
@@ -290,8 +286,7 @@ def _left_out(
     root: Floats, coefficients: Floats, target: Floats, group: Array
 ) -> Floats:
     """Scores of every touch had its group never been learnt."""
-    n_classes = target.shape[1]
-    scores: Floats = target + 1 / n_classes
+    scores: Floats = target + 1 / target.shape[1]
     for members in _members(group):
         mine = root[:, members]
         scores[members] -= np.linalg.solve(mine.T @ mine, coefficients[members])
@@ -357,7 +352,7 @@ def _learn_from_landmarks(
     kernel_of: KernelOf,
     own_kernel: Floats,
     target: Floats,
-    group: NDArray[np.intp],
+    group: Indices,
     ridge: float,
 ) -> tuple[Floats, Floats]:
     """Return coefficients (n_landmarks, n_outputs) and left-out answers to `target`.
@@ -370,7 +365,7 @@ def _learn_from_landmarks(
     n_landmarks = len(own_kernel)
     root = cholesky(own_kernel + _JITTER * np.eye(n_landmarks), lower=True)
 
-    def features(rows: NDArray[np.intp]) -> Floats:
+    def features(rows: Indices) -> Floats:
         solved = solve_triangular(root, kernel_of(rows).T, lower=True)
         return np.ascontiguousarray(solved.T)
 
@@ -387,21 +382,17 @@ def _learn_from_landmarks(
     for members in _members(group):
         some = features(members)
         residual = target[members] - some @ weights
-        left_out[members] -= _residual_without(some, residual, inner, factor)
+        # Without the group, through the smaller of two matrices.
+        if len(some) <= n_landmarks:
+            hat = some @ cho_solve(factor, some.T)
+            alone = np.linalg.solve(np.eye(len(some)) - hat, residual)
+        else:
+            others = cho_factor(inner - some.T @ some)
+            alone = residual + some @ cho_solve(others, some.T @ residual)
+        left_out[members] -= alone
     return solve_triangular(root, weights, lower=True, trans="T"), left_out
 
 
-def _residual_without(
-    some: Floats, residual: Floats, inner: Floats, factor: tuple[Floats, bool]
-) -> Floats:
-    """Residuals of a group that was left out, through the smaller of two matrices."""
-    if len(some) <= len(inner):
-        hat = some @ cho_solve(factor, some.T)
-        return np.asarray(np.linalg.solve(np.eye(len(some)) - hat, residual))
-    others = cho_factor(inner - some.T @ some)
-    return np.asarray(residual + some @ cho_solve(others, some.T @ residual))
-
-
-def _members(group: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+def _members(group: Indices) -> list[Indices]:
     order = np.argsort(group, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)

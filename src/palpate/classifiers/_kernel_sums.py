@@ -13,13 +13,11 @@ there, however far the touch x is from everything. Every tile is a product of it
 own, so what one object answers never depends on which others are stored.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats, Indices
 
 Tiles = NDArray[np.floating]
 
@@ -61,12 +59,11 @@ def make_tiles(
     return tiles, np.array([lengths.max(), np.abs(bias).max()])
 
 
-def count_tiles(counts: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return how many tiles hold each of `counts` touches."""
+def count_tiles(counts: Indices) -> Indices:
     return -(-counts // TILE)
 
 
-def tile_log_sums(x: Floats, tiles: Tiles, tile_counts: NDArray[np.intp]) -> Floats:
+def tile_log_sums(x: Floats, tiles: Tiles, tile_counts: Indices) -> Floats:
     """Return log of the sum of exp(x'p + b) per object, (n_touches, n_objects).
 
     Objects have `tile_counts` (n_objects,) tiles each, one object after the other.
@@ -97,7 +94,7 @@ def squared_distances(x: Floats, means: Floats, precisions: Floats | None) -> Fl
 
 def is_precise(
     x: Floats, reaches: Floats, dtype: str, max_error: float = MAX_ERROR
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Return which pairs the tiles answer within `max_error`, (n_touches, n_objects).
 
     A product of n numbers rounds by at most (n + 2) units of the last place of the
@@ -163,14 +160,10 @@ def _sums_of_tiles(extended: Tiles, tiles: Tiles) -> tuple[Tiles, Tiles]:
     return largest, ones @ exponents
 
 
-class Whitening(NamedTuple):
-    """Where touches are, how far they spread, and along which directions."""
-
-    centre: Floats  # (n_features,), mean of the training touches
-    spread: Floats  # (n_features,), their standard deviation
-    varies: NDArray[np.bool_]  # (n_features,), by more than rounding
-    rotation: Floats | None  # (n_varying, n_directions), to unit variance
-    log_volume: float  # of the unit cell, in units of the features
+# Centre and spread (n_features,): mean and standard deviation of the training touches;
+# which vary by more than rounding; the rotation (n_varying, n_directions) to unit
+# variance; and the log volume of the unit cell, in units of the features.
+Whitening = tuple[Floats, Floats, Bools, Floats | None, float]
 
 
 def learn_whitening(touches: Floats, *, full: bool) -> Whitening:
@@ -189,7 +182,7 @@ def learn_whitening(touches: Floats, *, full: bool) -> Whitening:
     varies = spread > ROUNDING * np.abs(touches).max(axis=0)
     log_volume = float(np.log(spread[varies]).sum())
     if not (full and varies.any()):
-        return Whitening(centre, spread, varies, None, log_volume)
+        return centre, spread, varies, None, log_volume
     standardised = (touches[:, varies] - centre[varies]) / spread[varies]
     correlation = standardised.T @ standardised / max(1, len(standardised) - 1)
     variances, directions = np.linalg.eigh(correlation)
@@ -198,14 +191,14 @@ def learn_whitening(touches: Floats, *, full: bool) -> Whitening:
     kept = variances > max(least, ROUNDING)
     rotation = directions[:, kept] / np.sqrt(variances[kept])
     log_rest = float(np.log(variances[kept]).sum() / 2)
-    return Whitening(centre, spread, varies, rotation, log_volume + log_rest)
+    return centre, spread, varies, rotation, log_volume + log_rest
 
 
 def whiten(
     touches: Floats,
     centre: Floats,
     spread: Floats,
-    varies: NDArray[np.bool_],
+    varies: Bools,
     rotation: Floats | None,
 ) -> Floats:
     """Return whitened touches, shape (n_touches, n_directions), always finite."""

@@ -8,15 +8,17 @@ from __future__ import annotations
 from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import log_softmax
 from sklearn.base import BaseEstimator, ClassifierMixin, clone
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from .._checks import are_plain_vectors, check_label_kinds
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices
 
+# What each training touch is left out with: (n_touches,), by default itself alone.
+Groups = ArrayLike | None
 _N_FOLDS = 5
 _LEAST_PROBABILITY = 1e-12
 
@@ -33,13 +35,27 @@ class TouchClassifier(Protocol):
 
     classes_: Array
 
-    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> Self:
-        """Learn touches; those of one group are left out together."""
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
+        """Learn touches; those of one group are left out together.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_touches, n_features)
+            Feature vectors of the touches.
+        y : array-like of shape (n_touches,)
+            Their labels: one object each.
+        groups : array-like of shape (n_touches,), optional
+            Touches of one group (a block of a recording, an object) are left out
+            together; by default every touch is a group of its own.
+
+        Raises
+        ------
+        ValueError, TypeError
+            For NaN, infinity, unequal lengths, or labels of several kinds.
+        """
         ...
 
-    def refit(
-        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None
-    ) -> Self:
+    def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Learn other touches with the widths and weights that `fit` chose."""
         ...
 
@@ -64,7 +80,7 @@ class BayesRule(ClassifierMixin, BaseEstimator):
     """
 
     classes_: Array
-    counts_: NDArray[np.intp]
+    counts_: Indices
     prior = "uniform"
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
@@ -123,7 +139,7 @@ class FromProbabilities(BayesRule):
     def __init__(self, classifier: Any) -> None:
         self.classifier = classifier
 
-    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> Self:
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Learn touches (n_touches, n_features); see `TouchClassifier.fit`.
 
         Raises
@@ -142,9 +158,7 @@ class FromProbabilities(BayesRule):
         self.classes_ = np.asarray(self.classifier_.classes_)
         return self
 
-    def refit(
-        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None
-    ) -> Self:
+    def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Learn other touches; what the classifier chooses it chooses again."""
         return self.fit(X, y, groups)
 
@@ -199,7 +213,7 @@ def as_touches(estimator: BaseEstimator, X: ArrayLike) -> Floats:
     return np.asarray(validate_data(estimator, X, dtype=np.float64, reset=False))
 
 
-def as_groups(groups: ArrayLike | None, n_touches: int) -> NDArray[np.intp]:
+def as_groups(groups: Groups, n_touches: int) -> Indices:
     """Return the number of each training touch's group; by default its own."""
     if groups is None:
         return np.arange(n_touches)

@@ -10,11 +10,11 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from .._checks import check_count, check_images, check_levels, check_number
+from .._checks import check_count, check_number
 from .._image_estimator import ImageEstimator
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices
 
 _CLIP = 0.2
 # Below this share of the strongest cell, a block is not brought to length 1.
@@ -36,6 +36,7 @@ class CanvasEncoder(ImageEstimator):
     """
 
     _most, _multiple = 64, 1
+    _bounded = True
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
@@ -53,9 +54,6 @@ class CanvasEncoder(ImageEstimator):
 
     def _vector(self, image: Array) -> Array:
         raise NotImplementedError
-
-    def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
-        return check_levels(check_images(X, shape=shape, channels=True))
 
 
 class EdgeHistograms(CanvasEncoder):
@@ -99,19 +97,14 @@ class EdgeHistograms(CanvasEncoder):
 
     def _learn(self, images: Array) -> None:
         check_count("n_orientations", self.n_orientations)
-        cell = check_count("cell", self.cell)
-        if cell > 16:
-            raise ValueError(f"cell must be at most 16, got {cell}.")
+        check_count("cell", self.cell, at_most=16)
 
     def _vector(self, image: Array) -> Array:
         across, down = np.zeros_like(image), np.zeros_like(image)
         across[:, 1:-1] = image[:, 2:] - image[:, :-2]
         down[1:-1] = image[2:] - image[:-2]
         length, angle = np.hypot(across, down), cv2.phase(across, down)
-        return _blocks(self._histograms(length, angle)).ravel()
-
-    def _histograms(self, length: Array, angle: Array) -> Floats:
-        """Votes, (n_cell_rows, n_cell_cols, n_orientations)."""
+        # Votes, (n_cell_rows, n_cell_cols, n_orientations).
         n, cell = self.n_orientations, self.cell
         rows, cols = length.shape[0] // cell, length.shape[1] // cell
         place = angle * (n / np.pi) - 0.5
@@ -125,7 +118,8 @@ class EdgeHistograms(CanvasEncoder):
             np.concatenate([length - share, share], axis=None),
             minlength=n * rows * cols,
         )
-        return votes.reshape(rows, cols, n).astype(np.float64, copy=False)
+        histograms = votes.reshape(rows, cols, n).astype(np.float64, copy=False)
+        return _blocks(histograms).ravel()
 
 
 def _blocks(histograms: Floats) -> Floats:
@@ -203,11 +197,12 @@ class RingPatterns(CanvasEncoder):
         self.contrast, self.n_unsteady = contrast, n_unsteady
 
     def _learn(self, images: Array) -> None:
-        _check_rings(self.n_rings)
+        check_count("n_rings", self.n_rings, at_most=_MOST_RINGS)
         check_number("n_points", check_count("n_points", self.n_points), low=4, high=32)
-        if not self._radii():
+        radii = np.atleast_1d(self.radii).tolist()
+        if not radii:
             raise ValueError("radii must hold at least one radius, got none.")
-        for radius in self._radii():
+        for radius in radii:
             check_number("radii", radius, low=0, high=25)
         check_number("contrast", self.contrast, low=0)
         n_unsteady = check_count("n_unsteady", self.n_unsteady, at_least=0)
@@ -224,8 +219,7 @@ class RingPatterns(CanvasEncoder):
     def transform_checked(self, images: Array) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
         shares = self._shares(images)
-        steady: Floats = shares - shares @ self.unsteady_.T @ self.unsteady_
-        return steady
+        return np.asarray(shares - shares @ self.unsteady_.T @ self.unsteady_)
 
     def _shares(self, images: Array) -> Floats:
         """Roots of the shares of each pattern in each ring, (n_touches, n_features)."""
@@ -239,17 +233,14 @@ class RingPatterns(CanvasEncoder):
         first = n_codes * np.repeat(np.arange(len(places)), [len(p) for p in places])
         least = image - max(self.contrast * image.take(inside).std(), 1e-5)
         unit = min(image.shape) / _CANVAS
-        counts = np.empty((len(self._radii()), len(places), n_codes))
-        for found, radius in zip(counts, self._radii(), strict=True):
+        radii = np.atleast_1d(self.radii).tolist()
+        counts = np.empty((len(radii), len(places), n_codes))
+        for found, radius in zip(counts, radii, strict=True):
             code = _patterns(image, least, max(radius * unit, 1.0), self.n_points)
             some = np.bincount(first + code.take(inside), minlength=found.size)
             found[:] = some.reshape(found.shape)
         shares: Floats = counts / counts.sum(axis=2, keepdims=True)
         return np.sqrt(shares).ravel()
-
-    def _radii(self) -> list[float]:
-        radii: list[float] = np.atleast_1d(self.radii).tolist()
-        return radii
 
 
 class RingQuantiles(CanvasEncoder):
@@ -282,7 +273,7 @@ class RingQuantiles(CanvasEncoder):
         self.n_rings, self.n_quantiles = n_rings, n_quantiles
 
     def _learn(self, images: Array) -> None:
-        _check_rings(self.n_rings)
+        check_count("n_rings", self.n_rings, at_most=_MOST_RINGS)
         check_count("n_quantiles", self.n_quantiles)
 
     def _vector(self, image: Array) -> Array:
@@ -290,32 +281,23 @@ class RingQuantiles(CanvasEncoder):
         down = cv2.Sobel(image, cv2.CV_32F, 0, 1, scale=1 / 8)
         both = np.stack([image.ravel(), np.hypot(across, down).ravel()])
         share = (np.arange(self.n_quantiles) + 0.5) / self.n_quantiles
-        return np.stack(
-            [
-                _quantiles(both.take(places, axis=1), share)
-                for places in _places(image.shape, self.n_rings)
-            ],
-            axis=1,
-        ).ravel()
+        rings = []
+        for places in _places(image.shape, self.n_rings):
+            ordered = np.sort(both.take(places, axis=1), axis=1)
+            place = share * (len(places) - 1)
+            lower = place.astype(np.intp)
+            upper = np.minimum(lower + 1, len(places) - 1)
+            part = place - lower
+            rings.append(ordered[:, lower] * (1 - part) + ordered[:, upper] * part)
+        return np.stack(rings, axis=1).ravel()
 
 
 @lru_cache(maxsize=16)
-def _places(shape: tuple[int, int], n_rings: int) -> list[NDArray[np.intp]]:
+def _places(shape: tuple[int, int], n_rings: int) -> list[Indices]:
     """Which pixels, counted row by row, lie in each ring of the inscribed disc."""
     row, col = (np.arange(n) - (n - 1) / 2 for n in shape)
     radius = np.hypot(row[:, np.newaxis], col) / (min(shape) / 2)
     return [np.flatnonzero(np.floor(radius * n_rings) == k) for k in range(n_rings)]
-
-
-def _quantiles(values: Array, share: Floats) -> Floats:
-    """Quantiles of each row of `values`, linearly interpolated."""
-    ordered = np.sort(values, axis=1)
-    place = share * (values.shape[1] - 1)
-    lower = place.astype(np.intp)
-    upper = np.minimum(lower + 1, values.shape[1] - 1)
-    part = place - lower
-    found: Floats = ordered[:, lower] * (1 - part) + ordered[:, upper] * part
-    return found
 
 
 def _patterns(
@@ -364,8 +346,3 @@ def _moved(images: Array, row: float, col: float) -> Array:
     size, edge = images.shape[:0:-1], cv2.BORDER_REPLICATE
     way = np.array([[1, 0, col], [0, 1, row]], np.float32)
     return np.stack([cv2.warpAffine(one, way, size, borderMode=edge) for one in images])
-
-
-def _check_rings(n_rings: object) -> None:
-    if check_count("n_rings", n_rings) > _MOST_RINGS:
-        raise ValueError(f"n_rings must be at most {_MOST_RINGS}, got {n_rings}.")

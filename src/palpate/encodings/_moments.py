@@ -12,12 +12,12 @@ from itertools import combinations
 from math import comb, factorial, sqrt
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_images, check_option, check_positive
 from .._image_estimator import ImageEstimator, by_channel
-from .._types import Array, Floats
+from .._types import Array, Complexes, Floats, Indices
 from ..images import CentralMoments, above_least, central_moments, inscribed_mask
 
 # Powers of the coordinates lose all digits to cancellation beyond this order.
@@ -97,9 +97,8 @@ class CentroidMoments(ImageEstimator):
         return both if self.normalise is None else both | {"gain"}
 
     def _learn(self, images: Array) -> None:
-        order = check_count("order", self.order, at_least=0)
-        if order > _HIGHEST_ORDER:
-            raise ValueError(f"order must be at most {_HIGHEST_ORDER}, got {order}.")
+        check_count("order", self.order, at_least=0, at_most=_HIGHEST_ORDER)
+        order = int(self.order)
         check_positive("width", self.width)
         check_option("normalise", self.normalise, ("energy", "total", None))
         check_positive("centre_power", self.centre_power)
@@ -113,7 +112,7 @@ class CentroidMoments(ImageEstimator):
         waves = self.degrees_[:, 1] > 0
         return np.where(waves, np.abs(moments), moments.real)
 
-    def complex_moments(self, X: ArrayLike) -> NDArray[np.complex128]:
+    def complex_moments(self, X: ArrayLike) -> Complexes:
         """Return the moments with their phases, shape (n_touches, n_moments).
 
         A press turned by an angle a from the column axis towards the row axis has
@@ -121,18 +120,24 @@ class CentroidMoments(ImageEstimator):
         """
         return by_channel(self._moments_of, self._images(X))
 
-    def _moments_of(self, images: Array) -> NDArray[np.complex128]:
+    def _moments_of(self, images: Array) -> Complexes:
         images = images.astype(np.float64, copy=False)
         scale = self.width * min(images.shape[1:]) / 2
         levels = images / size_of(images, self.normalise)[:, None, None]
-        row, col = _centroid(levels, self.centre_power)
+        # Each image's centroid; the middle of an empty image.
+        top = np.abs(levels).max(axis=(1, 2), keepdims=True)
+        weight = np.abs(levels / np.where(top > 0, top, 1.0)) ** self.centre_power
+        weight[top[:, 0, 0] == 0] = 1.0
+        total = weight.sum(axis=(1, 2))
+        row = weight.sum(axis=2) @ np.arange(images.shape[1]) / total
+        col = weight.sum(axis=1) @ np.arange(images.shape[2]) / total
         power = np.arange(self.patterns_.shape[1])
         down = _windowed_powers(images.shape[1], row, scale, power)
         across = _windowed_powers(images.shape[2], col, scale, power)
         products = across @ levels.transpose(0, 2, 1) @ down.transpose(0, 2, 1)
         flat = products.reshape(len(images), -1) / scale
         # Conjugated, as moments are integrals against the pattern's conjugate.
-        moments: NDArray[np.complex128]
+        moments: Complexes
         moments = flat @ self.patterns_.conj().reshape(len(self.patterns_), -1).T
         return moments
 
@@ -165,27 +170,13 @@ def size_of(images: Floats, normalise: str | None) -> Floats:
     return top * np.where(size > 0, size, 1.0)
 
 
-def _centroid(images: Floats, power: float) -> tuple[Floats, Floats]:
-    """Row and column of each image's centroid; the middle of an empty image."""
-    _, n_rows, n_cols = images.shape
-    top = np.abs(images).max(axis=(1, 2), keepdims=True)
-    weight = np.abs(images / np.where(top > 0, top, 1.0)) ** power
-    weight[top[:, 0, 0] == 0] = 1.0
-    total = weight.sum(axis=(1, 2))
-    row = weight.sum(axis=2) @ np.arange(n_rows) / total
-    col = weight.sum(axis=1) @ np.arange(n_cols) / total
-    return row, col
-
-
-def _windowed_powers(
-    n: int, centre: Floats, scale: float, power: NDArray[np.intp]
-) -> Floats:
+def _windowed_powers(n: int, centre: Floats, scale: float, power: Indices) -> Floats:
     """exp(-x^2 / 2) x^power along one side, (n_touches, n_powers, n)."""
     x = (np.arange(n) - centre[:, None]) / scale
     return np.exp(-(x**2) / 2)[:, None] * x[:, None] ** power[:, None]
 
 
-def _pattern(n: int, m: int, order: int) -> NDArray[np.complex128]:
+def _pattern(n: int, m: int, order: int) -> Complexes:
     """Weights of x^i y^j in the normalised u^m L_k(|u|^2) of order n."""
     k = (n - m) // 2
     weights = np.zeros((order + 1, order + 1), dtype=complex)
@@ -273,8 +264,13 @@ class HuMoments(ImageEstimator):
         mask = np.ones(images.shape[1:], dtype=bool)
         if self.region == "disc":
             mask = inscribed_mask(*images.shape[1:])
-        raw = self.levels == "raw"
-        seen = images * mask if raw else _relative(images, mask)
+        if self.levels == "raw":
+            seen = images * mask
+        else:
+            levels = above_least(images, mask)
+            mean = levels.sum(axis=(1, 2), keepdims=True) / mask.sum()
+            blank = mean <= 1e-12 * np.abs(images).max(axis=(1, 2), keepdims=True)
+            seen = np.where(blank, 0.0, levels / np.where(blank, 1.0, mean))
         invariants = _hu(central_moments(seen))[:, : self.n_components]
         if not self.log:
             return invariants
@@ -284,14 +280,6 @@ class HuMoments(ImageEstimator):
         """Return "hu1" to "hu7"."""
         check_is_fitted(self)
         return np.array([f"hu{i + 1}" for i in range(self.n_components)], dtype=object)
-
-
-def _relative(images: Floats, mask: NDArray[np.bool_]) -> Floats:
-    levels = above_least(images, mask)
-    mean = levels.sum(axis=(1, 2), keepdims=True) / mask.sum()
-    size = np.abs(images).max(axis=(1, 2), keepdims=True)
-    blank = mean <= 1e-12 * size
-    return np.where(blank, 0.0, levels / np.where(blank, 1.0, mean))
 
 
 def _hu(moments: CentralMoments) -> Floats:
@@ -355,6 +343,8 @@ class PadShapes(ImageEstimator):
     (2, 41)
     """
 
+    _allow_nan = True
+
     def __init__(self, pads: ArrayLike | None = None) -> None:
         self.pads = pads
 
@@ -393,9 +383,6 @@ class PadShapes(ImageEstimator):
         share = load / np.where(top > 0, load.sum(axis=0), 1)
         differences = [a - b for a, b in combinations(pads[:, :, :_COMPARED], 2)]
         return np.hstack([*pads, share.T, *differences])
-
-    def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
-        return check_images(X, shape=shape, allow_nan=True, channels=True)
 
 
 def _numbers(box: Floats, top: Floats) -> Floats:

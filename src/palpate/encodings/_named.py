@@ -16,17 +16,12 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from .._checks import check_count, check_image_shape, check_option
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
+from . import _principal
 from ._canvas import EdgeHistograms, RingPatterns, RingQuantiles
 from ._moments import N_MOMENTS, CentroidMoments, HuMoments, PadShapes
 from ._pixels import PAPER_SIDE, GridLevels, ScaledPixels, TaxelVector
 from ._polar_gradients import PolarGradients
-from ._principal import (
-    Components,
-    OrientedPCA,
-    PrincipalEncoder,
-    ZernikePCA,
-    check_components,
-)
+from ._principal import Components, OrientedPCA, PrincipalEncoder, ZernikePCA
 from ._zernike import ZernikeMoments
 
 # Name: (encoder, parameters in which it differs from the encoder's own defaults).
@@ -105,7 +100,6 @@ def encoder_named(
 def _counts_of(
     parts: list[str], n_components: Components | Iterable[Components]
 ) -> list[Components]:
-    """Return the number of components of each part of a union."""
     if isinstance(n_components, Iterable):
         counts = list(n_components)
         if len(counts) != len(parts):
@@ -116,7 +110,7 @@ def _counts_of(
         return counts
     if len(parts) == 1:
         return [n_components]
-    known = check_components(n_components)
+    known = _principal.check_components(n_components)
     counts = [known] * len(parts)
     for i, part in enumerate(parts):
         principal = issubclass(ENCODINGS[part][0], PrincipalEncoder)
@@ -128,7 +122,6 @@ def _counts_of(
 
 
 def _make(part: str, n_components: Components, options: dict[str, Any]) -> Any:
-    """Return the encoder of one name with that many features."""
     kind, defaults = ENCODINGS[part]
     chosen = {**defaults, **options}
     if n_components is None:
@@ -302,8 +295,7 @@ class RootScaler(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
 
     def scale(self, features: Floats) -> Floats:
         """Do what `transform` does, without its checks."""
-        scaled: Floats = (_root(features) - self.mean_) / self.scale_
-        return scaled
+        return np.asarray((_root(features) - self.mean_) / self.scale_)
 
 
 def _root(features: Floats) -> Floats:

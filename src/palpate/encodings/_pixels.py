@@ -215,8 +215,7 @@ def _averages(n: int, n_cells: int) -> Floats:
     pixel = np.arange(n)
     low = np.maximum(border[:-1, None], pixel)
     high = np.minimum(border[1:, None], pixel + 1)
-    shares: Floats = np.maximum(high - low, 0) * (n_cells / n)
-    return shares
+    return np.asarray(np.maximum(high - low, 0) * (n_cells / n))
 
 
 def _gaussian(n_cells: int, std: float) -> Floats:
@@ -272,10 +271,7 @@ class PhotometricGradients(ImageEstimator, by_channel=False):
     """
 
     def __init__(
-        self,
-        lights: ArrayLike,
-        baseline: str | ArrayLike = "median",
-        cells: int = 32,
+        self, lights: ArrayLike, baseline: str | ArrayLike = "median", cells: int = 32
     ) -> None:
         self.lights, self.baseline, self.cells = lights, baseline, cells
 

@@ -6,17 +6,14 @@ and by its curvature. Turning the image shifts each ring of such values along it
 so the sizes of their Fourier coefficients along the ring stay as they are.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from .._checks import check_count, check_images, check_levels, check_number
+from .._checks import check_count, check_number
 from .._image_estimator import ImageEstimator
-from .._types import Array, Floats
+from .._types import Array, Complexes, Floats, Singles
 
 # Rings between these shares of the radius: nearer the centre a ring has no angles,
 # nearer the edge the smoothing reaches what lies outside.
@@ -26,7 +23,7 @@ _LEAST_STRENGTH = 1e-2
 _PLACES = 48
 _ANGLES = 2 * np.pi * np.arange(_PLACES) / _PLACES
 _COS, _SIN = np.cos(_ANGLES), np.sin(_ANGLES)
-Grid = tuple[NDArray[np.float32], NDArray[np.float32]]
+Grid = tuple[Singles, Singles]
 
 
 class PolarGradients(ImageEstimator):
@@ -75,6 +72,7 @@ class PolarGradients(ImageEstimator):
     """
 
     blind_to = frozenset({"turns"})
+    _bounded = True
 
     def __init__(
         self, n_rings: int = 14, n_harmonics: int = 16, smoothing: float = 0.025
@@ -84,7 +82,6 @@ class PolarGradients(ImageEstimator):
         self.smoothing = smoothing
 
     def _learn(self, images: Array) -> None:
-        """Learn how strong each channel is."""
         check_count("n_rings", self.n_rings)
         check_count("n_harmonics", self.n_harmonics)
         check_number("n_harmonics", self.n_harmonics, high=_PLACES // 2 - 1)
@@ -101,10 +98,7 @@ class PolarGradients(ImageEstimator):
         sizes /= self.scale_[:, np.newaxis, np.newaxis]
         return sizes.reshape(len(images), -1)
 
-    def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
-        return check_levels(check_images(X, shape=shape, channels=True))
-
-    def _harmonics(self, images: Array) -> NDArray[np.complex128]:
+    def _harmonics(self, images: Array) -> Complexes:
         """Fourier coefficients, (n_touches, 6, n_rings, n_harmonics + 1)."""
         shape = images.shape[1:]
         rings = np.linspace(_INNER, _OUTER, self.n_rings)
@@ -127,7 +121,7 @@ def _grid(n_rings: int, shape: tuple[int, ...]) -> Grid:
     return cols.astype(np.float32), rows.astype(np.float32)
 
 
-def _channels(image: Array, sigma: float, grid: Grid) -> NDArray[np.float32]:
+def _channels(image: Array, sigma: float, grid: Grid) -> Singles:
     """Values of the six channels on the rings, (6, n_rings, 48)."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma)
     across = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1 / 8)

@@ -1,11 +1,7 @@
-"""Principal components: of moments, of turned images, of features, and by a kernel.
+"""Principal components: of moments, of turned images, and of features.
 
 `ZernikePCA` and `OrientedPCA` are encodings of Corradi et al. 2014 [1]_: an encoder of
-images, then scikit-learn's principal components of what it gives. `KernelPCA` fuses
-features into the directions in which touches differ most: a Gaussian kernel measures
-how alike two touches are, and the scores are projections on the leading principal
-directions of its feature space. New touches are centred by the training touches, never
-by each other.
+images, then scikit-learn's principal components of what it gives.
 
 References
 ----------
@@ -17,12 +13,10 @@ References
 from __future__ import annotations
 
 from numbers import Integral
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import eigh
-from scipy.spatial.distance import pdist
 from sklearn.base import (
     BaseEstimator,
     ClassNamePrefixFeaturesOutMixin,
@@ -36,8 +30,6 @@ from .._checks import (
     check_count,
     check_number,
     check_option,
-    check_squarable,
-    check_width,
 )
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
@@ -47,33 +39,28 @@ from ._zernike import ZernikeMoments
 Components = int | float | None
 _FOLDS = 5
 _LEARNT_FROM = 600
-# Eigenvalues below this share of the largest are rounding noise.
-_RANK_TOLERANCE = 1e-12
-# Squared distances below this share of the squared lengths are rounding noise.
-_ROUNDING = 1e-14
 
 
 class PrincipalEncoder(ImageEstimator):
     """Encode images by the principal components of another encoding.
 
-    Subclasses say in `_first` which: it becomes `first_`. Of its features `mean_`,
+    Subclasses say in `_kind` which: it becomes `first_`. Of its features `mean_`,
     `components_` (n_components_, n_features) and `explained_variance_ratio_` are
     learnt.
     """
 
     n_components: Components
+    _kind: type[ImageEstimator]
 
     @property
     def blind_to(self) -> frozenset[str]:
         """What the encoding is blind to whose components these are."""
-        blind: frozenset[str] = self._first().blind_to
-        return blind
+        return self._first().blind_to
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the scores, shape (n_touches, n_components_)."""
         features = self.first_.transform_checked(images) - self.mean_
-        scores: Floats = features @ self.components_.T
-        return scores
+        return np.asarray(features @ self.components_.T)
 
     def _learn(self, images: Array) -> None:
         self.first_ = self._first()
@@ -95,8 +82,10 @@ class PrincipalEncoder(ImageEstimator):
         self.explained_variance_ratio_ = found.explained_variance_ratio_
         self.n_components_ = len(self.components_)
 
-    def _first(self) -> Any:
-        raise NotImplementedError
+    def _first(self) -> ImageEstimator:
+        options = self.get_params(deep=False)
+        del options["n_components"]
+        return self._kind(**options)
 
 
 class ZernikePCA(PrincipalEncoder):
@@ -125,6 +114,8 @@ class ZernikePCA(PrincipalEncoder):
     (5, 2)
     """
 
+    _kind = ZernikeMoments
+
     def __init__(
         self,
         n_components: Components = 0.95,
@@ -139,11 +130,9 @@ class ZernikePCA(PrincipalEncoder):
         self.output, self.weight = output, weight
         self.drop_constant, self.repeat_negative = drop_constant, repeat_negative
 
-    def _first(self) -> ZernikeMoments:
+    def _first(self) -> ImageEstimator:
         check_option("output", self.output, ("abs", "noll", "noll_abs"))
-        options = self.get_params(deep=False)
-        del options["n_components"]
-        return ZernikeMoments(**options)
+        return super()._first()
 
 
 class OrientedPCA(PrincipalEncoder):
@@ -171,6 +160,8 @@ class OrientedPCA(PrincipalEncoder):
     (5, 2)
     """
 
+    _kind = ScaledPixels
+
     def __init__(
         self,
         n_components: Components = 0.95,
@@ -178,12 +169,8 @@ class OrientedPCA(PrincipalEncoder):
         side: int = 32,
         min_anisotropy: float | None = 0.02,
     ) -> None:
-        self.n_components = n_components
-        self.side = side
+        self.n_components, self.side = n_components, side
         self.min_anisotropy = min_anisotropy
-
-    def _first(self) -> ScaledPixels:
-        return ScaledPixels(self.side, min_anisotropy=self.min_anisotropy)
 
 
 class PrincipalShare(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
@@ -238,8 +225,7 @@ class PrincipalShare(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEsti
             features = np.asarray(X)
         else:
             features = validate_data(self, X, dtype=np.float64, reset=False)
-        scores: Floats = (features - self.mean_) @ self.components_.T
-        return scores
+        return np.asarray((features - self.mean_) @ self.components_.T)
 
     def unexplained(self, X: Floats, scores: Floats) -> Floats:
         """Return how much of each touch the kept components leave out.
@@ -306,180 +292,3 @@ def _fitted(features: Floats, n_components: Components) -> PCA:
     few = features.shape[0] <= features.shape[1]
     solver = "full" if few else "covariance_eigh"
     return PCA(n_components, svd_solver=solver).fit(features)
-
-
-class KernelPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
-    """Kernel PCA with the Gaussian kernel exp(-|x - y|^2 / (2 sigma^2)).
-
-    Parameters
-    ----------
-    n_components : int or float, optional
-        An integer keeps that many components, or as many as there are; a number
-        between 0 and 1 keeps as few as hold that share of the variance. By default
-        all are kept. Components whose variance is below 1e-12 of the largest do
-        not exist.
-    sigma : float, optional
-        Width of the kernel, in the unit of the features; by default the median
-        distance between two training touches. Between 1e-150 and 1e150.
-    scaling : {"unit", "paper"}, default="unit"
-        "unit" projects on directions of length 1 in the feature space. "paper"
-        takes the normalisation of Liu et al. literally, which makes the scores of M
-        training touches sqrt(M) times larger; kernels of fixed widths after it
-        notice.
-
-    Attributes
-    ----------
-    sigma_ : float
-        The kernel's width.
-    eigenvalues_ : ndarray of shape (n_components_,)
-        Eigenvalues of the centred kernel matrix, falling: M times the variances.
-    explained_variance_ratio_ : ndarray of shape (n_components_,)
-        Share of the variance in the feature space.
-    touches_ : ndarray of shape (n_touches, n_features)
-        The training touches, less `mean_`.
-    mean_ : ndarray of shape (n_features,)
-        Mean of the training touches.
-    coefficients_ : ndarray of shape (n_touches, n_components_)
-        Weights of the training touches in each direction. Of each column the entry
-        that is largest in size is positive.
-    offset_ : ndarray of shape (n_components_,)
-        What centring subtracts from every score.
-    n_components_ : int
-
-    References
-    ----------
-    .. [1] B. Schoelkopf, A. Smola and K.-R. Mueller, "Nonlinear component analysis
-       as a kernel eigenvalue problem", Neural Comput. 10(5), 1998.
-       doi:10.1162/089976698300017467
-    .. [2] Y.-H. Liu et al., "Low-resolution tactile image recognition for automated
-       robotic assembly using kernel PCA-based feature fusion and multiple kernel
-       learning-based support vector machine", Math. Probl. Eng., 2014.
-       doi:10.1155/2014/497275
-
-    Examples
-    --------
-    >>> from palpate.encodings import KernelPCA
-    >>> KernelPCA(sigma=1.0).fit_transform([[0.0], [2.0]]).round(3)
-    array([[ 0.658],
-           [-0.658]])
-    """
-
-    def __init__(
-        self,
-        n_components: Components = None,
-        *,
-        sigma: float | None = None,
-        scaling: str = "unit",
-    ) -> None:
-        self.n_components = n_components
-        self.sigma = sigma
-        self.scaling = scaling
-
-    def fit(self, X: ArrayLike, y: object = None) -> Self:
-        """Learn the principal directions of `X`; `y` is ignored."""
-        self._fit(X)
-        return self
-
-    def fit_transform(self, X: ArrayLike, y: object = None, **params: object) -> Floats:
-        """Learn the directions of `X` and return its scores."""
-        return self._scores(self._fit(X))
-
-    def transform(self, X: ArrayLike) -> Floats:
-        """Return the scores of `X`, shape (n_touches, n_components_)."""
-        check_is_fitted(self)
-        touches = validate_data(self, X, dtype=np.float64, reset=False)
-        check_squarable("X", touches)
-        kernel = _kernel(touches - self.mean_, self.touches_, self.sigma_)
-        return self._scores(kernel)
-
-    @property
-    def _n_features_out(self) -> int:
-        return self.n_components_
-
-    def _fit(self, X: ArrayLike) -> Floats:
-        """Fit, and return the kernel of the training touches."""
-        touches = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
-        check_squarable("X", touches)
-        check_option("scaling", self.scaling, ("unit", "paper"))
-        wanted = check_components(self.n_components, whole=True)
-        self.mean_ = touches.mean(axis=0)
-        self.touches_ = touches - self.mean_
-        if self.sigma is None:
-            distance = pdist(self.touches_)
-            if not distance.any():
-                raise ValueError(
-                    "X must hold touches that differ, got the same features "
-                    f"{len(touches)} times. Check the encoding before this step."
-                )
-            self.sigma_ = float(np.median(distance[distance > 0]))
-        else:
-            self.sigma_ = check_width("sigma", self.sigma)
-        kernel = _kernel(self.touches_, self.touches_, self.sigma_)
-        self._learn(kernel, wanted)
-        return kernel
-
-    def _scores(self, kernel: Floats) -> Floats:
-        scores: Floats = kernel @ self.coefficients_ - self.offset_
-        return scores
-
-    def _learn(self, kernel: Floats, wanted: Components) -> None:
-        column_mean = kernel.mean(axis=0)
-        centred = kernel - column_mean
-        centred -= centred.mean(axis=1, keepdims=True)
-        total = float(np.trace(centred))
-        if not total > 0:
-            raise ValueError(
-                "X must hold touches that the kernel tells apart, got touches that "
-                f"are all alike at sigma = {self.sigma_}. Choose another sigma."
-            )
-        values, vectors = _leading(centred, wanted)
-        n_kept = len(values)
-        if isinstance(wanted, float):
-            share = np.cumsum(values) / total
-            n_kept = min(int(np.searchsorted(share, wanted - 1e-12)) + 1, n_kept)
-        elif wanted is not None:
-            n_kept = min(wanted, n_kept)
-        self.eigenvalues_ = values[:n_kept]
-        self.explained_variance_ratio_ = self.eigenvalues_ / total
-        self.n_components_ = n_kept
-        scale = np.sqrt(self.eigenvalues_)
-        if self.scaling == "paper":
-            scale = scale / np.sqrt(len(kernel))
-        # Scores are (k(x) - column mean) times centred weights: the weights of a
-        # direction sum to zero, so the other two terms of centring drop out.
-        weights = vectors[:, :n_kept] / scale
-        self.coefficients_ = weights - weights.mean(axis=0)
-        self.offset_ = column_mean @ self.coefficients_
-
-
-def _kernel(left: Floats, right: Floats, sigma: float) -> Floats:
-    """Gaussian kernel less 1, which centring removes: wide kernels keep digits."""
-    norms = (left**2).sum(axis=1)[:, None] + (right**2).sum(axis=1)
-    squared = norms - 2 * left @ right.T
-    # Narrow kernels would magnify the rounding of a touch's distance to itself.
-    squared[squared <= _ROUNDING * norms] = 0
-    # Touches many widths apart are infinitely so: their kernel is 0.
-    with np.errstate(over="ignore"):
-        exponent = squared / (-2 * sigma**2)
-    kernel: Floats = np.expm1(exponent)
-    return kernel
-
-
-def _leading(centred: Floats, wanted: Components) -> tuple[Floats, Floats]:
-    """Eigenvalues (falling, above rounding) and eigenvectors with fixed signs."""
-    n = len(centred)
-    subset = None
-    if isinstance(wanted, int) and wanted < n:
-        subset = (n - wanted, n - 1)
-    values, vectors = eigh(centred, subset_by_index=subset)
-    if isinstance(wanted, int) and not len(values):
-        # Of many equal eigenvalues LAPACK gives all or none.
-        values, vectors = eigh(centred)
-        values, vectors = values[-wanted:], vectors[:, -wanted:]
-    values, vectors = values[::-1], vectors[:, ::-1]
-    real = values > _RANK_TOLERANCE * max(values[0], np.finfo(float).tiny)
-    values, vectors = values[real], vectors[:, real]
-    size = np.abs(vectors)
-    # The first of nearly equal entries decides, so that rounding does not.
-    pivot = (size >= size.max(axis=0, initial=0) * (1 - 1e-6)).argmax(axis=0)
-    return values, vectors * np.sign(vectors[pivot, np.arange(len(values))])

@@ -7,12 +7,11 @@ walk along the outline begins. Nonzero is foreground.
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, binary_fill_holes
 
 from .._checks import check_count, check_option
 from .._image_estimator import ImageEstimator
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats
 
 # Up, down, left and right within an image; never from one image to the next.
 _CROSS = np.array([[[0, 1, 0], [1, 1, 1], [0, 1, 0]]], dtype=bool)
@@ -131,8 +130,13 @@ class FourierDescriptors(ImageEstimator):
                 outline = np.column_stack(
                     [np.interp(wanted, along, side) for side in closed.T]
                 )
-            found = _descriptors(outline)[: self.n]
-            row[: len(found)] = found
+            if len(outline) < 3:
+                continue
+            size = np.linalg.norm(np.fft.fft(outline, axis=0), axis=1)[1:]
+            # An outline whose first wave vanishes has no size to divide by.
+            if size[0] > 1e-9 * size.max():
+                found = (size / size[0])[: self.n]
+                row[: len(found)] = found
         return descriptors
 
     def get_feature_names_out(self, input_features: object = None) -> Array:
@@ -140,7 +144,7 @@ class FourierDescriptors(ImageEstimator):
         return np.array([f"fourier{i + 1}" for i in range(self.n)], dtype=object)
 
 
-def outer_boundary(shape: NDArray[np.bool_]) -> Floats:
+def outer_boundary(shape: Bools) -> Floats:
     """The largest component's outer boundary (column, row) as a closed walk, (n, 2)."""
     pixels = shape.astype(np.uint8)
     n_labels, labels, stats, _ = cv2.connectedComponentsWithStats(pixels)
@@ -149,21 +153,10 @@ def outer_boundary(shape: NDArray[np.bool_]) -> Floats:
     largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
     mask = (labels == largest).astype(np.uint8)
     outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    walk: Floats = outlines[0].reshape(-1, 2).astype(np.float64)
-    return walk
+    return np.asarray(outlines[0].reshape(-1, 2).astype(np.float64))
 
 
-def _descriptors(outline: Floats) -> Floats:
-    """s[1] to s[L - 1] of an outline of L points; empty for a line or a dot."""
-    if len(outline) < 3:
-        return np.empty(0)
-    size = np.linalg.norm(np.fft.fft(outline, axis=0), axis=1)[1:]
-    # An outline whose first wave vanishes has no size to divide by.
-    return size / size[0] if size[0] > 1e-9 * size.max() else np.zeros_like(size)
-
-
-def _mean(values: Array, inside: NDArray[np.bool_]) -> Floats:
+def _mean(values: Array, inside: Bools) -> Floats:
     """Mean of `values` over the True pixels of each image, 0 where there is none."""
     count = np.maximum(inside.sum(axis=(1, 2)), 1)
-    mean: Floats = np.where(inside, values, 0.0).sum(axis=(1, 2)) / count
-    return mean
+    return np.asarray(np.where(inside, values, 0.0).sum(axis=(1, 2)) / count)

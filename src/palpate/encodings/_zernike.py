@@ -15,19 +15,13 @@ from math import hypot, pi
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import (
-    check_count,
-    check_finite,
-    check_image_shape,
-    check_number,
-    check_option,
-    check_positive,
-)
+from .. import _checks
+from .._checks import check_count, check_finite, check_number, check_option
 from .._image_estimator import ImageEstimator
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices
 from ._zernike_polynomials import noll_degrees, signed_degrees, zernike_degrees
 from ._zernike_tables import HIGHEST_SEPARABLE_ORDER, Disc, Grid, zernike_moments
 
@@ -174,7 +168,7 @@ class ZernikeMoments(ImageEstimator):
         return np.array([f"zernike{n},{m}" for n, m in self.indices_], dtype=object)
 
     def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
-        return check_image_shape(X, shape=shape, channels=True)
+        return _checks.check_image_shape(X, shape=shape, channels=True)
 
     def _images(self, X: ArrayLike) -> Array:
         images = super()._images(X)
@@ -185,12 +179,8 @@ class ZernikeMoments(ImageEstimator):
         return images
 
     def _learn(self, images: Array) -> None:
-        """Place the disc in images of this size."""
         least = 1 if self.drop_constant else 0
-        if check_count("order", self.order, at_least=least) > _HIGHEST_ORDER:
-            raise ValueError(
-                f"order must be at most {_HIGHEST_ORDER}, got {self.order}."
-            )
+        check_count("order", self.order, at_least=least, at_most=_HIGHEST_ORDER)
         check_option("method", self.method, ("exact", "sample"))
         check_option("output", self.output, ("abs", "complex", "noll", "noll_abs"))
         check_option("weight", self.weight, ("n+1", "noll", "none"))
@@ -207,7 +197,7 @@ class ZernikeMoments(ImageEstimator):
         inscribed = self.disc == "inscribed"
         radius = min(n_rows, n_cols) / 2 if inscribed else hypot(n_rows, n_cols) / 2
         if self.radius is not None:
-            radius = check_positive("radius", self.radius)
+            radius = _checks.check_positive("radius", self.radius)
         disc = Disc(n_rows, n_cols, row, col, radius)
         counted = disc.touches() if self.method == "exact" else disc.holds_centre()
         if not counted.any():
@@ -228,8 +218,8 @@ class ZernikeMoments(ImageEstimator):
 class _Layout(NamedTuple):
     """Degrees of the columns, where they are among m >= 0, and their weights."""
 
-    degrees: NDArray[np.intp]
-    columns: NDArray[np.intp]
+    degrees: Indices
+    columns: Indices
     weights: Floats
 
 

@@ -13,9 +13,8 @@ from functools import lru_cache
 from math import lcm
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .._types import Array, Floats
+from .._types import Array, Complexes, Floats
 
 Times = Callable[[Array], Array]
 
@@ -41,9 +40,7 @@ def noll_degrees(order: int) -> list[tuple[int, int]]:
     return degrees
 
 
-def zernike_values(
-    order: int, x: Floats, y: Floats
-) -> Iterator[NDArray[np.complex128]]:
+def zernike_values(order: int, x: Floats, y: Floats) -> Iterator[Complexes]:
     """Yield V(n, m) at the points (x, y), in the order of `zernike_degrees`."""
     z = x + 1j * y
     one = np.ones_like(z)
@@ -51,7 +48,7 @@ def zernike_values(
 
 
 @lru_cache(maxsize=32)
-def legendre_weights(order: int) -> NDArray[np.complex128]:
+def legendre_weights(order: int) -> Complexes:
     """Weights of P_i(x) P_j(y) in V(n, m), at [degree, i, j]; none of i + j > order.
 
     Exact rationals, rounded once; beyond order 20 their sums lose digits.
@@ -63,11 +60,10 @@ def legendre_weights(order: int) -> NDArray[np.complex128]:
         whole = part.astype(np.int64).astype(object)
         both = np.matmul(to_legendre.T, np.matmul(whole, to_legendre))
         parts.append((both / scale**2).astype(np.float64))
-    weights: NDArray[np.complex128] = parts[0] + 1j * parts[1]
-    return weights
+    return np.asarray(parts[0] + 1j * parts[1])
 
 
-def _monomial_weights(order: int) -> Iterator[NDArray[np.complex128]]:
+def _monomial_weights(order: int) -> Iterator[Complexes]:
     """Yield weights of x^a y^b at [a, b] of each V(n, m): whole, exact to order 20."""
 
     def times(a: Array, sign: int) -> Array:

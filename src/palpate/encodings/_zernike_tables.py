@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
-from .._types import Array, Floats
+from .._types import Array, Bools, Complexes, Floats, Indices
 from ._zernike_polynomials import legendre_weights, zernike_degrees, zernike_values
 
 Nodes = tuple[Floats, Floats, Floats]
@@ -59,27 +59,26 @@ class Disc(NamedTuple):
         """Taxel centres along the rows, in radii."""
         return (np.arange(self.n_rows, dtype=np.float64) - self.row) / self.radius
 
-    def holds_centre(self) -> NDArray[np.bool_]:
+    def holds_centre(self) -> Bools:
         """Taxels whose centre is inside, (n_rows, n_cols)."""
         return np.hypot(self.y[:, None], self.x) <= 1
 
-    def holds_whole(self) -> NDArray[np.bool_]:
+    def holds_whole(self) -> Bools:
         """Taxels that are inside with all four corners, (n_rows, n_cols)."""
         x, y = np.abs(self.x) + self.step / 2, np.abs(self.y) + self.step / 2
         return np.hypot(y[:, None], x) <= 1
 
-    def touches(self) -> NDArray[np.bool_]:
+    def touches(self) -> Bools:
         """Taxels of which any part is inside, (n_rows, n_cols)."""
         x = np.maximum(np.abs(self.x) - self.step / 2, 0)
         y = np.maximum(np.abs(self.y) - self.step / 2, 0)
         return np.hypot(y[:, None], x) < 1
 
-    def is_cut(self) -> NDArray[np.bool_]:
-        """Taxels that the rim cuts, (n_rows, n_cols)."""
+    def is_cut(self) -> Bools:
         return self.touches() & ~self.holds_whole()
 
 
-def whole_nodes(disc: Disc, taxels: NDArray[np.intp], n_nodes: int) -> Nodes:
+def whole_nodes(disc: Disc, taxels: Indices, n_nodes: int) -> Nodes:
     """Points and weights over whole taxels (flat indices), (n_taxels, n_nodes**2)."""
     node, weight = leggauss(n_nodes)
     half = disc.step / 2
@@ -90,21 +89,15 @@ def whole_nodes(disc: Disc, taxels: NDArray[np.intp], n_nodes: int) -> Nodes:
     return x, y, np.broadcast_to(area, x.shape)
 
 
-class Chords(NamedTuple):
-    """Lines along x that fill the parts inside the disc of taxels that its rim cuts.
-
-    All arrays are (n_taxels, n_lines); sums with `weight` over lines integrate.
-    """
-
-    y: Floats
-    left: Floats
-    right: Floats
-    weight: Floats
+Chords = tuple[Floats, Floats, Floats, Floats]
 
 
-def cut_chords(disc: Disc, taxels: NDArray[np.intp], order: int) -> Chords:
+def cut_chords(disc: Disc, taxels: Indices, order: int) -> Chords:
     """Chords that integrate polynomials of degree `order` to rounding error.
 
+    They are lines along x that fill the parts inside the disc of taxels that its rim
+    cuts: y, left and right end and weight, (n_taxels, n_lines) each; sums with the
+    weight over lines integrate.
     Each taxel is split where the rim crosses its edges; between, y = sin(t) makes the
     chords' ends analytic in t, so that Gauss-Legendre points converge at once.
     """
@@ -126,17 +119,18 @@ def cut_chords(disc: Disc, taxels: NDArray[np.intp], order: int) -> Chords:
     start = np.maximum(left[:, None], -rim)
     stop = np.maximum(np.minimum(right[:, None], rim), start)
     weights = (reach[..., None] * weight).reshape(shape) * rim
-    return Chords(np.sin(angle), start, stop, weights)
+    return np.sin(angle), start, stop, weights
 
 
-def cut_nodes(disc: Disc, taxels: NDArray[np.intp], order: int, n_nodes: int) -> Nodes:
+def cut_nodes(disc: Disc, taxels: Indices, order: int, n_nodes: int) -> Nodes:
     """Points and weights that integrate over the parts of cut taxels inside."""
     chords = cut_chords(disc, taxels, order)
+    y, left, right, along = (part[..., None] for part in chords)
     node, weight = leggauss(n_nodes)
-    half = ((chords.right - chords.left) / 2)[..., None]
-    x = (chords.left[..., None] + half) + half * node
-    weights = chords.weight[..., None] * half * weight
-    y = np.broadcast_to(chords.y[..., None], x.shape)
+    half = (right - left) / 2
+    x = (left + half) + half * node
+    weights = along * half * weight
+    y = np.broadcast_to(y, x.shape)
     shape = len(taxels), x.shape[1] * n_nodes
     return x.reshape(shape), y.reshape(shape), weights.reshape(shape)
 
@@ -150,7 +144,7 @@ class Grid(NamedTuple):
     single: bool = False
 
 
-def zernike_moments(images: Array, grid: Grid) -> NDArray[np.complex128]:
+def zernike_moments(images: Array, grid: Grid) -> Complexes:
     """Integrate images times conj(V(n, m)) over the disc, (n_touches, n_degrees).
 
     Degrees are `zernike_degrees`, lengths radii: an image of 1 has the moment pi at (0,
@@ -227,8 +221,8 @@ class _Table(NamedTuple):
 
     down: Floats
     across: Floats
-    products: NDArray[np.intp]
-    cut: NDArray[np.intp]
+    products: Indices
+    cut: Indices
     weights: Floats
 
 
@@ -276,12 +270,18 @@ def _table(grid: Grid) -> _Table:
     j, i = np.nonzero(np.add.outer(np.arange(order + 1), np.arange(order + 1)) <= order)
     weights = legendre_weights(order)[:, i, j].T
     cut = np.flatnonzero(disc.is_cut()) if grid.exact else np.empty(0, dtype=np.intp)
-    rows = _cut_integrals(disc, cut, order)[:, i, j] @ _parts(weights)
+    # P_i(x) P_j(y) over the parts inside, (n_taxels, order + 1, order + 1).
+    y, left, right, weight = cut_chords(disc, cut, order)
+    along = _legendre_antiderivatives(right, order)
+    along -= _legendre_antiderivatives(left, order)
+    along *= weight[..., None]
+    integrals = along.transpose(0, 2, 1) @ legvander(y, order)
+    rows = integrals[:, i, j] @ _parts(weights)
     both = np.vstack([_parts(weights), rows])
     return _Table(halves, across, j * (order + 1) + i, cut, both)
 
 
-def _parts(values: NDArray[np.complex128]) -> Floats:
+def _parts(values: Complexes) -> Floats:
     return np.concatenate([values.real, values.imag], axis=1)
 
 
@@ -291,15 +291,6 @@ def _legendre_sums(centres: Floats, step: float, order: int, exact: bool) -> Flo
     points = np.clip(centres[:, None] + step / 2 * node, -1, 1)
     sums: Floats = np.einsum("tgi,g->ti", legvander(points, order), weight * step / 2)
     return sums
-
-
-def _cut_integrals(disc: Disc, taxels: NDArray[np.intp], order: int) -> Floats:
-    """P_i(x) P_j(y) over the parts inside, (n_taxels, order + 1, order + 1)."""
-    chords = cut_chords(disc, taxels, order)
-    along = _legendre_antiderivatives(chords.right, order)
-    along -= _legendre_antiderivatives(chords.left, order)
-    along *= chords.weight[..., None]
-    return along.transpose(0, 2, 1) @ legvander(chords.y, order)
 
 
 def _legendre_antiderivatives(x: Floats, order: int) -> Floats:
@@ -312,7 +303,7 @@ def _legendre_antiderivatives(x: Floats, order: int) -> Floats:
 
 
 @lru_cache(maxsize=16)
-def _dense_taxels(grid: Grid) -> NDArray[np.intp]:
+def _dense_taxels(grid: Grid) -> Indices:
     disc = grid.disc
     return np.flatnonzero(disc.touches() if grid.exact else disc.holds_centre())
 
@@ -323,7 +314,7 @@ def _dense_basis(grid: Grid, start: int, stop: int) -> Floats:
     return _basis_of(grid, _dense_taxels(grid)[start:stop])
 
 
-def _basis_of(grid: Grid, taxels: NDArray[np.intp]) -> Floats:
+def _basis_of(grid: Grid, taxels: Indices) -> Floats:
     disc, order = grid.disc, grid.order
     if not grid.exact:
         row, col = np.divmod(taxels, disc.n_cols)
@@ -350,7 +341,7 @@ class _Quarter(NamedTuple):
 
     down: int
     across: int
-    columns: NDArray[np.intp]
+    columns: Indices
     basis: Array
 
 
@@ -363,7 +354,7 @@ def _can_fold(disc: Disc, order: int) -> bool:
 
 
 @lru_cache(maxsize=4)
-def _quarters(grid: Grid) -> tuple[list[_Quarter], NDArray[np.intp], int]:
+def _quarters(grid: Grid) -> tuple[list[_Quarter], Indices, int]:
     """The four parts of the basis, the taxels of a quarter that count, n_parts."""
     disc, taxels = grid.disc, _dense_taxels(grid)
     # Single precision halves the time: reading the basis is what takes it.

@@ -172,8 +172,6 @@ def guarded_touch(
 
 
 class _Fault(Exception):
-    """The end of an approach that should not have ended so."""
-
     def __init__(self, message: str, outcome: str = "force sensor") -> None:
         super().__init__(message)
         self.outcome = outcome
@@ -270,7 +268,6 @@ class _Approach:
             )
 
     def record(self) -> TouchRecord:
-        """Return what is kept of this approach."""
         return TouchRecord(
             outcome=self.outcome,
             start=self.start,
@@ -428,7 +425,6 @@ class _Approach:
             )
 
     def _frame(self) -> Array:
-        """Return a frame that is one, or say what is wrong with it."""
         try:
             frame = np.asarray(self.sensor.read())
         except SensorError as error:

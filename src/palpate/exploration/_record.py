@@ -125,7 +125,6 @@ History = Sequence[TouchRecord]
 
 
 def tip_mm(pose: SensorPose) -> tuple[float, float, float]:
-    """Return the place of a pose as plain numbers."""
     x, y, z = np.asarray(pose.position_mm)
     return float(x), float(y), float(z)
 

@@ -6,8 +6,6 @@ known to the teacher, so the places and directions of touches are in the object'
 frame, as a `TouchMap` wants them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -212,7 +210,6 @@ def _session(
     session: int,
     n_touches: int,
 ) -> Touches:
-    """Put object `number` down once and touch it."""
     seeds = np.random.SeedSequence((random_state, number, session))
     seed = int(seeds.generate_state(1)[0])
     rng = np.random.default_rng([seed, 1])

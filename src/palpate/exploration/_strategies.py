@@ -299,8 +299,16 @@ class InformativeTouch:
 
         As if nothing near it had been touched; what was is `next_pose`'s business.
         """
-        log_joint, n_touches = self._joint(belief, history)
-        return self._stations.expected_gain(log_joint, n_touches)
+        gain = self._stations.expected_gain
+        if isinstance(belief, PlacedBelief):
+            return gain(belief.log_joint, belief.touches_used)
+        placed = self._follow(history)
+        if belief is None:
+            return gain(placed.log_joint, placed.touches_used)
+        turns = placed.log_joint - placed.log_posterior[:, None]
+        shares = np.array(list(belief.posterior.values()))
+        objects = np.log(np.maximum(shares, np.finfo(float).tiny))
+        return gain(turns + objects[:, None], belief.touches_used)
 
     def __repr__(self) -> str:
         return (
@@ -315,17 +323,6 @@ class InformativeTouch:
         n_turns = self.touch_map.n_turns
         turns = np.arange(n_turns) * (2 * np.pi / n_turns)
         return np.array([[outward(a, np.arcsin(h)) for a in turns] for h in heights])
-
-    def _joint(self, belief: Belief | None, history: History) -> tuple[Floats, int]:
-        if isinstance(belief, PlacedBelief):
-            return belief.log_joint, belief.touches_used
-        placed = self._follow(history)
-        if belief is None:
-            return placed.log_joint, placed.touches_used
-        turns = placed.log_joint - placed.log_posterior[:, None]
-        shares = np.array(list(belief.posterior.values()))
-        objects = np.log(np.maximum(shares, np.finfo(float).tiny))
-        return turns + objects[:, None], belief.touches_used
 
     def _follow(self, history: History) -> PlacedBelief:
         """Return the placed belief after `history`; what was encoded stays so."""

@@ -19,17 +19,17 @@ place explains the touch than any place does, and is 1 where the map knows nothi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 from scipy.special import log_softmax, logsumexp
 
 from .._checks import check_count
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices
 from ..recognition import (
     Belief,
     Evidence,
@@ -42,7 +42,7 @@ from ..recognition import (
 from ..touches import Touches
 
 Weights = tuple[float, float, float]
-Episodes = list[NDArray[np.intp]]
+Episodes = list[Indices]
 # Widths in units of the places (radians, on a hemisphere), bandwidths as shares of
 # the mean squared distance between features.
 WIDTHS = (0.08, 0.15, 0.3, 0.6)
@@ -54,16 +54,6 @@ _ELSEWHERE = 1e-3
 _TINY = 1e-6
 # Directions may have been written with a few digits.
 _LENGTH_TOLERANCE = 0.01
-
-
-def _all_pairs(closeness: Floats, touches: Floats) -> Floats:
-    """Sums over training touches, for each station and touch."""
-    return closeness @ touches.T
-
-
-def _row_by_row(closeness: Floats, touches: Floats) -> Floats:
-    """Sums over training touches, of station i for touch i."""
-    return np.asarray((closeness * touches).sum(axis=1))
 
 
 class TouchMap:
@@ -164,7 +154,7 @@ class TouchMap:
         left_out, ratios = self.left_out(), []
         for stations in turned_back(self.places_, self.n_turns).swapaxes(0, 1):
             close = self.closeness(stations)
-            ratios.append(self.station_ratio(*left_out, close, _row_by_row))
+            ratios.append(self.station_ratio(*left_out, close, row_by_row=True))
         return np.stack(ratios, axis=-1)
 
     @property
@@ -187,13 +177,6 @@ class TouchMap:
     def sequence_calibration(self) -> SequenceCalibration:
         """How touches of one episode and their places add up."""
         return SequenceCalibration(1.0, self.correlation_)
-
-    def evidence_at(self, evidence: Evidence, places: Floats) -> Floats:
-        """Return the evidence of touches at places, (n_touches, n_objects, n_turns)."""
-        ratio = self.placed_ratio(evidence.features, places)
-        # Places of touches that say nothing say nothing either.
-        ratio[~evidence.log_likelihood.any(axis=1)] = 0.0
-        return self.weighed(log_softmax(evidence.log_likelihood, axis=1), ratio)
 
     def set_kernels(self, width: float, bandwidth_share: float) -> None:
         """Set the width, and the bandwidth by its share of the features' spread."""
@@ -229,19 +212,23 @@ class TouchMap:
         nearness: Floats,
         allowed: Floats,
         closeness: Floats,
-        summed: Callable[[Floats, Floats], Floats] = _all_pairs,
+        row_by_row: bool = False,
     ) -> Floats:
         """Return log r of touches at stations, (n_stations, n_objects, n_touches).
 
         `nearness` holds N of the touches and `allowed` 0 where a training touch does
         not count for one, (n_touches, n_training); `closeness` is from `closeness`.
-        r is the weighted mean over the plain mean, 1 where nothing counts.
+        r is the weighted mean over the plain mean, 1 where nothing counts. `row_by_row`
+        asks of station i for touch i alone.
         """
         near, ratios = nearness * allowed, []
         for rows in self.rows_of_object:
             close, free = closeness[:, rows], allowed[:, rows]
-            weight = np.maximum(summed(close, free), _TINY)
-            placed = summed(close, near[:, rows]) / weight
+            if row_by_row:
+                sums = [(close * one).sum(axis=1) for one in (free, near[:, rows])]
+            else:
+                sums = [close @ one.T for one in (free, near[:, rows])]
+            placed = sums[1] / np.maximum(sums[0], _TINY)
             n_free = np.maximum(free.sum(axis=1), 1)
             anywhere = near[:, rows].sum(axis=1) / n_free
             ratios.append(np.log((placed + _TINY) / (anywhere + _TINY)))
@@ -312,8 +299,11 @@ class PlacedBelief(Belief):
         """
         where = places_of(touch, places, self._map.n_turns)
         evidence = self._evidence_of(as_touches(touch))
-        placed = self._map.evidence_at(evidence, where)
-        self._placed = self._placed + placed.sum(axis=0)
+        ratio = self._map.placed_ratio(evidence.features, where)
+        # Places of touches that say nothing say nothing either.
+        ratio[~evidence.log_likelihood.any(axis=1)] = 0.0
+        said = log_softmax(evidence.log_likelihood, axis=1)
+        self._placed = self._placed + self._map.weighed(said, ratio).sum(axis=0)
         return super().update(evidence)
 
     @property

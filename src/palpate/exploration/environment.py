@@ -197,7 +197,6 @@ class TouchEnv(gymnasium.Env[Any, Any]):
 
 
 def _numbers(action: Any, name: str, count: int) -> Floats:
-    """Return one part of an action as finite numbers, or explain."""
     if not isinstance(action, Mapping) or name not in action:
         found = sorted(action) if isinstance(action, Mapping) else action
         raise ValueError(

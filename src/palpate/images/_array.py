@@ -14,21 +14,16 @@ from itertools import islice
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import spsolve
 from sklearn.base import clone
 from sklearn.utils import Tags
 
-from .._checks import (
-    check_count,
-    check_images,
-    check_number,
-    check_option,
-    check_positive,
-)
+from .. import _checks
+from .._checks import check_count, check_images, check_option, check_positive
 from .._image_estimator import ImageEstimator
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats
 
 _OUTPUTS = ("resized", "gamma", "filtered", "binary")
 # Interpolation leaves rounding of this relative size in what should be constant.
@@ -72,6 +67,8 @@ class ArrayCleanUp(ImageEstimator):
     array([221])
     """
 
+    _allow_nan = True
+
     def __init__(
         self,
         shape: tuple[int, int] = (33, 33),
@@ -99,9 +96,6 @@ class ArrayCleanUp(ImageEstimator):
         other: Self = clone(self).fit(X, no_contact=no_contact)
         return other
 
-    def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
-        return check_images(X, shape=shape, allow_nan=True, channels=True)
-
     def _learn(self, images: Array) -> None:
         self.transform_checked(images[:1])
 
@@ -111,7 +105,6 @@ class ArrayCleanUp(ImageEstimator):
         return next(made for step, made in self._steps(images) if step == wanted)
 
     def _steps(self, images: Array) -> Iterator[tuple[str, Array]]:
-        """Yield each step's name and what it makes of the images."""
         filled = fill_dead_taxels(images, dead=self.dead)
         yield "filled", filled
         resized = resize(filled, self.shape)
@@ -192,7 +185,7 @@ def otsu_threshold(images: ArrayLike) -> Floats:
 
 def binarise(
     images: ArrayLike, n_partitions: int = 2, *, min_contrast: float = 0.0
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Threshold each of n x n partitions of each image by its own Otsu threshold.
 
     Partitions that span at most the share `min_contrast` of the image's span are
@@ -201,7 +194,7 @@ def binarise(
     """
     checked = check_images(images)
     n_parts = check_count("n_partitions", n_partitions)
-    contrast = check_number("min_contrast", min_contrast, low=0, high=1)
+    contrast = _checks.check_number("min_contrast", min_contrast, low=0, high=1)
     if n_parts > min(checked.shape[1:]):
         raise ValueError(
             f"n_partitions must be at most {min(checked.shape[1:])}, the shorter side "
@@ -242,13 +235,10 @@ def _resize_matrix(n_in: int, n_out: int) -> Floats:
         centre = centre.clip(0, n_in - 1)
     distance = np.abs(centre[:, None] - np.arange(n_in)) / max(scale, 1.0)
     weight = np.maximum(1 - distance, 0)
-    weights: Floats = weight / weight.sum(axis=1, keepdims=True)
-    return weights
+    return np.asarray(weight / weight.sum(axis=1, keepdims=True))
 
 
-def _binarise_block(
-    block: Floats, whole: Floats, least_span: Floats
-) -> NDArray[np.bool_]:
+def _binarise_block(block: Floats, whole: Floats, least_span: Floats) -> Bools:
     flat = block.reshape(len(block), -1)
     threshold = _threshold_rows(flat)
     constant = np.isnan(threshold) | (np.ptp(flat, axis=1) <= least_span)
@@ -345,7 +335,7 @@ def fill_dead_taxels(images: ArrayLike, *, dead: str = "fill") -> Floats:
     return filled
 
 
-def _solve(images: Floats, is_dead: NDArray[np.bool_]) -> Floats:
+def _solve(images: Floats, is_dead: Bools) -> Floats:
     """Solve for the taxels of `is_dead`, the same in each of `images`."""
     number = np.where(is_dead, np.cumsum(is_dead).reshape(is_dead.shape) - 1, -1)
     n_dead = int(is_dead.sum())

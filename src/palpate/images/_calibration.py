@@ -21,7 +21,7 @@ from sklearn.utils.validation import check_is_fitted
 from .._checks import check_images, check_number, check_option
 from .._durable import write_text
 from .._image_estimator import ImageEstimator
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices
 
 _FORMAT, _VERSION = "palpate taxel calibration", 1
 _NUMBERS = ("gain", "offset", "noise", "dead_zone_kpa", "saturation_kpa")
@@ -235,7 +235,6 @@ class TaxelCalibration(ImageEstimator):
 
 
 def _read_calibration(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Read parameters and learnt values, or say what is wrong with the file."""
     content = _read(Path(path))
     try:
         params = dict(content["params"])
@@ -292,7 +291,11 @@ def fit_taxels(readings: Floats, loads: Floats, least_gain: float) -> dict[str, 
     Readings are conductances (n_frames, n_taxels), NaN where there is none; a taxel is
     dead below the share `least_gain` of the median gain.
     """
-    steps, group = _group_loads(loads)
+    # Distinct loads, rising, and which of them each frame belongs to.
+    steps, group = np.unique(loads, return_inverse=True)
+    if len(steps) > _MOST_LOADS:
+        group = (np.arange(len(steps)) * _MOST_LOADS // len(steps))[group]
+        steps = np.array([np.median(loads[group == i]) for i in range(_MOST_LOADS)])
     silent = np.isnan(readings).mean(axis=0) > 0.5
     known = np.where(silent, 0.0, readings)
     levels = np.stack([_median(known[group == i]) for i in range(len(steps))])
@@ -320,19 +323,9 @@ def _median(values: Floats) -> Floats:
     return np.where(nothing, np.nan, median)
 
 
-def _group_loads(loads: Floats) -> tuple[Floats, NDArray[np.intp]]:
-    """Distinct loads, rising, and which of them each frame belongs to."""
-    distinct, which = np.unique(loads, return_inverse=True)
-    if len(distinct) <= _MOST_LOADS:
-        return distinct, which
-    group_of = np.arange(len(distinct)) * _MOST_LOADS // len(distinct)
-    group = group_of[which]
-    return np.array([np.median(loads[group == i]) for i in range(_MOST_LOADS)]), group
-
-
 def _best_segment(
     loads: Floats, levels: Floats
-) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]:
+) -> tuple[Indices, Indices, Floats, Floats]:
     """First and last load of each taxel's linear part, and its line."""
     n_loads, n_taxels = levels.shape
     pairs = np.array(list(combinations(range(n_loads), 2)))

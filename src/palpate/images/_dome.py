@@ -16,13 +16,13 @@ from typing import Self
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.base import clone
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_number, check_option, check_positive
 from .._image_estimator import ImageEstimator
-from .._types import Array, Floats
+from .._types import Array, Floats, Singles
 from ._orientation import inscribed_mask
 from ._rim import Circle, Rims, as_images, rims_near, typical_rim
 
@@ -125,7 +125,7 @@ class DomeCrop(ImageEstimator):
         self.size_ = native if limit is None else min(native, limit)
         return self
 
-    def transform_checked(self, images: Array) -> NDArray[np.float32]:
+    def transform_checked(self, images: Array) -> Singles:
         """Return the discs, shape (n_touches, size_, size_), zero outside.
 
         Raises
@@ -146,7 +146,7 @@ class DomeCrop(ImageEstimator):
         discs = _crop(images, rims, self.disc_radius_, self.size_)
         return _standardise(discs) if self.output == "standardised" else discs
 
-    def by_channel(self, images: Array) -> NDArray[np.float32]:
+    def by_channel(self, images: Array) -> Singles:
         """Return the disc of each channel, (n_touches, size_, size_, n_channels).
 
         Of checked images (n_touches, n_rows, n_cols, n_channels), about the rim of
@@ -267,9 +267,7 @@ class DerivativeMagnitude(ImageEstimator):
         return magnitude
 
 
-def crop_discs(
-    images: ArrayLike, rims: Rims, radius: float, size: int
-) -> NDArray[np.float32]:
+def crop_discs(images: ArrayLike, rims: Rims, radius: float, size: int) -> Singles:
     """Return the disc of `radius` pixels about each rim, (n_touches, size, size).
 
     Zero outside; where the disc leaves the frame, the frame's edge is repeated.
@@ -285,7 +283,7 @@ def crop_discs(
     )
 
 
-def standardise_discs(discs: ArrayLike) -> NDArray[np.float32]:
+def standardise_discs(discs: ArrayLike) -> Singles:
     """Bring each square disc to mean 0 and variance 1; flat discs and outsides to 0."""
     images = as_images(discs)
     rows, cols = images.shape[1:]
@@ -294,7 +292,7 @@ def standardise_discs(discs: ArrayLike) -> NDArray[np.float32]:
     return _standardise(images)
 
 
-def _crop(images: Array, rims: Rims, radius: float, size: int) -> NDArray[np.float32]:
+def _crop(images: Array, rims: Rims, radius: float, size: int) -> Singles:
     discs = np.empty((len(images), size, size), np.float32)
     for disc, image, row, col in zip(discs, images, rims.row, rims.col, strict=True):
         disc[:] = _mean_over_cells(image, (row, col), radius, size)
@@ -302,7 +300,7 @@ def _crop(images: Array, rims: Rims, radius: float, size: int) -> NDArray[np.flo
     return discs
 
 
-def _standardise(images: Array) -> NDArray[np.float32]:
+def _standardise(images: Array) -> Singles:
     mask = inscribed_mask(*images.shape[1:])
     standard = np.zeros(images.shape, np.float32)
     for result, image in zip(standard, images, strict=True):

@@ -13,12 +13,12 @@ from functools import lru_cache
 from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import pascal
 
 from .._checks import check_count, check_images, check_number, check_option
 from .._image_estimator import ImageEstimator
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats, Indices
 
 ORDER = 3
 MIN_ANISOTROPY = 0.02
@@ -57,22 +57,21 @@ def central_moments(images: ArrayLike) -> CentralMoments:
 
 
 @lru_cache(maxsize=16)
-def inscribed_mask(n_rows: int, n_cols: int) -> NDArray[np.bool_]:
+def inscribed_mask(n_rows: int, n_cols: int) -> Bools:
     """Which pixel centres lie in the frame's inscribed disc; shared, so read-only."""
     row = np.arange(n_rows) - (n_rows - 1) / 2
     col = np.arange(n_cols) - (n_cols - 1) / 2
     squared = row[:, np.newaxis] ** 2 + col**2
-    inside: NDArray[np.bool_] = squared <= (min(n_rows, n_cols) / 2) ** 2
+    inside: Bools = squared <= (min(n_rows, n_cols) / 2) ** 2
     inside.flags.writeable = False
     return inside
 
 
-def above_least(images: ArrayLike, mask: NDArray[np.bool_]) -> Floats:
+def above_least(images: ArrayLike, mask: Bools) -> Floats:
     """Return levels above each image's least level in the mask, zero outside it."""
     checked = check_images(images)
     least = np.where(mask, checked, np.inf).min(axis=(1, 2), keepdims=True)
-    levels: Floats = (checked - least) * mask
-    return levels
+    return np.asarray((checked - least) * mask)
 
 
 def _powers(n: int) -> Floats:
@@ -268,7 +267,7 @@ def interpolate(
     first, weigh = _TAPS[interpolation]
     weights = weigh(exact - base)
     # Indices moved inside the image, and the weights of those that were outside.
-    taps: list[list[tuple[NDArray[np.intp], Floats]]] = [[], []]
+    taps: list[list[tuple[Indices, Floats]]] = [[], []]
     for i, axis in product(range(len(weights)), (0, 1)):
         index, weight = base[axis] + first + i, weights[i, axis]
         inside = index.clip(0, images.shape[1 + axis] - 1)

@@ -11,10 +11,9 @@ look the same is settled on presses that the template has not seen.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from .._types import Floats
+from .._types import Floats, Indices
 from ._orientation import interpolate, repose
 
 Pair = tuple[Floats, Floats]
@@ -109,8 +108,7 @@ def symmetrise(template: Floats, symmetry: int) -> Floats:
         return template
     copies = np.repeat(template[np.newaxis], n_copies, axis=0)
     angles = np.arange(n_copies) * (360 / n_copies)
-    mean: Floats = repose(copies, angles, interpolation="cubic").mean(axis=0)
-    return mean
+    return np.asarray(repose(copies, angles, interpolation="cubic").mean(axis=0))
 
 
 def template_angle(template: Floats, centroid: Floats, symmetry: int) -> float:
@@ -134,8 +132,7 @@ def _average(images: Floats, poses: Floats) -> Floats:
     total = _pull(images, poses).sum(axis=0)
     reached = weight > 0.02 * len(images)
     nearest = distance_transform_edt(~reached, return_indices=True)[1]
-    mean: Floats = (total / np.maximum(weight, 1e-9))[tuple(nearest)]
-    return mean
+    return np.asarray((total / np.maximum(weight, 1e-9))[tuple(nearest)])
 
 
 def _pull(images: Floats, poses: Floats) -> Floats:
@@ -228,14 +225,12 @@ def render(template: Floats, poses: Floats, shape: tuple[int, ...]) -> Floats:
     return interpolate(template[np.newaxis], where, "zero", "cubic")
 
 
-def _free(symmetry: int) -> NDArray[np.intp]:
+def _free(symmetry: int) -> Indices:
     """Which of angle, x and y can be found."""
     return np.array([0, 1, 2] if symmetry else [1, 2])
 
 
-def _slopes(
-    images: Floats, template: Floats, poses: Floats, free: NDArray[np.intp]
-) -> Floats:
+def _slopes(images: Floats, template: Floats, poses: Floats, free: Indices) -> Floats:
     """Derivatives of the residuals, (n_touches, n_free, n_residuals)."""
     steps = np.diag(_DIFFERENCE)[free]
     ahead_and_behind = poses + np.concatenate([steps, -steps])[:, np.newaxis]
@@ -278,8 +273,7 @@ def _solve_planes(images: Floats, drawn: Floats, poses: Floats) -> Pair:
 def _plane(weights: Floats, poses: Floats, shape: tuple[int, ...]) -> Floats:
     x, y = _offsets(poses, shape)
     level, along_x, along_y = weights.T[:, :, None, None]
-    plane: Floats = level + (along_x * x + along_y * y) / _PLANE_TAXELS
-    return plane
+    return np.asarray(level + (along_x * x + along_y * y) / _PLANE_TAXELS)
 
 
 def _offsets(poses: Floats, shape: tuple[int, ...]) -> Pair:

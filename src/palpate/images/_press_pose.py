@@ -17,23 +17,18 @@ from itertools import product
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import binary_erosion, generate_binary_structure
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_images, check_label_kinds, check_positive
-from .._types import Array, Floats
+from .._types import Array, Bools, Complexes, Floats, Indices
+from . import _pose_template
 from ._array import binarise, correct_gamma, fill_dead_taxels, otsu_threshold, resize
-from ._pose_template import (
-    find_symmetry,
-    learn_template,
-    pose_variances,
-    register,
-    template_angle,
-)
+from ._pose_template import find_symmetry, learn_template, pose_variances, register
 
-Waves = NDArray[np.complex128]
+Waves = Complexes
 
 # The first of each is the answer; the others tell how much hangs on the choice.
 _PARTITIONS, _GAMMAS = (2, 1, 3), (0.65, 0.3, 1.0)
@@ -80,7 +75,7 @@ class Poses:
     angle_deg: Floats
     sd_mm: Floats
     sd_deg: Floats
-    symmetry: NDArray[np.intp]
+    symmetry: Indices
 
     def __len__(self) -> int:
         return len(self.x_mm)
@@ -119,7 +114,7 @@ def press_pose(images: ArrayLike, pitch_mm: float, symmetry: int = 1) -> Poses:
     )
 
 
-def outlines(images: Floats, n_partitions: int, gamma: float) -> NDArray[np.bool_]:
+def outlines(images: Floats, n_partitions: int, gamma: float) -> Bools:
     """Make presses binary, three pixels per taxel."""
     shape = (images.shape[1] * _PIXELS_PER_TAXEL, images.shape[2] * _PIXELS_PER_TAXEL)
     enlarged = correct_gamma(resize(images, shape), gamma)
@@ -128,7 +123,7 @@ def outlines(images: Floats, n_partitions: int, gamma: float) -> NDArray[np.bool
     return binarise(enlarged, n_partitions) & above_floor
 
 
-def outline_centres(shapes: NDArray[np.bool_]) -> Floats:
+def outline_centres(shapes: Bools) -> Floats:
     """Centroids (x, y) of `outlines` in taxels from the middle, NaN where empty."""
     count = shapes.sum(axis=(1, 2))
     count = np.where(count > 0, count, np.nan)
@@ -163,9 +158,7 @@ def within_period(angle: Floats, period: float) -> Floats:
     return np.where(rest < period, rest, 0.0)
 
 
-def _pixel_variances(
-    shapes: NDArray[np.bool_], centres: Floats
-) -> tuple[Floats, Floats]:
+def _pixel_variances(shapes: Bools, centres: Floats) -> tuple[Floats, Floats]:
     """Variances of place (square taxels) and wave, as edge pixels may count or not."""
     cross = generate_binary_structure(2, 1)[np.newaxis]
     edge = (shapes & ~binary_erosion(shapes, cross)) * _COVERAGE_VARIANCE
@@ -348,7 +341,7 @@ class PressPose(BaseEstimator):
         if symmetry == 1:
             centroid = _turn(outline - poses[:, 1:], -poses[:, 0]).mean(axis=0)
         if angles is None or symmetry == 0:
-            zero = -template_angle(template, centroid, symmetry)
+            zero = -_pose_template.template_angle(template, centroid, symmetry)
         else:
             # The circular mean of angles that repeat every 360 / symmetry.
             apart = np.deg2rad(np.rad2deg(poses[:, 0]) - angles[pressed])

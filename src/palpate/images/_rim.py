@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_finite, check_image_shape, check_levels, check_positive
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats
 from . import _rim_fit
 from ._rim_fit import Fit
 
@@ -72,7 +72,7 @@ class Rims:
     row: Floats
     col: Floats
     radius: Floats
-    visible: NDArray[np.bool_]
+    visible: Bools
     score: Floats
 
     @classmethod
@@ -115,7 +115,7 @@ def find_rim(image: ArrayLike, *, near: Circle | None = None) -> Circle:
             "image must have shape (n_rows, n_cols), got an array of shape "
             f"{grey.shape}. For many touches use find_rims."
         )
-    return _find(as_images(grey[None])[0], _checked(near))
+    return _find(as_images(grey[None])[0], near)
 
 
 def find_rims(
@@ -146,7 +146,7 @@ def find_rims(
         If `images` are no finite images.
     """
     checked = as_images(images)
-    near = _checked(near) or typical_rim(checked, no_contact=no_contact)
+    near = near or typical_rim(checked, no_contact=no_contact)
     return rims_near(checked, near)
 
 
@@ -192,21 +192,21 @@ def as_images(X: ArrayLike, *, shape: tuple[int, ...] | None = None) -> Array:
     return check_levels(check_finite(images.astype(np.float64, copy=False)))
 
 
-def _checked(near: Circle | None) -> Circle | None:
-    if near is not None:
-        check_positive("near.radius", near.radius)
-    return near
-
-
 def _find(image: Array, near: Circle | None) -> Circle:
     shape = image.shape
     if near is None:
         missing = Circle.inscribed(shape)
     else:
-        missing = Circle(near.row, near.col, near.radius, False, 0.0)
+        radius = check_positive("near.radius", near.radius)
+        missing = Circle(near.row, near.col, radius, False, 0.0)
     if min(shape) < SMALLEST_SIDE or image.max() == image.min():
         return missing
-    grey = _as_grey(image)
+    # 8-bit as it is, anything else stretched to 0..1 in single precision.
+    if image.dtype == np.uint8:
+        grey = np.ascontiguousarray(image)
+    else:
+        low, high = image.min(), image.max()
+        grey = ((image / 2 - low / 2) / (high / 2 - low / 2)).astype(np.float32)
     best: Fit | None = None
     for fit in _candidates(grey, near):
         if _is_rim(fit, shape, near) and (best is None or fit.evidence > best.evidence):
@@ -220,15 +220,6 @@ def _find(image: Array, near: Circle | None) -> Circle:
         again = _rim_fit.refine(grey, best.circle, best.sign)
         best = again if again and _is_rim(again, shape, near) else best
     return Circle(*best.circle, True, best.support)
-
-
-def _as_grey(image: Array) -> Array:
-    """8-bit as it is, anything else stretched to 0..1 in single precision."""
-    if image.dtype == np.uint8:
-        return np.ascontiguousarray(image)
-    low, high = image.min(), image.max()
-    grey: NDArray[np.float32] = (image / 2 - low / 2) / (high / 2 - low / 2)
-    return grey.astype(np.float32)
 
 
 def _candidates(grey: Array, near: Circle | None) -> Iterator[Fit]:

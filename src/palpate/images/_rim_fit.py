@@ -27,7 +27,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .._types import Array
+from .._types import Array, Singles
 
 Triple = tuple[float, float, float]
 
@@ -79,11 +79,7 @@ def reduce(image: Array) -> tuple[NDArray[np.uint8], int]:
 
 
 def vote(
-    small: NDArray[np.uint8],
-    radii: NDArray[np.float32],
-    *,
-    n_best: int,
-    near: Triple | None = None,
+    small: NDArray[np.uint8], radii: Singles, *, n_best: int, near: Triple | None = None
 ) -> Iterator[tuple[Triple, int]]:
     """Yield the likeliest (circle, sign), best first, in pixels of `small`.
 
@@ -129,7 +125,7 @@ def refine(
     return rays.judge(circle, edges)
 
 
-def _edge_points(small: NDArray[np.uint8]) -> NDArray[np.float32] | None:
+def _edge_points(small: NDArray[np.uint8]) -> Singles | None:
     """Row, col and unit gradient of points steeper than thrice the median, or 1 %."""
     smooth = cv2.GaussianBlur(small, (5, 5), 1.0, borderType=cv2.BORDER_REPLICATE)
     dx, dy = cv2.spatialGradient(smooth)
@@ -150,11 +146,8 @@ def _edge_points(small: NDArray[np.uint8]) -> NDArray[np.float32] | None:
 
 
 def _accumulate(
-    points: NDArray[np.float32],
-    radii: NDArray[np.float32],
-    shape: tuple[int, ...],
-    cell: float,
-) -> NDArray[np.float32]:
+    points: Singles, radii: Singles, shape: tuple[int, ...], cell: float
+) -> Singles:
     """Count votes for (row, col, sign, radius), blurred over neighbouring cells."""
     rows, cols = int(shape[0] / cell) + 1, int(shape[1] / cell) + 1
     row, col, along_row, along_col = points
@@ -207,8 +200,7 @@ class _Rays:
         down, right = circle[0] - self.row, circle[1] - self.col
         along = self.sin * down + self.cos * right
         inner = circle[2] ** 2 - (down * down + right * right) + along * along
-        offset: Array = along + np.sqrt(np.maximum(inner, 0)) - self.radius
-        return offset
+        return np.asarray(along + np.sqrt(np.maximum(inner, 0)) - self.radius)
 
     def edges(self, circle: Array, width: float) -> Array:
         """Each ray's steepest edge near `circle`: row, col, slope, usual slope, ray."""
@@ -227,7 +219,6 @@ class _Rays:
         return np.stack([row, col, top, self.typical[ray], ray])[:, top > 0]
 
     def judge(self, circle: Array, edges: Array) -> Fit:
-        """Weigh the evidence for `circle`."""
         offset = self.predict(circle)
         y = self.row + self.sin * (self.radius + offset)
         x = self.col + self.cos * (self.radius + offset)
@@ -278,10 +269,9 @@ def _residuals(circle: Array, edges: Array) -> tuple[Array, Array]:
 
 
 @lru_cache(maxsize=64)
-def _slope_kernel(spread: float) -> NDArray[np.float32]:
+def _slope_kernel(spread: float) -> Singles:
     """Derivative of a Gaussian, as one row; `spread` in cells."""
     reach = int(np.ceil(2.5 * spread))
     t = np.arange(-reach, reach + 1, dtype=np.float32)
     kernel = t * np.exp(-(t**2) / (2 * spread**2))
-    row: NDArray[np.float32] = (kernel / np.abs(kernel).sum())[None]
-    return row
+    return np.asarray((kernel / np.abs(kernel).sum())[None])

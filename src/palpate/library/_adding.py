@@ -21,17 +21,10 @@ import numpy as np
 from .._checks import check_option, check_positive
 from .._progress import Progress
 from ..touches import GEOMETRIES, Touches
-from ._changes import find_object, next_time, renamings
+from . import _rows
+from ._changes import Names, find_object, next_time
 from ._files import IDENTITY, Sheet, file_path, identity, packed, publish, sheet_of
-from ._rows import (
-    FROM,
-    SET_ASIDE,
-    Numbers,
-    layouts,
-    shape_of,
-    without_damaged,
-    write_rows,
-)
+from ._rows import FROM, SET_ASIDE, Numbers, layouts, shape_of, without_damaged
 from ._store import ARRAYS, FEATURES, FILE_NAME, IMAGES, LibraryError, Store
 from ._where import COLUMNS, Condition, parse_where
 
@@ -171,7 +164,6 @@ def list_objects(store: Store) -> list[ObjectRow]:
 
 
 def stats_of(store: Store) -> Stats:
-    """Return how much there is, in touches and in bytes."""
     without_damaged(store, "raise")
     [row] = store.rows(
         "SELECT count(*), count(retraction), (SELECT count(*) FROM files), "
@@ -272,7 +264,7 @@ def _store_sheet(store: Store, sheet: Sheet) -> None:
         if (now := next_time(store)) > kept.added_s:  # another changed names since
             kept = replace(kept, added_s=now)
             name = publish(images, packed(kept.arrays()))
-        write_rows(store, kept, name, lost)
+        _rows.write_rows(store, kept, name, lost)
 
 
 def _matched(store: Store, sheet: Sheet) -> Sheet:
@@ -286,7 +278,7 @@ def _matched(store: Store, sheet: Sheet) -> Sheet:
     found = {label: find_object(store, label) for label in set(labels)}
     now = {name: known[1] if known else name for name, known in found.items()}
     former: dict[str | None, list[str]] = {name: [] for name in now.values()}
-    for old, new in renamings(store):
+    for _, _, old, new in reversed(Names(store).known):
         for name, before in former.items():
             if new == name or new in before:
                 before.append(old)

@@ -79,7 +79,6 @@ def readable_changes(files: dict[str, Path]) -> dict[str, dict[str, Any]]:
 
 
 def change_files(store: Store) -> dict[str, Path]:
-    """Return the files of all changes by name."""
     return {path.stem: path for path in sorted((store.folder / CHANGES).glob("*.json"))}
 
 
@@ -149,22 +148,22 @@ class Names:
             "SELECT time_s, action, content FROM changes "
             "WHERE action IN ('rename', 'merge') ORDER BY id"
         )
-        contents = ((time_s, act, from_json(text)) for time_s, act, text in rows)
-        self._known = [
+        self.known = [
             (time_s, action, c.get("old", c.get("source")), c.get("new", c.get("into")))
-            for time_s, action, c in contents
+            for time_s, action, text in rows
+            for c in [from_json(text)]
         ]
 
     def now(self, label: str | None, since_s: float) -> str | None:
         """Return what an object is called that had this name at a time."""
-        for time_s, action, old, new in self._known:
+        for time_s, action, old, new in self.known:
             if old == label and (time_s > since_s or action == "merge"):
                 label, since_s = new, time_s  # a merged name stays with its object
         return label
 
     def before(self, name: str | None, time_s: float) -> str | None:
         """Return what an object, not what it was merged into, was called at a time."""
-        for changed_s, action, old, new in reversed(self._known):
+        for changed_s, action, old, new in reversed(self.known):
             if action == "rename" and changed_s > time_s and new == name:
                 name = old
         return name
@@ -184,16 +183,6 @@ def retract_again(store: Store, after: int) -> None:
                 _leave_out(store, key if action == "retract" else None, ids)
 
 
-def renamings(store: Store) -> list[tuple[str, str]]:
-    """Return the old and the new name of every rename and merge, newest first."""
-    rows = store.rows(
-        "SELECT content FROM changes WHERE action IN ('rename', 'merge') "
-        "ORDER BY id DESC"
-    )
-    known = [from_json(row[0]) for row in rows]
-    return [(c.get("old", c.get("source")), c.get("new", c.get("into"))) for c in known]
-
-
 def find_object(store: Store, name: str | None) -> tuple[int, str] | None:
     """Return key and present name of an object, of the one it was merged into."""
     row = store.one(
@@ -206,7 +195,6 @@ def find_object(store: Store, name: str | None) -> tuple[int, str] | None:
 
 
 def known_object(store: Store, name: str) -> tuple[int, str]:
-    """Return key and present name of an object, or say that there is none."""
     is_name = isinstance(name, str) and is_unicode(name)
     found = find_object(store, name) if is_name else None
     if found is None and is_name and (spelling := one_spelling(name)):
@@ -291,7 +279,6 @@ _ACTIONS: dict[str, Callable[[Store, int, dict[str, Any]], int]] = {
 
 
 def checked_name(name: object) -> str:
-    """Return a new name of an object, or say what is wrong with it."""
     if not isinstance(name, str) or not name.strip():
         raise LibraryError(f"The new name must be a text, got {name!r}. Give one.")
     if (spelling := one_spelling(name)) is None:

@@ -7,40 +7,12 @@ from typing import Any, NamedTuple
 
 from .._durable import PARTIAL
 from .._progress import Progress
-from ._changes import (
-    Names,
-    change_files,
-    file_fault,
-    known_changes,
-    read_change,
-    readable_changes,
-    told_changes,
-)
+from . import _changes, _rows, _store
+from ._changes import Names, change_files, file_fault, known_changes, read_change
 from ._files import CELLS, file_path, read_file, read_sheet
 from ._reading import is_whole
-from ._rows import (
-    FROM,
-    SET_ASIDE,
-    StoredTouch,
-    damaged_touches,
-    layouts,
-    plain_cells,
-    recordings,
-    stored_touches,
-)
-from ._store import (
-    ARRAYS,
-    CHANGES,
-    FILE_NAME,
-    IMAGES,
-    SEALED,
-    DatabaseDamaged,
-    DatabaseUnavailable,
-    LibraryError,
-    NewerLibrary,
-    Store,
-    from_json,
-)
+from ._rows import FROM, SET_ASIDE, StoredTouch, damaged_touches, layouts, recordings
+from ._store import CHANGES, FILE_NAME, IMAGES, LibraryError, NewerLibrary, Store
 
 _SHOWN = 20
 NO_SHEET = (LibraryError, ValueError, KeyError, TypeError, AttributeError)
@@ -109,7 +81,7 @@ def check_library(folder: str | Path, *, progress: bool | None = None) -> CheckR
             return _checked(store, progress)
     except LibraryError as error:
         kind = "database"
-        if isinstance(error, NewerLibrary | DatabaseUnavailable):
+        if isinstance(error, NewerLibrary | _store.DatabaseUnavailable):
             kind = "version" if isinstance(error, NewerLibrary) else "disk"
         return CheckReport(False, 0, 0, [Problem(kind, FILE_NAME, str(error), [])])
 
@@ -149,8 +121,12 @@ def database_problems(store: Store) -> list[Problem]:
     found = [f"SQLite says: {text}" for (text,) in rows if text != "ok"]
     try:
         touches = [] if found else [*damaged_touches(store).values()]
-        keys = {} if found or not store.sealed else {t: store.broken(t) for t in SEALED}
-    except DatabaseDamaged as error:
+        keys = (
+            {}
+            if found or not store.sealed
+            else {t: store.broken(t) for t in _store.SEALED}
+        )
+    except _store.DatabaseDamaged as error:
         return [Problem("database", FILE_NAME, str(error), [])]
     for table, broken in keys.items():
         if broken:
@@ -171,7 +147,7 @@ def row_problems(store: Store) -> list[Problem]:
             sheet = read_sheet(read_file(store.folder / IMAGES, name.hex()))
         except NO_SHEET:
             continue  # such a file is a problem of its own
-        cells, extras = plain_cells(sheet)
+        cells, extras = _rows.plain_cells(sheet)
         places = {touch: place for place, touch in enumerate(sheet.ids)}
         rows = store.rows(
             "SELECT t.id, t.place, t.image, t.extra, t.layout, t.recording, o.name, "
@@ -235,8 +211,7 @@ def image_problem(
 
 
 def touches_in(store: Store, file: int, state: str) -> list[StoredTouch]:
-    """Return what a file should hold: touches in this state."""
-    return stored_touches(store, f"WHERE t.file = ? AND {state}", [file])
+    return _rows.stored_touches(store, f"WHERE t.file = ? AND {state}", [file])
 
 
 def _fault(store: Store, kind: str, name: str) -> Problem | None:
@@ -258,11 +233,11 @@ def array_problems(store: Store) -> list[Problem]:
     """Return what is wrong with arrays of whole recordings."""
     users: dict[str, dict[int, str]] = {}
     for key, whole in store.rows("SELECT id, whole FROM recordings ORDER BY id"):
-        for entry, name in from_json(whole).items():
+        for entry, name in _store.from_json(whole).items():
             users.setdefault(name, {})[key] = entry
     problems = []
     for name, entries in sorted(users.items()):
-        fault = _fault(store, ARRAYS, name)
+        fault = _fault(store, _store.ARRAYS, name)
         if fault is not None:
             sql = "SELECT id FROM touches WHERE recording IN (?) ORDER BY number"
             touches = [row[0].hex() for row in store.among(sql, list(entries))]
@@ -277,13 +252,13 @@ def array_problems(store: Store) -> list[Problem]:
 def left_out(store: Store) -> set[str]:
     """Return the names of arrays that an earlier repair found lost."""
     rows = store.rows("SELECT content FROM changes WHERE action = 'leave_out'")
-    return {name for (text,) in rows for name in from_json(text)["arrays"]}
+    return {name for (text,) in rows for name in _store.from_json(text)["arrays"]}
 
 
 def _change_problems(store: Store) -> Iterator[Problem]:
     """Name what the database and the files of changes do not agree on."""
     known, files = known_changes(store), change_files(store)
-    told = told_changes(known | readable_changes(files))
+    told = _changes.told_changes(known | _changes.readable_changes(files))
     for name, brief in known.items():
         fault = file_fault(store, name, brief)
         if fault is not None:

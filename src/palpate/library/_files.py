@@ -70,7 +70,6 @@ def file_path(folder: Path, name: str) -> Path:
 
 
 def packed(arrays: Sequence[Array]) -> bytes:
-    """Return arrays as the bytes of one file."""
     stream = io.BytesIO()
     for array in arrays:
         npy.write_array(stream, np.asarray(array, order="C"), allow_pickle=False)
@@ -194,7 +193,6 @@ class Sheet:
         return [self.images, *self.wide.values(), text]
 
     def picked(self, rows: Sequence[int]) -> "Sheet":
-        """Return some of these touches."""
         return replace(
             self,
             values={n: [cells[i] for i in rows] for n, cells in self.values.items()},

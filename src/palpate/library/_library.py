@@ -9,28 +9,12 @@ import numpy as np
 from .._durable import flush_folder
 from .._types import Array
 from ..touches import Touches
-from ._adding import (
-    ObjectRow,
-    SensorDescription,
-    Stats,
-    TouchRow,
-    add_touches,
-    condition,
-    list_objects,
-    numbers_of,
-    stats_of,
-)
+from . import _adding, _reading
+from ._adding import ObjectRow, SensorDescription, TouchRow, condition, numbers_of
 from ._changes import checked_name, chosen_ids, known_object, make_change
 from ._checking import CheckReport, check_library
 from ._exchange import export_touches
-from ._reading import (
-    IN_MEMORY,
-    Selection,
-    read_array,
-    read_images,
-    read_touches,
-    with_images,
-)
+from ._reading import IN_MEMORY, Selection, read_array, read_images, read_touches
 from ._repairing import RepairReport, repair_library
 from ._rows import FROM, Numbers, read_one, read_rows, without_damaged
 from ._store import FILE_NAME, LibraryError, Store, holds_files, is_unicode
@@ -156,11 +140,11 @@ class TouchLibrary:
             )
         checked = None if sensor is None else sensor.checked()
         labelled = _labelled(touches, episode, session, checked)
-        return add_touches(self._store, labelled, checked, progress)
+        return _adding.add_touches(self._store, labelled, checked, progress)
 
     def objects(self) -> list[ObjectRow]:
         """Return all objects with touches, sorted by name."""
-        return list_objects(self._store)
+        return _adding.list_objects(self._store)
 
     def list(
         self,
@@ -212,8 +196,7 @@ class TouchLibrary:
 
     def image(self, id: str) -> Array:
         """Return the image of one touch, (n_rows, n_cols[, n_channels])."""
-        image: Array = read_images(self.folder, [read_one(self._store, id)])[0]
-        return image
+        return np.asarray(read_images(self.folder, [read_one(self._store, id)])[0])
 
     def no_contact(self, session: str | int | None = None) -> Array | None:
         """Return the latest no-contact image of a session (of all), or None.
@@ -290,7 +273,9 @@ class TouchLibrary:
 
     def _numbers(self, where: str | None, damaged: str) -> Numbers:
         numbers = numbers_of(self._store, where, damaged)
-        return with_images(self._store, numbers) if damaged == "skip" else numbers
+        return (
+            _reading.with_images(self._store, numbers) if damaged == "skip" else numbers
+        )
 
     def export(self, path: str | Path, where: str | None = None) -> int:
         """Write touches in another form and return how many there are.
@@ -343,9 +328,9 @@ class TouchLibrary:
         chosen = chosen_ids(self._store, ids, object, "IS NOT NULL")
         return make_change(self._store, action="restore", ids=chosen, object=object)
 
-    def stats(self) -> Stats:
+    def stats(self) -> _adding.Stats:
         """Return how much the library holds."""
-        return stats_of(self._store)
+        return _adding.stats_of(self._store)
 
     def check(self, *, progress: bool | None = None) -> CheckReport:
         """Read everything and compare it with its checksums; see `check_library`."""

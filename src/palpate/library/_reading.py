@@ -22,27 +22,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._types import Array, Floats
 from ..touches import FORMER, Labelled, Touches
-from ._files import (
-    Column,
-    column_array,
-    file_path,
-    image_digest,
-    packed,
-    publish,
-    read_file,
-    read_sheet,
-    read_values,
-)
-from ._rows import (
-    DTYPE,
-    Numbers,
-    StoredTouch,
-    distinct,
-    layouts,
-    plain_values,
-    rows_at,
-    shape_of,
-)
+from . import _files, _rows
+from ._files import Column, column_array, file_path, image_digest, packed, read_file
+from ._rows import DTYPE, Numbers, StoredTouch, distinct, layouts, plain_values, rows_at
 from ._store import ARRAYS, FEATURES, IMAGES, LibraryError, Store, from_json, room_for
 from ._where import COLUMNS
 
@@ -58,7 +40,7 @@ def common_kind(store: Store, numbers: Numbers) -> tuple[tuple[int, ...], str]:
     """Return the shape and type of all images, or say what is mixed."""
     what = f"r.n_rows, r.n_cols, {COLUMNS['n_channels']}, {DTYPE}, r.whole"
     rows = distinct(store, what, numbers)
-    found = sorted({(shape_of(*sides), dtype) for *sides, dtype, _ in rows})
+    found = sorted({(_rows.shape_of(*sides), dtype) for *sides, dtype, _ in rows})
     if not found:
         raise LibraryError(
             "The selection must hold at least one touch, got none. "
@@ -126,8 +108,7 @@ def with_images(store: Store, numbers: Numbers) -> Numbers:
             f"{store.folder} are missing or altered.",
             stacklevel=3,
         )
-    some: Numbers = numbers[np.array(whole, bool)]
-    return some
+    return np.asarray(numbers[np.array(whole, bool)])
 
 
 def is_whole(store: Store, row: StoredTouch) -> bool:
@@ -165,7 +146,7 @@ def read_columns(
         for row, value in zip(rows, values, strict=True):
             if wide[row.layout] and row.file not in sheets:
                 arrays = read_file(store.folder / IMAGES, row.file.hex())
-                sheets[row.file] = read_sheet(arrays).wide
+                sheets[row.file] = _files.read_sheet(arrays).wide
             value |= {n: sheets[row.file][n][row.number] for n in wide[row.layout]}
         for name, alike in columns.items():
             cells = [value.get(name) for value in values]
@@ -219,7 +200,7 @@ def _run_of_images(folder: Path, run: list[StoredTouch]) -> Array:
     size, dtype = first.image_shape, np.dtype(first.dtype)
     start = first.offset + first.number * prod(size) * dtype.itemsize
     try:
-        images = read_values(path, start, (len(run), *size), dtype)
+        images = _files.read_values(path, start, (len(run), *size), dtype)
     except LibraryError as error:
         raise LibraryError(f"Touch {first.key.hex()}: {error} {_FIX}") from error
     for image, row in zip(images, run, strict=True):
@@ -350,8 +331,7 @@ class Selection(Labelled):
                 "rows must be places in the selection that rise, got others. "
                 "Sort them and drop those that come twice."
             )
-        picked: Numbers = self._numbers[places]
-        return picked
+        return np.asarray(self._numbers[places])
 
 
 def _cached(cache: Path) -> tuple[Array, Floats]:
@@ -394,7 +374,7 @@ def _encode_new(
             content = packed([plain, np.concatenate(waiting)])
             with room_for("features", cache, "Free space; touches are not affected."):
                 cache.mkdir(parents=True, exist_ok=True)
-                publish(cache, content)
+                _files.publish(cache, content)
             waiting, n_kept = [], n_done
 
 

@@ -11,30 +11,11 @@ from typing import Any, NamedTuple
 from .._durable import PARTIAL, flush_folder
 from . import _changes as changes
 from . import _checking as checking
+from . import _rows, _store
 from ._files import Sheet, file_path, packed, publish, read_file, read_sheet
 from ._reading import is_whole, read_images
-from ._rows import (
-    MISSING,
-    SET_ASIDE,
-    StoredTouch,
-    layouts,
-    move_rows,
-    plain_values,
-    recordings,
-    write_rows,
-)
-from ._store import (
-    FILE_NAME,
-    IMAGES,
-    SEALED,
-    DatabaseDamaged,
-    DatabaseUnavailable,
-    LibraryError,
-    NewerLibrary,
-    Store,
-    holds_files,
-    room_for,
-)
+from ._rows import MISSING, SET_ASIDE, StoredTouch, layouts, move_rows, recordings
+from ._store import IMAGES, SEALED, DatabaseDamaged, DatabaseUnavailable, Store
 
 DAMAGED = "damaged"
 _STALE_S = 86_400.0
@@ -139,17 +120,17 @@ def _is_damaged(folder: Path) -> bool:
             return bool(
                 checking.database_problems(store) or checking.row_problems(store)
             )
-    except (NewerLibrary, DatabaseUnavailable):
+    except (_store.NewerLibrary, DatabaseUnavailable):
         raise
-    except LibraryError as error:
-        if not isinstance(error, DatabaseDamaged) and not holds_files(folder):
+    except _store.LibraryError as error:
+        if not isinstance(error, DatabaseDamaged) and not _store.holds_files(folder):
             raise
         return True
 
 
 def _make_anew(folder: Path) -> tuple[int, int]:
     """Make the database from the files, and only then set the old one aside."""
-    path = folder / FILE_NAME
+    path = folder / _store.FILE_NAME
     partial = folder / f"{PARTIAL}{secrets.token_hex(8)}.sqlite"
     try:
         with closing(Store(folder, create=True, name=partial.name)) as store:
@@ -160,7 +141,7 @@ def _make_anew(folder: Path) -> tuple[int, int]:
         partial.replace(path)
         flush_folder(folder)
     except (OSError, DatabaseUnavailable) as error:
-        raise LibraryError(
+        raise _store.LibraryError(
             f"{folder} must have room for a new database, got: {error} The old one is "
             "left as it was; free space and repair again."
         ) from error
@@ -207,7 +188,7 @@ def _carry_over(store: Store, path: Path) -> None:
                 )
     except DatabaseUnavailable:
         raise
-    except LibraryError:
+    except _store.LibraryError:
         return
 
 
@@ -236,7 +217,7 @@ def _enter_all(store: Store, *, anew: bool) -> tuple[int, int]:
                 labels = sheet.values["object"]
                 now = [names.now(label, sheet.added_s) for label in labels]
                 sheet = replace(sheet, values={**sheet.values, "object": now})
-            _entered(store, write_rows, sheet, name)
+            _entered(store, _rows.write_rows, sheet, name)
     changes.retract_again(store, before)
     return store.count("SELECT count(*) FROM touches") - before, n_changes
 
@@ -334,7 +315,7 @@ def _write_sheets_again(store: Store, file: int, name: str) -> None:
         same.append((row, names.before(label, added_s)))
     for (layout, recording, added_s), pairs in groups.items():
         touches, labels = [row for row, _ in pairs], [label for _, label in pairs]
-        values = plain_values(touches)
+        values = _rows.plain_values(touches)
         cells = {c.name: [v.get(c.name) for v in values] for c in layout_of[layout]}
         sheet = Sheet(
             layout_of[layout],
@@ -346,7 +327,7 @@ def _write_sheets_again(store: Store, file: int, name: str) -> None:
             [row.key for row in touches],
             [row.digest for row in touches],
         )
-        with room_for("touches", store.folder, "Free space and repair again."):
+        with _store.room_for("touches", store.folder, "Free space and repair again."):
             new = publish(store.folder / IMAGES, packed(sheet.arrays()))
         with store.writing():
             move_rows(store, sheet, new)

@@ -4,7 +4,6 @@ import hashlib
 import json
 import warnings
 from collections.abc import Collection, Iterator, Sequence
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -49,9 +48,8 @@ _FIELDS = {
 }
 _RECORDED = "sensor, kind, unit, pitch_mm, geometry, n_rows, n_cols, dtype"
 _INSERT = (
-    'INSERT INTO touches (id, object, category, session, episode, sensor, "order", '
-    "time_s, force_n, press, frame, source_path, extra, layout, recording, file, "
-    f"place, image, added_s) VALUES {holders(19)} ON CONFLICT (id) DO "
+    f"INSERT INTO touches ({', '.join(SEALED['touches'][1:-1])}) "
+    f"VALUES {holders(19)} ON CONFLICT (id) DO "
 )
 _HEALED = [f'"{n}"' for n in (*CELLS[1:], "extra", "layout", "recording", "file")]
 _HEAL = (
@@ -110,12 +108,8 @@ def read_rows(
     store: Store, fields: tuple[str, ...], tail: str, values: Sequence[Any]
 ) -> list[tuple[Any, ...]]:
     """Return fields of touches; `tail` is the query from WHERE on."""
-    return store.rows(f"{_select(fields)} {tail}", values)
-
-
-@cache
-def _select(fields: tuple[str, ...]) -> str:
-    return f"SELECT {', '.join(_FIELDS[name] for name in fields)} {_JOINED}"
+    listed = ", ".join(_FIELDS[name] for name in fields)
+    return store.rows(f"SELECT {listed} {_JOINED} {tail}", values)
 
 
 def stored_touches(store: Store, tail: str, values: Sequence[Any]) -> list[StoredTouch]:
@@ -197,7 +191,6 @@ def without_damaged(
 
 
 def layouts(store: Store) -> dict[int, list[Column]]:
-    """Return the columns of touches by the key of their layout."""
     rows = store.rows("SELECT id, columns FROM layouts ORDER BY id")
     return {key: Column.all_of(from_json(text)) for key, text in rows}
 
@@ -209,7 +202,6 @@ def distinct(store: Store, what: str, numbers: Numbers) -> list[tuple[Any, ...]]
 
 
 def id_bytes(key: str) -> bytes:
-    """Return an id as it stands in the database."""
     try:
         return bytes.fromhex(key)
     except (ValueError, TypeError) as error:

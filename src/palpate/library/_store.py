@@ -93,14 +93,6 @@ def seal(*values: Any) -> bytes:
     return hashlib.blake2b(marshal.dumps(values, 2), digest_size=8).digest()
 
 
-def seal_all() -> Iterator[str]:
-    """Yield what gives seals to a library that was made without."""
-    yield "DROP INDEX IF EXISTS touches_of_object"
-    for table, columns in SEALED.items():
-        yield f"ALTER TABLE {table} ADD COLUMN seal BLOB"
-        yield f"UPDATE {table} SET seal = seal_of({', '.join(columns)})"
-
-
 def triggers() -> Iterator[str]:
     """Yield what makes a connection seal the rows that it writes."""
     for table, columns in SEALED.items():
@@ -182,7 +174,6 @@ class Store:
             self._connection.close()
 
     def rows(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
-        """Return all rows of a query."""
         with self._lock, self._explained():
             return self._connection.execute(sql, values).fetchall()
 
@@ -191,7 +182,6 @@ class Store:
         return next(iter(self.rows(sql, values)), None)
 
     def count(self, sql: str, values: Sequence[Any] = ()) -> int:
-        """Return the one number that a query gives."""
         return int(self.rows(sql, values)[0][0])
 
     def among(self, sql: str, keys: Sequence[Any]) -> list[tuple[Any, ...]]:
@@ -217,12 +207,8 @@ class Store:
     def broken(self, table: str, last: int | None = None, first: int = 1) -> list[int]:
         """Return the keys of rows whose seal is broken, from `first` up to `last`.
 
-        From the first row on, each is read once in the life of the store.
-
-        Raises
-        ------
-        DatabaseDamaged
-            Rows are missing.
+        From the first row on, each is read once in the life of the store. Missing rows
+        raise `DatabaseDamaged`.
         """
         with self._lock:
             seen, found = self._seen.get(table, (0, []))
@@ -362,7 +348,14 @@ class Store:
             self._connection.create_function("seal_of", -1, seal, deterministic=True)
             if self.count("PRAGMA user_version") == 0 and create:
                 run("PRAGMA journal_mode = WAL")
-                self._make_tables()
+                with self._transaction():
+                    # Where there are some, another process was faster, or it is
+                    # another database.
+                    if not self.one("SELECT 1 FROM sqlite_master"):
+                        for statement in _TABLES.split(";"):
+                            self.run(statement)
+                        self.run(f"PRAGMA application_id = {_APPLICATION}")
+                        self._seal_rows()
             version = self.count("PRAGMA user_version")
             application = self.count("PRAGMA application_id")
         if version > VERSION:
@@ -391,18 +384,12 @@ class Store:
 
     def _seal_rows(self) -> None:
         if self.count("PRAGMA user_version") < VERSION:
-            for statement in seal_all():
-                self.run(statement)
+            # In a library that was made without.
+            self.run("DROP INDEX IF EXISTS touches_of_object")
+            for table, columns in SEALED.items():
+                self.run(f"ALTER TABLE {table} ADD COLUMN seal BLOB")
+                self.run(f"UPDATE {table} SET seal = seal_of({', '.join(columns)})")
             self.run(f"PRAGMA user_version = {VERSION}")
-
-    def _make_tables(self) -> None:
-        with self._transaction():
-            if self.one("SELECT 1 FROM sqlite_master"):
-                return  # another process was faster, or it is another database
-            for statement in _TABLES.split(";"):
-                self.run(statement)
-            self.run(f"PRAGMA application_id = {_APPLICATION}")
-            self._seal_rows()
 
 
 def holders(n_values: int) -> str:
@@ -461,12 +448,11 @@ _CHECK = "Check that the folder may be written to, and run `palpate library chec
 
 def _explained(path: Path, error: sqlite3.Error) -> LibraryError:
     """Return what SQLite stumbled over as one sentence with the fix."""
-    name = "_".join(getattr(error, "sqlite_errorname", "").split("_")[:2])
+    full_name = getattr(error, "sqlite_errorname", "")
+    name = "_".join(full_name.split("_")[:2])
     start = f"{path} must be a sound database, got: {error}. "
     unusable = f"{path} must be readable and writable, got: {error}. "
-    broken_seal = (
-        error.sqlite_errorname == "SQLITE_CONSTRAINT_TRIGGER" if name else False
-    )
+    broken_seal = full_name == "SQLITE_CONSTRAINT_TRIGGER"
     if broken_seal or name in ("SQLITE_CORRUPT", "SQLITE_NOTADB"):
         return DatabaseDamaged(start + _REBUILD)
     if name in ("SQLITE_BUSY", "SQLITE_LOCKED"):

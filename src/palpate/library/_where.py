@@ -9,6 +9,7 @@ parameters alone; column names are looked up in a table.
 
 import re
 from collections.abc import Callable, Collection
+from functools import partial
 from itertools import accumulate
 from typing import Any, NamedTuple
 from unicodedata import normalize
@@ -97,10 +98,7 @@ class _Parser:
         self._next = 0
 
     def either(self, depth: int) -> Condition:
-        return self._joined("or", self._both, depth)
-
-    def _both(self, depth: int) -> Condition:
-        return self._joined("and", self._one, depth)
+        return self._joined("or", partial(self._joined, "and", self._one), depth)
 
     def end(self) -> None:
         if self._next < len(self._tokens):

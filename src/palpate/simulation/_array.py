@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
 from .._checks import check_count, check_number, check_positive
-from .._types import Floats
+from .._types import Bools, Floats
 from ._parts import Part, find_parts
 
 NEWTON_PER_KGF = 9.80665
@@ -321,9 +321,7 @@ class PressureArray:
         return pressure, row, col
 
 
-def footprint(
-    loops: list[Floats], n_rows: int, n_cols: int
-) -> tuple[NDArray[np.bool_], int, int]:
+def footprint(loops: list[Floats], n_rows: int, n_cols: int) -> tuple[Bools, int, int]:
     """Tell which cells' centres lie inside an odd number of closed loops.
 
     Corners are (column, row) in cells from the outer corner of the first; returned is
@@ -361,7 +359,7 @@ def unevenness(
 
 
 def contact_pressure(
-    inside: NDArray[np.bool_], gap_mm: Floats, stiffness: float, total: float
+    inside: Bools, gap_mm: Floats, stiffness: float, total: float
 ) -> Floats:
     """Solve stiffness max(0, depth - gap) (kPa) of cells `inside`, to sum to `total`.
 

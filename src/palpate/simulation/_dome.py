@@ -268,13 +268,8 @@ class DomeCamera(DomeSensor):
     @cached_property
     def membrane(self) -> Membrane:
         """The rubber dome."""
-        return Membrane(
-            radius_mm=self.membrane_radius_mm,
-            thickness_mm=self.thickness_mm,
-            youngs_mpa=self.youngs_mpa,
-            poisson=self.poisson,
-            n_nodes=self.n_nodes,
-        )
+        sizes = self.membrane_radius_mm, self.thickness_mm, self.youngs_mpa
+        return Membrane(*sizes, self.poisson, self.n_nodes)
 
     def force_curve(self, press: DomePress, depths_mm: Floats) -> Floats:
         """Return the force (N) at each depth after first touching, (n_depths,)."""
@@ -363,22 +358,11 @@ _NOT_NEGATIVE = (
 
 @lru_cache(maxsize=4)
 def _optics(camera: DomeCamera) -> Optics:
-    view = View(
-        camera.image_shape,
-        camera.camera_distance_mm,
-        camera.camera_offset_mm,
-        camera.disc_centre,
-        camera.disc_radius,
-    )
-    lighting = Lighting(
-        camera.n_leds,
-        camera.led_ring_radius_mm,
-        camera.diffuse,
-        camera.specular,
-        camera.ambient,
-        camera.shininess,
-    )
-    return Optics(view, camera.membrane, lighting, camera.max_depth_mm)
+    c = camera
+    place = (c.camera_distance_mm, c.camera_offset_mm, c.disc_centre, c.disc_radius)
+    answer = (c.diffuse, c.specular, c.ambient, c.shininess)
+    lighting = Lighting(c.n_leds, c.led_ring_radius_mm, *answer)
+    return Optics(View(c.image_shape, *place), c.membrane, lighting, c.max_depth_mm)
 
 
 @lru_cache(maxsize=4)

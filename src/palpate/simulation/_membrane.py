@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from .._checks import check_count, check_number, check_positive
-from .._types import Floats
+from .._types import Bools, Floats, Singles
 
-Grid = NDArray[np.float32]
+Grid = Singles
 # Nodes closer to the rim than this share of the radius carry no contact: there the
 # dome stands along the axis and its height is no longer a function one can press.
 _USED_RADIUS = 0.95
@@ -120,7 +120,8 @@ class Membrane:
 
     def _indented(self, node_force_n: Grid) -> Grid:
         """How far (mm) the outside gives way: the shell and the squeezed rubber."""
-        answer = self._answer(node_force_n, self._outside)
+        squeeze = np.float32(self.thickness_mm / self.youngs_mpa / self.pitch_mm**2)
+        answer = self._answer(node_force_n, self._shell + squeeze)
         return answer[: self.n_nodes, : self.n_nodes]
 
     def _answer(self, force: Grid, spectrum: Grid) -> Grid:
@@ -140,11 +141,6 @@ class Membrane:
         fourth = (wave[:, None] ** 2 + half**2) ** 2
         answer = 1 / (self.bending_n_mm * fourth + self.stiffness_n_mm3)
         return (answer / self.pitch_mm**2).astype(np.float32)
-
-    @cached_property
-    def _outside(self) -> Grid:
-        squeeze = self.thickness_mm / self.youngs_mpa / self.pitch_mm**2
-        return self._shell + np.float32(squeeze)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,11 +199,9 @@ def solve_contact(
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """One gap to close, by force or by depth."""
-
     membrane: Membrane
     gap: Grid
-    reachable: NDArray[np.bool_]
+    reachable: Bools
     tolerance: float
     max_steps: int
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import check_option
-from .._types import Floats
+from .._types import Floats, Indices
 from ._placed import Mesh, SimObject, trimesh, turned
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply")
@@ -73,7 +73,6 @@ def load_mesh(
 
 
 def _read(file: Path) -> tuple[Floats, NDArray[np.int64]]:
-    """Return vertices and triangles as the file has them."""
     kind = file.suffix.lower()
     if kind not in MESH_SUFFIXES:
         raise MeshError(
@@ -111,7 +110,6 @@ def _read(file: Path) -> tuple[Floats, NDArray[np.int64]]:
 def _closed_surface(
     file: Path, vertices: Floats, faces: NDArray[np.int64], unit: str
 ) -> Mesh:
-    """Return the surface when one can press on it, else say why not."""
     solid = bool(len(faces) and len(vertices))
     _demand(file, solid, "must have triangles, got none: it is empty.")
     few = f"must have at most {MAX_MESH_FACES} triangles, got {len(faces)}."
@@ -184,21 +182,22 @@ def _stable_rotations(mesh: Mesh) -> tuple[Floats, ...]:
             found.append(down)
         if len(found) == _MOST_POSES:
             break
-    return tuple(_to_ground(down) for down in found)
+    # Each base's rotation turns the direction `down` into -z.
+    rotations = []
+    for down in found:
+        axis = np.cross(down, (0.0, 0.0, -1.0))
+        if np.linalg.norm(axis) < 1e-9:
+            rotations.append(np.eye(3) if down[2] < 0 else turned((1, 0, 0), 180))
+        else:
+            angle = np.arccos(np.clip(-down[2], -1, 1))
+            rotations.append(turned(axis, float(np.degrees(angle))))
+    return tuple(rotations)
 
 
-def _rests_on(hull: Mesh, facet: NDArray[np.intp], down: Floats) -> bool:
+def _rests_on(hull: Mesh, facet: Indices, down: Floats) -> bool:
     """Whether the centre, moved along `down` onto the facet, lies in a face of it."""
     corners, centre = hull.triangles[facet], hull.center_mass
     onto = centre + down * ((corners[0, 0] - centre) @ down)
     ahead = np.roll(corners, -1, axis=1)
     side = np.cross(ahead - corners, onto - corners) @ down
     return bool((side >= -1e-9 * hull.scale**2).all(axis=1).any())
-
-
-def _to_ground(down: Floats) -> Floats:
-    """Rotation that turns the direction `down` into -z."""
-    axis = np.cross(down, (0.0, 0.0, -1.0))
-    if np.linalg.norm(axis) < 1e-9:
-        return np.eye(3) if down[2] < 0 else turned((1, 0, 0), 180)
-    return turned(axis, float(np.degrees(np.arccos(np.clip(-down[2], -1, 1)))))

@@ -106,8 +106,7 @@ def shampoo_bottle() -> Mesh:
     cos, sin = np.cos(around), np.sin(around)
     x = np.multiply.outer(half_x, np.sign(cos) * np.abs(cos) ** (2 / 2.4))
     y = np.multiply.outer(half_y, np.sign(sin) * np.abs(sin) ** (2 / 2.4))
-    heights = np.broadcast_to(z[:, None], x.shape)
-    body = lofted(np.stack([x, y, heights], -1))
+    body = _stacked(np.stack([x, y], -1), z)
     cap = revolved([(0, 155), (14, 155), (14, 186), (12.5, 189), (10, 190), (0, 190)])
     return joined(body, cap)
 
@@ -168,10 +167,9 @@ def water_bottle() -> Mesh:
     angles = np.arange(144) * (2 * np.pi / 144)
     ridge = 14.2 + 0.5 * np.sign(np.sin(36 * angles))
     wheel = np.stack([ridge * np.cos(angles), ridge * np.sin(angles)], -1)
-    z = np.array([211.0, 224.0, 225.0])[:, None, None]
     shrink = np.array([1.0, 1.0, 0.93])[:, None, None]
-    cap = np.concatenate([wheel * shrink, np.broadcast_to(z, (3, 144, 1))], -1)
-    return joined(revolved(body), lofted(cap))
+    cap = _stacked(wheel * shrink, np.array([211.0, 224.0, 225.0]))
+    return joined(revolved(body), cap)
 
 
 def plastic_card() -> Mesh:
@@ -195,8 +193,7 @@ def other_pen() -> Mesh:
     radius = np.array([0.4, 0.8, 1.5, 4.2, 4.2])
     wheel = np.stack([np.cos(angles), np.sin(angles)], -1)
     flat = radius[:, None, None] * wheel
-    heights = np.broadcast_to(z[:, None, None], (5, 6, 1))
-    body = lofted(np.concatenate([flat, heights], -1))
+    body = _stacked(flat, z)
     outline = [(0, 92), (4.5, 92), (4.7, 94), (4.4, 134), (3.5, 138), (0, 138)]
     cap = revolved(outline, 48)
     clip = rounded_hull([(5.9, y, z) for y in (-1.5, 1.5) for z in (100, 132)], 1.2)
@@ -323,7 +320,6 @@ def moved(mesh: Mesh, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Mesh:
 
 
 def hull(points: ArrayLike) -> Mesh:
-    """Return the convex hull of points, (n_points, 3)."""
     return trimesh().PointCloud(np.asarray(points, float)).convex_hull
 
 
@@ -343,11 +339,11 @@ def rounded_hull(corners: ArrayLike, radius: float, n: int = 16) -> Mesh:
     return hull(np.concatenate(balls))
 
 
-def rounded_box(size: ArrayLike, radius: float, n: int = 16) -> Mesh:
+def rounded_box(size: ArrayLike, radius: float) -> Mesh:
     """Return a box standing on z = 0, its centre above the origin, edges rounded."""
     half = np.asarray(size, float) / 2
     signs = np.array(np.meshgrid(*3 * [[-1, 1]])).reshape(3, -1).T
-    return moved(rounded_hull(signs * (half - radius), radius, n), z=half[2])
+    return moved(rounded_hull(signs * (half - radius), radius), z=half[2])
 
 
 def revolved(profile_rz: ArrayLike, n: int = 96) -> Mesh:
@@ -355,7 +351,13 @@ def revolved(profile_rz: ArrayLike, n: int = 96) -> Mesh:
     r, z = np.asarray(profile_rz, float).T
     around = np.arange(n) * (2 * np.pi / n)
     x, y = r[:, None] * np.cos(around), r[:, None] * np.sin(around)
-    return lofted(np.stack([x, y, np.repeat(z[:, None], n, 1)], -1))
+    return _stacked(np.stack([x, y], -1), z)
+
+
+def _stacked(outlines: Floats, z: Floats) -> Mesh:
+    """Skin outlines (n_rings, n_around, 2) at heights (n_rings,)."""
+    heights = np.broadcast_to(z[:, None, None], (*outlines.shape[:2], 1))
+    return lofted(np.concatenate([outlines, heights], -1))
 
 
 def lofted(rings: ArrayLike) -> Mesh:

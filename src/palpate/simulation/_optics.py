@@ -15,9 +15,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .._types import Array
+from .._types import Array, Bools, Singles
 from ._membrane import Membrane
 
 Plane = Array  # float32 throughout: half the time of float64
@@ -40,7 +39,7 @@ class Lighting:
     shininess: float = 10.0  # exponent of the highlight
 
     @property
-    def led_mm(self) -> NDArray[np.float32]:
+    def led_mm(self) -> Singles:
         """Places of the LEDs, (n_leds, 3)."""
         angle = np.arange(self.n_leds) * (2 * np.pi / self.n_leds)
         x, y = self.ring_radius_mm * np.cos(angle), self.ring_radius_mm * np.sin(angle)
@@ -81,7 +80,22 @@ class Optics:
         covered = min(view.disc_centre[1] + view.disc_radius, n_cols / n_rows)
         cols = int(np.ceil(max(covered, 0) * rows)) + 1
         self.grid_shape = rows, max(2, cols)
-        self._lay_rays(deepest_mm)
+        radius = membrane.radius_mm
+        rim = view.distance_mm - radius
+        rows, cols = self.grid_shape
+        per_height = radius / (rim * view.disc_radius)
+        up = ((np.arange(rows) + 0.5) / rows - view.disc_centre[0])[:, None]
+        across = ((np.arange(cols) + 0.5) / rows - view.disc_centre[1])[None]
+        shift_x, shift_y = view.offset_mm
+        self._slope_x = (across * per_height - shift_x / rim).astype(np.float32)
+        self._slope_y = (up * per_height - shift_y / rim).astype(np.float32)
+        near = max(rim - deepest_mm / 2, rim / 2)
+        steps = np.linspace(near, view.distance_mm, _MARCH_STEPS, dtype=np.float32)
+        self._depths = steps
+        x, y = self._at(self._depths[:, None, None])
+        self._steps = _cells(x, y, membrane)
+        self._undented, self._at_rim = self._met_undented()
+        self._ahead = self._sphere(x, y) - self._depths[:, None, None]
 
     def light(self, displacement_mm: Plane) -> Plane:
         """Return the light each pixel gets, (n_rows, n_cols), of a dented dome."""
@@ -116,25 +130,7 @@ class Optics:
         large = cv2.warpAffine(shaded, to_grid, size, flags=flags, borderMode=border)
         return np.asarray(large)
 
-    def _lay_rays(self, deepest_mm: float) -> None:
-        view, radius = self._view, self._membrane.radius_mm
-        rim = view.distance_mm - radius
-        rows, cols = self.grid_shape
-        per_height = radius / (rim * view.disc_radius)
-        up = ((np.arange(rows) + 0.5) / rows - view.disc_centre[0])[:, None]
-        across = ((np.arange(cols) + 0.5) / rows - view.disc_centre[1])[None]
-        shift_x, shift_y = view.offset_mm
-        self._slope_x = (across * per_height - shift_x / rim).astype(np.float32)
-        self._slope_y = (up * per_height - shift_y / rim).astype(np.float32)
-        near = max(rim - deepest_mm / 2, rim / 2)
-        steps = np.linspace(near, view.distance_mm, _MARCH_STEPS, dtype=np.float32)
-        self._depths = steps
-        x, y = self._at(self._depths[:, None, None])
-        self._steps = _cells(x, y, self._membrane)
-        self._undented, self._at_rim = self._met_undented()
-        self._ahead = self._sphere(x, y) - self._depths[:, None, None]
-
-    def _met_undented(self) -> tuple[Plane, NDArray[np.bool_]]:
+    def _met_undented(self) -> tuple[Plane, Bools]:
         """Exact depth where rays meet the sphere, and those at its steep rim."""
         radius = self._membrane.radius_mm
         rim = self._view.distance_mm - radius

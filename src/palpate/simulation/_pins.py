@@ -9,10 +9,9 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._checks import check_count, check_number, check_positive
-from .._types import Floats
+from .._types import Floats, Singles
 from ._dome import DomeCamera, DomePress, DomeSensor, Frame
 from ._membrane import Membrane
 from ._optics import sampled
@@ -91,7 +90,7 @@ class TacTipPins(DomeSensor):
         return self.dome.membrane
 
     @cached_property
-    def roots_mm(self) -> NDArray[np.float32]:
+    def roots_mm(self) -> Singles:
         """X and y of the pins' roots about the axis, (n_pins, 2)."""
         n = self.n_rings
         steps = range(-n, n + 1)
@@ -101,7 +100,7 @@ class TacTipPins(DomeSensor):
         places = (pitch * (a + b / 2), pitch * b * np.sqrt(0.75))
         return np.column_stack(places).astype(np.float32)
 
-    def tips_mm(self, press: DomePress | None = None) -> NDArray[np.float32]:
+    def tips_mm(self, press: DomePress | None = None) -> Singles:
         """Return x, y about the axis and depth z from the lens of tips, (n_pins, 3)."""
         membrane, dome = self.membrane, self.dome
         x, y = self.roots_mm.T

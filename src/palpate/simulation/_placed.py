@@ -13,11 +13,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._checks import check_number
 from .._extras import needed
-from .._types import Floats
+from .._types import Floats, Singles
 from ._membrane import Membrane
 
 Mesh = Any  # trimesh.Trimesh, whose package is an extra
@@ -144,9 +144,7 @@ class PlacedObject(_Rebuilt):
         """Middle of its bounding box, (3,)."""
         return np.asarray(self.bounds_mm.mean(axis=0))
 
-    def distance_mm(
-        self, origins_mm: ArrayLike, direction: ArrayLike
-    ) -> NDArray[np.float32]:
+    def distance_mm(self, origins_mm: ArrayLike, direction: ArrayLike) -> Singles:
         """Distance from each origin, (n_rays, 3), to the surface along `direction`.
 
         Infinity where the ray misses.
@@ -256,7 +254,7 @@ def sleeve_gap(
 
 def _ahead(
     placed: PlacedObject, pose: SensorPose, x: Floats, y: Floats, back_mm: float
-) -> NDArray[np.float32]:
+) -> Singles:
     """Distance along the sensor's axis from places x, y that lie behind its tip."""
     local = np.column_stack([x, y, np.full(x.shape, -back_mm)])
     origins = np.asarray(pose.position_mm) + local @ pose.axes.T

@@ -5,17 +5,17 @@ are like, and stated with `simulate_presses`; nothing here knows what recognises
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain, islice
 from typing import Any
 
 import numpy as np
 from numpy.random import Generator, SeedSequence
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from .._checks import check_count, check_number, check_option, check_positive
 from .._parallel import in_parallel
+from .._types import Indices
 from ..touches import Touches
 from ._array import Press, PressureArray
 from ._dome import DomeCamera, DomePress, Frame
@@ -140,7 +140,7 @@ def simulate_touches(
         max_roll_deg=check_number("max_roll_deg", max_roll_deg, low=0.0, high=180.0),
         force_sd=check_number("force_sd", force_sd, low=0.0, high=2.0),
         any_pose=check_option("pose", pose, ("usual", "any")) == "any",
-        drift=bool(drift),
+        drift=bool(drift) and not mountings,
         keep_misses=bool(keep_misses),
     )
     count = check_count("n_touches", n_touches)
@@ -150,11 +150,8 @@ def simulate_touches(
     seeds = zip(things, root.spawn(len(things)), strict=True)
     sensors = [sensor] * n_parts
     if mountings:
-        way = replace(way, drift=False)
-        sensors = [
-            sensor.remounted(np.random.default_rng(seed))
-            for seed in root.spawn(n_parts)
-        ]
+        rngs = map(np.random.default_rng, root.spawn(n_parts))
+        sensors = [sensor.remounted(rng) for rng in rngs]
     tasks = [
         (sensors[number], way, *task)
         for one in seeds
@@ -292,9 +289,7 @@ def simulate_presses(
     )
 
 
-def _in_sessions(
-    levels: Frame, session: NDArray[np.intp], seeds: list[SeedSequence]
-) -> Frame:
+def _in_sessions(levels: Frame, session: Indices, seeds: list[SeedSequence]) -> Frame:
     """Return what an array would read in each session, mounted and zeroed anew."""
     result = np.empty_like(levels)
     for number, seed in enumerate(seeds):
@@ -308,9 +303,9 @@ def _in_sessions(
 
 
 def _root(random_state: int | None) -> SeedSequence:
-    if random_state is None:
-        return SeedSequence()
-    return SeedSequence(check_count("random_state", random_state, at_least=0))
+    if random_state is not None:
+        check_count("random_state", random_state, at_least=0)
+    return SeedSequence(random_state)
 
 
 def _all_of(
@@ -328,8 +323,6 @@ def _all_of(
 
 @dataclass(frozen=True)
 class _Way:
-    """How objects are come at."""
-
     strategy: str
     hemisphere_mm: float
     max_tilt_deg: float
@@ -365,42 +358,38 @@ class _Way:
         return SensorPose(goal + away * outward, -outward, float(roll))
 
 
-_Touch = tuple[Frame, DomePress, SensorPose]
-
-
 def _touch_some(
     sensor: DomeCamera | TacTipPins,
     way: _Way,
     thing: SimObject,
     session: SeedSequence,
     seeds: list[SeedSequence],
-) -> list[_Touch]:
-    """Make some touches of one session."""
+) -> list[tuple[Frame, DomePress, SensorPose]]:
+    """Return pictures, presses and the poses at their ends, of one session."""
     rng = np.random.default_rng(session)
     placed = way.placed(thing, rng)
     now = sensor.drifted(rng) if way.drift else sensor
-    return [_one(now, way, placed, np.random.default_rng(seed)) for seed in seeds]
-
-
-def _one(
-    sensor: DomeCamera | TacTipPins, way: _Way, placed: PlacedObject, rng: Generator
-) -> _Touch:
-    """Return picture, press and the pose at its end."""
-    force = sensor.dome.force_n * float(np.exp(rng.normal(0, way.force_sd)))
-    solid = len(placed.thing.mesh.faces) > 0
-    for _ in range(_ATTEMPTS):
-        pose = way.start(placed, rng)
-        press = sensor.press(placed, pose, force_n=force)
-        if press.touched or way.keep_misses or not solid:
-            return sensor.image(press, rng), press, pose.advanced(press.travel_mm)
-    raise ValueError(
-        f"objects must be where the sensor goes, but {placed.thing.name!r} was missed "
-        f"{_ATTEMPTS} times. Lower aim_sd_mm or pass keep_misses=True."
-    )
+    solid = len(thing.mesh.faces) > 0
+    touches = []
+    for rng in map(np.random.default_rng, seeds):
+        force = now.dome.force_n * float(np.exp(rng.normal(0, way.force_sd)))
+        for _ in range(_ATTEMPTS):
+            pose = way.start(placed, rng)
+            press = now.press(placed, pose, force_n=force)
+            if press.touched or way.keep_misses or not solid:
+                break
+        else:
+            raise ValueError(
+                f"objects must be where the sensor goes, but {thing.name!r} was missed "
+                f"{_ATTEMPTS} times. Lower aim_sd_mm or pass keep_misses=True."
+            )
+        end = pose.advanced(press.travel_mm)
+        touches.append((now.image(press, rng), press, end))
+    return touches
 
 
 def _sessions_of(
-    thing: SimObject, seed: SeedSequence, parts: list[NDArray[np.intp]]
+    thing: SimObject, seed: SeedSequence, parts: list[Indices]
 ) -> Iterator[tuple[int, SimObject, SeedSequence, list[SeedSequence]]]:
     """Split the work; seeds hang on the object's place and the touch's, not on this."""
     of_sessions, of_touches = seed.spawn(2)
@@ -427,30 +416,20 @@ def _found(objects: Iterable[SimObject | str] | SimObject | str) -> list[SimObje
     return things
 
 
-def _drawn(
-    rng: Generator,
-    loads: tuple[float, float],
-    shift: float,
-    turn: float,
-    tilt_sd: float,
-    roughness: float,
-) -> Press:
-    x, y = (shift * rng.uniform(-1, 1, size=2)).tolist()
-    angle = float(turn * rng.uniform(-1, 1) % 360)
-    load = rng.uniform(*loads)
-    tilt = np.clip(tilt_sd * rng.standard_normal(2), -10, 10).tolist()
-    return Press(x, y, angle, load, tuple(tilt), roughness)
-
-
 def _press_all(
     array: PressureArray, draw: Any, parts: list[Part], seeds: list[SeedSequence]
 ) -> list[tuple[Frame, Press]]:
     """Press each part once, on one thread so that sums round alike everywhere."""
+    loads, shift, turn, tilt_sd, roughness = draw
     pressed = []
     with threadpool_limits(limits=1, user_api="blas"):
         for part, seed in zip(parts, seeds, strict=True):
             rng = np.random.default_rng(seed)
-            press = _drawn(rng, *draw)
+            x, y = (shift * rng.uniform(-1, 1, size=2)).tolist()
+            angle = float(turn * rng.uniform(-1, 1) % 360)
+            load = rng.uniform(*loads)
+            tilt = np.clip(tilt_sd * rng.standard_normal(2), -10, 10).tolist()
+            press = Press(x, y, angle, load, tuple(tilt), roughness)
             stress = array.stress_kpa(part, press, rng)
             pressed.append((array.read(stress, rng), press))
     return pressed

@@ -23,12 +23,13 @@ from threadpoolctl import threadpool_limits
 from .._checks import check_count
 from .._durable import replacing, write_text
 from .._parallel import in_parallel
+from .._types import Indices
 from ..touches import Touches
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Codes = NDArray[np.intp]
+Codes = Indices
 Row = dict[str, Any]
 # A title, the names of the columns, and lines of text.
 Table = tuple[str, list[str], list[list[str]]]
@@ -166,7 +167,7 @@ class Study:
 
     def tables(self, result: dict[str, Any]) -> list[Table]:
         """Return what a person reads of a result: (title, columns, rows of text)."""
-        return self._experiment.tables(result)
+        return [table for table in self._experiment.tables(result) if table[2]]
 
     def write_report(self, path: str | Path, result: dict[str, Any]) -> Path:
         """Write tables and pictures as one `.html` that loads nothing else."""
@@ -176,7 +177,7 @@ class Study:
         target = check_report_path(path)
         sections = [f"<h1>{escape(one.title)}</h1>"]
         sections.append(f"<p>{escape(one.introduction(result))}</p>")
-        sections += [html_table(*table) for table in one.tables(result)]
+        sections += [html_table(*table) for table in self.tables(result)]
         for name, figure in one.pictures(result).items():
             below = escape(one.captions[name])
             sections.append(f"<p>{plots.svg(figure)}</p><p class=note>{below}</p>")
@@ -283,23 +284,29 @@ def spread(values: Any) -> float | None:
 
 
 def row(
-    name: str, ours: float, sd: float | None = None, paper: float | None = None
+    name: str,
+    ours: float,
+    sd: float | None = None,
+    paper: float | None = None,
+    **facts: Any,
 ) -> Row:
-    """Return what every row has, to be joined with what tells it from the others."""
-    return {"name": name, "paper": paper, "ours": float(ours), "sd": sd}
+    """Return what every row has, then `facts` that tell it from the others."""
+    return {"name": name, "paper": paper, "ours": float(ours), "sd": sd, **facts}
 
 
-def mean_row(name: str, values: Any, paper: float | None = None) -> Row:
+def mean_row(name: str, values: Any, paper: float | None = None, **facts: Any) -> Row:
     """Return `row` of an array's mean and standard deviation."""
-    return row(name, values.mean(), spread(values), paper)
+    return row(name, values.mean(), spread(values), paper, **facts)
 
 
-def cell(row: Row | None) -> str:
-    """Return mean and standard deviation, or a dash."""
+def cell(row: Row | None, digits: int = 1, between: str = " ± ") -> str:
+    """Return mean and, unless `between` is empty, standard deviation; or a dash."""
     if row is None:
         return "-"
-    deviation = "" if row["sd"] is None else f" ± {row['sd']:.1f}"
-    return f"{row['ours']:.1f}{deviation}"
+    shown = (
+        [row["ours"]] if row["sd"] is None or not between else [row["ours"], row["sd"]]
+    )
+    return between.join(f"{value:.{digits}f}" for value in shown)
 
 
 def paper(row: Row | None, frame: str = "{}") -> str:
@@ -308,9 +315,9 @@ def paper(row: Row | None, frame: str = "{}") -> str:
     return "" if known is None else frame.format(f"{known:g}")
 
 
-def with_paper(row: Row | None) -> str:
+def with_paper(row: Row | None, digits: int = 1) -> str:
     """Return mean and standard deviation, the paper's figure in brackets."""
-    return cell(row) + paper(row, " ({})")
+    return cell(row, digits) + paper(row, " ({})")
 
 
 def pivot(

@@ -4,8 +4,6 @@ The unknowns besides the multipliers a are eliminated by hand: bounds are diagon
 shares and their level leave a matrix of rank below the number of kernels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Self, cast
 
@@ -13,16 +11,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from ..._types import Array, Floats
-from ._problem import (
-    Point,
-    Solution,
-    Step,
-    Task,
-    View,
-    balanced,
-    weighted,
-    without_small,
-)
+from . import _problem
+from ._problem import Point, Solution, Step, Task, View, balanced, weighted
 
 # From this size on one matrix at a time is as fast as all at once.
 _LARGE = 192
@@ -43,6 +33,7 @@ class DenseKernels:
         self, kernels: Floats, labels: Floats, means: Floats | None = None
     ) -> None:
         self.kernels, self.labels, self.means = kernels, labels, means
+        self.n_kernels = int(kernels.shape[1])
 
     @classmethod
     def centred(cls, kernels: Floats, labels: Floats) -> Self:
@@ -55,10 +46,6 @@ class DenseKernels:
         kernels -= means[:, :, :, None]
         kernels -= kernels.mean(axis=2)[:, :, None, :]
         return cls(kernels, labels, means)
-
-    @property
-    def n_kernels(self) -> int:
-        return int(self.kernels.shape[1])
 
     def pulls(self, alpha: Floats) -> Floats:
         return np.zeros((len(alpha), 0))
@@ -81,7 +68,7 @@ class DenseKernels:
     def settled(self, task: Task, point: Point, share: float) -> Point:
         n, left = point.n_touches, point.left.copy()
         left[:, :n] = balanced(self.labels, point.alpha)
-        left[:, 2 * n :] = without_small(point.shares, share**task.norm)
+        left[:, 2 * n :] = _problem.without_small(point.shares, share**task.norm)
         return Point(left, point.right, point.free, n)
 
     def decisions(self, solution: Solution) -> Floats:
@@ -121,23 +108,20 @@ class DenseKernels:
         matrix += root.transpose(0, 2, 1) @ root
         matrix[:, np.arange(n), np.arange(n)] += diagonal
         if n < _LARGE:
-            return _small_solver(matrix)
+
+            def solve(right: Floats) -> Floats:
+                try:
+                    return cast(Floats, np.linalg.solve(matrix, right))
+                except np.linalg.LinAlgError:
+                    size = np.abs(matrix).max(axis=(1, 2))[:, None, None]
+                    lift = 1e-14 * np.maximum(size, 1e-300) * np.eye(n)
+                    return cast(Floats, np.linalg.solve(matrix + lift, right))
+
+            return solve
         solvers = [cholesky_solver(one) for one in matrix]
         return lambda right: np.stack(
             [one(r) for one, r in zip(solvers, right, strict=True)]
         )
-
-
-def _small_solver(matrix: Floats) -> Solver:
-    def solve(right: Floats) -> Floats:
-        try:
-            return cast(Floats, np.linalg.solve(matrix, right))
-        except np.linalg.LinAlgError:
-            size = np.abs(matrix).max(axis=(1, 2))[:, None, None]
-            lift = 1e-14 * np.maximum(size, 1e-300) * np.eye(matrix.shape[1])
-            return cast(Floats, np.linalg.solve(matrix + lift, right))
-
-    return solve
 
 
 def cholesky_solver(matrix: Floats) -> Solver:

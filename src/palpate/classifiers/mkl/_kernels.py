@@ -75,7 +75,6 @@ def paper_kernels() -> list[Kernel]:
 
 
 def check_kernels(kernels: object) -> list[Kernel]:
-    """Return the list that `kernels` names or is, or explain."""
     if isinstance(kernels, str) and kernels == "paper":
         return paper_kernels()
     if isinstance(kernels, str) or not isinstance(kernels, Iterable):
@@ -183,17 +182,13 @@ class DenseBank(ABC):
 
     n_folds = 5
     n_touches: int
+    n_columns: int  # of coefficients of a machine
     scales: Floats
     normalize: str | None
 
     @abstractmethod
     def blocks(self, index: Array) -> Floats:
         """Return scaled kernels by rows of `index`, (n_rows, n_kernels, n, n)."""
-
-    @property
-    def n_columns(self) -> int:
-        """Number of coefficients of a machine."""
-        return self.n_touches
 
     def batch_size(self, n_touches: int) -> int:
         """How many problems of that size to hold at a time."""
@@ -226,7 +221,7 @@ class FeatureBank(DenseBank):
         self, kernels: Sequence[Kernel], touches: Floats, normalize: str | None
     ) -> None:
         self.kernels, self.normalize = kernels, normalize
-        self.n_touches = len(touches)
+        self.n_touches = self.n_columns = len(touches)
         self.centred, self.mean, diagonals = centre(kernels, touches)
         mean = None
         if normalize == "variance":
@@ -254,7 +249,8 @@ class GivenBank(DenseBank):
         # One at a time: copies of the whole stack would cost more than the checks.
         for k in range(stack.shape[2]):
             _refuse_not_a_kernel(self._values[:, :, k].copy("F"), k, rounding)
-        self.n_touches, self.normalize = len(stack), normalize
+        self.n_touches = self.n_columns = len(stack)
+        self.normalize = normalize
         diagonals = np.einsum("iik->ki", self._values)
         mean = self._values.mean(axis=(0, 1)) if normalize == "variance" else None
         self.scales = kernel_scales(diagonals, mean, normalize)
@@ -332,7 +328,6 @@ def centre(kernels: Sequence[Kernel], touches: Floats) -> tuple[Floats, Floats, 
 
 
 def _refuse_not_a_kernel(matrix: Floats, k: int, rounding: float) -> None:
-    """Raise if kernel `k` is not symmetric or not positive semi-definite."""
     if not (matrix == matrix.T).all():
         skew = np.abs(matrix - matrix.T).max()
         if skew > rounding * np.abs(matrix).max():

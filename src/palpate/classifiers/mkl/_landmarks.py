@@ -9,8 +9,6 @@ The hyperplane is its normal vector in the space of the features, so Newton's st
 one row per feature and not one per touch; touches are only gone through, in blocks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from typing import Self
 
@@ -19,19 +17,10 @@ from numpy.random import RandomState
 from scipy.linalg import eigh
 
 from ..._types import Array, Floats
+from . import _problem
 from ._dense import DenseKernels, cholesky_solver
 from ._kernels import Kernel, centre, kernel_scales, kernel_stack
-from ._problem import (
-    Point,
-    Solution,
-    Step,
-    Task,
-    View,
-    balanced,
-    norms,
-    row_blocks,
-    without_small,
-)
+from ._problem import Point, Solution, Step, Task, View, balanced, norms, row_blocks
 
 # Directions of a kernel below this share of its largest are rounding.
 _RANK_TOLERANCE = 1e-10
@@ -74,7 +63,6 @@ class LandmarkFeatures:
             yield rows, self(centred[rows])
 
     def sums(self, centred: Floats) -> Floats:
-        """Return the features summed over the touches."""
         total = np.zeros(sum(self.ranks))
         for _, part in self.blocks(centred):
             total += part.sum(axis=0)
@@ -111,16 +99,12 @@ class NystroemBank:
         for one, scale in zip(maps, self.scales, strict=True):
             one *= np.sqrt(scale)
 
-    @property
-    def n_columns(self) -> int:
-        """Number of coefficients of a machine."""
-        return sum(self.features.ranks)
+        self.n_columns = sum(self.features.ranks)
 
     def batch_size(self, n_touches: int) -> int:
-        """How many problems of that size to hold at a time."""
         return 1
 
-    def system(self, index: Array, labels: Floats) -> LowRankKernels | DenseKernels:
+    def system(self, index: Array, labels: Floats) -> "LowRankKernels | DenseKernels":
         """Return one problem, by features or, where it is small, by matrices."""
         centred, ranks = self.centred[index[0]], self.features.ranks
         n_bytes = 8 * len(centred) * self.n_columns
@@ -150,7 +134,7 @@ class NystroemBank:
         return LowRankKernels(blocks, mean, ranks, labels)
 
     def machines(
-        self, system: LowRankKernels | DenseKernels, index: Array, solution: Solution
+        self, system: "LowRankKernels | DenseKernels", index: Array, solution: Solution
     ) -> tuple[Floats, Floats]:
         """Return the normal vector (1, n_columns) and the bias (1,)."""
         if isinstance(system, LowRankKernels):
@@ -186,10 +170,7 @@ class LowRankKernels:
         ends = np.cumsum(self.ranks)
         self.slices = [slice(e - r, e) for e, r in zip(ends, self.ranks, strict=True)]
         self.crowded = labels.shape[1] > _CROWD * len(mean)
-
-    @property
-    def n_kernels(self) -> int:
-        return len(self.slices)
+        self.n_kernels = len(self.slices)
 
     def pulls(self, alpha: Floats) -> Floats:
         return self.gather((self.labels * alpha)[0])[None]
@@ -217,7 +198,7 @@ class LowRankKernels:
         normal, power = self.normal(task, point), 2 * task.norm / (task.norm + 1)
         shares = self.lengths(normal[0])[None] ** power
         shares[shares.sum(axis=1) == 0] = 1
-        left[:, 2 * n :] = without_small(shares, share**task.norm)
+        left[:, 2 * n :] = _problem.without_small(shares, share**task.norm)
         settled = Point(left, point.right, free, n)
         weights = task.weights(settled)
         inverse = np.where(weights > 0, 1 / np.where(weights > 0, weights, 1), 0)
@@ -225,7 +206,6 @@ class LowRankKernels:
         return settled
 
     def decisions(self, solution: Solution) -> Floats:
-        """Return the decisions about all touches, also where the label is 0."""
         return self.spread(solution.normal[0])[None] + solution.bias[:, None]
 
     def true_bias(self, solution: Solution) -> Floats:
@@ -233,7 +213,6 @@ class LowRankKernels:
         return np.asarray(solution.bias - solution.normal @ self._mean)
 
     def with_labels(self, labels: Floats) -> Self:
-        """Return the same kernels with some labels set to 0."""
         return type(self)(self._blocks, self._mean, self.ranks.tolist(), labels)
 
     def take(self, keep: Array) -> Self:
@@ -293,21 +272,18 @@ class PrimalNewton:
         self._excess = point.level[0] - slope * energies - point.slack[0]
         self._surplus = point.shares.sum() - 1
         self._apart = view.pull[0] - pulls
-        self._solve = cholesky_solver(self._matrix())
-
-    def _per_column(self, per_kernel: Floats) -> Floats:
-        return np.repeat(per_kernel, self._system.ranks)
-
-    def _matrix(self) -> Floats:
-        matrix = self._system.gram(self._ease * np.abs(self._labels))
+        matrix = system.gram(self._ease * np.abs(self._labels))
         diagonal = np.arange(len(self._lean))
         matrix[diagonal, diagonal] += self._per_column(1 / self._weights)
-        for gain, part in zip(self._gain, self._system.slices, strict=True):
+        for gain, part in zip(self._gain, system.slices, strict=True):
             lean = self._lean[part]
             matrix[part, part] -= np.outer(gain * lean, lean)
         tilt = self._per_column(self._gain) * self._lean
         matrix[:-1, :-1] += np.outer(tilt / self._gain.sum(), tilt)
-        return matrix
+        self._solve = cholesky_solver(matrix)
+
+    def _per_column(self, per_kernel: Floats) -> Floats:
+        return np.repeat(per_kernel, self._system.ranks)
 
     def direction(self, target: Floats) -> Point:
         """Return the step that changes the products of left and right by `target`."""

@@ -32,8 +32,6 @@ _SUREST = 1e-7
 
 @dataclass(frozen=True)
 class Settings:
-    """How to learn a pair."""
-
     C: float
     norm: float
     solver: str

@@ -23,7 +23,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._types import Array, Floats
+from ..._types import Array, Bools, Floats
 
 # Bytes of kernel values held at a time beside what the caller holds.
 BLOCK_BYTES = 32 * 2**20
@@ -62,33 +62,12 @@ class Point:
     free: Floats  # bias, multiplier of the sum of the shares, pulls features' Y a
     n_touches: int
 
-    @property
-    def alpha(self) -> Floats:
-        return self.left[:, : self.n_touches]
-
-    @property
-    def shares(self) -> Floats:
-        return self.left[:, 2 * self.n_touches :]
-
-    @property
-    def errors(self) -> Floats:
-        return self.right[:, self.n_touches : 2 * self.n_touches]
-
-    @property
-    def slack(self) -> Floats:
-        return self.right[:, 2 * self.n_touches :]
-
-    @property
-    def bias(self) -> Floats:
-        return self.free[:, :1]
-
-    @property
-    def level(self) -> Floats:
-        return self.free[:, 1:2]
-
-    @property
-    def pulls(self) -> Floats:
-        return self.free[:, 2:]
+    def __post_init__(self) -> None:
+        n = self.n_touches
+        self.alpha, self.shares = self.left[:, :n], self.left[:, 2 * n :]
+        self.errors, self.slack = self.right[:, n : 2 * n], self.right[:, 2 * n :]
+        self.bias, self.level = self.free[:, :1], self.free[:, 1:2]
+        self.pulls = self.free[:, 2:]
 
     def take(self, keep: Array) -> "Point":
         parts = self.left[keep], self.right[keep], self.free[keep]
@@ -131,9 +110,7 @@ class KernelSystem(Protocol):
     labels: Floats
     crowded: bool  # more touches than dimensions by far
 
-    @property
-    def n_kernels(self) -> int:
-        """Number of kernels."""
+    n_kernels: int
 
     def pulls(self, alpha: Floats) -> Floats:
         """Return the unknowns besides multipliers, (n_problems, n_columns)."""
@@ -356,13 +333,6 @@ def relative_gap(task: Task, point: Point, view: View) -> Floats:
     return np.asarray(np.maximum(gap, 0))
 
 
-def _is_near(task: Task, point: Point, tol: float) -> bool:
-    """Whether the products of any problem are about as small as its gap should be."""
-    products = np.einsum("ij,ij->i", point.left, point.right)
-    scale = np.einsum("ij,ij->i", task.real, point.alpha) - point.free[:, 1]
-    return not bool((products > _NEAR * tol * scale).all())
-
-
 class Best:
     """The point with the smallest gap met so far of each problem."""
 
@@ -376,15 +346,16 @@ class Best:
         self._found_at = np.zeros(n_problems, dtype=np.int64)
         self.rows = everywhere  # of the problems that are not done
 
-    def improve(
-        self, task: Task, point: Point, view: View, *, last: bool
-    ) -> NDArray[np.bool_]:
+    def improve(self, task: Task, point: Point, view: View, *, last: bool) -> Bools:
         """Note what is better; return which problems should go on.
 
         No proof, but for the `last` point, while the products alone say all are far.
         """
         rows = self.rows
-        if not (last or _is_near(task, point, self._tol)):
+        # Whether the products of any problem are about as small as its gap should be.
+        products = np.einsum("ij,ij->i", point.left, point.right)
+        scale = np.einsum("ij,ij->i", task.real, point.alpha) - point.free[:, 1]
+        if not last and (products > _NEAR * self._tol * scale).all():
             self.n_iter[rows] += 1
             self._found_at[rows] = self.n_iter[rows]
             return np.ones(len(rows), dtype=bool)

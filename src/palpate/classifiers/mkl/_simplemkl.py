@@ -115,8 +115,7 @@ def _descend(
         move = longest = _longest(weights, direction)
     else:
         return weights, here
-    found = yield from _golden(weights, here, direction, move, precision)
-    return found
+    return (yield from _golden(weights, here, direction, move, precision))
 
 
 def _golden(
@@ -212,7 +211,6 @@ class SingleKernelMachines:
         self._alpha[rows], self._bias[rows], self._state[rows] = alpha, bias, state
 
     def solution(self, weights: Floats, n_iter: Array) -> Solution:
-        """Return the machines at the final `weights`, with the gap of the whole."""
         self._system = self._whole
         self._rows = np.arange(len(weights))
         values, _ = self.evaluate(self._rows, weights)

@@ -20,36 +20,13 @@ from sklearn.utils.validation import (
     validate_data,
 )
 
-from ..._checks import (
-    check_count,
-    check_label_kinds,
-    check_number,
-    check_option,
-    check_positive,
-    check_squarable,
-)
+from ... import _checks
+from ..._checks import check_count, check_option, check_positive, check_squarable
 from ..._types import Array, Floats
-from ._kernels import (
-    FeatureBank,
-    GivenBank,
-    Kernel,
-    check_given,
-    check_kernels,
-    kernel_stack,
-)
+from . import _kernels, _pairs
+from ._kernels import FeatureBank, GivenBank, Kernel, check_given, check_kernels
 from ._landmarks import LandmarkFeatures, NystroemBank
-from ._pairs import (
-    Bank,
-    PairMachines,
-    Settings,
-    couple,
-    fit_temperature,
-    learn_pairs,
-    put_left_out,
-    sharpen,
-    side_with_votes,
-    vote,
-)
+from ._pairs import Bank, PairMachines, Settings, couple, fit_temperature, sharpen, vote
 from ._problem import row_blocks
 
 # Decisions this small tell nothing but the solver's rounding; the margin is 1.
@@ -234,7 +211,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
                 f"{self.classes_[0]}. Add touches of another."
             )
         bank = self._make_bank(touches, codes)
-        machines = learn_pairs(bank, codes, settings)
+        machines = _pairs.learn_pairs(bank, codes, settings)
         self._store(bank, machines)
         self.temperature_ = 1.0
         if settings.calibrate and len(self.classes_) > 2:
@@ -243,7 +220,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
                 np.isfinite(machines.left_out).sum(axis=1) == len(self.classes_) - 1
             )
             decisions = self._decisions(touches[judged])
-            put_left_out(
+            _pairs.put_left_out(
                 decisions, machines.left_out[judged], codes[judged], self.pairs_
             )
             chances = couple(decisions, self.sigmoids_, self.pairs_)
@@ -279,7 +256,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         decisions = self.pair_decisions(X)
         chances = couple(decisions, self.sigmoids_, self.pairs_)
         sharpened = sharpen(chances, self.temperature_)
-        return side_with_votes(sharpened, self._winners(decisions))
+        return _pairs.side_with_votes(sharpened, self._winners(decisions))
 
     @available_if(_has_probability)
     def predict_log_proba(self, X: ArrayLike) -> Floats:
@@ -301,15 +278,13 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         return np.asarray(votes.argmax(axis=1))
 
     def _is_given(self) -> bool:
-        """Whether the kernels come computed."""
         return isinstance(self.kernels, str) and self.kernels == "precomputed"
 
     def _settings(self) -> Settings:
-        """Return how to learn a pair, or explain what does not fit."""
         check_option("solver", self.solver, _TOLERANCES)
         check_option("approximation", self.approximation, ("auto", "none", "nystroem"))
         check_option("probability", self.probability, (True, False))
-        norm = check_number("norm", self.norm, low=1)
+        norm = _checks.check_number("norm", self.norm, low=1)
         through_landmarks = self.approximation == "nystroem"
         if self.solver == "simplemkl" and (norm != 1 or through_landmarks):
             raise ValueError(
@@ -327,7 +302,6 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         )
 
     def _make_bank(self, touches: Floats, codes: Array) -> Bank:
-        """Return the kernels among training touches: whole, given, or by landmarks."""
         check_option("normalize", self.normalize, ("trace", "variance", None))
         n_landmarks = check_count("n_landmarks", self.n_landmarks)
         through_landmarks = self.approximation == "nystroem"
@@ -348,7 +322,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         return FeatureBank(kernels, touches, self.normalize)
 
     def _validated(self, X: ArrayLike, y: ArrayLike) -> tuple[Floats, Array]:
-        check_label_kinds(y)
+        _checks.check_label_kinds(y)
         if self._is_given():
             touches = check_given(X)
             labels = column_or_1d(y, warn=True)
@@ -420,7 +394,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         else:
             kernels = [self.kernels_[k] for k in used]
             centred = touches - self.mean_
-            stack = kernel_stack(kernels, centred, self.touches_, self.mean_)
+            stack = _kernels.kernel_stack(kernels, centred, self.touches_, self.mean_)
         decisions = np.zeros((len(touches), len(self.pairs_)))
         for k, kernel in zip(used, stack, strict=True):
             rows = np.flatnonzero(factors[:, k])

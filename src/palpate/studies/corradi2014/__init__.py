@@ -7,6 +7,7 @@ on images and on their derivatives, with each of its four classifiers.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,28 +16,10 @@ import numpy as np
 from ...evaluation import plots
 from .. import _study as shared
 from .._study import BATHTIP, Experiment, Figures, Row, Table, Work, recorded_touches
-from .judging import (
-    DATA,
-    Judged,
-    candidate_features,
-    compare_fold,
-    compared_rows,
-    corrected_t_test,
-    holm,
-    judge,
-    judge_unseen,
-    recording,
-)
-from .plan import (
-    CLASSIFIERS,
-    TACTIP,
-    VARIANTS,
-    Corradi2014Plan,
-    Shapes,
-    near_duplicates,
-    recorded_shapes,
-    simulated_shapes,
-)
+from . import judging
+from . import plan as stated
+from .judging import DATA, Judged, candidate_features, compare_fold, compared_rows, holm
+from .plan import CLASSIFIERS, TACTIP, VARIANTS, Corradi2014Plan, near_duplicates
 
 TITLE = "One touch of a dome camera: Corradi et al. (2014) beside ours"
 CAPTIONS = {
@@ -61,18 +44,18 @@ def _measure(
     plan: Corradi2014Plan, data: str | Path | None, work: Work
 ) -> dict[str, Any]:
     pins, dome = (recorded_touches(data, archive) for archive in (TACTIP, BATHTIP))
-    sets = list(simulated_shapes(plan))
+    sets = list(stated.simulated_shapes(plan))
     if not isinstance(pins, str):
         some, upright = pins[:: plan.recorded_step], plan.recorded_upright
-        sets += recorded_shapes(some, plan.seed, upright=upright)
+        sets += stated.recorded_shapes(some, plan.seed, upright=upright)
     rows, paired = _shapes_rows(sets, plan, work)
     duplicates = {one.data: near_duplicates(one.images["image"]) for one in sets}
     if not isinstance(dome, str):
-        seen = recording(dome[:: plan.recorded_step])
+        seen = judging.recording(dome[:: plan.recorded_step])
         rows_at = np.linspace(0, len(seen.codes) - 1, _MOST_ALIKE).astype(int)
         duplicates[DATA] = near_duplicates(seen.images["image"][np.unique(rows_at)])
         tasks = [(seen.only(v), v, e, plan) for e in plan.encodings for v in VARIANTS]
-        for some in work.done(judge_unseen, tasks, "judging unseen objects"):
+        for some in work.done(judging.judge_unseen, tasks, "judging unseen objects"):
             rows += some
         names = [(seen, name) for name in plan.candidates]
         made = work.done(candidate_features, names, "encoding")
@@ -88,19 +71,19 @@ def _measure(
 
 
 def _shapes_rows(
-    sets: list[Shapes], plan: Corradi2014Plan, work: Work
+    sets: list[stated.Shapes], plan: Corradi2014Plan, work: Work
 ) -> tuple[list[Row], list[Row]]:
     """Return the rows, and where image and derivative differ on the same folds."""
     keys = [(s, e, v) for s in sets for e in plan.encodings for v in VARIANTS]
     tasks = [(s.only(v), v, e, plan) for s, e, v in keys]
-    judged: list[Judged] = work.done(judge, tasks, "judging encodings")
+    judged: list[Judged] = work.done(judging.judge, tasks, "judging encodings")
     found = {(s.data, e, v): one for (s, e, v), one in zip(keys, judged, strict=True)}
     paired: list[Row] = []
     for data, encoding in dict.fromkeys(key[:2] for key in found):
         image, derivative = (found[data, encoding, v].folds for v in VARIANTS)
         for kind in CLASSIFIERS:
             known: Row = {"data": data, "encoding": encoding, "classifier": kind}
-            test = corrected_t_test(image[kind] - derivative[kind])
+            test = judging.corrected_t_test(image[kind] - derivative[kind])
             figures = zip(("difference", "error", "p"), test, strict=True)
             paired.append({**known, **dict(figures)})
     for row, p in zip(paired, holm([row["p"] for row in paired]), strict=True):
@@ -109,7 +92,6 @@ def _shapes_rows(
 
 
 def tables(result: dict[str, Any]) -> list[Table]:
-    """Return (title, columns, rows) of every table."""
     rows = result["rows"]
     made = [_table_2(shared.held(rows, table="Table 2", q=2))]
     fig_3 = shared.held(rows, table="Fig. 3")
@@ -122,8 +104,7 @@ def tables(result: dict[str, Any]) -> list[Table]:
     made += [_best(shared.held(rows, table="best")), _paired(result["paired"])]
     shares = [[data, f"{share:.1f}"] for data, share in result["duplicates"].items()]
     title = "Touches that another one of the set nearly repeats (correlation > 0.99)"
-    made.append((title, ["data", "share, %"], shares))
-    return [table for table in made if table[2]]
+    return [*made, (title, ["data", "share, %"], shares)]
 
 
 def _table_2(rows: Sequence[Row]) -> Table:
@@ -134,9 +115,7 @@ def _table_2(rows: Sequence[Row]) -> Table:
         "Table 2: Davies-Bouldin index, q = 2, smaller is better (paper in brackets)"
     )
 
-    def index(row: Row | None) -> str:
-        return "-" if row is None else f"{row['ours']:.2f}{shared.paper(row, ' ({})')}"
-
+    index = partial(shared.with_paper, digits=2)
     lines = shared.pivot(rows, ["encoding"], columns, index)
     return title, ["encoding", *heads], lines
 
@@ -179,7 +158,6 @@ def _paired(paired: Sequence[Row]) -> Table:
 
 
 def pictures(result: dict[str, Any]) -> Figures:
-    """Return the figures "shapes", "table2" and "fig3"."""
     rows = result["rows"]
     return {
         "shapes": _shapes(result["plan"]["seed"]),
@@ -189,8 +167,7 @@ def pictures(result: dict[str, Any]) -> Figures:
 
 
 def _shapes(seed: int) -> Any:
-    """Draw one touch of each shape and its derivative, by dome and by pins (Fig. 2)."""
-    sets = list(simulated_shapes(Corradi2014Plan(n_touches=10, seed=seed)))
+    sets = list(stated.simulated_shapes(Corradi2014Plan(n_touches=10, seed=seed)))
     figure, axes = plots.panels(4, len(SHAPES), (8.4, 5.0), pictures=True)
     for number, (shapes, variant) in enumerate((s, v) for s in sets for v in VARIANTS):
         for code in range(len(SHAPES)):
@@ -204,7 +181,6 @@ def _shapes(seed: int) -> Any:
 
 
 def _indices(rows: Sequence[Row]) -> Any:
-    """Draw the Davies-Bouldin indices, the paper's as hollow marks."""
     sets = shared.unique(row["data"] for row in rows)
     size = (3.2 * len(sets) + 1, 3.4)
     figure, (axes,) = plots.panels(1, len(sets), size, sharey=True)
@@ -235,7 +211,6 @@ def _indices(rows: Sequence[Row]) -> Any:
 
 
 def _bars(rows: Sequence[Row]) -> Any:
-    """Draw accuracy of encodings and classifiers, one panel per data and variant."""
     sets = shared.unique(row["data"] for row in rows)
     size = (9.2, 2.5 * len(sets))
     figure, axes = plots.panels(len(sets), 2, size, sharex=True, sharey=True)
@@ -274,7 +249,6 @@ def _panel(place: Any, rows: Sequence[Row], encodings: Sequence[str]) -> None:
 
 
 def introduction(result: dict[str, Any]) -> str:
-    """Return the first paragraph of the page."""
     plan = result["plan"]
     missing = " ".join(result["skipped"])
     return (
@@ -292,5 +266,3 @@ def introduction(result: dict[str, Any]) -> str:
 EXPERIMENT = Experiment(
     Corradi2014Plan, _measure, tables, pictures, introduction, TITLE, CAPTIONS
 )
-
-__all__ = ["EXPERIMENT", "Corradi2014Plan"]

@@ -36,16 +36,8 @@ from ...encodings import RootScaler, encoder_named
 from ...evaluation import davies_bouldin
 from ...touches import Touches
 from .._study import Codes, Row, coded, fitted, mean_row, row
-from .plan import (
-    BEST,
-    CLASSIFIERS,
-    TABLE_2,
-    Corradi2014Plan,
-    Images,
-    Shapes,
-    rim_discs,
-    variants,
-)
+from . import plan as stated
+from .plan import BEST, CLASSIFIERS, TABLE_2, Corradi2014Plan, Images, Shapes, variants
 
 SENSORS = ("simulated", "simulated-pins")
 N_FOLDS = 5
@@ -95,7 +87,6 @@ class Encoded:
     def features(
         self, train: Codes, test: Codes, counts: Counts
     ) -> dict[int, tuple[Floats, Floats]]:
-        """Return training and test features for each number of components."""
         if not self.principal:
             return {n: (self.known[n][train], self.asked[n][test]) for n in counts}
         old, new = self.known[0][train], self.asked[0][test]
@@ -161,10 +152,8 @@ def classifier(name: str, seed: int) -> Any:
 
 
 def answers(name: str, train: Floats, codes: Codes, test: Floats, seed: int) -> Codes:
-    """Return the label that a classifier gives to each test touch."""
     # The network stops after so many steps, converged or not.
-    predicted: Codes = fitted(classifier(name, seed), train, codes).predict(test)
-    return predicted
+    return np.asarray(fitted(classifier(name, seed), train, codes).predict(test))
 
 
 @dataclass(frozen=True)
@@ -243,30 +232,19 @@ def _table_2(
         indices = [davies_bouldin(both[n][0], shapes.codes[first], q) for n in counts]
         chosen = counts[int(np.argmin(indices))]
         index = davies_bouldin(both[chosen][1], shapes.codes[second], q)
-        yield {
-            **row(f"{name}, {variant}, q = {q}", index, None, beside),
-            **known,
-            "table": "Table 2",
-            "unit": "index",
-            "q": q,
-            "n_components": chosen,
-        }
+        shown = f"{name}, {variant}, q = {q}"
+        more = {**known, "table": "Table 2", "unit": "index", "q": q}
+        yield row(shown, index, None, beside, **more, n_components=chosen)
 
 
 def _fig_3(known: Row, kind: str, runs: Floats, grouped: Floats) -> Iterator[Row]:
     name, variant = known["encoding"], known["variant"]
     paper = BEST.get((name, kind, variant)) if known["data"] == "simulated" else None
-    for folds, values in {"randomised": runs, "grouped": grouped}.items():
+    alike = {**known, "table": "Fig. 3", "unit": "per cent", "classifier": kind}
+    asked = (("randomised", runs, paper, len(runs)), ("grouped", grouped, None, 1))
+    for folds, values, beside, n_runs in asked:
         shown = f"{name}, {kind}, {variant}, {folds} folds"
-        yield {
-            **mean_row(shown, values, paper if folds == "randomised" else None),
-            **known,
-            "table": "Fig. 3",
-            "unit": "per cent",
-            "classifier": kind,
-            "folds": folds,
-            "runs": len(runs) if folds == "randomised" else 1,
-        }
+        yield mean_row(shown, values, beside, **alike, folds=folds, runs=n_runs)
 
 
 def _random_folds(
@@ -291,7 +269,6 @@ class Recording:
     fold: Codes
 
     def only(self, *variants: str) -> "Recording":
-        """Return the same touches with the images of these variants alone."""
         return replace(self, images={v: self.images[v] for v in variants})
 
 
@@ -302,7 +279,7 @@ def recording(touches: Touches) -> Recording:
     for category in np.unique(codes):
         mine = codes == category
         fold[mine] = np.unique(objects[mine], return_inverse=True)[1]
-    return Recording(variants(rim_discs(touches)), codes, objects, fold)
+    return Recording(variants(stated.rim_discs(touches)), codes, objects, fold)
 
 
 def judge_unseen(
@@ -332,9 +309,8 @@ def judge_unseen(
             *(judged(kind, k) for k in range(plan.fold_limit)), strict=True
         )
         one = {"table": "unseen", "encoding": name, "variant": variant}
-        kept = {"classifier": kind, "n_components": list(chosen)}
-        shown = mean_row(f"{name}, {kind}, {variant}", np.array(right))
-        rows.append({**shown, **_KNOWN, **one, **kept})
+        kept: Row = {**_KNOWN, **one, "classifier": kind, "n_components": list(chosen)}
+        rows.append(mean_row(f"{name}, {kind}, {variant}", np.array(right), **kept))
     return rows
 
 
@@ -393,10 +369,9 @@ def compared_rows(results: list[dict[str, Any]]) -> list[Row]:
     chosen = [result["chosen"] for result in results]
     for name, right in after.items():
         for length, folds in zip(LENGTHS, right.T, strict=True):
-            shown = mean_row(f"{name}, after {length}", folds)
             known = {**_KNOWN, "table": "best", "encoding": name, "after": length}
-            what = {"folds_right": folds.tolist(), "chosen": chosen}
-            rows.append({**shown, **known, **what})
+            known |= {"folds_right": folds.tolist(), "chosen": chosen}
+            rows.append(mean_row(f"{name}, after {length}", folds, **known))
     return rows
 
 

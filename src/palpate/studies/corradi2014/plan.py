@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._types import Singles
 from ...images import (
     Circle,
     DerivativeMagnitude,
@@ -47,7 +48,7 @@ COUNTS: dict[str, tuple[int, ...]] = {
     "zernike-pca": PRINCIPAL,
     "scaled-pixels": SQUARES,
 }
-Images = NDArray[np.float32]
+Images = Singles
 
 TACTIP = Archive(
     Path("tactip4") / "tactip4.npz",

@@ -17,18 +17,10 @@ from ...evaluation import plots
 from .. import _study as shared
 from .._study import BATHTIP, Experiment, Figures, Row, Table, Work, recorded_touches
 from . import episodes
+from . import plan as stated
 from .beside import MOVES, SIGHT, beside_tasks
 from .episodes import CLUSTERS, DEFAULT, FLOORED, MAIN
-from .plan import (
-    LATER_CATEGORY,
-    LATER_OBJECTS,
-    LATER_SIGHT,
-    PAPER,
-    PAPER_CLUSTERS,
-    Corradi2015Plan,
-    recorded_objects,
-    simulated_objects,
-)
+from .plan import LATER_CATEGORY, LATER_OBJECTS, LATER_SIGHT, PAPER, Corradi2015Plan
 
 TITLE = "Ten objects, touch by touch: Corradi et al. (2015) beside ours"
 CAPTIONS = {
@@ -52,7 +44,7 @@ _TITLES = {
     MOVES["after -> before"]: "Learnt after the camera moved and recognised before",
 }
 _PAPER_LINES: dict[str, list[tuple[str, dict[int, float]]]] = {
-    "ten objects": [("the paper", PAPER), ("its k-means", PAPER_CLUSTERS)],
+    "ten objects": [("the paper", PAPER), ("its k-means", stated.PAPER_CLUSTERS)],
     "all objects": [("first author", LATER_OBJECTS)],
     "category": [("first author", LATER_CATEGORY)],
     **{
@@ -85,11 +77,11 @@ def _measure(
     plan: Corradi2015Plan, data: str | Path | None, work: Work
 ) -> dict[str, Any]:
     recorded = recorded_touches(data, BATHTIP)
-    sets, skipped = [simulated_objects(plan, work.workers)], []
+    sets, skipped = [stated.simulated_objects(plan, work.workers)], []
     if isinstance(recorded, str):
         skipped.append(recorded)
     else:
-        sets.append(recorded_objects(recorded))
+        sets.append(stated.recorded_objects(recorded))
     tasks = [task for objects in sets for task in episodes.known_tasks(plan, objects)]
     if plan.later and not isinstance(recorded, str):
         tasks += episodes.later_tasks(plan, recorded)
@@ -111,16 +103,10 @@ def _measure(
     every, last = sets[-1].every or sets[0].known, sets[-1].data
     rows += shared.on_one_thread(episodes.timing_rows, every, last, plan.timed)
     confusion = {one.data: episodes.confusions(answered, one, plan) for one in sets}
-    return {
-        "rows": rows,
-        "confusion": confusion,
-        "unseen": unseen,
-        "skipped": skipped,
-    }
+    return {"rows": rows, "confusion": confusion, "unseen": unseen, "skipped": skipped}
 
 
 def tables(result: dict[str, Any]) -> list[Table]:
-    """Return (title, columns, rows) of every table, figures in per cent."""
     rows = result["rows"]
     made = [
         _curves(experiment, data, shared.held(rows, table=experiment, data=data))
@@ -134,8 +120,7 @@ def tables(result: dict[str, Any]) -> list[Table]:
         what = row["name"].removesuffix(", ms")
         timed.append([what, shared.paper(row) or "-", f"{row['ours']:.3g}"])
     columns = ["what", "paper (MATLAB)", "ours"]
-    made.append(("Milliseconds, one thread", columns, timed))
-    return [table for table in made if table[2]]
+    return [*made, ("Milliseconds, one thread", columns, timed)]
 
 
 def _curves(experiment: str, data: str, rows: Sequence[Row]) -> Table:
@@ -147,18 +132,10 @@ def _curves(experiment: str, data: str, rows: Sequence[Row]) -> Table:
     ]
     names = shared.unique(row["recogniser"] for row in rows)
     for name in sorted(names, key=lambda name: _FIRST.get(name, len(_FIRST))):
-        found = [_short(shared.pick(rows, recogniser=name, touches=k)) for k in counts]
-        lines.append([name, *found])
+        found = [shared.pick(rows, recogniser=name, touches=k) for k in counts]
+        lines.append([name, *(shared.cell(row, 0, "±") for row in found)])
     title = f"{_TITLES[experiment]}, {DATA_NAMES[data]}: right after so many touches, %"
     return title, ["recogniser", *map(str, counts)], lines if rows else []
-
-
-def _short(row: Row | None) -> str:
-    """Return mean and standard deviation without decimals, or a dash."""
-    if row is None:
-        return "-"
-    deviation = "" if row["sd"] is None else f"±{row['sd']:.0f}"
-    return f"{row['ours']:.0f}{deviation}"
 
 
 def _mixtures(rows: Sequence[Row]) -> Table:
@@ -198,7 +175,6 @@ def _strongest(row: Row | None) -> str:
 
 
 def pictures(result: dict[str, Any]) -> Figures:
-    """Return the figures "accuracy", "confusion", "unseen" and, if run, "later"."""
     rows = result["rows"]
     known = shared.held(rows, table="ten objects")
     sides = [
@@ -224,7 +200,6 @@ def _accuracy(
     height: float,
     legend_of: int,
 ) -> Any:
-    """Draw accuracy against touches, one panel per (rows, published figures, title)."""
     figure, axes = plots.panels(1, len(sides), (4.4 * len(sides), height))
     for place, (rows, figures, title) in zip(axes[0], sides, strict=True):
         for name, (colour, line, width) in _STYLES.items():
@@ -252,7 +227,6 @@ def _accuracy(
 
 
 def _confusion(confusion: dict[str, Any]) -> Any:
-    """Draw the confusion matrices of each data after a few and after more touches."""
     n_columns = max(len(found["after"]) for found in confusion.values())
     size = (4.5 * n_columns, 4.2 * len(confusion))
     figure, axes = plots.panels(len(confusion), n_columns, size)
@@ -266,7 +240,6 @@ def _confusion(confusion: dict[str, Any]) -> Any:
 
 
 def _beliefs(result: dict[str, Any]) -> Any:
-    """Draw the mean belief in the known objects against touches of unseen ones."""
     found = {data: one[MAIN] for data, one in result["unseen"].items()}
     n_columns = max(len(curves) for curves in found.values())
     size = (2.5 * n_columns, 2.7 * len(found))
@@ -295,7 +268,6 @@ def _beliefs(result: dict[str, Any]) -> Any:
 
 
 def introduction(result: dict[str, Any]) -> str:
-    """Return the first paragraph of the page."""
     plan = result["plan"]
     recorded = " ".join(result["skipped"]) or (
         "Recorded touches are a later set than the paper's own: the first object of "
@@ -319,5 +291,3 @@ def introduction(result: dict[str, Any]) -> str:
 EXPERIMENT = Experiment(
     Corradi2015Plan, _measure, tables, pictures, introduction, TITLE, CAPTIONS
 )
-
-__all__ = ["EXPERIMENT", "Corradi2015Plan"]

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._types import Floats
+from ..._types import Bools, Floats
 from ...evaluation import Fold, Plan, evaluate, split_touches
 from ...recognition import ObjectRecogniser
 from ...touches import Touches
@@ -118,7 +118,7 @@ def lacks_move(touches: Touches) -> str:
     return ""
 
 
-def before_the_move(touches: Touches) -> NDArray[np.bool_]:
+def before_the_move(touches: Touches) -> Bools:
     """Mark touches before the camera moved; all of the objects where it did not."""
     assert touches.order is not None
     centres = touches.columns[RIM][:, :2]
@@ -205,8 +205,9 @@ def _row(
 ) -> Row:
     """Return a row in per cent; the deviation is that of objects."""
     shown = after_touches(table, known["recogniser"], known["touches"])
-    figures = row(shown, 100 * share, None if sd is None else float(100 * sd), paper)
-    return {**figures, "data": "bathtip", "table": table, **known}
+    deviation = None if sd is None else float(100 * sd)
+    facts = {"data": "bathtip", "table": table, **known}
+    return row(shown, 100 * share, deviation, paper, **facts)
 
 
 def _fused(

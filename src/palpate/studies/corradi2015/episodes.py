@@ -8,54 +8,36 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.decomposition import PCA
 
-from ..._types import Floats
+from ..._types import Bools, Floats
 from ...classifiers import KernelDensityBayes
 from ...recognition import ObjectRecogniser
 from ...touches import Touches
 from .._study import Codes, Row, coded, labels, mean_row, row, spread
-from .plan import (
-    LATER_CATEGORY,
-    LATER_OBJECTS,
-    LATER_TRAIN,
-    N_KNOWN,
-    PAPER,
-    PAPER_CLUSTERS,
-    PAPER_MS,
-    Corradi2015Plan,
-    Encoded,
-    Encoder,
-    Objects,
-)
-from .recognisers import (
-    BagOfTouches,
-    ClusterBayes,
-    Densities,
-    Mixtures,
-    Nuisance,
-    Recogniser,
-    principal_components,
-)
+from . import plan as stated
+from . import recognisers as known_by
+from .plan import LATER_TRAIN, PAPER_MS, Corradi2015Plan, Encoded, Encoder, Objects
+from .recognisers import BagOfTouches, ClusterBayes, Densities, Mixtures, Recogniser
 
 MAIN, DEFAULT = "corradi2015", "default"
 FLOORED, CLUSTERS = "with a floor", "k-means"
 IDLE = {name: f"idle, {name}" for name in (MAIN, DEFAULT)}
 _CONTROLS: dict[str, Recogniser] = {
-    name: Nuisance(name) for name in ("disc centre", "brightness")
+    name: known_by.Nuisance(name) for name in ("disc centre", "brightness")
 }
 LATER_TOUCHES = 20
 CONFUSED_AFTER = (5, 15)
 UNSEEN_AFTER = (1, 5, 10, 30)
 _FIGURES: dict[tuple[str, str], dict[int, float]] = {
-    ("ten objects", MAIN): PAPER,
-    ("ten objects", CLUSTERS): PAPER_CLUSTERS,
-    ("all objects", MAIN): LATER_OBJECTS,
-    ("category", MAIN): LATER_CATEGORY,
+    ("ten objects", MAIN): stated.PAPER,
+    ("ten objects", CLUSTERS): stated.PAPER_CLUSTERS,
+    ("all objects", MAIN): stated.LATER_OBJECTS,
+    ("category", MAIN): stated.LATER_CATEGORY,
 }
 
 
@@ -92,7 +74,6 @@ class Compared:
     label: str | None = None
 
     def __call__(self) -> list[Answered]:
-        """Return the answers of each recogniser."""
         alone = only_idle(self.partition, self.encoded.idle)
         found = []
         for name, one in self.compared.items():
@@ -158,15 +139,14 @@ def later_tasks(plan: Corradi2015Plan, touches: Touches) -> Iterator[Compared]:
 
 
 def recognisers(plan: Corradi2015Plan) -> dict[str, Recogniser]:
-    """Return what is compared, by name."""
     mixtures = {f"mixtures of {n}": Mixtures(n, plan.seed) for n in plan.components}
     return {
         MAIN: Densities(),
         FLOORED: Densities(floor=1e-3),
         CLUSTERS: ClusterBayes(plan.clusters, plan.seed),
         **mixtures,
-        "bag, Fourier": BagOfTouches("polar Fourier", plan.clusters, plan.seed),
-        "bag, moments": BagOfTouches("moment-normalised", plan.clusters, plan.seed),
+        "bag, Fourier": BagOfTouches(plan.clusters, plan.seed, "polar Fourier"),
+        "bag, moments": BagOfTouches(plan.clusters, plan.seed, "moment-normalised"),
     }
 
 
@@ -236,7 +216,7 @@ def draw_orders(
     return np.stack(episodes), np.repeat(np.arange(len(known)), n_orders)
 
 
-def only_idle(partition: Partition, idle: NDArray[np.bool_] | None) -> Partition | None:
+def only_idle(partition: Partition, idle: Bools | None) -> Partition | None:
     """Return the test touches without contact, each an episode; None without any."""
     if idle is None or not idle[partition.episodes].any():
         return None
@@ -284,14 +264,12 @@ def experiment_rows(answered: Iterable[Answered], plan: Corradi2015Plan) -> list
             if k <= curve.shape[1]:
                 paper = _FIGURES.get((experiment, name), {}).get(k)
                 shown = after_touches(experiment, name, k)
-                figures = mean_row(shown, 100 * curve[:, k - 1], paper)
-                sizes = {"touches": k, "partitions": len(some)}
-                rows.append({**figures, **known, **sizes, **facts})
+                sizes = {**known, "touches": k, "partitions": len(some), **facts}
+                rows.append(mean_row(shown, 100 * curve[:, k - 1], paper, **sizes))
     return rows
 
 
 def after_touches(table: str, recogniser: str, k: int) -> str:
-    """Return the name of a row."""
     return f"{table}, {recogniser}, {k} touch{'es' if k != 1 else ''}"
 
 
@@ -307,8 +285,7 @@ def confusion(answered: Iterable[Answered], k: int, n_labels: int) -> Floats:
     counts = np.zeros((n_labels, n_labels))
     for one in answered:
         np.add.at(counts, (one.truth, one.answers[:, k - 1]), 1)
-    shares: Floats = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    return shares
+    return np.asarray(counts / np.maximum(counts.sum(axis=1, keepdims=True), 1))
 
 
 def confusions(
@@ -326,13 +303,11 @@ def confusions(
     }
 
 
-def worst_pairs(
-    confusion: Floats, names: Sequence[str], most: int = 3
-) -> list[dict[str, Any]]:
-    """Return the pairs that are taken for each other most often, worst first."""
+def worst_pairs(confusion: Floats, names: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the three pairs most often taken for each other, worst first."""
     both = (confusion + confusion.T) / 2
     above = np.transpose(np.triu_indices(len(names), 1)).tolist()
-    pairs = sorted(above, key=lambda pair: -both[*pair])[:most]
+    pairs = sorted(above, key=lambda pair: -both[*pair])[:3]
     return [
         {"objects": [names[i], names[j]], "share": float(100 * both[i, j])}
         for i, j in pairs
@@ -342,22 +317,19 @@ def worst_pairs(
 def unseen_rows(beliefs: dict[str, dict[str, Floats]], objects: Objects) -> list[Row]:
     """Return which known object each unseen one is taken for, after some touches."""
     known = np.unique(labels(objects.known)).tolist()
-    asked = [
-        (preset, name, k, curve[k - 1])
-        for preset, curves in beliefs.items()
-        for name, curve in curves.items()
-        for k in UNSEEN_AFTER
-        if k <= len(curve)
-    ]
+    every = [(p, *one) for p, curves in beliefs.items() for one in curves.items()]
     rows = []
-    for preset, name, k, belief in asked:
+    for (preset, name, curve), k in product(every, UNSEEN_AFTER):
+        if k > len(curve):
+            continue
+        belief = curve[k - 1]
         order = np.argsort(-belief, kind="stable")[:3].tolist()
         share = {known[i]: float(100 * belief[i]) for i in order}
         best = known[order[0]]
         shown = f"{name} taken for {best}, {preset}, {k} touches"
-        facts = {"data": objects.data, "table": "unseen", "recogniser": preset}
-        what = {"unseen": name, "touches": k, "beliefs": share}
-        rows.append({**row(shown, share[best]), **facts, **what})
+        facts: Row = {"data": objects.data, "table": "unseen", "recogniser": preset}
+        facts |= {"unseen": name, "touches": k, "beliefs": share}
+        rows.append(row(shown, share[best], **facts))
     return rows
 
 
@@ -369,11 +341,11 @@ def timing_rows(touches: Touches, data: str, sizes: Sequence[int]) -> list[Row]:
     moments = encoder.moments.fit(discs)
     values = moments.transform(discs)
 
-    def whole(i: int) -> None:
-        moments.transform(encoder.crop.transform(images[i : i + 1]))
+    def whole(i: int) -> object:
+        return moments.transform(encoder.crop.transform(images[i : i + 1]))
 
-    def alone(i: int) -> None:
-        moments.transform(discs[i : i + 1])
+    def alone(i: int) -> object:
+        return moments.transform(discs[i : i + 1])
 
     disc, frame = (" x ".join(map(str, one.shape[1:])) for one in (discs, images))
     rows = [
@@ -388,10 +360,10 @@ def timing_rows(touches: Touches, data: str, sizes: Sequence[int]) -> list[Row]:
 
 def _learning(values: Floats) -> list[Row]:
     size = len(values)
-    codes = np.arange(size) % N_KNOWN
+    codes = np.arange(size) % stated.N_KNOWN
 
     def learn(_: int) -> tuple[PCA, KernelDensityBayes]:
-        principal = principal_components(values)
+        principal = known_by.principal_components(values)
         model = KernelDensityBayes().fit(principal.transform(values), codes)
         return principal, model
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import clone
 
-from ..._types import Floats
+from ..._types import Bools, Floats, Singles
 from ...evaluation import brightness, without_contact
 from ...images import DomeCrop, Rims, crop_discs, standardise_discs
 from ...recognition import PRESETS
@@ -98,13 +98,8 @@ class Corradi2015Plan(Plan):
         self.check_counts("partitions", "later_partitions", "n_test", "orders")
         self.check_counts("default_partitions", "seed", at_least=0)
         self.check_counts("n_train", "few_train", at_least=6)
-        self.check_counts("n_simulated", at_least=self.least)
+        self.check_counts("n_simulated", at_least=self.few_train + self.n_test)
         self.check_counts("touches", "clusters", "components", "timed")
-
-    @property
-    def least(self) -> int:
-        """Fewest touches an object may have."""
-        return self.few_train + self.n_test
 
 
 @dataclass(frozen=True)
@@ -147,7 +142,7 @@ class Encoded:
     names: NDArray[np.str_]
     codes: Codes
     features: dict[str, Floats]
-    idle: NDArray[np.bool_] | None
+    idle: Bools | None
 
 
 class Encoder:
@@ -169,7 +164,6 @@ class Encoder:
         self.idle_disc = discs[0]
 
     def __call__(self, touches: Touches) -> Encoded:
-        """Encode touches of the same sensor."""
         rims = self.crop.rims(touches.images)
         discs = self._discs(touches.images, rims)
         features = {"Zernike": self.moments.fit(discs).transform(discs)}
@@ -182,12 +176,12 @@ class Encoder:
         names, codes = np.unique(labels(touches), return_inverse=True)
         return Encoded(names, codes, features, without_contact(touches))
 
-    def _discs(self, images: NDArray[Any], rims: Rims) -> NDArray[np.float32]:
+    def _discs(self, images: NDArray[Any], rims: Rims) -> Singles:
         discs = crop_discs(images, rims, self.crop.disc_radius_, self.crop.size_)
         return standardise_discs(discs)
 
 
-def polar_fourier(discs: NDArray[np.float32]) -> Floats:
+def polar_fourier(discs: Singles) -> Floats:
     """Return Fourier magnitudes along 8 circles, blind to turning, (n_touches, 72)."""
     half = (discs.shape[1] - 1) / 2
     radius = half * (np.arange(N_RINGS) + 0.5) / N_RINGS
@@ -199,7 +193,7 @@ def polar_fourier(discs: NDArray[np.float32]) -> Floats:
     return np.asarray(found.reshape(len(discs), -1), dtype=np.float64)
 
 
-def moment_normalised(pressed: NDArray[np.float32]) -> Floats:
+def moment_normalised(pressed: Singles) -> Floats:
     """Move, turn and scale what is pressed (n_touches, size, size); (n_touches, 256).
 
     The centroid comes to the middle, the main axis to the columns with the longer tail
@@ -208,7 +202,7 @@ def moment_normalised(pressed: NDArray[np.float32]) -> Floats:
     return np.stack([_normalised(image) for image in pressed])
 
 
-def _normalised(image: NDArray[np.float32]) -> Floats:
+def _normalised(image: Singles) -> Floats:
     total = float(image.sum())
     row, col = np.indices(image.shape)
     if total <= 0:

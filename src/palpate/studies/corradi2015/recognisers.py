@@ -2,12 +2,15 @@
 
 Each learns from training touches and answers for episodes: several touches of one
 object, one after the other. It is never given the labels of what it answers for.
-Labels are whole numbers without gaps.
+Labels are whole numbers without gaps. `scores` of episodes (n_episodes, n_touches,
+n_features) are (n_episodes, n_touches, n_objects) after each touch: log posteriors
+under equal priors, but of the bags of touches, which have none; the largest is the
+answer. `features` names those of the study's features that are taken.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.special import log_softmax
@@ -27,21 +30,6 @@ _VALIDATION = 1 / 3
 _SINGULAR = 1e-9
 
 
-class Recogniser(Protocol):
-    """From training touches to how much each object is believed in."""
-
-    @property
-    def features(self) -> str:
-        """Which of the study's features it takes."""
-
-    def scores(self, train: Floats, codes: Codes, episodes: Floats) -> Floats:
-        """Return scores after each touch, (n_episodes, n_touches, n_objects).
-
-        Of episodes (n_episodes, n_touches, n_features): log posteriors under equal
-        priors, but of the bags of touches, which have none; the largest is the answer.
-        """
-
-
 @dataclass(frozen=True)
 class Densities:
     """The paper's: principal components, a Gaussian about every training touch."""
@@ -56,11 +44,13 @@ class Densities:
         return _added_up(model.log_likelihood(flat), episodes, self.floor)
 
 
+@dataclass(frozen=True)
 class _Clustered:
     """What counts touches in so many k-means clusters as recognise best."""
 
     clusters: Sequence[int]
-    seed: int
+    seed: int = 0
+    features: str = "Zernike"
 
     def scores(self, train: Floats, codes: Codes, episodes: Floats) -> Floats:
         chosen = self.choose(train, codes)
@@ -69,7 +59,6 @@ class _Clustered:
     def with_clusters(
         self, n_clusters: int, train: Floats, codes: Codes, episodes: Floats
     ) -> Floats:
-        """Return `scores` for a number of clusters."""
         raise NotImplementedError
 
     def choose(self, train: Floats, codes: Codes) -> int:
@@ -90,13 +79,8 @@ class _Clustered:
         return candidates[int(np.argmax(right))]
 
 
-@dataclass(frozen=True)
 class ClusterBayes(_Clustered):
     """Naive Bayes over k-means clusters; one is added to every count."""
-
-    clusters: Sequence[int]
-    seed: int = 0
-    features: str = "Zernike"
 
     def with_clusters(
         self, n_clusters: int, train: Floats, codes: Codes, episodes: Floats
@@ -149,13 +133,8 @@ class Mixtures:
         }
 
 
-@dataclass(frozen=True)
 class BagOfTouches(_Clustered):
     """Nearest histogram over clusters, chi-squared (doi:10.1109/TRO.2011.2125350)."""
-
-    features: str
-    clusters: Sequence[int]
-    seed: int = 0
 
     def with_clusters(
         self, n_clusters: int, train: Floats, codes: Codes, episodes: Floats
@@ -170,8 +149,7 @@ class BagOfTouches(_Clustered):
         difference = (seen[:, :, np.newaxis] - shares) ** 2
         both = seen[:, :, np.newaxis] + shares
         distance = difference / np.where(both > 0, both, 1.0)
-        scores: Floats = -0.5 * distance.sum(axis=-1)
-        return scores
+        return np.asarray(-0.5 * distance.sum(axis=-1))
 
 
 @dataclass(frozen=True)
@@ -183,6 +161,9 @@ class Nuisance:
     def scores(self, train: Floats, codes: Codes, episodes: Floats) -> Floats:
         said = control_log_likelihood(train, codes, None, _flat(episodes))
         return _added_up(said, episodes, 0.01)
+
+
+Recogniser = Densities | ClusterBayes | Mixtures | BagOfTouches | Nuisance
 
 
 def principal_components(train: Floats) -> PCA:

@@ -6,6 +6,7 @@ presses, and real presses of another array where they are at hand.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -58,9 +59,8 @@ def _measure(plan: Liu2014Plan, data: str | Path | None, work: Work) -> dict[str
 
 
 def tables(result: dict[str, Any]) -> list[Table]:
-    """Return (title, columns, rows) of every table, figures in per cent."""
     rows = result["rows"]
-    made = [
+    return [
         _methods("Table 2", shared.held(rows, table="Table 2")),
         _methods("Equal grids", shared.held(rows, table="equal grids")),
         _methods("Controls, and our moments", shared.held(rows, table="controls")),
@@ -69,7 +69,6 @@ def tables(result: dict[str, Any]) -> list[Table]:
         _conditions("Load, cover 0.9 mm", "load, kgf", "load_kgf", rows, "Fig. 5"),
         _conditions("Cover, 4 kgf", "cover, mm", "cover_mm", rows, "Fig. 6"),
     ]
-    return [table for table in made if table[2]]
 
 
 def _methods(title: str, rows: Sequence[Row]) -> Table:
@@ -92,7 +91,6 @@ def _methods(title: str, rows: Sequence[Row]) -> Table:
 
 
 def _class_sets(rows: Sequence[Row]) -> Table:
-    """Figs 12 to 14 at the largest n, the paper's value in brackets."""
     some = [r for r in rows if r["table"].startswith("Fig") and "condition" not in r]
     most = max((row["n"] for row in some if row.get("n")), default=0)
     encodings = ("FD", "GE", "FD+GE", "sorted pixels", "raw pixels")
@@ -109,17 +107,13 @@ def _beside_paper(row: Row | None) -> str:
 
 
 def _counts(rows: Sequence[Row]) -> Table:
-    """Accuracy against the number of Fourier descriptors."""
     some = [row for row in rows if row["table"] in ("Fig. 12", "Fig. 14")]
     counts = shared.unique(row["n"] for row in some)
     keys = ["data", "classes", "encoding", "features"]
-    lines = shared.pivot(some, keys, [{"n": n} for n in counts], _mean, DATA_NAMES)
+    mean = partial(shared.cell, between="")
+    lines = shared.pivot(some, keys, [{"n": n} for n in counts], mean, DATA_NAMES)
     heads = [*keys, *(f"n = {n}" for n in counts)]
     return "Figs 12 and 14: 3-NN against the number of descriptors", heads, lines
-
-
-def _mean(row: Row | None) -> str:
-    return "-" if row is None else f"{row['ours']:.1f}"
 
 
 def _conditions(
@@ -143,7 +137,6 @@ def _conditions(
 
 
 def pictures(result: dict[str, Any]) -> Figures:
-    """Return the figures "stages", "parts" and "conditions"."""
     touches = simulated_presses(Liu2014Plan(**result["plan"]))
     return {
         "stages": _stages(touches),
@@ -153,7 +146,6 @@ def pictures(result: dict[str, Any]) -> Figures:
 
 
 def _stages(touches: Touches) -> Any:
-    """Draw every stage of the clean-up of one press of a few parts (Fig. 10)."""
     names = shared.unique(labels(touches).tolist())
     spaced = np.linspace(0, len(names) - 1, min(STAGES_SHOWN, len(names)))
     shown = [names[i] for i in spaced.round().astype(int)]
@@ -172,7 +164,6 @@ def _stages(touches: Touches) -> Any:
 
 
 def _parts(touches: Touches) -> Any:
-    """Draw a few presses of every part, the part's outline over its taxels."""
     names = shared.unique(labels(touches).tolist())
     half = -(-len(names) // 2)
     figure, axes = _images(half, 2 * PRESSES_SHOWN, 0.95)
@@ -199,7 +190,6 @@ def _parts(touches: Touches) -> Any:
 
 
 def _over_conditions(rows: Sequence[Row]) -> Any:
-    """Draw accuracy, overlap and pieces against load and against cover."""
     figure, axes = plots.panels(2, 2, (7.6, 5.2), sharex="col", sharey="row")
     sides = (("Fig. 5", "load_kgf", "load, kgf"), ("Fig. 6", "cover_mm", "cover, mm"))
     for column, (table, key, label) in enumerate(sides):
@@ -234,7 +224,6 @@ def _images(n_rows: int, n_columns: int, side: float) -> tuple[Any, Any]:
 
 
 def introduction(result: dict[str, Any]) -> str:
-    """Return the first paragraph of the page."""
     plan = result["plan"]
     real = " ".join(result["skipped"]) or (
         "Real presses are those of 17 objects on another 10 x 10 array, each object in "
@@ -253,5 +242,3 @@ def introduction(result: dict[str, Any]) -> str:
 EXPERIMENT = Experiment(
     Liu2014Plan, _measure, tables, pictures, introduction, TITLE, CAPTIONS
 )
-
-__all__ = ["EXPERIMENT", "REAL", "Liu2014Plan", "reposed_presses", "simulated_presses"]

@@ -5,7 +5,9 @@ per setting; it is never given the labels of what it answers for. Settings are c
 inside the training half, but every one answers for the test half, so that what the
 paper did (the setting that is best on the reported runs) can be shown beside the honest
 figure. Labels are whole numbers. Kernel widths are in median distances of the training
-touches, so that one grid serves z-scored and raw features.
+touches, so that one grid serves z-scored and raw features. A method's `settings` are
+its grid, simplest first: among equally good ones the first is taken; `answers` are the
+labels of the test touches, (n_settings, n_test).
 
 A job gives one row or two. The paper looks at images of a bar: light loads leave them
 incomplete, heavy ones distort them, thin covers break them up, thick ones blur them
@@ -15,7 +17,7 @@ incomplete, heavy ones distort them, thin covers break them up, thick ones blur 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.spatial.distance import pdist
@@ -29,36 +31,106 @@ from ...classifiers import MKLSVC
 from ...encodings import CentroidMoments, KernelPCA, sorted_taxels
 from ...touches import Touches
 from .._study import Codes, Row, Work, coded, fitted, spread
-from .plan import (
-    FIGURES,
-    PAPER_COVER_MM,
-    PAPER_LOAD_KGF,
-    PAPER_N,
-    PAPER_PARTITIONS,
-    SCALINGS,
-    TABLE_2,
-    Encoded,
-    Liu2014Plan,
-    count_pieces,
-    encode,
-    footprints,
-    overlap,
-    simulated_presses,
-)
+from . import plan as stated
+from .plan import PAPER_N, PAPER_PARTITIONS, Encoded, Liu2014Plan, encode, overlap
 
 Setting = dict[str, Any]
 _WHOLE = {"encoding": "FD+GE", "classes": "all"}
 
 
-class Method(Protocol):
-    """A classifier over its whole grid of settings."""
+class Method:
+    """A classifier over its whole grid of settings, one machine for each."""
 
     @property
     def settings(self) -> Sequence[Setting]:
-        """The grid, simplest first: among equally good settings the first is taken."""
+        raise NotImplementedError
+
+    def machines(self, train: Floats) -> list[Any]:
+        raise NotImplementedError
 
     def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
-        """Return the label of each test touch, shape (n_settings, n_test)."""
+        # One pair of many that stops short of its tolerance is still a machine.
+        machines = self.machines(train)
+        return np.stack([fitted(m, train, codes).predict(test) for m in machines])
+
+
+@dataclass(frozen=True)
+class Neighbours(Method):
+    """The k nearest neighbours, k = 3 as in the paper."""
+
+    k: int = 3
+
+    @property
+    def settings(self) -> Sequence[Setting]:
+        return [{"k": self.k}]
+
+    def machines(self, train: Floats) -> list[Any]:
+        return [KNeighborsClassifier(self.k, algorithm="brute")]
+
+
+@dataclass(frozen=True)
+class GaussianSVM(Method):
+    """One-against-one SVMs with a Gaussian kernel (scikit-learn's `SVC`)."""
+
+    widths: Sequence[float]
+    costs: Sequence[float]
+
+    @property
+    def settings(self) -> Sequence[Setting]:
+        return [{"width": width, "C": C} for C in self.costs for width in self.widths]
+
+    def machines(self, train: Floats) -> list[Any]:
+        unit = median_distance(train)
+        grid = [(one["C"], 0.5 / (one["width"] * unit) ** 2) for one in self.settings]
+        return [SVC(C=C, gamma=gamma) for C, gamma in grid]
+
+
+@dataclass(frozen=True)
+class MKL(Method):
+    """The MKL-SVM over the paper's 22 kernels; `normalize` as `MKLSVC` has it."""
+
+    costs: Sequence[float]
+    normalize: str = "trace"
+
+    @property
+    def settings(self) -> Sequence[Setting]:
+        return [{"C": C} for C in self.costs]
+
+    def machines(self, train: Floats) -> list[Any]:
+        options: dict[str, Any] = {"normalize": self.normalize, "probability": False}
+        return [MKLSVC(C=C, **options) for C in self.costs]
+
+
+@dataclass(frozen=True)
+class Fused(Method):
+    """Kernel PCA (`scaling` as `KernelPCA` has it) before a classifier."""
+
+    classifier: Method
+    widths: Sequence[float]
+    components: Sequence[int]
+    scaling: str = "unit"
+
+    @property
+    def settings(self) -> Sequence[Setting]:
+        return [
+            {"kpca_width": width, "components": kept, **inner}
+            for width in self.widths
+            for kept in self.components
+            for inner in self.classifier.settings
+        ]
+
+    def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
+        unit = median_distance(train)
+        found = []
+        for width in self.widths:
+            options: Setting = {"sigma": width * unit, "scaling": self.scaling}
+            fusion = KernelPCA(max(self.components), **options).fit(train)
+            old, new = fusion.transform(train), fusion.transform(test)
+            # Fewer components are the first columns of the most.
+            for kept in self.components:
+                both = old[:, :kept], codes, new[:, :kept]
+                found.append(self.classifier.answers(*both))
+        return np.concatenate(found)
 
 
 @dataclass(frozen=True)
@@ -154,98 +226,6 @@ def _pooled(run: Sequence[Half], settings: Sequence[int]) -> float:
     return float(np.average(shares, weights=[half.n_test for half in run]))
 
 
-class _Machines:
-    """A classifier with one machine per setting."""
-
-    def machines(self, train: Floats) -> list[Any]:
-        """Return the machines, unfitted."""
-        raise NotImplementedError
-
-    def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
-        # One pair of many that stops short of its tolerance is still a machine.
-        machines = self.machines(train)
-        return np.stack([fitted(m, train, codes).predict(test) for m in machines])
-
-
-@dataclass(frozen=True)
-class Neighbours(_Machines):
-    """The k nearest neighbours, k = 3 as in the paper."""
-
-    k: int = 3
-
-    @property
-    def settings(self) -> Sequence[Setting]:
-        return [{"k": self.k}]
-
-    def machines(self, train: Floats) -> list[Any]:
-        return [KNeighborsClassifier(self.k, algorithm="brute")]
-
-
-@dataclass(frozen=True)
-class GaussianSVM(_Machines):
-    """One-against-one SVMs with a Gaussian kernel (scikit-learn's `SVC`)."""
-
-    widths: Sequence[float]
-    costs: Sequence[float]
-
-    @property
-    def settings(self) -> Sequence[Setting]:
-        return [{"width": width, "C": C} for C in self.costs for width in self.widths]
-
-    def machines(self, train: Floats) -> list[Any]:
-        unit = median_distance(train)
-        grid = [(one["C"], 0.5 / (one["width"] * unit) ** 2) for one in self.settings]
-        return [SVC(C=C, gamma=gamma) for C, gamma in grid]
-
-
-@dataclass(frozen=True)
-class MKL(_Machines):
-    """The MKL-SVM over the paper's 22 kernels; `normalize` as `MKLSVC` has it."""
-
-    costs: Sequence[float]
-    normalize: str = "trace"
-
-    @property
-    def settings(self) -> Sequence[Setting]:
-        return [{"C": C} for C in self.costs]
-
-    def machines(self, train: Floats) -> list[Any]:
-        options: dict[str, Any] = {"normalize": self.normalize, "probability": False}
-        return [MKLSVC(C=C, **options) for C in self.costs]
-
-
-@dataclass(frozen=True)
-class Fused:
-    """Kernel PCA (`scaling` as `KernelPCA` has it) before a classifier."""
-
-    classifier: Method
-    widths: Sequence[float]
-    components: Sequence[int]
-    scaling: str = "unit"
-
-    @property
-    def settings(self) -> Sequence[Setting]:
-        return [
-            {"kpca_width": width, "components": kept, **inner}
-            for width in self.widths
-            for kept in self.components
-            for inner in self.classifier.settings
-        ]
-
-    def answers(self, train: Floats, codes: Codes, test: Floats) -> Codes:
-        unit = median_distance(train)
-        found = []
-        for width in self.widths:
-            options: Setting = {"sigma": width * unit, "scaling": self.scaling}
-            fusion = KernelPCA(max(self.components), **options).fit(train)
-            old, new = fusion.transform(train), fusion.transform(test)
-            # Fewer components are the first columns of the most.
-            for kept in self.components:
-                both = old[:, :kept], codes, new[:, :kept]
-                found.append(self.classifier.answers(*both))
-        return np.concatenate(found)
-
-
 def median_distance(touches: Floats) -> float:
     """Return the median distance of touches that differ; 1 when none do."""
     distance = pdist(touches)
@@ -273,14 +253,13 @@ class Job:
         return float(len(self.method.settings) * self.row["n_classes"] ** 2)
 
     def run(self, plan: Liu2014Plan, number: int) -> list[Half]:
-        """Do one run of twofold cross-validation."""
         twofold = Twofold(self.row["features"] == "z-scored", plan.inner_folds)
         seed = (plan.seed, number)
         return twofold.run(self.method, self.features, self.codes, seed)
 
     def rows(self, runs: Runs, plan: Liu2014Plan) -> Iterator[Row]:
         """Yield a row per protocol; where nothing is chosen, one outside Table 2."""
-        single = self.light and self.row["table"] != "Table 2"
+        single = len(self.method.settings) == 1 and self.row["table"] != "Table 2"
         for protocol in plan.protocols[:1] if single else plan.protocols:
             summary = nested_figure if protocol == "nested" else paper_figure
             figure = summary(self.method.settings, runs)
@@ -288,7 +267,6 @@ class Job:
 
 
 def run_jobs(jobs: Sequence[Job], plan: Liu2014Plan, work: Work) -> list[Row]:
-    """Return the rows of all jobs."""
     # The longest first, so that no worker is left with one at the end.
     order = sorted(range(len(jobs)), key=lambda j: -jobs[j].work)
     tasks = [(jobs[j], plan, number) for j in order for number in range(plan.runs)]
@@ -317,15 +295,15 @@ def study_jobs(plan: Liu2014Plan, touches: Touches, data: str) -> list[Job]:
 
 def condition_jobs(plan: Liu2014Plan) -> Iterator[Job]:
     """Press all parts at every load, then under every cover; 3-NN names them."""
-    asked = [(f"{load:g} kgf", load, PAPER_COVER_MM) for load in plan.loads_kgf]
-    asked += [(f"cover {mm:g} mm", PAPER_LOAD_KGF, mm) for mm in plan.covers_mm]
+    asked = [(f"{load:g} kgf", load, stated.PAPER_COVER_MM) for load in plan.loads_kgf]
+    asked += [(f"cover {mm:g} mm", stated.PAPER_LOAD_KGF, mm) for mm in plan.covers_mm]
     for number, (condition, load, cover) in enumerate(asked):
         table = "Fig. 5" if number < len(plan.loads_kgf) else "Fig. 6"
-        touches = simulated_presses(plan, load, cover)
+        touches = stated.simulated_presses(plan, load, cover)
         encoded = encode(touches.images, PAPER_PARTITIONS, plan.n)
         whole = encode(touches.images, 1, 1).binary
-        pieces = count_pieces(whole)
-        truth = footprints(touches, whole.shape[1:])
+        pieces = stated.count_pieces(whole)
+        truth = stated.footprints(touches, whole.shape[1:])
         row: Row = {
             "table": table,
             "condition": condition,
@@ -334,7 +312,7 @@ def condition_jobs(plan: Liu2014Plan) -> Iterator[Job]:
             "cover_mm": cover,
             "pieces": float(pieces.mean()),
             "in_pieces": 100 * float((pieces > 1).mean()),
-            "pieces_2x2": float(count_pieces(encoded.binary).mean()),
+            "pieces_2x2": float(stated.count_pieces(encoded.binary).mean()),
             "overlap": 100 * float(overlap(whole, truth).mean()),
             "overlap_2x2": 100 * float(overlap(encoded.binary, truth).mean()),
             "data": "simulated",
@@ -363,7 +341,7 @@ def _table_2(
     suffix, paper = f", {partitions} x {partitions}", dict[str, float]()
     if partitions == PAPER_PARTITIONS:
         methods["KPCA (eq. 5)+MKL-SVM"] = Fused(mkl, *grid, scaling="paper")
-        suffix, paper = "", TABLE_2 if plan.n == PAPER_N else {}
+        suffix, paper = "", stated.TABLE_2 if plan.n == PAPER_N else {}
     features = encoded.features("FD+GE", plan.n)
     for name, method in methods.items():
         row = {"name": name + suffix, "table": "Table 2", "paper": paper.get(name)}
@@ -414,7 +392,7 @@ def _figures(plan: Liu2014Plan, encoded: Encoded, touches: Touches) -> Iterator[
         sets = {name: np.isin(part, some) for name, some in plan.class_sets.items()}
     asked = [(classes, *one) for classes in sets for one in compared]
     for classes, figure, encoding, count in asked:
-        held, known = sets[classes], FIGURES.get((encoding, classes))
+        held, known = sets[classes], stated.FIGURES.get((encoding, classes))
         shown = "" if count is None else f", n = {count}"
         row = {
             "name": f"{encoding} k-NN{shown}, {classes}",
@@ -434,7 +412,7 @@ def _figures(plan: Liu2014Plan, encoded: Encoded, touches: Touches) -> Iterator[
 def _jobs(row: Row, features: Floats, codes: Codes, method: Method) -> Iterator[Job]:
     """Yield the same for z-scored and for raw features."""
     sizes = {"n_classes": len(np.unique(codes)), "n_touches": len(codes)}
-    for scaling in SCALINGS:
+    for scaling in stated.SCALINGS:
         known: Row = {"paper": None, **sizes, "features": scaling}
         yield Job({**known, **row}, features, codes, method)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._checks import check_number, check_option
-from ..._types import Floats
+from ..._types import Bools, Floats
 from ...encodings import FourierDescriptors, ShapeGeometry
 from ...images import ArrayCleanUp, repose
 from ...simulation import PressureArray, find_parts, simulate_presses
@@ -146,7 +146,7 @@ class Liu2014Plan(Plan):
 class Encoded:
     """Cleaned images, their two geometric features and Fourier descriptors."""
 
-    binary: NDArray[np.bool_]
+    binary: Bools
     geometry: Floats
     fourier: Floats
 
@@ -202,20 +202,20 @@ def reposed_presses(touches: Touches, seed: int) -> Touches:
     return Touches(images / strength[:, None, None], object=touches.object)
 
 
-def count_pieces(binary: NDArray[np.bool_]) -> Codes:
+def count_pieces(binary: Bools) -> Codes:
     """Return the number of 8-connected pieces of each image, shape (n_touches,)."""
     images = binary.astype(np.uint8)
     found = [cv2.connectedComponents(image, connectivity=8)[0] - 1 for image in images]
     return np.array(found, dtype=np.intp)
 
 
-def overlap(binary: NDArray[np.bool_], footprint: NDArray[np.bool_]) -> Floats:
+def overlap(binary: Bools, footprint: Bools) -> Floats:
     """Return the pixels in both as a share of those in either, shape (n_touches,)."""
     either = (binary | footprint).sum(axis=(1, 2))
     return np.asarray((binary & footprint).sum(axis=(1, 2)) / np.maximum(either, 1))
 
 
-def footprints(touches: Touches, shape: tuple[int, int]) -> NDArray[np.bool_]:
+def footprints(touches: Touches, shape: tuple[int, int]) -> Bools:
     """Return where the parts really lay: pixels that are covered at least by half."""
     pitch = float(touches.whole["set_pitch_mm"])
     n_rows, n_cols = touches.images.shape[1:]
