@@ -54,7 +54,7 @@ CORE = {
     "touches/_folder.py": "touch_folder touch_labels",
     "touches/_pictures.py": "touch_pictures touch_folder",
     "touches/_touches.py": "touches_set touches_joining touches_channels touch_archive",
-    "exploration/_guarded.py": "guarded_touch force_limit",
+    "exploration/_guarded.py": "guard_bounds guarded_touch force_limit",
 }
 # What takes long to import and is none of the sources: once, not for each mutant.
 HEAVY = (
