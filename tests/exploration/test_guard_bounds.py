@@ -319,10 +319,10 @@ def test_an_offset_may_be_as_large_as_its_limit(offset, beyond, is_refused):
 
 
 def test_an_arm_may_miss_by_as_much_as_its_limit():
-    line = Line()
+    line = Line(at({5: 0.25, 5.25: 0.75}))
     line.ahead_mm = 0.5
-    assert line.touch().outcome == "nothing"
-    assert line.retracted == [16]
+    assert line.touch().outcome == "touched"
+    assert line.retracted == [5.25]
 
 
 @pytest.mark.parametrize(("ahead_mm", "reached_mm"), [(0.5 + JUST, None), (99, 16)])
