@@ -579,9 +579,7 @@ def _checked_part(name: str, part: ArrayLike | None, shape: tuple[int, ...]) -> 
     """Return a part of the evidence, NaN where there is none, or explain."""
     if part is None:
         return np.full(shape, np.nan)
-    array = np.asarray(part, dtype=np.float64)
-    if array.ndim == 1:
-        array = array[np.newaxis]
+    array = np.atleast_2d(np.asarray(part, dtype=np.float64))
     if array.shape != shape:
         raise ValueError(
             f"{name} must have shape {shape}, got {array.shape}. Take it from "
