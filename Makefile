@@ -42,7 +42,7 @@ fuzz: $(VENV)/.test-installed
 	$(ONE_THREAD) $(BIN)/python tests/fuzz/fuzz.py --seconds $(SECONDS)
 
 # One fault at a time in the core: what share of them do the tests find?
-N ?= 8
+N ?= 24
 mutants: $(VENV)/.test-installed
 	$(ONE_THREAD) $(BIN)/python benchmarks/mutants.py -n $(N)
 

@@ -6,7 +6,6 @@ again (`--kind model --seed 17`), and ends the run with exit code 1.
 """
 
 import argparse
-import importlib.util
 import io
 import json
 import random
@@ -22,9 +21,11 @@ from pathlib import Path
 
 import numpy as np
 from forged_models import forged, models, mutated, opened
+from machines import MACHINES, play, recognisers
 from PIL import Image
 
 from palpate import ObjectRecogniser, Touches
+from palpate.library import LibraryError, read_bag
 from palpate.recognition import ModelFileError
 from palpate.sensors import BinaryFraming, LineFraming, write_binary, write_line
 from palpate.touches import TouchesError, decode_bytes
@@ -136,6 +137,24 @@ def picture(chance, folder):
     return "read"
 
 
+def bag(chance, folder):
+    """A bag with odd messages or changed bytes is refused, or read as it stands."""
+    import forged_bags
+
+    path = forged_bags.bag(chance, folder)
+    if chance.random() < 0.4:
+        file = chance.choice(sorted(path.iterdir()))
+        file.write_bytes(changed(file.read_bytes(), chance))
+    if chance.random() < 0.3:
+        path = chance.choice(sorted(path.iterdir()))
+    try:
+        touches = read_bag(path, "/pad", max_bytes=10**7)
+    except (LibraryError, TouchesError):
+        return "refused"
+    assert len(touches) == len(touches.columns["time_s"])
+    return "read"
+
+
 def message(chance, folder):
     """Frames of a serial array, changed and cut anywhere, never end the stream."""
     image = np.arange(12, dtype=np.uint16).reshape(3, 4)
@@ -171,7 +190,7 @@ def drawn(pattern, rng, n_touches):
     return pattern + 0.3 * rng.normal(size=(n_touches, *pattern.shape))
 
 
-def belief(chance, folder):
+def learning(chance, folder):
     """Learning, forgetting and touching in any order keep a belief a belief."""
     patterns, recogniser = known()
     rng = np.random.default_rng(chance.randrange(2**32))
@@ -200,18 +219,23 @@ def belief(chance, folder):
     return "kept"
 
 
-@cache
-def histories():
-    path = HERE.parent / "library" / "test_library_histories.py"
-    spec = importlib.util.spec_from_file_location("library_histories", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def library(chance, folder):
     """Adding, renaming, kills and repairs lose nothing that was acknowledged."""
-    histories()._play(folder / "library", chance.randrange(2**32), 12)
+    return _played("library", chance)
+
+
+def belief(chance, folder):
+    """A belief is a probability after whatever comes, and copies of it are its own."""
+    return _played("belief", chance)
+
+
+def session(chance, folder):
+    """The live page's session in any order: nothing lost, refusals of our own alone."""
+    return _played("session", chance)
+
+
+def _played(name, chance):
+    play(MACHINES[name], chance.randrange(2**32), 5)
     return "kept"
 
 
@@ -261,14 +285,17 @@ def http(chance, folder):
     return "answered"
 
 
-KINDS = {
-    one.__name__: one
-    for one in (model, archive, picture, message, belief, library, http)
-}
+_KINDS = (model, archive, picture, bag, message, learning, library, belief, session)
+KINDS = {one.__name__: one for one in (*_KINDS, http)}
 
 
 # What takes time once, and not for each input.
-MADE_FIRST = {"model": saved_models, "belief": known, "http": client}
+MADE_FIRST = {
+    "model": saved_models,
+    "learning": known,
+    "belief": recognisers,
+    "http": client,
+}
 
 
 def tried(kind, seed):
@@ -316,7 +343,7 @@ def main():
                     print(traceback.format_exc(limit=-3))
         given.file.write_text(json.dumps(following))
     for kind, counts in outcomes.items():
-        print(f"{kind:8} seeds to {following.get(kind, 0):6}", dict(counts))
+        print(f"{kind:9} seeds to {following.get(kind, 0):6}", dict(counts))
     return failures
 
 

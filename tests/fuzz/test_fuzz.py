@@ -7,7 +7,17 @@ import pytest
 
 import fuzz
 
-SEEDS = {"model": 10, "archive": 60, "picture": 80, "message": 80, "belief": 3}
+SEEDS = {
+    "model": 10,
+    "archive": 60,
+    "picture": 80,
+    "bag": 20,
+    "message": 80,
+    "learning": 3,
+    "library": 1,
+    "belief": 1,
+    "session": 1,
+}
 
 
 @pytest.mark.parametrize(("kind", "n_seeds"), SEEDS.items())

@@ -1,5 +1,6 @@
 """The recogniser and its belief on drawn touches whose answers are known."""
 
+import copy
 import sys
 from dataclasses import replace
 
@@ -322,6 +323,77 @@ def test_touches_that_rule_out_every_object_in_turn_leave_a_belief(test_touches)
         belief.update_from_log_likelihood(row)
     assert belief.posterior == pytest.approx(dict.fromkeys(NAMES, 1 / 3))
     assert 0 <= belief.unknown <= 1
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ({"flags": [""]}, "flags must be one for each of 2 touches, got 1"),
+        ({"features": np.zeros((1, 2))}, r"features must have shape \(2, "),
+        (
+            {"log_distances": np.zeros((1, 3))},
+            r"log_distances must have .*\(2, 3\)",
+        ),
+        ({"by_encoding": np.zeros((2, 99, 3))}, "by_encoding must have shape"),
+    ],
+)
+def test_parts_of_other_touches_are_refused_and_leave_the_belief(
+    recogniser, parts, message
+):
+    belief = recogniser.start()
+    with pytest.raises(ValueError, match=message):
+        belief.update_from_log_likelihood(np.zeros((2, 3)), **parts)
+    assert (belief.touches_used, belief.flags, belief.explain()) == (0, [], [])
+
+
+def test_likelihoods_as_far_apart_as_numbers_go_leave_a_belief(recogniser):
+    belief = recogniser.start()
+    belief.update_from_log_likelihood([1e308, 0.0, -1e308])
+    alike = recogniser.start().update_from_log_likelihood([0.0, -1e6, -np.inf])
+    assert belief.posterior == alike.posterior
+
+
+@pytest.mark.parametrize(("floor", "least"), [(None, 1e-305), (0, 0)])
+def test_probabilities_are_never_zero_unless_the_floor_is(rng, floor, least):
+    recogniser = ObjectRecogniser(floor=floor).fit(drawn(rng, noise=0.05))
+    belief = recogniser.start()
+    belief.update_from_log_likelihood(np.repeat([[0.0, -99.0, -99.0]], 2000, axis=0))
+    assert belief.log_posterior.min() < -1000
+    assert (min(belief.posterior.values()) > least) == (floor is None)
+    assert min(belief.categories.values()) >= least
+    assert sum(belief.posterior.values()) == pytest.approx(1)
+
+
+def test_a_copy_of_a_belief_goes_on_by_itself(recogniser, test_touches):
+    belief = recogniser.start().update(test_touches[:1])
+    before = belief.posterior
+    other = copy.copy(belief).update(test_touches[1:3])
+    assert (belief.touches_used, other.touches_used) == (1, 3)
+    assert (len(belief.flags), len(belief.explain())) == (1, 1)
+    assert belief.posterior == before
+    belief.update(test_touches[3])
+    assert (belief.touches_used, other.touches_used) == (2, 3)
+
+
+def test_what_would_take_too_much_memory_is_refused_before_it_is_begun(
+    rng, monkeypatch
+):
+    """200 bytes for each of 12 touches and 3 objects, 10 for each of 144 pairs."""
+    few = drawn(rng, n_each=4)
+    monkeypatch.setattr(ObjectRecogniser, "max_memory_gb", 8639e-9)
+    refused = ObjectRecogniser()
+    with pytest.raises(ValueError, match=r"got 3 labels and 12 touches.*raise Object"):
+        refused.fit(few)
+    assert not hasattr(refused, "encoder_")
+    monkeypatch.setattr(ObjectRecogniser, "max_memory_gb", 8640e-9)
+    learnt = ObjectRecogniser().fit(few)
+    with pytest.raises(ValueError, match="got 4 labels and 16 touches"):
+        learnt.add_object("box", few[:4])
+    assert learnt.classes_.tolist() == sorted(NAMES)
+    many = np.repeat(np.arange(10_000), 2)  # 40 GB for the touches, 1 for the pairs
+    monkeypatch.setattr(ObjectRecogniser, "max_memory_gb", 8.0)
+    with pytest.raises(ValueError, match=r"at most 8 GB.*10000 labels.* 41\.0 GB"):
+        ObjectRecogniser().fit(np.zeros((20_000, 1, 2)), many)
 
 
 def test_objects_that_are_all_told_apart_keep_the_floor():

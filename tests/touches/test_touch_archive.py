@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
 
 import numpy as np
 import pytest
@@ -111,6 +112,14 @@ def test_path_like_names_are_just_names(tmp_path):
     Touches(np.zeros((2, 2, 2)), **names).save(tmp_path / "in" / ".." / "t.npz")
     assert set(Touches.load(tmp_path / "t.npz").columns) == set(names)
     assert [p.name for p in tmp_path.iterdir()] == ["t.npz"]
+
+
+def test_members_are_files_that_all_may_read_of_one_date(tmp_path):
+    Touches(np.zeros((1, 2, 2))).save(tmp_path / "t.npz")
+    with zipfile.ZipFile(tmp_path / "t.npz") as archive:
+        for member in archive.infolist():
+            assert member.external_attr >> 16 == 0o644
+            assert member.date_time == (1980, 1, 1, 0, 0, 0)
 
 
 def test_equal_touches_give_equal_files(tmp_path):

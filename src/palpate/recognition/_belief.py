@@ -118,6 +118,14 @@ class Belief:
         self._unknown: float | None = None
         self._error = 0.01
 
+    def __copy__(self) -> Self:
+        """Return a belief that goes on by itself; what was learnt is shared."""
+        other = type(self).__new__(type(self))
+        mine = vars(self).items()
+        other.__dict__ = {n: [*v] if isinstance(v, list) else v for n, v in mine}
+        other._senses = {name: [*rows] for name, rows in self._senses.items()}
+        return other
+
     def update(self, touch: Touches | Array | Evidence) -> Self:
         """Take in one touch (or several, in order) and return this belief.
 
@@ -158,27 +166,33 @@ class Belief:
 
         With `features` (n_touches, n_features) they can be explained later; `flags`,
         `by_encoding` and `log_distances` are as in `Evidence`. Without `by_encoding`
-        all encodings are taken to say the same.
+        all encodings are taken to say the same. What does not fit raises ValueError and
+        changes nothing.
         """
-        rows = _checked_rows(log_likelihood, len(self._judge.classes))
+        judge = self._judge
+        rows = _checked_rows(log_likelihood, len(judge.classes))
         n_touches = len(rows)
-        if features is None:
-            features = np.full(
-                (n_touches, self._judge.memory.features.shape[1]), np.nan
+        flags = [""] * n_touches if flags is None else flags
+        if len(flags) != n_touches:
+            raise ValueError(
+                f"flags must be one for each of {n_touches} touches, got {len(flags)}."
             )
-        self.flags += flags or [""] * n_touches
-        self._features += list(np.atleast_2d(features))
-        floored = with_floor(rows, self._judge.floor)
-        each = rows[:, np.newaxis] if by_encoding is None else by_encoding
-        each = with_floor(each, self._judge.floor)
+        n_features = judge.memory.features.shape[1]
+        seen = _checked_part("features", features, (n_touches, n_features))
+        apart = _checked_part("log_distances", log_distances, rows.shape)
+        each = rows[:, np.newaxis]
+        if by_encoding is not None:
+            shape = n_touches, *self._each.shape
+            each = _checked_part("by_encoding", by_encoding, shape)
+        floored, each = with_floor(rows, judge.floor), with_floor(each, judge.floor)
+        self.flags += flags
+        self._features += list(seen)
         self._floored += list(floored)
         informative = is_informative(floored)
         self._n_informative += int(informative.sum())
         self._total = self._total + floored[informative].sum(axis=0)
         self._each = self._each + each[informative].sum(axis=0)
-        if log_distances is None:
-            log_distances = np.full(rows.shape, np.nan)
-        self._distance = self._distance + log_distances[informative].sum(axis=0)
+        self._distance = self._distance + apart[informative].sum(axis=0)
         self._weigh()
         return self
 
@@ -234,8 +248,14 @@ class Belief:
     @property
     def posterior(self) -> dict[str, float]:
         """Probability of each known object."""
-        shares = np.exp(self.log_posterior).tolist()
-        return dict(zip(self._judge.classes.tolist(), shares, strict=True))
+        names = self._judge.classes.tolist()
+        return dict(zip(names, self._shares(self.log_posterior), strict=True))
+
+    def _shares(self, logs: Floats) -> list[float]:
+        """Return probabilities by their logarithms; never 0 unless the floor is."""
+        least = _LEAST_LOG if self._judge.floor else -np.inf
+        shares: list[float] = np.exp(np.maximum(logs, least)).tolist()
+        return shares
 
     @property
     def best(self) -> str:
@@ -282,8 +302,8 @@ class Belief:
             self._judge.categories == "", self._judge.classes, self._judge.categories
         )
         present, first = np.unique(codes, return_index=True)
-        shares = np.exp(summed_by_category(self.log_posterior, codes, present))
-        return dict(zip(names[first].tolist(), shares.tolist(), strict=True))
+        shares = self._shares(summed_by_category(self.log_posterior, codes, present))
+        return dict(zip(names[first].tolist(), shares, strict=True))
 
     @property
     def promise(self) -> Promise:
@@ -520,6 +540,8 @@ class Belief:
         return f"<table><caption>{head}</caption>{rows}{more}</table>"
 
 
+# Of a smaller one the probability would be 0.
+_LEAST_LOG = -700.0
 # Objects and letters that a picture of a belief shows.
 _BARS, _LETTERS = 10, 24
 
@@ -548,4 +570,19 @@ def _checked_rows(log_likelihood: ArrayLike, n_objects: int) -> Floats:
             "log_likelihood must hold a finite number and no NaN for every touch, got "
             f"{rows[bad][0]} for touch {np.flatnonzero(bad)[0]}. Leave that touch out."
         )
-    return rows
+    with np.errstate(over="ignore"):  # what is less by more than 1e308 is ruled out
+        less: Floats = rows - rows.max(axis=1, keepdims=True)
+    return less
+
+
+def _checked_part(name: str, part: ArrayLike | None, shape: tuple[int, ...]) -> Floats:
+    """Return a part of the evidence, NaN where there is none, or explain."""
+    if part is None:
+        return np.full(shape, np.nan)
+    array = np.atleast_2d(np.asarray(part, dtype=np.float64))
+    if array.shape != shape:
+        raise ValueError(
+            f"{name} must have shape {shape}, got {array.shape}. Take it from "
+            "ObjectRecogniser.evidence, of the same touches."
+        )
+    return array

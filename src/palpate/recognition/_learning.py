@@ -31,6 +31,9 @@ N_FOLDS = 3
 # weight times the spread of their log posteriors over objects), at most so many.
 LEAST_SHARE = 0.05
 MOST_KEPT = 5
+# Memory of learning: bytes for each touch and object, and for each pair of touches up
+# to `KernelRidgeClassifier.max_touches`, as measured (docs/recognition.md).
+_EACH_BYTES, _PAIR_BYTES, _PAIRED = 200, 10, 10_000
 
 
 @dataclass
@@ -40,6 +43,21 @@ class Encoded:
     features: Floats
     nothing: NDArray[np.bool_]
     looks: Floats
+
+
+def refuse_too_large(labels: Array, max_memory_gb: float) -> None:
+    """Refuse labels (n_touches,) of more objects and touches than memory is for."""
+    n_touches, n_labels = len(labels), len(np.unique(labels))
+    pairs = min(n_touches, _PAIRED) ** 2
+    needed_gb = (_EACH_BYTES * n_touches * n_labels + _PAIR_BYTES * pairs) / 1e9
+    if needed_gb > max_memory_gb:
+        raise ValueError(
+            f"Learning must take at most {max_memory_gb:g} GB of memory, got "
+            f"{n_labels} labels and {n_touches} touches, which take up to some "
+            f"{needed_gb:.1f} GB. Learn categories first (label='category') and the "
+            "objects of each by themselves, use fewer touches of each, or raise "
+            "ObjectRecogniser.max_memory_gb."
+        )
 
 
 def learn_encoding(

@@ -7,7 +7,7 @@ from copy import copy
 from dataclasses import replace
 from math import prod
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,7 +39,7 @@ from ._evidence import (
     log_posteriors,
     with_floor,
 )
-from ._learning import encoded, learn_encoding, memory_of
+from ._learning import encoded, learn_encoding, memory_of, refuse_too_large
 from ._memory import (
     Memory,
     Nearest,
@@ -114,6 +114,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         Where parts lie on a pressure array, after `fit_pose`.
     modalities_ : dict of str to Modality
         Other senses, after `learn_modality`.
+    max_memory_gb : float, class attribute, default=8.0
+        What would take more memory to learn, by an estimate, is refused.
 
     Examples
     --------
@@ -128,6 +130,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     'pen'
     """
 
+    max_memory_gb: ClassVar[float] = 8.0
     classes_: Array
     encoder_: TouchEncoder
     classifier_: TouchClassifier
@@ -182,13 +185,14 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         ------
         ValueError
             If labels are missing, there are fewer than two of them, or one has
-            fewer than two touches.
+            fewer than two touches; or it would take too much memory.
         """
         preset = self._check_parameters()
         touches = labelled(X, y, self.label)
         labels, objects = training_labels(touches, self.label)
         if y is not None and self.label == "object":
             labels = objects = np.asarray(y)
+        refuse_too_large(labels, self.max_memory_gb)
         if groups is None:
             blocks = left_out_groups(touches, labels, objects, self.label)
         else:
@@ -609,6 +613,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
 
     def _relearn(self, memory: Memory) -> Self:
         """Learn a memory with the encoding and the choices made; all or nothing."""
+        refuse_too_large(memory.labels, self.max_memory_gb)
         if len(memory.classes) < 2:
             raise ValueError(
                 "At least two objects must remain, got only "

@@ -1,0 +1,126 @@
+"""Bags of ROS 2 that are whole files and hold messages no honest writer would write."""
+
+import sqlite3
+from functools import cache
+
+import numpy as np
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+from rosbags.typesys import Stores, get_typestore
+
+SIZES = [0, 1, 2, 3, 4, 5, 7, 255, 2**16, 2**31, 2**32 - 1]
+ENCODINGS = [
+    "mono8",
+    "mono16",
+    "16UC1",
+    "32FC1",
+    "rgb8",
+    "bgra8",
+    "",
+    "yuv422",
+    "é" * 99,
+]
+KINDS = ["UInt8", "Int16", "Float32", "Float64", "Int64", "Byte"]
+OTHERS = ["std_msgs/msg/String", "std_msgs/msg/Header"]
+# What a cell of the table of messages may be made to hold instead.
+CELLS = [None, "text", -1, 2**62, 0.5, b"", b"\0" * 4, b"\0\1\0\0" * 64]
+
+
+@cache
+def store():
+    return get_typestore(Stores.ROS2_HUMBLE)
+
+
+def bag(chance, folder):
+    """Write a bag of the topic /pad, SQLite or MCAP, with a share of odd messages."""
+    plugin = chance.choice([StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+    share, n_messages = chance.choice([0.0, 0.2, 1.0]), chance.choice([0, 1, 3])
+    path = folder / "bag"
+    writer = Writer(path, version=9, storage_plugin=plugin)
+    if chance.random() < 0.2:
+        modes = [CompressionMode.MESSAGE, CompressionMode.FILE]
+        modes += [CompressionMode.STORAGE] * (plugin is StoragePlugin.MCAP)
+        writer.set_compression(chance.choice(modes), CompressionFormat.ZSTD)
+    picture = chance.random() < 0.5
+    kind = chance.choice(KINDS)
+    with writer:
+        lines = {}
+        for number in range(n_messages):
+            odd = chance.random() < share
+            if odd and chance.random() < 0.3:
+                picture, kind = chance.random() < 0.5, chance.choice(KINDS)
+            message = _image(chance, odd) if picture else _array(chance, odd, kind)
+            if odd and chance.random() < 0.1:
+                message = store().types[OTHERS[0]]("no touch")
+            name = message.__msgtype__
+            if name not in lines:
+                lines[name] = writer.add_connection("/pad", name, typestore=store())
+            raw = bytes(store().serialize_cdr(message, name))
+            if odd and chance.random() < 0.5:
+                raw = _damaged(raw, chance)
+            time_ns = chance.choice([0, 10**9, 2**62]) if odd else number * 10**9
+            writer.write(lines[name], time_ns, raw)
+    if plugin is StoragePlugin.SQLITE3 and chance.random() < 0.3:
+        _alter_rows(path, chance)
+    return path
+
+
+def _image(chance, odd):
+    types, order = store().types, chance.choice([0, 1])
+    values = np.arange(12, dtype=np.uint16).reshape(3, 4)
+    rows, cols, step, encoding = 3, 4, 8, "mono16"
+    content = values.astype(">u2" if order else "<u2").tobytes()
+    if odd:
+        rows, cols, step = (
+            chance.choice([right, right, *SIZES]) for right in (rows, cols, step)
+        )
+        encoding = chance.choice(ENCODINGS)
+        order = chance.choice([order, 255])
+        content = content[: chance.choice([0, 11, 24])] * chance.choice([1, 3])
+        if chance.random() < 0.3:
+            content = b"\x00\x00\x80\x7f" * 12  # infinity as 32FC1
+    when = types["builtin_interfaces/msg/Time"](
+        *(chance.choice([-(2**31), 0, 2**31 - 1]), 2**32 - 1) if odd else (7, 5)
+    )
+    header = types["std_msgs/msg/Header"](when, "pad")
+    data = np.frombuffer(content, np.uint8)
+    return types["sensor_msgs/msg/Image"](
+        header, rows, cols, encoding, order, step, data
+    )
+
+
+def _array(chance, odd, kind):
+    types = store().types
+    sizes, offset, n_values = [3, 4], 0, 12
+    if odd:
+        sizes = chance.choice([[], [12], [3, 4, 1], *([s, 4] for s in SIZES), SIZES])
+        offset = chance.choice([0, 1, 12, 2**31, 2**32 - 1])
+        n_values = chance.choice([0, 11, 12, 13])
+    dims = [types["std_msgs/msg/MultiArrayDimension"]("d", n, n) for n in sizes]
+    layout = types["std_msgs/msg/MultiArrayLayout"](dims, offset)
+    made = types[f"std_msgs/msg/{kind}MultiArray"]
+    dtype = {"UInt8": np.uint8, "Byte": np.uint8}.get(kind) or getattr(np, kind.lower())
+    values = np.arange(n_values).astype(dtype)
+    if odd and values.dtype.kind == "f" and n_values:
+        values[0] = chance.choice([np.nan, np.inf, 1.0])
+    return made(layout, values)
+
+
+def _damaged(raw, chance):
+    """Return a message with a word, often a length, that is another one."""
+    at = 4 * chance.randrange(len(raw) // 4)
+    word = chance.choice([0, 1, 2**16, 2**31 - 1, 2**32 - 1]).to_bytes(4, "little")
+    return chance.choice([raw[:at], raw[:at] + word + raw[at + 4 :], raw[at:], b""])
+
+
+def _alter_rows(path, chance):
+    """Let a table of a SQLite bag hold what its columns were not made for."""
+    for file in path.glob("*.db3"):
+        column = chance.choice(["topic_id", "timestamp", "data"])
+        with sqlite3.connect(file) as database:
+            value = chance.choice(CELLS)
+            try:
+                database.execute(f"UPDATE messages SET {column} = ?", [value])
+            except sqlite3.IntegrityError:
+                return
+        database.close()

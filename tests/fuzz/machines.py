@@ -1,0 +1,663 @@
+"""State machines: orders in any sequence, beside references that are simple dicts.
+
+`play(machine, seed)` tries some sequences of one seed; what hypothesis finds wrong it
+makes as short as it can, and `print` shows it.
+"""
+
+import copy
+import json
+import math
+import pickle
+import shutil
+import tempfile
+import time
+from functools import cache
+from pathlib import Path
+from unittest import mock
+
+import hypothesis
+import numpy as np
+from hypothesis import Phase, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
+
+from palpate import ObjectRecogniser, Touches
+from palpate.library import LibraryError, TouchLibrary, check_library, repair_library
+from palpate.sensors import LiveSensor, SensorError
+from palpate.web import LiveSession, learn_job
+
+names = st.sampled_from("abcde")
+
+
+def play(machine, seed, n_sequences=1, n_steps=25):
+    """Try sequences of steps that follow from a seed."""
+    phases = (Phase.explicit, Phase.generate, Phase.shrink)
+    chosen = settings(
+        max_examples=n_sequences,
+        stateful_step_count=n_steps,
+        deadline=None,
+        database=None,
+        phases=phases,
+        suppress_health_check=list(hypothesis.HealthCheck),
+    )
+    run_state_machine_as_test(hypothesis.seed(seed)(machine), settings=chosen)
+
+
+class Names:
+    """What touches are called and whether they are out: `known` by id."""
+
+    def __init__(self):
+        self.known, self.into, self.names = {}, {}, set()
+
+    def add(self, ids, label):
+        label = self.into.get(label, label)
+        self.names.add(label)
+        self.known |= {key: [label, False] for key in ids}
+
+    def rename(self, old, new):
+        old = self.into.get(old, old)
+        if old not in self.names or new in self.names:
+            return False
+        self.names = self.names - {old} | {new}
+        self._call(old, new)
+        return True
+
+    def merge(self, source, into):
+        source, into = self.into.get(source, source), self.into.get(into, into)
+        if source == into or not {source, into} <= self.names:
+            return False
+        self._call(source, into)
+        self.into[source] = into
+        return True
+
+    def _call(self, old, new):
+        self.into = {n: new if to == old else to for n, to in self.into.items()}
+        for touch in self.known.values():
+            touch[0] = new if touch[0] == old else touch[0]
+
+    def retract(self, ids):
+        return self._put(ids, True)
+
+    def restore(self, ids):
+        return self._put(ids, False)
+
+    def _put(self, ids, out):
+        n_changed = sum(self.known[key][1] != out for key in ids)
+        for key in ids:
+            self.known[key][1] = out
+        return bool(n_changed)
+
+
+class LibraryMachine(RuleBasedStateMachine):
+    """A library, changed, killed between writing and commit, checked and repaired.
+
+    A writer that is killed between writing the file of a change and the commit has told
+    nobody of it. It is played by putting the database back as it was before.
+    `after_kill` is what a library made anew from its files says; `unseen` are touches
+    of a killed writer, which a repair takes in.
+    """
+
+    def __init__(self):
+        super().__init__()
+        self.folder = Path(tempfile.mkdtemp()) / "library"
+        self.truth, self.n_images = Names(), 0
+        self.killed = self.after_kill = None
+        self.unseen = set()
+        TouchLibrary.open(self.folder, create=True).close()
+
+    def teardown(self):
+        self.repair()
+        self.lose_the_database()
+        shutil.rmtree(self.folder.parent)
+
+    @rule(label=names, n_touches=st.integers(1, 3))
+    def add(self, label, n_touches):
+        self._added(label, n_touches)
+
+    @precondition(lambda self: self.truth.names)
+    @rule(n_touches=st.integers(1, 3), data=st.data())
+    def kill_while_adding(self, n_touches, data):
+        label = data.draw(st.sampled_from(sorted(self.truth.names)))
+        before = self._database.read_bytes()
+        self.unseen |= set(self._added(label, n_touches))
+        self._database.write_bytes(before)
+
+    @rule(data=st.data())
+    def change(self, data):
+        what = self._chosen(data)
+        if self._carried_out(what):
+            assert self._apply(self.truth, what), what
+            self.killed = self.after_kill = None
+
+    @rule(data=st.data())
+    def kill_while_changing(self, data):
+        before = self._database.read_bytes()
+        what = self._chosen(data)
+        if self._carried_out(what):
+            self._database.write_bytes(before)
+            self.killed, self.after_kill = what, copy.deepcopy(self.truth)
+            self._apply(self.after_kill, what)
+
+    @rule()
+    def repair(self):
+        repair_library(self.folder)
+        if self.killed:
+            self._apply(self.truth, self.killed)
+        self._mended()
+
+    @precondition(lambda self: self.truth.known)  # an empty library leaves no files
+    @rule()
+    def lose_the_database(self):
+        if not self.truth.known:
+            return
+        self._database.unlink()
+        assert repair_library(self.folder).rebuilt
+        self.truth = self.after_kill or self.truth
+        self._mended()
+
+    @rule()
+    def check(self):
+        kinds = {problem.kind for problem in check_library(self.folder).problems}
+        assert kinds <= {"change", "file without touches"}, kinds
+        assert ("file without touches" in kinds) == bool(self.unseen)
+        with TouchLibrary.open(self.folder) as library:
+            rows = library.list(limit=None, retracted=True)
+        seen = {k: v for k, v in self.truth.known.items() if k not in self.unseen}
+        assert {r.id: [r.object, r.retracted] for r in rows} == seen
+
+    def _mended(self):
+        self.killed = self.after_kill = None
+        self.unseen = set()
+        assert check_library(self.folder).ok
+        self.check()
+
+    @property
+    def _database(self):
+        return self.folder / "library.sqlite"
+
+    def _added(self, label, n_touches):
+        images = np.zeros((n_touches, 2, 2), np.int32)
+        images[:, 0, 0] = self.n_images + np.arange(n_touches)
+        self.n_images += n_touches
+        with TouchLibrary.open(self.folder) as library:
+            ids = library.add(Touches(images, object=[label] * n_touches))
+        for reference in filter(None, (self.truth, self.after_kill)):
+            reference.add(ids, label)
+        return ids
+
+    def _chosen(self, data):
+        seen = [key for key in self.truth.known if key not in self.unseen]
+        kinds = ["rename", "merge", *["retract", "restore"] * bool(seen)]
+        kind = data.draw(st.sampled_from(kinds))
+        if kind in ("rename", "merge"):
+            two = st.lists(names, min_size=2, max_size=2, unique=True)
+            return kind, data.draw(two)
+        places = st.sets(st.integers(0, len(seen) - 1), min_size=1, max_size=3)
+        return kind, [[seen[place] for place in sorted(data.draw(places))]]
+
+    @staticmethod
+    def _apply(reference, what):
+        return getattr(reference, what[0])(*what[1])
+
+    def _carried_out(self, what):
+        action, values = what
+        with TouchLibrary.open(self.folder) as library:
+            try:
+                if action == "rename":
+                    library.rename_object(*values)
+                elif action == "merge":
+                    library.merge_objects(*values)
+                elif action == "retract":
+                    return bool(library.retract(*values, reason="wet"))
+                else:
+                    return bool(library.restore(*values))
+            except LibraryError:
+                return False
+        return True
+
+
+@cache
+def recognisers():
+    """Two recognisers of four objects: of touches far apart, and of mere noise."""
+    rng = np.random.default_rng(0)
+    labels = np.repeat(list("abcd"), 4)
+    made = []
+    for spread in (0.05, 30.0):
+        patterns = np.repeat(rng.normal(size=(4, 3, 8)), 4, axis=0)
+        images = patterns + spread * rng.normal(size=patterns.shape)
+        kinds = np.repeat(["soft", "hard"], 8)
+        touches = Touches(images, object=labels, category=kinds, geometry="none")
+        recogniser = ObjectRecogniser().fit(touches)
+        recogniser.learn_modality("sight", images[:, 0, :2], labels)
+        made.append((recogniser, images))
+    return made
+
+
+numbers = st.one_of(
+    st.floats(-1e3, 0), st.sampled_from([0.0, -1e6, 1e6, -1e308, 1e308, -math.inf])
+)
+said_of_four = st.lists(numbers, min_size=4, max_size=4)
+errors = st.sampled_from([1e-6, 0.01, 0.05, 0.5])
+
+
+class BeliefMachine(RuleBasedStateMachine):
+    """A belief: touched, copied, pickled, asked; a probability after whatever comes.
+
+    `entered` is all that entered: the same in one update must say the same.
+    """
+
+    @initialize(number=st.sampled_from([0, 1]))
+    def start(self, number):
+        self.recogniser, self.images = recognisers()[number]
+        self.belief, self.entered, self.senses = self.recogniser.start(), [], []
+
+    @rule(places=st.lists(st.integers(0, 15), min_size=1, max_size=3))
+    def touch(self, places):
+        evidence = self.recogniser.evidence(self.images[places])
+        self.belief.update(evidence)
+        self.entered.append(evidence.log_likelihood)
+
+    @rule(row=said_of_four.filter(lambda row: max(row) > -math.inf))
+    def hear(self, row):
+        self.belief.update_from_log_likelihood([row])
+        self.entered.append(np.array([row]))
+
+    @rule(n_times=st.sampled_from([10, 300, 3000]), place=st.integers(0, 15))
+    def touch_again_and_again(self, n_times, place):
+        said = self.recogniser.evidence(self.images[[place]]).log_likelihood
+        self.belief.update_from_log_likelihood(np.repeat(said, n_times, axis=0))
+        self.entered.append(np.repeat(said, n_times, axis=0))
+
+    @rule(place=st.integers(0, 15))
+    def see(self, place):
+        seen = self.images[place, 0, :2]
+        self.belief.update_sense("sight", seen)
+        self.senses.append(seen)
+
+    @rule(
+        bad=st.sampled_from(
+            [
+                (np.zeros((1, 3)), {}),
+                ([[math.nan] * 4], {}),
+                ([[-math.inf] * 4], {}),
+                (np.zeros((2, 4)), {"by_encoding": np.zeros((2, 9, 4))}),
+                (np.zeros((2, 4)), {"by_encoding": np.zeros((1, 1, 3))}),
+                (np.zeros((2, 4)), {"log_distances": np.zeros((1, 3))}),
+                (np.zeros((2, 4)), {"features": np.zeros((1, 2))}),
+                (np.zeros((2, 4)), {"flags": [""]}),
+            ]
+        )
+    )
+    def mishear(self, bad):
+        before = self._said()
+        try:
+            self.belief.update_from_log_likelihood(bad[0], **bad[1])
+        except (ValueError, TypeError):
+            assert self._said() == before
+        else:
+            raise AssertionError(f"{bad} was taken")
+
+    @rule(image=st.sampled_from([np.zeros((2, 2)), np.full((3, 8), np.inf), "x"]))
+    def mistouch(self, image):
+        before = self._said()
+        try:
+            self.belief.update(image)
+        except (ValueError, TypeError):
+            assert self._said() == before
+        else:
+            raise AssertionError(f"{image} was taken")
+
+    @rule(how=st.sampled_from([copy.copy, copy.deepcopy, pickle.dumps]))
+    def copy_and_go_on(self, how):
+        """What happens to a copy does not happen to the belief, nor the other way."""
+        other = how(self.belief)
+        other = pickle.loads(other) if how is pickle.dumps else other
+        before = self._said()
+        assert self._said(other) == before
+        other.update(self.images[0])
+        other.update_sense("sight", self.images[0, 0, :2])
+        assert self._said() == before
+        before = self._said(other)
+        self.touch([1])
+        assert self._said(other) == before
+
+    @rule(error=errors, refusal=errors, level=st.sampled_from(["object", "any"]))
+    def decide(self, error, refusal, level):
+        belief = self.belief
+        asked = {"error": error, "refusal": refusal, "level": level}
+        decision = belief.decide(**asked)
+        assert decision == belief.decide(**asked)
+        reason = belief.reason(**asked)
+        name = decision if level == "object" else getattr(decision, "name", None)
+        shares = {**belief.posterior, **belief.categories}
+        if name is None:
+            assert reason.startswith("Undecided")
+        elif name == "unknown":
+            assert reason.startswith("Unknown")
+            assert belief.unknown > belief.unknown_limit(refusal)
+        else:
+            assert reason.startswith(f"Decided for {'the category ' * (len(name) > 1)}")
+            assert shares[name] >= 1 - error - 1e-12
+        if belief.touches_used == 0 and not self.senses:
+            assert decision is None
+
+    @rule()
+    def show(self):
+        shown = self.belief._repr_html_()
+        assert shown.count("<tr>") == 4
+        assert "nan" not in shown + repr(self.belief)
+        json.dumps(self.belief.explain(), allow_nan=False)
+
+    @invariant()
+    def it_is_a_probability(self):
+        if not hasattr(self, "belief"):
+            return
+        belief = self.belief
+        for shares in (belief.posterior, belief.categories):
+            assert all(0 < share <= 1 + 1e-12 for share in shares.values()), shares
+            assert abs(sum(shares.values()) - 1) < 1e-9
+        assert np.isfinite(belief.log_posterior).all()
+        assert 0 <= belief.unknown <= 1
+        assert belief.posterior[belief.best] == max(belief.posterior.values())
+        assert abs(belief.doubt - (1 - belief.posterior[belief.best])) < 1e-9
+        assert belief.touches_used == sum(map(len, self.entered)) == len(belief.flags)
+        once = self.recogniser.start()
+        if self.entered:
+            once.update_from_log_likelihood(np.concatenate(self.entered))
+        if self.senses:
+            once.update_sense("sight", np.stack(self.senses))
+        # Sums in another order: a part in 1e9 of what was added up.
+        np.testing.assert_allclose(
+            belief.log_posterior, once.log_posterior, rtol=1e-9, atol=1e-6
+        )
+
+    def _said(self, belief=None):
+        one = self.belief if belief is None else belief
+        every = one.posterior, one.unknown, one.touches_used, tuple(one.flags)
+        return repr((*every, one.explain(), one.decide(), one.categories))
+
+
+class PressedArray(LiveSensor):
+    """An array of 6 x 8 that reads a rest frame, or what presses it."""
+
+    def __init__(self):
+        super().__init__("pressed", "count", (6, 8), np.uint8, "none")
+        self.rest, self.press = np.full((6, 8), 20, np.uint8), None
+
+    def _open(self):
+        pass
+
+    def _grab(self):
+        time.sleep(0.001)
+        return [self.rest if self.press is None else self.press]
+
+    def _close(self):
+        pass
+
+
+def press_of(name, number):
+    """Return how an object presses: its place, a little otherwise each time."""
+    image = np.full((6, 8), 20, np.uint8)
+    column = "abcde".index(name)
+    image[1:4, column : column + 3] = 150 + number % 50
+    image[4, number % 8] = 60 + number % 7
+    return image
+
+
+def until(condition, seconds=20.0):
+    """Wait until something is so; fail where it does not become so."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.001)
+
+
+class SessionMachine(RuleBasedStateMachine):
+    """The live page's session, with hands on the sensor and orders in any sequence.
+
+    Learning runs in this process. Every stored touch stays in `truth` until somebody
+    leaves it out, whatever else happens.
+    """
+
+    def __init__(self):
+        super().__init__()
+        self.folder = Path(tempfile.mkdtemp()) / "library"
+        self.learning_here = mock.patch("palpate.web._session.learn_apart", learn_job)
+        self.learning_here.start()
+        self.truth, self.number = Names(), 0
+        self.learnt = None
+        self._open()
+
+    def _open(self):
+        self.sensor = PressedArray()
+        self.session = LiveSession(self.sensor, library=self.folder).start()
+        self.undoable, self.lesson = [], None
+        self.has, self.had, self.asking, self.pressed = False, False, False, False
+        self.n_touches, self.closed = 0, False
+
+    def teardown(self):
+        self.session.stop()
+        self.learning_here.stop()
+        shutil.rmtree(self.folder.parent)
+
+    @rule()
+    def start_again(self):
+        self.session.stop()
+        self._open()
+
+    @rule(name=names)
+    def touch(self, name):
+        """Press the sensor once; the touch goes where it should."""
+        watch, n_episode = self.session.watch, self._n_touches()
+        n_stored, n_tried = self._n_stored(), watch._n_presses
+        self.number += 1
+        seen = self.sensor.n_frames
+        self.sensor.press = press_of(name, self.number)
+        if self.has:
+            until(lambda: watch.detector.touching)
+        until(lambda: self.sensor.n_frames > seen + 6)
+        self.sensor.press = None
+        until(lambda: not watch.detector.touching)
+        if not self.has:
+            return
+        if self.asking:
+            until(lambda: watch._n_presses == n_tried + 1)
+            self.pressed = True
+        elif self.lesson is not None:
+            until(lambda: self._n_stored() == n_stored + 1)
+            self._stored(self.lesson[0])
+            self.lesson[2] += 1
+            if self.lesson[2] == self.lesson[1]:
+                self.lesson = None
+        else:
+            fresh = self.closed
+            until(lambda: self._n_touches() == (1 if fresh else n_episode + 1))
+            self._felt()
+
+    @rule(name=names)
+    def post_touch(self, name):
+        self.number += 1
+        self.session.post_touch(press_of(name, self.number))
+        self._felt()
+
+    @rule(name=names)
+    def post_lesson(self, name):
+        self.number += 1
+        self.session.post_lesson(name, press_of(name, self.number))
+        self._stored(name)
+
+    @rule(two=st.lists(names, min_size=2, max_size=2, unique=True))
+    def post_enough_to_learn(self, two):
+        for name in two * 2:
+            self.post_lesson(name)
+
+    @rule(name=names, wanted=st.integers(1, 3), keep=st.booleans())
+    def teach(self, name, wanted, keep):
+        n_kept = min(wanted, self.n_touches) if keep else 0
+        self.session.teach(name, wanted, keep_episode=keep)
+        self.lesson, self.asking, self.pressed = [name, wanted, n_kept], False, False
+        rows = self._rows()
+        for row in rows[len(rows) - n_kept :]:
+            self.truth.add([row.id], name)
+            self.undoable.append(row.id)
+        if n_kept == wanted:
+            self.lesson = None
+        self._begun()
+
+    @rule()
+    def stop_teaching(self):
+        self.session.stop_teaching()
+        self.lesson = None
+
+    @rule()
+    def undo(self):
+        while self.undoable and self.truth.known[self.undoable[-1]][1]:
+            self.undoable.pop()
+        if not self.undoable:
+            self._refused(self.session.undo)
+            return
+        key = self.undoable.pop()
+        mine = self.lesson is not None and key in self.session.teacher.lesson.ids
+        assert self.session.undo() == self.truth.known[key][0]
+        self.truth.retract([key])
+        if mine:
+            self.lesson[2] -= 1
+
+    @rule(ask=st.booleans())
+    def baseline(self, ask):
+        self.session.take_baseline(ask_press=ask)
+        self.had, self.has = self.has, True
+        self.asking, self.pressed = ask, False
+
+    @rule()
+    def undo_baseline(self):
+        self.session.end_press(undo=True)
+        self.has, self.asking, self.pressed = self.had, False, False
+
+    @rule()
+    def end_press(self):
+        self.session.end_press()
+        self.asking = self.pressed = False
+
+    @rule()
+    def press_difference(self):
+        if self.pressed and self.has:
+            assert self.session.press_difference().max() > 100
+        else:
+            self._refused(self.session.press_difference)
+
+    @rule(old=names, new=names, merge=st.booleans())
+    def rename(self, old, new, merge):
+        reference = copy.deepcopy(self.truth)
+        allowed = bool(self._counts().get(old)) and (
+            reference.merge(old, new) if merge else reference.rename(old, new)
+        )
+        try:
+            self.session.rename(old, new, merge=merge)
+        except ValueError:
+            few = self._counts().get(old, 0) < 2
+            assert not allowed or (old in (self.learnt or ()) and few)
+        else:
+            assert allowed, (old, new, merge)
+            self.truth = reference
+            self._learnt_again()
+
+    @rule(name=names)
+    def forget(self, name):
+        if not self._counts().get(name) and name not in (self.learnt or ()):
+            self._refused(lambda: self.session.forget(name))
+            return
+        self.session.forget(name)
+        self.truth.retract([k for k, v in self.truth.known.items() if v[0] == name])
+        self._learnt_again()
+
+    @rule()
+    def learn(self):
+        self.session.learn(wait=True)
+        self._learnt()
+
+    @rule()
+    def begin_episode(self):
+        self.session.begin_episode()
+        self._begun()
+
+    @rule()
+    def end_episode(self):
+        self.session.end_episode()
+        self.closed = True
+
+    @invariant()
+    def the_page_says_what_is_so(self):
+        state = json.loads(json.dumps(self.session.to_dict(), allow_nan=False))
+        counts = {row["name"]: row["n_touches"] for row in state["library"]["objects"]}
+        assert counts == self._counts()
+        lesson = state["lesson"] and [state["lesson"][k] for k in _LESSON]
+        assert lesson == self.lesson
+        assert state["library"]["undoable"] == len(self.undoable) or self.undoable
+        assert len(state["episode"]["touches"]) == self.n_touches
+        assert state["sensor"]["baseline"] == self.has
+        assert (state["sensor"]["press"] is not None) == self.asking
+        learnt = state["model"] and state["model"]["objects"]
+        assert learnt == self.learnt
+        assert self.session.model_path.exists() == (learnt is not None)
+        assert not state["learning"]
+
+    def _refused(self, order):
+        before = self._rows()
+        try:
+            order()
+        except (ValueError, LibraryError, SensorError):
+            assert self._rows() == before
+        else:
+            raise AssertionError("was not refused")
+
+    def _learnt_again(self):
+        if self.learnt is not None:
+            until(lambda: not self.session.learning)
+            self._learnt()
+
+    def _learnt(self):
+        known = sorted(name for name, n in self._counts().items() if n > 1)
+        self.learnt = known if len(known) > 1 else None
+        assert bool(self.session.learn_error) == (self.learnt is None)
+        self._begun()
+
+    def _begun(self):
+        self.n_touches, self.closed = 0, False
+
+    def _felt(self):
+        self.n_touches = 1 if self.closed else self.n_touches + 1
+        self.closed = False
+
+    def _stored(self, name):
+        key = self._rows()[-1].id
+        self.truth.add([key], name)
+        self.undoable.append(key)
+
+    def _counts(self):
+        shown = [name for name, out in self.truth.known.values() if not out]
+        return {name: shown.count(name) for name in sorted(set(shown))}
+
+    def _rows(self):
+        return self.session.teacher.library.list(limit=None, retracted=True)
+
+    def _n_stored(self):
+        return len(self._rows())
+
+    def _n_touches(self):
+        return len(self.session.episode.touches)
+
+
+_LESSON = "name", "wanted", "done"
+MACHINES = {
+    "library": LibraryMachine,
+    "belief": BeliefMachine,
+    "session": SessionMachine,
+}
