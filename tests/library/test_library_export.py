@@ -113,6 +113,63 @@ def test_frames_without_times_count_touches(tmp_path, rng):
     assert "observation.force_n" not in frames
 
 
+@pytest.mark.parametrize("name", ["t.npz", "t.parquet", "robot"])
+def test_exports_agree_on_touches_without_a_label(library, tmp_path, rng, name):
+    """All or none: with none there is no column, with some it is refused."""
+    bare = library.touches().without("object").with_columns(session=["c"] * 7)
+    library.add(bare)
+    with pytest.raises(LibraryError, match="all touches must have an object or none"):
+        library.export(tmp_path / name)
+    assert not (tmp_path / name).exists()
+    assert library.export(tmp_path / name, "object is null") == 7
+    if name == "t.npz":
+        columns = set(Touches.load(tmp_path / name).columns)
+    else:
+        [file] = (
+            tmp_path.glob("robot/data/*/*") if name == "robot" else [tmp_path / name]
+        )
+        columns = set(pq.read_schema(file).names)
+    assert "object" not in columns
+    assert "session" in columns
+
+
+def test_columns_of_some_touches_are_columns_of_all(library, tmp_path):
+    """An episode without forces stands beside those with them; nothing is NaN."""
+    some = library.touches("object = cup")
+    library.add(some.without("force_n", "time_s").with_columns(session=["d"] * 3))
+    assert library.export(tmp_path / "robot") == 10
+    frames = pq.read_table(tmp_path / "robot/data").to_pydict()
+    assert np.isnan(frames["observation.force_n"]).sum() == 3
+    unknown = np.isnan(frames["time_s"])
+    assert np.array(frames["timestamp"])[unknown].tolist() == [0, 1, 2]
+    assert library.export(tmp_path / "t.parquet") == 10
+    forces = pq.read_table(tmp_path / "t.parquet")["force_n"].to_pylist()
+    assert np.isnan(forces).sum() == 3
+
+
+def test_an_export_to_lerobot_comes_back(library, tmp_path):
+    library.export(tmp_path / "robot")
+    again, stored = read_bag(tmp_path / "robot"), library.touches()
+    order = np.argsort(again.columns["time_s"])
+    assert_array_equal(again.images[order], stored.images)
+    for column in ("object", "session", "time_s"):
+        assert_array_equal(again.columns[column][order], stored.columns[column])
+    assert_array_equal(again.no_contact, stored.no_contact)
+    for feature in ("meta", "object"):
+        with pytest.raises(LibraryError, match=r"an image or an array.*tactile.*got"):
+            read_bag(tmp_path / "robot", feature)
+    with pytest.raises(LibraryError, match="at most 5 bytes"):
+        read_bag(tmp_path / "robot", max_bytes=5)
+    tasks = tmp_path / "robot/meta/tasks.parquet"
+    tasks.write_bytes(tasks.read_bytes()[:50])
+    with pytest.raises(LibraryError, match="must be a LeRobotDataset of format"):
+        read_bag(tmp_path / "robot")
+    info = tmp_path / "robot/meta/info.json"
+    info.write_text(info.read_text().replace('"v3.0"', '"v2.1"'))
+    with pytest.raises(LibraryError, match=r"format v3.0, got 'v2.1'"):
+        read_bag(tmp_path / "robot")
+
+
 def test_other_endings_are_refused(library, tmp_path):
     with pytest.raises(LibraryError, match=r"got 't\.csv'"):
         library.export(tmp_path / "t.csv")
@@ -264,7 +321,7 @@ def test_arrays_of_a_bag_are_touches(bag, sizes, shape):
 
 def test_what_is_no_touch_is_refused(bag, tmp_path):
     good = _image(np.zeros((2, 2), np.uint8), "mono8")
-    with pytest.raises(LibraryError, match=r"one of the bag \(/pad\), got '/other'"):
+    with pytest.raises(LibraryError, match=r"bag \(/pad of .*Image\), got '/other'"):
         read_bag(bag(good), "/other")
     with pytest.raises(LibraryError, match="encoded as mono8"):
         read_bag(bag(_image(np.zeros((2, 2), np.uint8), "bayer_rggb8")), "/pad")

@@ -13,6 +13,7 @@ from ._html import png_address as png_address
 from ._pictures import RGB as RGB
 from ._pictures import decode_bytes
 from ._pictures import n_cores as n_cores
+from ._pictures import png_bytes as png_bytes
 from ._touches import Episode, Touches, TouchSource, read_folder
 from ._touches import Labelled as Labelled
 

@@ -123,6 +123,14 @@ def decode_bytes(
         raise TouchesError(f"A picture must be a JPEG or PNG, got {error}.") from error
 
 
+def png_bytes(levels: Array) -> bytes:
+    """Return levels, (n_rows, n_cols[, 3]) of 8 or 16 bits, as a PNG."""
+    import cv2
+
+    ordered = levels[..., ::-1] if levels.ndim == 3 else levels
+    return bytes(cv2.imencode(".png", ordered)[1])
+
+
 def common_header(paths: Sequence[Path], *, max_pixels: int, colour: bool) -> Header:
     """Return the header that all pictures share; the error names who differs."""
     limits: dict[str, Any] = {"max_pixels": max_pixels, "colour": colour}

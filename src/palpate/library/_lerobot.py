@@ -1,0 +1,457 @@
+"""LeRobotDataset v3.0 [1]_: written from a library, and read as touches.
+
+It is the layout of robot learning's most used recordings: `data/` holds frames,
+`meta/info.json` their features, `meta/episodes/` where each episode lies,
+`meta/tasks.parquet` the tasks, `meta/stats.json` the spread of each feature.
+
+Written: one touch is one frame, one object in one session (and episode) is one
+episode, and its task is "touch <object>", or "touch" without a label. The feature
+`observation.tactile` is an image where touches are pictures of a camera (8 bits, grey
+or r, g, b), else an array of float32, NaN where it has gaps. `object`, `category`,
+`session`, `time_s`, `order` are features where touches have them; `timestamp` counts
+seconds from the first touch of the episode. What belongs to the whole set stands in
+`meta/info.json` under `palpate`, which other readers pass over.
+
+Read: one feature of images or arrays. Videos are not read: most are AV1, which OpenCV
+does not decode.
+
+References
+----------
+.. [1] LeRobotDataset v3.0, https://huggingface.co/docs/lerobot/lerobot-dataset-v3
+"""
+
+import json
+from collections.abc import Iterable
+from contextlib import ExitStack
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .._extras import needed
+from .._types import Array, Floats
+from ..touches import RGB, Touches, decode_bytes, png_bytes
+from ._reading import read_columns, read_touches, read_whole
+from ._rows import FROM, Numbers
+from ._store import LibraryError, Store
+
+TACTILE = "observation.tactile"
+_LEROBOT_VERSION = "v3.0"
+_FRAMES_PER_SECOND = 1
+_FILE = "chunk-{:03d}/file-{:03d}.parquet"
+_ARRAY_SIDE = 48  # what has no longer side is taken for an array, not a picture
+_MAX_INFO = 16 * 2**20
+_TEXTS, _NUMBERS = ("object", "category", "session"), ("time_s", "order")
+_MEASURED = ("observation.position_mm", "observation.force_n")
+
+
+def write_lerobot(path: Path, store: Store, numbers: Numbers) -> None:
+    """Write a new folder; episodes are read one by one."""
+    pa = needed("pyarrow", "parquet", "Writing a LeRobotDataset")
+    data = path / "data" / _FILE.format(0, 0)
+    data.parent.mkdir(parents=True)
+    common, whole = read_columns(store, numbers), read_whole(store, numbers)
+    dataset = _Dataset(whole)
+    rows = (np.searchsorted(numbers, some) for some in _episodes(store, numbers))
+    episodes = (part_of(store, numbers, some, common) for some in rows)
+    write_tables(data, (_frame_table(pa, dataset.add(e)) for e in episodes))
+    _write_meta(pa, path / "meta", dataset)
+
+
+def part_of(
+    store: Store, numbers: Numbers, rows: Numbers, common: dict[str, Array]
+) -> Touches:
+    """Read touches with the columns that all touches of an export have.
+
+    Read by themselves some would lack what none of them has.
+    """
+    touches = read_touches(store, numbers[rows])
+    columns = {name: column[rows] for name, column in common.items()}
+    wide = {n: c for n, c in touches.columns.items() if n not in columns}
+    wide.pop("category", None)
+    return Touches(touches.images, **columns, **wide, **touches.whole)
+
+
+def write_tables(path: Path, tables: Iterable[Any], **options: Any) -> None:
+    """Write tables of one schema into one Parquet file, one row group each."""
+    pq = needed("pyarrow.parquet", "parquet", "Writing Parquet")
+    writer: Any = None
+    with ExitStack() as closing:
+        for table in tables:
+            if writer is None:
+                writer = pq.ParquetWriter(path, table.schema, **options)
+                closing.enter_context(writer)
+            writer.write_table(table.cast(writer.schema))
+
+
+def _episodes(store: Store, numbers: Numbers) -> list[Numbers]:
+    """Return the numbers of the touches of each object, session and episode."""
+    columns = "o.name, t.session, t.episode, t.number"
+    sql = f"SELECT {columns} {FROM} WHERE t.number IN (?) ORDER BY t.number"
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    for *key, number in store.among(sql, numbers.tolist()):
+        groups.setdefault(tuple(key), []).append(number)
+    return [np.array(some) for some in groups.values()]
+
+
+class _Dataset:
+    """What a LeRobotDataset says of its episodes, gathered one by one."""
+
+    def __init__(self, whole: dict[str, Array]) -> None:
+        self.whole = whole
+        self.tasks: dict[str, int] = {}
+        self.rows: list[dict[str, Any]] = []
+        self.features: dict[str, Any] = {}
+        self.dtype = ""
+        self._spread: dict[str, Floats] = {}  # count, sum, of squares, least, most
+
+    @property
+    def n_frames(self) -> int:
+        """Frames of all episodes so far."""
+        return int(self.rows[-1]["dataset_to_index"]) if self.rows else 0
+
+    def add(self, touches: Touches) -> dict[str, Array]:
+        """Take in the touches of one episode, all of one object; return its frames."""
+        task = f"touch {'' if touches.object is None else touches.object[0]}".strip()
+        task_index = self.tasks.setdefault(task, len(self.tasks))
+        number, first = len(self.rows), self.n_frames
+        frames = _lerobot_frames(touches, number, first, task_index)
+        self.dtype = touches.images.dtype.str
+        for name, values in frames.items():
+            feature = _feature(name, values)
+            self.features.setdefault(name, feature)
+            if feature["dtype"] == "string":
+                continue
+            wide = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+            if feature["dtype"] == "image":  # as readers see it: 0 to 1, by channel
+                wide = wide.reshape(-1, feature["shape"][2]) / 255
+            sums = _sums(wide)
+            if name in self._spread:
+                known = self._spread[name]
+                sums[:3] += known[:3]
+                sums[3] = np.fmin(known[3], sums[3])
+                sums[4] = np.fmax(known[4], sums[4])
+            self._spread[name] = sums
+        self.rows.append(
+            {
+                "episode_index": number,
+                "tasks": [task],
+                "length": len(touches),
+                "data/chunk_index": 0,
+                "data/file_index": 0,
+                "dataset_from_index": first,
+                "dataset_to_index": first + len(touches),
+                "meta/episodes/chunk_index": 0,
+                "meta/episodes/file_index": 0,
+            }
+        )
+        return frames
+
+    def spread(self) -> dict[str, Any]:
+        """Return minimum, maximum, mean and deviation of each feature over all.
+
+        Gaps between pads and dead taxels (NaN) do not count; 0 where nothing does.
+        """
+        result = {}
+        for name, (count, total, squares, least, most) in self._spread.items():
+            n_values = np.maximum(count, 1)
+            mean = total / n_values
+            sd = np.sqrt(np.maximum(squares / n_values - mean**2, 0))
+            picture = self.features[name]["dtype"] == "image"
+            shape = (-1, 1, 1) if picture else self.features[name]["shape"]
+            values = {"min": least, "max": most, "mean": mean, "std": sd}
+            values = {k: np.nan_to_num(v).reshape(shape) for k, v in values.items()}
+            result[name] = {k: v.tolist() for k, v in values.items()}
+            result[name]["count"] = [self.n_frames]
+        return result
+
+
+def _sums(wide: Floats) -> Floats:
+    """Return count, sum, of squares, least and most of each column, NaN left out."""
+    known = ~np.isnan(wide)
+    filled = np.where(known, wide, 0.0)
+    least = np.where(known, wide, np.inf).min(0)
+    most = np.where(known, wide, -np.inf).max(0)
+    least, most = (np.where(known.any(0), v, np.nan) for v in (least, most))
+    return np.stack([known.sum(0), filled.sum(0), (filled**2).sum(0), least, most])
+
+
+def _feature(name: str, values: Array) -> dict[str, Any]:
+    """Return what `info.json` says of a feature."""
+    if name == TACTILE and values.dtype == np.uint8:
+        shape = [*values.shape[1:], *[1] * (4 - values.ndim)]
+        axes = ["height", "width", "channels"]
+        return {"dtype": "image", "shape": shape, "names": axes}
+    kind = "string" if values.dtype.kind == "U" else values.dtype.name
+    return {"dtype": kind, "shape": list(values.shape[1:]) or [1], "names": None}
+
+
+def _lerobot_frames(
+    touches: Touches, episode: int, first: int, task: int
+) -> dict[str, Array]:
+    """Return frames by feature; where times are not known, they count touches."""
+    n_touches = len(touches)
+    number = np.arange(n_touches, dtype=np.int64)
+    time_s = np.asarray(touches.columns.get("time_s", number), dtype=np.float64)
+    if np.isnan(time_s).any():
+        time_s = number.astype(np.float64)
+    images = touches.images if _is_picture(touches) else touches.images.astype("f4")
+    columns = {TACTILE: images}
+    known = touches.columns
+    for feature in _MEASURED:
+        if (values := known.get(feature.removeprefix("observation."))) is not None:
+            flat = values.reshape(n_touches, -1).astype(np.float32)
+            columns[feature] = flat[:, 0] if flat.shape[1] == 1 else flat
+    columns |= {n: known[n].astype(np.str_) for n in _TEXTS if n in known}
+    columns |= {n: known[n].astype(np.float64) for n in _NUMBERS if n in known}
+    return {
+        **columns,
+        "timestamp": (time_s - time_s[0]).astype(np.float32),
+        "frame_index": number,
+        "episode_index": np.full(n_touches, episode, np.int64),
+        "index": first + number,
+        "task_index": np.full(n_touches, task, np.int64),
+    }
+
+
+def _is_picture(touches: Touches) -> bool:
+    """Tell whether images are what a camera gives: 8 bits, grey or in colour."""
+    images = touches.images
+    arranged = touches.geometry in ("array", "none") or touches.pads is not None
+    levels = images.dtype == np.uint8 and touches.channels in (None, RGB)
+    return levels and not arranged and min(images.shape[1:3]) > _ARRAY_SIDE
+
+
+def _frame_table(pa: Any, frames: dict[str, Array]) -> Any:
+    arrays = {}
+    for name, values in frames.items():
+        if name == TACTILE and values.dtype == np.uint8:
+            files = [{"bytes": png_bytes(v), "path": None} for v in values]
+            kind = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+            arrays[name] = pa.array(files, kind)
+            continue
+        column = pa.array(values.reshape(-1))
+        for size in reversed(values.shape[1:]):
+            ends = np.arange(0, len(column) + 1, size, dtype=np.int32)
+            column = pa.ListArray.from_arrays(pa.array(ends), column)
+        arrays[name] = column
+    return pa.table(arrays)
+
+
+def _write_meta(pa: Any, meta: Path, dataset: _Dataset) -> None:
+    pq = needed("pyarrow.parquet", "parquet", "Writing a LeRobotDataset")
+    info = {
+        "codebase_version": _LEROBOT_VERSION,
+        "robot_type": None,
+        "total_episodes": len(dataset.rows),
+        "total_frames": dataset.n_frames,
+        "total_tasks": len(dataset.tasks),
+        "chunks_size": 1000,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": _FRAMES_PER_SECOND,
+        "splits": {"train": f"0:{len(dataset.rows)}"},
+        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        "video_path": None,
+        "features": dataset.features,
+        # What other readers pass over: of what type the touches were, and the rest.
+        "palpate": {
+            "dtype": dataset.dtype,
+            "whole": {n: a.tolist() for n, a in dataset.whole.items()},
+        },
+    }
+    episodes = meta / "episodes" / _FILE.format(0, 0)
+    episodes.parent.mkdir(parents=True)
+    pq.write_table(pa.Table.from_pylist(dataset.rows), episodes)
+    tasks = dataset.tasks
+    table = pa.table({"task_index": list(tasks.values()), "task": list(tasks)})
+    table = table.replace_schema_metadata({"pandas": json.dumps(_TASKS_PANDAS)})
+    pq.write_table(table, meta / "tasks.parquet")
+    (meta / "info.json").write_text(json.dumps(info, indent=4, default=str))
+    (meta / "stats.json").write_text(json.dumps(dataset.spread()))
+
+
+def _pandas_column(name: str, pandas_type: str, numpy_type: str) -> dict[str, Any]:
+    kinds = {"pandas_type": pandas_type, "numpy_type": numpy_type, "metadata": None}
+    return {"name": name, "field_name": name, **kinds}
+
+
+# Readers take a task's name from the index of a pandas table; this is what
+# `DataFrame.to_parquet` writes of such a table.
+_TASKS_PANDAS = {
+    "index_columns": ["task"],
+    "column_indexes": [
+        {**_pandas_column("", "unicode", "object"), "name": None, "field_name": None}
+    ],
+    "columns": [
+        _pandas_column("task_index", "int64", "int64"),
+        _pandas_column("task", "unicode", "object"),
+    ],
+    "creator": {"library": "pyarrow", "version": ""},
+    "pandas_version": "2.2.0",
+}
+
+
+def is_lerobot(path: Path) -> bool:
+    """Tell whether a folder says that it is a LeRobotDataset."""
+    return (path / "meta" / "info.json").is_file()
+
+
+def read_lerobot(
+    folder: Path, feature: str | None, object: str | None, max_bytes: int
+) -> Touches:
+    """Return the frames of one feature as touches; `read_bag` explains the rest."""
+    pq = needed("pyarrow.parquet", "parquet", "Reading a LeRobotDataset")
+    pa = needed("pyarrow", "parquet", "Reading a LeRobotDataset")
+    try:
+        info = _info(folder)
+        features: dict[str, Any] = info["features"]
+        name = _chosen_feature(features, feature)
+        shape = tuple(int(n) for n in features[name]["shape"])
+        n_bytes = int(info["total_frames"]) * prod(shape) * 4
+        if n_bytes > max_bytes:
+            raise LibraryError(
+                f"The frames of {folder} must take at most {max_bytes} bytes, got "
+                f"{n_bytes}. Cut it, or raise max_bytes."
+            )
+        wanted = [name, *_TEXTS, *_NUMBERS, *_MEASURED]
+        wanted += ["task_index", "episode_index", "timestamp"]
+        kept = [n for n in wanted if n in features]
+        paths = sorted((folder / "data").glob("*/*.parquet"))
+        table = pa.concat_tables([pq.read_table(path, columns=kept) for path in paths])
+        if len(table) != int(info["total_frames"]) or not len(table):
+            raise LibraryError(
+                f"{folder} must hold the {info['total_frames']} frames that it counts, "
+                f"got {len(table)}. Fetch it again."
+            )
+        tasks = pq.read_table(folder / "meta" / "tasks.parquet").to_pydict()
+        return _touches_of(table, name, shape, info, tasks, object)
+    except (LibraryError, ImportError):
+        raise
+    except (
+        pa.ArrowException,
+        OSError,
+        KeyError,
+        TypeError,
+        ValueError,
+        StopIteration,
+    ) as error:
+        raise LibraryError(
+            f"{folder} must be a LeRobotDataset of format v3.0, got: {error}. "
+            "It may be damaged; fetch it again."
+        ) from error
+
+
+def _info(folder: Path) -> dict[str, Any]:
+    path = folder / "meta" / "info.json"
+    if path.stat().st_size > _MAX_INFO:
+        raise ValueError(f"{path.name} of {path.stat().st_size} bytes")
+    info: dict[str, Any] = json.loads(path.read_text())
+    version = str(info["codebase_version"])
+    if not version.startswith("v3."):
+        raise LibraryError(
+            f"{folder} must be a LeRobotDataset of format v3.0, got {version!r}. "
+            "lerobot has a script that converts it."
+        )
+    return info
+
+
+def _chosen_feature(features: dict[str, Any], wanted: str | None) -> str:
+    """Return the feature that is read: the one named, ours, or the only one."""
+    kinds = {name: str(feature["dtype"]) for name, feature in features.items()}
+    several = {name for name, f in features.items() if prod(f["shape"]) > 1}
+    able = sorted(n for n in several if kinds[n] not in ("video", "string"))
+    wide = [n for n in able if len(features[n]["shape"]) > 1]
+    usual = TACTILE if TACTILE in able else wide[0] if len(wide) == 1 else None
+    name = usual if wanted is None else wanted
+    if name is None or name not in able:
+        videos = sorted(name for name in kinds if kinds[name] == "video")
+        more = (
+            f" Videos ({', '.join(videos)}) are not read: record with images instead."
+            if videos
+            else ""
+        )
+        raise LibraryError(
+            "The feature (--topic) must be an image or an array of the dataset "
+            f"({', '.join(able) or 'none'}), got {wanted!r}.{more}"
+        )
+    return name
+
+
+def _touches_of(
+    table: Any,
+    name: str,
+    shape: tuple[int, ...],
+    info: dict[str, Any],
+    tasks: dict[str, Any],
+    object: str | None,
+) -> Touches:
+    about = info.get("palpate", {})
+    if info["features"][name]["dtype"] == "image":
+        images = _pictures(table[name], shape)
+    else:
+        images = _numbers_of(table[name], shape if len(shape) > 1 else (1, *shape))
+        dtype = np.dtype(about.get("dtype") or images.dtype)
+        if dtype.kind in "iuf" and np.can_cast(dtype, np.float32):
+            images = images.astype(dtype)
+    columns: dict[str, Any] = {}
+    for column in (
+        *_TEXTS,
+        *_NUMBERS,
+        "observation.position_mm",
+        "observation.force_n",
+    ):
+        if column in table.column_names:
+            size = tuple(info["features"][column]["shape"])
+            size = () if size == (1,) else size
+            text = column in _TEXTS
+            values = table[column].to_pylist() if text else table[column]
+            columns[column.removeprefix("observation.")] = (
+                np.array(values) if text else _numbers_of(values, size)
+            )
+    if not about:  # another's: its episodes are visits, and tasks say what is done
+        columns["episode"] = table["episode_index"].to_numpy()
+        columns["time_s"] = table["timestamp"].to_numpy().astype(np.float64)
+        # lerobot leaves the column of texts without a name of its own.
+        texts = next(n for n in ("task", "__index_level_0__") if n in tasks)
+        named = dict(zip(tasks["task_index"], tasks[texts], strict=True))
+        columns["object"] = [named[i] for i in table["task_index"].to_pylist()]
+    if object is not None:
+        columns["object"] = np.full(len(images), object)
+    whole: dict[str, Any] = {}
+    if images.ndim == 4 and images.shape[3] == len(RGB):
+        whole["channels"] = RGB
+    for entry, value in about.get("whole", {}).items():
+        if entry in ("channels", "pads", "pad_names", "geometry", "no_contact"):
+            like = images.dtype if entry == "no_contact" else None
+            whole[entry] = np.array(value, dtype=like)
+    return Touches(images, **columns, **whole, set_topic=np.array(name))
+
+
+def _numbers_of(column: Any, shape: tuple[int, ...]) -> Array:
+    """Return numbers of a column that may be lists of lists, (n_rows, *shape)."""
+    flat = column.combine_chunks()
+    while hasattr(flat.type, "value_type"):
+        flat = flat.flatten()
+    values: Array = flat.to_numpy(zero_copy_only=False).reshape(len(column), *shape)
+    return values
+
+
+def _pictures(column: Any, shape: tuple[int, ...]) -> Array:
+    images = np.empty((len(column), *shape[:2], *shape[2:]), np.uint8)
+    images = images[..., 0] if shape[2] == 1 else images
+    for row, file in enumerate(column.to_pylist()):
+        if file["bytes"] is None:
+            raise LibraryError(
+                f"Frame {row} must hold its picture, got only the name of a file, "
+                f"{file['path']!r}. Write the dataset again with lerobot."
+            )
+        levels = decode_bytes(file["bytes"], colour=shape[2] == 3)
+        if levels.shape != images.shape[1:] or levels.dtype != np.uint8:
+            raise LibraryError(
+                f"Frame {row} must be a picture of {images.shape[1:]}, 8 bits, got "
+                f"{levels.shape} {levels.dtype}. The dataset is damaged."
+            )
+        images[row] = levels
+    return images
