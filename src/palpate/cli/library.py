@@ -36,11 +36,20 @@ def add(
         float | None, option("Distance of neighbouring taxels in mm.")
     ] = None,
     topic: Annotated[
-        str | None, option("Of a bag (ROS 2, MCAP): the topic to read.")
+        str | None,
+        option("Of a bag: the topic to read; of a LeRobotDataset: the feature."),
     ] = None,
     object_name: Annotated[
-        str | None, option("--object", "Of a bag: what is touched in all of it.")
+        str | None, option("--object", "What is touched in all of it.")
     ] = None,
+    detect: Annotated[
+        bool,
+        option(
+            "--detect",
+            "Of a bag: frames become touches where contact begins and ends, as those "
+            "of a film always do. The first ten are taken for touching nothing.",
+        ),
+    ] = False,
     reading: Reading,
     as_json: AsJson = False,
 ) -> None:
@@ -49,21 +58,13 @@ def add(
 
     if sensor is None and (kind, unit, pitch_mm) != (None, None, None):
         raise ValueError("--kind, --unit and --pitch-mm must come with --sensor NAME.")
-    if topic is None:
-        if object_name is not None:
-            raise ValueError("--object must come with a bag and --topic.")
-        found = reading.touches(touches)
-    else:
-        from ..library import read_bag
+    found = reading.touches(touches, topic)
+    if detect:
+        from ..sensors import TouchDetector
 
-        fix = (
-            "All messages of a bag's topic are read; choose afterwards with "
-            "`palpate library retract`."
-        )
-        reading.refuse(
-            "with --topic", fix, "where", "name_pattern", "no_contact", "colour"
-        )
-        found = read_bag(touches, topic, object=object_name)
+        found = TouchDetector().touches_in(found)
+    if object_name is not None:
+        found = found.with_columns(object=[object_name] * len(found))
     described = sensor and SensorDescription(sensor, kind, unit, pitch_mm)
     with _opened(folder, create=True) as opened:
         before = opened.stats()

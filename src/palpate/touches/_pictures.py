@@ -46,6 +46,7 @@ _END_OF_IMAGE = b"\xff\xd9"
 _ALPHA = (4, 6)
 _GREY = (0, 4)
 RGB = ("r", "g", "b")
+FILMS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")  # palpate.sensors reads them
 _CUT_SHORT = "a file that is cut short"
 # Room for comments, colour profiles and previews beside the pixels themselves.
 _MORE_BYTES = 32 * 2**20
