@@ -1,6 +1,6 @@
 """A film of recorded gel frames, into touches by the detector, on a contact sheet.
 
-`film_sheet.py SHEET.png [BEGIN]`: the frames of one day of `sessions/gelsight_wedge.npz`,
+`film_sheet.py SHEET.png [BEGIN]`: one day of `sessions/gelsight_wedge.npz`,
 in the folder that PALPATE_DATA names, become a film without loss: of each squeeze its
 frame without contact, the way in (25, 50, 75 % and the peak, held) and the way out.
 What `TouchDetector.touches_in` finds is drawn below the peak of the squeeze in which it
@@ -51,8 +51,8 @@ def main() -> None:
     ]
     print(
         f"{len(squeezes)} squeezes, {len(touches)} touches; of one touch each: "
-        f"{(counts == 1).sum()}, of none: {(counts == 0).sum()}. From the peak of their "
-        f"squeeze they differ by {np.median(away):.2f} levels (median), at most "
+        f"{(counts == 1).sum()}, of none: {(counts == 0).sum()}. From the peak of "
+        f"their squeeze they differ by {np.median(away):.2f} levels (median), at most "
         f"{max(away):.2f}. A touch begins at a change of {detector.begin:.1f}."
     )
     blank = np.zeros_like(frames[0])

@@ -15,6 +15,7 @@ from .. import __version__
 from ._options import option
 from .bench import bench
 from .benchmark import benchmark
+from .check import check
 from .demo import demo
 from .doctor import doctor
 from .evaluate import evaluate
@@ -46,6 +47,7 @@ for verb in VERBS:
 app.add_typer(simulate, name="simulate")
 app.add_typer(library, name="library")
 app.add_typer(explore, name="explore")
+sensor.command("check")(check)
 app.add_typer(sensor, name="sensor")
 
 # What a verb may fail with; anything else is a fault of palpate and shows where.

@@ -137,6 +137,7 @@ class LiveSensor(ABC):
         self._arrived = threading.Condition()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
+        self._blocked: threading.Thread | None = None  # by a driver that does not stop
         self._latest: Frame | None = None
         self._number = 0
 
@@ -164,6 +165,10 @@ class LiveSensor(ABC):
         """
         if self._thread is not None:
             return self
+        if self._blocked is not None and self._blocked.is_alive():
+            raise SensorError(
+                f"{self.name} still waits for its device. Unplug it, or start again."
+            )
         self._queue.clear()
         self._latest, self.lost = None, ""
         self.n_frames = self.n_dropped = self._number = 0
@@ -184,6 +189,7 @@ class LiveSensor(ABC):
         with self._arrived:
             self._arrived.notify_all()
         thread.join(timeout=5.0)
+        self._blocked = thread
         self._close()
 
     def read_next(self, timeout_s: float = 2.0) -> Frame:
@@ -276,8 +282,10 @@ class LiveSensor(ABC):
         kept = np.ascontiguousarray(image, dtype=self.dtype)
         if kept.shape != self.image_shape:
             self._count_missed(1)
+            self.lost = f"its frames are {kept.shape}, it promised {self.image_shape}"
             return
         kept.flags.writeable = False
+        self.lost = ""
         with self._arrived:
             self._latest = Frame(kept, taken_s, self._number)
             self._number += 1
@@ -351,6 +359,9 @@ def check_sensor(sensor: LiveSensor, *, n_frames: int = 10) -> None:
     finally:
         sensor.disconnect()
     _say(not sensor.connected, "connected must be False after disconnect()")
+    running = [thread.name for thread in threading.enumerate()]
+    stopped = f"palpate {sensor.name}" not in running
+    _say(stopped, "_grab() must return at least every half second")
     sensor.disconnect()
     _refuses_frames(sensor, "after disconnect()")
     with sensor as again:
