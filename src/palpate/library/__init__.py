@@ -5,6 +5,7 @@ plain `.npy` files for their images.
 """
 
 from ._adding import SensorDescription, TouchRow
+from ._bags import frame_of_message as frame_of_message
 from ._bags import is_recording as is_recording
 from ._bags import read_bag
 from ._checking import CheckReport, check_library

@@ -137,7 +137,7 @@ def _messages(
         digest.update(f"{recorded_ns} {len(raw)} ".encode() + bytes(raw))
         message = reader.deserialize(raw, connection.msgtype)
         where = f"message {len(images)} of {topic}"
-        image = _image(message, connection.msgtype, where)
+        image = frame_of_message(message, connection.msgtype, where)
         if images and (image.shape, image.dtype) != (images[0].shape, images[0].dtype):
             raise LibraryError(
                 f"All images of {topic} must have one size and type, got "
@@ -161,7 +161,8 @@ def _messages(
     return images, times, digest.hexdigest()
 
 
-def _image(message: Any, kind: str, where: str) -> Array:
+def frame_of_message(message: Any, kind: str, where: str = "A message") -> Array:
+    """Return what a message of a kind such as `sensor_msgs/msg/Image` shows."""
     if kind == _IMAGE:
         return _picture(message, where)
     if kind == _PICTURE:
