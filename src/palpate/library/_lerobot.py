@@ -1,9 +1,5 @@
 """LeRobotDataset v3.0 [1]_: written from a library, and read as touches.
 
-It is the layout of robot learning's most used recordings: `data/` holds frames,
-`meta/info.json` their features, `meta/episodes/` where each episode lies,
-`meta/tasks.parquet` the tasks, `meta/stats.json` the spread of each feature.
-
 Written: one touch is one frame, one object in one session (and episode) is one
 episode, and its task is "touch <object>", or "touch" without a label. The feature
 `observation.tactile` is an image where touches are pictures of a camera (8 bits, grey
@@ -21,7 +17,7 @@ References
 """
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from math import prod
 from pathlib import Path
@@ -42,6 +38,7 @@ _FRAMES_PER_SECOND = 1
 _FILE = "chunk-{:03d}/file-{:03d}.parquet"
 _ARRAY_SIDE = 48  # what has no longer side is taken for an array, not a picture
 _MAX_INFO = 16 * 2**20
+_PARTS, _KINDS = ("data", "meta/episodes"), ("chunk", "file")
 _TEXTS, _NUMBERS = ("object", "category", "session"), ("time_s", "order")
 _MEASURED = ("observation.position_mm", "observation.force_n")
 
@@ -104,7 +101,8 @@ class _Dataset:
         self.rows: list[dict[str, Any]] = []
         self.features: dict[str, Any] = {}
         self.dtype = ""
-        self._spread: dict[str, Floats] = {}  # count, sum, of squares, least, most
+        # Count, sum and sum of squares; the most of what is below and above zero.
+        self._spread: dict[str, tuple[Floats, Floats]] = {}
 
     @property
     def n_frames(self) -> int:
@@ -126,26 +124,15 @@ class _Dataset:
             wide = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
             if feature["dtype"] == "image":  # as readers see it: 0 to 1, by channel
                 wide = wide.reshape(-1, feature["shape"][2]) / 255
-            sums = _sums(wide)
-            if name in self._spread:
-                known = self._spread[name]
-                sums[:3] += known[:3]
-                sums[3] = np.fmin(known[3], sums[3])
-                sums[4] = np.fmax(known[4], sums[4])
-            self._spread[name] = sums
-        self.rows.append(
-            {
-                "episode_index": number,
-                "tasks": [task],
-                "length": len(touches),
-                "data/chunk_index": 0,
-                "data/file_index": 0,
-                "dataset_from_index": first,
-                "dataset_to_index": first + len(touches),
-                "meta/episodes/chunk_index": 0,
-                "meta/episodes/file_index": 0,
-            }
-        )
+            known, filled = ~np.isnan(wide), np.nan_to_num(wide)
+            sums = np.stack([known.sum(0), filled.sum(0), (filled**2).sum(0)])
+            most = np.fmax.reduce([-wide.T, wide.T], axis=2)  # NaN only where all are
+            before = self._spread.get(name, (0 * sums, most))
+            self._spread[name] = before[0] + sums, np.fmax(before[1], most)
+        places = [f"{part}/{kind}_index" for part in _PARTS for kind in _KINDS]
+        row = {"episode_index": number, "tasks": [task], "length": len(touches)}
+        row |= dict.fromkeys(places, 0) | {"dataset_from_index": first}
+        self.rows.append({**row, "dataset_to_index": first + len(touches)})
         return frames
 
     def spread(self) -> dict[str, Any]:
@@ -154,27 +141,16 @@ class _Dataset:
         Gaps between pads and dead taxels (NaN) do not count; 0 where nothing does.
         """
         result = {}
-        for name, (count, total, squares, least, most) in self._spread.items():
-            n_values = np.maximum(count, 1)
-            mean = total / n_values
-            sd = np.sqrt(np.maximum(squares / n_values - mean**2, 0))
+        for name, ((count, total, squares), (under, over)) in self._spread.items():
+            mean = total / np.maximum(count, 1)
+            sd = np.sqrt(np.maximum(squares / np.maximum(count, 1) - mean**2, 0))
             picture = self.features[name]["dtype"] == "image"
             shape = (-1, 1, 1) if picture else self.features[name]["shape"]
-            values = {"min": least, "max": most, "mean": mean, "std": sd}
+            values = {"min": -under, "max": over, "mean": mean, "std": sd}
             values = {k: np.nan_to_num(v).reshape(shape) for k, v in values.items()}
             result[name] = {k: v.tolist() for k, v in values.items()}
             result[name]["count"] = [self.n_frames]
         return result
-
-
-def _sums(wide: Floats) -> Floats:
-    """Return count, sum, of squares, least and most of each column, NaN left out."""
-    known = ~np.isnan(wide)
-    filled = np.where(known, wide, 0.0)
-    least = np.where(known, wide, np.inf).min(0)
-    most = np.where(known, wide, -np.inf).max(0)
-    least, most = (np.where(known.any(0), v, np.nan) for v in (least, most))
-    return np.stack([known.sum(0), filled.sum(0), (filled**2).sum(0), least, most])
 
 
 def _feature(name: str, values: Array) -> dict[str, Any]:
@@ -241,6 +217,7 @@ def _frame_table(pa: Any, frames: dict[str, Array]) -> Any:
 
 def _write_meta(pa: Any, meta: Path, dataset: _Dataset) -> None:
     pq = needed("pyarrow.parquet", "parquet", "Writing a LeRobotDataset")
+    whole = {name: array.tolist() for name, array in dataset.whole.items()}
     info = {
         "codebase_version": _LEROBOT_VERSION,
         "robot_type": None,
@@ -256,10 +233,7 @@ def _write_meta(pa: Any, meta: Path, dataset: _Dataset) -> None:
         "video_path": None,
         "features": dataset.features,
         # What other readers pass over: of what type the touches were, and the rest.
-        "palpate": {
-            "dtype": dataset.dtype,
-            "whole": {n: a.tolist() for n, a in dataset.whole.items()},
-        },
+        "palpate": {"dtype": dataset.dtype, "whole": whole},
     }
     episodes = meta / "episodes" / _FILE.format(0, 0)
     episodes.parent.mkdir(parents=True)
@@ -272,23 +246,18 @@ def _write_meta(pa: Any, meta: Path, dataset: _Dataset) -> None:
     (meta / "stats.json").write_text(json.dumps(dataset.spread()))
 
 
-def _pandas_column(name: str, pandas_type: str, numpy_type: str) -> dict[str, Any]:
-    kinds = {"pandas_type": pandas_type, "numpy_type": numpy_type, "metadata": None}
+def _column(name: str, kind: str, numpy_type: str) -> dict[str, Any]:
+    kinds = {"pandas_type": kind, "numpy_type": numpy_type, "metadata": None}
     return {"name": name, "field_name": name, **kinds}
 
 
 # Readers take a task's name from the index of a pandas table; this is what
 # `DataFrame.to_parquet` writes of such a table.
+_TEXT = _column("task", "unicode", "object")
 _TASKS_PANDAS = {
     "index_columns": ["task"],
-    "column_indexes": [
-        {**_pandas_column("", "unicode", "object"), "name": None, "field_name": None}
-    ],
-    "columns": [
-        _pandas_column("task_index", "int64", "int64"),
-        _pandas_column("task", "unicode", "object"),
-    ],
-    "creator": {"library": "pyarrow", "version": ""},
+    "column_indexes": [{**_TEXT, "name": None, "field_name": None}],
+    "columns": [_column("task_index", "int64", "int64"), _TEXT],
     "pandas_version": "2.2.0",
 }
 
@@ -309,8 +278,8 @@ def read_lerobot(
         features: dict[str, Any] = info["features"]
         name = _chosen_feature(features, feature)
         shape = tuple(int(n) for n in features[name]["shape"])
-        n_bytes = int(info["total_frames"]) * prod(shape) * 4
-        if n_bytes > max_bytes:
+        n_frames = int(info["total_frames"])
+        if (n_bytes := n_frames * prod(shape) * 4) > max_bytes:
             raise LibraryError(
                 f"The frames of {folder} must take at most {max_bytes} bytes, got "
                 f"{n_bytes}. Cut it, or raise max_bytes."
@@ -320,23 +289,13 @@ def read_lerobot(
         kept = [n for n in wanted if n in features]
         paths = sorted((folder / "data").glob("*/*.parquet"))
         table = pa.concat_tables([pq.read_table(path, columns=kept) for path in paths])
-        if len(table) != int(info["total_frames"]) or not len(table):
-            raise LibraryError(
-                f"{folder} must hold the {info['total_frames']} frames that it counts, "
-                f"got {len(table)}. Fetch it again."
-            )
+        if len(table) != n_frames:
+            raise ValueError(f"{len(table)} frames where it counts {n_frames}")
         tasks = pq.read_table(folder / "meta" / "tasks.parquet").to_pydict()
         return _touches_of(table, name, shape, info, tasks, object)
     except (LibraryError, ImportError):
         raise
-    except (
-        pa.ArrowException,
-        OSError,
-        KeyError,
-        TypeError,
-        ValueError,
-        StopIteration,
-    ) as error:
+    except (pa.ArrowException, OSError, LookupError, TypeError, ValueError) as error:
         raise LibraryError(
             f"{folder} must be a LeRobotDataset of format v3.0, got: {error}. "
             "It may be damaged; fetch it again."
@@ -348,11 +307,10 @@ def _info(folder: Path) -> dict[str, Any]:
     if path.stat().st_size > _MAX_INFO:
         raise ValueError(f"{path.name} of {path.stat().st_size} bytes")
     info: dict[str, Any] = json.loads(path.read_text())
-    version = str(info["codebase_version"])
-    if not version.startswith("v3."):
+    if not str(info["codebase_version"]).startswith("v3."):
         raise LibraryError(
-            f"{folder} must be a LeRobotDataset of format v3.0, got {version!r}. "
-            "lerobot has a script that converts it."
+            f"{folder} must be a LeRobotDataset of format v3.0, got "
+            f"{info['codebase_version']!r}. lerobot has a script that converts it."
         )
     return info
 
@@ -366,15 +324,11 @@ def _chosen_feature(features: dict[str, Any], wanted: str | None) -> str:
     usual = TACTILE if TACTILE in able else wide[0] if len(wide) == 1 else None
     name = usual if wanted is None else wanted
     if name is None or name not in able:
-        videos = sorted(name for name in kinds if kinds[name] == "video")
-        more = (
-            f" Videos ({', '.join(videos)}) are not read: record with images instead."
-            if videos
-            else ""
-        )
+        videos = ", ".join(sorted(n for n in kinds if kinds[n] == "video")) or "none"
         raise LibraryError(
             "The feature (--topic) must be an image or an array of the dataset "
-            f"({', '.join(able) or 'none'}), got {wanted!r}.{more}"
+            f"({', '.join(able) or 'none'}), got {wanted!r}. Videos ({videos}) are not "
+            "read: record with images instead."
         )
     return name
 
@@ -396,26 +350,19 @@ def _touches_of(
         if dtype.kind in "iuf" and np.can_cast(dtype, np.float32):
             images = images.astype(dtype)
     columns: dict[str, Any] = {}
-    for column in (
-        *_TEXTS,
-        *_NUMBERS,
-        "observation.position_mm",
-        "observation.force_n",
-    ):
+    for column in (*_TEXTS, *_NUMBERS, *_MEASURED):
         if column in table.column_names:
-            size = tuple(info["features"][column]["shape"])
-            size = () if size == (1,) else size
-            text = column in _TEXTS
-            values = table[column].to_pylist() if text else table[column]
-            columns[column.removeprefix("observation.")] = (
-                np.array(values) if text else _numbers_of(values, size)
-            )
+            size = info["features"][column]["shape"]
+            values = np.array(table[column].to_pylist()) if column in _TEXTS else None
+            if values is None:
+                values = _numbers_of(table[column], [] if size == [1] else size)
+            columns[column.removeprefix("observation.")] = values
     if not about:  # another's: its episodes are visits, and tasks say what is done
         columns["episode"] = table["episode_index"].to_numpy()
         columns["time_s"] = table["timestamp"].to_numpy().astype(np.float64)
         # lerobot leaves the column of texts without a name of its own.
-        texts = next(n for n in ("task", "__index_level_0__") if n in tasks)
-        named = dict(zip(tasks["task_index"], tasks[texts], strict=True))
+        texts = tasks.get("task") or tasks["__index_level_0__"]
+        named = dict(zip(tasks["task_index"], texts, strict=True))
         columns["object"] = [named[i] for i in table["task_index"].to_pylist()]
     if object is not None:
         columns["object"] = np.full(len(images), object)
@@ -429,7 +376,7 @@ def _touches_of(
     return Touches(images, **columns, **whole, set_topic=np.array(name))
 
 
-def _numbers_of(column: Any, shape: tuple[int, ...]) -> Array:
+def _numbers_of(column: Any, shape: Sequence[int]) -> Array:
     """Return numbers of a column that may be lists of lists, (n_rows, *shape)."""
     flat = column.combine_chunks()
     while hasattr(flat.type, "value_type"):
@@ -439,19 +386,10 @@ def _numbers_of(column: Any, shape: tuple[int, ...]) -> Array:
 
 
 def _pictures(column: Any, shape: tuple[int, ...]) -> Array:
-    images = np.empty((len(column), *shape[:2], *shape[2:]), np.uint8)
-    images = images[..., 0] if shape[2] == 1 else images
-    for row, file in enumerate(column.to_pylist()):
-        if file["bytes"] is None:
-            raise LibraryError(
-                f"Frame {row} must hold its picture, got only the name of a file, "
-                f"{file['path']!r}. Write the dataset again with lerobot."
-            )
-        levels = decode_bytes(file["bytes"], colour=shape[2] == 3)
+    images = np.empty((len(column), *shape[: 2 if shape[2] == 1 else 3]), np.uint8)
+    for row, file in enumerate(column):
+        levels = decode_bytes(file["bytes"].as_py() or b"", colour=shape[2] == 3)
         if levels.shape != images.shape[1:] or levels.dtype != np.uint8:
-            raise LibraryError(
-                f"Frame {row} must be a picture of {images.shape[1:]}, 8 bits, got "
-                f"{levels.shape} {levels.dtype}. The dataset is damaged."
-            )
+            raise ValueError(f"frame {row} of {levels.shape} {levels.dtype}")
         images[row] = levels
     return images
