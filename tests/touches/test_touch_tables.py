@@ -67,8 +67,8 @@ def test_of_a_folder_each_file_is_a_touch(tmp_path, ending, rng):
         ("", "must hold lines of numbers, got none"),
         ("a,b\n", "a line for each touch, got names alone"),
         ("1,2\n3\n", "line 2 must have 2 cells like the first, got 1"),
-        ("1,2\n3,x\n", "line 2: taxel 1 must be a number as in other lines, got 'x'"),
-        ("a,b\n1,2\n3,oops\n", "line 3: b must be a number as in other lines"),
+        ("1,2\n3,x\n", "taxel 1, number 2 must be a number as others are, got 'x'"),
+        ("a,b\n1,2\n3,oops\n", "b, number 3 must be a number as others are"),
         ("1,2\n3,inf\n", "must be a number .*got 'inf'"),
         ("a,a\n1,2\n", "must be there and differ, got a, a"),
         ("object,session\ncup,a\n", "must have columns of taxels, got object"),
@@ -88,7 +88,7 @@ def test_bytes_that_are_no_text_and_wrong_options_are_refused(csv, tmp_path):
         Touches.load(csv(HEADED), shape=(2, 3))
     with pytest.raises(TouchesError, match=r"a file of \d+ bytes"):
         Touches.load(csv(HEADED), max_bytes=100)
-    with pytest.raises(TouchesError, match="line 2 must hold numbers, got 'x'"):
+    with pytest.raises(TouchesError, match="line 2, number 1 must be a number"):
         Touches.load(csv("1,2\nx,3\n", "in/cup/1.csv").parents[1])
 
 

@@ -15,30 +15,15 @@ from ._sensor import SensorAddress, SensorOptions
 if TYPE_CHECKING:
     from ..sensors import Frame, LiveSensor
 
-_WIDTH, _HEIGHT, _MOST_SIDE = 480, 90, 160
-_SAID = {
-    "frames": "frames",
-    "rate_hz": "frames a second",
-    "interval_99_ms": "longest gap of 100 (ms)",
-    "lost": "share of frames lost",
-    "noise": "noise of a taxel (median)",
-    "drift": "drift of rest",
-    "drift_limit": "drift that does harm",
-    "shared_by_rows": "noise shared by rows",
-    "shared_by_columns": "noise shared by columns",
-}
+_MOST_SIDE = 160
 
 
 @grouped
 def check(
     sensor: SensorAddress,
     *,
-    seconds: Annotated[
-        float, option("How long to watch; drift asks for minutes.")
-    ] = 60.0,
-    model: Annotated[
-        Path | None, option("Compare rest with what this model remembers of it.")
-    ] = None,
+    seconds: Annotated[float, option("How long; drift asks for minutes.")] = 60.0,
+    model: Annotated[Path | None, option("A model that remembers its rest.")] = None,
     report: Annotated[Path | None, option("Write one self-contained .html.")] = None,
     options: SensorOptions,
     max_model_mb: MaxModelMb = 2000,
@@ -75,7 +60,7 @@ def check(
     if report is not None:
         write_text(report, _page(found, maps))
     said = found["findings"] or ["Nothing is wrong."]
-    figures = [f"{_SAID[n]:26s} {_shown(v)}" for n, v in found["figures"].items()]
+    figures = (f"{name:20s} {value}" for name, value in _figures(found))
     answer(as_json, found, *said, "", *figures)
     if not found["ok"]:
         raise typer.Exit(1)
@@ -94,7 +79,6 @@ def _page(found: dict[str, Any], maps: dict[str, Any]) -> str:
     from ..evaluation import html_table, report_page
     from ..touches import as_shown, png_address
 
-    colour = "#1d7a46" if found["ok"] else "#b3261e"
     said = found["findings"] or ["Nothing is wrong."]
     lines = "".join(f"<p style='font-size:1.15rem'>{escape(line)}</p>" for line in said)
     pictures = ""
@@ -106,41 +90,35 @@ def _page(found: dict[str, Any], maps: dict[str, Any]) -> str:
             f"<figcaption class=note>{name}, {image.min():.3g} (dark) to "
             f"{image.max():.3g}</figcaption></figure>"
         )
-    rows = [[_SAID[n], _shown(value)] for n, value in found["figures"].items()]
     title = f"{found['sensor']}: {'well' if found['ok'] else 'look at it'}"
-    above = f"border-left:.5rem solid {colour};padding-left:.8rem"
+    colour = "#1d7a46" if found["ok"] else "#b3261e"
     watched = f"Watched for {found['seconds']:g} s; in {escape(found['unit'])}."
-    sections = [
-        f"<h1 style='{above}'>{escape(title)}</h1>{lines}",
-        f"<p class=note>{watched}</p>",
-        f"<div class=row>{pictures}</div>",
-        "<h2>Mean level over time, and the drift that does harm</h2>",
-        _curve(found["levels"], found["figures"]["drift_limit"]),
-        html_table("Figures", ["", ""], rows),
-    ]
-    return report_page(title, sections)
+    return report_page(
+        title,
+        [
+            f"<h1 style='border-left:.5rem solid {colour};padding-left:.8rem'>"
+            f"{escape(title)}</h1>{lines}<p class=note>{watched}</p>"
+            f"<div class=row>{pictures}</div>"
+            "<h2>Mean level over time, and the drift that does harm</h2>",
+            _curve(found["levels"], found["figures"]["drift_limit"]),
+            html_table("Figures", ["", ""], _figures(found)),
+        ],
+    )
+
+
+def _figures(found: dict[str, Any]) -> list[list[str]]:
+    known = {n: "-" if v is None else f"{v:.4g}" for n, v in found["figures"].items()}
+    return [[name.replace("_", " "), text] for name, text in known.items()]
 
 
 def _curve(levels: list[float], limit: float) -> str:
-    """Draw levels over time between the limits."""
-    most = 1.2 * max(limit, *map(abs, levels))
-
-    def y(level: float) -> float:
-        return _HEIGHT / 2 * (1 - level / most)
-
-    across = _WIDTH / (len(levels) - 1)
-    points = " ".join(f"{i * across:.1f},{y(v):.1f}" for i, v in enumerate(levels))
-    lines = "".join(
-        f"<line x1=0 x2={_WIDTH} y1={y(v):.1f} y2={y(v):.1f} stroke='#b3261e' "
-        "stroke-dasharray=4 />"
-        for v in (limit, -limit)
-    )
+    """Draw levels over time, and the limits at a third of the height."""
+    most = max(1.5 * limit, *(1.2 * abs(level) for level in levels))
+    ys = [50 - 50 * level / most for level in (*levels, limit, -limit)]
+    points = " ".join(f"{40 * i},{y:.1f}" for i, y in enumerate(ys[:-2]))
+    limits = "".join(f"M0 {y:.1f}H480" for y in ys[-2:])
     return (
-        f"<svg viewBox='0 0 {_WIDTH} {_HEIGHT}' width={_WIDTH} role=img aria-label="
-        f"'mean level over time'>{lines}<polyline points='{points}' fill=none "
-        "stroke='#1f4e79' stroke-width=2 /></svg>"
+        "<svg viewBox='0 0 480 100' width=480 role=img aria-label='level over time'>"
+        f"<path d='{limits}' stroke='#b3261e' stroke-dasharray=4 /><polyline "
+        f"points='{points}' fill=none stroke='#1f4e79' stroke-width=2 /></svg>"
     )
-
-
-def _shown(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}" if value < 1000 else f"{value:.0f}"

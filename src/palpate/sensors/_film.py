@@ -1,6 +1,5 @@
 """Streams that were recorded: films, and frames that were read as touches."""
 
-import math
 from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
@@ -12,52 +11,36 @@ _MAX_PIXELS = 50_000_000
 
 
 def film(path: str | PathLike[str], colour: bool) -> Iterator[Frame]:
-    """Yield the frames of a film, decoded one by one, in grey or red, green and blue.
-
-    Raises
-    ------
-    SensorError
-        It is no film that OpenCV decodes, or ends before the frames that it counts.
-    """
+    """Yield the frames of a film, decoded one by one, in grey or red, green and blue."""
     import cv2
 
     place = Path(path)
-    capture = cv2.VideoCapture(str(place)) if place.is_file() else None
+    capture = cv2.VideoCapture(str(place) if place.is_file() else "")
     try:
-        counted = 0 if capture is None else int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        size = 0.0
-        if capture is not None:
-            sides = cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT
-            size = math.prod(map(capture.get, sides))
-        if capture is None or not 0 < size <= _MAX_PIXELS or not capture.grab():
+        n_cols, n_rows, rate_hz, counted = map(capture.get, (3, 4, 5, 7))
+        if not 0 < n_cols * n_rows <= _MAX_PIXELS or not capture.grab():
             raise SensorError(
                 f"{place} must be a film that OpenCV decodes, got "
                 f"{'another file' if place.is_file() else 'no file there'}. Convert it "
                 "(AV1 is not decoded), for example to FFV1 in .mkv, which keeps levels."
             )
-        rate_hz = capture.get(cv2.CAP_PROP_FPS) or 25.0
         to = cv2.COLOR_BGR2RGB if colour else cv2.COLOR_BGR2GRAY
-        number = 0
-        while True:
-            arrived, picture = capture.retrieve()
-            if arrived:
-                yield Frame(cv2.cvtColor(picture, to), number / rate_hz, number)
-                number += 1
-            if not arrived or not capture.grab():
-                break
-        # A count is an estimate in some kinds of file: a frame or two are no damage.
-        if number < counted - 2:
+        number, more = 0, True
+        while more and (arrived := capture.retrieve())[0]:
+            picture = cv2.cvtColor(arrived[1], to)
+            yield Frame(picture, number / (rate_hz or 25.0), number)
+            number, more = number + 1, capture.grab()
+        if number < counted - 2:  # some kinds of file only estimate their count
             raise SensorError(
-                f"{place} must hold {counted} frames, got {number}: it ends early. "
+                f"{place} must hold {counted:.0f} frames, got {number}: it ends early. "
                 "Copy or record it again."
             )
     finally:
-        if capture is not None:
-            capture.release()
+        capture.release()
 
 
 def frames_of(touches: Touches) -> Iterator[Frame]:
-    """Yield images as frames, in the order of their times, or as they are."""
+    """Yield images as frames, at their times where these are known."""
     times = touches.columns.get("time_s", range(len(touches)))
     for number, (image, time_s) in enumerate(zip(touches.images, times, strict=True)):
         yield Frame(image, float(time_s), number)

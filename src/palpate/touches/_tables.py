@@ -8,8 +8,7 @@ files each file is a touch, its lines the rows of taxels.
 
 import csv
 from collections.abc import Mapping, Sequence
-from itertools import islice
-from math import isfinite, prod
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -19,20 +18,16 @@ from ._columns import COLUMNS, Arrays, TouchesError
 
 TABLES = (".csv", ".npy")
 _PLACES = ("x_mm", "y_mm", "z_mm")
+_TEXTS = ("object", "category", "session", "subject")
 _NAMED = COLUMNS | {*_PLACES, "subject"}
 _BYTES_PER_CELL = 2  # no number is shorter, with its comma
 
 
 def table_arrays(table: Mapping[str, Array], shape: tuple[int, int] | None) -> Arrays:
     """Return what `Touches` is made of, by name, of columns of equal length."""
-    columns: Arrays = {}
-    taxels: list[Array] = []
-    for name, column in table.items():
-        if name in _NAMED or column.dtype.kind not in "biuf":
-            columns[name] = column
-        else:
-            taxels.append(column)
-    if not taxels:
+    named = {n for n, c in table.items() if n in _NAMED or c.dtype.kind not in "biuf"}
+    columns = {name: table[name] for name in named}
+    if not (taxels := [column for name, column in table.items() if name not in named]):
         raise TouchesError(
             f"A table of touches must have columns of taxels, got {', '.join(table)}. "
             "Every row is a touch, every other column of numbers a taxel."
@@ -68,16 +63,10 @@ def csv_arrays(path: Path, shape: tuple[int, int] | None, max_bytes: int) -> Arr
         raise TouchesError(f"{path} must hold a line for each touch, got names alone.")
     table = {}
     for name, cells in zip(names, zip(*rows, strict=True), strict=True):
-        known = [cell for cell in cells if cell]
-        odd = next((cell for cell in known if not _is_number(cell)), None)
-        if odd is not None and (sum(map(_is_number, known)) or not named):
-            line = cells.index(odd) + 1 + named
-            raise TouchesError(
-                f"{path}, line {line}: {name} must be a number as in other lines, got "
-                f"{odd!r}. Correct it, or leave it empty for a dead taxel."
-            )
-        text = odd is not None or name in ("object", "category", "session", "subject")
-        table[name] = np.array(cells) if text else _numbers(cells)
+        numbers = [_is_number(cell) for cell in cells if cell]
+        text = name in _TEXTS or (named and not any(numbers) and bool(numbers))
+        what = f"{path}, {name}"
+        table[name] = np.array(cells) if text else _numbers(cells, what, 1 + named)
     try:
         return table_arrays(table, shape)
     except TouchesError as error:
@@ -87,10 +76,10 @@ def csv_arrays(path: Path, shape: tuple[int, int] | None, max_bytes: int) -> Arr
 def load_levels(path: Path, max_bytes: int) -> Array:
     """Return the array of a `.npy` file, or of a CSV file that is one touch."""
     if path.suffix.lower() == ".csv":
-        cells = [
-            _numbers(line, path, n) for n, line in enumerate(_lines(path, max_bytes))
-        ]
-        return np.stack(cells)
+        lines = _lines(path, max_bytes)
+        return np.stack(
+            [_numbers(line, f"{path}, line {n}", 1) for n, line in enumerate(lines, 1)]
+        )
     try:
         mapped = np.load(path, mmap_mode="r", allow_pickle=False)
         if isinstance(mapped, np.ndarray) and mapped.nbytes <= max_bytes:
@@ -107,18 +96,15 @@ def load_levels(path: Path, max_bytes: int) -> Array:
 def folder_levels(paths: Sequence[Path], max_bytes: int) -> Array:
     """Return one array per file, (n_touches, n_rows, n_cols[, n_channels])."""
     first = load_levels(paths[0], max_bytes)
-    if prod((len(paths), *first.shape)) * first.dtype.itemsize > max_bytes:
-        raise TouchesError(
-            f"{len(paths)} files like {paths[0]} must take at most {max_bytes} bytes. "
-            "Read fewer, or raise max_bytes."
-        )
-    images = [first, *(load_levels(path, max_bytes) for path in paths[1:])]
-    for path, image in zip(paths, images, strict=True):
+    images = [first]
+    for path in paths[1:]:
+        image = load_levels(path, max_bytes - len(images) * first.nbytes)
         if (image.shape, image.dtype) != (first.shape, first.dtype):
             raise TouchesError(
                 f"{path} must be {first.shape} {first.dtype} like {paths[0]}, got "
                 f"{image.shape} {image.dtype}. Convert it, or move it elsewhere."
             )
+        images.append(image)
     return np.stack(images)
 
 
@@ -128,16 +114,13 @@ def _lines(path: Path, max_bytes: int) -> list[list[str]]:
         if path.stat().st_size > max_bytes // 8 * _BYTES_PER_CELL:
             raise ValueError(f"a file of {path.stat().st_size} bytes")
         with path.open(newline="", encoding="utf-8-sig") as file:
-            head = "".join(islice(file, 2))
+            comma = max(",;\t", key=file.readline().count)
             file.seek(0)
-            comma = max(",;\t", key=head.count)
             read = csv.reader(file, delimiter=comma, strict=True)
             numbered = [(read.line_num, list(map(str.strip, row))) for row in read]
     except (OSError, ValueError, csv.Error) as error:
-        raise TouchesError(
-            f"{path} must be a CSV file of numbers in UTF-8, got: {error}. Export it "
-            "again."
-        ) from error
+        what = f"{path} must be a CSV file of numbers in UTF-8"
+        raise TouchesError(f"{what}, got: {error}. Export it again.") from error
     lines = [(number, row) for number, row in numbered if any(row)]
     if not lines:
         raise TouchesError(f"{path} must hold lines of numbers, got none.")
@@ -157,12 +140,12 @@ def _is_number(cell: str) -> bool:
         return not cell
 
 
-def _numbers(cells: Sequence[str], path: Path | None = None, line: int = 0) -> Array:
+def _numbers(cells: Sequence[str], what: str, first: int) -> Array:
     """Return cells as numbers; an empty one is NaN."""
-    odd = next((cell for cell in cells if not _is_number(cell)), None)
-    if odd is not None:
-        raise TouchesError(
-            f"{path}, line {line + 1} must hold numbers, got {odd!r}. Each file is one "
-            "touch; one with a touch a line is read by itself."
-        )
+    for number, cell in enumerate(cells, first):
+        if not _is_number(cell):
+            raise TouchesError(
+                f"{what}, number {number} must be a number as others are, got {cell!r}. "
+                "Correct it, or leave it empty for a dead taxel."
+            )
     return np.array([float(cell or "nan") for cell in cells])
