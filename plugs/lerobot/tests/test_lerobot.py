@@ -1,16 +1,15 @@
 """What lerobot itself reads of an export, and what comes back of its datasets."""
 
-import json
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
-from palpate.library import LibraryError, TouchLibrary, read_bag
+from palpate.library import TouchLibrary, read_bag
 
 torch = pytest.importorskip("torch")
 datasets = pytest.importorskip("lerobot.datasets.lerobot_dataset")
+pytest.importorskip("palpate_lerobot")
 # What lerobot's dependencies warn of is not ours to mend.
 pytestmark = pytest.mark.filterwarnings("default")
 
@@ -175,12 +174,3 @@ def test_a_dataset_that_lerobot_wrote_is_touches(tmp_path, rng, feature):
     assert_allclose(touches.columns["time_s"], [0, 0.1, 0, 0.1], atol=1e-7)
     if "gel" in feature:
         assert_array_equal(read_bag(tmp_path / "other").images, pictures)
-
-
-def test_videos_are_refused_by_name(tmp_path):
-    (tmp_path / "meta").mkdir()
-    film = {"dtype": "video", "shape": [48, 64, 3]}
-    info = {"codebase_version": "v3.0", "features": {"gel": film}, "total_frames": 1}
-    (tmp_path / "meta/info.json").write_text(json.dumps(info))
-    with pytest.raises(LibraryError, match=r"Videos \(gel\) are not read"):
-        read_bag(tmp_path)

@@ -93,17 +93,15 @@ def _page(found: dict[str, Any], maps: dict[str, Any]) -> str:
     title = f"{found['sensor']}: {'well' if found['ok'] else 'look at it'}"
     colour = "#1d7a46" if found["ok"] else "#b3261e"
     watched = f"Watched for {found['seconds']:g} s; in {escape(found['unit'])}."
-    return report_page(
-        title,
-        [
-            f"<h1 style='border-left:.5rem solid {colour};padding-left:.8rem'>"
-            f"{escape(title)}</h1>{lines}<p class=note>{watched}</p>"
-            f"<div class=row>{pictures}</div>"
-            "<h2>Mean level over time, and the drift that does harm</h2>",
-            _curve(found["levels"], found["figures"]["drift_limit"]),
-            html_table("Figures", ["", ""], _figures(found)),
-        ],
+    said = (
+        f"<h1 style='border-left:.5rem solid {colour};padding-left:.8rem'>"
+        f"{escape(title)}</h1>{lines}<p class=note>{watched}</p>"
+        f"<div class=row>{pictures}</div>"
+        "<h2>Mean level over time, and the drift that does harm</h2>"
     )
+    curve = _curve(found["levels"], found["figures"]["drift_limit"])
+    figures = html_table("Figures", ["", ""], _figures(found))
+    return report_page(title, [said, curve, figures])
 
 
 def _figures(found: dict[str, Any]) -> list[list[str]]:

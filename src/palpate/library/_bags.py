@@ -19,6 +19,7 @@ read, is kept with the touches: the bag can be compared with it from then on.
 """
 
 import hashlib
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,6 @@ import numpy as np
 from .._extras import needed
 from .._types import Array
 from ..touches import Touches, TouchesError, decode_bytes
-from ._lerobot import is_lerobot, read_lerobot
 from ._store import LibraryError
 
 MAX_BYTES = 4 * 2**30
@@ -49,31 +49,31 @@ def read_bag(
     object: str | None = None,
     max_bytes: int = MAX_BYTES,
 ) -> Touches:
-    """Read one topic of a ROS 2 bag, or one feature of a LeRobotDataset, as touches.
+    """Read one topic of a ROS 2 bag, or of what packages add, as touches.
 
     Parameters
     ----------
     path : path
-        The bag (a folder, `.mcap` or `.db3`), or the folder of a LeRobotDataset v3.
+        The bag (a folder, `.mcap` or `.db3`); with the package of `plugs/lerobot` the
+        folder of a LeRobotDataset too, whose features are the topics.
     topic : str, optional
-        A topic of images, point clouds or arrays; a feature of images or arrays. May
-        be left out where only one can be read.
+        A topic of images, point clouds or arrays; may be left out where it is the only
+        one.
     object : str, optional
-        What is touched in all of it. Else a LeRobotDataset's feature `object` says it,
-        or its tasks do.
+        What is touched in all of it.
     max_bytes : int, default=4 GiB
         Most memory that the images may take.
 
     Raises
     ------
     ImportError
-        rosbags (or pyarrow) is missing; the message names the extra.
+        rosbags is missing; the message names the extra.
     LibraryError
-        It is no bag or dataset, lacks the topic, or a message is no image; topics are
-        listed.
+        It is no bag, lacks the topic, or a message is no image; topics are listed.
     """
-    if is_lerobot(Path(path)):
-        return read_lerobot(Path(path), topic, object, max_bytes)
+    for plugged in _readers(Path(path)):
+        found: Touches = plugged.read(Path(path), topic, object, max_bytes)
+        return found
     highlevel = needed("rosbags.highlevel", "ros", "Reading ROS 2 bags")
     typesys = needed("rosbags.typesys", "ros", "Reading ROS 2 bags")
     types = typesys.get_typestore(typesys.Stores.LATEST)
@@ -102,8 +102,22 @@ def read_bag(
 
 def is_recording(path: Path) -> bool:
     """Tell whether `read_bag` is for a file or folder, by its name and its files."""
-    told = (path / "metadata.yaml").is_file() or is_lerobot(path)
-    return path.suffix.lower() in (".mcap", ".db3") or told
+    told = path.suffix.lower() in (".mcap", ".db3")
+    return told or (path / "metadata.yaml").is_file() or bool(_readers(path))
+
+
+def _readers(path: Path) -> list[Any]:
+    """Return the modules of installed packages that read what lies there.
+
+    Entry points of the group `palpate.recordings`: modules with `is_dataset(path)` and
+    `read(path, topic, object, max_bytes)`.
+    """
+    plugged = [point.load() for point in entry_points(group="palpate.recordings")]
+    if not plugged and (path / "meta" / "info.json").is_file():
+        raise LibraryError(
+            f"{path} looks like a LeRobotDataset: install what reads it, plugs/lerobot."
+        )
+    return [module for module in plugged if module.is_dataset(path)]
 
 
 def _chosen_topic(reader: Any, topic: str | None) -> str:

@@ -11,7 +11,7 @@ _MAX_PIXELS = 50_000_000
 
 
 def film(path: str | PathLike[str], colour: bool) -> Iterator[Frame]:
-    """Yield the frames of a film, decoded one by one, in grey or red, green and blue."""
+    """Yield the frames of a film one by one, in grey or in red, green and blue."""
     import cv2
 
     place = Path(path)

@@ -145,7 +145,7 @@ def _numbers(cells: Sequence[str], what: str, first: int) -> Array:
     for number, cell in enumerate(cells, first):
         if not _is_number(cell):
             raise TouchesError(
-                f"{what}, number {number} must be a number as others are, got {cell!r}. "
-                "Correct it, or leave it empty for a dead taxel."
+                f"{what}, number {number} must be a number as others are, got "
+                f"{cell!r}. Correct it, or leave it empty for a dead taxel."
             )
     return np.array([float(cell or "nan") for cell in cells])
