@@ -1,6 +1,5 @@
-"""Touches from ROS 2 bags and MCAP files, read without ROS installed.
+"""Touches from ROS 2 bags and MCAP files, without ROS; every message is one touch.
 
-Every message of the chosen topic is one touch:
 
 - `sensor_msgs/msg/Image`, encodings mono8, mono16, 8UC1, 16UC1, 32FC1, rgb8, bgr8,
   rgba8 and bgra8; colour becomes its luma (ITU-R BT.601), rounded.

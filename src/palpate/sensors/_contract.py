@@ -166,9 +166,7 @@ class LiveSensor(ABC):
         if self._thread is not None:
             return self
         if self._blocked is not None and self._blocked.is_alive():
-            raise SensorError(
-                f"{self.name} still waits for its device. Unplug it, or start again."
-            )
+            raise SensorError(f"{self.name} still waits for its device. Unplug it.")
         self._queue.clear()
         self._latest, self.lost = None, ""
         self.n_frames = self.n_dropped = self._number = 0

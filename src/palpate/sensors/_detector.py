@@ -214,13 +214,11 @@ class TouchDetector:
         Parameters
         ----------
         source : path or Touches
-            A film that OpenCV decodes, or a set that holds all frames of a stream (a
-            bag's), with `time_s` where it is known.
+            A film that OpenCV decodes, or all frames of a stream, `time_s` if known.
         colour : bool, default=False
             Read a film in red, green and blue.
         n_rest : int, default=10
-            Frames of touching nothing at the start, taken as baseline where there is
-            none yet.
+            Frames of touching nothing at the start, the baseline if there is none yet.
 
         Returns
         -------

@@ -52,9 +52,8 @@ def sensor_health(
         findings.append(str(error))
     n_touched = sum(detector.update(frame) is not None for frame in frames)
     rest = stack.mean(axis=0, dtype=np.float64)
-    pairs = pairwise(image.astype(np.float64) for image in stack)
     squares = np.zeros(rest.shape)
-    for before, after in pairs:
+    for before, after in pairwise(image.astype(np.float64) for image in stack):
         squares += (after - before) ** 2
     noise = np.sqrt(squares / (len(stack) - 1) / 2)
     typical = float(np.nanmedian(noise))
@@ -63,9 +62,8 @@ def sensor_health(
     by_chance = float(np.nanmean(noise**2)) * (1 / len(parts[0]) + 1 / len(parts[-1]))
     moved = float(np.nanmean((means[-1] - means[0]) ** 2)) - by_chance
     drift, limit = max(moved, 0.0) ** 0.5, detector.end
-    at_top = (
-        np.mean(stack == np.iinfo(stack.dtype).max, axis=0) if whole else np.zeros(1)
-    )
+    most = np.iinfo(stack.dtype).max if whole else np.inf
+    at_top = np.mean(stack == most, axis=0)
     # Where numbers are coarser than the noise, a taxel that stands still may be well.
     fine = typical >= max(detector.step / 2, 1e-300)
     saturated = _places(at_top > 0.5, array)
@@ -77,21 +75,17 @@ def sensor_health(
     lost = 1 - len(frames) / (frames[-1].number - frames[0].number + 1)
     if memory is not None and memory.no_contact.shape == rest.shape:
         findings += filter(None, [baseline_warning(memory, rest)])
-    passed_s = frames[-1].time_s - frames[0].time_s
+    n_s = frames[-1].time_s - frames[0].time_s
     told = {
         f"{_named(saturated)} read the most there is, at rest: saturated.": saturated,
         f"{_named(dead)} never change: dead or unplugged.": dead,
         f"{_named(hot)} are over {_HOT:g} times as noisy as others: hot.": hot,
-        f"Rest drifted by {drift:.3g} in {passed_s:.0f} s, more than the {limit:.3g} "
-        "at which a touch ends: let it warm up, or take the baseline often.": (
-            drift > limit
-        ),
+        f"Rest drifted by {drift:.3g} in {n_s:.0f} s; a touch ends at {limit:.3g}. "
+        "Let it warm up, or take the baseline often.": drift > limit,
         f"Rows share {by_row:.0%} and columns {by_col:.0%} of their noise: crosstalk, "
         "or an unsteady supply.": max(by_row, by_col) > _SHARED,
         f"One frame in 100 comes {late_ms:.0f} ms after the last, usually "
-        f"{usual_ms:.0f}: another program, or the bus, holds it up.": (
-            late_ms > _LATE * usual_ms
-        ),
+        f"{usual_ms:.0f}: something holds it up.": late_ms > _LATE * usual_ms,
         f"{lost:.1%} of the frames are lost.": lost > _LOST,
     }
     if n_touched:  # whatever else there is may come of it

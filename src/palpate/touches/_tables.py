@@ -54,10 +54,8 @@ def csv_arrays(path: Path, shape: tuple[int, int] | None, max_bytes: int) -> Arr
     named = not all(map(_is_number, first))
     names = first if named else [f"taxel {n}" for n in range(len(first))]
     if len(set(names)) < len(names) or not all(names):
-        raise TouchesError(
-            f"{path}: names in the first line must be there and differ, got "
-            f"{', '.join(names[:8])}. Correct the line."
-        )
+        got = ", ".join(names[:8])
+        raise TouchesError(f"{path}: its names must be there and differ, got {got}.")
     rows = lines[named:]
     if not rows:
         raise TouchesError(f"{path} must hold a line for each touch, got names alone.")
@@ -67,10 +65,7 @@ def csv_arrays(path: Path, shape: tuple[int, int] | None, max_bytes: int) -> Arr
         text = name in _TEXTS or (named and not any(numbers) and bool(numbers))
         what = f"{path}, {name}"
         table[name] = np.array(cells) if text else _numbers(cells, what, 1 + named)
-    try:
-        return table_arrays(table, shape)
-    except TouchesError as error:
-        raise TouchesError(f"{path}: {error}") from error
+    return table_arrays(table, shape)
 
 
 def load_levels(path: Path, max_bytes: int) -> Array:

@@ -261,12 +261,8 @@ class Touches(Labelled):
         """Return the touches of a pandas data frame, one a row.
 
         Columns that `Touches` knows by name, or that hold text, are columns; all other
-        numbers are taxels, in their order, `shape` (n_rows, n_cols) of them.
-
-        Raises
-        ------
-        TouchesError
-            There are no taxels, or not `shape` of them.
+        numbers are taxels, in their order, `shape` (n_rows, n_cols) of them or else
+        `TouchesError`.
         """
         table = {str(name): np.asarray(frame[name]) for name in frame.columns}
         for name, column in table.items():
