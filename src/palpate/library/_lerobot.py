@@ -8,8 +8,6 @@ or r, g, b), else an array of float32, NaN where it has gaps. `object`, `categor
 seconds from the first touch of the episode. What belongs to the whole set stands in
 `meta/info.json` under `palpate`, which other readers pass over.
 
-`plugs/lerobot` reads such datasets, this one and others', and finds it out in lerobot.
-
 References
 ----------
 .. [1] LeRobotDataset v3.0, https://huggingface.co/docs/lerobot/lerobot-dataset-v3

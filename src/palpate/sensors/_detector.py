@@ -233,11 +233,10 @@ class TouchDetector:
         SensorError
             The film cannot be read to its end, or holds no touch.
         """
-        frames = (
-            frames_of(source) if isinstance(source, Touches) else film(source, colour)
-        )
-        if self.baseline is None and isinstance(source, Touches):
-            self._set_baseline(source.no_contact)
+        given = source if isinstance(source, Touches) else None
+        frames = film(str(source), colour) if given is None else frames_of(given)
+        if self.baseline is None and given is not None:
+            self._set_baseline(given.no_contact)
         if self.baseline is None:
             self.take_baseline([frame.image for frame in islice(frames, n_rest)])
         found: list[DetectedTouch | None] = []
@@ -253,7 +252,7 @@ class TouchDetector:
                 f"none changed by {self.begin:.3g} for {self._min_frames} frames. Give "
                 "its frame of no contact, or lower `begin`."
             )
-        known = source.channels if isinstance(source, Touches) else None
+        known = None if given is None else given.channels
         return Touches(
             np.stack([touch.image for touch in touches]),
             time_s=np.array([touch.began_s for touch in touches]),

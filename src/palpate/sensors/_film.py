@@ -1,7 +1,6 @@
 """Streams that were recorded: films, and frames that were read as touches."""
 
 from collections.abc import Iterator
-from os import PathLike
 from pathlib import Path
 
 from ..touches import Touches
@@ -10,7 +9,7 @@ from ._contract import Frame, SensorError
 _MAX_PIXELS = 50_000_000
 
 
-def film(path: str | PathLike[str], colour: bool) -> Iterator[Frame]:
+def film(path: str, colour: bool) -> Iterator[Frame]:
     """Yield the frames of a film one by one, in grey or in red, green and blue."""
     import cv2
 
