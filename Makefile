@@ -6,6 +6,7 @@ BENCH_VENV ?= .venv-bench
 OLDEST_VENV ?= .venv-oldest
 BARE_VENV ?= .venv-bare
 DIST_VENV ?= .venv-dist
+LEROBOT_VENV ?= .venv-lerobot
 # The oldest Python that pyproject.toml promises.
 OLDEST_PYTHON ?= python3.11
 BIN := $(VENV)/bin
@@ -14,7 +15,7 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
 PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-all test-oldest test-bare check format fuzz mutants bench dist clean
+.PHONY: demo test test-all test-oldest test-bare check check-lerobot format fuzz mutants bench dist clean
 
 demo: $(VENV)/.demo-installed
 	@$(BIN)/palpate demo $(if $(PALPATE_DATA),--real)
@@ -46,6 +47,18 @@ N ?= 24
 mutants: $(VENV)/.test-installed
 	$(ONE_THREAD) $(BIN)/python benchmarks/mutants.py -n $(N)
 
+# Does lerobot's own package read what is exported? It asks for an older torch than the
+# one this project tests with, so it is installed without its dependencies, then these.
+LEROBOT := lerobot==0.4.4
+LEROBOT_NEEDS := torch==2.13.0 torchvision==0.28.0 "datasets>=4,<5" "av>=15,<16" \
+	"huggingface-hub<0.36" "accelerate<2" "deepdiff<9" "draccus==0.10.0" \
+	"einops<0.9" "gymnasium>=1.1.1" "imageio[ffmpeg]" "jsonlines>=4" \
+	"opencv-python-headless<4.13" "packaging<26" "pandas>=2.2" "rerun-sdk<0.27" \
+	"termcolor<4" pytest
+check-lerobot: $(LEROBOT_VENV)/.installed
+	HF_HUB_OFFLINE=1 $(ONE_THREAD) PYTHONPATH=src:plugs/lerobot \
+		$(LEROBOT_VENV)/bin/python -m pytest -q -p no:cacheprovider plugs/lerobot
+
 check: $(VENV)/.test-installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -68,7 +81,7 @@ dist: $(VENV)/.dev-installed
 	$(ONE_THREAD) $(DIST_VENV)/bin/python -I .ci/check_wheel.py dist/*.whl
 
 clean:
-	rm -rf $(VENV) $(BENCH_VENV) $(OLDEST_VENV) $(BARE_VENV) $(DIST_VENV)
+	rm -rf $(VENV) $(BENCH_VENV) $(OLDEST_VENV) $(BARE_VENV) $(DIST_VENV) $(LEROBOT_VENV)
 	rm -rf .coverage .coverage.* .pytest_cache .mypy_cache .ruff_cache build dist
 
 $(VENV)/bin/python:
@@ -98,6 +111,13 @@ $(OLDEST_VENV)/.installed: pyproject.toml .ci/lower_bounds.py
 $(BARE_VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv --clear $(BARE_VENV)
 	$(BARE_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e . pytest pytest-xdist hypothesis httpx
+	@touch $@
+
+$(LEROBOT_VENV)/.installed: pyproject.toml
+	$(PYTHON) -m venv --clear $(LEROBOT_VENV)
+	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) $(LEROBOT_NEEDS)
+	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) --no-deps $(LEROBOT)
+	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) -e ".[parquet]" -e plugs/lerobot
 	@touch $@
 
 # MKLpy (GPL-3) is a yardstick, never a dependency: it has an environment of its own,

@@ -14,6 +14,7 @@ BRINGS = {
     "camera": {"cv2_enumerate_cameras"},
     "cnn": {"torch"},
     "distributed": {"dask", "distributed"},
+    "frame": {"pandas"},
     "index": {"faiss"},
     "parquet": {"pyarrow"},
     "plot": {"matplotlib"},

@@ -246,3 +246,26 @@ def test_pictures_are_kept_in_colour_where_asked(palpate, tmp_path):
     done = palpate("learn", tmp_path / "lab", "--colour", "-o", tmp_path / "m.palpate")
     assert done.returncode == 1
     assert "--colour must be left out for a library" in done.stderr
+
+
+def test_films_and_tables_become_touches(palpate, tmp_path):
+    """A film by the detector, a CSV file by its lines; both with a name."""
+    cv2 = pytest.importorskip("cv2")
+    film = tmp_path / "press.avi"
+    out = cv2.VideoWriter(str(film), cv2.VideoWriter_fourcc(*"FFV1"), 20, (64, 48))
+    still = np.full((48, 64, 3), 90, np.uint8)
+    pressed = still.copy()
+    pressed[10:30, 20:40] = 190
+    for frame in [still] * 12 + [pressed] * 5 + [still] * 5:
+        out.write(frame)
+    out.release()
+    lab = tmp_path / "lab"
+    done = palpate("library", "add", lab, film, "--object", "knob", "--begin", "5")
+    assert "1 of 1 touches are new" in done.stdout, done.stderr
+    (tmp_path / "t.csv").write_text("object,a,b,c,d\npen,1,2,3,4\ncup,5,6,7,8\n")
+    done = palpate("library", "add", lab, tmp_path / "t.csv", "--shape", "2x2")
+    assert "2 of 2 touches are new; 3 in" in done.stdout, done.stderr
+    odd = palpate("library", "add", lab, tmp_path / "t.csv", "--shape", "two")
+    assert "--shape must be rows x columns such as 16x16, got 'two'" in odd.stderr
+    refused = palpate("library", "add", lab, film, "--where", "object = mug")
+    assert "--where must be left out for a film" in refused.stderr

@@ -115,6 +115,47 @@ def test_frames_without_times_count_touches(tmp_path, rng):
     assert "observation.force_n" not in frames
 
 
+@pytest.mark.parametrize("name", ["t.npz", "t.parquet", "robot"])
+def test_exports_agree_on_touches_without_a_label(library, tmp_path, rng, name):
+    """All or none: with none there is no column, with some it is refused."""
+    bare = library.touches().without("object").with_columns(session=["c"] * 7)
+    library.add(bare)
+    with pytest.raises(LibraryError, match="all touches must have an object or none"):
+        library.export(tmp_path / name)
+    assert not (tmp_path / name).exists()
+    assert library.export(tmp_path / name, "object is null") == 7
+    if name == "t.npz":
+        columns = set(Touches.load(tmp_path / name).columns)
+    else:
+        [file] = (
+            tmp_path.glob("robot/data/*/*") if name == "robot" else [tmp_path / name]
+        )
+        columns = set(pq.read_schema(file).names)
+    assert "object" not in columns
+    assert "session" in columns
+
+
+def test_columns_of_some_touches_are_columns_of_all(library, tmp_path):
+    """An episode without forces stands beside those with them; nothing is NaN."""
+    some = library.touches("object = cup")
+    library.add(some.without("force_n", "time_s").with_columns(session=["d"] * 3))
+    assert library.export(tmp_path / "robot") == 10
+    frames = pq.read_table(tmp_path / "robot/data").to_pydict()
+    assert np.isnan(frames["observation.force_n"]).sum() == 3
+    unknown = np.isnan(frames["time_s"])
+    assert np.array(frames["timestamp"])[unknown].tolist() == [0, 1, 2]
+    assert library.export(tmp_path / "t.parquet") == 10
+    forces = pq.read_table(tmp_path / "t.parquet")["force_n"].to_pylist()
+    assert np.isnan(forces).sum() == 3
+
+
+def test_what_reads_a_dataset_is_named(library, tmp_path, monkeypatch):
+    library.export(tmp_path / "robot")
+    monkeypatch.setattr("palpate.library._bags.entry_points", lambda group: [])
+    with pytest.raises(LibraryError, match="install what reads it, plugs/lerobot"):
+        read_bag(tmp_path / "robot")
+
+
 def test_other_endings_are_refused(library, tmp_path):
     with pytest.raises(LibraryError, match=r"got 't\.csv'"):
         library.export(tmp_path / "t.csv")
@@ -277,10 +318,76 @@ def test_arrays_of_a_bag_are_touches(bag, sizes, shape):
     assert touches.columns["time_s"].tolist() == [0, 1]
 
 
+def _cloud(values, names=("x", "y", "z", "force"), row_pad=0):
+    """Points whose last field is a float32 reading after those of their place."""
+    types = STORE.types
+    n_rows, n_cols = values.shape
+    fields = [
+        types["sensor_msgs/msg/PointField"](name, 4 * i, 7, 1)
+        for i, name in enumerate(names)
+    ]
+    step = 4 * len(names)
+    points = np.zeros((n_rows, n_cols, len(names)), "<f4")
+    points[..., -1] = values
+    rows = np.pad(points.reshape(n_rows, -1).view(np.uint8), ((0, 0), (0, row_pad)))
+    size = (False, step, n_cols * step + row_pad)
+    header = _image(np.zeros((1, 1), np.uint8), "mono8").header
+    kind = types["sensor_msgs/msg/PointCloud2"]
+    return kind(header, n_rows, n_cols, fields, *size, rows.ravel(), True)
+
+
+@pytest.mark.parametrize("row_pad", [0, 6])
+def test_points_of_a_cloud_are_taxels(bag, rng, row_pad):
+    values = rng.normal(size=(3, 4)).astype(np.float32)
+    touches = read_bag(bag(_cloud(values, row_pad=row_pad)))
+    assert_array_equal(touches.images, values[None])
+    named = _cloud(values, ("x", "y", "z", "ring", "intensity"))
+    assert_array_equal(read_bag(bag(named)).images, values[None])
+    with pytest.raises(LibraryError, match=r"one reading a point .* fields ring, time"):
+        read_bag(bag(_cloud(values, ("x", "y", "z", "ring", "time"))))
+    short = _cloud(values)
+    short.width = 1000
+    with pytest.raises(
+        LibraryError, match="3 rows of 1000 points of 16 bytes, got 192"
+    ):
+        read_bag(bag(short))
+
+
+def test_compressed_pictures_are_touches(bag, rng):
+    import cv2
+
+    image = rng.integers(0, 256, (5, 4), dtype=np.uint8)
+    kind = STORE.types["sensor_msgs/msg/CompressedImage"]
+    header = _image(image, "mono8").header
+    data = cv2.imencode(".png", image)[1].ravel()
+    assert_array_equal(read_bag(bag(kind(header, "png", data))).images, image[None])
+    with pytest.raises(
+        LibraryError, match="message 0 of /pad: A picture must be a JPEG"
+    ):
+        read_bag(bag(kind(header, "png", data[:-20])))
+
+
+def test_topics_are_listed_where_none_is_named(tmp_path):
+    image = _image(np.zeros((2, 2), np.uint8), "mono8")
+    array = _array(np.zeros(4), (2, 2))
+    word = STORE.types["std_msgs/msg/String"]("hello")
+    with rosbag2.Writer(tmp_path / "bag", version=9) as writer:
+        for topic, message in (("/gel", image), ("/pad", array), ("/say", word)):
+            kind = message.__msgtype__
+            connection = writer.add_connection(topic, kind, typestore=STORE)
+            writer.write(connection, 0, STORE.serialize_cdr(message, kind))
+    listed = r"/gel of sensor_msgs/msg/Image, /pad of .*, /say of std_msgs/msg/String"
+    with pytest.raises(LibraryError, match=rf"\({listed}\), got None"):
+        read_bag(tmp_path / "bag")
+    assert len(read_bag(tmp_path / "bag", "/gel")) == 1
+    with pytest.raises(LibraryError, match=r"must be .*, got std_msgs/msg/String"):
+        read_bag(tmp_path / "bag", "/say")
+
+
 def test_what_is_no_touch_is_refused(bag, tmp_path):
     good = _image(np.zeros((2, 2), np.uint8), "mono8")
-    with pytest.raises(LibraryError, match=r"bag \(/pad of .*Image\), got '/p'"):
-        read_bag(bag(good), "/p")
+    with pytest.raises(LibraryError, match=r"bag \(/pad of .*Image\), got '/other'"):
+        read_bag(bag(good), "/other")
     with pytest.raises(LibraryError, match="encoded as mono8"):
         read_bag(bag(_image(np.zeros((2, 2), np.uint8), "bayer_rggb8")), "/pad")
     short = _image(np.zeros((2, 2), np.uint8), "mono8")

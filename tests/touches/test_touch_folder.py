@@ -94,7 +94,7 @@ def test_missing_and_empty_folders(put, tmp_path):
     (root / "b.npz").write_bytes(b"x")
     with pytest.raises(TouchesError, match=r"got 2 files of .bmp, .npz.*one by one"):
         Touches.load(root)
-    with pytest.raises(TouchesError, match="JPEG or PNG picture, or a folder"):
+    with pytest.raises(TouchesError, match=r"of .jpg, .jpeg, .png, .csv, .npy"):
         Touches.load(root / "a.bmp")
 
 

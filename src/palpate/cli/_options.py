@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ..library import Selection, TouchLibrary
     from ..touches import Touches
 
+_NOT_OF_STREAMS = ("where", "name_pattern", "levels", "shape")
 MOST_SEED = 2**32 - 1
 CONNECT_S = 20.0
 
@@ -79,7 +80,9 @@ def _no_markup(text: str) -> str:
 TouchesPath = Annotated[
     Path,
     argument(
-        "TOUCHES", "A touch archive (.npz), a folder of JPEG/PNG images, or a library."
+        "TOUCHES",
+        "An archive (.npz), a folder of images, a library, a CSV or .npy file, a film, "
+        "a ROS 2 bag or a LeRobotDataset.",
     ),
 ]
 ModelPath = Annotated[Path, argument("MODEL", "A model file (.palpate).")]
@@ -183,13 +186,20 @@ class Reading:
     levels: Levels = None
     no_contact: NoContact = None
     colour: Colour = None
+    shape: Annotated[
+        str | None, option("Of a CSV file: rows x columns of its taxels, 16x16.")
+    ] = None
+    begin: Annotated[
+        float | None,
+        option("Of a film: the change at which a touch begins. Default: 6 noises."),
+    ] = None
     max_megapixels: Annotated[float, option("Larger pictures are refused unread.")] = 50
 
-    def touches(self, path: Path) -> "Touches":
-        """Read touches, all of them at once."""
+    def touches(self, path: Path, topic: str | None = None) -> "Touches":
+        """Read touches, all of them at once; `topic` is for bags."""
         opened = self._library(path)
         if opened is None:
-            return self._recording(path)
+            return self._recording(path, topic)
         with opened as library:
             library.refuse_unknown(self.where)
             return library.touches(self.where)
@@ -225,9 +235,23 @@ class Reading:
                     f"{option} must be left out {where}, got {str(value)!r}. {fix}"
                 )
 
-    def _recording(self, path: Path) -> "Touches":
-        from ..touches import Touches
+    def _recording(self, path: Path, topic: str | None = None) -> "Touches":
+        from ..library import is_recording, read_bag
+        from ..touches import FILMS, Touches
 
+        fix = "All of it is read; choose in a library with --where."
+        if topic is not None or is_recording(path):
+            where = "for a bag" if topic is None else "with --topic"
+            self.refuse(where, fix, *_NOT_OF_STREAMS, "no_contact", "colour")
+            return read_bag(path, topic)
+        if path.suffix.lower() in FILMS:
+            from ..sensors import TouchDetector
+
+            self.refuse("for a film", fix, *_NOT_OF_STREAMS)
+            rest, in_colour = self.no_contact, bool(self.colour)
+            still = Touches.load(rest, colour=in_colour).images[0] if rest else None
+            detector = TouchDetector(still, begin=self.begin)
+            return detector.touches_in(path, colour=in_colour)
         if self.where is not None:
             raise ValueError(
                 f"--where must be given with a library of touches, got {self.where!r} "
@@ -242,8 +266,17 @@ class Reading:
             name_pattern=named,
             no_contact=self.no_contact,
             colour=bool(self.colour),
+            shape=None if self.shape is None else sides(self.shape),
             max_pixels=int(self.max_megapixels * 1e6),
         )
+
+
+def sides(text: str) -> tuple[int, int]:
+    """Return rows and columns that were given as 16x16."""
+    found = re.fullmatch(r"(\d{1,5})[xX×](\d{1,5})", text.strip())
+    if found is None:
+        raise ValueError(f"--shape must be rows x columns such as 16x16, got {text!r}.")
+    return int(found[1]), int(found[2])
 
 
 def levels_pattern(levels: str) -> str:

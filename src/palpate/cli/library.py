@@ -33,32 +33,36 @@ def add(
     kind: Annotated[str | None, option("Kind of sensor: camera, array...")] = None,
     unit: Annotated[str | None, option("Unit of the images, such as kPa.")] = None,
     pitch_mm: Annotated[float | None, option("Distance of taxels in mm.")] = None,
-    topic: Annotated[str | None, option("Topic of a bag (ROS 2, MCAP).")] = None,
-    object_name: Annotated[
-        str | None, option("--object", "Of a bag: what is touched in all of it.")
+    topic: Annotated[
+        str | None,
+        option("Of a bag: the topic to read; of a LeRobotDataset: the feature."),
     ] = None,
+    object_name: Annotated[
+        str | None, option("--object", "What is touched in all of it.")
+    ] = None,
+    detect: Annotated[
+        bool,
+        option(
+            "--detect",
+            "Of a bag: frames become touches where contact begins and ends, as those "
+            "of a film always do. The first ten are taken for touching nothing.",
+        ),
+    ] = False,
     reading: Reading,
     as_json: AsJson = False,
 ) -> None:
     """Add touches; LIBRARY is made where there is none. Adding twice adds once."""
-    from ..library import SensorDescription, read_bag
+    from ..library import SensorDescription
 
     if sensor is None and (kind, unit, pitch_mm) != (None, None, None):
         raise ValueError("--kind, --unit and --pitch-mm must come with --sensor NAME.")
-    in_folder = (touches / "metadata.yaml").is_file()
-    if topic is None and not in_folder and touches.suffix not in (".mcap", ".db3"):
-        if object_name is not None:
-            raise ValueError("--object must come with a bag and --topic.")
-        found = reading.touches(touches)
-    else:
-        fix = (
-            "All messages of a bag's topic are read; choose afterwards with "
-            "`palpate library retract`."
-        )
-        reading.refuse(
-            "with --topic", fix, "where", "name_pattern", "no_contact", "colour"
-        )
-        found = read_bag(touches, topic or "", object=object_name)
+    found = reading.touches(touches, topic)
+    if detect:
+        from ..sensors import TouchDetector
+
+        found = TouchDetector().touches_in(found)
+    if object_name is not None:
+        found = found.with_columns(object=[object_name] * len(found))
     described = sensor and SensorDescription(sensor, kind, unit, pitch_mm)
     with _opened(folder, create=True) as opened:
         before = opened.stats()

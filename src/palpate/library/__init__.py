@@ -5,8 +5,10 @@ plain `.npy` files for their images.
 """
 
 from ._adding import SensorDescription, TouchRow
+from ._bags import frame_of_message as frame_of_message
+from ._bags import is_recording as is_recording
+from ._bags import read_bag
 from ._checking import CheckReport, check_library
-from ._exchange import read_bag
 from ._library import TouchLibrary
 from ._reading import Selection
 from ._repairing import RepairReport, repair_library

@@ -24,6 +24,7 @@ from ._detector import gain_warning as gain_warning
 from ._framing import BinaryFraming, LineFraming
 from ._framing import write_binary as write_binary
 from ._framing import write_line as write_line
+from ._health import sensor_health as sensor_health
 from ._played import ReplaySensor
 from ._played import SimulatedStream as SimulatedStream
 from ._serial import SerialArraySensor

@@ -4,10 +4,17 @@
 `replay:FOLDER?hold=4` and `sim:mug` are addresses. Options are `NAME=VALUE`, joined by
 `&`; in a value `%26` is `&` and any other byte may be written so too. A name is taken
 as it is written, but for `%3F`, which is a `?` in it.
+
+Other kinds are drivers that installed packages name as entry points of the group
+`palpate.sensors`: callables `(place, **options)` that return a `LiveSensor`. Their
+keyword-only parameters of the types `int`, `float`, `bool`, `str` and `tuple[int, int]`
+are the options of an address.
 """
 
+import inspect
 import re
 from collections.abc import Callable
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 from urllib.parse import unquote
@@ -87,6 +94,15 @@ _OPTIONS: dict[str, dict[str, _Option]] = {
     },
     "sim": {**_DESK, "seed": _Option("random_state", int, "a whole number")},
 }
+_GROUP = "palpate.sensors"
+_YES_NO = {"1": True, "0": False, "yes": True, "no": False}
+_READ: dict[str, tuple[Callable[[str], Any], str]] = {
+    "int": (int, "a whole number"),
+    "float": (float, "a number"),
+    "str": (str, "a text"),
+    "tuple[int, int]": (_shape, "rows x columns such as 16x16"),
+    "bool": (_YES_NO.__getitem__, "yes or no"),
+}
 _NAMES = {o.keyword: n for known in _OPTIONS.values() for n, o in known.items()}
 
 
@@ -118,15 +134,18 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
     """
     base, _, written = address.partition("?")
     kind, _, place = base.partition(":")
-    if not place or kind not in _OPTIONS:
+    driver = None if kind in _OPTIONS else _driver(kind)
+    if not place or (kind not in _OPTIONS and driver is None):
+        others = sorted({plugged.name for plugged in entry_points(group=_GROUP)})
+        more = f" (or {', '.join(others)} of packages installed)" if others else ""
         raise AddressError(
-            "sensor must be camera:NAME, serial:PORT, replay:PATH or sim:OBJECT, "
-            f"got {address!r}."
+            "sensor must be camera:NAME, serial:PORT, replay:PATH or sim:OBJECT"
+            f"{more}, got {address!r}."
         )
     given: dict[str, Any] = {}
     for part in filter(None, written.split("&")):
         name, _, text = part.partition("=")
-        option = _OPTIONS[kind].get(name)
+        option = _options(kind).get(name)
         if option is None:
             _refuse(address, kind, f"{name!r} is no option")
         if option.keyword in given:
@@ -135,7 +154,44 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
     for keyword, value in options.items():
         if value is not None:
             given[keyword] = _agreed(address, kind, given, keyword, value)
-    return _made(kind, re.sub("%3f", "?", place, flags=re.IGNORECASE), given)
+    place = re.sub("%3f", "?", place, flags=re.IGNORECASE)
+    if driver is None:
+        return _made(kind, place, given)
+    sensor = driver(place, **given)
+    if not isinstance(sensor, LiveSensor):
+        raise AddressError(
+            f"The driver of {kind} sensors must return a LiveSensor, got "
+            f"{type(sensor).__name__}. Ask its author; check_sensor tells."
+        )
+    return sensor
+
+
+def _driver(kind: str) -> Callable[..., Any] | None:
+    """Return the driver that a package has for a kind of sensor, None without one."""
+    for plugged in entry_points(group=_GROUP, name=kind):
+        try:
+            driver: Callable[..., Any] = plugged.load()
+        except Exception as error:  # somebody else's module, which may fail in any way
+            raise AddressError(
+                f"The driver of {kind} sensors, {plugged.value}, cannot be loaded: "
+                f"{error!r}. Install its package anew."
+            ) from error
+        return driver
+    return None
+
+
+def _options(kind: str) -> dict[str, _Option]:
+    """Return the options of a kind of sensor; a driver's are its own parameters."""
+    if kind in _OPTIONS:
+        return _OPTIONS[kind]
+    found = {}
+    for name, parameter in inspect.signature(_driver(kind) or dict).parameters.items():
+        told = parameter.annotation
+        written = told if isinstance(told, str) else inspect.formatannotation(told)
+        read = _READ.get(written.removesuffix(" | None"))
+        if read is not None and parameter.kind is inspect.Parameter.KEYWORD_ONLY:
+            found[_NAMES.get(name, name)] = _Option(name, *read)
+    return found
 
 
 def desk_of(sensor: object) -> PlayedSensor | None:
@@ -148,9 +204,11 @@ def _agreed(
 ) -> Any:
     """Return the value of an option that the address may give as well."""
     name = _NAMES.get(keyword)
+    if name is None and kind not in _OPTIONS:
+        name = keyword
     if name is None:  # not for addresses; the sensor itself knows or refuses it
         return value
-    if name not in _OPTIONS[kind]:
+    if name not in _options(kind):
         raise AddressError(f"--{name} says nothing to a {kind} sensor.")
     if isinstance(value, str):
         value = _read(address, kind, name, value)
@@ -165,7 +223,7 @@ def _agreed(
 
 
 def _read(address: str, kind: str, name: str, text: str) -> Any:
-    option = _OPTIONS[kind][name]
+    option = _options(kind)[name]
     try:
         if not text:
             raise ValueError
@@ -175,7 +233,7 @@ def _read(address: str, kind: str, name: str, text: str) -> Any:
 
 
 def _refuse(address: str, kind: str, problem: str) -> NoReturn:
-    names = ", ".join(_OPTIONS[kind])
+    names = ", ".join(_options(kind)) or "none"
     raise AddressError(f"{problem} for {address!r}. Options of {kind} are {names}.")
 
 

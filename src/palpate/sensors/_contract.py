@@ -293,8 +293,10 @@ class LiveSensor(ABC):
         kept = np.ascontiguousarray(image, dtype=self.dtype)
         if kept.shape != self.image_shape:
             self._count_missed(1)
+            self.lost = f"its frames are {kept.shape}, it promised {self.image_shape}"
             return
         kept.flags.writeable = False
+        self.lost = ""
         with self._arrived:
             self._latest = Frame(kept, taken_s, self._number)
             self._number += 1
@@ -368,6 +370,9 @@ def check_sensor(sensor: LiveSensor, *, n_frames: int = 10) -> None:
     finally:
         sensor.disconnect()
     _say(not sensor.connected, "connected must be False after disconnect()")
+    running = [thread.name for thread in threading.enumerate()]
+    stopped = f"palpate {sensor.name}" not in running
+    _say(stopped, "_grab() must return at least every half second")
     sensor.disconnect()
     _refuses_frames(sensor, "after disconnect()")
     with sensor as again:

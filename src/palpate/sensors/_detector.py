@@ -14,6 +14,8 @@ kept in a model file.
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
+from os import PathLike
 from typing import Any, Self
 
 import numpy as np
@@ -21,7 +23,9 @@ from scipy import ndimage
 
 from .._checks import ARRAY_SIDE, check_count, check_option, check_positive, size_said
 from .._types import Array, Floats
-from ._contract import Frame, as_kind
+from ..touches import Touches
+from ._contract import Frame, SensorError, as_kind, channels_of
+from ._film import film, frames_of
 
 SUMMARIES = ("peak", "mean")
 # Limits in units of the noise, and never below so many of the numbers' steps.
@@ -197,6 +201,66 @@ class TouchDetector:
         if abs(self.change - self._calm_change) > max(3 * self.noise, self.end):
             self._calm_since_s, self._calm_change = frame.time_s, self.change
         return None
+
+    def touches_in(
+        self,
+        source: Touches | str | PathLike[str],
+        *,
+        colour: bool = False,
+        n_rest: int = 10,
+    ) -> Touches:
+        """Return the touches in a film, or in frames that were read as touches.
+
+        Parameters
+        ----------
+        source : path or Touches
+            A film that OpenCV decodes, or all frames of a stream, `time_s` if known.
+        colour : bool, default=False
+            Read a film in red, green and blue.
+        n_rest : int, default=10
+            Frames of touching nothing at the start, the baseline if there is none yet.
+
+        Returns
+        -------
+        Touches
+            With `time_s` (the beginning), `duration_s` and the baseline as
+            `no_contact`; a touch that outlasts the stream is one too.
+
+        Raises
+        ------
+        ContactError
+            Something touches, or moves, in the first `n_rest` frames.
+        SensorError
+            The film cannot be read to its end, or holds no touch.
+        """
+        given = source if isinstance(source, Touches) else None
+        frames = film(str(source), colour) if given is None else frames_of(given)
+        if self.baseline is None and given is not None:
+            self._set_baseline(given.no_contact)
+        if self.baseline is None:
+            self.take_baseline([frame.image for frame in islice(frames, n_rest)])
+        found: list[DetectedTouch | None] = []
+        last: Frame | None = None
+        for last in frames:
+            found.append(self.update(last))
+        if last is not None and self.touching:
+            found.append(self._ended(last.time_s))
+        touches = [touch for touch in found if touch is not None]
+        if not touches:
+            raise SensorError(
+                f"The stream must hold a touch, got {len(found)} frames without one: "
+                f"none changed by {self.begin:.3g} for {self._min_frames} frames. Give "
+                "its frame of no contact, or lower `begin`."
+            )
+        known = None if given is None else given.channels
+        return Touches(
+            np.stack([touch.image for touch in touches]),
+            time_s=np.array([touch.began_s for touch in touches]),
+            duration_s=np.array([t.ended_s - t.began_s for t in touches]),
+            order=np.arange(len(touches)),
+            no_contact=self.baseline,
+            channels=known or channels_of(touches[0].image.shape),
+        )
 
     def baseline_offer(self, now_s: float) -> str:
         """Return why the baseline should be taken again, or nothing.

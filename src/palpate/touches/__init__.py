@@ -10,9 +10,11 @@ from ._columns import GEOMETRIES as GEOMETRIES
 from ._columns import TouchesError
 from ._html import as_shown as as_shown
 from ._html import png_address as png_address
+from ._pictures import FILMS as FILMS
 from ._pictures import RGB as RGB
 from ._pictures import decode_bytes
 from ._pictures import n_cores as n_cores
+from ._pictures import png_bytes as png_bytes
 from ._touches import Episode, Touches, TouchSource, read_folder
 from ._touches import Labelled as Labelled
 

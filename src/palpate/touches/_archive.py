@@ -135,6 +135,13 @@ def _inflated(archive: zipfile.ZipFile, max_bytes: int) -> Arrays:
         )
     members = [_described(archive, info) for info in infos]
     arrays = {one.info.filename.removesuffix(".npy"): one for one in members}
+    wide = [name for name, one in arrays.items() if len(one.shape) in (3, 4)]
+    if "images" not in arrays and len(wide) == 1:  # plain arrays that others wrote
+        arrays["images"] = arrays.pop(wide[0])
+        if (
+            labels := {"label", "labels", "y"} & set(arrays)
+        ) and "object" not in arrays:
+            arrays["object"] = arrays.pop(min(labels))
     if "images" not in arrays:
         held = ", ".join(map(str, members)) or "nothing"
         raise TouchesError(

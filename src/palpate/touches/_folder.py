@@ -20,8 +20,9 @@ from ._pictures import (
     picture_header,
     refusal,
 )
+from ._tables import TABLES, folder_levels
 
-ENDINGS = (".jpg", ".jpeg", ".png")
+PICTURES = (".jpg", ".jpeg", ".png")
 _TEXT_GROUPS = ("object", "category", "session")
 _POSITIONS = {"position_raw": ("x", "y", "z"), "position_mm": ("x_mm", "y_mm", "z_mm")}
 _NEEDED = ("object", "category", "session", "order", "n", *sum(_POSITIONS.values(), ()))
@@ -53,6 +54,13 @@ def folder_arrays(
     except TouchesError as error:
         raise TouchesError(f"{root}: {error}") from error
     paths = [root / name for name in names]
+    if paths[0].suffix.lower() in TABLES:
+        if colour or no_contact is not None:
+            raise TouchesError(
+                f"colour and no_contact must be left out for arrays, as in {root}."
+            )
+        images = folder_levels(paths, max_bytes)
+        return {"images": images, **columns, "source_path": np.array(names)}
     header = common_header(paths, max_pixels=max_pixels, colour=colour)
     whole: Arrays = {"channels": np.array(RGB)} if colour else {}
     if no_contact is not None:
@@ -97,7 +105,7 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
         )
     try:
         found = _files(root)
-        pictures = [name for name in found if Path(name).suffix.lower() in ENDINGS]
+        pictures = _of_kinds(found, PICTURES) or _of_kinds(found, TABLES)
         if no_contact and root.resolve() in no_contact.resolve(strict=True).parents:
             pictures = [n for n in pictures if not no_contact.samefile(root / n)]
     except OSError as error:
@@ -107,10 +115,15 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
         got = f"{len(found)} files of {', '.join(kinds[:5])}" if found else "no files"
         hint = " Archives are loaded one by one." if ".npz" in kinds else ""
         raise TouchesError(
-            f"{root} must hold pictures ending in {', '.join(ENDINGS)}, got {got}. "
+            f"{root} must hold pictures ending in {', '.join(PICTURES)}, or "
+            f"{' or '.join(TABLES)} files, got {got}. "
             f"Convert them, or give another folder.{hint}"
         )
     return sorted(pictures, key=_natural_order)
+
+
+def _of_kinds(names: Sequence[str], endings: tuple[str, ...]) -> list[str]:
+    return [name for name in names if Path(name).suffix.lower() in endings]
 
 
 def _files(root: Path) -> list[str]:

@@ -46,6 +46,7 @@ _END_OF_IMAGE = b"\xff\xd9"
 _ALPHA = (4, 6)
 _GREY = (0, 4)
 RGB = ("r", "g", "b")
+FILMS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")  # palpate.sensors reads them
 _CUT_SHORT = "a file that is cut short"
 # Room for comments, colour profiles and previews beside the pixels themselves.
 _MORE_BYTES = 32 * 2**20
@@ -121,6 +122,14 @@ def decode_bytes(
         return _levels(data, header)
     except PictureError as error:
         raise TouchesError(f"A picture must be a JPEG or PNG, got {error}.") from error
+
+
+def png_bytes(levels: Array) -> bytes:
+    """Return levels, (n_rows, n_cols[, 3]) of 8 or 16 bits, as a PNG."""
+    import cv2
+
+    ordered = levels[..., ::-1] if levels.ndim == 3 else levels
+    return bytes(cv2.imencode(".png", ordered)[1])
 
 
 def common_header(paths: Sequence[Path], *, max_pixels: int, colour: bool) -> Header:

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._extras import needed
 from .._types import Array, Floats
 from ._archive import read_archive, write_archive
 from ._columns import (
@@ -34,7 +35,8 @@ from ._columns import (
     plain_array,
     sorted_out,
 )
-from ._folder import ENDINGS, folder_arrays, no_contact_picture
+from ._folder import PICTURES, folder_arrays, no_contact_picture
+from ._tables import TABLES, csv_arrays, load_levels, table_arrays
 
 MAX_PIXELS = 50_000_000
 MAX_BYTES = 4 * 2**30
@@ -176,23 +178,28 @@ class Touches(Labelled):
         name_pattern: str | None = None,
         no_contact: str | PathLike[str] | None = None,
         colour: bool = False,
+        shape: tuple[int, int] | None = None,
         max_pixels: int = MAX_PIXELS,
         max_bytes: int = MAX_BYTES,
         progress: bool | None = None,
     ) -> Self:
-        """Read a touch archive (`.npz`), a folder of pictures, or one picture.
+        """Read a touch archive, a folder, a picture, an array or a table.
 
         Parameters
         ----------
         path : path
-            The archive or the folder.
+            An archive (`.npz`; of plain arrays too, if one alone can be the images), a
+            folder of pictures, of `.npy` or of CSV files, one touch each; a picture; an
+            array (`.npy`), one touch if it has two axes; a CSV file, one touch a line.
         name_pattern : str, optional
             For folders: see `read_folder`.
         no_contact : path, optional
             Picture of the sensor touching nothing; it takes the place of one in
             the archive, and is no touch when it lies in the folder.
         colour : bool, default=False
-            For folders: see `read_folder`.
+            For pictures: see `read_folder`.
+        shape : (int, int), optional
+            Of a CSV file, the rows and columns of its taxels.
         max_pixels, max_bytes, progress
             As for `read_folder`; `max_bytes` counts for archives too, before anything
             is inflated.
@@ -203,15 +210,24 @@ class Touches(Labelled):
             The file or folder cannot be read as touches; it names the file and fix.
         """
         place = Path(path)
-        if place.is_dir() or (place.suffix.lower() in ENDINGS and place.is_file()):
+        ending = place.suffix.lower()
+        if place.is_dir() or (ending in PICTURES and place.is_file()):
             limits = (max_pixels, max_bytes, progress)
             how = (name_pattern, no_contact, colour)
             return cls(**folder_arrays(place, *how, *limits))
-        if place.suffix.lower() != ".npz":
+        if ending in TABLES and place.is_file() and name_pattern is None and not colour:
+            if ending == ".csv":
+                read = cls(**csv_arrays(place, shape, max_bytes))
+            else:
+                levels = load_levels(place, max_bytes)
+                read = cls(levels[None] if levels.ndim == 2 else levels)
+            return read._with_rest(no_contact, max_pixels)
+        if ending != ".npz":
             got = "another kind of file" if place.exists() else "nothing there"
+            kinds = ", ".join((*PICTURES, *TABLES))
             raise TouchesError(
-                f"{place} must be a touch archive (.npz), a JPEG or PNG picture, or a "
-                f"folder of pictures, got {got}. Check the path."
+                f"{place} must be a touch archive (.npz), a folder, or one of {kinds} "
+                f"without options for others, got {got}. Check the path."
             )
         if name_pattern is not None:
             raise TouchesError(
@@ -224,11 +240,43 @@ class Touches(Labelled):
                 "Archives carry the names of their channels."
             )
         touches = cls._of(*read_archive(place, max_bytes))
+        return touches._with_rest(no_contact, max_pixels)
+
+    def _with_rest(
+        self, no_contact: str | PathLike[str] | None, max_pixels: int
+    ) -> Self:
         if no_contact is None:
-            return touches
-        like = touches.images, touches.channels
+            return self
+        like = self.images, self.channels
         image = no_contact_picture(Path(no_contact), *like, max_pixels)
-        return touches.with_columns(no_contact=image)
+        return self.with_columns(no_contact=image)
+
+    @classmethod
+    def from_frame(cls, frame: Any, shape: tuple[int, int] | None = None) -> Self:
+        """Return the touches of a pandas data frame, one a row.
+
+        Columns that `Touches` knows by name, or that hold text, are columns; all other
+        numbers are taxels, in their order, `shape` (n_rows, n_cols) of them or else
+        `TouchesError`.
+        """
+        table = {str(name): np.asarray(frame[name]) for name in frame.columns}
+        for name, column in table.items():
+            if column.dtype.kind == "O":  # texts; what else there is is refused by name
+                table[name] = np.asarray(column.tolist())
+        return cls(**table_arrays(table, shape))
+
+    def to_frame(self) -> Any:
+        """Return the columns as a pandas data frame, one row per touch.
+
+        Of a column with several values a touch each has a name with its number.
+        """
+        pandas = needed("pandas", "frame", "A data frame")
+        flat: Arrays = {}
+        for name, column in self._columns.items():
+            parts = column.reshape(len(self), -1).T
+            numbered = [f"{name}_{n}" for n in range(len(parts))]
+            flat |= zip(numbered if column.ndim > 1 else [name], parts, strict=True)
+        return pandas.DataFrame(flat)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write a touch archive (`.npz`): all of it or nothing.

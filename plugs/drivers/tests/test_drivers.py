@@ -1,0 +1,277 @@
+"""Drivers, on recorded bytes and cameras that are played; entry points; what lies."""
+
+import importlib.metadata
+import socket
+import threading
+import time
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from palpate import sensors
+from palpate.sensors import SensorError, check_sensor, open_sensor
+
+cv2 = pytest.importorskip("cv2")
+cameras = pytest.importorskip("palpate_drivers.cameras")
+network = pytest.importorskip("palpate_drivers.network")
+serials = pytest.importorskip("palpate_drivers.serials")
+
+
+class Camera:
+    """Stands for `cv2.VideoCapture`: one picture, over and over; keeps what is set."""
+
+    def __init__(self, picture):
+        self.picture, self.known = picture, {}
+
+    def isOpened(self):
+        return True
+
+    def set(self, number, value):
+        self.known[number] = value
+        return True
+
+    def get(self, number):
+        return self.known.get(number, 0.0)
+
+    def read(self):
+        time.sleep(0.005)
+        return True, self.picture
+
+    def release(self):
+        pass
+
+
+class Port:
+    """Stands for `serial.Serial`: bytes over and over, some at a time."""
+
+    def __init__(self, data, at_once=53):
+        self.data, self.at, self.at_once, self.in_waiting = data, 0, at_once, at_once
+
+    def read(self, n):
+        time.sleep(0.001)
+        start, self.at = self.at, self.at + self.at_once
+        return bytes(self.data[i % len(self.data)] for i in range(start, self.at))
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
+
+
+def test_a_digit_stands_upright_and_has_its_light_set(rng):
+    picture = rng.integers(0, 256, (240, 320, 3), dtype=np.uint8)
+    camera = Camera(picture)
+    sensor = cameras.digit("DIGIT", light=7, open_capture=lambda name: camera)
+    check_sensor(sensor)
+    with sensor:
+        image = sensor.read_next().image
+    assert_array_equal(image[..., ::-1], np.rot90(picture))  # red first, blue was
+    assert camera.known[cv2.CAP_PROP_ZOOM] == 7
+    assert camera.known[cv2.CAP_PROP_FRAME_WIDTH] == 320
+    assert camera.known[cv2.CAP_PROP_FRAME_HEIGHT] == 240
+    mirrored = cameras.digit("DIGIT", mirror=True, open_capture=lambda name: camera)
+    with mirrored:
+        assert_array_equal(mirrored.read_next().image, image[:, ::-1])
+
+
+def test_a_gelsight_mini_loses_its_border():
+    picture = np.zeros((2464, 3280, 3), np.uint8)
+    picture[352:-352, 468:-468] = 100  # a seventh of each side
+    sensor = cameras.gelsight_mini("Mini", open_capture=lambda name: Camera(picture))
+    with sensor:
+        image = sensor.read_next().image
+    assert image.shape == (240, 320, 3)
+    assert (image == 100).all()
+    with pytest.raises(ValueError, match=r"share below 0\.5, got 0\.7"):
+        cameras.gelsight_mini("Mini", border=0.7)
+
+
+def test_a_camera_of_another_size_is_refused_by_its_size():
+    small = np.zeros((48, 64, 3), np.uint8)
+    sensor = cameras.digit("DIGIT", open_capture=lambda name: Camera(small))
+    with pytest.raises(SensorError, match=r"must give 240 x 320 .* got 64 x 48"):
+        sensor.connect()
+
+
+def skin_bytes(rng, n=20, n_magnets=5):
+    values = rng.normal(scale=300, size=(n, n_magnets, 4)).astype("<f4")
+    return values, b"".join(frame.tobytes() + b"\r\n" for frame in values)
+
+
+def taxel_bytes(rng, n=20):
+    """Taxels in which the mark of a frame stands too."""
+    frames = rng.integers(0, 256, (n, 12, 32), dtype=np.uint8)
+    for number, frame in enumerate(frames):  # never twice in one place
+        frame[3, number : number + 2] = 0xAA, 0x55
+    return frames, b"".join(b"\xaa\x55" + frame.tobytes() for frame in frames)
+
+
+def test_bytes_of_a_magnetic_skin_are_frames(rng):
+    values, data = skin_bytes(rng)
+    made = lambda: serials.MagneticSkin("p", open_port=lambda *_: Port(data))  # noqa: E731
+    check_sensor(made())
+    with made() as sensor:
+        images = [sensor.read_next().image for _ in range(15)]
+        assert sensor.channels == ("x", "y", "z")
+    for image, expected in zip(images, values, strict=False):
+        assert_array_equal(image[0], expected[:, 1:])  # temperature is left out
+
+
+def test_bytes_of_a_flexitac_are_frames(rng):
+    frames, data = taxel_bytes(rng)
+    made = lambda: serials.FlexiTac("p", open_port=lambda *_: Port(data, 401))  # noqa: E731
+    check_sensor(made())
+    with made() as sensor:
+        images = [sensor.read_next().image for _ in range(15)]
+    assert_array_equal(images, frames[:15])
+
+
+@pytest.mark.parametrize("kind", ["skin", "array"])
+def test_after_garbage_and_cuts_the_next_whole_frame_is_read(rng, kind):
+    expected, data = skin_bytes(rng) if kind == "skin" else taxel_bytes(rng)
+    data = bytes(rng.integers(0, 256, 99, dtype=np.uint8)) + data[7:]
+    driver = serials.MagneticSkin if kind == "skin" else serials.FlexiTac
+    with driver("p", open_port=lambda *_: Port(data, 211)) as sensor:
+        images = [sensor.read_next().image for _ in range(10)]
+        assert sensor.n_dropped > 0
+    known = expected[..., 1:][:, None] if kind == "skin" else expected
+    # Of the first frame a part is missing; all that come are true ones, in order.
+    assert_array_equal(images, known[1:11])
+
+
+@pytest.mark.parametrize("framing", ["line", "binary"])
+@pytest.mark.parametrize("kind", ["udp", "tcp"])
+def test_arrays_come_over_a_network(rng, kind, framing):
+    frame = rng.integers(0, 1000, (4, 5)).astype(np.uint16)
+    stop = threading.Event()
+    stream = kind == "tcp"
+    way = socket.SOCK_STREAM if stream else socket.SOCK_DGRAM
+    server = socket.socket(socket.AF_INET, way)
+    server.bind(("127.0.0.1", 0))
+    port = server.getsockname()[1]
+    if stream:
+        server.listen()
+    else:  # the port is free again for the sensor
+        server.close()
+
+    def send():
+        out = server.accept()[0] if stream else socket.socket(socket.AF_INET, way)
+        number = 0
+        while not stop.is_set():
+            if framing == "line":
+                data = sensors.write_line(frame)
+            else:
+                data = sensors.write_binary(frame, number)
+            number = (number + 1) % 65536
+            try:
+                out.sendall(data) if stream else out.sendto(data, ("127.0.0.1", port))
+            except OSError:
+                break
+            time.sleep(0.002)
+        out.close()
+
+    thread = threading.Thread(target=send, daemon=True)
+    thread.start()
+    made = getattr(network, kind)
+    try:
+        with made(f"127.0.0.1:{port}", image_shape=(4, 5), framing=framing) as sensor:
+            for _ in range(5):
+                assert_array_equal(sensor.read_next(5.0).image, frame)
+    finally:
+        stop.set()
+        thread.join(5)
+        server.close()
+
+
+def test_what_cannot_be_reached_says_so():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]  # bound, but nobody listens
+        with pytest.raises(SensorError, match="cannot be reached"):
+            network.tcp(f"127.0.0.1:{port}", image_shape=(2, 2)).connect()
+    for odd in ("nowhere", "host:port", "host:99999"):
+        with pytest.raises(ValueError, match="must be HOST:PORT"):
+            network.tcp(odd, image_shape=(2, 2))
+    with pytest.raises(ValueError, match="framing must be"):
+        network.udp("127.0.0.1:1", image_shape=(2, 2), framing="morse")
+    pytest.importorskip("serial")
+    with pytest.raises(SensorError, match="/dev/none cannot be opened"):
+        serials.FlexiTac("/dev/none").connect()
+
+
+@pytest.fixture
+def plugged(monkeypatch):
+    """Name entry points of the group, as installed packages would."""
+
+    def plug(**named):
+        points = [
+            importlib.metadata.EntryPoint(name, value, "palpate.sensors")
+            for name, value in named.items()
+        ]
+
+        def entry_points(group, name=None):
+            return [p for p in points if group == p.group and name in (None, p.name)]
+
+        monkeypatch.setattr("palpate.sensors._address.entry_points", entry_points)
+
+    return plug
+
+
+def test_a_driver_is_found_by_its_entry_point(plugged):
+    plugged(flexitac="palpate_drivers.serials:FlexiTac")
+    sensor = open_sensor("flexitac:/dev/ttyUSB0?shape=16x16&baud=9600")
+    assert isinstance(sensor, serials.FlexiTac)
+    assert sensor.image_shape == (16, 16)
+    assert sensor.baud == 9600
+    assert open_sensor("flexitac:/dev/ttyUSB0", image_shape="8x4").image_shape == (8, 4)
+    with pytest.raises(ValueError, match="Options of flexitac are shape, baud"):
+        open_sensor("flexitac:/dev/ttyUSB0?colour=1")
+    with pytest.raises(ValueError, match="baud must be a whole number, got 'fast'"):
+        open_sensor("flexitac:/dev/ttyUSB0?baud=fast")
+    with pytest.raises(ValueError, match=r"\(or flexitac of packages installed\)"):
+        open_sensor("flexitak:/dev/ttyUSB0")
+
+
+def test_drivers_that_cannot_be_used_are_named(plugged):
+    plugged(gone="no_such_module:Sensor", odd="builtins:str")
+    with pytest.raises(ValueError, match=r"no_such_module:Sensor, cannot be"):
+        open_sensor("gone:0")
+    with pytest.raises(ValueError, match="must return a LiveSensor, got str"):
+        open_sensor("odd:0")
+
+
+class Lying(sensors.LiveSensor):
+    """Promises one shape and gives another, or does not come back in time."""
+
+    def __init__(self, wait_s=0.0):
+        super().__init__("lying", "count", (2, 3), np.uint8)
+        self.wait_s = wait_s
+
+    def _open(self):
+        pass
+
+    def _grab(self):
+        time.sleep(self.wait_s or 0.01)
+        return [np.zeros((2, 3) if self.wait_s else (3, 2), np.uint8)]
+
+    def _close(self):
+        pass
+
+
+def test_a_driver_that_lies_about_its_shape_is_told():
+    with Lying() as sensor, pytest.raises(SensorError, match=r"\(3, 2\), it promised"):
+        sensor.read_next(0.5)
+    with pytest.raises(SensorError, match=r"its frames are \(3, 2\), it promised"):
+        check_sensor(Lying())
+
+
+def test_a_driver_that_blocks_is_told_and_not_started_twice():
+    sensor = Lying(wait_s=7.0)
+    with sensor, pytest.raises(SensorError, match=r"gave no frame in 0\.1 s"):
+        sensor.read_next(0.1)
+    with pytest.raises(SensorError, match="has not ended its last read"):
+        sensor.connect()

@@ -1,0 +1,262 @@
+"""Touches from ROS 2 bags and MCAP files, without ROS; every message is one touch.
+
+
+- `sensor_msgs/msg/Image`, encodings mono8, mono16, 8UC1, 16UC1, 32FC1, rgb8, bgr8,
+  rgba8 and bgra8; colour becomes its luma (ITU-R BT.601), rounded.
+- `sensor_msgs/msg/CompressedImage` that is a JPEG or PNG, read as other pictures are.
+- `sensor_msgs/msg/PointCloud2` of taxels: one reading a point, its field `intensity`,
+  or the only one beside x, y and z; height and width are rows and columns.
+- `std_msgs/msg/*MultiArray`: the last two dimensions of `layout.dim` that are longer
+  than one are rows and columns; without a layout the values are one row.
+
+`time_s` is the stamp in the message's header, or the time of recording where there
+is none (both in seconds since 1970); `order` counts the messages.
+
+A bag in SQLite (`.db3`) has no checksum, and one in MCAP may lack it: a flipped bit in
+a message is read as it stands. `set_bag_sha256`, of times and messages as they were
+read, is kept with the touches: the bag can be compared with it from then on.
+"""
+
+import hashlib
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .._checks import did_you_mean
+from .._extras import needed
+from .._types import Array
+from ..touches import Touches, TouchesError, decode_bytes
+from ._store import LibraryError
+
+MAX_BYTES = 4 * 2**30
+_IMAGE = "sensor_msgs/msg/Image"
+_PICTURE = "sensor_msgs/msg/CompressedImage"
+_CLOUD = "sensor_msgs/msg/PointCloud2"
+_GREY = {"mono8": "u1", "8UC1": "u1", "mono16": "u2", "16UC1": "u2", "32FC1": "f4"}
+_RGB, _BGR = (0, 1, 2), (2, 1, 0)
+_COLOUR = {"rgb8": _RGB, "bgr8": _BGR, "rgba8": _RGB, "bgra8": _BGR}
+_LUMA = np.array([0.299, 0.587, 0.114])
+# What sensor_msgs/msg/PointField calls the types of fields.
+_POINT_TYPES = dict(enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"), 1))
+
+
+def read_bag(
+    path: str | Path,
+    topic: str | None = None,
+    *,
+    object: str | None = None,
+    max_bytes: int = MAX_BYTES,
+) -> Touches:
+    """Read one topic of a ROS 2 bag, or of what packages add, as touches.
+
+    Parameters
+    ----------
+    path : path
+        The bag (a folder, `.mcap` or `.db3`); with the package of `plugs/lerobot` the
+        folder of a LeRobotDataset too, whose features are the topics.
+    topic : str, optional
+        A topic of images, point clouds or arrays; may be left out where it is the only
+        one.
+    object : str, optional
+        What is touched in all of it.
+    max_bytes : int, default=4 GiB
+        Most memory that the images may take.
+
+    Raises
+    ------
+    ImportError
+        rosbags is missing; the message names the extra.
+    LibraryError
+        It is no bag, lacks the topic, or a message is no image; topics are listed.
+    """
+    for plugged in _readers(Path(path)):
+        found: Touches = plugged.read(Path(path), topic, object, max_bytes)
+        return found
+    highlevel = needed("rosbags.highlevel", "ros", "Reading ROS 2 bags")
+    typesys = needed("rosbags.typesys", "ros", "Reading ROS 2 bags")
+    types = typesys.get_typestore(typesys.Stores.LATEST)
+    bag = Path(path)
+    try:
+        with highlevel.AnyReader([bag], default_typestore=types) as reader:
+            topic = _chosen_topic(reader, topic)
+            images, times, digest = _messages(reader, topic, max_bytes)
+    except (LibraryError, ImportError):
+        raise
+    except Exception as error:  # rosbags raises many kinds on damaged bags
+        raise LibraryError(
+            f"{bag} must be a ROS 2 bag or an MCAP file, got: "
+            f"{error or type(error).__name__}. Check the path; it may be damaged."
+        ) from error
+    labels = None if object is None else np.full(len(images), object)
+    return Touches(
+        np.stack(images),
+        object=labels,
+        order=np.arange(len(images)),
+        time_s=np.array(times),
+        set_topic=np.array(topic),
+        set_bag_sha256=np.array(digest),
+    )
+
+
+def is_recording(path: Path) -> bool:
+    """Tell whether `read_bag` is for a file or folder, by its name and its files."""
+    told = path.suffix.lower() in (".mcap", ".db3")
+    return told or (path / "metadata.yaml").is_file() or bool(_readers(path))
+
+
+def _readers(path: Path) -> list[Any]:
+    """Return the modules of installed packages that read what lies there.
+
+    Entry points of the group `palpate.recordings`: modules with `is_dataset(path)` and
+    `read(path, topic, object, max_bytes)`.
+    """
+    plugged = [point.load() for point in entry_points(group="palpate.recordings")]
+    if not plugged and (path / "meta" / "info.json").is_file():
+        raise LibraryError(
+            f"{path} looks like a LeRobotDataset: install what reads it, plugs/lerobot."
+        )
+    return [module for module in plugged if module.is_dataset(path)]
+
+
+def _chosen_topic(reader: Any, topic: str | None) -> str:
+    """Return the topic that is read; the only one that can be where none is named."""
+    kinds = {c.topic: str(c.msgtype) for c in reader.connections}
+    able: list[str] = [name for name, kind in kinds.items() if _readable(kind)]
+    if topic in kinds:
+        return str(topic)
+    if topic is None and len(able) == 1:
+        return able[0]
+    listed = ", ".join(f"{n} of {kind}" for n, kind in sorted(kinds.items())) or "none"
+    raise LibraryError(
+        f"topic (--topic) must be one of the bag ({listed}), got {topic!r}."
+        f"{did_you_mean(topic or '', kinds)}"
+    )
+
+
+def _readable(kind: str) -> bool:
+    arrays = kind.startswith("std_msgs/msg/") and kind.endswith("MultiArray")
+    return arrays or kind in (_IMAGE, _PICTURE, _CLOUD)
+
+
+def _messages(
+    reader: Any, topic: str, max_bytes: int
+) -> tuple[list[Array], list[float], str]:
+    chosen = [c for c in reader.connections if c.topic == topic]
+    images: list[Array] = []
+    times: list[float] = []
+    n_bytes = 0
+    digest = hashlib.sha256()
+    for connection, recorded_ns, raw in reader.messages(connections=chosen):
+        digest.update(f"{recorded_ns} {len(raw)} ".encode() + bytes(raw))
+        message = reader.deserialize(raw, connection.msgtype)
+        where = f"message {len(images)} of {topic}"
+        image = frame_of_message(message, connection.msgtype, where)
+        if images and (image.shape, image.dtype) != (images[0].shape, images[0].dtype):
+            raise LibraryError(
+                f"All images of {topic} must have one size and type, got "
+                f"{image.shape} {image.dtype} in {where} after {images[0].shape} "
+                f"{images[0].dtype}."
+            )
+        n_bytes += image.nbytes
+        if n_bytes > max_bytes:
+            raise LibraryError(
+                f"The images of {topic} must take at most {max_bytes} bytes. Cut the "
+                "bag, or raise max_bytes."
+            )
+        images.append(image)
+        stamp = getattr(getattr(message, "header", None), "stamp", None)
+        if stamp is None or not (stamp.sec or stamp.nanosec):
+            times.append(recorded_ns / 1e9)
+        else:
+            times.append(float(stamp.sec + stamp.nanosec / 1e9))
+    if not images:
+        raise LibraryError(f"topic must have messages, got none in {topic!r}.")
+    return images, times, digest.hexdigest()
+
+
+def frame_of_message(message: Any, kind: str, where: str = "A message") -> Array:
+    """Return what a message of a kind such as `sensor_msgs/msg/Image` shows."""
+    if kind == _IMAGE:
+        return _picture(message, where)
+    if kind == _PICTURE:
+        try:
+            return decode_bytes(np.asarray(message.data, np.uint8).tobytes())
+        except TouchesError as error:
+            raise LibraryError(f"{where}: {error}") from error
+    if kind == _CLOUD:
+        return _cloud(message, where)
+    if _readable(kind):
+        return _array(message, where)
+    raise LibraryError(
+        f"{where} must be {_IMAGE}, {_PICTURE}, {_CLOUD} or a std_msgs array such as "
+        f"std_msgs/msg/Float32MultiArray, got {kind}."
+    )
+
+
+def _cloud(message: Any, where: str) -> Array:
+    """Return the reading of each point, (n_rows, n_cols), as a cloud lays them out."""
+    fields = {str(f.name): f for f in message.fields if str(f.name) not in "xyz"}
+    names = [name for name in fields if name == "intensity"] or list(fields)
+    n_rows, n_cols = int(message.height), int(message.width)
+    if len(names) != 1 or fields[names[0]].datatype not in _POINT_TYPES:
+        listed = ", ".join(fields) or "none"
+        raise LibraryError(
+            f"{where} must have one reading a point beside x, y and z, or a field "
+            f"intensity, got the fields {listed}."
+        )
+    field = fields[names[0]]
+    order = ">" if message.is_bigendian else "<"
+    dtype = np.dtype(order + _POINT_TYPES[field.datatype])
+    content = np.asarray(message.data, dtype=np.uint8)
+    step, row_step = int(message.point_step), int(message.row_step)
+    inside = 0 <= field.offset <= step - dtype.itemsize and row_step >= n_cols * step
+    if not inside or not n_rows * n_cols or content.size != row_step * n_rows:
+        raise LibraryError(
+            f"{where} must hold {n_rows} rows of {n_cols} points of {step} bytes, got "
+            f"{content.size} bytes in rows of {row_step}."
+        )
+    points = content.reshape(n_rows, row_step)[:, : n_cols * step]
+    cells = points.reshape(n_rows, n_cols, step)[..., field.offset :]
+    values = np.ascontiguousarray(cells[..., : dtype.itemsize]).view(dtype)[..., 0]
+    return values.astype(dtype.newbyteorder("="))
+
+
+def _picture(message: Any, where: str) -> Array:
+    n_rows, n_cols, step = int(message.height), int(message.width), int(message.step)
+    encoding = str(message.encoding)
+    if encoding not in _GREY and encoding not in _COLOUR:
+        known = ", ".join([*_GREY, *_COLOUR])
+        raise LibraryError(f"{where} must be encoded as {known}, got {encoding!r}.")
+    n_channels = 1 if encoding in _GREY else 4 if "a" in encoding else 3
+    order = ">" if message.is_bigendian else "<"
+    dtype = np.dtype(order + _GREY.get(encoding, "u1"))
+    row_bytes = n_cols * n_channels * dtype.itemsize
+    content = np.asarray(message.data, dtype=np.uint8).tobytes()
+    if step < row_bytes or not row_bytes or len(content) != step * n_rows:
+        raise LibraryError(
+            f"{where} must hold {n_rows} rows of {step} bytes, got {len(content)} "
+            f"bytes for {n_cols} columns of {encoding}."
+        )
+    rows = np.frombuffer(content, np.uint8).reshape(n_rows, step)[:, :row_bytes]
+    values = np.ascontiguousarray(rows).view(dtype).astype(dtype.newbyteorder("="))
+    if encoding in _GREY:
+        return values
+    colours = values.reshape(n_rows, n_cols, n_channels)[..., list(_COLOUR[encoding])]
+    grey: Array = np.rint(colours @ _LUMA).astype(np.uint8)
+    return grey
+
+
+def _array(message: Any, where: str) -> Array:
+    values = np.asarray(message.data)
+    sizes = [int(d.size) for d in message.layout.dim if int(d.size) > 1]
+    shape = (1, len(values)) if not sizes else (1, *sizes)[-2:]
+    start = int(message.layout.data_offset)
+    n_values = shape[0] * shape[1]
+    if len(sizes) > 2 or n_values != len(values) - start or not n_values:
+        raise LibraryError(
+            f"{where} must hold one array of rows and columns, got dimensions "
+            f"{sizes} for {len(values)} values."
+        )
+    return values[start:].reshape(shape)

@@ -1,0 +1,146 @@
+"""Touches from tables: CSV files, arrays of numpy, data frames of pandas.
+
+Of a CSV file by itself, or a data frame, each row is a touch: the columns that
+`Touches` knows by name (`object`, `session`, `force_n`, `x_mm`...), or that hold text,
+are columns; all other numbers are taxels, in their order. Of a folder of CSV or `.npy`
+files each file is a touch, its lines the rows of taxels.
+"""
+
+import csv
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from pathlib import Path
+
+import numpy as np
+
+from .._types import Array
+from ._columns import COLUMNS, Arrays, TouchesError
+
+TABLES = (".csv", ".npy")
+_PLACES = ("x_mm", "y_mm", "z_mm")
+_TEXTS = ("object", "category", "session", "subject")
+_NAMED = COLUMNS | {*_PLACES, "subject"}
+_BYTES_PER_CELL = 2  # no number is shorter, with its comma
+
+
+def table_arrays(table: Mapping[str, Array], shape: tuple[int, int] | None) -> Arrays:
+    """Return what `Touches` is made of, by name, of columns of equal length."""
+    named = {n for n, c in table.items() if n in _NAMED or c.dtype.kind not in "biuf"}
+    columns = {name: table[name] for name in named}
+    if not (taxels := [column for name, column in table.items() if name not in named]):
+        raise TouchesError(
+            f"A table of touches must have columns of taxels, got {', '.join(table)}. "
+            "Every row is a touch, every other column of numbers a taxel."
+        )
+    if all(name in columns for name in _PLACES):
+        places = [columns.pop(name).astype(np.float64) for name in _PLACES]
+        columns["position_mm"] = np.stack(places, axis=1)
+    n_rows, n_cols = shape or (1, len(taxels))
+    if n_rows * n_cols != len(taxels):
+        raise TouchesError(
+            f"shape must have as many taxels as the table, {len(taxels)}, got "
+            f"{n_rows} x {n_cols}."
+        )
+    images = np.stack(taxels, axis=1).reshape(-1, n_rows, n_cols)
+    if shape is None:  # the places of taxels in a table say nothing
+        columns["geometry"] = np.array("none")
+    return {"images": images, **columns}
+
+
+def csv_arrays(path: Path, shape: tuple[int, int] | None, max_bytes: int) -> Arrays:
+    """Return what `Touches` is made of, one touch a line; the first may be names."""
+    lines = _lines(path, max_bytes)
+    first = lines[0]
+    named = not all(map(_is_number, first))
+    names = first if named else [f"taxel {n}" for n in range(len(first))]
+    if len(set(names)) < len(names) or not all(names):
+        got = ", ".join(names[:8])
+        raise TouchesError(f"{path}: its names must be there and differ, got {got}.")
+    rows = lines[named:]
+    if not rows:
+        raise TouchesError(f"{path} must hold a line for each touch, got names alone.")
+    table = {}
+    for name, cells in zip(names, zip(*rows, strict=True), strict=True):
+        numbers = [_is_number(cell) for cell in cells if cell]
+        text = name in _TEXTS or (named and not any(numbers) and bool(numbers))
+        what = f"{path}, {name}"
+        table[name] = np.array(cells) if text else _numbers(cells, what, 1 + named)
+    return table_arrays(table, shape)
+
+
+def load_levels(path: Path, max_bytes: int) -> Array:
+    """Return the array of a `.npy` file, or of a CSV file that is one touch."""
+    if path.suffix.lower() == ".csv":
+        lines = _lines(path, max_bytes)
+        return np.stack(
+            [_numbers(line, f"{path}, line {n}", 1) for n, line in enumerate(lines, 1)]
+        )
+    try:
+        mapped = np.load(path, mmap_mode="r", allow_pickle=False)
+        if isinstance(mapped, np.ndarray) and mapped.nbytes <= max_bytes:
+            return np.array(mapped)
+        problem: object = f"more than {max_bytes} bytes"
+    except (OSError, ValueError, EOFError) as error:
+        problem = error
+    raise TouchesError(
+        f"{path} must be an array that numpy.save wrote, of plain numbers, got: "
+        f"{problem}. Write it again."
+    )
+
+
+def folder_levels(paths: Sequence[Path], max_bytes: int) -> Array:
+    """Return one array per file, (n_touches, n_rows, n_cols[, n_channels])."""
+    first = load_levels(paths[0], max_bytes)
+    images = [first]
+    for path in paths[1:]:
+        image = load_levels(path, max_bytes - len(images) * first.nbytes)
+        if (image.shape, image.dtype) != (first.shape, first.dtype):
+            raise TouchesError(
+                f"{path} must be {first.shape} {first.dtype} like {paths[0]}, got "
+                f"{image.shape} {image.dtype}. Convert it, or move it elsewhere."
+            )
+        images.append(image)
+    return np.stack(images)
+
+
+def _lines(path: Path, max_bytes: int) -> list[list[str]]:
+    """Return the cells of each line that is not empty; all must have as many."""
+    try:
+        if path.stat().st_size > max_bytes // 8 * _BYTES_PER_CELL:
+            raise ValueError(f"a file of {path.stat().st_size} bytes")
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            comma = max(",;\t", key=file.readline().count)
+            file.seek(0)
+            read = csv.reader(file, delimiter=comma, strict=True)
+            numbered = [(read.line_num, list(map(str.strip, row))) for row in read]
+    except (OSError, ValueError, csv.Error) as error:
+        what = f"{path} must be a CSV file of numbers in UTF-8"
+        raise TouchesError(f"{what}, got: {error}. Export it again.") from error
+    lines = [(number, row) for number, row in numbered if any(row)]
+    if not lines:
+        raise TouchesError(f"{path} must hold lines of numbers, got none.")
+    for number, row in lines:
+        if len(row) != len(lines[0][1]):
+            raise TouchesError(
+                f"{path}, line {number} must have {len(lines[0][1])} cells like the "
+                f"first, got {len(row)}. The file may be cut short."
+            )
+    return [row for _, row in lines]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        return isfinite(float(cell)) or cell.lower() == "nan"
+    except ValueError:
+        return not cell
+
+
+def _numbers(cells: Sequence[str], what: str, first: int) -> Array:
+    """Return cells as numbers; an empty one is NaN."""
+    for number, cell in enumerate(cells, first):
+        if not _is_number(cell):
+            raise TouchesError(
+                f"{what}, number {number} must be a number as others are, got "
+                f"{cell!r}. Correct it, or leave it empty for a dead taxel."
+            )
+    return np.array([float(cell or "nan") for cell in cells])

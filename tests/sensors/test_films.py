@@ -1,0 +1,91 @@
+"""Films into touches by the detector: known presses come out, odd files are refused."""
+
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from palpate import Touches
+from palpate.sensors import SensorError, TouchDetector
+
+RATE_HZ = 20
+
+
+def presses(n=3, colour=False):
+    """Frames of nothing, then `n` presses of eight frames with eight between."""
+    frames = [np.full((48, 64, 3), 90, np.uint8) for _ in range(12)]
+    for press in range(n):
+        for level in (20, 60, 100, 100, 100, 60, 20, 5):
+            frame = np.full((48, 64, 3), 90, np.uint8)
+            frame[10 : 30 + press, 20:40, 0 if colour else slice(3)] += np.uint8(level)
+            frames.append(frame)
+        frames += [np.full((48, 64, 3), 90, np.uint8) for _ in range(8)]
+    return np.array(frames)
+
+
+@pytest.fixture
+def film(tmp_path):
+    """Write red, green and blue frames without loss; return the path."""
+
+    def write(frames, name="press.mkv"):
+        path = tmp_path / name
+        size = frames.shape[2], frames.shape[1]
+        code = cv2.VideoWriter_fourcc(*"FFV1")
+        out = cv2.VideoWriter(str(path), code, RATE_HZ, size)
+        if not out.isOpened():
+            pytest.skip("this OpenCV writes no FFV1")
+        for frame in frames:
+            out.write(frame[..., ::-1])
+        out.release()
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("colour", [False, True])
+def test_each_press_is_a_touch(film, colour):
+    frames = presses(3, colour)
+    touches = TouchDetector().touches_in(film(frames), colour=colour)
+    assert len(touches) == 3
+    # The first frame that differs, at its time in the film.
+    assert_allclose(touches.columns["time_s"], (12 + 16 * np.arange(3)) / RATE_HZ)
+    assert (touches.columns["duration_s"] > 0.25).all()
+    assert touches.channels == (("r", "g", "b") if colour else None)
+    # FFV1 in 4:2:0 keeps grey to a level or two; edges of colours blur into neighbours.
+    if not colour:
+        peak = frames[12 + 3, ..., 0].astype(int)
+        assert np.abs(touches.images[0].astype(int) - peak).max() <= 2
+
+
+def test_frames_that_were_read_as_touches_are_a_stream():
+    frames = presses(2)[..., 0]
+    stream = Touches(frames, time_s=100 + np.arange(len(frames)) / RATE_HZ)
+    touches = TouchDetector().touches_in(stream)
+    assert_array_equal(touches.images, frames[[14, 30]])
+    assert_allclose(touches.columns["time_s"], 100 + np.array([12, 28]) / RATE_HZ)
+    assert_array_equal(touches.no_contact, frames[0])
+
+
+def test_a_touch_that_outlasts_the_stream_counts():
+    touches = TouchDetector().touches_in(Touches(presses(1)[:16, ..., 0]))
+    assert len(touches) == 1
+
+
+def test_streams_without_touches_and_files_without_films_are_refused(film, tmp_path):
+    with pytest.raises(SensorError, match="must hold a touch, got 2 frames without"):
+        TouchDetector().touches_in(film(presses(0)))
+    (tmp_path / "text.mp4").write_bytes(b"hello" * 99)
+    with pytest.raises(SensorError, match="a film that OpenCV decodes, got another"):
+        TouchDetector().touches_in(tmp_path / "text.mp4")
+    with pytest.raises(SensorError, match="got no file there"):
+        TouchDetector().touches_in(tmp_path / "missing.mp4")
+
+
+def test_a_film_that_ends_early_is_refused(film):
+    path = film(presses(3), "press.avi")
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(
+        SensorError, match=r"must hold 60 frames, got \d+: it ends early"
+    ):
+        TouchDetector().touches_in(path)

@@ -1,0 +1,131 @@
+"""What is wrong with a sensor is found, and nothing else; each fault is put in."""
+
+import numpy as np
+import pytest
+
+from palpate import sensors
+from palpate.sensors import SensorError
+
+health = sensors.sensor_health
+
+
+def frames(rng, n=600, shape=(10, 10), noise=2.0, rate_hz=50.0, dtype=np.int16):
+    """Frames of a sensor that is well: white noise about offsets of its taxels."""
+    offsets = rng.uniform(90, 110, shape)
+    images = np.rint(offsets + rng.normal(scale=noise, size=(n, *shape)))
+    return images.astype(dtype), np.arange(n) / rate_hz
+
+
+def as_frames(images, times):
+    return [
+        sensors.Frame(i, t, n)
+        for n, (i, t) in enumerate(zip(images, times, strict=True))
+    ]
+
+
+def test_a_sensor_that_is_well_has_no_finding(rng):
+    images, times = frames(rng)
+    found = health(as_frames(images, times))
+    assert found["ok"]
+    assert found["findings"] == []
+    figures = found["figures"]
+    # White noise of 2 and rounding (1/12 in variance): 2.02; 600 frames tell it to 3 %.
+    assert figures["noise"] == pytest.approx(2.02, rel=0.05)
+    assert figures["rate_hz"] == pytest.approx(50)
+    assert figures["drift"] < 0.2
+    assert figures["lost"] == 0
+    assert abs(figures["shared_by_rows"]) < 0.05
+
+
+def test_three_dead_taxels_are_named_first(rng):
+    images, times = frames(rng)
+    for row, col in ((0, 3), (4, 4), (9, 9)):
+        images[:, row, col] = 100
+    found = health(as_frames(images, times))
+    assert found["dead"] == [[0, 3], [4, 4], [9, 9]]
+    assert found["findings"][0].startswith("3 taxels (row 0 column 3, row 4 column 4,")
+    assert len(found["findings"]) == 1
+
+
+def test_taxels_that_are_nan_are_dead(rng):
+    images, times = frames(rng, dtype=np.float32)
+    images[:, 2, 5] = np.nan
+    found = health(as_frames(images, times))
+    assert found["dead"] == [[2, 5]]
+    assert np.isfinite(found["figures"]["noise"])
+
+
+def test_hot_and_saturated_taxels(rng):
+    images, times = frames(rng, dtype=np.uint8)
+    images[:, 1, 1] = 255
+    images[:, 2, 2] = np.clip(100 + rng.normal(scale=40, size=600), 0, 254)
+    found = health(as_frames(images, times))
+    assert found["saturated"] == [[1, 1]]
+    assert found["hot"] == [[2, 2]]
+    assert "saturated" in found["findings"][0]
+    assert found["dead"] == []
+
+
+@pytest.mark.parametrize("whole", [0.0, 40.0])
+def test_drift(rng, whole):
+    """A steady way up by 40 over all: twelfths differ by 11/12 of it."""
+    images, times = frames(rng)
+    ramp = np.linspace(0, whole, len(images))[:, None, None]
+    found = health(as_frames(np.rint(images + ramp).astype(np.int16), times))
+    if whole:
+        assert found["figures"]["drift"] == pytest.approx(whole * 11 / 12, rel=0.01)
+        assert found["figures"]["noise"] == pytest.approx(2.02, rel=0.05)
+        assert "Rest drifted by 36." in found["findings"][0]
+        assert found["levels"][-1] == pytest.approx(whole * 11 / 12, rel=0.01)
+    assert found["ok"] == (whole == 0)
+
+
+def test_a_baseline_under_load(rng):
+    images, times = frames(rng, noise=1.0)
+    images[:, 3:7, 3:7] += 200
+    found = health(as_frames(images, times))
+    assert "may press the sensor around row 4 column 4" in found["findings"][0]
+
+
+def test_rest_beside_what_a_model_remembers(rng):
+    images, times = frames(rng)
+    rest = images.mean(axis=0)
+    presses = rest + rng.uniform(0, 40, (12, 10, 10))
+    memory = sensors.SensorMemory.of(presses, rest)
+    assert health(as_frames(images, times), memory=memory)["ok"]
+    other = sensors.SensorMemory.of(presses, rest - 30)
+    found = health(as_frames(images, times), memory=other)
+    assert (
+        "At rest the sensor differs from when the model learnt" in found["findings"][0]
+    )
+
+
+def test_noise_that_rows_share(rng):
+    """Of variance 4 + 16 all of 16 is shared by a row: a correlation of 0.8."""
+    images, times = frames(rng, dtype=np.float64)
+    images = images + rng.normal(scale=4, size=(len(images), 10, 1))
+    found = health(as_frames(images, times))
+    assert found["figures"]["shared_by_rows"] == pytest.approx(0.8, abs=0.05)
+    assert abs(found["figures"]["shared_by_columns"]) < 0.1
+    assert "Rows share" in found["findings"][0]
+
+
+def test_late_and_lost_frames_and_touches(rng):
+    images, times = frames(rng)
+    times = np.cumsum(np.where(np.arange(600) % 50 == 49, 0.2, 0.02))
+    assert "comes 200 ms after" in health(as_frames(images, times))["findings"][0]
+    # Of numbers 1 to 599 there are 540.
+    some = [f for f in as_frames(images, times) if f.number % 10]
+    assert any("9.8% of the frames" in said for said in health(some)["findings"])
+    images[300:320, 4:6, 4:6] += 300
+    found = health(as_frames(images, np.arange(600) / 50))
+    [said] = found["findings"]
+    assert "Rest left its baseline 1 times and came back: something touched" in said
+    with pytest.raises(SensorError, match="needs 24 frames, got 5"):
+        health(as_frames(images[:5], times[:5]))
+
+
+def test_numbers_coarser_than_noise_tell_of_no_dead_taxel():
+    images = np.zeros((100, 4, 4), np.uint8)
+    images[::2, 0, 0] = 1
+    assert health(as_frames(images, np.arange(100) / 50))["dead"] == []
