@@ -93,7 +93,7 @@ def test_a_gelsight_mini_loses_its_border():
 def test_a_camera_of_another_size_is_refused_by_its_size():
     small = np.zeros((48, 64, 3), np.uint8)
     sensor = cameras.digit("DIGIT", open_capture=lambda name: Camera(small))
-    with pytest.raises(SensorError, match=r"must give 240 x 320 .* got 64 x 48"):
+    with pytest.raises(SensorError, match=r"must give 320 rows x 240 .* got 48 x 64"):
         sensor.connect()
 
 

@@ -112,7 +112,7 @@ def encoded(
     if isinstance(touches, Touches):
         table = encode(touches)
     else:
-        key = state_digest(encoder) + state_digest(contact) + "-looks"
+        key = state_digest(encoder) + state_digest(contact) + "looks"
         table = touches.features(key, encode)
     own, seen = np.ascontiguousarray(table[:, : -N_LOOKS - 1]), table[:, -N_LOOKS - 1 :]
     return Encoded(own, seen[:, -1] > 0, seen[:, :-1])

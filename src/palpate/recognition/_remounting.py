@@ -224,10 +224,11 @@ def check_mounting(
         drawn = np.column_stack([drawn, np.zeros((len(drawn), 2))])
         now = np.append(now, [0.0, 0.0])
     unlike, distance = unlikeness(drawn, runs, now)
-    # Of a few blocks even the largest is exceeded often: two signs, each as a t-test.
-    n_runs = len(np.unique(runs))
-    least = t_distribution.ppf(1 - FALSE_ALARMS / 2, max(n_runs - 1, 1))
-    least *= np.sqrt(1 + 1 / n_runs)
+    # Of a few draws that share no touch even the largest is exceeded often: two signs,
+    # each as a t-test.
+    n_apart = max(len(np.unique(taught.blocks)) // n_objects, 2)
+    least = t_distribution.ppf(1 - FALSE_ALARMS / 2, n_apart - 1)
+    least *= np.sqrt(1 + 1 / n_apart)
     usual = float(max(np.quantile(unlike, 1 - FALSE_ALARMS), least))
     if distance > usual:
         reasons.insert(0, _why(drawn, now, usual, n_touches))
@@ -238,7 +239,7 @@ def _why(drawn: Floats, now: Floats, usual: float, n_touches: int) -> str:
     """Return in a sentence what is unlike the training touches."""
     beyond = (now - drawn.mean(axis=0)) / np.maximum(drawn.std(axis=0), 1e-9)
     beyond[0] = max(beyond[0], 0)  # nearer than usual is no sign
-    clear = [k for k in (0, N_LOOKS) if abs(beyond[k]) > usual]
+    clear = [k for k in (0, N_LOOKS) if abs(beyond[k : k + 1]).sum() > usual]
     these, most = f"These {n_touches} touches", int(np.abs(beyond).argmax())
     most = clear[0] if clear else most
     times = float(np.exp(abs(now[most] - np.median(drawn[:, most]))))
