@@ -28,7 +28,6 @@ CONNECT_S = 20.0
 
 
 def checked_seed(seed: int) -> int:
-    """Return a seed that every generator takes, or say what --seed should be."""
     if not 0 <= seed <= MOST_SEED:
         raise ValueError(
             f"--seed must be between 0 and {MOST_SEED}, got {seed}. "
@@ -38,7 +37,6 @@ def checked_seed(seed: int) -> int:
 
 
 def checked_workers(workers: int | None) -> int | None:
-    """Return a number of processes, or say what --workers should be."""
     if workers is not None and workers < 1 and workers != -1:
         raise ValueError(
             f"--workers must be at least 1, or -1 for all cores, got {workers}."
@@ -47,7 +45,6 @@ def checked_workers(workers: int | None) -> int | None:
 
 
 def counts(text: str) -> tuple[int, ...]:
-    """Return whole numbers that were given with commas, or say how to write them."""
     try:
         return tuple(int(part) for part in text.split(","))
     except ValueError:

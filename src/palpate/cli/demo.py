@@ -112,7 +112,6 @@ def _explored(seed: int) -> Sets:
 def _recognise_by_exploring(
     recogniser: "ObjectRecogniser", seed: int, *, quiet: bool
 ) -> list[dict[str, Any]]:
-    """Let the arm touch some objects until each is decided."""
     import numpy as np
 
     from ..exploration import QUICK_GUARD, RandomHemisphere, explore, put_down

@@ -6,18 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._options import (
-    AsJson,
-    ErrorRate,
-    MaxModelMb,
-    ModelOutput,
-    ModelPath,
-    Preset,
-    Refusal,
-    Seed,
-    argument,
-    option,
-)
+from . import _options
+from ._options import option
 from ._output import answer, belief_line, stages
 from .simulate import Objects, Rows, Unit, Workers, find_objects
 
@@ -44,17 +34,17 @@ Folder = Annotated[
 
 @explore.command()
 def learn(
-    output: ModelOutput,
+    output: _options.ModelOutput,
     objects: Objects = None,
     touches: Annotated[int, option("Touches of each object.")] = 60,
     sessions: Annotated[int, option("How often each object is put down anew.")] = 3,
-    preset: Preset = "default",
+    preset: _options.Preset = "default",
     rows: Rows = 120,
     folder: Folder = None,
     unit: Unit = "mm",
     workers: Workers = -1,
-    seed: Seed = 0,
-    as_json: AsJson = False,
+    seed: _options.Seed = 0,
+    as_json: _options.AsJson = False,
 ) -> None:
     """Touch objects from random points of a hemisphere and learn them.
 
@@ -97,8 +87,10 @@ def learn(
 
 @explore.command()
 def recognise(
-    model: ModelPath,
-    thing: Annotated[str, argument("OBJECT", "A built-in object or a mesh file.")],
+    model: _options.ModelPath,
+    thing: Annotated[
+        str, _options.argument("OBJECT", "A built-in object or a mesh file.")
+    ],
     strategy: Annotated[str, option("informative, random or raster.")] = "informative",
     taught: Annotated[
         Path | None,
@@ -108,8 +100,8 @@ def recognise(
         ),
     ] = None,
     most: Annotated[int, option("--max-touches", "Budget of attempts.")] = 30,
-    error: ErrorRate = 0.01,
-    refusal: Refusal = None,
+    error: _options.ErrorRate = 0.01,
+    refusal: _options.Refusal = None,
     folder: Folder = None,
     yaw: Annotated[float | None, option("Turn, degrees. Default: drawn.")] = None,
     face: Annotated[int, option("Which face it rests on; 0 is the usual one.")] = 0,
@@ -122,9 +114,9 @@ def recognise(
         ),
     ] = None,
     unit: Unit = "mm",
-    seed: Seed = 0,
-    max_model_mb: MaxModelMb = 2000,
-    as_json: AsJson = False,
+    seed: _options.Seed = 0,
+    max_model_mb: _options.MaxModelMb = 2000,
+    as_json: _options.AsJson = False,
 ) -> None:
     """Touch one object until it is recognised, or found to be unknown."""
     from ..exploration import QUICK_GUARD, put_down, read_episode
@@ -164,7 +156,6 @@ def recognise(
 
 
 def _one_object(name: str, unit: str) -> "SimObject":
-    """Return one object by its name or mesh file; a set of objects is refused."""
     things = find_objects([name], unit)
     if len(things) != 1:
         names = ", ".join(thing.name for thing in things)
@@ -175,7 +166,6 @@ def _one_object(name: str, unit: str) -> "SimObject":
 
 
 def print_attempt(record: "TouchRecord", belief: Any) -> None:
-    """Print the belief after a touch, or what else came of the attempt."""
     if record.touched:
         print(belief_line(belief.touches_used, belief.posterior))
     else:

@@ -60,7 +60,6 @@ class DomeTouches:
     as_json: AsJson = False
 
     def make(self, camera: "DomeCamera | TacTipPins") -> None:
-        """Touch the objects and write the archive."""
         from ..simulation import BASIC_SHAPES, simulate_touches
 
         things = find_objects(self.objects, self.unit)
@@ -197,7 +196,6 @@ def pins(
 
 
 def _write(made: "Touches", output: Path, done: str, as_json: bool) -> None:
-    """Write the archive and say what is in it."""
     made.save(output)
     names = [] if made.object is None else list(dict.fromkeys(made.object.tolist()))
     values = {"touches": str(output), "n_touches": len(made), "objects": names}

@@ -230,7 +230,6 @@ def _short(store: Store, path: Path) -> str:
 
 
 def array_problems(store: Store) -> list[Problem]:
-    """Return what is wrong with arrays of whole recordings."""
     users: dict[str, dict[int, str]] = {}
     for key, whole in store.rows("SELECT id, whole FROM recordings ORDER BY id"):
         for entry, name in _store.from_json(whole).items():
@@ -288,7 +287,6 @@ def spare_files(store: Store) -> list[Path]:
 
 
 def _leftovers(store: Store) -> Iterator[Problem]:
-    """Name what a killed writer left; it is harmless."""
     what = "No touch is found in it; harmless. --repair takes its touches in."
     for path in spare_files(store):
         yield Problem("file without touches", _short(store, path), what, [])

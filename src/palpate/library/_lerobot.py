@@ -78,7 +78,6 @@ def write_tables(path: Path, tables: Iterable[Any], **options: Any) -> None:
 
 
 def _episodes(store: Store, numbers: Numbers) -> list[Numbers]:
-    """Return the numbers of the touches of each object, session and episode."""
     columns = "o.name, t.session, t.episode, t.number"
     sql = f"SELECT {columns} {FROM} WHERE t.number IN (?) ORDER BY t.number"
     groups: dict[tuple[Any, ...], list[int]] = {}
@@ -101,7 +100,6 @@ class _Dataset:
 
     @property
     def n_frames(self) -> int:
-        """Frames of all episodes so far."""
         return int(self.rows[-1]["dataset_to_index"]) if self.rows else 0
 
     def add(self, touches: Touches) -> dict[str, Array]:
@@ -149,7 +147,6 @@ class _Dataset:
 
 
 def _feature(name: str, values: Array) -> dict[str, Any]:
-    """Return what `info.json` says of a feature."""
     if name == TACTILE and values.dtype == np.uint8:
         shape = [*values.shape[1:], *[1] * (4 - values.ndim)]
         axes = ["height", "width", "channels"]

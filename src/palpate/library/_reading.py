@@ -112,7 +112,6 @@ def with_images(store: Store, numbers: Numbers) -> Numbers:
 
 
 def is_whole(store: Store, row: StoredTouch) -> bool:
-    """Tell whether the image of a touch, and its wide columns, can be read."""
     try:
         read_images(store.folder, [row])
         if any(column.wide for column in layouts(store)[row.layout]):

@@ -87,7 +87,6 @@ class StoredTouch(NamedTuple):
 
 
 def shape_of(*sides: int | None) -> tuple[int, ...]:
-    """Return the shape of an image; the number of channels is None without any."""
     return tuple(n for n in sides if n is not None)
 
 
@@ -128,7 +127,6 @@ def rows_at(store: Store, numbers: Numbers) -> Iterator[list[StoredTouch]]:
 
 
 def read_one(store: Store, key: str) -> StoredTouch:
-    """Return the row of the touch with this id, or say that there is none."""
     number = store.key_of("touches", "id", id_bytes(key))
     if number is None:
         raise LibraryError(

@@ -293,7 +293,6 @@ class TouchDetector:
         self._calm_since_s, self._calm_change = 0.0, 0.0
 
     def _least(self, image: Array | None) -> float:
-        """Return the least change that counts in images of a type."""
         whole = image is not None and image.dtype.kind in "iu"
         step = max(self.step, 1.0) if whole else self.step
         return max(_LEAST_STEPS * step, float(np.finfo(np.float32).tiny))

@@ -13,14 +13,9 @@ from typing import Any
 import numpy as np
 
 from .._types import Array, Floats
+from . import _detector
 from ._contract import Frame, SensorError
-from ._detector import (
-    MOST_TAXELS,
-    ContactError,
-    SensorMemory,
-    TouchDetector,
-    baseline_warning,
-)
+from ._detector import MOST_TAXELS, ContactError, SensorMemory
 
 _PARTS, _REST, _NAMED, _PAIRS = 12, 10, 5, 400
 _HOT, _SHARED, _LATE, _LOST = 6.0, 0.3, 3.0, 0.01
@@ -44,7 +39,7 @@ def sensor_health(
     stack = np.stack([frame.image for frame in frames])
     whole, array = stack.dtype.kind in "iu", stack.ndim == 3
     array = array and stack[0].size <= MOST_TAXELS
-    detector, findings = TouchDetector(), []
+    detector, findings = _detector.TouchDetector(), []
     detector.step = max(step, 1.0) if whole else step
     try:
         detector.take_baseline(list(stack[:_REST]))
@@ -74,7 +69,7 @@ def sensor_health(
     usual_ms, late_ms = np.percentile(gaps_ms, (50, 99)).tolist()
     lost = 1 - len(frames) / (frames[-1].number - frames[0].number + 1)
     if memory is not None and memory.no_contact.shape == rest.shape:
-        findings += filter(None, [baseline_warning(memory, rest)])
+        findings += filter(None, [_detector.baseline_warning(memory, rest)])
     n_s = frames[-1].time_s - frames[0].time_s
     told = {
         f"{_named(saturated)} read the most there is, at rest: saturated.": saturated,
@@ -118,7 +113,6 @@ def _places(which: Array, judged: bool) -> list[list[int]]:
 
 
 def _named(places: list[list[int]]) -> str:
-    """Return taxels in words, the first few by their places."""
     listed = ", ".join(f"row {row} column {col}" for row, col in places[:_NAMED])
     more = f" and {len(places) - _NAMED} more" if len(places) > _NAMED else ""
     return f"{len(places)} taxels ({listed}{more})"

@@ -22,15 +22,8 @@ from numpy.lib import format as npy
 
 from .._durable import replacing
 from .._types import Array
-from ._columns import (
-    PLAIN_KINDS,
-    Arrays,
-    TouchesError,
-    belongs_to_whole,
-    check_layout,
-    checked_images,
-    sorted_out,
-)
+from . import _columns
+from ._columns import PLAIN_KINDS, Arrays, TouchesError, belongs_to_whole
 
 _WHOLE_NAMES = "set_whole_names"
 _MAX_MEMBERS = 1000
@@ -68,10 +61,12 @@ def read_archive(path: Path, max_bytes: int) -> tuple[Array, Arrays, Arrays]:
                     "The file is damaged: write or fetch it again."
                 )
             arrays = _inflated(archive, max_bytes)
-        images = checked_images(arrays.pop("images"))
+        images = _columns.checked_images(arrays.pop("images"))
         names = arrays.pop(_WHOLE_NAMES, np.array([], dtype=np.str_)).ravel()
-        sorted_arrays = sorted_out(arrays, images, [str(name) for name in names])
-        check_layout(images, *sorted_arrays)
+        sorted_arrays = _columns.sorted_out(
+            arrays, images, [str(name) for name in names]
+        )
+        _columns.check_layout(images, *sorted_arrays)
         return images, *sorted_arrays
 
 
@@ -124,7 +119,6 @@ class _Member(NamedTuple):
 
 
 def _inflated(archive: zipfile.ZipFile, max_bytes: int) -> Arrays:
-    """Return every array, once all headers are known to be in order."""
     infos = archive.infolist()
     _refuse_odd_members(infos)
     n_bytes = sum(info.file_size for info in infos)

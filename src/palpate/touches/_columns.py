@@ -175,7 +175,6 @@ def picked_rows(index: Any, n_touches: int) -> slice | Array:
 
 
 def joined_images(parts: Sequence[Array]) -> Array:
-    """Stack images of one size and type."""
     for number, part in enumerate(parts):
         if part.shape[1:] != parts[0].shape[1:]:
             first, other = (size_said(one.shape[1:]) for one in (parts[0], part))
@@ -317,7 +316,6 @@ def check_layout(images: Array, columns: Arrays, whole: Arrays) -> None:
 
 
 def _checked_names(name: str, array: Array) -> Array:
-    """Return names as text that tells them apart."""
     given = array.tolist()
     try:
         text = np.char.decode(array, "utf-8") if array.dtype.kind == "S" else array

@@ -103,7 +103,6 @@ def png_address(image: Array, side: int) -> str:
 
 
 def _listed(each: list[str]) -> str:
-    """Return the first of some texts, and how many more there are."""
     more = [f"and {len(each) - _NAMES} more"] if len(each) > _NAMES else []
     return ", ".join(each[:_NAMES] + more) or "none"
 

@@ -125,7 +125,6 @@ class _Hub:
         self._clients: set[_Client] = set()
 
     async def serve(self, socket: WebSocket) -> None:
-        """Send one client everything until it goes."""
         if len(self._clients) >= _MOST_CLIENTS:
             await socket.close(code=1013, reason="Too many pages are open.")
             return

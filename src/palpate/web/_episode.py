@@ -132,7 +132,6 @@ class LiveEpisode:
 
     @property
     def reason(self) -> str:
-        """One sentence that says why."""
         if self.belief is None:
             return "Nothing is learnt yet: teach two objects, then learn."
         if not self.touches:
@@ -140,7 +139,6 @@ class LiveEpisode:
         return self.belief.reason(**self.accepted)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values, without images."""
         return {
             "number": self.number,
             "open": self.open,
@@ -154,7 +152,6 @@ class LiveEpisode:
         }
 
     def as_touches(self) -> Touches:
-        """Return the touches of the episode, with their times."""
         if not self.touches:
             raise ValueError("The episode has no touch yet; touch something first.")
         times = np.array([touch.time_s for touch in self.touches])

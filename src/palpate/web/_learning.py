@@ -129,7 +129,6 @@ def remember_sensor(
 
 
 def _taught(library: TouchLibrary, image_shape: Sequence[int] | None) -> Any:
-    """Return the touches to learn, None for none."""
     if image_shape is None:
         newest = library.list(limit=1, offset=max(0, len(library) - 1))
         if not newest:

@@ -76,7 +76,6 @@ class RequestGuard:
         self._permits: dict[str, tuple[float, float]] = {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer or hand on one request or one websocket."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -103,7 +102,6 @@ class RequestGuard:
             await self._within_size(scope, receive, send_with_rules)
 
     def _refusal(self, asked: HTTPConnection) -> tuple[int, str] | None:
-        """Return status and sentence where somebody must stay out."""
         if not self._in_time(asked):
             return 429, "Too many requests; slow down."
         if not self._is_ours(asked.headers.get("host", "")):
@@ -212,7 +210,6 @@ class PatientProtocol(H11Protocol):
     _ending: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin to wait."""
         super().connection_made(transport)
         self._wait()
 
@@ -222,7 +219,6 @@ class PatientProtocol(H11Protocol):
         self._wait()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Wait no more."""
         super().connection_lost(exc)
         self._wait(False)
 

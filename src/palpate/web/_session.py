@@ -477,7 +477,6 @@ class LiveSession:
 
     @contextmanager
     def _changing(self) -> Iterator[None]:
-        """Hold the lock while something changes; then send the state."""
         with self._lock:
             yield
         self._notify_state()

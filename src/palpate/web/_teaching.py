@@ -132,7 +132,6 @@ class Lesson:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values."""
         return {
             "name": self.name,
             "wanted": self.wanted,
@@ -180,7 +179,6 @@ class Teacher:
             return self._opened
 
     def close(self) -> None:
-        """Close the library if it is open."""
         if self._opened is not None:
             self._opened.close()
 
@@ -190,7 +188,6 @@ class Teacher:
         self._session = f"{started} {why}".strip()
 
     def begin(self, name: str, wanted: int) -> None:
-        """Start to teach an object; a lesson under way ends."""
         check_count("count", wanted)
         if wanted > MOST_PER_LESSON:
             raise ValueError(f"count must be at most {MOST_PER_LESSON}, got {wanted}.")
@@ -299,7 +296,6 @@ class Teacher:
             self.library.retract(object=name, reason="forgotten on the page")
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what the library holds, as plain values."""
         return {
             "folder": str(self.folder.resolve()),
             "objects": [
@@ -350,7 +346,6 @@ class Teacher:
         return ImageKind(shape, dtype, names)
 
     def _counts(self) -> dict[str, int]:
-        """Return how many touches each object has, sorted by name."""
         return {row.name: row.n_touches for row in self.library.objects()}
 
     def _rows(self, name: str, limit: int | None = None) -> list[TouchRow]:
