@@ -12,7 +12,7 @@ from ._output import answer, belief_line, stages
 from .simulate import Objects, Rows, Unit, Workers, find_objects
 
 if TYPE_CHECKING:
-    from ..exploration import Exploration, Stand, Strategy, TouchMap, TouchRecord
+    from ..exploration import Exploration, Strategy, TouchMap, TouchRecord
     from ..recognition import ObjectRecogniser
     from ..simulation import SimObject
 
@@ -119,13 +119,12 @@ def recognise(
     as_json: _options.AsJson = False,
 ) -> None:
     """Touch one object until it is recognised, or found to be unknown."""
-    from ..exploration import QUICK_GUARD, put_down, read_episode
-    from ..exploration import explore as explore_object
+    from .. import exploration
     from ..recognition import ObjectRecogniser
 
     found = _one_object(thing, unit)
     recogniser = ObjectRecogniser.load(model)
-    stand = put_down(
+    stand = exploration.put_down(
         found,
         _camera(recogniser),
         face=face,
@@ -134,17 +133,24 @@ def recognise(
         faults=_faults(fault),
     )
     touch_map = _touch_map(recogniser, model, taught, strategy, seed)
-    way = _strategy(strategy, touch_map, stand, seed)
+    way: Strategy
+    if strategy == "random":
+        way = exploration.RandomHemisphere(stand.hemisphere, seed)
+    elif strategy == "raster":
+        way = exploration.Raster(stand.hemisphere)
+    else:
+        assert touch_map is not None
+        way = exploration.InformativeTouch(touch_map, stand.hemisphere)
     knower = recogniser if touch_map is None else touch_map
     if folder is not None and (folder / "episode.json").exists() and not as_json:
-        print(f"Goes on after {len(read_episode(folder))} attempts.")
-    end = explore_object(
+        print(f"Goes on after {len(exploration.read_episode(folder))} attempts.")
+    end = exploration.explore(
         stand.robot,
         stand.sensor,
         knower,
         way,
         folder,
-        guard=QUICK_GUARD,
+        guard=exploration.QUICK_GUARD,
         max_attempts=most,
         error=error,
         refusal=refusal,
@@ -233,19 +239,6 @@ def _touch_map(
     with stages() as stage:
         stage("learning where touches were made")
         return TouchMap(random_state=seed).fit(recogniser, Touches.load(archive))
-
-
-def _strategy(
-    name: str, touch_map: "TouchMap | None", stand: "Stand", seed: int
-) -> "Strategy":
-    from ..exploration import InformativeTouch, RandomHemisphere, Raster
-
-    if name == "random":
-        return RandomHemisphere(stand.hemisphere, seed)
-    if name == "raster":
-        return Raster(stand.hemisphere)
-    assert touch_map is not None
-    return InformativeTouch(touch_map, stand.hemisphere)
 
 
 def _camera(recogniser: "ObjectRecogniser") -> Any:

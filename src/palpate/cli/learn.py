@@ -53,11 +53,9 @@ def learn(
             if extend is not None:
                 recogniser = _extended(extend, training)
             else:
-                given = {k: v for k, v in vars(how).items() if k != "seed"}
-                recogniser = recognition.ObjectRecogniser(
-                    **given, random_state=how.seed
-                )
-                recogniser.fit(training)
+                given = vars(how) | {"random_state": how.seed}
+                del given["seed"]
+                recogniser = recognition.ObjectRecogniser(**given).fit(training)
             if pitch_mm is not None or "set_pitch_mm" in training.whole:
                 stage("learning where parts lie")
                 recogniser.fit_pose(_held(training), pitch_mm)

@@ -116,9 +116,8 @@ def press_pose(
 ) -> dict[str, Any] | None:
     """Return where a press lies and how it is turned, if it is `label`.
 
-    Angles are in degrees from 0 to 360 / symmetry. An uncertainty that is not finite,
-    as that of an angle whose symmetry is unknown, becomes null in JSON. None where the
-    label has been added after poses were learnt.
+    Angles are in degrees from 0 to 360 / symmetry. None where the label has been added
+    after poses were learnt.
     """
     if recogniser.pose_ is None or label not in recogniser.pose_.labels_:
         return None

@@ -92,9 +92,7 @@ def read_touches(
 def read_images(folder: Path, rows: Sequence[StoredTouch]) -> Array:
     """Return images, (n_touches, *image_shape), of files alone, digests checked."""
     # Touches that follow one another in one file are read at once.
-    runs = groupby(
-        enumerate(rows), lambda pair: (pair[1].file, pair[1].number - pair[0])
-    )
+    runs = groupby(enumerate(rows), lambda at: (at[1].file, at[1].number - at[0]))
     images = [_run_of_images(folder, [row for _, row in run]) for _, run in runs]
     return np.concatenate(images)
 

@@ -145,15 +145,12 @@ def damaged_touches(
     """
     if not store.sealed:
         return {}
-    bad = {
-        table: _listed(store.broken(table)) for table in SEALED if table != "touches"
-    }
-    numbers = store.broken("touches", last, first)
-    if not numbers and not any(len(keys) > 2 for keys in bad.values()):
+    bad = {t: _listed(store.broken(t)) for t in SEALED if t != "touches"}
+    numbers = _listed(store.broken("touches", last, first))
+    if {numbers, *bad.values()} == {"()"}:
         return {}
     found = store.rows(
-        "SELECT number, lower(hex(id)) FROM touches "
-        f"WHERE number IN {_listed(numbers)} "
+        f"SELECT number, lower(hex(id)) FROM touches WHERE number IN {numbers} "
         f"OR object IN (SELECT id FROM objects WHERE id IN {bad['objects']} "
         f"OR merged_into IN {bad['objects']}) OR recording IN {bad['recordings']} "
         f"OR layout IN {bad['layouts']} OR file IN {bad['files']} "

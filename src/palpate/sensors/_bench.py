@@ -206,9 +206,8 @@ class _Line:
         self._pressed: tuple[float, simulation.DomePress] | None = None
 
     def holds(self, pose: SensorPose) -> bool:
-        if pose.roll_rad != self.base.roll_rad:
-            return False
-        if not np.array_equal(pose.direction, self.base.direction):
+        same_roll = pose.roll_rad == self.base.roll_rad
+        if not (same_roll and np.array_equal(pose.direction, self.base.direction)):
             return False
         way = np.asarray(pose.position_mm) - np.asarray(self.base.position_mm)
         aside = way - (way @ self.base.direction) * np.asarray(self.base.direction)

@@ -61,9 +61,11 @@ def sensor_health(
     at_top = np.mean(stack == most, axis=0)
     # Where numbers are coarser than the noise, a taxel that stands still may be well.
     fine = typical >= max(detector.step / 2, 1e-300)
-    saturated = _places(at_top > 0.5, array)
-    dead = _places(np.isnan(rest) | ((noise == 0) & fine & (at_top <= 0.5)), array)
-    hot = _places(noise > max(_HOT * typical, detector.step), array and typical > 0)
+    full, still = at_top > 0.5, (noise == 0) & fine
+    loud = (noise > max(_HOT * typical, detector.step)) & (typical > 0)
+    saturated = np.argwhere(full & array).tolist()
+    dead = np.argwhere((np.isnan(rest) | (still & ~full)) & array).tolist()
+    hot = np.argwhere(loud & array).tolist()
     by_row, by_col = _shared(stack[: _PAIRS + 1], noise) if array else (0.0, 0.0)
     gaps_ms = np.diff([frame.time_s for frame in frames]) * 1000
     usual_ms, late_ms = np.percentile(gaps_ms, (50, 99)).tolist()
@@ -107,15 +109,8 @@ def sensor_health(
     return {**found, "levels": levels, "rest": rest, "noise": noise}
 
 
-def _places(which: Array, judged: bool) -> list[list[int]]:
-    found: list[list[int]] = np.argwhere(which).tolist() if judged else []
-    return found
-
-
 def _named(places: list[list[int]]) -> str:
-    listed = ", ".join(f"row {row} column {col}" for row, col in places[:_NAMED])
-    more = f" and {len(places) - _NAMED} more" if len(places) > _NAMED else ""
-    return f"{len(places)} taxels ({listed}{more})"
+    return f"{len(places)} taxels ({_detector.taxels_said(places, _NAMED)})"
 
 
 def _shared(stack: Array, noise: Floats) -> tuple[float, float]:

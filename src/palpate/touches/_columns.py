@@ -71,9 +71,7 @@ def checked_images(images: ArrayLike) -> Array:
 
 
 def sorted_out(
-    given: Mapping[str, Any],
-    images: Array,
-    whole_names: Collection[str] = (),
+    given: Mapping[str, Any], images: Array, whole_names: Collection[str] = ()
 ) -> tuple[Arrays, Arrays]:
     """Split `given` into checked columns and checked entries of the whole set.
 
@@ -421,18 +419,11 @@ def _listed(names: Array | None) -> str:
 
 
 def frame_summaries(frames: Array) -> Array:
-    """Return the summaries of presses, side by side on the last axis.
+    """Return the summaries of presses, (n_touches, n_rows, n_cols, 3 * n_channels).
 
-    Parameters
-    ----------
-    frames : ndarray of shape (n_touches, n_frames, n_rows, n_cols[, n_channels])
-        NaN stays NaN.
-
-    Returns
-    -------
-    ndarray of shape (n_touches, n_rows, n_cols, 3 * n_channels)
-        All channels of the first of `SUMMARIES`, then of the next. float32 holds 8- and
-        16-bit frames; wider ones give float64.
+    `frames` are (n_touches, n_frames, n_rows, n_cols[, n_channels]); NaN stays NaN. All
+    channels of the first of `SUMMARIES` come first. Frames of 8 and 16 bits give
+    float32, wider ones float64.
     """
     n_touches, _, n_rows, n_cols = frames.shape[:4]
     summaries = [_summarised(press.astype(np.float64)) for press in frames]

@@ -241,13 +241,13 @@ def _from_folders(names: Sequence[str]) -> Arrays:
 def _numbers(
     group: str, values: Sequence[str], names: Sequence[str], *, whole: bool = False
 ) -> Array:
-    pattern, what = (_WHOLE_NUMBER if whole else _NUMBER), "a whole number"
+    kinds = (_NUMBER, "a number"), (_WHOLE_NUMBER, "a whole number")
+    pattern, what = kinds[whole]
     for value, name in zip(values, names, strict=True):
         if not pattern.fullmatch(value):
             raise TouchesError(
-                f"{name}: the group {group} of name_pattern must match "
-                f"{what if whole else 'a number'}, got {value!r}. Correct the pattern "
-                "or the file name."
+                f"{name}: the group {group} of name_pattern must match {what}, got "
+                f"{value!r}. Correct the pattern or the file name."
             )
     return np.array(values).astype(np.int64 if whole else np.float64)
 

@@ -197,9 +197,8 @@ class Touches(Labelled):
         place = Path(path)
         ending = place.suffix.lower()
         if place.is_dir() or (ending in PICTURES and place.is_file()):
-            limits = (max_pixels, max_bytes, progress)
-            how = (name_pattern, no_contact, colour)
-            return cls(**folder_arrays(place, *how, *limits))
+            how = (name_pattern, no_contact, colour, max_pixels, max_bytes, progress)
+            return cls(**folder_arrays(place, *how))
         if ending in TABLES and place.is_file() and name_pattern is None and not colour:
             if ending == ".csv":
                 read = cls(**csv_arrays(place, shape, max_bytes))
@@ -232,9 +231,8 @@ class Touches(Labelled):
     ) -> Self:
         if no_contact is None:
             return self
-        like = self.images, self.channels
-        image = no_contact_picture(Path(no_contact), *like, max_pixels)
-        return self.with_columns(no_contact=image)
+        like = self.images, self.channels, max_pixels
+        return self.with_columns(no_contact=no_contact_picture(Path(no_contact), *like))
 
     @classmethod
     def from_frame(cls, frame: Any, shape: tuple[int, int] | None = None) -> Self:
@@ -289,9 +287,8 @@ class Touches(Labelled):
             raise TypeError(f"concatenate must be given Touches, got {odd[0]}.")
         images = _columns.joined_images([part.images for part in parts])
         columns = _columns.joined_columns([part._columns for part in parts])
-        return Touches._of(
-            images, columns, _columns.joined_whole([p._whole for p in parts])
-        )
+        whole = _columns.joined_whole([part._whole for part in parts])
+        return Touches._of(images, columns, whole)
 
     @classmethod
     def _of(cls, images: Array, columns: Arrays, whole: Arrays) -> Self:
@@ -395,9 +392,8 @@ class Touches(Labelled):
                     "Build Touches(images, **touches.columns, **touches.whole)."
                 )
             if not _columns.belongs_to_whole(name):
-                _columns.checked_column(
-                    name, _columns.plain_array(name, value), len(self)
-                )
+                array = _columns.plain_array(name, value)
+                _columns.checked_column(name, array, len(self))
         added, changed = _columns.sorted_out(columns, self._images)
         kept = {name: a for name, a in self._whole.items() if name not in added}
         parts = {**self._columns, **added}, {**kept, **changed}
@@ -439,9 +435,7 @@ class Touches(Labelled):
                 "Give them: touches.with_columns(press_frames=frames)."
             )
         names = [f" {name}" for name in self.channels or ()] or [""]
-        channels = [
-            f"{summary}{name}" for summary in _columns.SUMMARIES for name in names
-        ]
+        channels = [f"{what}{name}" for what in _columns.SUMMARIES for name in names]
         whole: dict[str, Any] = {**self._whole, "channels": channels}
         if self.no_contact is not None:
             whole["no_contact"] = frame_summaries(self.no_contact[None, None])[0]

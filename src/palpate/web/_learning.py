@@ -171,8 +171,7 @@ def _refuse_other_size(
     base: ObjectRecogniser, image_shape: Sequence[int], sentence: str, names: str = ""
 ) -> None:
     """Refuse to learn further a model of images of another size than these."""
-    shapes = (base.encoder_.image_shape_, image_shape)
-    old, new = map(size_said, shapes)
+    old, new = map(size_said, (base.encoder_.image_shape_, image_shape))
     if old != new:
         raise LearningError(sentence.format(old=old, new=new, names=names))
 

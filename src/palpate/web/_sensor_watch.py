@@ -332,10 +332,8 @@ class SensorWatch:
 
 def _kind(image_shape: tuple[int, ...], other: tuple[int, ...]) -> str:
     """Say how large images are, and whether in colour where others differ in that."""
-    size = size_said(image_shape[:2])
-    if len(image_shape) == len(other):
-        return size
-    return f"{size} in {'colour' if len(image_shape) == 3 else 'grey'}"
+    colour = " in colour" if len(image_shape) == 3 else " in grey"
+    return size_said(image_shape[:2]) + colour * (len(image_shape) != len(other))
 
 
 def _median(values: deque[float]) -> float | None:

@@ -145,7 +145,7 @@ class Lesson:
 class Teacher:
     """Stores what is taught with a sensor, if there is one, in a library.
 
-    Where there is no library it is made, by `open` or when it is first needed.
+    Where there is no library it is made when it is first needed.
     """
 
     def __init__(self, folder: str | Path, sensor: LiveSensor | None) -> None:
@@ -164,15 +164,11 @@ class Teacher:
         # Of each object taught, that its last lesson was of touches alike, or "".
         self.verdicts: dict[str, str] = {}
         if TouchLibrary.is_library(self.folder):
-            self.open()
+            _ = self.library
 
     @property
     def library(self) -> TouchLibrary:
         """The library; opened, or made, the first time it is asked for."""
-        return self.open()
-
-    def open(self) -> TouchLibrary:
-        """Open the library, or make it, unless it is open; return it."""
         with self._opening:
             if self._opened is None:
                 self._opened = TouchLibrary.open(self.folder, create=True)
