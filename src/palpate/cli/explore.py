@@ -119,16 +119,20 @@ def recognise(
     as_json: _options.AsJson = False,
 ) -> None:
     """Touch one object until it is recognised, or found to be unknown."""
+    import numpy as np
+
     from .. import exploration
+    from .._checks import check_number
     from ..recognition import ObjectRecogniser
 
     found = _one_object(thing, unit)
     recogniser = ObjectRecogniser.load(model)
+    drawn = np.random.default_rng([seed, 1]).uniform(0, 2 * np.pi)
     stand = exploration.put_down(
         found,
         _camera(recogniser),
         face=face,
-        yaw_rad=_yaw_rad(yaw, seed),
+        yaw_rad=float(drawn if yaw is None else np.deg2rad(check_number("yaw", yaw))),
         random_state=seed,
         faults=_faults(fault),
     )
@@ -252,16 +256,6 @@ def _camera(recogniser: "ObjectRecogniser") -> Any:
             "with: palpate explore learn."
         )
     return DomeCamera(image_shape=(shape[0], shape[1]))
-
-
-def _yaw_rad(yaw: float | None, seed: int) -> float:
-    import numpy as np
-
-    from .._checks import check_number
-
-    if yaw is None:
-        return float(np.random.default_rng([seed, 1]).uniform(0, 2 * np.pi))
-    return float(np.deg2rad(check_number("yaw", yaw)))
 
 
 def _faults(given: Sequence[str] | None) -> dict[int, str]:

@@ -113,9 +113,8 @@ def read_file(folder: Path, name: str) -> list[Array]:
         last = first + prod(shape) * dtype.itemsize
         if not dtype.itemsize or min(shape, default=0) < 0 or last > len(content):
             raise _no_array(path, f"shape {shape} of {dtype}")
-        values = np.frombuffer(content[first:last], dtype=dtype)
-        array, start = values.reshape(shape), last
-        arrays.append(array)
+        arrays.append(np.frombuffer(content[first:last], dtype).reshape(shape))
+        start = last
     return arrays
 
 

@@ -155,11 +155,10 @@ def read_whole(store: Store, numbers: Numbers) -> dict[str, Array]:
     """Return what is the same for all touches; warn of files lost or altered."""
     rows = distinct(store, "r.geometry, r.whole", numbers)
     geometries = {row[0] for row in rows}
-    if len(geometries - {None}) > 1:
+    if len(known := sorted(geometries - {None})) > 1:
         raise LibraryError(
-            "Touches must have one geometry, got "
-            f"{', '.join(sorted(geometries - {None}))}. Choose one with --where, for "
-            'example "geometry = array".'
+            f"Touches must have one geometry, got {', '.join(known)}. Choose one with "
+            '--where, for example "geometry = array".'
         )
     entries = [_entries(row[1]) for row in rows]
     same = {n: h for n, h in entries[0].items() if all(e.get(n) == h for e in entries)}
