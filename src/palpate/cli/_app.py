@@ -63,15 +63,13 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+_version = option(
+    "--version", "Print the version.", callback=_print_version, is_eager=True
+)
+
+
 @app.callback()
-def _root(
-    version: Annotated[
-        bool,
-        option(
-            "--version", "Print the version.", callback=_print_version, is_eager=True
-        ),
-    ] = False,
-) -> None:
+def _root(version: Annotated[bool, _version] = False) -> None:
     """Take the verbs as they are."""
 
 

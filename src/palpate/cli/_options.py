@@ -8,7 +8,7 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
@@ -28,7 +28,6 @@ CONNECT_S = 20.0
 
 
 def checked_seed(seed: int) -> int:
-    """Return a seed that every generator takes, or say what --seed should be."""
     if not 0 <= seed <= MOST_SEED:
         raise ValueError(
             f"--seed must be between 0 and {MOST_SEED}, got {seed}. "
@@ -38,7 +37,6 @@ def checked_seed(seed: int) -> int:
 
 
 def checked_workers(workers: int | None) -> int | None:
-    """Return a number of processes, or say what --workers should be."""
     if workers is not None and workers < 1 and workers != -1:
         raise ValueError(
             f"--workers must be at least 1, or -1 for all cores, got {workers}."
@@ -47,7 +45,6 @@ def checked_workers(workers: int | None) -> int | None:
 
 
 def counts(text: str) -> tuple[int, ...]:
-    """Return whole numbers that were given with commas, or say how to write them."""
     try:
         return tuple(int(part) for part in text.split(","))
     except ValueError:
@@ -266,13 +263,12 @@ class Reading:
             name_pattern=named,
             no_contact=self.no_contact,
             colour=bool(self.colour),
-            shape=None if self.shape is None else sides(self.shape),
+            shape=None if self.shape is None else _sides(self.shape),
             max_pixels=int(self.max_megapixels * 1e6),
         )
 
 
-def sides(text: str) -> tuple[int, int]:
-    """Return rows and columns that were given as 16x16."""
+def _sides(text: str) -> tuple[int, int]:
     found = re.fullmatch(r"(\d{1,5})[xX×](\d{1,5})", text.strip())
     if found is None:
         raise ValueError(f"--shape must be rows x columns such as 16x16, got {text!r}.")
@@ -331,7 +327,22 @@ class Working:
             raise ValueError(
                 "Give either --workers or --cluster, got both; a cluster has its own."
             )
-        with _connected(self.cluster), parallel_config("dask"):
+        distributed = needed("distributed", "distributed", "--cluster")
+        address = self.cluster
+        try:
+            client = distributed.Client(address, timeout=CONNECT_S)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise OSError(
+                f"--cluster must be the address of a Dask scheduler, got {address}: "
+                f"{error or 'no answer'}. Start one with `dask scheduler`, workers "
+                "with `dask worker ADDRESS`."
+            ) from error
+        with client, parallel_config("dask"):
+            if not client.scheduler_info()["workers"]:
+                raise OSError(
+                    f"The scheduler at {address} must have workers, got none. Start "
+                    f"some with `dask worker {address}`."
+                )
             yield -1
 
 
@@ -346,11 +357,9 @@ def grouped(verb: Callable[..., None]) -> Callable[..., None]:
         n: p.annotation for n, p in taken.items() if is_dataclass(p.annotation)
     }
     flat: list[Parameter] = []
-    for name, parameter in taken.items():
-        if name in groups:
-            flat += map(_parameter, fields(groups[name]))
-        else:
-            flat.append(parameter.replace(kind=Parameter.KEYWORD_ONLY))
+    for name, parameter in taken.items():  # those of a dataclass are its own fields
+        of = signature(groups[name]).parameters.values() if name in groups else None
+        flat += [p.replace(kind=Parameter.KEYWORD_ONLY) for p in of or [parameter]]
 
     @wraps(verb)
     def run(**given: Any) -> None:
@@ -362,12 +371,6 @@ def grouped(verb: Callable[..., None]) -> Callable[..., None]:
     run.__annotations__ = {p.name: p.annotation for p in flat}
     vars(run)["__signature__"] = Signature(flat)  # what Typer reads
     return run
-
-
-def _parameter(field: Any) -> Parameter:
-    default = Parameter.empty if field.default is MISSING else field.default
-    kind = Parameter.KEYWORD_ONLY
-    return Parameter(field.name, kind, default=default, annotation=field.type)
 
 
 def calibrated(touches: "Touches", calibration: Path | None) -> "Touches":
@@ -382,23 +385,3 @@ def calibrated(touches: "Touches", calibration: Path | None) -> "Touches":
     if touches.no_contact is not None:
         whole["no_contact"] = known.transform(touches.no_contact[None])[0]
     return Touches(known.transform(touches.images), **touches.columns, **whole)
-
-
-@contextmanager
-def _connected(address: str) -> Iterator[None]:
-    distributed = needed("distributed", "distributed", "--cluster")
-    try:
-        client = distributed.Client(address, timeout=CONNECT_S)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise OSError(
-            f"--cluster must be the address of a Dask scheduler, got {address}: "
-            f"{error or 'no answer'}. Start one with `dask scheduler`, workers with "
-            "`dask worker ADDRESS`."
-        ) from error
-    with client:
-        if not client.scheduler_info()["workers"]:
-            raise OSError(
-                f"The scheduler at {address} must have workers, got none. Start some "
-                f"with `dask worker {address}`."
-            )
-        yield

@@ -61,7 +61,6 @@ def table(
 
 
 def percent(value: float | None) -> str:
-    """Return a share as per cent, or a dash."""
     return "-" if value is None else f"{100 * value:.1f}"
 
 

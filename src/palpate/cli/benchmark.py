@@ -4,24 +4,16 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
-from ._options import (
-    AsJson,
-    Label,
-    Report,
-    Seed,
-    Working,
-    argument,
-    counts,
-    grouped,
-    option,
-)
+from . import _options
+from ._options import option
 from ._output import print_json, stages, table
 
 
-@grouped
+@_options.grouped
 def benchmark(
     archives: Annotated[
-        list[Path], argument("ARCHIVE", "Touch archives (.npz), or folders of them.")
+        list[Path],
+        _options.argument("ARCHIVE", "Touch archives (.npz), or folders of them."),
     ],
     *,
     recognisers: Annotated[
@@ -38,13 +30,13 @@ def benchmark(
             "Default: all that the touches allow."
         ),
     ] = None,
-    label: Label = "object",
+    label: _options.Label = "object",
     touches: Annotated[str, option("Score presets after so many touches.")] = "1,5,10",
     repeats: Annotated[int, option("Draws of the protocol random.")] = 3,
-    seed: Seed = 0,
-    report: Report = None,
-    working: Working,
-    as_json: AsJson = False,
+    seed: _options.Seed = 0,
+    report: _options.Report = None,
+    working: _options.Working,
+    as_json: _options.AsJson = False,
 ) -> None:
     """Compare presets with simple recognisers and controls on sets of touches."""
     from .. import evaluation
@@ -57,7 +49,7 @@ def benchmark(
             recognisers=_names(recognisers, evaluation.RECOGNISERS),
             protocols=_names(protocols, evaluation.PROTOCOLS),
             label=label,
-            touches=counts(touches),
+            touches=_options.counts(touches),
             repeats=repeats,
             seed=seed,
             progress=stage,

@@ -67,7 +67,6 @@ def check(
 
 
 def _frames(sensor: "LiveSensor", seconds: float, apart: int) -> list["Frame"]:
-    """Return the frames of some seconds, pixels so far apart."""
     end_s, frames = time.monotonic() + seconds, []
     while time.monotonic() < end_s:
         frame = sensor.read_next()

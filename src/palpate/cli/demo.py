@@ -35,7 +35,6 @@ ERROR = 0.05
 MOST_ATTEMPTS = 16
 
 Sets = tuple["Touches", "Touches", "Touches"]
-Stage = Callable[[str], None]
 
 
 def demo(
@@ -112,7 +111,6 @@ def _explored(seed: int) -> Sets:
 def _recognise_by_exploring(
     recogniser: "ObjectRecogniser", seed: int, *, quiet: bool
 ) -> list[dict[str, Any]]:
-    """Let the arm touch some objects until each is decided."""
     import numpy as np
 
     from ..exploration import QUICK_GUARD, RandomHemisphere, explore, put_down
@@ -165,7 +163,7 @@ def _recognise_recorded(
     return known + others
 
 
-def _read(pictures: Path, seed: int, stage: Stage) -> Sets:
+def _read(pictures: Path, seed: int, stage: Callable[[str], None]) -> Sets:
     """Read the recorded pictures; some objects, drawn by lot, are the unknown ones."""
     import numpy as np
 

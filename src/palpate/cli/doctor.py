@@ -20,7 +20,9 @@ FOR_AUTHORS = ("test", "dev")
 
 def doctor(as_json: AsJson = False) -> None:
     """Check this installation; exit 1 when something that palpate needs is missing."""
-    checks = [_python(), *map(_package, *zip(*_packages(), strict=True)), _data()]
+    old = "" if sys.version_info >= (3, 11) else "install Python 3.11 or newer"
+    python = _check("Python", platform.python_version(), old, needed=True)
+    checks = [python, *(_package(*one) for one in _packages()), _data()]
     healthy = all(check["ok"] or not check["needed"] for check in checks)
     if as_json:
         print_json({"healthy": healthy, "cores": os.cpu_count(), "checks": checks})
@@ -50,11 +52,6 @@ def _packages() -> list[tuple[str, str | None]]:
 def _check(name: str, found: str, fix: str, *, needed: bool) -> dict[str, Any]:
     """Return one line of the report; what has a fix is not as it should be."""
     return {"name": name, "found": found, "fix": fix, "ok": not fix, "needed": needed}
-
-
-def _python() -> dict[str, Any]:
-    fix = "" if sys.version_info >= (3, 11) else "install Python 3.11 or newer"
-    return _check("Python", platform.python_version(), fix, needed=True)
 
 
 def _package(name: str, extra: str | None) -> dict[str, Any]:

@@ -4,22 +4,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from ._options import (
-    AsJson,
-    ErrorRate,
-    Learning,
-    Reading,
-    Refusal,
-    Report,
-    Working,
-    counts,
-    grouped,
-    option,
-)
+from . import _options
+from ._options import option
 from ._output import percent, print_json, stages, table
 
 
-@grouped
+@_options.grouped
 def evaluate(
     train: Annotated[Path, option("Training touches.")],
     *,
@@ -44,13 +34,13 @@ def evaluate(
     unknown: Annotated[Path | None, option("Touches of objects not trained.")] = None,
     test_where: Annotated[str | None, option("The same for --test.")] = None,
     unknown_where: Annotated[str | None, option("The same for --unknown.")] = None,
-    error: ErrorRate = 0.01,
-    refusal: Refusal = None,
-    report: Report = None,
-    how: Learning,
-    reading: Reading,
-    working: Working,
-    as_json: AsJson = False,
+    error: _options.ErrorRate = 0.01,
+    refusal: _options.Refusal = None,
+    report: _options.Report = None,
+    how: _options.Learning,
+    reading: _options.Reading,
+    working: _options.Working,
+    as_json: _options.AsJson = False,
 ) -> None:
     """Learn, recognise and score, with spread, calibration and nuisance controls."""
     from ..evaluation import Plan, check_report_path, write_report
@@ -58,7 +48,7 @@ def evaluate(
 
     plan = Plan(
         **vars(how),
-        touches=counts(touches),
+        touches=_options.counts(touches),
         orders=orders,
         train_touches=train_touches,
         error=error,

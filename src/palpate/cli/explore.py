@@ -6,23 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._options import (
-    AsJson,
-    ErrorRate,
-    MaxModelMb,
-    ModelOutput,
-    ModelPath,
-    Preset,
-    Refusal,
-    Seed,
-    argument,
-    option,
-)
+from . import _options
+from ._options import option
 from ._output import answer, belief_line, stages
 from .simulate import Objects, Rows, Unit, Workers, find_objects
 
 if TYPE_CHECKING:
-    from ..exploration import Exploration, Stand, Strategy, TouchMap, TouchRecord
+    from ..exploration import Exploration, Strategy, TouchMap, TouchRecord
     from ..recognition import ObjectRecogniser
     from ..simulation import SimObject
 
@@ -44,17 +34,17 @@ Folder = Annotated[
 
 @explore.command()
 def learn(
-    output: ModelOutput,
+    output: _options.ModelOutput,
     objects: Objects = None,
     touches: Annotated[int, option("Touches of each object.")] = 60,
     sessions: Annotated[int, option("How often each object is put down anew.")] = 3,
-    preset: Preset = "default",
+    preset: _options.Preset = "default",
     rows: Rows = 120,
     folder: Folder = None,
     unit: Unit = "mm",
     workers: Workers = -1,
-    seed: Seed = 0,
-    as_json: AsJson = False,
+    seed: _options.Seed = 0,
+    as_json: _options.AsJson = False,
 ) -> None:
     """Touch objects from random points of a hemisphere and learn them.
 
@@ -97,8 +87,10 @@ def learn(
 
 @explore.command()
 def recognise(
-    model: ModelPath,
-    thing: Annotated[str, argument("OBJECT", "A built-in object or a mesh file.")],
+    model: _options.ModelPath,
+    thing: Annotated[
+        str, _options.argument("OBJECT", "A built-in object or a mesh file.")
+    ],
     strategy: Annotated[str, option("informative, random or raster.")] = "informative",
     taught: Annotated[
         Path | None,
@@ -108,8 +100,8 @@ def recognise(
         ),
     ] = None,
     most: Annotated[int, option("--max-touches", "Budget of attempts.")] = 30,
-    error: ErrorRate = 0.01,
-    refusal: Refusal = None,
+    error: _options.ErrorRate = 0.01,
+    refusal: _options.Refusal = None,
     folder: Folder = None,
     yaw: Annotated[float | None, option("Turn, degrees. Default: drawn.")] = None,
     face: Annotated[int, option("Which face it rests on; 0 is the usual one.")] = 0,
@@ -122,37 +114,47 @@ def recognise(
         ),
     ] = None,
     unit: Unit = "mm",
-    seed: Seed = 0,
-    max_model_mb: MaxModelMb = 2000,
-    as_json: AsJson = False,
+    seed: _options.Seed = 0,
+    max_model_mb: _options.MaxModelMb = 2000,
+    as_json: _options.AsJson = False,
 ) -> None:
     """Touch one object until it is recognised, or found to be unknown."""
-    from ..exploration import QUICK_GUARD, put_down, read_episode
-    from ..exploration import explore as explore_object
+    import numpy as np
+
+    from .. import exploration
+    from .._checks import check_number
     from ..recognition import ObjectRecogniser
 
     found = _one_object(thing, unit)
     recogniser = ObjectRecogniser.load(model)
-    stand = put_down(
+    drawn = np.random.default_rng([seed, 1]).uniform(0, 2 * np.pi)
+    stand = exploration.put_down(
         found,
         _camera(recogniser),
         face=face,
-        yaw_rad=_yaw_rad(yaw, seed),
+        yaw_rad=float(drawn if yaw is None else np.deg2rad(check_number("yaw", yaw))),
         random_state=seed,
         faults=_faults(fault),
     )
     touch_map = _touch_map(recogniser, model, taught, strategy, seed)
-    way = _strategy(strategy, touch_map, stand, seed)
+    way: Strategy
+    if strategy == "random":
+        way = exploration.RandomHemisphere(stand.hemisphere, seed)
+    elif strategy == "raster":
+        way = exploration.Raster(stand.hemisphere)
+    else:
+        assert touch_map is not None
+        way = exploration.InformativeTouch(touch_map, stand.hemisphere)
     knower = recogniser if touch_map is None else touch_map
     if folder is not None and (folder / "episode.json").exists() and not as_json:
-        print(f"Goes on after {len(read_episode(folder))} attempts.")
-    end = explore_object(
+        print(f"Goes on after {len(exploration.read_episode(folder))} attempts.")
+    end = exploration.explore(
         stand.robot,
         stand.sensor,
         knower,
         way,
         folder,
-        guard=QUICK_GUARD,
+        guard=exploration.QUICK_GUARD,
         max_attempts=most,
         error=error,
         refusal=refusal,
@@ -164,7 +166,6 @@ def recognise(
 
 
 def _one_object(name: str, unit: str) -> "SimObject":
-    """Return one object by its name or mesh file; a set of objects is refused."""
     things = find_objects([name], unit)
     if len(things) != 1:
         names = ", ".join(thing.name for thing in things)
@@ -175,7 +176,6 @@ def _one_object(name: str, unit: str) -> "SimObject":
 
 
 def print_attempt(record: "TouchRecord", belief: Any) -> None:
-    """Print the belief after a touch, or what else came of the attempt."""
     if record.touched:
         print(belief_line(belief.touches_used, belief.posterior))
     else:
@@ -245,19 +245,6 @@ def _touch_map(
         return TouchMap(random_state=seed).fit(recogniser, Touches.load(archive))
 
 
-def _strategy(
-    name: str, touch_map: "TouchMap | None", stand: "Stand", seed: int
-) -> "Strategy":
-    from ..exploration import InformativeTouch, RandomHemisphere, Raster
-
-    if name == "random":
-        return RandomHemisphere(stand.hemisphere, seed)
-    if name == "raster":
-        return Raster(stand.hemisphere)
-    assert touch_map is not None
-    return InformativeTouch(touch_map, stand.hemisphere)
-
-
 def _camera(recogniser: "ObjectRecogniser") -> Any:
     from .._checks import size_said
     from ..simulation import DomeCamera
@@ -269,16 +256,6 @@ def _camera(recogniser: "ObjectRecogniser") -> Any:
             "with: palpate explore learn."
         )
     return DomeCamera(image_shape=(shape[0], shape[1]))
-
-
-def _yaw_rad(yaw: float | None, seed: int) -> float:
-    import numpy as np
-
-    from .._checks import check_number
-
-    if yaw is None:
-        return float(np.random.default_rng([seed, 1]).uniform(0, 2 * np.pi))
-    return float(np.deg2rad(check_number("yaw", yaw)))
 
 
 def _faults(given: Sequence[str] | None) -> dict[int, str]:

@@ -3,19 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from ._options import (
-    AsJson,
-    Calibration,
-    Learning,
-    MaxModelMb,
-    ModelOutput,
-    Reading,
-    TouchesPath,
-    Working,
-    calibrated,
-    grouped,
-    option,
-)
+from . import _options
 from ._output import answer, stages
 
 if TYPE_CHECKING:
@@ -24,31 +12,31 @@ if TYPE_CHECKING:
     from ..touches import Touches
 
 
-@grouped
+@_options.grouped
 def learn(
-    touches: TouchesPath,
-    output: ModelOutput,
+    touches: _options.TouchesPath,
+    output: _options.ModelOutput,
     *,
-    how: Learning,
+    how: _options.Learning,
     pitch_mm: Annotated[
         float | None,
-        option(
+        _options.option(
             "Distance of neighbouring taxels: learn also where and at what angle "
             "parts lie on a pressure array. Default: what the archive says."
         ),
     ] = None,
     extend: Annotated[
         Path | None,
-        option(
+        _options.option(
             "Add the objects of TOUCHES that this model does not know to it, or, where "
             "it knows them all, their new touches; its encoding stays as it is."
         ),
     ] = None,
-    working: Working,
-    reading: Reading,
-    calibration: Calibration = None,
-    max_model_mb: MaxModelMb = 2000,
-    as_json: AsJson = False,
+    working: _options.Working,
+    reading: _options.Reading,
+    calibration: _options.Calibration = None,
+    max_model_mb: _options.MaxModelMb = 2000,
+    as_json: _options.AsJson = False,
 ) -> None:
     """Learn objects from labelled touches and write a model file."""
     from .. import recognition
@@ -60,16 +48,14 @@ def learn(
         with reading.selection(touches) as found:
             training = found
             if calibration is not None:
-                training = calibrated(_held(found), calibration)
+                training = _options.calibrated(_held(found), calibration)
             stage(f"learning from {len(training)} touches")
             if extend is not None:
                 recogniser = _extended(extend, training)
             else:
-                given = {k: v for k, v in vars(how).items() if k != "seed"}
-                recogniser = recognition.ObjectRecogniser(
-                    **given, random_state=how.seed
-                )
-                recogniser.fit(training)
+                given = vars(how) | {"random_state": how.seed}
+                del given["seed"]
+                recogniser = recognition.ObjectRecogniser(**given).fit(training)
             if pitch_mm is not None or "set_pitch_mm" in training.whole:
                 stage("learning where parts lie")
                 recogniser.fit_pose(_held(training), pitch_mm)
@@ -133,7 +119,6 @@ def _extended(model: Path, training: "Touches | Selection") -> "ObjectRecogniser
 
 
 def _held(training: "Touches | Selection") -> "Touches":
-    """Return the touches of a selection with all their images."""
     from ..touches import Touches
 
     if isinstance(training, Touches):

@@ -273,7 +273,6 @@ def _meant(
 
 
 def _one_touch(opened: "TouchLibrary", start: str) -> "TouchRow":
-    """Return the one touch whose id begins so."""
     if not start.isalnum():
         raise ValueError(f"The id of a touch must be hexadecimal, got {start!r}.")
     found = opened.list(f"id contains '{start}'", limit=None, retracted=True)

@@ -3,20 +3,7 @@
 from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any
 
-from ._options import (
-    AsJson,
-    Calibration,
-    ErrorRate,
-    MaxModelMb,
-    ModelPath,
-    Reading,
-    Refusal,
-    TouchesPath,
-    Working,
-    calibrated,
-    grouped,
-    option,
-)
+from . import _options
 from ._output import belief_line, percent, print_json, stages
 
 if TYPE_CHECKING:
@@ -28,21 +15,21 @@ SHOWN_ALL = 5
 SHOWN_LATER = (8, 12, 20, 30, 50, 100)
 
 
-@grouped
+@_options.grouped
 def recognise(
-    model: ModelPath,
-    touches: TouchesPath,
+    model: _options.ModelPath,
+    touches: _options.TouchesPath,
     *,
-    error: ErrorRate = 0.01,
-    refusal: Refusal = None,
+    error: _options.ErrorRate = 0.01,
+    refusal: _options.Refusal = None,
     level: Annotated[
-        str, option("What may be named: object, category or any.")
+        str, _options.option("What may be named: object, category or any.")
     ] = "object",
-    reading: Reading,
-    calibration: Calibration = None,
-    working: Working,
-    max_model_mb: MaxModelMb = 2000,
-    as_json: AsJson = False,
+    reading: _options.Reading,
+    calibration: _options.Calibration = None,
+    working: _options.Working,
+    max_model_mb: _options.MaxModelMb = 2000,
+    as_json: _options.AsJson = False,
 ) -> None:
     """Recognise touch by touch: one episode per object (and session) of TOUCHES."""
     from ..recognition import OTHER_MOUNTING, ObjectRecogniser
@@ -51,7 +38,7 @@ def recognise(
         stage(f"reading {model}")
         recogniser = ObjectRecogniser.load(model)
         stage(f"reading {touches}")
-        tested = calibrated(reading.touches(touches), calibration)
+        tested = _options.calibrated(reading.touches(touches), calibration)
         stage(f"recognising {len(tested)} touches")
         evidence = recogniser.evidence(tested)
         asked = tested, error, refusal, level, evidence
@@ -129,9 +116,8 @@ def press_pose(
 ) -> dict[str, Any] | None:
     """Return where a press lies and how it is turned, if it is `label`.
 
-    Angles are in degrees from 0 to 360 / symmetry. An uncertainty that is not finite,
-    as that of an angle whose symmetry is unknown, becomes null in JSON. None where the
-    label has been added after poses were learnt.
+    Angles are in degrees from 0 to 360 / symmetry. None where the label has been added
+    after poses were learnt.
     """
     if recogniser.pose_ is None or label not in recogniser.pose_.labels_:
         return None

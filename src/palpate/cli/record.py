@@ -74,7 +74,6 @@ def record(
 
 
 def _place_again(session: "LiveSession") -> None:
-    """Ask for the sensor to be mounted anew, and take the baseline of that."""
     from ..sensors import ContactError, SensorError
 
     print(

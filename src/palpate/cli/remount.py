@@ -4,16 +4,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ._options import (
-    AsJson,
-    MaxModelMb,
-    ModelOutput,
-    ModelPath,
-    Reading,
-    TouchesPath,
-    grouped,
-    option,
-)
+from . import _options
 from ._output import answer, stages
 
 TO_CONFIRM = 5  # objects
@@ -21,19 +12,21 @@ TO_CONFIRM = 5  # objects
 sensor = typer.Typer(no_args_is_help=True, help="What a sensor does to touches.")
 
 
-@grouped
+@_options.grouped
 def remount(
-    model: ModelPath,
-    touches: TouchesPath,
-    output: ModelOutput,
+    model: _options.ModelPath,
+    touches: _options.TouchesPath,
+    output: _options.ModelOutput,
     *,
     unlabelled: Annotated[
         bool,
-        option("--unlabelled", "Do not use the labels of TOUCHES, if it has any."),
+        _options.option(
+            "--unlabelled", "Do not use the labels of TOUCHES, if it has any."
+        ),
     ] = False,
-    reading: Reading,
-    max_model_mb: MaxModelMb = 2000,
-    as_json: AsJson = False,
+    reading: _options.Reading,
+    max_model_mb: _options.MaxModelMb = 2000,
+    as_json: _options.AsJson = False,
 ) -> None:
     """Get a model used to a sensor that was mounted anew, to another day or device.
 
@@ -69,15 +62,15 @@ def remount(
 
 
 @sensor.command("learn-nuisance")
-@grouped
+@_options.grouped
 def learn_nuisance(
-    model: ModelPath,
-    touches: TouchesPath,
-    output: ModelOutput,
+    model: _options.ModelPath,
+    touches: _options.TouchesPath,
+    output: _options.ModelOutput,
     *,
-    reading: Reading,
-    max_model_mb: MaxModelMb = 2000,
-    as_json: AsJson = False,
+    reading: _options.Reading,
+    max_model_mb: _options.MaxModelMb = 2000,
+    as_json: _options.AsJson = False,
 ) -> None:
     """Learn from any objects met in several sessions what tells sessions apart.
 

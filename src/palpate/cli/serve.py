@@ -52,34 +52,25 @@ def serve(
     as_json: AsJson = False,
 ) -> None:
     """Serve the page and the API of one sensor, to whoever has the printed address."""
-    from ..web import (
-        LiveSession,
-        checked_token,
-        create_app,
-        kept_token,
-        new_token,
-        open_socket,
-        require_web,
-        run_app,
-    )
+    from .. import web
+    from ..web import LiveSession, checked_token, create_app, kept_token
 
-    require_web()
+    web.require_web()
     how: Any = {"error": error, "refusal": refusal, "summary": summary}
     chosen = None if sensor is None else options.open(sensor)
     chosen_token = None if token is None else checked_token(token)
     with (
-        closing(open_socket(host, port)) as socket,
+        closing(web.open_socket(host, port)) as socket,
         LiveSession(chosen, model=model, library=library, **how) as session,
     ):
         if chosen_token is None:
-            chosen_token = new_token() if library is None else kept_token(library)
+            chosen_token = web.new_token() if library is None else kept_token(library)
         app = create_app(session, chosen_token, names=[host, *(name or ())])
         _say_where(host, socket.getsockname()[1], chosen_token, as_json=as_json)
-        run_app(app, socket)
+        web.run_app(app, socket)
 
 
 def _say_where(host: str, port: int, token: str, *, as_json: bool) -> None:
-    """Print the address, and what it means to listen to the network."""
     from ..web import address_of, qr_code
 
     address = address_of(host, port)

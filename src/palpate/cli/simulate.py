@@ -60,7 +60,6 @@ class DomeTouches:
     as_json: AsJson = False
 
     def make(self, camera: "DomeCamera | TacTipPins") -> None:
-        """Touch the objects and write the archive."""
         from ..simulation import BASIC_SHAPES, simulate_touches
 
         things = find_objects(self.objects, self.unit)
@@ -118,11 +117,11 @@ def array(
     as_json: AsJson = False,
 ) -> None:
     """Press flat parts on a pressure array, each time laid down anew."""
-    from ..simulation import PressureArray, simulate_presses
+    from ..simulation import PARTS, PressureArray, simulate_presses
 
     check_output(output)
     made = simulate_presses(
-        _parts(parts),
+        [int(n) if n.isdecimal() else n for n in parts or [p.name for p in PARTS]],
         presses,
         n_sessions=sessions,
         array=PressureArray(
@@ -197,19 +196,11 @@ def pins(
 
 
 def _write(made: "Touches", output: Path, done: str, as_json: bool) -> None:
-    """Write the archive and say what is in it."""
     made.save(output)
     names = [] if made.object is None else list(dict.fromkeys(made.object.tolist()))
     values = {"touches": str(output), "n_touches": len(made), "objects": names}
     line = f"{done.format(len(names))}, {len(made)} touches."
     answer(as_json, values, line, output)
-
-
-def _parts(names: list[str] | None) -> list[str | int]:
-    from ..simulation import PARTS
-
-    given = names or [part.name for part in PARTS]
-    return [int(name) if name.isdecimal() else name for name in given]
 
 
 def _load(text: str) -> float | tuple[float, float]:

@@ -4,23 +4,15 @@ import sys
 from pathlib import Path
 from typing import Annotated, Any
 
-from ._options import (
-    AsJson,
-    ListNames,
-    Report,
-    Seed,
-    Working,
-    argument,
-    grouped,
-    option,
-)
+from . import _options
+from ._options import option
 from ._output import print_json, table
 
 
-@grouped
+@_options.grouped
 def study(
     *,
-    name: Annotated[str, argument("Which study; see --list.")] = "",
+    name: Annotated[str, _options.argument("Which study; see --list.")] = "",
     data: Annotated[
         Path | None, option("Folder of recorded touches. Default: PALPATE_DATA.")
     ] = None,
@@ -32,11 +24,11 @@ def study(
             "paper (on the runs reported). Default: both."
         ),
     ] = None,
-    working: Working,
-    report: Report = None,
-    list_names: ListNames = False,
-    seed: Seed = 0,
-    as_json: AsJson = False,
+    working: _options.Working,
+    report: _options.Report = None,
+    list_names: _options.ListNames = False,
+    seed: _options.Seed = 0,
+    as_json: _options.AsJson = False,
 ) -> None:
     """Run a paper's experiment and print its figures beside the paper's."""
     from .._checks import check_option

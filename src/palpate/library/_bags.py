@@ -1,6 +1,5 @@
 """Touches from ROS 2 bags and MCAP files, without ROS; every message is one touch.
 
-
 - `sensor_msgs/msg/Image`, encodings mono8, mono16, 8UC1, 16UC1, 32FC1, rgb8, bgr8,
   rgba8 and bgra8; colour becomes its luma (ITU-R BT.601), rounded.
 - `sensor_msgs/msg/CompressedImage` that is a JPEG or PNG, read as other pictures are.
@@ -167,10 +166,8 @@ def _messages(
             )
         images.append(image)
         stamp = getattr(getattr(message, "header", None), "stamp", None)
-        if stamp is None or not (stamp.sec or stamp.nanosec):
-            times.append(recorded_ns / 1e9)
-        else:
-            times.append(float(stamp.sec + stamp.nanosec / 1e9))
+        stamp_s = 0.0 if stamp is None else float(stamp.sec + stamp.nanosec / 1e9)
+        times.append(stamp_s or recorded_ns / 1e9)
     if not images:
         raise LibraryError(f"topic must have messages, got none in {topic!r}.")
     return images, times, digest.hexdigest()

@@ -70,7 +70,6 @@ def read_change(path: Path) -> dict[str, Any]:
 
 
 def readable_changes(files: dict[str, Path]) -> dict[str, dict[str, Any]]:
-    """Return the changes in those files that hold one, by name."""
     found = {}
     for name, path in files.items():
         with suppress(OSError, ValueError):
@@ -304,7 +303,6 @@ def _path(store: Store, name: str) -> Path:
 
 
 def _write_change(store: Store, name: str, content: dict[str, Any]) -> None:
-    """Put the file of a change in place; afterwards it is on the disk."""
     path = _path(store, name)
     fix = "Nothing was changed; free space and try again."
     with room_for("the change", path.parent, fix):

@@ -9,7 +9,7 @@ from .._durable import PARTIAL
 from .._progress import Progress
 from . import _changes, _rows, _store
 from ._changes import Names, change_files, file_fault, known_changes, read_change
-from ._files import CELLS, file_path, read_file, read_sheet
+from ._files import CELLS, Sheet, file_path, read_file, read_sheet
 from ._reading import is_whole
 from ._rows import FROM, SET_ASIDE, StoredTouch, damaged_touches, layouts, recordings
 from ._store import CHANGES, FILE_NAME, IMAGES, LibraryError, NewerLibrary, Store
@@ -80,9 +80,8 @@ def check_library(folder: str | Path, *, progress: bool | None = None) -> CheckR
         with closing(Store(Path(folder))) as store:
             return _checked(store, progress)
     except LibraryError as error:
-        kind = "database"
-        if isinstance(error, NewerLibrary | _store.DatabaseUnavailable):
-            kind = "version" if isinstance(error, NewerLibrary) else "disk"
+        kinds = {NewerLibrary: "version", _store.DatabaseUnavailable: "disk"}
+        kind = next((k for t, k in kinds.items() if isinstance(error, t)), "database")
         return CheckReport(False, 0, 0, [Problem(kind, FILE_NAME, str(error), [])])
 
 
@@ -121,11 +120,8 @@ def database_problems(store: Store) -> list[Problem]:
     found = [f"SQLite says: {text}" for (text,) in rows if text != "ok"]
     try:
         touches = [] if found else [*damaged_touches(store).values()]
-        keys = (
-            {}
-            if found or not store.sealed
-            else {t: store.broken(t) for t in _store.SEALED}
-        )
+        tables = () if found or not store.sealed else _store.SEALED
+        keys = {table: store.broken(table) for table in tables}
     except _store.DatabaseDamaged as error:
         return [Problem("database", FILE_NAME, str(error), [])]
     for table, broken in keys.items():
@@ -143,9 +139,8 @@ def row_problems(store: Store) -> list[Problem]:
     columns = ", ".join(f't."{name}"' for name in CELLS[1:])
     problems = []
     for key, name in store.rows("SELECT id, name FROM files ORDER BY id"):
-        try:
-            sheet = read_sheet(read_file(store.folder / IMAGES, name.hex()))
-        except NO_SHEET:
+        sheet = sheet_in(store, name.hex())
+        if sheet is None:
             continue  # such a file is a problem of its own
         cells, extras = _rows.plain_cells(sheet)
         places = {touch: place for place, touch in enumerate(sheet.ids)}
@@ -171,6 +166,13 @@ def row_problems(store: Store) -> list[Problem]:
             )
             problems.append(Problem("database", FILE_NAME, what, wrong))
     return problems
+
+
+def sheet_in(store: Store, name: str) -> Sheet | None:
+    """Return the touches in a file, or None where it is not what it should be."""
+    with suppress(*NO_SHEET):
+        return read_sheet(read_file(store.folder / IMAGES, name))
+    return None
 
 
 def _as_stored(cells: list[Any]) -> Iterator[Any]:
@@ -221,16 +223,12 @@ def _fault(store: Store, kind: str, name: str) -> Problem | None:
     except LibraryError as error:
         path = file_path(store.folder / kind, name)
         what = str(error).replace(f"{path} ", "It ")
-        return Problem(kind.removesuffix("s"), _short(store, path), what, [])
+        short = path.relative_to(store.folder).as_posix()
+        return Problem(kind.removesuffix("s"), short, what, [])
     return None
 
 
-def _short(store: Store, path: Path) -> str:
-    return path.relative_to(store.folder).as_posix()
-
-
 def array_problems(store: Store) -> list[Problem]:
-    """Return what is wrong with arrays of whole recordings."""
     users: dict[str, dict[int, str]] = {}
     for key, whole in store.rows("SELECT id, whole FROM recordings ORDER BY id"):
         for entry, name in _store.from_json(whole).items():
@@ -288,10 +286,9 @@ def spare_files(store: Store) -> list[Path]:
 
 
 def _leftovers(store: Store) -> Iterator[Problem]:
-    """Name what a killed writer left; it is harmless."""
-    what = "No touch is found in it; harmless. --repair takes its touches in."
-    for path in spare_files(store):
-        yield Problem("file without touches", _short(store, path), what, [])
-    what = "A writer was killed, or is writing it now; harmless."
-    for path in sorted(store.folder.rglob(f"{PARTIAL}*")):
-        yield Problem("partial file", _short(store, path), what, [])
+    spare = "No touch is found in it; harmless. --repair takes its touches in."
+    begun = "A writer was killed, or is writing it now; harmless."
+    partial = sorted(store.folder.rglob(f"{PARTIAL}*"))
+    left = [("file without touches", path, spare) for path in spare_files(store)]
+    for kind, path, what in left + [("partial file", path, begun) for path in partial]:
+        yield Problem(kind, path.relative_to(store.folder).as_posix(), what, [])

@@ -37,24 +37,12 @@ _NAME = re.compile("[0-9a-f]{64}")
 _PLAIN_KINDS = "biufcSUMm"
 WIDE = 16
 CELLS = (
-    "object",
-    "category",
-    "session",
-    "episode",
-    "sensor",
-    "order",
-    "time_s",
-    "force_n",
-    "press",
-    "frame",
-    "source_path",
+    *("object", "category", "session", "episode", "sensor", "order"),
+    *("time_s", "force_n", "press", "frame", "source_path"),
 )
 # What tells two touches with the same image apart.
-IDENTITY = (
-    *(name for name in CELLS if name not in ("category", "source_path")),
-    "position_mm",
-    "position_raw",
-)
+_TELLING = (name for name in CELLS if name not in ("category", "source_path"))
+IDENTITY = (*_TELLING, "position_mm", "position_raw")
 _CANONICAL = json.JSONEncoder(
     sort_keys=True, separators=(",", ":"), allow_nan=False, check_circular=False
 )
@@ -125,9 +113,8 @@ def read_file(folder: Path, name: str) -> list[Array]:
         last = first + prod(shape) * dtype.itemsize
         if not dtype.itemsize or min(shape, default=0) < 0 or last > len(content):
             raise _no_array(path, f"shape {shape} of {dtype}")
-        values = np.frombuffer(content[first:last], dtype=dtype)
-        array, start = values.reshape(shape), last
-        arrays.append(array)
+        arrays.append(np.frombuffer(content[first:last], dtype).reshape(shape))
+        start = last
     return arrays
 
 

@@ -78,7 +78,6 @@ def write_tables(path: Path, tables: Iterable[Any], **options: Any) -> None:
 
 
 def _episodes(store: Store, numbers: Numbers) -> list[Numbers]:
-    """Return the numbers of the touches of each object, session and episode."""
     columns = "o.name, t.session, t.episode, t.number"
     sql = f"SELECT {columns} {FROM} WHERE t.number IN (?) ORDER BY t.number"
     groups: dict[tuple[Any, ...], list[int]] = {}
@@ -95,14 +94,9 @@ class _Dataset:
         self.tasks: dict[str, int] = {}
         self.rows: list[dict[str, Any]] = []
         self.features: dict[str, Any] = {}
-        self.dtype = ""
+        self.dtype, self.n_frames = "", 0
         # Count, sum and sum of squares; the most of what is below and above zero.
         self._spread: dict[str, tuple[Floats, Floats]] = {}
-
-    @property
-    def n_frames(self) -> int:
-        """Frames of all episodes so far."""
-        return int(self.rows[-1]["dataset_to_index"]) if self.rows else 0
 
     def add(self, touches: Touches) -> dict[str, Array]:
         """Take in the touches of one episode, all of one object; return its frames."""
@@ -127,7 +121,8 @@ class _Dataset:
         places = [f"{part}/{kind}_index" for part in _PARTS for kind in _KINDS]
         row = {"episode_index": number, "tasks": [task], "length": len(touches)}
         row |= dict.fromkeys(places, 0) | {"dataset_from_index": first}
-        self.rows.append({**row, "dataset_to_index": first + len(touches)})
+        self.n_frames += len(touches)
+        self.rows.append({**row, "dataset_to_index": self.n_frames})
         return frames
 
     def spread(self) -> dict[str, Any]:
@@ -149,7 +144,6 @@ class _Dataset:
 
 
 def _feature(name: str, values: Array) -> dict[str, Any]:
-    """Return what `info.json` says of a feature."""
     if name == TACTILE and values.dtype == np.uint8:
         shape = [*values.shape[1:], *[1] * (4 - values.ndim)]
         axes = ["height", "width", "channels"]

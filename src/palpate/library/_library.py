@@ -169,9 +169,7 @@ class TouchLibrary:
             As for `touches`.
         """
         store, some = self._store, [-1 if limit is None else limit, offset]
-        if (
-            where is None and damaged == "raise"
-        ):  # rows that are not shown do not matter
+        if where is None and damaged == "raise":  # rows not shown do not matter
             sql, values = condition(store, None, "unseen", retracted=retracted)
             query = f"SELECT number FROM touches t WHERE {sql} ORDER BY number"
             found = store.rows(f"{query} LIMIT ? OFFSET ?", some)
@@ -273,9 +271,8 @@ class TouchLibrary:
 
     def _numbers(self, where: str | None, damaged: str) -> Numbers:
         numbers = numbers_of(self._store, where, damaged)
-        return (
-            _reading.with_images(self._store, numbers) if damaged == "skip" else numbers
-        )
+        skip = damaged == "skip"
+        return _reading.with_images(self._store, numbers) if skip else numbers
 
     def export(self, path: str | Path, where: str | None = None) -> int:
         """Write touches in another form and return how many there are.

@@ -92,9 +92,7 @@ def read_touches(
 def read_images(folder: Path, rows: Sequence[StoredTouch]) -> Array:
     """Return images, (n_touches, *image_shape), of files alone, digests checked."""
     # Touches that follow one another in one file are read at once.
-    runs = groupby(
-        enumerate(rows), lambda pair: (pair[1].file, pair[1].number - pair[0])
-    )
+    runs = groupby(enumerate(rows), lambda at: (at[1].file, at[1].number - at[0]))
     images = [_run_of_images(folder, [row for _, row in run]) for _, run in runs]
     return np.concatenate(images)
 
@@ -112,7 +110,6 @@ def with_images(store: Store, numbers: Numbers) -> Numbers:
 
 
 def is_whole(store: Store, row: StoredTouch) -> bool:
-    """Tell whether the image of a touch, and its wide columns, can be read."""
     try:
         read_images(store.folder, [row])
         if any(column.wide for column in layouts(store)[row.layout]):
@@ -158,11 +155,10 @@ def read_whole(store: Store, numbers: Numbers) -> dict[str, Array]:
     """Return what is the same for all touches; warn of files lost or altered."""
     rows = distinct(store, "r.geometry, r.whole", numbers)
     geometries = {row[0] for row in rows}
-    if len(geometries - {None}) > 1:
+    if len(known := sorted(geometries - {None})) > 1:
         raise LibraryError(
-            "Touches must have one geometry, got "
-            f"{', '.join(sorted(geometries - {None}))}. Choose one with --where, for "
-            'example "geometry = array".'
+            f"Touches must have one geometry, got {', '.join(known)}. Choose one with "
+            '--where, for example "geometry = array".'
         )
     entries = [_entries(row[1]) for row in rows]
     same = {n: h for n, h in entries[0].items() if all(e.get(n) == h for e in entries)}

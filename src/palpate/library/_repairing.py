@@ -12,7 +12,7 @@ from .._durable import PARTIAL, flush_folder
 from . import _changes as changes
 from . import _checking as checking
 from . import _rows, _store
-from ._files import Sheet, file_path, packed, publish, read_file, read_sheet
+from ._files import Sheet, file_path, packed, publish
 from ._reading import is_whole, read_images
 from ._rows import MISSING, SET_ASIDE, StoredTouch, layouts, move_rows, recordings
 from ._store import IMAGES, SEALED, DatabaseDamaged, DatabaseUnavailable, Store
@@ -117,9 +117,8 @@ def _is_damaged(folder: Path) -> bool:
     """Tell whether the database is damaged; a failing disk is no damage."""
     try:
         with closing(Store(folder)) as store:
-            return bool(
-                checking.database_problems(store) or checking.row_problems(store)
-            )
+            found = checking.database_problems(store) or checking.row_problems(store)
+            return bool(found)
     except (_store.NewerLibrary, DatabaseUnavailable):
         raise
     except _store.LibraryError as error:
@@ -159,12 +158,9 @@ def _with_logs(path: Path) -> list[Path]:
 
 def _set_aside(folder: Path, *paths: Path) -> None:
     """Move files to a new folder in `damaged/`."""
-    there = [path for path in paths if path.exists()]
-    if not there:
-        return
     away = folder / DAMAGED / f"{int(time.time() * 1e6)}"
-    away.mkdir(parents=True)
-    for path in there:
+    for path in (path for path in paths if path.exists()):
+        away.mkdir(parents=True, exist_ok=True)
         path.replace(away / path.name)
 
 
@@ -177,15 +173,11 @@ def _carry_over(store: Store, path: Path) -> None:
                 return
             damaged = ", ".join(map(str, old.broken("touches")))
         store.rows("ATTACH ? AS old", [str(path)])
+        touches, recorded = ", ".join(plain), ", ".join(SEALED["recordings"][1:])
+        names = {"damaged": damaged, "touches": touches, "recordings": recorded}
         with store.writing():
-            for statement in _CARRY.split(";"):
-                store.run(
-                    statement.format(
-                        damaged=damaged,
-                        touches=", ".join(plain),
-                        recordings=", ".join(SEALED["recordings"][1:]),
-                    )
-                )
+            for statement in _CARRY.format(**names).split(";"):
+                store.run(statement)
     except DatabaseUnavailable:
         raise
     except _store.LibraryError:
@@ -204,14 +196,14 @@ def _enter_all(store: Store, *, anew: bool) -> tuple[int, int]:
     before = store.count("SELECT count(*) FROM touches")
     steps: list[tuple[float, str, str]] = []
     for path in checking.spare_files(store):
-        if sheet := _sheet_in(store, path.stem):
+        if sheet := checking.sheet_in(store, path.stem):
             steps.append((sheet.added_s, "touches", path.stem))
     steps += ((found[name]["time_s"], "change", name) for name in told)
     n_changes = 0
     for _, kind, name in sorted(steps):
         if kind == "change":
             n_changes += _carried_out(store, name, found[name], anew=anew)
-        elif sheet := _sheet_in(store, name):
+        elif sheet := checking.sheet_in(store, name):
             if not anew and "object" in sheet.values:  # they enter late
                 names = changes.Names(store)
                 labels = sheet.values["object"]
@@ -239,14 +231,6 @@ def _carried_out(
         return False
     _set_aside(store.folder, changes.change_files(store)[name])
     return bool(n_changed)
-
-
-def _sheet_in(store: Store, name: str) -> Sheet | None:
-    """Return the touches in a file, or None where it is not what it should be."""
-    try:
-        return read_sheet(read_file(store.folder / IMAGES, name))
-    except checking.NO_SHEET:
-        return None
 
 
 def _entered(store: Store, enter: Callable[..., Any], *what: Any) -> bool:
@@ -289,7 +273,7 @@ def _lost_and_found(store: Store, progress: bool | None) -> tuple[list[str], lis
             lost += problem.touches
             _write_sheets_again(store, key, name)
         rows = checking.touches_in(store, key, f"t.retraction IN ({SET_ASIDE})")
-        if rows and _sheet_in(store, name) is not None:
+        if rows and checking.sheet_in(store, name) is not None:
             found += [row.key.hex() for row in rows]
     return lost, found
 
@@ -297,15 +281,10 @@ def _lost_and_found(store: Store, progress: bool | None) -> tuple[list[str], lis
 def _write_sheets_again(store: Store, file: int, name: str) -> None:
     """Write touches whose images are whole, in a file that is not, to new files."""
     rows = checking.touches_in(store, file, "1")
-    whole = [row for row in rows if is_whole(store, row)]
-    names, described, layout_of = (
-        changes.Names(store),
-        recordings(store),
-        layouts(store),
-    )
+    names, described, forms = changes.Names(store), recordings(store), layouts(store)
     mended = False
     groups: dict[tuple[int, int, float], list[tuple[StoredTouch, str | None]]] = {}
-    for row in whole:
+    for row in (row for row in rows if is_whole(store, row)):
         [(recording, added_s, label)] = store.rows(
             "SELECT t.recording, t.added_s, given.name FROM touches t "
             "LEFT JOIN objects given ON given.id = t.object WHERE t.id = ?",
@@ -316,9 +295,9 @@ def _write_sheets_again(store: Store, file: int, name: str) -> None:
     for (layout, recording, added_s), pairs in groups.items():
         touches, labels = [row for row, _ in pairs], [label for _, label in pairs]
         values = _rows.plain_values(touches)
-        cells = {c.name: [v.get(c.name) for v in values] for c in layout_of[layout]}
+        cells = {c.name: [v.get(c.name) for v in values] for c in forms[layout]}
         sheet = Sheet(
-            layout_of[layout],
+            forms[layout],
             cells | ({"object": labels} if "object" in cells else {}),
             {},
             read_images(store.folder, touches),

@@ -87,7 +87,6 @@ class StoredTouch(NamedTuple):
 
 
 def shape_of(*sides: int | None) -> tuple[int, ...]:
-    """Return the shape of an image; the number of channels is None without any."""
     return tuple(n for n in sides if n is not None)
 
 
@@ -128,7 +127,6 @@ def rows_at(store: Store, numbers: Numbers) -> Iterator[list[StoredTouch]]:
 
 
 def read_one(store: Store, key: str) -> StoredTouch:
-    """Return the row of the touch with this id, or say that there is none."""
     number = store.key_of("touches", "id", id_bytes(key))
     if number is None:
         raise LibraryError(
@@ -147,15 +145,12 @@ def damaged_touches(
     """
     if not store.sealed:
         return {}
-    bad = {
-        table: _listed(store.broken(table)) for table in SEALED if table != "touches"
-    }
-    numbers = store.broken("touches", last, first)
-    if not numbers and not any(len(keys) > 2 for keys in bad.values()):
+    bad = {t: _listed(store.broken(t)) for t in SEALED if t != "touches"}
+    numbers = _listed(store.broken("touches", last, first))
+    if {numbers, *bad.values()} == {"()"}:
         return {}
     found = store.rows(
-        "SELECT number, lower(hex(id)) FROM touches "
-        f"WHERE number IN {_listed(numbers)} "
+        f"SELECT number, lower(hex(id)) FROM touches WHERE number IN {numbers} "
         f"OR object IN (SELECT id FROM objects WHERE id IN {bad['objects']} "
         f"OR merged_into IN {bad['objects']}) OR recording IN {bad['recordings']} "
         f"OR layout IN {bad['layouts']} OR file IN {bad['files']} "

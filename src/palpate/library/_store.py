@@ -178,7 +178,6 @@ class Store:
             return self._connection.execute(sql, values).fetchall()
 
     def one(self, sql: str, values: Sequence[Any] = ()) -> tuple[Any, ...] | None:
-        """Return the first row of a query, or None."""
         return next(iter(self.rows(sql, values)), None)
 
     def count(self, sql: str, values: Sequence[Any] = ()) -> int:
@@ -393,12 +392,10 @@ class Store:
 
 
 def holders(n_values: int) -> str:
-    """Return question marks in brackets, one for each value."""
     return f"({', '.join('?' * n_values)})"
 
 
 def is_unicode(text: str) -> bool:
-    """Tell whether UTF-8, and so the database, can hold a text."""
     return not any("\ud800" <= letter <= "\udfff" for letter in text)
 
 

@@ -159,7 +159,7 @@ class _Parser:
         return Condition(f"({column} {operator} ?)", [*bound, _value(token)])
 
     def _column(self) -> tuple[str, list[Any]]:
-        token = self._plain("the name of a column")
+        token = self._literal("the name of a column")
         if token.text in COLUMNS:
             return COLUMNS[token.text], []
         if token.text in self._extra:
@@ -169,10 +169,7 @@ class _Parser:
             f"--where must name columns of the library ({names}), got {token.text!r}."
         )
 
-    def _literal(self) -> _Token:
-        return self._plain("a number, a word or a quoted text")
-
-    def _plain(self, wanted: str) -> _Token:
+    def _literal(self, wanted: str = "a number, a word or a quoted text") -> _Token:
         token = self._current()
         if token is None or token.operator:
             raise self._error(wanted)

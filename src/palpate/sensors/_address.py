@@ -49,7 +49,6 @@ def _whole(text: str) -> tuple[int, ...]:
 
 
 def _word(keyword: str, **values: Any) -> _Option:
-    """Return an option that must be one of some words."""
     return _Option(keyword, values.__getitem__, " or ".join(values))
 
 
@@ -202,7 +201,6 @@ def desk_of(sensor: object) -> PlayedSensor | None:
 def _agreed(
     address: str, kind: str, given: dict[str, Any], keyword: str, value: Any
 ) -> Any:
-    """Return the value of an option that the address may give as well."""
     name = _NAMES.get(keyword)
     if name is None and kind not in _OPTIONS:
         name = keyword

@@ -9,18 +9,10 @@ from collections.abc import Container
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import simulation
 from .._checks import check_number
 from .._types import Array, Floats
-from ..simulation import (
-    Contact,
-    DomeCamera,
-    DomePress,
-    PlacedObject,
-    SensorPose,
-    gap_map,
-    sleeve_gap,
-    solve_contact,
-)
+from ..simulation import DomeCamera, PlacedObject, SensorPose
 from ._contract import SensorError
 
 _SAME_LINE_MM = 1e-6
@@ -200,29 +192,28 @@ class _Line:
     ) -> None:
         self.base = base
         self._membrane = camera.membrane
-        gap = gap_map(target, base, camera.membrane)
+        gap = simulation.gap_map(target, base, camera.membrane)
         self.first_mm = float(gap.min())
         self._way_mm = gap - self.first_mm if np.isfinite(self.first_mm) else gap
-        sleeve = sleeve_gap(target, base, camera.membrane_radius_mm, camera.sleeve_mm)
+        sleeve = simulation.sleeve_gap(
+            target, base, camera.membrane_radius_mm, camera.sleeve_mm
+        )
         self.hard_mm = min(sleeve, self.first_mm + camera.max_depth_mm)
         # Force against depth, in logarithms, solved as deep as was asked.
         self._log_depth: list[float] = []
         self._log_force: list[float] = []
         self._to_solve = [float(force) for force in _FORCES_N[::-1]]
-        self._pressed: tuple[float, DomePress] | None = None
+        self._pressed: tuple[float, simulation.DomePress] | None = None
 
     def holds(self, pose: SensorPose) -> bool:
-        """Whether a pose lies on this line, looking the same way."""
-        if pose.roll_rad != self.base.roll_rad:
-            return False
-        if not np.array_equal(pose.direction, self.base.direction):
+        same_roll = pose.roll_rad == self.base.roll_rad
+        if not (same_roll and np.array_equal(pose.direction, self.base.direction)):
             return False
         way = np.asarray(pose.position_mm) - np.asarray(self.base.position_mm)
         aside = way - (way @ self.base.direction) * np.asarray(self.base.direction)
         return bool(np.linalg.norm(aside) < _SAME_LINE_MM)
 
     def travel_mm(self, pose: SensorPose) -> float:
-        """How far along this line a pose is."""
         way = np.asarray(pose.position_mm) - np.asarray(self.base.position_mm)
         return float(way @ self.base.direction)
 
@@ -246,7 +237,7 @@ class _Line:
     def _reaches(self, log_depth: float) -> bool:
         return bool(self._log_depth) and self._log_depth[-1] >= log_depth
 
-    def press(self, pose: SensorPose) -> DomePress | None:
+    def press(self, pose: SensorPose) -> simulation.DomePress | None:
         """The state of the dome at a pose, or None where it touches nothing."""
         travel = self.travel_mm(pose)
         force = self.force_n(travel)
@@ -254,7 +245,7 @@ class _Line:
             return None
         if self._pressed is None or self._pressed[0] != travel:
             contact = self._contact(force)
-            press = DomePress(
+            press = simulation.DomePress(
                 stopped_by="force",
                 travel_mm=travel,
                 depth_mm=travel - self.first_mm,
@@ -266,5 +257,5 @@ class _Line:
             self._pressed = travel, press
         return self._pressed[1]
 
-    def _contact(self, force_n: float) -> Contact:
-        return solve_contact(self._membrane, self._way_mm, force_n=force_n)
+    def _contact(self, force_n: float) -> simulation.Contact:
+        return simulation.solve_contact(self._membrane, self._way_mm, force_n=force_n)

@@ -209,7 +209,6 @@ class CameraSensor(LiveSensor):
 def _checked_crop(
     crop: Sequence[int] | None, shape: Sequence[int]
 ) -> tuple[int, int, int, int]:
-    """Return the part of a picture to take, all of it by default, or explain."""
     given = (0, 0, *shape) if crop is None else tuple(crop)
     if len(given) == 4:
         row, col, n_rows, n_cols = map(int, given)

@@ -273,7 +273,6 @@ class LiveSensor(ABC):
             self._close()
 
     def _recover(self, error: Exception) -> None:
-        """Try to open the device again until it is back."""
         while True:
             self.lost = str(error) if isinstance(error, SensorError) else repr(error)
             with suppress(Exception):  # that it cannot even be closed is no news
@@ -381,7 +380,6 @@ def check_sensor(sensor: LiveSensor, *, n_frames: int = 10) -> None:
 
 
 def _check_promises(sensor: LiveSensor) -> None:
-    """What must be known before connecting."""
     _say(isinstance(sensor, TouchSensor), "a sensor must keep TouchSensor's contract")
     _say(not sensor.connected, "check_sensor must be given one not connected yet")
     shape: Any = sensor.image_shape

@@ -12,10 +12,11 @@ kept in a model file.
 """
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from os import PathLike
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -25,7 +26,6 @@ from .._checks import ARRAY_SIDE, check_count, check_option, check_positive, siz
 from .._types import Array, Floats
 from ..touches import Touches
 from ._contract import Frame, SensorError, as_kind, channels_of
-from ._film import film, frames_of
 
 SUMMARIES = ("peak", "mean")
 # Limits in units of the noise, and never below so many of the numbers' steps.
@@ -42,6 +42,7 @@ MOST_TAXELS = 4096
 _ENOUGH_TOUCHES = 10
 _BASELINE_TOLERANCE, _GAIN_TOLERANCE, _SURE_SD = 0.25, 2.0, 4.0
 _NAMED = 3
+_MAX_PIXELS = 50_000_000  # of a film
 
 
 class ContactError(ValueError):
@@ -234,7 +235,8 @@ class TouchDetector:
             The film cannot be read to its end, or holds no touch.
         """
         given = source if isinstance(source, Touches) else None
-        frames = film(str(source), colour) if given is None else frames_of(given)
+        place = Path(str(source))
+        frames = _film(place, colour) if given is None else _frames_of(given)
         if self.baseline is None and given is not None:
             self._set_baseline(given.no_contact)
         if self.baseline is None:
@@ -293,7 +295,6 @@ class TouchDetector:
         self._calm_since_s, self._calm_change = 0.0, 0.0
 
     def _least(self, image: Array | None) -> float:
-        """Return the least change that counts in images of a type."""
         whole = image is not None and image.dtype.kind in "iu"
         step = max(self.step, 1.0) if whole else self.step
         return max(_LEAST_STEPS * step, float(np.finfo(np.float32).tiny))
@@ -312,6 +313,40 @@ class TouchDetector:
             mean = np.mean(stack, axis=0, dtype=np.float64)
             image = as_kind(np.asarray(mean), image.dtype)
         return DetectedTouch(image, self._began_s, now_s, self._peak, self._n_frames)
+
+
+def _film(place: Path, colour: bool) -> Iterator[Frame]:
+    """Yield the frames of a film one by one, in grey or in red, green and blue."""
+    import cv2
+
+    capture = cv2.VideoCapture(str(place) if place.is_file() else "")
+    try:
+        n_cols, n_rows, rate_hz, counted = map(capture.get, (3, 4, 5, 7))
+        if not 0 < n_cols * n_rows <= _MAX_PIXELS or not capture.grab():
+            raise SensorError(
+                f"{place} must be a film that OpenCV decodes, got "
+                f"{'another file' if place.is_file() else 'no file there'}. Convert it "
+                "(AV1 is not decoded), for example to FFV1 in .mkv, which keeps levels."
+            )
+        to = cv2.COLOR_BGR2RGB if colour else cv2.COLOR_BGR2GRAY
+        number, more = 0, True
+        while more and (arrived := capture.retrieve())[0]:
+            picture = cv2.cvtColor(arrived[1], to)
+            yield Frame(picture, number / (rate_hz or 25.0), number)
+            number, more = number + 1, capture.grab()
+        if number < counted - 2:  # some kinds of file only estimate their count
+            raise SensorError(
+                f"{place} must hold {counted:.0f} frames, got {number}: it ends early. "
+                "Copy or record it again."
+            )
+    finally:
+        capture.release()
+
+
+def _frames_of(touches: Touches) -> Iterator[Frame]:
+    times = touches.columns.get("time_s", range(len(touches)))
+    for number, (image, time_s) in enumerate(zip(touches.images, times, strict=True)):
+        yield Frame(image, float(time_s), number)
 
 
 def _moving(stack: Floats, least: float) -> bool:
@@ -440,9 +475,14 @@ def gain_warning(memory: SensorMemory, now: SensorMemory) -> str:
     taxels = np.argwhere(sure & far)
     if not len(taxels):
         return ""
-    named = ", ".join(f"row {row} column {col}" for row, col in taxels[:_NAMED])
-    more = f" and {len(taxels) - _NAMED} more" if len(taxels) > _NAMED else ""
     return (
-        f"Taxels answer otherwise than when the model learnt: {named}{more}. "
+        "Taxels answer otherwise than when the model learnt: "
+        f"{taxels_said(taxels.tolist(), _NAMED)}. "
         "They may be damaged or loose; calibrate, or learn again."
     )
+
+
+def taxels_said(places: Sequence[Sequence[int]], most: int) -> str:
+    """Return where taxels lie, the first few of them."""
+    said = ", ".join(f"row {row} column {col}" for row, col in places[:most])
+    return said + f" and {len(places) - most} more" * (len(places) > most)

@@ -13,14 +13,9 @@ from typing import Any
 import numpy as np
 
 from .._types import Array, Floats
+from . import _detector
 from ._contract import Frame, SensorError
-from ._detector import (
-    MOST_TAXELS,
-    ContactError,
-    SensorMemory,
-    TouchDetector,
-    baseline_warning,
-)
+from ._detector import MOST_TAXELS, ContactError, SensorMemory
 
 _PARTS, _REST, _NAMED, _PAIRS = 12, 10, 5, 400
 _HOT, _SHARED, _LATE, _LOST = 6.0, 0.3, 3.0, 0.01
@@ -44,7 +39,7 @@ def sensor_health(
     stack = np.stack([frame.image for frame in frames])
     whole, array = stack.dtype.kind in "iu", stack.ndim == 3
     array = array and stack[0].size <= MOST_TAXELS
-    detector, findings = TouchDetector(), []
+    detector, findings = _detector.TouchDetector(), []
     detector.step = max(step, 1.0) if whole else step
     try:
         detector.take_baseline(list(stack[:_REST]))
@@ -66,15 +61,17 @@ def sensor_health(
     at_top = np.mean(stack == most, axis=0)
     # Where numbers are coarser than the noise, a taxel that stands still may be well.
     fine = typical >= max(detector.step / 2, 1e-300)
-    saturated = _places(at_top > 0.5, array)
-    dead = _places(np.isnan(rest) | ((noise == 0) & fine & (at_top <= 0.5)), array)
-    hot = _places(noise > max(_HOT * typical, detector.step), array and typical > 0)
+    full, still = at_top > 0.5, (noise == 0) & fine
+    loud = (noise > max(_HOT * typical, detector.step)) & (typical > 0)
+    saturated = np.argwhere(full & array).tolist()
+    dead = np.argwhere((np.isnan(rest) | (still & ~full)) & array).tolist()
+    hot = np.argwhere(loud & array).tolist()
     by_row, by_col = _shared(stack[: _PAIRS + 1], noise) if array else (0.0, 0.0)
     gaps_ms = np.diff([frame.time_s for frame in frames]) * 1000
     usual_ms, late_ms = np.percentile(gaps_ms, (50, 99)).tolist()
     lost = 1 - len(frames) / (frames[-1].number - frames[0].number + 1)
     if memory is not None and memory.no_contact.shape == rest.shape:
-        findings += filter(None, [baseline_warning(memory, rest)])
+        findings += filter(None, [_detector.baseline_warning(memory, rest)])
     n_s = frames[-1].time_s - frames[0].time_s
     told = {
         f"{_named(saturated)} read the most there is, at rest: saturated.": saturated,
@@ -112,16 +109,8 @@ def sensor_health(
     return {**found, "levels": levels, "rest": rest, "noise": noise}
 
 
-def _places(which: Array, judged: bool) -> list[list[int]]:
-    found: list[list[int]] = np.argwhere(which).tolist() if judged else []
-    return found
-
-
 def _named(places: list[list[int]]) -> str:
-    """Return taxels in words, the first few by their places."""
-    listed = ", ".join(f"row {row} column {col}" for row, col in places[:_NAMED])
-    more = f" and {len(places) - _NAMED} more" if len(places) > _NAMED else ""
-    return f"{len(places)} taxels ({listed}{more})"
+    return f"{len(places)} taxels ({_detector.taxels_said(places, _NAMED)})"
 
 
 def _shared(stack: Array, noise: Floats) -> tuple[float, float]:

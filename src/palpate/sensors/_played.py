@@ -15,18 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from .. import simulation
 from .._checks import ARRAY_SIDE, check_count, check_option, check_positive
 from .._types import Array
-from ..simulation import (
-    HOUSEHOLD,
-    PARTS,
-    UNLIKE_OTHERS,
-    UNSEEN,
-    DomeCamera,
-    PressureArray,
-    simulate_presses,
-    simulate_touches,
-)
+from ..simulation import HOUSEHOLD, PARTS, UNLIKE_OTHERS, DomeCamera, PressureArray
 from ..touches import Touches, TouchesError
 from ._contract import LiveSensor, SensorError, as_kind
 
@@ -213,7 +205,6 @@ def _recorded(
     no_contact: Array | str | PathLike[str] | None,
     name_pattern: str | None,
 ) -> Touches:
-    """Return the recording, with its frame of touching nothing where one is given."""
     frame: Any = no_contact if isinstance(no_contact, np.ndarray) else None
     path: Any = no_contact if frame is None else None
     try:
@@ -246,7 +237,9 @@ class SimulatedStream(PlayedSensor):
         ramp: int = 3,
         random_state: int = 0,
     ) -> None:
-        solids = [thing.name for thing in (*HOUSEHOLD, *UNSEEN, *UNLIKE_OTHERS)]
+        solids = [
+            thing.name for thing in (*HOUSEHOLD, *simulation.UNSEEN, *UNLIKE_OTHERS)
+        ]
         parts = [part.name for part in PARTS]
         check_option("name", name, [*solids, *parts])
         dome = name in solids
@@ -305,11 +298,13 @@ class SimulatedStream(PlayedSensor):
     def _touched(self, name: str) -> Array:
         seed = int(self._rng.integers(2**31))
         if isinstance(self._device, DomeCamera):
-            made = simulate_touches(
+            made = simulation.simulate_touches(
                 name, 1, self._device, drift=False, random_state=seed
             )
         else:
-            made = simulate_presses(name, 1, array=self._device, random_state=seed)
+            made = simulation.simulate_presses(
+                name, 1, array=self._device, random_state=seed
+            )
         return np.asarray(made.images[0])
 
     def _with_noise(self, image: Array) -> Array:

@@ -111,9 +111,8 @@ class SerialArraySensor(LiveSensor):
         try:
             data = self._serial.read(max(1, self._serial.in_waiting))
         except (OSError, TypeError) as error:  # TypeError: closed while it waited
-            raise SensorError(
-                f"{self.port} went away. Plug the array in again."
-            ) from error
+            gone = f"{self.port} went away. Plug the array in again."
+            raise SensorError(gone) from error
         before = self._framing.n_damaged + self._framing.n_missed
         frames = self._framing.feed(self._whole(data))
         after = self._framing.n_damaged + self._framing.n_missed
@@ -138,13 +137,8 @@ class SerialArraySensor(LiveSensor):
         self._told = (self._told + data)[-_MOST_TOLD:]
         if data and now_s - self._read_s > _SILENT_S:
             self._read_s = now_s
-            self.lost = why_no_frame(
-                self._told,
-                self.framing,
-                self.image_shape,
-                self.dtype.name,
-                self.checksum,
-            )
+            how = self.framing, self.image_shape, self.dtype.name, self.checksum
+            self.lost = why_no_frame(self._told, *how)
 
     def _close(self) -> None:
         if self._serial is not None:
@@ -153,13 +147,7 @@ class SerialArraySensor(LiveSensor):
 
 
 def find_array(port: str, baud: int = 115200) -> dict[str, Any]:
-    """Return how an array writes, as arguments of `SerialArraySensor`, by listening.
-
-    Raises
-    ------
-    SensorError
-        Nothing comes, or it does not tell the shape; says what to give.
-    """
+    """Return how an array writes, as arguments of `SerialArraySensor`, by listening."""
     told, data, opened = None, b"", _open_port(port, baud)
     try:
         end_s = time.monotonic() + _LISTEN_S
@@ -284,8 +272,7 @@ def _values(line: bytes) -> tuple[int, bool]:
     """Return how many numbers a line holds, 0 for none, and whether it is checked."""
     text = line.rpartition(b"$")[2].partition(b"*")[0]
     n_values = len(text.replace(b",", b" ").split())
-    checked = LineFraming((1, max(1, n_values)), checksum=True)
-    if checked.feed(line + b"\n"):
-        return n_values, True
-    plain = LineFraming((1, max(1, n_values)), checksum=False)
-    return (n_values if plain.feed(line + b"\n") else 0), False
+    for checked in (True, False):
+        if LineFraming((1, max(1, n_values)), checked).feed(line + b"\n"):
+            return n_values, checked
+    return 0, False

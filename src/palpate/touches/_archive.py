@@ -22,15 +22,8 @@ from numpy.lib import format as npy
 
 from .._durable import replacing
 from .._types import Array
-from ._columns import (
-    PLAIN_KINDS,
-    Arrays,
-    TouchesError,
-    belongs_to_whole,
-    check_layout,
-    checked_images,
-    sorted_out,
-)
+from . import _columns
+from ._columns import PLAIN_KINDS, Arrays, TouchesError, belongs_to_whole
 
 _WHOLE_NAMES = "set_whole_names"
 _MAX_MEMBERS = 1000
@@ -44,14 +37,7 @@ _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 def read_archive(path: Path, max_bytes: int) -> tuple[Array, Arrays, Arrays]:
-    """Return images, columns and what describes the whole set of a touch archive.
-
-    Raises
-    ------
-    TouchesError
-        The file is no touch archive, is damaged, holds pickles, or its arrays do
-        not fit together.
-    """
+    """Return images, columns and what describes the whole set of a touch archive."""
     if not path.is_file():
         raise TouchesError(f"{path} must be a file, got none there. Check the path.")
     with _explained(path):
@@ -68,21 +54,15 @@ def read_archive(path: Path, max_bytes: int) -> tuple[Array, Arrays, Arrays]:
                     "The file is damaged: write or fetch it again."
                 )
             arrays = _inflated(archive, max_bytes)
-        images = checked_images(arrays.pop("images"))
+        images = _columns.checked_images(arrays.pop("images"))
         names = arrays.pop(_WHOLE_NAMES, np.array([], dtype=np.str_)).ravel()
-        sorted_arrays = sorted_out(arrays, images, [str(name) for name in names])
-        check_layout(images, *sorted_arrays)
-        return images, *sorted_arrays
+        parts = _columns.sorted_out(arrays, images, [str(name) for name in names])
+        _columns.check_layout(images, *parts)
+        return images, *parts
 
 
 def write_archive(path: Path, images: Array, columns: Arrays, whole: Arrays) -> None:
-    """Write a touch archive: all of it or nothing.
-
-    Raises
-    ------
-    TouchesError
-        The name does not end in `.npz`, or the file cannot be written.
-    """
+    """Write a touch archive: all of it or nothing."""
     if path.suffix.lower() != ".npz":
         raise TouchesError(
             f"A touch archive must have a name that ends in .npz, got {path}. "
@@ -124,7 +104,6 @@ class _Member(NamedTuple):
 
 
 def _inflated(archive: zipfile.ZipFile, max_bytes: int) -> Arrays:
-    """Return every array, once all headers are known to be in order."""
     infos = archive.infolist()
     _refuse_odd_members(infos)
     n_bytes = sum(info.file_size for info in infos)
@@ -138,9 +117,8 @@ def _inflated(archive: zipfile.ZipFile, max_bytes: int) -> Arrays:
     wide = [name for name, one in arrays.items() if len(one.shape) in (3, 4)]
     if "images" not in arrays and len(wide) == 1:  # plain arrays that others wrote
         arrays["images"] = arrays.pop(wide[0])
-        if (
-            labels := {"label", "labels", "y"} & set(arrays)
-        ) and "object" not in arrays:
+        labels = {"label", "labels", "y"} & set(arrays)
+        if labels and "object" not in arrays:
             arrays["object"] = arrays.pop(min(labels))
     if "images" not in arrays:
         held = ", ".join(map(str, members)) or "nothing"

@@ -71,9 +71,7 @@ def checked_images(images: ArrayLike) -> Array:
 
 
 def sorted_out(
-    given: Mapping[str, Any],
-    images: Array,
-    whole_names: Collection[str] = (),
+    given: Mapping[str, Any], images: Array, whole_names: Collection[str] = ()
 ) -> tuple[Arrays, Arrays]:
     """Split `given` into checked columns and checked entries of the whole set.
 
@@ -175,7 +173,6 @@ def picked_rows(index: Any, n_touches: int) -> slice | Array:
 
 
 def joined_images(parts: Sequence[Array]) -> Array:
-    """Stack images of one size and type."""
     for number, part in enumerate(parts):
         if part.shape[1:] != parts[0].shape[1:]:
             first, other = (size_said(one.shape[1:]) for one in (parts[0], part))
@@ -317,7 +314,6 @@ def check_layout(images: Array, columns: Arrays, whole: Arrays) -> None:
 
 
 def _checked_names(name: str, array: Array) -> Array:
-    """Return names as text that tells them apart."""
     given = array.tolist()
     try:
         text = np.char.decode(array, "utf-8") if array.dtype.kind == "S" else array
@@ -423,18 +419,11 @@ def _listed(names: Array | None) -> str:
 
 
 def frame_summaries(frames: Array) -> Array:
-    """Return the summaries of presses, side by side on the last axis.
+    """Return the summaries of presses, (n_touches, n_rows, n_cols, 3 * n_channels).
 
-    Parameters
-    ----------
-    frames : ndarray of shape (n_touches, n_frames, n_rows, n_cols[, n_channels])
-        NaN stays NaN.
-
-    Returns
-    -------
-    ndarray of shape (n_touches, n_rows, n_cols, 3 * n_channels)
-        All channels of the first of `SUMMARIES`, then of the next. float32 holds 8- and
-        16-bit frames; wider ones give float64.
+    `frames` are (n_touches, n_frames, n_rows, n_cols[, n_channels]); NaN stays NaN. All
+    channels of the first of `SUMMARIES` come first. Frames of 8 and 16 bits give
+    float32, wider ones float64.
     """
     n_touches, _, n_rows, n_cols = frames.shape[:4]
     summaries = [_summarised(press.astype(np.float64)) for press in frames]

@@ -10,16 +10,9 @@ from typing import Any
 import numpy as np
 
 from .._types import Array
+from . import _pictures
 from ._columns import WHOLE, Arrays, TouchesError
-from ._pictures import (
-    RGB,
-    Header,
-    common_header,
-    decode_picture,
-    decode_pictures,
-    picture_header,
-    refusal,
-)
+from ._pictures import RGB, Header, common_header, decode_picture, decode_pictures
 from ._tables import TABLES, folder_levels
 
 PICTURES = (".jpg", ".jpeg", ".png")
@@ -88,7 +81,7 @@ def no_contact_picture(
 
 def _like(path: Path, like: Header, max_pixels: int) -> Array:
     """Return the picture of no contact, which must be as large and deep as `like`."""
-    header = picture_header(path, max_pixels=max_pixels, colour=like.colour)
+    header = _pictures.picture_header(path, max_pixels=max_pixels, colour=like.colour)
     if header._replace(format=like.format) != like:
         raise TouchesError(
             f"no_contact must be {like.n_cols} x {like.n_rows} {like.n_bits}-bit like "
@@ -98,7 +91,6 @@ def _like(path: Path, like: Header, max_pixels: int) -> Array:
 
 
 def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
-    """Return the paths of all touches within `root`, in natural order."""
     if not root.is_dir():
         raise TouchesError(
             f"{root} must be a folder of pictures, got none there. Check the path."
@@ -109,7 +101,7 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
         if no_contact and root.resolve() in no_contact.resolve(strict=True).parents:
             pictures = [n for n in pictures if not no_contact.samefile(root / n)]
     except OSError as error:
-        raise refusal(Path(error.filename or root), error) from error
+        raise _pictures.refusal(Path(error.filename or root), error) from error
     if not pictures:
         kinds = sorted({Path(name).suffix or "no ending" for name in found})
         got = f"{len(found)} files of {', '.join(kinds[:5])}" if found else "no files"
@@ -158,7 +150,6 @@ def _natural_order(name: str) -> tuple[Any, ...]:
 
 
 def _compiled(name_pattern: object) -> re.Pattern[str]:
-    """Return the pattern ready for use, or say what is wrong with it."""
     if not isinstance(name_pattern, str):
         kind = type(name_pattern).__name__
         raise TypeError(f"name_pattern must be a string, got {kind}.")
@@ -250,13 +241,13 @@ def _from_folders(names: Sequence[str]) -> Arrays:
 def _numbers(
     group: str, values: Sequence[str], names: Sequence[str], *, whole: bool = False
 ) -> Array:
-    pattern, what = (_WHOLE_NUMBER if whole else _NUMBER), "a whole number"
+    kinds = (_NUMBER, "a number"), (_WHOLE_NUMBER, "a whole number")
+    pattern, what = kinds[whole]
     for value, name in zip(values, names, strict=True):
         if not pattern.fullmatch(value):
             raise TouchesError(
-                f"{name}: the group {group} of name_pattern must match "
-                f"{what if whole else 'a number'}, got {value!r}. Correct the pattern "
-                "or the file name."
+                f"{name}: the group {group} of name_pattern must match {what}, got "
+                f"{value!r}. Correct the pattern or the file name."
             )
     return np.array(values).astype(np.int64 if whole else np.float64)
 

@@ -66,15 +66,10 @@ def as_shown(images: Array, channels: Collection[str] | None) -> Array:
 
 
 def png_address(image: Array, side: int) -> str:
-    """Return one tactile image as a PNG in a data address.
+    """Return an image (n_rows, n_cols[, 3]) as a PNG in a data address.
 
-    Parameters
-    ----------
-    image : ndarray of shape (n_rows, n_cols), or (n_rows, n_cols, 3) in colour
-        Contrast is stretched from its 0.5th to its 99.5th percentile; dead taxels
-        (NaN) are red.
-    side : int
-        Its longer side in the picture, in pixels.
+    Contrast is stretched from its 0.5th to its 99.5th percentile; dead taxels (NaN) are
+    red. `side` is the longer side of the picture in pixels.
     """
     import cv2
 
@@ -103,7 +98,6 @@ def png_address(image: Array, side: int) -> str:
 
 
 def _listed(each: list[str]) -> str:
-    """Return the first of some texts, and how many more there are."""
     more = [f"and {len(each) - _NAMES} more"] if len(each) > _NAMES else []
     return ", ".join(each[:_NAMES] + more) or "none"
 

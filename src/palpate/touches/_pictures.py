@@ -76,7 +76,6 @@ class Header(NamedTuple):
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Type of the levels."""
         return np.dtype(np.uint16 if self.n_bits == 16 else np.uint8)
 
     @property
@@ -159,7 +158,6 @@ def picture_header(path: Path, *, max_pixels: int, colour: bool) -> Header:
 
 
 def decode_picture(path: Path, header: Header) -> Array:
-    """Return the levels of one picture that must have this header."""
     try:
         with _opened(path, header.n_rows * header.n_cols) as file:
             return _levels(file.read(), header)
@@ -200,14 +198,12 @@ def decode_pictures(
 
 
 def n_cores() -> int:
-    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def refusal(path: Path, error: OSError | PictureError) -> TouchesError:
-    """Word what was wrong with one picture."""
     if isinstance(error, OSError):
         return TouchesError(
             f"{path} must be readable, got: {error.strerror or error}. "

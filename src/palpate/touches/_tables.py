@@ -71,10 +71,8 @@ def csv_arrays(path: Path, shape: tuple[int, int] | None, max_bytes: int) -> Arr
 def load_levels(path: Path, max_bytes: int) -> Array:
     """Return the array of a `.npy` file, or of a CSV file that is one touch."""
     if path.suffix.lower() == ".csv":
-        lines = _lines(path, max_bytes)
-        return np.stack(
-            [_numbers(line, f"{path}, line {n}", 1) for n, line in enumerate(lines, 1)]
-        )
+        lines = enumerate(_lines(path, max_bytes), 1)
+        return np.stack([_numbers(row, f"{path}, line {n}", 1) for n, row in lines])
     try:
         mapped = np.load(path, mmap_mode="r", allow_pickle=False)
         if isinstance(mapped, np.ndarray) and mapped.nbytes <= max_bytes:

@@ -17,24 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._extras import needed
 from .._types import Array, Floats
+from . import _columns
 from ._archive import read_archive, write_archive
-from ._columns import (
-    SUMMARIES,
-    Arrays,
-    TouchesError,
-    belongs_to_whole,
-    check_layout,
-    checked_column,
-    checked_images,
-    frame_summaries,
-    frozen,
-    joined_columns,
-    joined_images,
-    joined_whole,
-    picked_rows,
-    plain_array,
-    sorted_out,
-)
+from ._columns import Arrays, TouchesError, check_layout, frame_summaries, frozen
 from ._folder import PICTURES, folder_arrays, no_contact_picture
 from ._tables import TABLES, csv_arrays, load_levels, table_arrays
 
@@ -166,8 +151,8 @@ class Touches(Labelled):
         given = {"object": object, "category": category, **columns}
         given.update(no_contact=no_contact, geometry=geometry)
         given.update(channels=channels, pads=pads, pad_names=pad_names)
-        self._images = checked_images(images)
-        self._columns, self._whole = sorted_out(given, self._images)
+        self._images = _columns.checked_images(images)
+        self._columns, self._whole = _columns.sorted_out(given, self._images)
         check_layout(self._images, self._columns, self._whole)
 
     @classmethod
@@ -212,9 +197,8 @@ class Touches(Labelled):
         place = Path(path)
         ending = place.suffix.lower()
         if place.is_dir() or (ending in PICTURES and place.is_file()):
-            limits = (max_pixels, max_bytes, progress)
-            how = (name_pattern, no_contact, colour)
-            return cls(**folder_arrays(place, *how, *limits))
+            how = (name_pattern, no_contact, colour, max_pixels, max_bytes, progress)
+            return cls(**folder_arrays(place, *how))
         if ending in TABLES and place.is_file() and name_pattern is None and not colour:
             if ending == ".csv":
                 read = cls(**csv_arrays(place, shape, max_bytes))
@@ -247,9 +231,8 @@ class Touches(Labelled):
     ) -> Self:
         if no_contact is None:
             return self
-        like = self.images, self.channels
-        image = no_contact_picture(Path(no_contact), *like, max_pixels)
-        return self.with_columns(no_contact=image)
+        like = self.images, self.channels, max_pixels
+        return self.with_columns(no_contact=no_contact_picture(Path(no_contact), *like))
 
     @classmethod
     def from_frame(cls, frame: Any, shape: tuple[int, int] | None = None) -> Self:
@@ -302,13 +285,13 @@ class Touches(Labelled):
         odd = [type(part).__name__ for part in parts if not isinstance(part, Touches)]
         if odd:
             raise TypeError(f"concatenate must be given Touches, got {odd[0]}.")
-        images = joined_images([part.images for part in parts])
-        columns = joined_columns([part._columns for part in parts])
-        return Touches._of(images, columns, joined_whole([p._whole for p in parts]))
+        images = _columns.joined_images([part.images for part in parts])
+        columns = _columns.joined_columns([part._columns for part in parts])
+        whole = _columns.joined_whole([part._whole for part in parts])
+        return Touches._of(images, columns, whole)
 
     @classmethod
     def _of(cls, images: Array, columns: Arrays, whole: Arrays) -> Self:
-        """Make a set of arrays that are known to be right."""
         touches = cls.__new__(cls)
         touches._images = frozen(images)
         touches._columns = {name: frozen(column) for name, column in columns.items()}
@@ -366,7 +349,7 @@ class Touches(Labelled):
 
     def __getitem__(self, index: int | slice | ArrayLike) -> Self:
         """Pick touches by number, slice, mask or array of numbers."""
-        rows = picked_rows(index, len(self))
+        rows = _columns.picked_rows(index, len(self))
         columns = {name: column[rows] for name, column in self._columns.items()}
         return self._of(self._images[rows], columns, self._whole)
 
@@ -408,9 +391,10 @@ class Touches(Labelled):
                     "images must not be given as a column. "
                     "Build Touches(images, **touches.columns, **touches.whole)."
                 )
-            if not belongs_to_whole(name):
-                checked_column(name, plain_array(name, value), len(self))
-        added, changed = sorted_out(columns, self._images)
+            if not _columns.belongs_to_whole(name):
+                array = _columns.plain_array(name, value)
+                _columns.checked_column(name, array, len(self))
+        added, changed = _columns.sorted_out(columns, self._images)
         kept = {name: a for name, a in self._whole.items() if name not in added}
         parts = {**self._columns, **added}, {**kept, **changed}
         check_layout(self._images, *parts)
@@ -451,7 +435,7 @@ class Touches(Labelled):
                 "Give them: touches.with_columns(press_frames=frames)."
             )
         names = [f" {name}" for name in self.channels or ()] or [""]
-        channels = [f"{summary}{name}" for summary in SUMMARIES for name in names]
+        channels = [f"{what}{name}" for what in _columns.SUMMARIES for name in names]
         whole: dict[str, Any] = {**self._whole, "channels": channels}
         if self.no_contact is not None:
             whole["no_contact"] = frame_summaries(self.no_contact[None, None])[0]

@@ -125,7 +125,6 @@ class _Hub:
         self._clients: set[_Client] = set()
 
     async def serve(self, socket: WebSocket) -> None:
-        """Send one client everything until it goes."""
         if len(self._clients) >= _MOST_CLIENTS:
             await socket.close(code=1013, reason="Too many pages are open.")
             return
@@ -135,18 +134,15 @@ class _Hub:
         self._session.listeners.add(client.receive)
         state = await asyncio.to_thread(self._session.to_dict)
         await asyncio.to_thread(client.receive, Event("state", state))
-        listening = asyncio.create_task(client.listen())
-        sending = asyncio.create_task(client.send())
+        tasks = [asyncio.create_task(work()) for work in (client.listen, client.send)]
         try:
-            await asyncio.wait(
-                (listening, sending), return_when=asyncio.FIRST_COMPLETED
-            )
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
             self._session.listeners.discard(client.receive)
             self._clients.discard(client)
-            for task in (listening, sending):
+            for task in tasks:
                 task.cancel()
-            await asyncio.gather(listening, sending, return_exceptions=True)
+            await asyncio.gather(*tasks, return_exceptions=True)
             with suppress(RuntimeError, TimeoutError, WebSocketDisconnect):
                 async with asyncio.timeout(1.0):
                     await socket.close()

@@ -35,10 +35,6 @@ class LiveTouch:
     limit: float | None = None
     latency_ms: float | None = None
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values."""
-        return dict(vars(self))
-
 
 class Neighbours:
     """Nearest learnt touches, each feature measured in its own spread.
@@ -48,10 +44,9 @@ class Neighbours:
 
     def __init__(self, recogniser: ObjectRecogniser, stored_ids: set[str]) -> None:
         memory = recogniser.memory_
-        features = memory.features
-        spread = features.std(axis=0)
+        spread = memory.features.std(axis=0)
         self._scale = np.where(spread > 0, spread, 1.0)
-        self._features = features / self._scale
+        self._features = memory.features / self._scale
         self._labels = memory.labels
         ids = memory.touch_ids.tolist()
         self._ids = [key if key in stored_ids else None for key in ids]
@@ -63,13 +58,10 @@ class Neighbours:
         """
         apart = self._features - features / self._scale
         distance = np.sqrt(np.mean(apart**2, axis=1))
-        some = np.argsort(distance, kind="stable")[:_NEAREST]
+        some = np.argsort(distance, kind="stable")[:_NEAREST].tolist()
+        far, ids, labels = distance.tolist(), self._ids, self._labels
         return [
-            {
-                "id": self._ids[row],
-                "object": str(self._labels[row]),
-                "distance": float(distance[row]),
-            }
+            {"id": ids[row], "object": str(labels[row]), "distance": far[row]}
             for row in some
         ]
 
@@ -132,7 +124,6 @@ class LiveEpisode:
 
     @property
     def reason(self) -> str:
-        """One sentence that says why."""
         if self.belief is None:
             return "Nothing is learnt yet: teach two objects, then learn."
         if not self.touches:
@@ -140,7 +131,6 @@ class LiveEpisode:
         return self.belief.reason(**self.accepted)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values, without images."""
         return {
             "number": self.number,
             "open": self.open,
@@ -150,11 +140,10 @@ class LiveEpisode:
             "promise": self.belief.promise._asdict() if self.belief else None,
             "best": None if not self.touches or not self.belief else self.belief.best,
             "reason": self.reason,
-            "touches": [touch.to_dict() for touch in self.touches],
+            "touches": [dict(vars(touch)) for touch in self.touches],
         }
 
     def as_touches(self) -> Touches:
-        """Return the touches of the episode, with their times."""
         if not self.touches:
             raise ValueError("The episode has no touch yet; touch something first.")
         times = np.array([touch.time_s for touch in self.touches])
@@ -187,7 +176,11 @@ def episode_report(episode: LiveEpisode) -> str:
 def _item(touch: LiveTouch, png: bytes) -> str:
     picture = base64.b64encode(png).decode()
     shown = sorted(touch.posterior.items(), key=lambda item: -item[1])[:_SHOWN]
-    rows = "".join(_row(name, share) for name, share in shown)
+    rows = "".join(
+        f"<tr><th scope=row>{escape(name)}<div class=track><div class=bar "
+        f"style='width:{share:.1%}'></div></div></th><td>{share:.1%}</td></tr>"
+        for name, share in shown
+    )
     unknown = ""
     if touch.unknown is not None and touch.limit is not None:
         unknown = (
@@ -197,13 +190,4 @@ def _item(touch: LiveTouch, png: bytes) -> str:
     return (
         f"<li><img alt='touch {touch.number}' src='data:image/png;base64,{picture}'>"
         f"<div><b>Touch {touch.number}</b><table>{rows}</table>{unknown}</div></li>"
-    )
-
-
-def _row(name: str, share: float) -> str:
-    width = f"{100 * share:.1f}%"
-    return (
-        f"<tr><th scope=row>{escape(name)}<div class=track>"
-        f"<div class=bar style='width:{width}'></div></div></th>"
-        f"<td>{width}</td></tr>"
     )

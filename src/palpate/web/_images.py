@@ -56,7 +56,6 @@ class FramePainter:
         self._low, self._high = float("inf"), float("-inf")
 
     def paint(self, image: Array) -> bytes:
-        """Return a frame as the bytes of a picture of `content_type`."""
         shown = self.levels(image)
         if self.coloured:
             return _png(shown)

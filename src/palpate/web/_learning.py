@@ -129,7 +129,6 @@ def remember_sensor(
 
 
 def _taught(library: TouchLibrary, image_shape: Sequence[int] | None) -> Any:
-    """Return the touches to learn, None for none."""
     if image_shape is None:
         newest = library.list(limit=1, offset=max(0, len(library) - 1))
         if not newest:
@@ -172,8 +171,7 @@ def _refuse_other_size(
     base: ObjectRecogniser, image_shape: Sequence[int], sentence: str, names: str = ""
 ) -> None:
     """Refuse to learn further a model of images of another size than these."""
-    shapes = (base.encoder_.image_shape_, image_shape)
-    old, new = map(size_said, shapes)
+    old, new = map(size_said, (base.encoder_.image_shape_, image_shape))
     if old != new:
         raise LearningError(sentence.format(old=old, new=new, names=names))
 

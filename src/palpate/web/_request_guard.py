@@ -76,7 +76,6 @@ class RequestGuard:
         self._permits: dict[str, tuple[float, float]] = {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer or hand on one request or one websocket."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -103,7 +102,6 @@ class RequestGuard:
             await self._within_size(scope, receive, send_with_rules)
 
     def _refusal(self, asked: HTTPConnection) -> tuple[int, str] | None:
-        """Return status and sentence where somebody must stay out."""
         if not self._in_time(asked):
             return 429, "Too many requests; slow down."
         if not self._is_ours(asked.headers.get("host", "")):
@@ -115,13 +113,16 @@ class RequestGuard:
             return 403, "Requests from pages of other sites are refused."
         if asked.scope["path"] in _OPEN:
             return None
-        in_address = _token_in_address(asked)
+        few = asked.scope["query_string"].count(b"&") < _MOST_FIELDS
+        in_address = asked.query_params.get("token") if few else None
         if in_address and asked.scope.get("method", "GET") not in ("GET", "HEAD"):
             return 403, (
                 "The token must not be in the address of a request that changes "
                 "something. Send it as Authorization: Bearer TOKEN."
             )
-        given = _bearer(asked) or in_address or asked.cookies.get(cookie_name(asked))
+        kind, _, bearer = asked.headers.get("authorization", "").partition(" ")
+        named = bearer.strip() if kind.lower() == "bearer" else ""
+        given = named or in_address or asked.cookies.get(cookie_name(asked))
         if given is None:
             return 401, "The token is missing; open the address palpate serve printed."
         if not hmac.compare_digest(given.encode(), self._token):
@@ -154,13 +155,12 @@ class RequestGuard:
         most = self._max_body if images else min(self._max_body, _FEW_WORDS)
         try:
             body = await self._body(Request(scope, receive), most)
+            refusal = 413, f"The body must be at most {most} bytes."
         except TimeoutError:
-            detail = f"The body stopped coming for {_PART_S:g} s. Send it again."
-            await _refuse(scope, receive, send, 408, detail)
-            return
+            body = None
+            refusal = 408, f"The body stopped coming for {_PART_S:g} s. Send it again."
         if body is None:
-            detail = f"The body must be at most {most} bytes."
-            await _refuse(scope, receive, send, 413, detail)
+            await _refuse(scope, receive, send, *refusal)
             return
         read = False
 
@@ -212,7 +212,6 @@ class PatientProtocol(H11Protocol):
     _ending: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin to wait."""
         super().connection_made(transport)
         self._wait()
 
@@ -222,7 +221,6 @@ class PatientProtocol(H11Protocol):
         self._wait()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Wait no more."""
         super().connection_lost(exc)
         self._wait(False)
 
@@ -239,16 +237,6 @@ class PatientProtocol(H11Protocol):
 def cookie_name(asked: HTTPConnection) -> str:
     """Return the cookie's name: cookies are of all ports of a host alike."""
     return f"palpate_token_{(asked.scope.get('server') or ('', 0))[1]}"
-
-
-def _bearer(asked: HTTPConnection) -> str:
-    kind, _, given = asked.headers.get("authorization", "").partition(" ")
-    return given.strip() if kind.lower() == "bearer" else ""
-
-
-def _token_in_address(asked: HTTPConnection) -> str | None:
-    few = asked.scope["query_string"].count(b"&") < _MOST_FIELDS
-    return asked.query_params.get("token") if few else None
 
 
 def _from_elsewhere(asked: HTTPConnection) -> bool:

@@ -175,6 +175,7 @@ def _body(schema: dict[str, Any], *kinds: str) -> dict[str, Any]:
 _PICTURE = _body({"type": "string", "format": "binary"}, *KINDS)
 _IMAGE = _body(Image.model_json_schema(), "application/json")
 _NAMED_IMAGE = _body(NamedImage.model_json_schema(), "application/json")
+_EPISODE: Any = {"response_model": EpisodeState, "tags": ["episode"]}
 _TOKEN = HTTPBearer(auto_error=False, description="The token that the server printed.")
 router = APIRouter(prefix="/api", responses=_REFUSALS, dependencies=[Depends(_TOKEN)])
 
@@ -262,28 +263,26 @@ def place(order: Placing, session: Session) -> Done:
     return Done(message=f"{order.object or 'Nothing'} lies there now.")
 
 
-@router.get("/episode", response_model=EpisodeState, tags=["episode"])
+@router.get("/episode", **_EPISODE)
 def episode(session: Session) -> Any:
     """Return the episode: its touches, the belief after each, the decision."""
     return JSONResponse(session.episode.to_dict())
 
 
-@router.post("/episode/start", response_model=EpisodeState, tags=["episode"])
+@router.post("/episode/start", **_EPISODE)
 def start(session: Session) -> Any:
     """Begin a new episode."""
     session.begin_episode()
     return JSONResponse(session.episode.to_dict())
 
 
-@router.post("/episode/end", response_model=EpisodeState, tags=["episode"])
+@router.post("/episode/end", **_EPISODE)
 def end(session: Session) -> Any:
     """End the episode; the next touch begins a new one."""
     return JSONResponse(session.end_episode())
 
 
-@router.post(
-    "/touch", response_model=EpisodeState, tags=["episode"], openapi_extra=_IMAGE
-)
+@router.post("/touch", **_EPISODE, openapi_extra=_IMAGE)
 def touch(posted: Posted, session: Session) -> Any:
     """Take one touch, as numbers, into the episode; return the belief.
 
@@ -294,12 +293,7 @@ def touch(posted: Posted, session: Session) -> Any:
     return JSONResponse(session.post_touch(image))
 
 
-@router.post(
-    "/touch/picture",
-    response_model=EpisodeState,
-    tags=["episode"],
-    openapi_extra=_PICTURE,
-)
+@router.post("/touch/picture", **_EPISODE, openapi_extra=_PICTURE)
 def touch_picture(picture: Picture, session: Session) -> Any:
     """Take one touch, as PNG, JPEG or npy, into the episode; return the belief."""
     return JSONResponse(session.post_touch(picture))
@@ -317,8 +311,7 @@ def report(session: Session) -> Response:
     """Download a page that shows the episode by itself."""
     name = f"attachment; filename=episode-{session.episode.number}.html"
     headers = {"Content-Disposition": name}
-    page = episode_report(session.episode)
-    return Response(page, media_type="text/html", headers=headers)
+    return Response(episode_report(session.episode), 200, headers, "text/html")
 
 
 @router.get(

@@ -17,20 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from .. import sensors
 from .._checks import size_said
 from .._types import Array, Floats
 from ..recognition import ObjectRecogniser
-from ..sensors import (
-    DetectedTouch,
-    Frame,
-    LiveSensor,
-    SensorError,
-    SensorMemory,
-    TouchDetector,
-    baseline_warning,
-    desk_of,
-    gain_warning,
-)
+from ..sensors import DetectedTouch, Frame, LiveSensor, SensorError, SensorMemory
 from ._images import FramePainter
 
 _BASELINE_FRAMES = 10
@@ -72,17 +63,14 @@ class Listeners:
         return len(self._all)
 
     def add(self, listener: Listener) -> None:
-        """Call this one too."""
         with self._lock:
             self._all = (*self._all, listener)
 
     def discard(self, listener: Listener) -> None:
-        """Call this one no more."""
         with self._lock:
             self._all = tuple(one for one in self._all if one != listener)
 
     def notify(self, event: Event) -> None:
-        """Call all with an event, in the thread in which it happened."""
         for listener in self._all:
             try:
                 listener(event)
@@ -115,7 +103,6 @@ class Health:
             self._shown_ms.append(1e3 * (time.monotonic() - taken_s))
 
     def count_touch(self, latency_ms: float) -> None:
-        """Count a touch that has moved the belief."""
         with self._lock:
             self._touch_ms.append(latency_ms)
 
@@ -153,7 +140,7 @@ class SensorWatch:
         summary: str,
     ) -> None:
         self.sensor = sensor
-        self.detector = TouchDetector(sensor.no_contact(), summary=summary)
+        self.detector = sensors.TouchDetector(sensor.no_contact(), summary=summary)
         self._take, self._listeners, self._health = take, listeners, health
         self._painter = FramePainter(sensor.image_shape, sensor.channels)
         self._memory: SensorMemory | None = None
@@ -179,7 +166,6 @@ class SensorWatch:
             thread.start()
 
     def stop(self) -> None:
-        """End both threads and free the sensor."""
         self._stop.set()
         self._found.put(None)
         self.sensor.disconnect()
@@ -233,8 +219,7 @@ class SensorWatch:
         return difference
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what the sensor is like now, as plain values."""
-        sensor, desk = self.sensor, desk_of(self.sensor)
+        sensor, desk = self.sensor, sensors.desk_of(self.sensor)
         has_baseline = self.detector.baseline is not None
         return {
             "name": sensor.name,
@@ -283,11 +268,11 @@ class SensorWatch:
         baseline, memory = self.detector.baseline, self._memory
         found = [self.misfit]
         if not self.misfit and baseline is not None and memory is not None:
-            found = [baseline_warning(memory, baseline.astype(np.float64))]
+            found = [sensors.baseline_warning(memory, baseline.astype(np.float64))]
             recent = list(self._recent)
             if recent and memory.response.size and not found[0]:
                 now = SensorMemory.of(np.stack(recent), baseline)
-                found.append(gain_warning(memory, now))
+                found.append(sensors.gain_warning(memory, now))
         self._warnings = [warning for warning in found if warning]
 
     def _follow(self) -> None:
@@ -347,10 +332,8 @@ class SensorWatch:
 
 def _kind(image_shape: tuple[int, ...], other: tuple[int, ...]) -> str:
     """Say how large images are, and whether in colour where others differ in that."""
-    size = size_said(image_shape[:2])
-    if len(image_shape) == len(other):
-        return size
-    return f"{size} in {'colour' if len(image_shape) == 3 else 'grey'}"
+    colour = " in colour" if len(image_shape) == 3 else " in grey"
+    return size_said(image_shape[:2]) + colour * (len(image_shape) != len(other))
 
 
 def _median(values: deque[float]) -> float | None:

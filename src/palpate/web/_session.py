@@ -84,9 +84,8 @@ class LiveSession:
         self.listeners, self.health = Listeners(), Health(sensor)
         self.watch: SensorWatch | None = None
         if sensor is not None:
-            self.watch = SensorWatch(
-                sensor, self._taken, self.listeners, self.health, summary
-            )
+            told = self.listeners, self.health
+            self.watch = SensorWatch(sensor, self._taken, *told, summary)
         self.teacher = None if library is None else Teacher(library, sensor)
         self._stopped = False
         self.recogniser: ObjectRecogniser | None = None
@@ -102,10 +101,9 @@ class LiveSession:
         self.model_path = None if model is None else Path(model)
         if model is None and library is not None:
             self.model_path = Path(library) / "model.palpate"
-        if self.model_path is not None and (
-            library is None or self.model_path.exists()
-        ):
-            self._use(ObjectRecogniser.load(self.model_path))
+        path = self.model_path
+        if path is not None and (library is None or path.exists()):
+            self._use(ObjectRecogniser.load(path))
 
     def start(self) -> Self:
         """Connect the sensor and follow it; nothing happens where that is done.
@@ -119,7 +117,7 @@ class LiveSession:
             self.watch.start()
         try:
             if self.teacher is not None:
-                self.teacher.open()
+                _ = self.teacher.library
         except ValueError:
             self.stop()
             raise
@@ -378,9 +376,8 @@ class LiveSession:
 
     def _new_episode(self) -> None:
         number = self.episode.number + bool(self.episode.touches)
-        self.episode = LiveEpisode(
-            number, self.recogniser, self.accepted, self._neighbours
-        )
+        known = self.recogniser, self.accepted, self._neighbours
+        self.episode = LiveEpisode(number, *known)
 
     def _take(self, image: Array) -> str:
         """Take a touch into the lesson; return what to say."""
@@ -411,7 +408,7 @@ class LiveSession:
             touch = self.episode.add(image, channels)
             touch.latency_ms = 1e3 * (time.monotonic() - ended_s)
             self.health.count_touch(touch.latency_ms)
-            episode = {**self.episode.to_dict(), "touches": [touch.to_dict()]}
+            episode = {**self.episode.to_dict(), "touches": [dict(vars(touch))]}
             values = {"episode": episode, "nearest": self.episode.nearest}
         self.listeners.notify(Event("touch", values))
         self._check_mounting()
@@ -459,25 +456,23 @@ class LiveSession:
     def _learn_apart(self, drop: Sequence[str]) -> None:
         assert self.teacher is not None
         assert self.model_path is not None
-        base = self.model_path if self.model_path.is_file() else None
-        shape = self.teacher.image_shape()
-        answer = learn_apart(self.teacher.folder, self.model_path, base, drop, shape)
-        names = answer["objects"]
-        if names:
-            self._use(ObjectRecogniser.load(self.model_path))
-            touches = f"{answer['n_touches']} touches"
+        path, shape = self.model_path, self.teacher.image_shape()
+        base = path if path.is_file() else None
+        answer = learn_apart(self.teacher.folder, path, base, drop, shape)
+        if names := answer["objects"]:
+            self._use(ObjectRecogniser.load(path))
             more = " What to teach next stands under Teach." * bool(self.advice)
-            self.message = f"Learnt {len(names)} objects from {touches}.{more}"
+            said = f"Learnt {len(names)} objects from {answer['n_touches']} touches."
+            self.message = said + more
             return
         self._use(None)
-        self.model_path.unlink(missing_ok=True)
+        path.unlink(missing_ok=True)
         raise LearningError(
             "Too little to learn: at least two objects with two touches each."
         )
 
     @contextmanager
     def _changing(self) -> Iterator[None]:
-        """Hold the lock while something changes; then send the state."""
         with self._lock:
             yield
         self._notify_state()

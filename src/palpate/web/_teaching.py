@@ -132,7 +132,6 @@ class Lesson:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values."""
         return {
             "name": self.name,
             "wanted": self.wanted,
@@ -146,7 +145,7 @@ class Lesson:
 class Teacher:
     """Stores what is taught with a sensor, if there is one, in a library.
 
-    Where there is no library it is made, by `open` or when it is first needed.
+    Where there is no library it is made when it is first needed.
     """
 
     def __init__(self, folder: str | Path, sensor: LiveSensor | None) -> None:
@@ -165,22 +164,17 @@ class Teacher:
         # Of each object taught, that its last lesson was of touches alike, or "".
         self.verdicts: dict[str, str] = {}
         if TouchLibrary.is_library(self.folder):
-            self.open()
+            _ = self.library
 
     @property
     def library(self) -> TouchLibrary:
         """The library; opened, or made, the first time it is asked for."""
-        return self.open()
-
-    def open(self) -> TouchLibrary:
-        """Open the library, or make it, unless it is open; return it."""
         with self._opening:
             if self._opened is None:
                 self._opened = TouchLibrary.open(self.folder, create=True)
             return self._opened
 
     def close(self) -> None:
-        """Close the library if it is open."""
         if self._opened is not None:
             self._opened.close()
 
@@ -190,7 +184,6 @@ class Teacher:
         self._session = f"{started} {why}".strip()
 
     def begin(self, name: str, wanted: int) -> None:
-        """Start to teach an object; a lesson under way ends."""
         check_count("count", wanted)
         if wanted > MOST_PER_LESSON:
             raise ValueError(f"count must be at most {MOST_PER_LESSON}, got {wanted}.")
@@ -299,7 +292,6 @@ class Teacher:
             self.library.retract(object=name, reason="forgotten on the page")
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what the library holds, as plain values."""
         return {
             "folder": str(self.folder.resolve()),
             "objects": [
@@ -350,7 +342,6 @@ class Teacher:
         return ImageKind(shape, dtype, names)
 
     def _counts(self) -> dict[str, int]:
-        """Return how many touches each object has, sorted by name."""
         return {row.name: row.n_touches for row in self.library.objects()}
 
     def _rows(self, name: str, limit: int | None = None) -> list[TouchRow]:
