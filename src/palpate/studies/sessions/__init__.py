@@ -239,12 +239,12 @@ def tables(result: dict[str, Any]) -> list[Table]:
 
 def pictures(result: dict[str, Any]) -> Figures:
     """Return bars of the accuracy after one touch."""
-    names = shared.unique(row["data"] for row in result["rows"])
+    ways = [*WAYS.values(), CEILING]
+    shown = [r for r in shared.held(result["rows"], touches=1) if r["way"] in ways]
+    names = shared.unique(row["data"] for row in shown)
     figure, axes = plots.panels(1, 1, (7, 1 + 1.1 * len(names)))
-    place, ways = axes[0, 0], [*WAYS.values(), CEILING]
-    for row in shared.held(result["rows"], touches=1):
-        if row["way"] not in ways:
-            continue
+    place = axes[0, 0]
+    for row in shown:
         number = ways.index(row["way"])
         at = names.index(row["data"]) + 0.13 * (number - len(ways) / 2)
         colour = plots.CONTROLS[0] if row["way"] == CEILING else plots.OURS
