@@ -14,22 +14,10 @@ from scipy.special import log_softmax
 from .._checks import check_number, check_option
 from .._types import Array, Floats
 from ..touches import Touches
+from . import _evidence, _unknown
 from ._calibration import Modality
-from ._evidence import (
-    Evidence,
-    SequenceCalibration,
-    doubts,
-    is_informative,
-    log_posterior,
-    with_floor,
-)
+from ._evidence import Evidence, log_posterior
 from ._memory import UNKNOWN, Memory, nearest_touches
-from ._unknown import (
-    DecisionLimits,
-    Promise,
-    category_codes,
-    summed_by_category,
-)
 
 Costs = Mapping[str, Mapping[str, float]]
 LEVELS = ("object", "category", "any")
@@ -56,8 +44,8 @@ class Judge:
     classes: NDArray[np.str_]
     log_prior: Floats
     floor: float
-    sequence_calibration: SequenceCalibration
-    limits: DecisionLimits
+    sequence_calibration: _evidence.SequenceCalibration
+    limits: _unknown.DecisionLimits
     senses: Mapping[str, Modality]
     categories: NDArray[np.str_]
     memory: Memory
@@ -184,11 +172,14 @@ class Belief:
         if by_encoding is not None:
             shape = n_touches, *self._each.shape
             each = _checked_part("by_encoding", by_encoding, shape)
-        floored, each = with_floor(rows, judge.floor), with_floor(each, judge.floor)
+        floored, each = (
+            _evidence.with_floor(rows, judge.floor),
+            _evidence.with_floor(each, judge.floor),
+        )
         self.flags += flags
         self._features += list(seen)
         self._floored += list(floored)
-        informative = is_informative(floored)
+        informative = _evidence.is_informative(floored)
         self._n_informative += int(informative.sum())
         self._total = self._total + floored[informative].sum(axis=0)
         self._each = self._each + each[informative].sum(axis=0)
@@ -265,7 +256,7 @@ class Belief:
     @property
     def doubt(self) -> float:
         """Probability outside `best`."""
-        return float(doubts(self.log_posterior))
+        return float(_evidence.doubts(self.log_posterior))
 
     @property
     def unknown(self) -> float:
@@ -295,18 +286,20 @@ class Belief:
 
         Objects without a category count as one each.
         """
-        codes = category_codes(self._judge.categories)
+        codes = _unknown.category_codes(self._judge.categories)
         if codes is None:
             return {}
         names = np.where(
             self._judge.categories == "", self._judge.classes, self._judge.categories
         )
         present, first = np.unique(codes, return_index=True)
-        shares = self._shares(summed_by_category(self.log_posterior, codes, present))
+        shares = self._shares(
+            _unknown.summed_by_category(self.log_posterior, codes, present)
+        )
         return dict(zip(names[first].tolist(), shares, strict=True))
 
     @property
-    def promise(self) -> Promise:
+    def promise(self) -> _unknown.Promise:
         """What is known of the share of wrong names at the error last asked for."""
         return self._judge.limits.promise(self._error)
 
@@ -391,9 +384,9 @@ class Belief:
         best = max(shares, key=lambda name: shares[name])
         if sum(shares.values()) - shares[best] > self._error:
             return None
-        codes = category_codes(self._judge.categories)
+        codes = _unknown.category_codes(self._judge.categories)
         assert codes is not None
-        said = summed_by_category(self._said(), codes, np.unique(codes))
+        said = _unknown.summed_by_category(self._said(), codes, np.unique(codes))
         limit = self._judge.limits.naming_limit(self._error, category=True)
         return best if self._score(said) <= limit else None
 

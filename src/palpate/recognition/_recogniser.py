@@ -21,6 +21,7 @@ from .._types import Array, Floats
 from ..classifiers import EncodingPool, TouchClassifier, as_groups
 from ..images import Poses, PressPose
 from ..touches import Touches, TouchSource
+from . import _memory
 from ._belief import Belief, Judge
 from ._calibration import (
     Modality,
@@ -40,17 +41,7 @@ from ._evidence import (
     with_floor,
 )
 from ._learning import encoded, learn_encoding, memory_of, refuse_too_large
-from ._memory import (
-    Memory,
-    Nearest,
-    blocks_in_order,
-    check_name,
-    labelled,
-    left_out_groups,
-    named_labels,
-    training_labels,
-    without_copies,
-)
+from ._memory import Memory, Nearest
 from ._model_checks import MOST_TRIED, check_parts, try_one_touch
 from ._model_file import ModelFileError, read_model, write_model
 from ._presets import PRESENTATIONS, Preset, find_preset
@@ -188,20 +179,20 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             fewer than two touches; or it would take too much memory.
         """
         preset = self._check_parameters()
-        touches = labelled(X, y, self.label)
-        labels, objects = training_labels(touches, self.label)
+        touches = _memory.labelled(X, y, self.label)
+        labels, objects = _memory.training_labels(touches, self.label)
         if y is not None and self.label == "object":
             labels = objects = np.asarray(y)
         refuse_too_large(labels, self.max_memory_gb)
         if groups is None:
-            blocks = left_out_groups(touches, labels, objects, self.label)
+            blocks = _memory.left_out_groups(touches, labels, objects, self.label)
         else:
             blocks = as_groups(groups, len(labels))
         encoder, contact, chosen, encoding = learn_encoding(
             preset, touches, labels, blocks, self.presentation
         )
         if groups is None:
-            blocks = without_copies(encoding.features, objects, blocks)
+            blocks = _memory.without_copies(encoding.features, objects, blocks)
         memory = memory_of(touches, encoding, labels, objects, blocks)
         self.encoder_, self.contact_, self.chosen_ = encoder, contact, chosen
         self.classifier_ = preset.classifier(encoder).fit(
@@ -273,7 +264,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         self._check_fitted()
         memory = self.memory_.without(forget)
         if touches is not None:
-            labels = named_labels(touches, self.label)
+            labels = _memory.named_labels(touches, self.label)
             for name in np.unique(labels).tolist():
                 some = touches[np.flatnonzero(labels == name)]
                 memory = memory.replaced(self._learnt(name, some, 2))
@@ -378,7 +369,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
 
         `y` (n_touches,) are the labels, by default the touches' own.
         """
-        truth = named_labels(as_touches(X), self.label) if y is None else y
+        truth = _memory.named_labels(as_touches(X), self.label) if y is None else y
         return float(super().score(X, truth, sample_weight))
 
     def log_likelihood(self, touches: Touches) -> Floats:
@@ -473,7 +464,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             )
         self.pose_ = PressPose(pitch_mm=float(pitch)).fit(
             touches.images,
-            training_labels(touches, self.label)[0],
+            _memory.training_labels(touches, self.label)[0],
             touches.columns.get("angle_deg"),
         )
         return self
@@ -530,7 +521,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         self._check_fitted()
         modality = Modality(classifier, random_state=self.random_state)
         modality.fit(X, y, groups)
-        self.modalities_ = {**self.modalities_, check_name(name): modality}
+        self.modalities_ = {**self.modalities_, _memory.check_name(name): modality}
         return self
 
     def remember_sensor(self, values: Mapping[str, Any] | None) -> Self:
@@ -586,7 +577,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     def _learnt(self, name: str, touches: Touches | TouchSource, least: int) -> Memory:
         """Encode touches of one object, whatever they are labelled."""
         given = touches if isinstance(touches, TouchSource) else as_touches(touches)
-        check_name(name)
+        _memory.check_name(name)
         if len(given) < least:
             raise ValueError(
                 f"{name!r} must have at least {least} touches, got {len(given)}."
@@ -595,8 +586,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         own = given.object if labels.dtype.kind == "U" else None
         objects = labels if own is None else own
         encoding = encoded(self.encoder_, self.contact_, given)
-        blocks = blocks_in_order(labels, given.order)
-        blocks = without_copies(encoding.features, labels, blocks)
+        blocks = _memory.blocks_in_order(labels, given.order)
+        blocks = _memory.without_copies(encoding.features, labels, blocks)
         return memory_of(given, encoding, labels, objects, blocks)
 
     def _as_label(self, name: str) -> Any:

@@ -25,13 +25,8 @@ from sklearn.neural_network import MLPClassifier
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
+from ... import classifiers
 from ..._types import Floats
-from ...classifiers import (
-    KernelDensityBayes,
-    KernelDensityNaiveBayes,
-    KernelRidgeClassifier,
-    OnePerLabelSVC,
-)
 from ...encodings import RootScaler, encoder_named
 from ...evaluation import davies_bouldin
 from ...touches import Touches
@@ -144,9 +139,9 @@ def classifier(name: str, seed: int) -> Any:
     if name == "1-NN":
         return KNeighborsClassifier(1, algorithm="kd_tree")
     if name == "naive Bayes":
-        return KernelDensityNaiveBayes()
+        return classifiers.KernelDensityNaiveBayes()
     if name == "SVMs":
-        return make_pipeline(StandardScaler(), OnePerLabelSVC(C=10.0))
+        return make_pipeline(StandardScaler(), classifiers.OnePerLabelSVC(C=10.0))
     network = MLPClassifier((7,), solver="lbfgs", max_iter=200, random_state=seed)
     return make_pipeline(StandardScaler(), network)
 
@@ -350,7 +345,9 @@ def compare_fold(
         inner[name] = float(np.mean(shares))
     # The foundation's own classifier.
     old, new = _zernike_pca(features[FOUNDATION][0], train, test)
-    scores = KernelDensityBayes().fit(old, seen.codes[train]).log_likelihood(new)
+    scores = (
+        classifiers.KernelDensityBayes().fit(old, seen.codes[train]).log_likelihood(new)
+    )
     density = scores - logsumexp(scores, axis=1, keepdims=True)
     right[f"{FOUNDATION}, kernel density"] = _right_after(seen, density, test)
     chosen = max(inner, key=lambda name: inner[name])
@@ -386,7 +383,7 @@ def _log_posterior(
         both = list(zip(scalers, parts, strict=True))
         old = np.hstack([scaler.transform(part[train]) for scaler, part in both])
         new = np.hstack([scaler.transform(part[test]) for scaler, part in both])
-    model = KernelRidgeClassifier(max_choice_touches=800)
+    model = classifiers.KernelRidgeClassifier(max_choice_touches=800)
     model.fit(old, seen.codes[train], groups=seen.objects[train])
     return model.predict_log_proba(new)
 
