@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import recognition
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats, Indices
 from ..recognition import n_informative
 
 
@@ -90,7 +90,7 @@ class Scores:
 
     accuracy: Floats
     confidence: Floats
-    hit: NDArray[np.bool_]
+    hit: Bools
     log_loss: Floats
     confusion: Floats
 
@@ -156,17 +156,17 @@ class Decisions:
         Whose touches they were: episodes of one object are not independent.
     """
 
-    touches: NDArray[np.intp]
-    decided: NDArray[np.bool_]
-    right: NDArray[np.bool_]
-    refused: NDArray[np.bool_]
+    touches: Indices
+    decided: Bools
+    right: Bools
+    refused: Bools
     objects: NDArray[np.str_]
 
     @classmethod
     def pooled(cls, parts: Sequence[Self]) -> Self:
         """Return the decisions of several folds together."""
-        names = ("touches", "decided", "right", "refused", "objects")
-        return cls(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
+        columns = zip(*(vars(part).values() for part in parts), strict=True)
+        return cls(*map(np.concatenate, columns))
 
     def to_dict(self, error: float, refusal: float) -> dict[str, Any]:
         """Return plain values; `accuracy` is over decided episodes.
@@ -230,7 +230,7 @@ def decide_episodes(
         rows = np.arange(n_orders)
         refused = decided & refuse[rows, last]
         right = log_posterior[rows, last].argmax(axis=1) == truth
+        right &= decided & ~refused
         whose = np.full(n_orders, name)
-        ended = (last + 1, decided, right & decided & ~refused, refused, whose)
-        parts.append(Decisions(*ended))
+        parts.append(Decisions(last + 1, decided, right, refused, whose))
     return Decisions.pooled(parts)

@@ -130,9 +130,7 @@ class Belief:
             NaN or infinity where the recogniser cannot take it; the belief is
             then unchanged.
         """
-        given = touch
-        if not isinstance(given, Evidence):
-            given = self._evidence_of(given)
+        given = touch if isinstance(touch, Evidence) else self._evidence_of(touch)
         return self.update_from_log_likelihood(
             given.log_likelihood,
             features=given.features,
@@ -211,7 +209,6 @@ class Belief:
         return self
 
     def _weigh(self) -> None:
-        """Add up the prior, the other senses and the touches."""
         total = self._prior_and_senses()
         if self._floored:
             calibration = self._judge.sequence_calibration
@@ -245,8 +242,7 @@ class Belief:
     def _shares(self, logs: Floats) -> list[float]:
         """Return probabilities by their logarithms; never 0 unless the floor is."""
         least = _LEAST_LOG if self._judge.floor else -np.inf
-        shares: list[float] = np.exp(np.maximum(logs, least)).tolist()
-        return shares
+        return list(np.exp(np.maximum(logs, least)).tolist())
 
     @property
     def best(self) -> str:
@@ -391,7 +387,6 @@ class Belief:
         return best if self._score(said) <= limit else None
 
     def _is_agreed(self) -> bool:
-        """Whether the encodings agree so well that an object may be named."""
         return self.unknown <= self._judge.limits.naming_limit(self._error)
 
     def unknown_limit(self, refusal: float = 0.01) -> float | None:
@@ -513,10 +508,10 @@ class Belief:
 
     def __repr__(self) -> str:
         order = np.argsort(self.log_posterior)[::-1][:3]
-        names, shares = self._judge.classes[order], np.exp(self.log_posterior[order])
-        listed = ", ".join(
-            f"{_short(name)} {p:.2f}" for name, p in zip(names, shares, strict=True)
-        )
+        names = [str(name) for name in self._judge.classes[order]]
+        some = [n if len(n) <= _LETTERS else f"{n[: _LETTERS - 3]}..." for n in names]
+        shares = np.exp(self.log_posterior[order])
+        listed = ", ".join(f"{n} {p:.2f}" for n, p in zip(some, shares, strict=True))
         return f"<{type(self).__name__} after {self.touches_used} touches: {listed}>"
 
     def _repr_html_(self) -> str:
@@ -537,11 +532,6 @@ class Belief:
 _LEAST_LOG = -700.0
 # Objects and letters that a picture of a belief shows.
 _BARS, _LETTERS = 10, 24
-
-
-def _short(name: object) -> str:
-    text = str(name)
-    return text if len(text) <= _LETTERS else f"{text[: _LETTERS - 3]}..."
 
 
 def _bar(name: str, share: float) -> str:

@@ -17,11 +17,11 @@ from sklearn.exceptions import NotFittedError
 from sklearn.utils import Tags
 
 from .._checks import check_count, check_number, check_option
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats
 from ..classifiers import EncodingPool, TouchClassifier, as_groups
 from ..images import Poses, PressPose
 from ..touches import Touches, TouchSource
-from . import _memory
+from . import _evidence, _memory
 from ._belief import Belief, Judge
 from ._calibration import (
     Modality,
@@ -30,16 +30,9 @@ from ._calibration import (
     fit_sequence_calibration,
     left_out_log_likelihood,
 )
-from ._contact import NO_CONTACT, ContactCheck, consists_of_nothing, encoded_and_flagged
-from ._encoder import BATCH, TouchEncoder
-from ._evidence import (
-    Evidence,
-    SequenceCalibration,
-    as_touches,
-    given_prior,
-    log_posteriors,
-    with_floor,
-)
+from ._contact import NO_CONTACT, consists_of_nothing, encoded_and_flagged
+from ._encoder import BATCH
+from ._evidence import Evidence, as_touches
 from ._learning import encoded, learn_encoding, memory_of, refuse_too_large
 from ._memory import Memory, Nearest
 from ._model_checks import MOST_TRIED, check_parts, try_one_touch
@@ -122,18 +115,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     """
 
     max_memory_gb: ClassVar[float] = 8.0
-    classes_: Array
-    encoder_: TouchEncoder
     classifier_: TouchClassifier
     memory_: Memory
-    contact_: ContactCheck
-    uses_no_contact_: bool
-    sequence_calibration_: SequenceCalibration
-    limits_: DecisionLimits
-    floor_: float
-    chosen_: dict[str, Any]
-    pose_: PressPose | None
-    modalities_: dict[str, Modality]
 
     def __init__(
         self,
@@ -201,7 +184,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         if isinstance(self.classifier_, EncodingPool):
             chosen["weights"] = self.classifier_.weights_
         self._calibrate(memory)
-        self.pose_, self.modalities_ = None, {}
+        self.pose_: PressPose | None = None
+        self.modalities_: dict[str, Modality] = {}
         return self
 
     def add_object(self, name: str, touches: Touches | TouchSource) -> Self:
@@ -355,9 +339,11 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
 
     def predict_log_proba(self, X: Touches | ArrayLike) -> Floats:
         """Return the log belief after each touch alone, (n_touches, n_objects)."""
-        floored = with_floor(self.log_likelihood(as_touches(X)), self.floor_)
+        floored = _evidence.with_floor(self.log_likelihood(as_touches(X)), self.floor_)
         alone = floored[:, np.newaxis]
-        return log_posteriors(alone, self.log_prior(), self.sequence_calibration_)[:, 0]
+        return _evidence.log_posteriors(
+            alone, self.log_prior(), self.sequence_calibration_
+        )[:, 0]
 
     def score(
         self,
@@ -422,7 +408,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             default as the parameter `prior` says.
         """
         judge = self.judge()
-        log_prior = None if prior is None else given_prior(prior, judge.classes)
+        log_prior = (
+            None if prior is None else _evidence.given_prior(prior, judge.classes)
+        )
         return Belief(judge, self.evidence, log_prior)
 
     def judge(self) -> Judge:
@@ -575,7 +563,6 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         return model
 
     def _learnt(self, name: str, touches: Touches | TouchSource, least: int) -> Memory:
-        """Encode touches of one object, whatever they are labelled."""
         given = touches if isinstance(touches, TouchSource) else as_touches(touches)
         _memory.check_name(name)
         if len(given) < least:
@@ -617,17 +604,16 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         return self
 
     def _calibrate(self, memory: Memory) -> None:
-        """Set memory, floor, sequence calibration and what may be decided."""
         preset = find_preset(self.preset)
         self.memory_, self.classes_ = memory, memory.classes
         self.floor_ = preset.floor if self.floor is None else float(self.floor)
         self.uses_no_contact_ = not preset.skips_no_contact or consists_of_nothing(
             memory.labels, memory.nothing
         )
-        self.sequence_calibration_ = SequenceCalibration()
+        self.sequence_calibration_ = _evidence.SequenceCalibration()
         if preset.calibrates_sequence:
             self.sequence_calibration_ = fit_sequence_calibration(
-                with_floor(self._left_out(), self.floor_),
+                _evidence.with_floor(self._left_out(), self.floor_),
                 np.searchsorted(self.classes_, memory.labels),
                 self._drawn(memory),
                 self._log_prior(memory),
@@ -648,7 +634,6 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         return self._used(said, self.memory_.nothing)
 
     def _learnt_limits(self) -> DecisionLimits:
-        """Learn what may be decided from training touches left out."""
         memory, said = self.memory_, self._left_out()
         each, weights = said[:, np.newaxis], np.ones(1)
         if isinstance(self.classifier_, EncodingPool):
@@ -699,7 +684,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         looks = self.encoder_.look(touches)
         return Evidence(features, used, flags, each, distances, looks)
 
-    def _used(self, log_likelihood: Floats, nothing: NDArray[np.bool_]) -> Floats:
+    def _used(self, log_likelihood: Floats, nothing: Bools) -> Floats:
         """Let touches without contact say nothing, unless a label consists of them."""
         if self.uses_no_contact_:
             return log_likelihood
@@ -709,8 +694,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         counts = np.unique(memory.labels, return_counts=True)[1]
         if self.prior == "uniform":
             return np.full(len(counts), -np.log(len(counts)))
-        log_shares: Floats = np.log(counts / counts.sum())
-        return log_shares
+        return np.asarray(np.log(counts / counts.sum()))
 
     def _names(self) -> list[str]:
         return [str(name) for name in self.classes_]

@@ -71,14 +71,17 @@ def adapt(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecogniser:
 
 
 def remounted(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecogniser:
-    """Return a recogniser for the session of `touches`; the given one stays as it is.
-
-    See `ObjectRecogniser.remount`.
-    """
+    """Return another recogniser, for the session; see `ObjectRecogniser.remount`."""
     new = as_touches(touches)
     labels = new.object if recogniser.label == "object" else new.category
     if labels is not None:
-        _refuse_unknown(labels, recogniser)
+        unknown = np.setdiff1d(labels, recogniser.classes_)
+        if len(unknown):
+            raise ValueError(
+                f"touches must be of known objects, got {str(unknown[0])!r}, which was "
+                "not learnt. Remount first, then add it with add_object; or leave the "
+                "labels out to remount without them."
+            )
     result = copy(recogniser)
     result.encoder_, gain = _as_taught(recogniser, new, labels)
     shape = tuple(recogniser.encoder_.image_shape_)
@@ -158,11 +161,7 @@ def _as_taught(
 
 
 def learn_nuisance(recogniser: ObjectRecogniser, touches: Touches) -> int:
-    """Let a recogniser weigh down what tells sessions and not objects, in place.
-
-    `touches` are of any objects, known or not, met in several sessions; see
-    `ObjectRecogniser.learn_nuisance`. Returns how many differences they showed.
-    """
+    """Change a recogniser in place; see `ObjectRecogniser.learn_nuisance`."""
     new = as_touches(touches)
     if new.object is None or new.session is None:
         raise ValueError(
@@ -188,10 +187,7 @@ def learn_nuisance(recogniser: ObjectRecogniser, touches: Touches) -> int:
 def check_mounting(
     recogniser: ObjectRecogniser, touches: Touches | Evidence
 ) -> MountingCheck:
-    """Tell whether touches were made in a session like those it was taught in.
-
-    See `ObjectRecogniser.check_mounting`.
-    """
+    """See `ObjectRecogniser.check_mounting`."""
     if isinstance(touches, Evidence):
         evidence, reasons = touches, []
     else:
@@ -208,9 +204,7 @@ def check_mounting(
     drawn, runs = _sessions.usual_means(own, taught, n_touches, n_objects, seed)
     now = np.append(found, evidence.looks[counts].mean(axis=0))
     if np.isnan(drawn).any():  # of a model that kept no looks
-        drawn, now = drawn[:, :1], now[:1]
-        drawn = np.column_stack([drawn, np.zeros((len(drawn), 2))])
-        now = np.append(now, [0.0, 0.0])
+        drawn[:, 1:], now[1:] = 0.0, 0.0
     unlike, distance = _sessions.unlikeness(drawn, runs, now)
     # Of a few blocks even the largest is exceeded often: two signs, each as a t-test.
     n_runs = len(np.unique(runs))
@@ -223,7 +217,6 @@ def check_mounting(
 
 
 def _why(drawn: Floats, now: Floats, usual: float, n_touches: int) -> str:
-    """Return in a sentence what is unlike the training touches."""
     beyond = (now - drawn.mean(axis=0)) / np.maximum(drawn.std(axis=0), 1e-9)
     beyond[0] = max(beyond[0], 0)  # nearer than usual is no sign
     clear = [k for k in (0, _sessions.N_LOOKS) if abs(beyond[k]) > usual]
@@ -358,7 +351,6 @@ def _without_sessions(recogniser: ObjectRecogniser) -> dict[str, Any]:
 
 
 def _weigh_down(recogniser: ObjectRecogniser, differences: Floats) -> None:
-    """Put a weighing into the encoder, and learn again."""
     encoder, memory = recogniser.encoder_, recogniser.memory_
     weighing = _sessions.weighed_down(differences, memory.features, _parts(recogniser))
     before = encoder.weighing_
@@ -433,13 +425,3 @@ def _rim_moved(recogniser: ObjectRecogniser, touches: Touches) -> list[str]:
         return []
     moved = f"{away:.0f} pixels from where it was learnt, and is {larger:+.0%} larger"
     return [f"The rim lies {moved}."]
-
-
-def _refuse_unknown(labels: Array, recogniser: ObjectRecogniser) -> None:
-    unknown = np.setdiff1d(labels, recogniser.classes_)
-    if len(unknown):
-        raise ValueError(
-            f"touches must be of known objects, got {str(unknown[0])!r}, which was not "
-            "learnt. Remount first, then add it with add_object; or leave the labels "
-            "out to remount without them."
-        )

@@ -32,7 +32,7 @@ from ...evaluation import davies_bouldin
 from ...touches import Touches
 from .._study import Codes, Row, coded, fitted, mean_row, row
 from . import plan as stated
-from .plan import BEST, CLASSIFIERS, TABLE_2, Corradi2014Plan, Images, Shapes, variants
+from .plan import CANDIDATES, CLASSIFIERS, Corradi2014Plan, Images, Shapes
 
 SENSORS = ("simulated", "simulated-pins")
 N_FOLDS = 5
@@ -49,22 +49,8 @@ N_ORDERS = 50
 FOUNDATION = "zernike-pca"
 CHOSEN = "chosen on the training objects"
 _KNOWN = {"data": DATA, "unit": "per cent"}
-# Encodings by name: (encoding, options, variant) of each part.
-Part = tuple[str, dict[str, Any], str]
-CANDIDATES: dict[str, tuple[Part, ...]] = {
-    "zernike": (("zernike", {}, "image"),),
-    "zernike to order 20": (("zernike", {"order": 20}, "image"),),
-    "zernike to order 30": (("zernike", {"order": 30}, "image"),),
-    "zernike, image and derivative": (
-        ("zernike", {}, "image"),
-        ("zernike", {}, "derivative"),
-    ),
-    "polar gradients": (("polar-gradients", {}, "image"),),
-    "polar gradients and zernike to order 30": (
-        ("polar-gradients", {}, "image"),
-        ("zernike", {"order": 30}, "image"),
-    ),
-}
+# Rows of one encoding, and per cent right (n_runs, 5) by classifier.
+Judged = tuple[list[Row], dict[str, Floats]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,14 +137,6 @@ def answers(name: str, train: Floats, codes: Codes, test: Floats, seed: int) -> 
     return np.asarray(fitted(classifier(name, seed), train, codes).predict(test))
 
 
-@dataclass(frozen=True)
-class Judged:
-    """Rows of one encoding, and per cent right (n_runs, 5) by classifier."""
-
-    rows: list[Row]
-    folds: dict[str, Floats]
-
-
 def judge(shapes: Shapes, variant: str, name: str, plan: Corradi2014Plan) -> Judged:
     """Choose on the first half and report on the second."""
     counts = plan.counts(name)
@@ -188,7 +166,7 @@ def judge(shapes: Shapes, variant: str, name: str, plan: Corradi2014Plan) -> Jud
             grouped += right(second[~held], second[held], (chosen,), plan.seed)
         for one in _fig_3(known, kind, folds[kind].mean(axis=1), np.array(grouped)):
             rows.append({**one, "n_components": chosen})
-    return Judged(rows, folds)
+    return rows, folds
 
 
 def corrected_t_test(differences: Floats) -> tuple[float, float, float]:
@@ -210,8 +188,7 @@ def holm(p_values: list[float]) -> list[float]:
     order = np.argsort(p_values)
     scaled = np.asarray(p_values)[order] * np.arange(len(order), 0, -1)
     held = np.minimum(np.maximum.accumulate(scaled), 1.0)
-    together: list[float] = held[np.argsort(order)].tolist()
-    return together
+    return list(held[np.argsort(order)].tolist())
 
 
 def _table_2(
@@ -220,7 +197,9 @@ def _table_2(
     """Indices on the second half, the count being the best on the first."""
     first, second = (np.flatnonzero(shapes.half == h) for h in (0, 1))
     name, variant = known["encoding"], known["variant"]
-    by_sensor = zip(SENSORS, TABLE_2.get(name, {}).get(variant, ()), strict=False)
+    by_sensor = zip(
+        SENSORS, stated.TABLE_2.get(name, {}).get(variant, ()), strict=False
+    )
     paper = dict(by_sensor).get(known["data"])
     both = encoded.features(first, second, counts)
     for q, beside in ((2, paper), (1, None)):
@@ -234,7 +213,9 @@ def _table_2(
 
 def _fig_3(known: Row, kind: str, runs: Floats, grouped: Floats) -> Iterator[Row]:
     name, variant = known["encoding"], known["variant"]
-    paper = BEST.get((name, kind, variant)) if known["data"] == "simulated" else None
+    paper = (
+        stated.BEST.get((name, kind, variant)) if known["data"] == "simulated" else None
+    )
     alike = {**known, "table": "Fig. 3", "unit": "per cent", "classifier": kind}
     asked = (("randomised", runs, paper, len(runs)), ("grouped", grouped, None, 1))
     for folds, values, beside, n_runs in asked:
@@ -274,7 +255,7 @@ def recording(touches: Touches) -> Recording:
     for category in np.unique(codes):
         mine = codes == category
         fold[mine] = np.unique(objects[mine], return_inverse=True)[1]
-    return Recording(variants(stated.rim_discs(touches)), codes, objects, fold)
+    return Recording(stated.variants(stated.rim_discs(touches)), codes, objects, fold)
 
 
 def judge_unseen(
@@ -300,9 +281,8 @@ def judge_unseen(
 
     rows = []
     for kind in CLASSIFIERS:
-        right, chosen = zip(
-            *(judged(kind, k) for k in range(plan.fold_limit)), strict=True
-        )
+        folds = [judged(kind, k) for k in range(plan.fold_limit)]
+        right, chosen = zip(*folds, strict=True)
         one = {"table": "unseen", "encoding": name, "variant": variant}
         kept: Row = {**_KNOWN, **one, "classifier": kind, "n_components": list(chosen)}
         rows.append(mean_row(f"{name}, {kind}, {variant}", np.array(right), **kept))
