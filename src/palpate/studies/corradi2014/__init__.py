@@ -80,7 +80,7 @@ def _shapes_rows(
     found = {(s.data, e, v): one for (s, e, v), one in zip(keys, judged, strict=True)}
     paired: list[Row] = []
     for data, encoding in dict.fromkeys(key[:2] for key in found):
-        image, derivative = (found[data, encoding, v][1] for v in VARIANTS)
+        image, derivative = (found[data, encoding, v].folds for v in VARIANTS)
         for kind in CLASSIFIERS:
             known: Row = {"data": data, "encoding": encoding, "classifier": kind}
             test = judging.corrected_t_test(image[kind] - derivative[kind])
@@ -88,7 +88,7 @@ def _shapes_rows(
             paired.append({**known, **dict(figures)})
     for row, p in zip(paired, holm([row["p"] for row in paired]), strict=True):
         row["p_together"] = p
-    return [row for rows, _ in judged for row in rows], paired
+    return [row for one in judged for row in one.rows], paired
 
 
 def tables(result: dict[str, Any]) -> list[Table]:

@@ -49,8 +49,6 @@ N_ORDERS = 50
 FOUNDATION = "zernike-pca"
 CHOSEN = "chosen on the training objects"
 _KNOWN = {"data": DATA, "unit": "per cent"}
-# Rows of one encoding, and per cent right (n_runs, 5) by classifier.
-Judged = tuple[list[Row], dict[str, Floats]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +135,14 @@ def answers(name: str, train: Floats, codes: Codes, test: Floats, seed: int) -> 
     return np.asarray(fitted(classifier(name, seed), train, codes).predict(test))
 
 
+@dataclass(frozen=True)
+class Judged:
+    """Rows of one encoding, and per cent right (n_runs, 5) by classifier."""
+
+    rows: list[Row]
+    folds: dict[str, Floats]
+
+
 def judge(shapes: Shapes, variant: str, name: str, plan: Corradi2014Plan) -> Judged:
     """Choose on the first half and report on the second."""
     counts = plan.counts(name)
@@ -166,7 +172,7 @@ def judge(shapes: Shapes, variant: str, name: str, plan: Corradi2014Plan) -> Jud
             grouped += right(second[~held], second[held], (chosen,), plan.seed)
         for one in _fig_3(known, kind, folds[kind].mean(axis=1), np.array(grouped)):
             rows.append({**one, "n_components": chosen})
-    return rows, folds
+    return Judged(rows, folds)
 
 
 def corrected_t_test(differences: Floats) -> tuple[float, float, float]:
