@@ -15,7 +15,6 @@ from palpate.evaluation import davies_bouldin
 from palpate.studies import STUDIES, run_study
 from palpate.studies.corradi2014 import Corradi2014Plan, pictures
 from palpate.studies.corradi2014.judging import (
-    CANDIDATES,
     Recording,
     answers,
     candidate_features,
@@ -255,7 +254,8 @@ def test_the_best_encoding_is_chosen_without_the_tested_objects(seen):
 
 def test_candidates_and_counts_are_known():
     plan = Corradi2014Plan()
-    assert set(plan.candidates) - {"zernike-pca"} == set(CANDIDATES)
+    assert plan.candidates[0] == "zernike-pca"
+    assert Corradi2014Plan.quick().candidates == plan.candidates[:3]
     assert set(plan.encodings) <= set(COUNTS)
     assert plan.counts("hu") == (1, 2, 3, 4, 5, 6, 7)
     assert Corradi2014Plan.quick().counts("hu") == (3, 7)

@@ -61,7 +61,6 @@ from PIL import Image
 def work(folder): return np.stack([np.asarray(Image.open(p).convert('L'))
     for p in sorted(Path(folder).rglob('*.jpg'))])
 """
-Discs = Singles
 Encode = Callable[[Array], Floats]
 _TYPES = ("float64", "float32", "uint8")
 _N_TOUCHES = 32
@@ -166,7 +165,9 @@ def bench_zernike(
     return rows
 
 
-def _stages(pictures: list[Picture], seconds: float) -> tuple[dict[str, float], Discs]:
+def _stages(
+    pictures: list[Picture], seconds: float
+) -> tuple[dict[str, float], Singles]:
     """Milliseconds of each stage before the encoding, and the discs."""
     images = np.stack([_decoded(one) for one in pictures])
     crop = DomeCrop(_SIZE).fit(images)
@@ -191,7 +192,7 @@ def _decoded(one: Picture) -> Array:
 
 
 def _encoding_row(
-    name: str, kind: str, discs: Discs, stages: dict[str, float], seconds: float
+    name: str, kind: str, discs: Singles, stages: dict[str, float], seconds: float
 ) -> Row:
     encoder = encoder_named(name).fit(discs)
     encode = _each(lambda i: encoder.transform(discs[i : i + 1]), seconds)
@@ -203,7 +204,7 @@ def _encoding_row(
     return row(f"640 x 480 {kind} encoding {name}", encode, **facts)
 
 
-def _peer(name: str, discs: Discs, seconds: float) -> dict[str, Any]:
+def _peer(name: str, discs: Singles, seconds: float) -> dict[str, Any]:
     """The same encoding by another package, on discs of positive levels."""
     if name == "hu":
         ms = _each(lambda i: cv2.HuMoments(cv2.moments(discs[i])), seconds)

@@ -22,14 +22,7 @@ from sklearn.metrics.pairwise import polynomial_kernel, rbf_kernel
 from sklearn.svm import SVC
 
 from .._types import Array, Floats
-from ..classifiers.mkl import (
-    MKLSVC,
-    Answer,
-    PolynomialKernel,
-    kernel_diagonals,
-    paper_kernels,
-    reduced_gradient_walk,
-)
+from ..classifiers import mkl
 from ..encodings import KernelPCA
 from ._timing import Row, cpu_ms, measured_apart, one_thread, row
 
@@ -91,10 +84,12 @@ class _Case:
     def kernels(self, *, recognise: bool = False) -> Stacks:
         """Count the paper's kernels by scikit-learn, of trace 1 where they learn."""
         zero = np.zeros(_N_FEATURES)
-        traces = kernel_diagonals(paper_kernels(), self.touches, zero).sum(axis=1)
+        traces = mkl.kernel_diagonals(mkl.paper_kernels(), self.touches, zero).sum(
+            axis=1
+        )
         sides = [self.touches, self.others] if recognise else [self.touches]
         learn, *others = (
-            np.stack([_kernel(one, side, self.touches) for one in paper_kernels()])
+            np.stack([_kernel(one, side, self.touches) for one in mkl.paper_kernels()])
             / traces[:, None, None]
             for side in sides
         )
@@ -107,7 +102,7 @@ def _rows(case: _Case, C: float, seconds: float, what: str) -> list[Row]:
     stack, _ = case.kernels()
     learnt = np.ascontiguousarray(stack.transpose(1, 2, 0)) if given else case.touches
     bank: dict[str, Any] = {"kernels": "precomputed"} if given else {}
-    machine = MKLSVC(C=C, probability=False, **bank)
+    machine = mkl.MKLSVC(C=C, probability=False, **bank)
 
     def stacks() -> Stacks:
         return (stack, None) if given else case.kernels(recognise=recognise)
@@ -159,7 +154,9 @@ def _row_simplemkl(case: _Case, C: float, seconds: float) -> Row:
     """Compare one algorithm on our machines and on scikit-learn's, gap 1e-2."""
     stack, _ = case.kernels()
     given = np.ascontiguousarray(stack.transpose(1, 2, 0))
-    machine = MKLSVC(C=C, kernels="precomputed", solver="simplemkl", probability=False)
+    machine = mkl.MKLSVC(
+        C=C, kernels="precomputed", solver="simplemkl", probability=False
+    )
     ours_ms = cpu_ms(lambda: machine.fit(given, case.codes), seconds)
     # A part of the pairs will do: all of them take seconds.
     some = machine.pairs_[::6]
@@ -170,7 +167,7 @@ def _row_simplemkl(case: _Case, C: float, seconds: float) -> Row:
 
 
 def _kernel(kernel: Any, left: Floats, right: Floats) -> Floats:
-    if isinstance(kernel, PolynomialKernel):
+    if isinstance(kernel, mkl.PolynomialKernel):
         known = {"degree": kernel.degree, "gamma": 1, "coef0": 1}
         return np.asarray(polynomial_kernel(left, right, **known))
     return np.asarray(rbf_kernel(left, right, gamma=1 / (2 * kernel.sigma**2)))
@@ -181,7 +178,7 @@ def _walk(stack: Floats, codes: Array, pairs: Array, C: float) -> None:
     for pair in pairs:
         chosen = np.flatnonzero(np.isin(codes, pair))
         kernels = np.ascontiguousarray(stack[:, chosen[:, None], chosen])
-        walk = reduced_gradient_walk(len(kernels), tol=1e-2, max_iter=500)
+        walk = mkl.reduced_gradient_walk(len(kernels), tol=1e-2, max_iter=500)
         weights = next(walk)
         with contextlib.suppress(StopIteration):
             while True:
@@ -192,7 +189,7 @@ def _walk(stack: Floats, codes: Array, pairs: Array, C: float) -> None:
                 signed[machine.support_] = machine.dual_coef_[0]
                 energies = 0.5 * ((kernels @ signed) @ signed)
                 value = float(np.abs(signed).sum() - weights @ energies)
-                weights = walk.send(Answer(value, energies))
+                weights = walk.send(mkl.Answer(value, energies))
 
 
 def _row_large(n_touches: int) -> Row:

@@ -5,15 +5,7 @@ from itertools import count, cycle
 
 import numpy as np
 
-from ..simulation import (
-    HOUSEHOLD,
-    PARTS,
-    DomeCamera,
-    PlacedObject,
-    PressureArray,
-    SensorPose,
-    gap_map,
-)
+from .. import simulation
 from ._timing import Row, cpu_ms, one_thread, row
 
 _SHAPES = ((96, 96), (150, 150), (300, 300), (480, 640))
@@ -22,7 +14,7 @@ _ARRAY_SIZES = (10, 16, 32)
 _NO_DOME = "no other package presses a shaded dome on objects"
 _NO_ARRAY = "no other package presses parts on a covered array"
 
-Approach = tuple[PlacedObject, SensorPose]
+Approach = tuple[simulation.PlacedObject, simulation.SensorPose]
 
 
 def bench_simulate(seconds: float = 0.5) -> list[Row]:
@@ -30,17 +22,17 @@ def bench_simulate(seconds: float = 0.5) -> list[Row]:
     with one_thread():
         # Poses that meet their objects, all from the upper half, mixed.
         rng = np.random.default_rng(0)
-        camera = DomeCamera()
+        camera = simulation.DomeCamera()
         approaches: list[Approach] = []
-        for thing in HOUSEHOLD:
-            placed = PlacedObject.resting(thing)
+        for thing in simulation.HOUSEHOLD:
+            placed = simulation.PlacedObject.resting(thing)
             wanted = len(approaches) + _TOUCHES_PER_OBJECT
             while len(approaches) < wanted:
                 outward = rng.normal(size=3)
                 outward[2] = abs(outward[2])
                 outward /= np.linalg.norm(outward)
                 goal = placed.centre_mm + rng.normal(0, 5, 3)
-                pose = SensorPose(goal + 300 * outward, -outward)
+                pose = simulation.SensorPose(goal + 300 * outward, -outward)
                 if camera.press(placed, pose).touched:
                     approaches.append((placed, pose))
         return [_dome_row(shape, approaches, seconds) for shape in _SHAPES]
@@ -55,7 +47,7 @@ def bench_simulate_array(seconds: float = 0.5) -> list[Row]:
 def _dome_row(
     shape: tuple[int, int], approaches: list[Approach], seconds: float
 ) -> Row:
-    camera, rng = DomeCamera(image_shape=shape), np.random.default_rng(0)
+    camera, rng = simulation.DomeCamera(image_shape=shape), np.random.default_rng(0)
     presses = cycle([camera.press(placed, pose) for placed, pose in approaches])
     in_turn = cycle(approaches)
 
@@ -64,7 +56,7 @@ def _dome_row(
         return cpu_ms(lambda: [stage() for _ in approaches], seconds) / len(approaches)
 
     whole = each_ms(lambda: camera.touch(*next(in_turn), rng=rng))
-    rays = each_ms(lambda: gap_map(*next(in_turn), camera.membrane))
+    rays = each_ms(lambda: simulation.gap_map(*next(in_turn), camera.membrane))
     picture = each_ms(lambda: camera.image(next(presses), rng))
     return row(
         f"touch {shape[0]} x {shape[1]} uint8",
@@ -78,12 +70,12 @@ def _dome_row(
 
 
 def _array_row(size: int, seconds: float) -> Row:
-    array = PressureArray(size, size)
+    array = simulation.PressureArray(size, size)
     numbers = count()
 
     def press_all() -> None:
         number = next(numbers)
-        for part in PARTS:
+        for part in simulation.PARTS:
             array.press(
                 part,
                 x_mm=(0.37 * number) % 1,
@@ -93,6 +85,6 @@ def _array_row(size: int, seconds: float) -> Row:
                 random_state=number,
             )
 
-    ours_ms = cpu_ms(press_all, seconds) / len(PARTS)
+    ours_ms = cpu_ms(press_all, seconds) / len(simulation.PARTS)
     name = f"press {size} x {size} pitch 2 mm"
     return row(name, ours_ms, "none", reason=_NO_ARRAY)

@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.base import clone
 
 from .._checks import check_count, check_option
 from .._durable import write_text
 from .._parallel import in_parallel
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats
 from ..recognition import PRESETS, ObjectRecogniser, find_geometry
 from ..touches import Touches
 from ._controls import CONTROLS, without_contact
@@ -41,7 +40,7 @@ Archives = str | Path | Iterable[str | Path] | Mapping[str, Touches]
 class Answers(NamedTuple):
     """What a recogniser said in one fold: whether right, shape (n_asked,), and more."""
 
-    right: NDArray[np.bool_]
+    right: Bools
     learn_s: float
     per_touch_s: float
     after: dict[str, float]
@@ -237,14 +236,13 @@ def _said(
 
 def _check_written_for(preset: str, touches: Touches, labels: Array) -> None:
     sensor, most = WRITTEN_FOR.get(preset, (None, np.inf))
+    wrong = None
     if sensor and (geometry := find_geometry(touches)) != sensor:
-        raise ValueError(
-            f"{preset} is written for a sensor {sensor!r}, got {geometry!r}."
-        )
-    if (n_labels := len(np.unique(labels))) > most:
-        raise ValueError(
-            f"{preset} is asked about at most {most} labels, got {n_labels}."
-        )
+        wrong = f"written for a sensor {sensor!r}, got {geometry!r}"
+    elif (n_labels := len(np.unique(labels))) > most:
+        wrong = f"asked about at most {most} labels, got {n_labels}"
+    if wrong:
+        raise ValueError(f"{preset} is {wrong}.")
 
 
 def _simply(
@@ -295,7 +293,6 @@ def _entries(
     tasks: list[Task],
     said: dict[str, list[list[Answers] | str]],
 ) -> list[dict[str, Any]]:
-    """Return the figures of a set, an entry per protocol."""
     idle, values = without_contact(touches), _nuisances(touches) if tasks else {}
     entries = []
     for i, task in enumerate(tasks):
@@ -321,9 +318,8 @@ def _entries(
 
 
 def _row(
-    name: str, said: list[Answers] | str, task: Task, idle: NDArray[np.bool_] | None
+    name: str, said: list[Answers] | str, task: Task, idle: Bools | None
 ) -> dict[str, Any]:
-    """Return the figures of one recogniser in one protocol."""
     if isinstance(said, str):
         names = "accuracy", "sd", "se", "after", "no_contact", "log_loss", "seconds"
         return {"recogniser": name, **dict.fromkeys((*names, "chosen")), "reason": said}

@@ -9,11 +9,10 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils import gen_batches
 
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats
 from ..classifiers import KernelRidgeClassifier
 from ..images import fill_dead_taxels, find_rims
 from ..recognition import correlation, find_geometry
@@ -60,7 +59,7 @@ def sorted_pixels(touches: Touches) -> Floats:
     return np.concatenate(rows)
 
 
-def without_contact(touches: Touches) -> NDArray[np.bool_] | None:
+def without_contact(touches: Touches) -> Bools | None:
     """Return which touches look like the no-contact frame; None without one.
 
     Those whose correlation with it is above 0.98.

@@ -9,17 +9,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from .._types import Array, Floats
-from ..recognition import (
-    Evidence,
-    ObjectRecogniser,
-    doubts,
-    episode_scores,
-    log_posteriors,
-    n_informative,
-    upper_bound,
-    with_floor,
-)
+from .. import recognition
+from .._types import Array, Bools, Floats, Indices
+from ..recognition import n_informative
 
 
 @dataclass(frozen=True)
@@ -98,26 +90,26 @@ class Scores:
 
     accuracy: Floats
     confidence: Floats
-    hit: NDArray[np.bool_]
+    hit: Bools
     log_loss: Floats
     confusion: Floats
 
 
 def run_episodes(
-    recogniser: ObjectRecogniser,
+    recogniser: recognition.ObjectRecogniser,
     log_likelihood: Floats,
     objects: Array,
     labels: Array | None,
     n_orders: int,
     seed: int,
-    evidence: Evidence | None = None,
+    evidence: recognition.Evidence | None = None,
 ) -> Episodes:
     """Recognise each object's touches in `n_orders` random orders, and singly.
 
     Of `evidence` comes what tells unknown objects; without it all encodings agree.
     """
     rng = np.random.default_rng(seed)
-    floored = with_floor(log_likelihood, recogniser.floor_)
+    floored = recognition.with_floor(log_likelihood, recogniser.floor_)
     classes = recogniser.classes_.tolist()
     prior, calibration = recogniser.log_prior(), recogniser.sequence_calibration_
     limits = recogniser.limits_
@@ -125,12 +117,12 @@ def run_episodes(
     distances = np.full(log_likelihood.shape, np.nan)
     if evidence is not None:
         each, distances = evidence.by_encoding, evidence.log_distances
-    each = with_floor(each, recogniser.floor_)
+    each = recognition.with_floor(each, recogniser.floor_)
 
     def after_each(rows: Array) -> tuple[Floats, Array, Floats]:
-        beliefs = log_posteriors(floored[rows], prior, calibration)
+        beliefs = recognition.log_posteriors(floored[rows], prior, calibration)
         said = floored[rows], each[rows], distances[rows]
-        unknown = episode_scores(*said, prior, calibration, limits)
+        unknown = recognition.episode_scores(*said, prior, calibration, limits)
         return beliefs, n_informative(floored[rows]), unknown
 
     of_each = [np.flatnonzero(objects == name) for name in np.unique(objects)]
@@ -164,17 +156,17 @@ class Decisions:
         Whose touches they were: episodes of one object are not independent.
     """
 
-    touches: NDArray[np.intp]
-    decided: NDArray[np.bool_]
-    right: NDArray[np.bool_]
-    refused: NDArray[np.bool_]
+    touches: Indices
+    decided: Bools
+    right: Bools
+    refused: Bools
     objects: NDArray[np.str_]
 
     @classmethod
     def pooled(cls, parts: Sequence[Self]) -> Self:
         """Return the decisions of several folds together."""
-        names = ("touches", "decided", "right", "refused", "objects")
-        return cls(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
+        columns = zip(*(vars(part).values() for part in parts), strict=True)
+        return cls(*map(np.concatenate, columns))
 
     def to_dict(self, error: float, refusal: float) -> dict[str, Any]:
         """Return plain values; `accuracy` is over decided episodes.
@@ -193,7 +185,10 @@ class Decisions:
             if rows.any():
                 shares.append(1 - self.right[rows].mean())
         n_objects, wrong = len(shares), float(np.sum(shares))
-        bound, least = upper_bound(wrong, n_objects), upper_bound(0, n_objects)
+        bound, least = (
+            recognition.upper_bound(wrong, n_objects),
+            recognition.upper_bound(0, n_objects),
+        )
         return {
             "error": error,
             "refusal": refusal,
@@ -212,7 +207,7 @@ class Decisions:
 
 
 def decide_episodes(
-    recogniser: ObjectRecogniser,
+    recogniser: recognition.ObjectRecogniser,
     episodes: Episodes,
     error: float,
     refusal: float | None = None,
@@ -227,13 +222,15 @@ def decide_episodes(
         n_orders, n_touches, _ = log_posterior.shape
         # Before any touch said something there is no limit to exceed.
         refuse = (unknown > refusing) & (counts > 0)
-        stop = refuse | ((unknown <= naming) & (doubts(log_posterior) <= error))
+        stop = refuse | (
+            (unknown <= naming) & (recognition.doubts(log_posterior) <= error)
+        )
         decided = np.asarray(stop.any(axis=1))
         last = np.where(decided, stop.argmax(axis=1), n_touches - 1)
         rows = np.arange(n_orders)
         refused = decided & refuse[rows, last]
         right = log_posterior[rows, last].argmax(axis=1) == truth
+        right &= decided & ~refused
         whose = np.full(n_orders, name)
-        ended = (last + 1, decided, right & decided & ~refused, refused, whose)
-        parts.append(Decisions(*ended))
+        parts.append(Decisions(last + 1, decided, right, refused, whose))
     return Decisions.pooled(parts)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import rankdata
 from sklearn.utils import check_X_y
 
 from .._checks import check_number
-from .._types import Floats
+from .._types import Floats, Indices
 
 # Distances of centroids below this share of the touches' extent are rounding.
 _ROUNDING = 1e-14
@@ -16,7 +16,7 @@ _ROUNDING = 1e-14
 
 def calibration_bins(
     confidence: ArrayLike, hit: ArrayLike, n_bins: int = 10
-) -> tuple[Floats, Floats, NDArray[np.intp]]:
+) -> tuple[Floats, Floats, Indices]:
     """Return mean confidence, share of hits and count of equal-mass bins.
 
     `confidence` holds the largest posterior of each episode, `hit` whether the most
@@ -143,8 +143,7 @@ def _about_one(touches: Floats) -> Floats:
 def _scaled(values: Floats) -> Floats:
     """Multiply by the power of two that brings the largest to between 0.5 and 1."""
     _, exponent = np.frexp(np.abs(values).max())
-    scaled: Floats = np.ldexp(values, -exponent)
-    return scaled
+    return np.asarray(np.ldexp(values, -exponent))
 
 
 def _power_mean(distances: Floats, power: float) -> float:

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._durable import write_text
-from .._types import Floats
+from .._types import Bools, Floats, Indices
 from ..recognition import said_of_sessions
 from ..touches import Touches, as_shown, png_address
 from . import plots
@@ -54,7 +53,7 @@ class Explained(NamedTuple):
     trial: Trial
     name: str
     truth: str
-    rows: NDArray[np.intp]
+    rows: Indices
     said: str
     right: bool
 
@@ -317,7 +316,7 @@ def _explanations(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
 
 
 def _one_each(
-    ends: Sequence[Decisions], which: Callable[[Decisions], NDArray[np.bool_]]
+    ends: Sequence[Decisions], which: Callable[[Decisions], Bools]
 ) -> list[tuple[int, int]]:
     """Return the first such episode of each object: fold, and number in it."""
     found: dict[str, tuple[int, int]] = {}

@@ -83,8 +83,7 @@ def rbf_by_scale(X: Floats, learnt: Floats) -> Floats:
     """
     variance = learnt.var()
     gamma = 1 / (learnt.shape[1] * variance) if variance else 1.0
-    found: Floats = rbf_kernel(X, learnt, gamma=gamma)
-    return found
+    return np.asarray(rbf_kernel(X, learnt, gamma=gamma))
 
 
 def planes(images: Array) -> Array:

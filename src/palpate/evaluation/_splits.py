@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._checks import check_count, check_option
-from .._types import Array
+from .._types import Array, Bools, Indices
 from ..touches import Touches
 
 VISITS = ("session", "subject")
@@ -25,8 +24,8 @@ MOST_FOLDS = 20
 RECORDING = ("object", "session", "part")
 PRESS = ("press", "episode", "squeeze", "idle_of")
 
-Rows = NDArray[np.intp]
-Asked = Iterator[tuple[str, NDArray[np.bool_]]]
+Rows = Indices
+Asked = Iterator[tuple[str, Bools]]
 
 
 @dataclass(frozen=True)
@@ -164,7 +163,7 @@ def draw_touches(touches: Touches, n_touches: int, seed: int) -> Touches:
     return touches[_drawn_rows(touches, n_touches, seed)]
 
 
-def _drawn_rows(touches: Touches, n_touches: int, seed: int) -> NDArray[np.intp]:
+def _drawn_rows(touches: Touches, n_touches: int, seed: int) -> Indices:
     check_count("train_touches", n_touches, at_least=2)
     objects = column_of(touches, "object")
     rng = np.random.default_rng(seed)

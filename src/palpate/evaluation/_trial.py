@@ -170,24 +170,23 @@ def _figures_after(k: int, trials: Sequence[Trial], figures: dict[str, Any]) -> 
     of_folds = scored(trials, k)
     if not of_folds:
         return
+
+    def together(ends: Sequence[Scores], name: str) -> Any:
+        return np.concatenate([getattr(one, name) for one in ends])
+
     per_fold = [one.accuracy.mean() for one in of_folds]
-    names = ("accuracy", "confidence", "hit", "log_loss")
-    over_objects, confidence, hit, log_loss = (
-        np.concatenate([getattr(one, name) for one in of_folds]) for name in names
-    )
+    over_objects = together(of_folds, "accuracy")
     key, over = str(k), over_objects if len(of_folds) == 1 else per_fold
     figures["accuracy"][key] = float(np.mean(per_fold))
     figures["accuracy_sd"][key] = float(spread(over))
     figures["n_objects"][key] = len(over_objects)
-    figures["log_loss"][key] = float(np.mean(log_loss))
-    figures["ece"][key] = calibration_error(confidence, hit)
+    figures["log_loss"][key] = float(np.mean(together(of_folds, "log_loss")))
     before = [t.uncalibrated.scores(k) for t in trials if t.uncalibrated is not None]
-    if there := [one for one in before if one is not None]:
-        confidence, hit = (
-            np.concatenate([getattr(one, name) for one in there])
-            for name in ("confidence", "hit")
-        )
-        figures["ece_before"][key] = calibration_error(confidence, hit)
+    there = [one for one in before if one is not None]
+    for name, ends in {"ece": of_folds, "ece_before": there}.items():
+        if ends:
+            both = together(ends, "confidence"), together(ends, "hit")
+            figures[name][key] = calibration_error(*both)
 
 
 def _categories_right(trials: Sequence[Trial], plan: Plan) -> dict[str, float]:

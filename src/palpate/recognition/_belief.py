@@ -14,22 +14,10 @@ from scipy.special import log_softmax
 from .._checks import check_number, check_option
 from .._types import Array, Floats
 from ..touches import Touches
+from . import _evidence, _unknown
 from ._calibration import Modality
-from ._evidence import (
-    Evidence,
-    SequenceCalibration,
-    doubts,
-    is_informative,
-    log_posterior,
-    with_floor,
-)
+from ._evidence import Evidence, log_posterior
 from ._memory import UNKNOWN, Memory, nearest_touches
-from ._unknown import (
-    DecisionLimits,
-    Promise,
-    category_codes,
-    summed_by_category,
-)
 
 Costs = Mapping[str, Mapping[str, float]]
 LEVELS = ("object", "category", "any")
@@ -56,8 +44,8 @@ class Judge:
     classes: NDArray[np.str_]
     log_prior: Floats
     floor: float
-    sequence_calibration: SequenceCalibration
-    limits: DecisionLimits
+    sequence_calibration: _evidence.SequenceCalibration
+    limits: _unknown.DecisionLimits
     senses: Mapping[str, Modality]
     categories: NDArray[np.str_]
     memory: Memory
@@ -142,9 +130,7 @@ class Belief:
             NaN or infinity where the recogniser cannot take it; the belief is
             then unchanged.
         """
-        given = touch
-        if not isinstance(given, Evidence):
-            given = self._evidence_of(given)
+        given = touch if isinstance(touch, Evidence) else self._evidence_of(touch)
         return self.update_from_log_likelihood(
             given.log_likelihood,
             features=given.features,
@@ -184,11 +170,14 @@ class Belief:
         if by_encoding is not None:
             shape = n_touches, *self._each.shape
             each = _checked_part("by_encoding", by_encoding, shape)
-        floored, each = with_floor(rows, judge.floor), with_floor(each, judge.floor)
+        floored, each = (
+            _evidence.with_floor(rows, judge.floor),
+            _evidence.with_floor(each, judge.floor),
+        )
         self.flags += flags
         self._features += list(seen)
         self._floored += list(floored)
-        informative = is_informative(floored)
+        informative = _evidence.is_informative(floored)
         self._n_informative += int(informative.sum())
         self._total = self._total + floored[informative].sum(axis=0)
         self._each = self._each + each[informative].sum(axis=0)
@@ -220,7 +209,6 @@ class Belief:
         return self
 
     def _weigh(self) -> None:
-        """Add up the prior, the other senses and the touches."""
         total = self._prior_and_senses()
         if self._floored:
             calibration = self._judge.sequence_calibration
@@ -254,8 +242,7 @@ class Belief:
     def _shares(self, logs: Floats) -> list[float]:
         """Return probabilities by their logarithms; never 0 unless the floor is."""
         least = _LEAST_LOG if self._judge.floor else -np.inf
-        shares: list[float] = np.exp(np.maximum(logs, least)).tolist()
-        return shares
+        return list(np.exp(np.maximum(logs, least)).tolist())
 
     @property
     def best(self) -> str:
@@ -265,7 +252,7 @@ class Belief:
     @property
     def doubt(self) -> float:
         """Probability outside `best`."""
-        return float(doubts(self.log_posterior))
+        return float(_evidence.doubts(self.log_posterior))
 
     @property
     def unknown(self) -> float:
@@ -295,18 +282,20 @@ class Belief:
 
         Objects without a category count as one each.
         """
-        codes = category_codes(self._judge.categories)
+        codes = _unknown.category_codes(self._judge.categories)
         if codes is None:
             return {}
         names = np.where(
             self._judge.categories == "", self._judge.classes, self._judge.categories
         )
         present, first = np.unique(codes, return_index=True)
-        shares = self._shares(summed_by_category(self.log_posterior, codes, present))
+        shares = self._shares(
+            _unknown.summed_by_category(self.log_posterior, codes, present)
+        )
         return dict(zip(names[first].tolist(), shares, strict=True))
 
     @property
-    def promise(self) -> Promise:
+    def promise(self) -> _unknown.Promise:
         """What is known of the share of wrong names at the error last asked for."""
         return self._judge.limits.promise(self._error)
 
@@ -391,14 +380,13 @@ class Belief:
         best = max(shares, key=lambda name: shares[name])
         if sum(shares.values()) - shares[best] > self._error:
             return None
-        codes = category_codes(self._judge.categories)
+        codes = _unknown.category_codes(self._judge.categories)
         assert codes is not None
-        said = summed_by_category(self._said(), codes, np.unique(codes))
+        said = _unknown.summed_by_category(self._said(), codes, np.unique(codes))
         limit = self._judge.limits.naming_limit(self._error, category=True)
         return best if self._score(said) <= limit else None
 
     def _is_agreed(self) -> bool:
-        """Whether the encodings agree so well that an object may be named."""
         return self.unknown <= self._judge.limits.naming_limit(self._error)
 
     def unknown_limit(self, refusal: float = 0.01) -> float | None:
@@ -520,10 +508,10 @@ class Belief:
 
     def __repr__(self) -> str:
         order = np.argsort(self.log_posterior)[::-1][:3]
-        names, shares = self._judge.classes[order], np.exp(self.log_posterior[order])
-        listed = ", ".join(
-            f"{_short(name)} {p:.2f}" for name, p in zip(names, shares, strict=True)
-        )
+        names = [str(name) for name in self._judge.classes[order]]
+        some = [n if len(n) <= _LETTERS else f"{n[: _LETTERS - 3]}..." for n in names]
+        shares = np.exp(self.log_posterior[order])
+        listed = ", ".join(f"{n} {p:.2f}" for n, p in zip(some, shares, strict=True))
         return f"<{type(self).__name__} after {self.touches_used} touches: {listed}>"
 
     def _repr_html_(self) -> str:
@@ -544,11 +532,6 @@ class Belief:
 _LEAST_LOG = -700.0
 # Objects and letters that a picture of a belief shows.
 _BARS, _LETTERS = 10, 24
-
-
-def _short(name: object) -> str:
-    text = str(name)
-    return text if len(text) <= _LETTERS else f"{text[: _LETTERS - 3]}..."
 
 
 def _bar(name: str, share: float) -> str:

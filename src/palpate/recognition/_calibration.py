@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 from scipy.special import log_softmax
 from sklearn.base import BaseEstimator
@@ -23,7 +23,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils import check_array
 
 from .._checks import check_number
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices
 from ..classifiers import FromProbabilities, KernelRidgeClassifier, TouchClassifier
 from ._evidence import SequenceCalibration, n_informative, with_floor
 from ._unknown import MOST_ASKED
@@ -56,9 +56,6 @@ class Modality(BaseEstimator):
     sequence_calibration_ : SequenceCalibration
         How its examples add up.
     """
-
-    classes_: Array
-    sequence_calibration_: SequenceCalibration
 
     def __init__(
         self, classifier: Any = None, floor: float = 0.01, random_state: int = 0
@@ -143,7 +140,7 @@ def left_out_log_likelihood(classifier: TouchClassifier) -> Floats:
 
 def draw_episodes(
     episode_of: Array, group: Array, n_touches: int, rng: np.random.Generator
-) -> NDArray[np.intp]:
+) -> Indices:
     """Draw episodes as rows of touch numbers, shape (n_episodes, n_touches).
 
     The touches of an episode come from one block, or from as few neighbouring
@@ -161,8 +158,7 @@ def draw_episodes(
 
 def _episodes_of(
     rows: Array, group: Array, n_touches: int, n_episodes: int, rng: np.random.Generator
-) -> NDArray[np.intp]:
-    """Draw episodes of one object, whose touches are `rows`."""
+) -> Indices:
     rows = rows[np.argsort(group[rows], kind="stable")]
     parts = np.split(rows, np.flatnonzero(np.diff(group[rows])) + 1)
     episodes = np.empty((n_episodes, n_touches), dtype=np.intp)
@@ -181,7 +177,7 @@ def draw_all(objects: Array, group: Array, seed: int) -> dict[int, Array]:
     return {k: rows for k, rows in drawn.items() if len(rows)}
 
 
-def draw_asked(objects: Array, group: Array, seed: int) -> list[NDArray[np.intp]]:
+def draw_asked(objects: Array, group: Array, seed: int) -> list[Indices]:
     """Draw long episodes of each object, (n_episodes, n_touches), -1 after their end.
 
     Like those of `draw_episodes`, each as long as its object has touches, up to
@@ -229,6 +225,5 @@ def _calibration(raw: Array) -> SequenceCalibration:
     undo their floor: training touches that are all told apart would ask for any.
     """
     strength = float(np.exp(np.clip(raw[0], np.log(0.05), 0)))
-    return SequenceCalibration(
-        strength, float(1 / (1 + np.exp(-np.clip(raw[1], -12, 12))))
-    )
+    correlation = float(1 / (1 + np.exp(-np.clip(raw[1], -12, 12))))
+    return SequenceCalibration(strength, correlation)

@@ -4,14 +4,13 @@ A touch that looks like the no-contact frame tells about the recording (exposure
 where the camera sat) and not about the object, so it is not used.
 """
 
-from typing import Any, Self
+from typing import Self
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
 
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats
 from ..images import grey, otsu_threshold
 from ..touches import FORMER, Touches
 from ._encoder import TouchEncoder, find_geometry, in_batches, living
@@ -69,7 +68,7 @@ class ContactCheck(BaseEstimator):
 
     pads_: Array | None = None
     tells_double_: bool = True
-    blind_: NDArray[np.bool_] | None = None
+    blind_: Bools | None = None
     usual_: Floats | None = None
 
     def fit(self, touches: Touches, encoder: TouchEncoder) -> Self:
@@ -90,7 +89,10 @@ class ContactCheck(BaseEstimator):
                 self.idle_ = living(np.asarray(frame)[np.newaxis], self.pads_)[0]
             told_by = self._change if self.kind_ == "array" else self._unlikeness
             self.typical_ = float(np.median(told_by(touches))) or 1.0
-        low, high = _limits(touches.images.dtype)
+        low = high = np.nan  # of floats nobody knows them
+        if touches.images.dtype.kind in "iu":
+            info = np.iinfo(touches.images.dtype)
+            low, high = float(info.min), float(info.max)
         # An array at rest is full of taxels at the lowest level.
         self.limits_ = (np.nan if self.kind_ == "array" else low, high)
         self.at_limit_ = float(np.quantile(self._share_at_limit(touches), 0.99))
@@ -100,7 +102,7 @@ class ContactCheck(BaseEstimator):
             self.tells_double_ = bool(self._double(touches[spread]).mean() < RARE)
         return self
 
-    def no_contact(self, touches: Touches, cleaned: Array) -> NDArray[np.bool_]:
+    def no_contact(self, touches: Touches, cleaned: Array) -> Bools:
         """Return which touches look like touching nothing, shape (n_touches,).
 
         `cleaned` are the same touches after the encoder's clean-up.
@@ -130,7 +132,7 @@ class ContactCheck(BaseEstimator):
         )
         return self
 
-    def _reposed(self, every: Floats) -> NDArray[np.bool_]:
+    def _reposed(self, every: Floats) -> Bools:
         """Return which touches are new to encodings that see their pose alone."""
         if self.blind_ is None or self.usual_ is None:
             return np.zeros(len(every), dtype=bool)
@@ -158,15 +160,14 @@ class ContactCheck(BaseEstimator):
         reasons = [NO_CONTACT, "saturated", TURNED, "double contact"]
         return list(map(str, np.select([nothing, full, turned, double], reasons, "")))
 
-    def _double(self, touches: Touches) -> NDArray[np.bool_]:
+    def _double(self, touches: Touches) -> Bools:
         change = abs(living(touches.images, self.pads_) - self.idle_)
         on_pads = (_boxes(one[np.newaxis], self.pads_) for one in grey(change))
         return np.array([_is_double(max(boxes, key=np.sum)[0]) for boxes in on_pads])
 
     def _change(self, touches: Touches) -> Floats:
         change = self._counted(living(touches.images, self.pads_) - self.idle_)
-        size: Floats = np.sqrt((change**2).mean(axis=tuple(range(1, change.ndim))))
-        return size
+        return np.asarray(np.sqrt((change**2).mean(axis=tuple(range(1, change.ndim)))))
 
     def _unlikeness(self, touches: Touches) -> Floats:
         """Return 1 - correlation with the frame of no contact, shape (n_touches,)."""
@@ -190,7 +191,7 @@ class ContactCheck(BaseEstimator):
         return np.asarray(np.array(counts) / images[0].size)
 
 
-def _by_sight(every: Floats, blind: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def _by_sight(every: Floats, blind: Bools) -> tuple[Floats, Floats]:
     """Return novelty to encodings that see turns or shifts, and to the others."""
     return _novelty(every[:, ~blind]), _novelty(every[:, blind])
 
@@ -223,14 +224,6 @@ def consists_of_nothing(labels: Array, no_contact: Array) -> bool:
     return any(no_contact[labels == n].mean() > CONSISTS for n in np.unique(labels))
 
 
-def _limits(dtype: Any) -> tuple[float, float]:
-    """Return the limits of a level; of floats nobody knows them."""
-    if np.dtype(dtype).kind in "iu":
-        info = np.iinfo(dtype)
-        return float(info.min), float(info.max)
-    return float("nan"), float("nan")
-
-
 def correlation(images: Array, idle: Array) -> Floats:
     """Return the correlation of each image with one, 0 for even ones, (n_touches,)."""
     flat = images.reshape(len(images), -1).astype(np.float64)
@@ -238,8 +231,7 @@ def correlation(images: Array, idle: Array) -> Floats:
     flat = flat - flat.mean(axis=1, keepdims=True)
     one = one - one.mean()
     norms = np.linalg.norm(flat, axis=1) * np.linalg.norm(one)
-    result: Floats = flat @ one / np.where(norms > 0, norms, 1)
-    return result
+    return np.asarray(flat @ one / np.where(norms > 0, norms, 1))
 
 
 def _boxes(images: Array, pads: Array | None) -> list[Array]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import copy, deepcopy
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Any, Self
 
 import numpy as np
 from sklearn.base import BaseEstimator, clone
@@ -24,19 +24,6 @@ LOOK_AT = 50
 # A taxel that moved at least every other time and is still in so many touches is
 # stuck: one time in 500 by chance.
 STUCK_TOUCHES = 10
-
-
-@runtime_checkable
-class LeavesOut(Protocol):
-    """A step that can say how much of a touch it leaves unexplained."""
-
-    def unexplained(self, X: Floats, scores: Floats) -> Floats:
-        """Return it for touches `X` and what `transform` made of them."""
-        ...
-
-    def left_out_unexplained(self, X: Floats, groups: Array) -> Floats:
-        """Return it for training touches, their groups left out."""
-        ...
 
 
 class TouchEncoder(BaseEstimator):
@@ -157,7 +144,7 @@ class TouchEncoder(BaseEstimator):
             self.encodings_[name] = learnt = [clone(step) for step in steps]
             values = cleaned
             for step in learnt:
-                if isinstance(step, LeavesOut) and groups is not None:
+                if hasattr(step, "left_out_unexplained") and groups is not None:
                     every[:, column] = step.left_out_unexplained(values, groups)
                 # Of touches that are all alike shares of the variance are 0 / 0.
                 with np.errstate(invalid="ignore"):
@@ -215,7 +202,7 @@ class TouchEncoder(BaseEstimator):
             values = cleaned
             for step in steps:
                 before, values = values, _transformed(step, values, checked=checked)
-                if isinstance(step, LeavesOut):
+                if hasattr(step, "unexplained"):
                     every[:, column] = step.unexplained(before, values)
             parts.append(np.asarray(values, dtype=np.float64))
         return self._side_by_side(parts), every

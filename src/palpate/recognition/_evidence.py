@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_softmax, logsumexp
 
 from .._checks import check_positive
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats, Indices
 from ..touches import Touches
 
 _LEAST_LOG_PRIOR = -27.7
@@ -52,26 +52,15 @@ class Evidence(NamedTuple):
     @classmethod
     def together(cls, parts: Sequence[Evidence]) -> Evidence:
         """Return the evidence of several sets of touches, one after the other."""
-        return cls(
-            np.concatenate([part.features for part in parts]),
-            np.concatenate([part.log_likelihood for part in parts]),
-            [flag for part in parts for flag in part.flags],
-            np.concatenate([part.by_encoding for part in parts]),
-            np.concatenate([part.log_distances for part in parts]),
-            np.concatenate([part.looks for part in parts]),
-        )
+        every = {name: [getattr(one, name) for one in parts] for name in cls._fields}
+        flags = [*chain.from_iterable(every.pop("flags"))]
+        arrays = {name: np.concatenate(some) for name, some in every.items()}
+        return cls(**arrays, flags=flags)
 
     def one(self, touch: int) -> Evidence:
         """Return the evidence of a single touch."""
-        row = slice(touch, touch + 1)
-        return Evidence(
-            self.features[row],
-            self.log_likelihood[row],
-            self.flags[row],
-            self.by_encoding[row],
-            self.log_distances[row],
-            self.looks[row],
-        )
+        parts: tuple[Any, ...] = self
+        return Evidence(*(part[touch : touch + 1] for part in parts))
 
 
 @dataclass(frozen=True)
@@ -156,10 +145,8 @@ def with_floor(log_likelihood: Floats, floor: float) -> Floats:
         # Finite, so that touches that rule out all objects in turn leave a belief.
         return np.maximum(log_posterior, _RULED_OUT)
     n_objects = log_likelihood.shape[-1]
-    mixed: Floats = np.logaddexp(
-        np.log1p(-floor) + log_posterior, np.log(floor / n_objects)
-    )
-    return mixed
+    least = np.log(floor / n_objects)
+    return np.asarray(np.logaddexp(np.log1p(-floor) + log_posterior, least))
 
 
 def log_posteriors(
@@ -170,9 +157,21 @@ def log_posteriors(
     Of `floored` likelihoods from `with_floor` (..., n_touches, n_objects), in order,
     and `log_prior` (n_objects,); of the shape of `floored`.
     """
-    used = np.where(is_informative(floored)[..., np.newaxis], floored, 0.0)
-    total, count = np.cumsum(used, axis=-2), n_informative(floored)
-    return log_posterior(total, count[..., np.newaxis], log_prior, calibration)
+    return beliefs_after(is_informative(floored), floored, log_prior, calibration)[0]
+
+
+def beliefs_after(
+    used: Bools, floored: Floats, log_prior: Floats, calibration: SequenceCalibration
+) -> tuple[Floats, Indices]:
+    """Return log posteriors after each touch, and the number of those that are `used`.
+
+    `used` (..., n_touches); `floored` has objects last, perhaps encodings before.
+    """
+    wide = used.reshape(used.shape + (1,) * (floored.ndim - used.ndim))
+    total = np.where(wide, floored, 0.0).cumsum(axis=used.ndim - 1)
+    count = used.cumsum(axis=-1)
+    weight = calibration.weight(count).reshape(wide.shape)
+    return log_softmax(total * weight + log_prior, axis=-1), count
 
 
 def log_posterior(
@@ -182,10 +181,8 @@ def log_posterior(
     calibration: SequenceCalibration,
 ) -> Floats:
     """Return the log posterior from the sum of `n_touches` log-likelihoods."""
-    result: Floats = log_softmax(
-        total * calibration.weight(n_touches) + log_prior, axis=-1
-    )
-    return result
+    weighed = total * calibration.weight(n_touches)
+    return np.asarray(log_softmax(weighed + log_prior, axis=-1))
 
 
 def n_informative(floored: Floats) -> Floats:
@@ -194,11 +191,10 @@ def n_informative(floored: Floats) -> Floats:
     A touch without contact has one likelihood for all objects; it leaves the belief
     exactly where it was.
     """
-    count: Floats = np.cumsum(is_informative(floored), axis=-1)
-    return count
+    return np.cumsum(is_informative(floored), axis=-1)
 
 
-def is_informative(floored: Floats) -> NDArray[np.bool_]:
+def is_informative(floored: Floats) -> Bools:
     """Return which touches tell objects apart, shape (..., n_touches)."""
     return np.asarray(floored.max(axis=-1) > floored.min(axis=-1))
 
@@ -209,5 +205,4 @@ def doubts(log_posterior: Floats) -> Floats:
     Summed over the other objects, so that it stays exact near 0.
     """
     others = np.sort(log_posterior, axis=-1)[..., :-1]
-    doubt: Floats = np.exp(logsumexp(others, axis=-1))
-    return doubt
+    return np.asarray(np.exp(logsumexp(others, axis=-1)))

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.base import clone
 
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats, Indices
 from ..classifiers import EncodingPool
 from ..touches import Touches, TouchSource
 from ._contact import NO_CONTACT, ContactCheck, encoded_and_flagged
@@ -41,7 +40,7 @@ class Encoded:
     """What an encoding makes of touches, one row a touch; see `Memory`."""
 
     features: Floats
-    nothing: NDArray[np.bool_]
+    nothing: Bools
     looks: Floats
 
 
@@ -64,7 +63,7 @@ def learn_encoding(
     preset: Preset,
     touches: Touches | TouchSource,
     labels: Array,
-    group: NDArray[np.intp],
+    group: Indices,
     presentation: str,
 ) -> tuple[TouchEncoder, ContactCheck, dict[str, Any], Encoded]:
     """Choose and learn encodings, and what contact looks like.
@@ -85,7 +84,9 @@ def learn_encoding(
         encoder, found = choose_encodings(encoder, cleaned, *asked)
         found["encoding"] = f"{chosen['encoding']}: {found['encoding']}"
         chosen |= found
-    if unmet := _not_blind_to(encoder, PRESENTATIONS[presentation]):
+    blind = [encoder.blind_to(name) for name in encoder.encodings]
+    unmet = " and ".join(sorted(PRESENTATIONS[presentation].difference(*blind)))
+    if unmet:
         sentence = f"no encoding for this sensor is blind to {unmet}"
         chosen["found"] = [sentence, *chosen.get("found", ())]
     features, every = encoder.fit_encode(cleaned, group[rows])
@@ -123,7 +124,7 @@ def memory_of(
     encoding: Encoded,
     labels: Array,
     objects: Array,
-    blocks: NDArray[np.intp],
+    blocks: Indices,
 ) -> Memory:
     """Return what is kept of touches that were encoded."""
 
@@ -144,7 +145,7 @@ def memory_of(
     )
 
 
-def shown_rows(labels: Array, n_shown: int = SHOWN) -> NDArray[np.intp]:
+def shown_rows(labels: Array, n_shown: int = SHOWN) -> Indices:
     """Return all rows, of many about `n_shown`, spread evenly over each label."""
     if len(labels) <= n_shown:
         return np.arange(len(labels))
@@ -162,7 +163,7 @@ def choose_encoder(
     preset: Preset,
     touches: Touches,
     labels: Array,
-    group: NDArray[np.intp],
+    group: Indices,
     presentation: str,
 ) -> tuple[TouchEncoder, dict[str, Any]]:
     """Return the preset's best recipe for these touches, not fitted, and the reasons.
@@ -189,7 +190,7 @@ def choose_encoder(
 
 
 def choose_encodings(
-    encoder: TouchEncoder, cleaned: Array, labels: Array, group: NDArray[np.intp]
+    encoder: TouchEncoder, cleaned: Array, labels: Array, group: Indices
 ) -> tuple[TouchEncoder, dict[str, Any]]:
     """Return the encoder with the encodings that a pool of them needs, and the reasons.
 
@@ -214,7 +215,11 @@ def choose_encodings(
         }
         for name, said in left_out.items()
     }
-    names = _that_count({name: one["counts"] for name, one in figures.items()})
+    # The encodings to keep, in their order; one at least.
+    counts = {name: one["counts"] for name, one in figures.items()}
+    least = LEAST_SHARE * sum(counts.values())
+    most = sorted(counts, key=lambda name: -counts[name])[:MOST_KEPT]
+    names = [n for n in counts if n in most and (counts[n] >= least or n == most[0])]
     return encoder.only(names), {
         "encoding": " + ".join(names),
         "why": "pooled by least log loss on touches left out, as they are",
@@ -225,19 +230,6 @@ def choose_encodings(
             if (sentence := what_matters(change, figures, own))
         ],
     }
-
-
-def _not_blind_to(encoder: TouchEncoder, changes: frozenset[str]) -> str:
-    """Return those of some changes that every encoding sees, as text."""
-    blind = [encoder.blind_to(name) for name in encoder.encodings]
-    return " and ".join(sorted(changes.difference(*blind)))
-
-
-def _that_count(counts: dict[str, float]) -> list[str]:
-    """Return the encodings to keep, in their order; one at least."""
-    least = LEAST_SHARE * sum(counts.values())
-    most = sorted(counts, key=lambda name: -counts[name])[:MOST_KEPT]
-    return [n for n in counts if n in most and (counts[n] >= least or n == most[0])]
 
 
 def what_matters(

@@ -19,7 +19,7 @@ from sklearn.metrics.pairwise import euclidean_distances
 from sklearn.utils import gen_batches
 
 from .._checks import check_label_kinds
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats, Indices
 from ..touches import Touches, TouchSource
 from ._evidence import as_touches
 from ._sessions import N_LOOKS
@@ -64,10 +64,10 @@ class Memory:
     features: Floats
     labels: Array
     objects: Array
-    blocks: NDArray[np.intp]
+    blocks: Indices
     sessions: NDArray[np.str_]
     subjects: NDArray[np.str_]
-    nothing: NDArray[np.bool_]
+    nothing: Bools
     touch_ids: NDArray[np.str_]
     categories: NDArray[np.str_]
     looks: Floats = field(default_factory=lambda: np.empty((0, N_LOOKS)))
@@ -164,9 +164,7 @@ class Nearest:
         self._squares = (self._marks**2).sum(axis=1)
         self._blocks = memory.blocks[every]
 
-    def log_distances(
-        self, features: Floats, blocks: NDArray[np.intp] | None = None
-    ) -> Floats:
+    def log_distances(self, features: Floats, blocks: Indices | None = None) -> Floats:
         """Return the logarithms of the distances, shape (n_touches, n_objects).
 
         `blocks` (n_touches,) are those of training touches, which are left out of what
@@ -179,7 +177,7 @@ class Nearest:
             ]
         )
 
-    def _least(self, features: Floats, blocks: NDArray[np.intp] | None) -> Floats:
+    def _least(self, features: Floats, blocks: Indices | None) -> Floats:
         centred = features - self._middle
         own = (centred**2).sum(axis=1)[:, np.newaxis]
         squared = self._squares + own - 2 * centred @ self._marks.T
@@ -288,7 +286,7 @@ def named_labels(touches: Touches | TouchSource, label: str) -> Array:
 
 def left_out_groups(
     touches: Touches | TouchSource, labels: Array, objects: Array, label: str
-) -> NDArray[np.intp]:
+) -> Indices:
     """Return which training touches are left out together.
 
     All touches of a person where every object was met by several, else whole sessions
@@ -314,9 +312,7 @@ def left_out_groups(
     return blocks_in_order(objects, touches.order)
 
 
-def without_copies(
-    features: Floats, objects: Array, blocks: NDArray[np.intp]
-) -> NDArray[np.intp]:
+def without_copies(features: Floats, objects: Array, blocks: Indices) -> Indices:
     """Return blocks of which no two hold nearly the same touch of an object.
 
     Copies, and frames of one press, would be met in training while they are left out.
@@ -338,7 +334,7 @@ def without_copies(
     return joined
 
 
-def blocks_in_order(objects: Array, order: Array | None = None) -> NDArray[np.intp]:
+def blocks_in_order(objects: Array, order: Array | None = None) -> Indices:
     """Number the blocks of the recordings, shape (n_touches,).
 
     Each object's touches, in the order in which they were made, are cut into

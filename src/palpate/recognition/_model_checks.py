@@ -92,7 +92,16 @@ def check_parts(judge: Judge, encoder: TouchEncoder, pose: object) -> None:
     image_shape = encoder.image_shape_
     if len(image_shape) not in (2, 3) or not 0 < prod(image_shape) <= MAX_PIXELS:
         raise ValueError(f"images of {' x '.join(map(str, image_shape))} are none")
-    _check_memory(judge.memory)
+    memory: object = judge.memory
+    if not isinstance(memory, Memory):
+        raise TypeError(f"memory_ is a {type(memory).__name__}")
+    columns = [v for k, v in vars(memory).items() if k != "sensor"]
+    if {len(column) for column in columns} != {len(memory)} or not len(memory):
+        raise ValueError("its sizes do not agree")
+    if memory.looks.shape[1:] != (N_LOOKS,):
+        raise ValueError(f"its looks have {memory.looks.shape[1:]} values")
+    if not np.isfinite(memory.features).all():
+        raise ValueError("its features hold NaN or infinity")
     n = judge.memory.features.shape[1]
     shapes = {"drift_": tuple(image_shape), "offset_": (n,), "weighing_": (n, n)}
     shapes |= dict.fromkeys(("still_", "broken_"), tuple(image_shape))
@@ -132,18 +141,6 @@ def try_one_touch(belief: Belief, blank: Evidence, log_likelihood: Floats) -> No
     belief.explain()
 
 
-def _check_memory(memory: object) -> None:
-    if not isinstance(memory, Memory):
-        raise TypeError(f"memory_ is a {type(memory).__name__}")
-    columns = [v for k, v in vars(memory).items() if k != "sensor"]
-    if {len(column) for column in columns} != {len(memory)} or not len(memory):
-        raise ValueError("its sizes do not agree")
-    if memory.looks.shape[1:] != (N_LOOKS,):
-        raise ValueError(f"its looks have {memory.looks.shape[1:]} values")
-    if not np.isfinite(memory.features).all():
-        raise ValueError("its features hold NaN or infinity")
-
-
 def _check_calibration(calibration: object) -> None:
     if not isinstance(calibration, SequenceCalibration):
         raise TypeError(f"a sequence calibration is a {type(calibration).__name__}")
@@ -159,12 +156,10 @@ def _check_limits(limits: object, n_objects: int) -> None:
         "weights": limits.weights.shape[:1],
         "usual": (n_objects,),
         "far": (*limits.far.shape[:1], 2),
-        "naming": (n_levels,),
-        "naming_category": (n_levels,),
-        "refusing": (n_levels,),
-        "wrong": (n_levels,),
         "quantiles": (n_lengths, n_levels),
     }
+    tables = "naming", "naming_category", "refusing", "wrong"
+    shapes |= dict.fromkeys(tables, (n_levels,))
     for name, shape in shapes.items():
         values = getattr(limits, name)
         if values.shape != shape or not values.size:

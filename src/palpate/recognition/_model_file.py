@@ -38,14 +38,7 @@ FORMAT = 4
 
 Tensors = dict[str, Array]
 
-_OWN = (
-    ContactCheck,
-    DecisionLimits,
-    Memory,
-    Modality,
-    SequenceCalibration,
-    TouchEncoder,
-)
+_OWN = ContactCheck, DecisionLimits, Memory, Modality, SequenceCalibration, TouchEncoder
 _ROOMS = (classifiers, encodings, images)
 # Made anew from a stored model; making one computes, which reading a file must not.
 _NEVER_STORED = ("IndexQuality", "KernelDensityIndex", "TouchClassifier")
@@ -65,18 +58,14 @@ _KEPT = {
 }
 
 
-def _known_classes() -> dict[str, type]:
-    """Return the classes that a model file may name: ours, and two of scikit-learn."""
-    public = {name: getattr(room, name) for room in _ROOMS for name in room.__all__}
-    known = {
-        name: item
-        for name, item in public.items()
-        if isinstance(item, type) and name not in _NEVER_STORED
-    }
-    return known | {item.__name__: item for item in (*_OWN, PCA, StandardScaler)}
-
-
-KNOWN_CLASSES = _known_classes()
+_PUBLIC = {name: getattr(room, name) for room in _ROOMS for name in room.__all__}
+# The classes that a model file may name: ours, and two of scikit-learn.
+KNOWN_CLASSES: dict[str, type] = {
+    **{n: c for n, c in _PUBLIC.items() if isinstance(c, type)},
+    **{one.__name__: one for one in (*_OWN, PCA, StandardScaler)},
+}
+for _gone in _NEVER_STORED:
+    del KNOWN_CLASSES[_gone]
 
 
 class ModelFileError(ValueError):
@@ -241,8 +230,7 @@ def _pack_array(array: Array, tensors: Tensors) -> dict[str, Any]:
     if array.dtype.kind in "UO" and all(isinstance(item, str) for item in array.flat):
         return {"text": array.ravel().tolist(), "shape": list(array.shape)}
     if array.dtype.kind == "c":
-        pairs = np.stack([array.real, array.imag])
-        return {"complex": _pack_array(pairs, tensors)}
+        return {"complex": _pack_array(np.stack([array.real, array.imag]), tensors)}
     if array.dtype.kind not in "biuf":
         raise ModelFileError(f"A model file cannot hold an array of {array.dtype}.")
     name = f"t{len(tensors)}"
@@ -313,7 +301,6 @@ def _unpack_object(node: dict[str, Any], budget: Budget) -> Any:
 
 
 def _from_format_3(node: Any) -> Any:
-    """Return a packed value of format 3 as one of format 4."""
     if isinstance(node, list):
         return [_from_format_3(item) for item in node]
     if not isinstance(node, dict):
@@ -356,18 +343,16 @@ def _with_memory(node: dict[str, Any]) -> dict[str, Any]:
     if machine["class"] == "KernelDensityBayes":
         machine["learnt"]["groups_"] = kept["blocks"]
     elif machine["class"] == "MKLSVC":
-        learnt["classifier_"] = _from_probabilities(machine, kept)
+        own = {
+            "classifier_": machine,
+            "touches_": kept["features"],
+            "labels_": kept["labels"],
+            "groups_": kept["blocks"],
+            **{
+                name: machine["learnt"][name] for name in ("classes_", "n_features_in_")
+            },
+        }
+        params = {"classifier": {**machine, "learnt": {}}}
+        found = {"class": "FromProbabilities", "params": params, "learnt": own}
+        learnt["classifier_"] = found
     return node
-
-
-def _from_probabilities(machine: Any, kept: Any) -> dict[str, Any]:
-    learnt = {
-        "classifier_": machine,
-        "classes_": machine["learnt"]["classes_"],
-        "touches_": kept["features"],
-        "labels_": kept["labels"],
-        "groups_": kept["blocks"],
-        "n_features_in_": machine["learnt"]["n_features_in_"],
-    }
-    params = {"classifier": {**machine, "learnt": {}}}
-    return {"class": "FromProbabilities", "params": params, "learnt": learnt}

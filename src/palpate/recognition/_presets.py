@@ -7,14 +7,8 @@ from typing import Any
 from sklearn.decomposition import PCA
 from sklearn.preprocessing import StandardScaler
 
+from .. import classifiers
 from .._checks import check_option
-from ..classifiers import (
-    MKLSVC,
-    EncodingPool,
-    FromProbabilities,
-    KernelDensityBayes,
-    TouchClassifier,
-)
 from ..encodings import (
     CentroidMoments,
     EdgeHistograms,
@@ -64,7 +58,7 @@ class Preset:
 
     summary: str
     encoders: Callable[[Touches, str], dict[str, TouchEncoder]]
-    classifier: Callable[[TouchEncoder], TouchClassifier]
+    classifier: Callable[[TouchEncoder], classifiers.TouchClassifier]
     floor: float
     calibrates_sequence: bool
     skips_no_contact: bool
@@ -184,7 +178,7 @@ PRESETS: dict[str, Preset] = {
         summary="Our best: encodings weighed for the sensor, a kernel ridge posterior "
         "of each, calibrated sequences of touches.",
         encoders=_default_encoders,
-        classifier=lambda encoder: EncodingPool(encoder.parts_),
+        classifier=lambda encoder: classifiers.EncodingPool(encoder.parts_),
         floor=0.01,
         calibrates_sequence=True,
         skips_no_contact=True,
@@ -193,7 +187,7 @@ PRESETS: dict[str, Preset] = {
         summary="Corradi et al. 2015 as written: Zernike-PCA, kernel density per "
         "object, naive Bayes over touches.",
         encoders=_corradi2015_encoders,
-        classifier=lambda encoder: KernelDensityBayes(),
+        classifier=lambda encoder: classifiers.KernelDensityBayes(),
         floor=0.0,
         calibrates_sequence=False,
         skips_no_contact=False,
@@ -202,7 +196,7 @@ PRESETS: dict[str, Preset] = {
         summary="Liu et al. 2014: one press on an array, cleaned up; area, edges and "
         "Fourier descriptors fused by kernel PCA; multiple kernel learning SVM.",
         encoders=_liu2014_encoders,
-        classifier=lambda encoder: FromProbabilities(MKLSVC()),
+        classifier=lambda encoder: classifiers.FromProbabilities(classifiers.MKLSVC()),
         floor=0.01,
         calibrates_sequence=True,
         skips_no_contact=True,

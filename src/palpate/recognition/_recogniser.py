@@ -17,10 +17,11 @@ from sklearn.exceptions import NotFittedError
 from sklearn.utils import Tags
 
 from .._checks import check_count, check_number, check_option
-from .._types import Array, Floats
+from .._types import Array, Bools, Floats
 from ..classifiers import EncodingPool, TouchClassifier, as_groups
 from ..images import Poses, PressPose
 from ..touches import Touches, TouchSource
+from . import _evidence, _memory
 from ._belief import Belief, Judge
 from ._calibration import (
     Modality,
@@ -29,28 +30,11 @@ from ._calibration import (
     fit_sequence_calibration,
     left_out_log_likelihood,
 )
-from ._contact import NO_CONTACT, ContactCheck, consists_of_nothing, encoded_and_flagged
-from ._encoder import BATCH, TouchEncoder
-from ._evidence import (
-    Evidence,
-    SequenceCalibration,
-    as_touches,
-    given_prior,
-    log_posteriors,
-    with_floor,
-)
+from ._contact import NO_CONTACT, consists_of_nothing, encoded_and_flagged
+from ._encoder import BATCH
+from ._evidence import Evidence, as_touches
 from ._learning import encoded, learn_encoding, memory_of, refuse_too_large
-from ._memory import (
-    Memory,
-    Nearest,
-    blocks_in_order,
-    check_name,
-    labelled,
-    left_out_groups,
-    named_labels,
-    training_labels,
-    without_copies,
-)
+from ._memory import Memory, Nearest
 from ._model_checks import MOST_TRIED, check_parts, try_one_touch
 from ._model_file import ModelFileError, read_model, write_model
 from ._presets import PRESENTATIONS, Preset, find_preset
@@ -131,18 +115,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     """
 
     max_memory_gb: ClassVar[float] = 8.0
-    classes_: Array
-    encoder_: TouchEncoder
     classifier_: TouchClassifier
     memory_: Memory
-    contact_: ContactCheck
-    uses_no_contact_: bool
-    sequence_calibration_: SequenceCalibration
-    limits_: DecisionLimits
-    floor_: float
-    chosen_: dict[str, Any]
-    pose_: PressPose | None
-    modalities_: dict[str, Modality]
 
     def __init__(
         self,
@@ -188,20 +162,20 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             fewer than two touches; or it would take too much memory.
         """
         preset = self._check_parameters()
-        touches = labelled(X, y, self.label)
-        labels, objects = training_labels(touches, self.label)
+        touches = _memory.labelled(X, y, self.label)
+        labels, objects = _memory.training_labels(touches, self.label)
         if y is not None and self.label == "object":
             labels = objects = np.asarray(y)
         refuse_too_large(labels, self.max_memory_gb)
         if groups is None:
-            blocks = left_out_groups(touches, labels, objects, self.label)
+            blocks = _memory.left_out_groups(touches, labels, objects, self.label)
         else:
             blocks = as_groups(groups, len(labels))
         encoder, contact, chosen, encoding = learn_encoding(
             preset, touches, labels, blocks, self.presentation
         )
         if groups is None:
-            blocks = without_copies(encoding.features, objects, blocks)
+            blocks = _memory.without_copies(encoding.features, objects, blocks)
         memory = memory_of(touches, encoding, labels, objects, blocks)
         self.encoder_, self.contact_, self.chosen_ = encoder, contact, chosen
         self.classifier_ = preset.classifier(encoder).fit(
@@ -210,7 +184,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         if isinstance(self.classifier_, EncodingPool):
             chosen["weights"] = self.classifier_.weights_
         self._calibrate(memory)
-        self.pose_, self.modalities_ = None, {}
+        self.pose_: PressPose | None = None
+        self.modalities_: dict[str, Modality] = {}
         return self
 
     def add_object(self, name: str, touches: Touches | TouchSource) -> Self:
@@ -273,7 +248,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         self._check_fitted()
         memory = self.memory_.without(forget)
         if touches is not None:
-            labels = named_labels(touches, self.label)
+            labels = _memory.named_labels(touches, self.label)
             for name in np.unique(labels).tolist():
                 some = touches[np.flatnonzero(labels == name)]
                 memory = memory.replaced(self._learnt(name, some, 2))
@@ -364,9 +339,11 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
 
     def predict_log_proba(self, X: Touches | ArrayLike) -> Floats:
         """Return the log belief after each touch alone, (n_touches, n_objects)."""
-        floored = with_floor(self.log_likelihood(as_touches(X)), self.floor_)
+        floored = _evidence.with_floor(self.log_likelihood(as_touches(X)), self.floor_)
         alone = floored[:, np.newaxis]
-        return log_posteriors(alone, self.log_prior(), self.sequence_calibration_)[:, 0]
+        return _evidence.log_posteriors(
+            alone, self.log_prior(), self.sequence_calibration_
+        )[:, 0]
 
     def score(
         self,
@@ -378,7 +355,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
 
         `y` (n_touches,) are the labels, by default the touches' own.
         """
-        truth = named_labels(as_touches(X), self.label) if y is None else y
+        truth = _memory.named_labels(as_touches(X), self.label) if y is None else y
         return float(super().score(X, truth, sample_weight))
 
     def log_likelihood(self, touches: Touches) -> Floats:
@@ -431,7 +408,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             default as the parameter `prior` says.
         """
         judge = self.judge()
-        log_prior = None if prior is None else given_prior(prior, judge.classes)
+        log_prior = (
+            None if prior is None else _evidence.given_prior(prior, judge.classes)
+        )
         return Belief(judge, self.evidence, log_prior)
 
     def judge(self) -> Judge:
@@ -473,7 +452,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             )
         self.pose_ = PressPose(pitch_mm=float(pitch)).fit(
             touches.images,
-            training_labels(touches, self.label)[0],
+            _memory.training_labels(touches, self.label)[0],
             touches.columns.get("angle_deg"),
         )
         return self
@@ -530,7 +509,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         self._check_fitted()
         modality = Modality(classifier, random_state=self.random_state)
         modality.fit(X, y, groups)
-        self.modalities_ = {**self.modalities_, check_name(name): modality}
+        self.modalities_ = {**self.modalities_, _memory.check_name(name): modality}
         return self
 
     def remember_sensor(self, values: Mapping[str, Any] | None) -> Self:
@@ -584,9 +563,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         return model
 
     def _learnt(self, name: str, touches: Touches | TouchSource, least: int) -> Memory:
-        """Encode touches of one object, whatever they are labelled."""
         given = touches if isinstance(touches, TouchSource) else as_touches(touches)
-        check_name(name)
+        _memory.check_name(name)
         if len(given) < least:
             raise ValueError(
                 f"{name!r} must have at least {least} touches, got {len(given)}."
@@ -595,8 +573,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         own = given.object if labels.dtype.kind == "U" else None
         objects = labels if own is None else own
         encoding = encoded(self.encoder_, self.contact_, given)
-        blocks = blocks_in_order(labels, given.order)
-        blocks = without_copies(encoding.features, labels, blocks)
+        blocks = _memory.blocks_in_order(labels, given.order)
+        blocks = _memory.without_copies(encoding.features, labels, blocks)
         return memory_of(given, encoding, labels, objects, blocks)
 
     def _as_label(self, name: str) -> Any:
@@ -626,17 +604,16 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         return self
 
     def _calibrate(self, memory: Memory) -> None:
-        """Set memory, floor, sequence calibration and what may be decided."""
         preset = find_preset(self.preset)
         self.memory_, self.classes_ = memory, memory.classes
         self.floor_ = preset.floor if self.floor is None else float(self.floor)
         self.uses_no_contact_ = not preset.skips_no_contact or consists_of_nothing(
             memory.labels, memory.nothing
         )
-        self.sequence_calibration_ = SequenceCalibration()
+        self.sequence_calibration_ = _evidence.SequenceCalibration()
         if preset.calibrates_sequence:
             self.sequence_calibration_ = fit_sequence_calibration(
-                with_floor(self._left_out(), self.floor_),
+                _evidence.with_floor(self._left_out(), self.floor_),
                 np.searchsorted(self.classes_, memory.labels),
                 self._drawn(memory),
                 self._log_prior(memory),
@@ -657,7 +634,6 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         return self._used(said, self.memory_.nothing)
 
     def _learnt_limits(self) -> DecisionLimits:
-        """Learn what may be decided from training touches left out."""
         memory, said = self.memory_, self._left_out()
         each, weights = said[:, np.newaxis], np.ones(1)
         if isinstance(self.classifier_, EncodingPool):
@@ -708,7 +684,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         looks = self.encoder_.look(touches)
         return Evidence(features, used, flags, each, distances, looks)
 
-    def _used(self, log_likelihood: Floats, nothing: NDArray[np.bool_]) -> Floats:
+    def _used(self, log_likelihood: Floats, nothing: Bools) -> Floats:
         """Let touches without contact say nothing, unless a label consists of them."""
         if self.uses_no_contact_:
             return log_likelihood
@@ -718,8 +694,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         counts = np.unique(memory.labels, return_counts=True)[1]
         if self.prior == "uniform":
             return np.full(len(counts), -np.log(len(counts)))
-        log_shares: Floats = np.log(counts / counts.sum())
-        return log_shares
+        return np.asarray(np.log(counts / counts.sum()))
 
     def _names(self) -> list[str]:
         return [str(name) for name in self.classes_]

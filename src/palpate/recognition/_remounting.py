@@ -18,25 +18,13 @@ from scipy.stats import t as t_distribution
 from .._types import Array, Floats
 from ..images import DomeCrop
 from ..touches import Touches
+from . import _sessions
 from ._calibration import left_out_log_likelihood
 from ._contact import NO_CONTACT, ContactCheck
 from ._encoder import TouchEncoder
 from ._evidence import Evidence, as_touches
 from ._learning import encoded, memory_of
 from ._memory import Memory, Nearest, blocks_in_order
-from ._sessions import (
-    N_LOOKS,
-    Parts,
-    Taught,
-    between_sessions,
-    effective_number,
-    session_effects,
-    shift_by_labels,
-    shift_unlabelled,
-    unlikeness,
-    usual_means,
-    weighed_down,
-)
 
 if TYPE_CHECKING:
     from ._recogniser import ObjectRecogniser
@@ -83,14 +71,17 @@ def adapt(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecogniser:
 
 
 def remounted(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecogniser:
-    """Return a recogniser for the session of `touches`; the given one stays as it is.
-
-    See `ObjectRecogniser.remount`.
-    """
+    """Return another recogniser, for the session; see `ObjectRecogniser.remount`."""
     new = as_touches(touches)
     labels = new.object if recogniser.label == "object" else new.category
     if labels is not None:
-        _refuse_unknown(labels, recogniser)
+        unknown = np.setdiff1d(labels, recogniser.classes_)
+        if len(unknown):
+            raise ValueError(
+                f"touches must be of known objects, got {str(unknown[0])!r}, which was "
+                "not learnt. Remount first, then add it with add_object; or leave the "
+                "labels out to remount without them."
+            )
     result = copy(recogniser)
     result.encoder_, gain = _as_taught(recogniser, new, labels)
     shape = tuple(recogniser.encoder_.image_shape_)
@@ -110,13 +101,13 @@ def remounted(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecognise
     features, taught = encoding.features, taught_of(result)
     if labels is None:
         say = result.classifier_.log_likelihood
-        shift, shares = shift_unlabelled(features[counts], say, taught)
+        shift, shares = _sessions.shift_unlabelled(features[counts], say, taught)
         if not found.get("centred", True):
             shift = np.zeros_like(shift)
-        found["objects"] = round(effective_number(shares), 1)
+        found["objects"] = round(_sessions.effective_number(shares), 1)
     else:
         codes = np.searchsorted(result.classes_, labels)
-        shift = shift_by_labels(features[counts], codes[counts], taught)
+        shift = _sessions.shift_by_labels(features[counts], codes[counts], taught)
     before = result.encoder_.offset_
     result.encoder_.offset_ = shift if before is None else shift + before
     found |= {"n_touches": len(new), "labelled": labels is not None, "gain": gain}
@@ -170,11 +161,7 @@ def _as_taught(
 
 
 def learn_nuisance(recogniser: ObjectRecogniser, touches: Touches) -> int:
-    """Let a recogniser weigh down what tells sessions and not objects, in place.
-
-    `touches` are of any objects, known or not, met in several sessions; see
-    `ObjectRecogniser.learn_nuisance`. Returns how many differences they showed.
-    """
+    """Change a recogniser in place; see `ObjectRecogniser.learn_nuisance`."""
     new = as_touches(touches)
     if new.object is None or new.session is None:
         raise ValueError(
@@ -184,7 +171,7 @@ def learn_nuisance(recogniser: ObjectRecogniser, touches: Touches) -> int:
     features: Floats = recogniser.encoder_.transform(new)
     codes = np.unique(new.object, return_inverse=True)[1]
     subjects = np.full(len(new), "") if new.subject is None else new.subject
-    differences = between_sessions(features, codes, new.session, subjects)
+    differences = _sessions.between_sessions(features, codes, new.session, subjects)
     if len(differences) < LEAST_PAIRS:
         raise ValueError(
             f"touches must show at least {LEAST_PAIRS} things in several sessions, "
@@ -200,10 +187,7 @@ def learn_nuisance(recogniser: ObjectRecogniser, touches: Touches) -> int:
 def check_mounting(
     recogniser: ObjectRecogniser, touches: Touches | Evidence
 ) -> MountingCheck:
-    """Tell whether touches were made in a session like those it was taught in.
-
-    See `ObjectRecogniser.check_mounting`.
-    """
+    """See `ObjectRecogniser.check_mounting`."""
     if isinstance(touches, Evidence):
         evidence, reasons = touches, []
     else:
@@ -214,16 +198,14 @@ def check_mounting(
         return MountingCheck(False, -np.inf, np.inf, [*reasons, "Nothing was touched."])
     found = float(evidence.log_distances[counts].min(axis=1).mean())
     posterior = softmax(evidence.log_likelihood[counts], axis=1).mean(axis=0)
-    n_objects = max(1, round(effective_number(posterior)))
+    n_objects = max(1, round(_sessions.effective_number(posterior)))
     own, taught = _usual_distances(recogniser)
     n_touches, seed = int(counts.sum()), recogniser.random_state
-    drawn, runs = usual_means(own, taught, n_touches, n_objects, seed)
+    drawn, runs = _sessions.usual_means(own, taught, n_touches, n_objects, seed)
     now = np.append(found, evidence.looks[counts].mean(axis=0))
     if np.isnan(drawn).any():  # of a model that kept no looks
-        drawn, now = drawn[:, :1], now[:1]
-        drawn = np.column_stack([drawn, np.zeros((len(drawn), 2))])
-        now = np.append(now, [0.0, 0.0])
-    unlike, distance = unlikeness(drawn, runs, now)
+        drawn[:, 1:], now[1:] = 0.0, 0.0
+    unlike, distance = _sessions.unlikeness(drawn, runs, now)
     # Of a few draws that share no touch even the largest is exceeded often: two signs,
     # each as a t-test.
     n_apart = max(len(np.unique(taught.blocks)) // n_objects, 2)
@@ -236,10 +218,9 @@ def check_mounting(
 
 
 def _why(drawn: Floats, now: Floats, usual: float, n_touches: int) -> str:
-    """Return in a sentence what is unlike the training touches."""
     beyond = (now - drawn.mean(axis=0)) / np.maximum(drawn.std(axis=0), 1e-9)
     beyond[0] = max(beyond[0], 0)  # nearer than usual is no sign
-    clear = [k for k in (0, N_LOOKS) if abs(beyond[k : k + 1]).sum() > usual]
+    clear = [k for k in (0, _sessions.N_LOOKS) if abs(beyond[k]) > usual]
     these, most = f"These {n_touches} touches", int(np.abs(beyond).argmax())
     most = clear[0] if clear else most
     times = float(np.exp(abs(now[most] - np.median(drawn[:, most]))))
@@ -249,14 +230,14 @@ def _why(drawn: Floats, now: Floats, usual: float, n_touches: int) -> str:
             "each other."
         )
     way = "weaker" if beyond[most] < 0 else "stronger"
-    if most == N_LOOKS:
+    if most == _sessions.N_LOOKS:
         return f"{these} press {times:.1f} times {way} than training touches."
-    detail = "coarse" if most <= N_LOOKS // 2 else "fine"
+    detail = "coarse" if most <= _sessions.N_LOOKS // 2 else "fine"
     root = float(np.sqrt(times))
     return f"{these} show {detail} detail {root:.1f} times {way} than training touches."
 
 
-def _usual_distances(recogniser: ObjectRecogniser) -> tuple[Floats, Taught]:
+def _usual_distances(recogniser: ObjectRecogniser) -> tuple[Floats, _sessions.Taught]:
     """Return how far training touches are from other blocks of their sessions.
 
     What sessions differ by is no use here. Worked out once for a memory.
@@ -313,12 +294,12 @@ def said_of_sessions(across: Mapping[str, Any]) -> str:
     )
 
 
-def taught_of(recogniser: ObjectRecogniser) -> Taught:
+def taught_of(recogniser: ObjectRecogniser) -> _sessions.Taught:
     """Return the training touches that count, for comparing a session with them."""
     memory, counts = recogniser.memory_, _counted(recogniser)
     said = left_out_log_likelihood(recogniser.classifier_)
     codes = np.searchsorted(recogniser.classes_, memory.labels)
-    return Taught(
+    return _sessions.Taught(
         memory.features[counts],
         codes[counts],
         memory.blocks[counts],
@@ -345,10 +326,12 @@ def _without_sessions(recogniser: ObjectRecogniser) -> dict[str, Any]:
     if not asked.any():
         return {}
     codes = np.searchsorted(recogniser.classes_, memory.labels)
-    centred = memory.features - session_effects(memory.features, codes, memory.sessions)
+    centred = memory.features - _sessions.session_effects(
+        memory.features, codes, memory.sessions
+    )
     loss = {"plain": _loss(recogniser, memory.features, asked)}
     loss["centred"] = _loss(recogniser, centred, asked)
-    pairs = between_sessions(centred, codes, memory.sessions, memory.subjects)
+    pairs = _sessions.between_sessions(centred, codes, memory.sessions, memory.subjects)
     # Touches that tell themselves how sessions differ are too sure: other persons must.
     may_weigh = len(np.unique(memory.subjects)) > 1 and len(pairs) >= LEAST_PAIRS
     may_weigh &= recogniser.encoder_.weighing_ is None
@@ -369,9 +352,8 @@ def _without_sessions(recogniser: ObjectRecogniser) -> dict[str, Any]:
 
 
 def _weigh_down(recogniser: ObjectRecogniser, differences: Floats) -> None:
-    """Put a weighing into the encoder, and learn again."""
     encoder, memory = recogniser.encoder_, recogniser.memory_
-    weighing = weighed_down(differences, memory.features, _parts(recogniser))
+    weighing = _sessions.weighed_down(differences, memory.features, _parts(recogniser))
     before = encoder.weighing_
     encoder.weighing_ = weighing if before is None else before @ weighing
     if encoder.offset_ is not None:
@@ -399,10 +381,10 @@ def _loss_weighed(
     for k in range(2):
         told = half != k
         visits = memory.sessions[told], memory.subjects[told]
-        pairs = between_sessions(centred[told], codes[told], *visits)
+        pairs = _sessions.between_sessions(centred[told], codes[told], *visits)
         weighing = np.eye(centred.shape[1])
         if len(pairs):
-            weighing = weighed_down(pairs, centred, _parts(recogniser))
+            weighing = _sessions.weighed_down(pairs, centred, _parts(recogniser))
         mine = asked & ~told
         loss[mine] = _loss(recogniser, centred @ weighing, mine)
     return loss[asked]
@@ -428,8 +410,8 @@ def _met_elsewhere(memory: Memory) -> Array:
     return met
 
 
-def _parts(recogniser: ObjectRecogniser) -> Parts:
-    return Parts(np.cumsum([0, *recogniser.encoder_.parts_.values()]))
+def _parts(recogniser: ObjectRecogniser) -> _sessions.Parts:
+    return _sessions.Parts(np.cumsum([0, *recogniser.encoder_.parts_.values()]))
 
 
 def _rim_moved(recogniser: ObjectRecogniser, touches: Touches) -> list[str]:
@@ -444,13 +426,3 @@ def _rim_moved(recogniser: ObjectRecogniser, touches: Touches) -> list[str]:
         return []
     moved = f"{away:.0f} pixels from where it was learnt, and is {larger:+.0%} larger"
     return [f"The rim lies {moved}."]
-
-
-def _refuse_unknown(labels: Array, recogniser: ObjectRecogniser) -> None:
-    unknown = np.setdiff1d(labels, recogniser.classes_)
-    if len(unknown):
-        raise ValueError(
-            f"touches must be of known objects, got {str(unknown[0])!r}, which was not "
-            "learnt. Remount first, then add it with add_object; or leave the labels "
-            "out to remount without them."
-        )

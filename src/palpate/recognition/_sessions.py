@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.special import softmax
 from sklearn.metrics.pairwise import euclidean_distances
 
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices
 
 # How many touches the belief that all objects are asked about alike is worth.
 N_PRIOR = 3.0
@@ -37,7 +36,7 @@ SHRUNK = 0.3
 class Parts:
     """Where the features of each encoding begin, shape (n_parts + 1,)."""
 
-    cuts: NDArray[np.intp]
+    cuts: Indices
 
     def sums(self, values: Floats) -> Floats:
         """Return the sums over each part of the last axis."""
@@ -52,21 +51,13 @@ class Parts:
 class Taught:
     """Training touches, for comparing a session with them.
 
-    Attributes
-    ----------
-    features : ndarray of shape (n_touches, n_features)
-        What the recogniser learnt from.
-    codes, blocks : ndarray of int, shape (n_touches,)
-        Column of each touch's label, and what it is left out with.
-    posterior : ndarray of shape (n_touches, n_objects)
-        What each is taken for when its block is left out.
-    parts : Parts
-        Of the features.
+    Of each, the column of its label (`codes`), what it is left out with (`blocks`), and
+    what it is taken for then (`posterior`, (n_touches, n_objects)).
     """
 
     features: Floats
-    codes: NDArray[np.intp]
-    blocks: NDArray[np.intp]
+    codes: Indices
+    blocks: Indices
     posterior: Floats
     parts: Parts
 
@@ -78,8 +69,7 @@ class Taught:
     def log_distances(self, features: Floats) -> Floats:
         """Return the logarithm of each touch's distance to the nearest of these."""
         squared = euclidean_distances(features, self.features, squared=True)
-        nearest: Floats = np.log(np.maximum(squared.min(axis=1), 1e-300)) / 2
-        return nearest
+        return np.asarray(np.log(np.maximum(squared.min(axis=1), 1e-300)) / 2)
 
     @cached_property
     def noise(self) -> tuple[Floats, Floats]:
@@ -108,11 +98,10 @@ class Taught:
         return touch, self.parts.sums((middle[some] - rest) ** 2).mean(axis=0)
 
 
-def group_means(values: Floats, codes: NDArray[np.intp]) -> Floats:
+def group_means(values: Floats, codes: Indices) -> Floats:
     """Return the mean row of each code, shape (n_codes, n_features)."""
     one_hot = np.eye(codes.max() + 1)[codes]
-    means: Floats = one_hot.T @ values / one_hot.sum(axis=0)[:, np.newaxis]
-    return means
+    return np.asarray(one_hot.T @ values / one_hot.sum(axis=0)[:, np.newaxis])
 
 
 def session_effects(features: Floats, codes: Array, sessions: Array) -> Floats:
@@ -126,8 +115,7 @@ def session_effects(features: Floats, codes: Array, sessions: Array) -> Floats:
     for _ in range(30):
         objects = group_means(features - effects, codes)
         effects = group_means(features - objects[codes], of)[of]
-    centred: Floats = effects - effects.mean(axis=0)
-    return centred
+    return np.asarray(effects - effects.mean(axis=0))
 
 
 def between_sessions(
@@ -175,9 +163,7 @@ def weighed_down(differences: Floats, features: Floats, parts: Parts) -> Floats:
     return whole
 
 
-def shift_by_labels(
-    features: Floats, codes: NDArray[np.intp], taught: Taught
-) -> Floats:
+def shift_by_labels(features: Floats, codes: Indices, taught: Taught) -> Floats:
     """Return what to add to a session's features, by the labels of its touches.
 
     Each object weighs the same; of what the noise of so many touches would give by
@@ -240,7 +226,7 @@ def effective_number(shares: Floats) -> float:
 
 def usual_means(
     values: Floats, taught: Taught, n_touches: int, n_objects: int, seed: int
-) -> tuple[Floats, NDArray[np.intp]]:
+) -> tuple[Floats, Indices]:
     """Return the means of draws of training touches' values (n_touches, n_values).
 
     A draw is of the same block of the recordings of so many objects; which, (n_draws,),
@@ -286,13 +272,11 @@ def looks(images: Array, rest: Array | None) -> Floats:
     sums = np.stack([power[:, octave == k].sum(axis=1) for k in range(N_OCTAVES)])
     sums = np.maximum(sums, 1e-6 * sums.sum(axis=0))
     away = np.abs(images - (0.0 if rest is None else rest.astype(np.float64)))
-    found: Floats = np.vstack([sums, away.mean(axis=(1, 2))]).T
-    return np.log(np.maximum(found, 1e-12))
+    found = np.vstack([sums, away.mean(axis=(1, 2))]).T
+    return np.asarray(np.log(np.maximum(found, 1e-12)))
 
 
-def unlikeness(
-    drawn: Floats, runs: NDArray[np.intp], found: Floats
-) -> tuple[Floats, float]:
+def unlikeness(drawn: Floats, runs: Indices, found: Floats) -> tuple[Floats, float]:
     """Return how unlike its kind each draw is, (n_draws,), and how unlike `found` is.
 
     Of means of draws (n_draws, 1 + N_LOOKS): the larger of two, each in standard

@@ -24,8 +24,14 @@ from numpy.typing import NDArray
 from scipy.special import log_softmax, logsumexp
 from scipy.stats import beta
 
-from .._types import Array, Floats
-from ._evidence import SequenceCalibration, doubts, is_informative, with_floor
+from .._types import Array, Bools, Floats, Indices
+from ._evidence import (
+    SequenceCalibration,
+    beliefs_after,
+    doubts,
+    is_informative,
+    with_floor,
+)
 
 # Shares of wrong decisions for which limits are learnt.
 LEVELS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
@@ -105,7 +111,7 @@ class DecisionLimits:
     n_units: int
     population: str
 
-    def score(self, said: Floats, apart: Floats, count: NDArray[np.intp]) -> Floats:
+    def score(self, said: Floats, apart: Floats, count: Indices) -> Floats:
         """Return the unknown score, between 0 and 1, shape (...,).
 
         Of the log posteriors that each encoding alone would have (..., n_encodings,
@@ -164,8 +170,7 @@ def disagreement(said: Floats, weights: Floats) -> Floats:
     Of the log posteriors of their beliefs (..., n_encodings, n_objects): the logarithm
     of the largest weighted geometric mean of what they give to one object, negative.
     """
-    nats: Floats = np.maximum(-(weights @ said).max(axis=-1), 0.0)
-    return nats
+    return np.asarray(np.maximum(-(weights @ said).max(axis=-1), 0.0))
 
 
 def episode_scores(
@@ -182,17 +187,16 @@ def episode_scores(
     n_touches, n_encodings, n_objects) and log distances, as in `Evidence`.
     """
     used = is_informative(floored)
-    said, count = _beliefs(used, each, log_prior, calibration)
+    said, count = beliefs_after(used, each, log_prior, calibration)
     mean = _mean_so_far(log_distances, used)
     return limits.score(said, limits.apart(said, mean), count)
 
 
-def _mean_so_far(values: Floats, used: NDArray[np.bool_]) -> Floats:
+def _mean_so_far(values: Floats, used: Bools) -> Floats:
     """Return the mean of (..., n_touches, n_objects) over the touches so far in use."""
     wide = used[..., np.newaxis]
     total = np.where(wide, values, 0.0).cumsum(axis=-2)
-    mean: Floats = total / np.maximum(wide.cumsum(axis=-2), 1)
-    return mean
+    return np.asarray(total / np.maximum(wide.cumsum(axis=-2), 1))
 
 
 @dataclass(frozen=True)
@@ -217,7 +221,7 @@ class LeftOut:
 
 
 def fit_limits(
-    left_out: LeftOut, episodes: list[NDArray[np.intp]], n_units: int, population: str
+    left_out: LeftOut, episodes: list[Indices], n_units: int, population: str
 ) -> DecisionLimits:
     """Learn what may be decided.
 
@@ -241,14 +245,14 @@ def fit_limits(
         n_units=n_units,
         population=population,
     )
-    known = _Tracks.together(
-        _tracks(left_out, scale, rows, groups) for rows in episodes
-    )
-    never = None
-    if missed:
-        never = _Tracks.together(
-            _tracks(left_out, scale, rows, groups, never=True) for rows in episodes
+
+    def of_all(never: bool) -> _Tracks:
+        each = (
+            _tracks(left_out, scale, rows, groups, never=never) for rows in episodes
         )
+        return _Tracks.together(each)
+
+    known, never = of_all(False), of_all(True) if missed else None
     naming, wrong = _naming(known, never, missed)
     quantiles = known.scores
     # Of two objects nothing shows what a third would look like; what is so far beyond
@@ -284,7 +288,7 @@ def _usual(left_out: LeftOut) -> Floats:
     return np.where(counts > 0, sums / np.maximum(counts, 1), everywhere)
 
 
-def _far(left_out: LeftOut, usual: Floats, episodes: list[NDArray[np.intp]]) -> Floats:
+def _far(left_out: LeftOut, usual: Floats, episodes: list[Indices]) -> Floats:
     """Return mean and spread, after each touch, of how far known episodes are."""
     farther = []
     for rows in episodes:
@@ -306,29 +310,27 @@ class _Tracks:
 
     scores: Floats
     doubt: Floats
-    right: NDArray[np.bool_]
+    right: Bools
     category: Any = None
 
     @classmethod
     def together(cls, parts: Iterable[_Tracks]) -> _Tracks:
         """Return the tracks of all objects as one."""
         every = list(parts)
+        columns = ([getattr(p, n) for p in every] for n in ("scores", "doubt", "right"))
         told = every[0].category is not None
-        return cls(
-            np.concatenate([part.scores for part in every]),
-            np.concatenate([part.doubt for part in every]),
-            np.concatenate([part.right for part in every]),
-            cls.together(part.category for part in every) if told else None,
-        )
+        category = cls.together(part.category for part in every) if told else None
+        scores, doubt, right = map(np.concatenate, columns)
+        return cls(scores, doubt, right, category)
 
 
 def _tracks(
     left_out: LeftOut,
     scale: DecisionLimits,
-    rows: NDArray[np.intp],
-    groups: NDArray[np.intp] | None,
+    rows: Indices,
+    groups: Indices | None,
     *,
-    never: bool = False,
+    never: bool,
 ) -> _Tracks:
     """Return what one object's episodes come to, perhaps as if it were not learnt."""
     over, own = rows < 0, int(left_out.codes[rows[0, 0]])
@@ -341,8 +343,8 @@ def _tracks(
     local = local.reshape(rows.shape)
     used = is_informative(floored)[local] & ~over
     prior = log_softmax(left_out.log_prior[columns])
-    belief, count = _beliefs(used, floored[local], prior, left_out.calibration)
-    said, _ = _beliefs(used, each[local], prior, left_out.calibration)
+    belief, count = beliefs_after(used, floored[local], prior, left_out.calibration)
+    said, _ = beliefs_after(used, each[local], prior, left_out.calibration)
     mean = _mean_so_far(left_out.log_distances[mine][:, columns][local], used)
     apart = replace(scale, usual=scale.usual[columns]).apart(said, mean)
 
@@ -357,24 +359,6 @@ def _tracks(
         said = summed_by_category(said, names, present)
         result.category = ended(belief, said, present, int(groups[own]))
     return result
-
-
-def _beliefs(
-    used: NDArray[np.bool_],
-    floored: Floats,
-    log_prior: Floats,
-    calibration: SequenceCalibration,
-) -> tuple[Floats, NDArray[np.intp]]:
-    """Return log posteriors after each touch, and the number of those that are `used`.
-
-    `used` (..., n_touches); `floored` has objects last, perhaps encodings before.
-    """
-    inner = floored.ndim - used.ndim
-    wide = used.reshape(used.shape + (1,) * inner)
-    total = np.where(wide, floored, 0.0).cumsum(axis=used.ndim - 1)
-    count = used.cumsum(axis=-1)
-    weight = calibration.weight(count).reshape(wide.shape)
-    return log_softmax(total * weight + log_prior, axis=-1), count
 
 
 def _naming(
@@ -418,7 +402,6 @@ def _when_sure(tracks: _Tracks, error: float) -> float:
 
 
 def _share_wrong(tracks: _Tracks, limit: float, error: float) -> float:
-    """Return the share of episodes that are named, and wrongly."""
     named = (tracks.scores <= limit) & (tracks.doubt <= error)
     first = named.argmax(axis=1)
     episode = np.arange(len(first))
@@ -438,7 +421,7 @@ def _at(level: float, values: Floats) -> float:
     return float(np.interp(np.log(level), np.log(LEVELS), values))
 
 
-def category_codes(categories: NDArray[np.str_]) -> NDArray[np.intp] | None:
+def category_codes(categories: NDArray[np.str_]) -> Indices | None:
     """Return a number for each object's category, None where none says more.
 
     Objects of no category have one of their own.

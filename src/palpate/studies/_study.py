@@ -303,9 +303,8 @@ def cell(row: Row | None, digits: int = 1, between: str = " ± ") -> str:
     """Return mean and, unless `between` is empty, standard deviation; or a dash."""
     if row is None:
         return "-"
-    shown = (
-        [row["ours"]] if row["sd"] is None or not between else [row["ours"], row["sd"]]
-    )
+    shown = [row[key] for key in ("ours", "sd") if row[key] is not None]
+    shown = shown if between else shown[:1]
     return between.join(f"{value:.{digits}f}" for value in shown)
 
 

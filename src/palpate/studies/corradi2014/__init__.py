@@ -114,7 +114,6 @@ def _table_2(rows: Sequence[Row]) -> Table:
     title = (
         "Table 2: Davies-Bouldin index, q = 2, smaller is better (paper in brackets)"
     )
-
     index = partial(shared.with_paper, digits=2)
     lines = shared.pivot(rows, ["encoding"], columns, index)
     return title, ["encoding", *heads], lines

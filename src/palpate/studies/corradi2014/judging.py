@@ -25,19 +25,14 @@ from sklearn.neural_network import MLPClassifier
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
+from ... import classifiers
 from ..._types import Floats
-from ...classifiers import (
-    KernelDensityBayes,
-    KernelDensityNaiveBayes,
-    KernelRidgeClassifier,
-    OnePerLabelSVC,
-)
 from ...encodings import RootScaler, encoder_named
 from ...evaluation import davies_bouldin
 from ...touches import Touches
 from .._study import Codes, Row, coded, fitted, mean_row, row
 from . import plan as stated
-from .plan import BEST, CLASSIFIERS, TABLE_2, Corradi2014Plan, Images, Shapes, variants
+from .plan import CANDIDATES, CLASSIFIERS, Corradi2014Plan, Images, Shapes
 
 SENSORS = ("simulated", "simulated-pins")
 N_FOLDS = 5
@@ -54,22 +49,6 @@ N_ORDERS = 50
 FOUNDATION = "zernike-pca"
 CHOSEN = "chosen on the training objects"
 _KNOWN = {"data": DATA, "unit": "per cent"}
-# Encodings by name: (encoding, options, variant) of each part.
-Part = tuple[str, dict[str, Any], str]
-CANDIDATES: dict[str, tuple[Part, ...]] = {
-    "zernike": (("zernike", {}, "image"),),
-    "zernike to order 20": (("zernike", {"order": 20}, "image"),),
-    "zernike to order 30": (("zernike", {"order": 30}, "image"),),
-    "zernike, image and derivative": (
-        ("zernike", {}, "image"),
-        ("zernike", {}, "derivative"),
-    ),
-    "polar gradients": (("polar-gradients", {}, "image"),),
-    "polar gradients and zernike to order 30": (
-        ("polar-gradients", {}, "image"),
-        ("zernike", {"order": 30}, "image"),
-    ),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,9 +123,9 @@ def classifier(name: str, seed: int) -> Any:
     if name == "1-NN":
         return KNeighborsClassifier(1, algorithm="kd_tree")
     if name == "naive Bayes":
-        return KernelDensityNaiveBayes()
+        return classifiers.KernelDensityNaiveBayes()
     if name == "SVMs":
-        return make_pipeline(StandardScaler(), OnePerLabelSVC(C=10.0))
+        return make_pipeline(StandardScaler(), classifiers.OnePerLabelSVC(C=10.0))
     network = MLPClassifier((7,), solver="lbfgs", max_iter=200, random_state=seed)
     return make_pipeline(StandardScaler(), network)
 
@@ -215,8 +194,7 @@ def holm(p_values: list[float]) -> list[float]:
     order = np.argsort(p_values)
     scaled = np.asarray(p_values)[order] * np.arange(len(order), 0, -1)
     held = np.minimum(np.maximum.accumulate(scaled), 1.0)
-    together: list[float] = held[np.argsort(order)].tolist()
-    return together
+    return list(held[np.argsort(order)].tolist())
 
 
 def _table_2(
@@ -225,7 +203,9 @@ def _table_2(
     """Indices on the second half, the count being the best on the first."""
     first, second = (np.flatnonzero(shapes.half == h) for h in (0, 1))
     name, variant = known["encoding"], known["variant"]
-    by_sensor = zip(SENSORS, TABLE_2.get(name, {}).get(variant, ()), strict=False)
+    by_sensor = zip(
+        SENSORS, stated.TABLE_2.get(name, {}).get(variant, ()), strict=False
+    )
     paper = dict(by_sensor).get(known["data"])
     both = encoded.features(first, second, counts)
     for q, beside in ((2, paper), (1, None)):
@@ -239,7 +219,9 @@ def _table_2(
 
 def _fig_3(known: Row, kind: str, runs: Floats, grouped: Floats) -> Iterator[Row]:
     name, variant = known["encoding"], known["variant"]
-    paper = BEST.get((name, kind, variant)) if known["data"] == "simulated" else None
+    paper = (
+        stated.BEST.get((name, kind, variant)) if known["data"] == "simulated" else None
+    )
     alike = {**known, "table": "Fig. 3", "unit": "per cent", "classifier": kind}
     asked = (("randomised", runs, paper, len(runs)), ("grouped", grouped, None, 1))
     for folds, values, beside, n_runs in asked:
@@ -279,7 +261,7 @@ def recording(touches: Touches) -> Recording:
     for category in np.unique(codes):
         mine = codes == category
         fold[mine] = np.unique(objects[mine], return_inverse=True)[1]
-    return Recording(variants(stated.rim_discs(touches)), codes, objects, fold)
+    return Recording(stated.variants(stated.rim_discs(touches)), codes, objects, fold)
 
 
 def judge_unseen(
@@ -305,9 +287,8 @@ def judge_unseen(
 
     rows = []
     for kind in CLASSIFIERS:
-        right, chosen = zip(
-            *(judged(kind, k) for k in range(plan.fold_limit)), strict=True
-        )
+        folds = [judged(kind, k) for k in range(plan.fold_limit)]
+        right, chosen = zip(*folds, strict=True)
         one = {"table": "unseen", "encoding": name, "variant": variant}
         kept: Row = {**_KNOWN, **one, "classifier": kind, "n_components": list(chosen)}
         rows.append(mean_row(f"{name}, {kind}, {variant}", np.array(right), **kept))
@@ -350,7 +331,9 @@ def compare_fold(
         inner[name] = float(np.mean(shares))
     # The foundation's own classifier.
     old, new = _zernike_pca(features[FOUNDATION][0], train, test)
-    scores = KernelDensityBayes().fit(old, seen.codes[train]).log_likelihood(new)
+    scores = (
+        classifiers.KernelDensityBayes().fit(old, seen.codes[train]).log_likelihood(new)
+    )
     density = scores - logsumexp(scores, axis=1, keepdims=True)
     right[f"{FOUNDATION}, kernel density"] = _right_after(seen, density, test)
     chosen = max(inner, key=lambda name: inner[name])
@@ -386,7 +369,7 @@ def _log_posterior(
         both = list(zip(scalers, parts, strict=True))
         old = np.hstack([scaler.transform(part[train]) for scaler, part in both])
         new = np.hstack([scaler.transform(part[test]) for scaler, part in both])
-    model = KernelRidgeClassifier(max_choice_touches=800)
+    model = classifiers.KernelRidgeClassifier(max_choice_touches=800)
     model.fit(old, seen.codes[train], groups=seen.objects[train])
     return model.predict_log_proba(new)
 

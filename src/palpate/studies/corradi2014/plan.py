@@ -48,6 +48,19 @@ COUNTS: dict[str, tuple[int, ...]] = {
     "zernike-pca": PRINCIPAL,
     "scaled-pixels": SQUARES,
 }
+# Encodings by name: (encoding, options, variant) of each part.
+Part = tuple[str, dict[str, Any], str]
+CANDIDATES: dict[str, tuple[Part, ...]] = {
+    "zernike": (("zernike", {}, "image"),),
+    "zernike to order 20": (("zernike", {"order": 20}, "image"),),
+    "zernike to order 30": (("zernike", {"order": 30}, "image"),),
+    "zernike, image and derivative": tuple(("zernike", {}, v) for v in VARIANTS),
+    "polar gradients": (("polar-gradients", {}, "image"),),
+    "polar gradients and zernike to order 30": (
+        ("polar-gradients", {}, "image"),
+        ("zernike", {"order": 30}, "image"),
+    ),
+}
 Images = Singles
 
 TACTIP = Archive(
@@ -77,14 +90,7 @@ class Corradi2014Plan(Plan):
     """
 
     n_touches: int = 50
-    encodings: tuple[str, ...] = (
-        "hu",
-        "zernike",
-        "zernike-noll-abs",
-        "oriented-pca",
-        "zernike-pca",
-        "scaled-pixels",
-    )
+    encodings: tuple[str, ...] = tuple(COUNTS)
     runs: int = 20
     slow_runs: int = 3
     choice_runs: int = 20
@@ -94,15 +100,7 @@ class Corradi2014Plan(Plan):
     recorded_step: int = 1
     recorded_upright: bool = True
     fold_limit: int = 5
-    candidates: tuple[str, ...] = (
-        "zernike-pca",
-        "zernike",
-        "zernike to order 20",
-        "zernike to order 30",
-        "zernike, image and derivative",
-        "polar gradients",
-        "polar gradients and zernike to order 30",
-    )
+    candidates: tuple[str, ...] = ("zernike-pca", *CANDIDATES)
     first_look: ClassVar[Mapping[str, Any]] = {
         "n_touches": 20,
         "encodings": PAPER_ENCODINGS,
@@ -111,7 +109,6 @@ class Corradi2014Plan(Plan):
         "choice_runs": 1,
         "slow_choice_runs": 1,
         "choice_step": 4,
-        "thinning": 2,
         "recorded_step": 8,
         "recorded_upright": False,
         "fold_limit": 1,

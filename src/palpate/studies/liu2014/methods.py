@@ -243,11 +243,6 @@ class Job:
     method: Method
 
     @property
-    def light(self) -> bool:
-        """Whether nothing is chosen, so that a run takes milliseconds."""
-        return len(self.method.settings) == 1
-
-    @property
     def work(self) -> float:
         """How long a run takes, in no unit."""
         return float(len(self.method.settings) * self.row["n_classes"] ** 2)
@@ -319,11 +314,8 @@ def condition_jobs(plan: Liu2014Plan) -> Iterator[Job]:
         }
         compared = {"FD+GE": encoded.features("FD+GE", plan.n), **_pixels(touches)}
         for encoding, features in compared.items():
-            known = {
-                "name": f"{encoding} k-NN, {condition}",
-                "encoding": encoding,
-                **row,
-            }
+            name = f"{encoding} k-NN, {condition}"
+            known = {"name": name, "encoding": encoding, **row}
             yield from _jobs(known, features, coded(touches), Neighbours())
 
 

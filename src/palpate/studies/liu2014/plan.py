@@ -124,8 +124,7 @@ class Liu2014Plan(Plan):
         trace 1 have long fitted every training touch.
         """
         n_settings = len(self.svm_widths) * len(self.svm_costs)
-        costs: Sequence[float] = np.logspace(4.5, -1, n_settings)[::-1].tolist()
-        return costs
+        return list(np.logspace(4.5, -1, n_settings)[::-1].tolist())
 
     @property
     def protocols(self) -> tuple[str, ...]:

@@ -69,12 +69,10 @@ class SessionsPlan(Plan):
 def _measure(plan: SessionsPlan, data: str | Path | None, work: Work) -> dict[str, Any]:
     n_touches = plan.sessions * plan.touches_each
     sizes: dict[str, Any] = {"n_sessions": plan.sessions, "random_state": plan.seed}
-    dome = simulate_touches(
-        plan.objects, n_touches, mountings=True, n_jobs=work.workers, **sizes
-    )
+    mounted = {**sizes, "mountings": True, "n_jobs": work.workers}
     parts = None if plan.objects is None else range(1, len(plan.objects) + 1)
     sources = {
-        "simulated dome": dome,
+        "simulated dome": simulate_touches(plan.objects, n_touches, **mounted),
         "simulated array": simulate_presses(parts, n_touches, **sizes),
     }
     ways = dict.fromkeys(sources, (*plan.ways, CEILING, ALARM))
@@ -183,11 +181,8 @@ def _pairs_known(asked: Asked, data: str, touches: Touches) -> list[Row]:
 def _moved(asked: Asked, data: str, touches: Touches) -> list[Row]:
     """Ask about objects on the other side of the jump, among all the others."""
     rows = []
-    for label, way in (
-        ("object", "none"),
-        ("object", "recentre"),
-        ("category", "none"),
-    ):
+    asked_of = [("object", "none"), ("object", "recentre"), ("category", "none")]
+    for label, way in asked_of:
         sizes: Any = {"lengths": asked.touches, "orders": asked.orders}
         found = moved(touches, **sizes, seed=asked.seed, remount=way, label=label)
         for k in map(str, asked.touches):
