@@ -7,6 +7,7 @@ OLDEST_VENV ?= .venv-oldest
 BARE_VENV ?= .venv-bare
 DIST_VENV ?= .venv-dist
 LEROBOT_VENV ?= .venv-lerobot
+DOCS_VENV ?= .venv-docs
 # The oldest Python that pyproject.toml promises.
 OLDEST_PYTHON ?= python3.11
 BIN := $(VENV)/bin
@@ -15,7 +16,7 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
 PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-all test-oldest test-bare check check-lerobot format fuzz mutants bench dist clean
+.PHONY: demo test test-all test-oldest test-bare check check-lerobot format fuzz mutants bench docs linkcheck dist clean
 
 demo: $(VENV)/.demo-installed
 	@$(BIN)/palpate demo $(if $(PALPATE_DATA),--real)
@@ -71,6 +72,16 @@ format: $(VENV)/.test-installed
 bench: $(BENCH_VENV)/.installed
 	$(ONE_THREAD) $(BENCH_VENV)/bin/python benchmarks/run.py
 
+# The site, without network: every example runs, warnings are errors.
+SPHINX := nice $(DOCS_VENV)/bin/python -m sphinx -W --keep-going -j 1
+docs: $(DOCS_VENV)/.installed
+	$(ONE_THREAD) $(SPHINX) -b html docs docs/_build/html
+	@echo "Open docs/_build/html/index.html"
+
+# Asks every address outside that a page names; needs the network.
+linkcheck: $(DOCS_VENV)/.installed
+	$(ONE_THREAD) $(SPHINX) -D plot_gallery=0 -b linkcheck docs docs/_build/linkcheck
+
 # Wheel and source archive, checked: their page, and the wheel in an empty environment.
 dist: $(VENV)/.dev-installed
 	rm -rf build dist $(DIST_VENV)
@@ -81,8 +92,9 @@ dist: $(VENV)/.dev-installed
 	$(ONE_THREAD) $(DIST_VENV)/bin/python -I .ci/check_wheel.py dist/*.whl
 
 clean:
-	rm -rf $(VENV) $(BENCH_VENV) $(OLDEST_VENV) $(BARE_VENV) $(DIST_VENV) $(LEROBOT_VENV)
+	rm -rf $(VENV) $(BENCH_VENV) $(OLDEST_VENV) $(BARE_VENV) $(DIST_VENV) $(LEROBOT_VENV) $(DOCS_VENV)
 	rm -rf .coverage .coverage.* .pytest_cache .mypy_cache .ruff_cache build dist
+	rm -rf docs/_build docs/gallery docs/reference/generated docs/sg_execution_times.rst
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
@@ -111,6 +123,11 @@ $(OLDEST_VENV)/.installed: pyproject.toml .ci/lower_bounds.py
 $(BARE_VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv --clear $(BARE_VENV)
 	$(BARE_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e . pytest pytest-xdist hypothesis httpx
+	@touch $@
+
+$(DOCS_VENV)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(DOCS_VENV)
+	$(DOCS_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e ".[docs]"
 	@touch $@
 
 $(LEROBOT_VENV)/.installed: pyproject.toml

@@ -26,7 +26,7 @@ def oldest(project: dict) -> Iterator[str]:
     for extra, requirements in {"": project["dependencies"], **extras}.items():
         for requirement in requirements:
             name = re.split(r"[\[>]", requirement)[0]
-            if extra != "dev" and name not in LEFT_OUT:
+            if extra not in ("dev", "docs") and name not in LEFT_OUT:
                 yield pin(requirement)
 
 

@@ -1,4 +1,4 @@
-"""What decisions are worth on recorded touches, for docs/decisions.md.
+"""What decisions are worth on recorded touches, for docs/explanation/decisions.md.
 
 Run as `python benchmarks/decisions.py FOLDER OUT.json [SECTION ...] [--draws 20]
 [--first 0]`, with the folder of recorded touches (`bathtip/bathtip50.npz`,

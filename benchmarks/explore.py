@@ -6,7 +6,7 @@
 
 Each part replaces its rows in benchmarks/explore.json. How many touches choosing
 saves is measured by benchmarks/choose_touches.py. Protocols are in
-docs/exploration.md.
+docs/explanation/exploration.md.
 """
 
 import argparse
@@ -213,7 +213,7 @@ def main() -> None:
     asked = parser.parse_args()
     kept = json.loads(asked.out.read_text()) if asked.out.exists() else {}
     if asked.write is not None:
-        fill(asked.write / "exploration.md", kept)
+        fill(asked.write / "explanation" / "exploration.md", kept)
         draw(asked.write / "images")
         return
     folder = os.environ.get("PALPATE_DATA")

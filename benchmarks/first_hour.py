@@ -2,11 +2,12 @@
 
 `python benchmarks/first_hour.py FOLDER OUT.json [--draws 30] [--first 0] [--table]`,
 with the folder of recorded touches (`bathtip/bathtip50.npz`); half an hour on one core,
-and docs/live.md has the table that `--table` prints of OUT.json. Each draw takes three
-of the 50 things. A simulated hand presses recorded touches on a live sensor, and a
-`LiveSession` takes the baseline, teaches, learns and recognises, as behind the page.
-Touches of the first three quarters of each recording are taught. Asked are the twelve
-of its last quarter whose places are farthest from those taught, in their order. Taught:
+and docs/reference/live.md has the table that `--table` prints of OUT.json. Each draw
+takes three of the 50 things. A simulated hand presses recorded touches on a live
+sensor, and a `LiveSession` takes the baseline, teaches, learns and recognises, as
+behind the page. Touches of the first three quarters of each recording are taught. Asked
+are the twelve of its last quarter whose places are farthest from those taught, in their
+order. Taught:
 
 - "in a row": twelve touches after one another of each thing.
 - "in a row, advice followed": the same, but "touch it elsewhere" is obeyed, with a
@@ -209,7 +210,7 @@ def one_draw(touches: Touches, seed: int) -> dict[str, Any]:
 
 
 def table(draws: list[dict[str, Any]]) -> str:
-    """Return what was said as a table of docs/live.md, in per cent of episodes."""
+    """Return what was said as a table of docs/reference/live.md, in per cent."""
     head = (
         "| taught | touches of each | first decision: right | wrong | unknown | none "
     )

@@ -1,8 +1,8 @@
 """Why geometry names simulated presses so well: each guess tried by itself.
 
 Area and perimeter of the cleaned image name 91-95 % of simulated presses, and 63 % of
-the paper's (docs/liu2014.md). Each condition here is one thing that a real array may
-have and the simulated one has not, or has less of; 3-NN, ten runs of twofold
+the paper's (docs/explanation/liu2014.md). Each condition here is one thing that a real
+array may have and the simulated one has not, or has less of; 3-NN, ten runs of twofold
 cross-validation, seed 0. What the simulator does not model is put into its images:
 hysteresis as a share of the press before that stays, or as a strength that depends on
 the branch of the loop; rounded edges as the mean of presses with faces of three sizes.

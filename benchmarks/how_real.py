@@ -4,7 +4,7 @@ Beside them the ceiling of "simulated -> real": the category of real objects by 
 recogniser that learnt one real object of each category.
 
 Needs the real BathTip touches in the folder that PALPATE_DATA names (see
-docs/how-real.md). They are not ours to publish: do not commit the picture.
+docs/explanation/how-real.md). They are not ours to publish: do not commit the picture.
 
     PALPATE_DATA=... python benchmarks/how_real.py --picture side-by-side.png
 """
@@ -24,7 +24,7 @@ from palpate.encodings import ZernikeMoments
 from palpate.evaluation import Plan, evaluate, split_touches
 from palpate.simulation import DomeCamera, simulate_touches
 
-# Settings were scored on recordings of the first group (see docs/how-real.md)...
+# Settings were scored on the first recordings (see docs/explanation/how-real.md)...
 FITTED = ("01_stapler", "03_ball", "05_shoe", "07_mug", "09_bowl")
 # ...and never on these, though their statistics were seen while settings were open.
 HELD_OUT = ("02_bottleempty", "04_softtoy", "06_box", "08_bottlefull", "10_can")

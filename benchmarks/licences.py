@@ -1,4 +1,4 @@
-"""Print the table of licences in docs/licences.md, from what is installed here.
+"""Print the table of docs/reference/licences.md, from what is installed here.
 
 `python benchmarks/licences.py`; a package that is not installed has no row.
 """
@@ -21,7 +21,7 @@ def requirements():
     for extra, lines in {"": project["dependencies"], **extras}.items():
         for line in lines:
             name = re.match(r"[\w.-]+", line)[0]
-            if name != "palpate" and extra not in ("dev", "test"):
+            if name != "palpate" and extra not in ("dev", "docs", "test"):
                 yield name, extra or "always"
 
 

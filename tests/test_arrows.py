@@ -1,4 +1,4 @@
-"""Rooms import downwards only, as docs/architecture.md says."""
+"""Rooms import downwards only, as docs/explanation/architecture.md says."""
 
 import ast
 import re
@@ -13,7 +13,7 @@ EVERYTHING = {"everything above", "everything but `cli`", "everything"}
 
 def table():
     """Read the rooms and what each may import from the architecture page, in order."""
-    page = (ROOT / "docs" / "architecture.md").read_text()
+    page = (ROOT / "docs/explanation/architecture.md").read_text()
     rows = re.findall(r"^\| `(\w+)/` \|.*\| ([^|]+) \|$", page, re.MULTILINE)
     allowed: dict[str, set[str]] = {}
     for room, cell in rows:

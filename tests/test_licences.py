@@ -4,7 +4,7 @@ from pathlib import Path
 
 import licences
 
-PAGE = (Path(__file__).parents[1] / "docs/licences.md").read_text()
+PAGE = (Path(__file__).parents[1] / "docs/reference/licences.md").read_text()
 
 
 def test_the_page_says_what_the_packages_say():

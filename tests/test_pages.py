@@ -10,9 +10,9 @@ import pytest
 import pictures
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 KNOWN = json.loads(pictures.MADE.read_text("utf-8"))
-SHOWN = re.compile(r"!\[[^\]]+\]\((?:docs/)?images/([\w.-]+)\)")
+SHOWN = re.compile(r"!\[[^\]]+\]\((?:docs/|\.\./)?images/([\w.-]+)\)")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -23,9 +23,7 @@ def test_every_picture_stands_beside_its_command(page):
         assert command in text
         script = ROOT / command.split()[1]
         assert script.is_file()
-    assert text.count("](images/") + text.count("](docs/images/") == len(
-        SHOWN.findall(text)
-    )
+    assert len(re.findall(r"\]\([./a-z]*images/", text)) == len(SHOWN.findall(text))
 
 
 def test_every_picture_is_shown_and_none_is_older_than_what_it_shows():

@@ -102,6 +102,7 @@ def signature_of(thing):
 
 
 def test_the_page_of_public_names_is_made_from_the_code():
-    page = SOURCE.parent / "docs" / "reference.md"
-    code = runpy.run_path(str(page.with_suffix(".py")))
+    docs = SOURCE.parent / "docs"
+    page = docs / "reference" / "names.md"
+    code = runpy.run_path(str(docs / "reference.py"))
     assert page.read_text() == code["reference"](), "run: python docs/reference.py"

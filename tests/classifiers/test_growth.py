@@ -1,4 +1,4 @@
-"""How learning grows with touches and labels: figures of docs/recognition.md."""
+"""How learning grows with touches and labels: see docs/explanation/recognition.md."""
 
 import tracemalloc
 

@@ -152,7 +152,7 @@ def test_every_command_has_help_and_stands_in_the_docs(palpate, words):
     asked = palpate(*words, "--help")
     assert asked.returncode == 0
     assert palpate(*words, "-h").stdout == asked.stdout
-    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
     wanted = re.compile(rf"palpate {' '.join(words)}\b")
     assert any(wanted.search(page.read_text(encoding="utf-8")) for page in pages)
 

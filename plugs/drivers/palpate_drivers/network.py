@@ -1,7 +1,7 @@
 """Pressure arrays that send their frames over a network, as on a serial line.
 
-Lines of numbers or binary frames (docs/live.md has both) come in datagrams, or in a
-stream to which palpate connects: `udp:0.0.0.0:9000?shape=16x16`,
+Lines of numbers or binary frames (docs/reference/live.md has both) come in datagrams,
+or in a stream to which palpate connects: `udp:0.0.0.0:9000?shape=16x16`,
 `tcp:192.168.1.7:9000?shape=16x16&framing=binary`. Anybody in the network can send
 datagrams: listen on an address of a network that you trust.
 """

@@ -13,7 +13,8 @@ class PalpateCameraConfig(CameraConfig):  # type: ignore[misc]
     Attributes
     ----------
     sensor : str
-        Such as `serial:/dev/ttyUSB0?shape=16x16` or `sim:mug`; docs/live.md of palpate.
+        Such as `serial:/dev/ttyUSB0?shape=16x16` or `sim:mug`; see palpate's
+        docs/reference/live.md.
     low, high : float
         Of sensors whose frames are no 8-bit pictures, in their unit.
     """

@@ -76,7 +76,7 @@ def benchmark(
     archives : path, iterable of paths, or mapping of str to Touches
         Touch archives (`.npz`), folders that hold some at any depth, or named touches.
     recognisers, protocols : sequence of str
-        What is compared, and how; see docs/benchmark.md.
+        What is compared, and how; see docs/explanation/benchmark.md.
     label : {"object", "category"}
         What is recognised; protocol "categories" always recognises categories.
     touches : sequence of int

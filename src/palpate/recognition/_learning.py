@@ -31,7 +31,7 @@ N_FOLDS = 3
 LEAST_SHARE = 0.05
 MOST_KEPT = 5
 # Memory of learning: bytes for each touch and object, and for each pair of touches up
-# to `KernelRidgeClassifier.max_touches`, as measured (docs/recognition.md).
+# to `KernelRidgeClassifier.max_touches`, as measured (docs/explanation/recognition.md).
 _EACH_BYTES, _PAIR_BYTES, _PAIRED = 200, 10, 10_000
 
 

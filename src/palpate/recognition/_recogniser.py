@@ -295,7 +295,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
            is taken off, and how they differ is weighed down, as far as that helps with
            sessions left out whole.
         3. The new session's features are moved to where the training touches of the
-           same objects lie, less what chance would move (docs/sessions.md).
+           same objects lie, less what chance would move (docs/explanation/sessions.md).
         """
         self._check_fitted()
         self.__dict__.update(remounted(self, touches).__dict__)

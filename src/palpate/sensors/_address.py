@@ -112,8 +112,9 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
     ----------
     address : str
         `camera:NAME`, `serial:PORT`, `replay:PATH` or `sim:OBJECT`, and after a `?`
-        options, as in `camera:USB Camera?shape=480x640&rate=30`; docs/live.md lists
-        them, and so does the refusal of one that is unknown.
+        options, as in `camera:USB Camera?shape=480x640&rate=30`;
+        docs/reference/live.md lists them, and so does the refusal of one that is
+        unknown.
     **options
         The same as Python values or as text, named as the sensor names them:
         `image_shape`, `rate_hz`, `no_contact`...; what else the sensor takes; see

@@ -8,7 +8,7 @@ between them (as in NMEA 0183)::
 
     $0,0,12,255*1E
 
-**Bytes**, about a quarter as long and numbered: docs/live.md has the layout.
+**Bytes**, about a quarter as long and numbered: docs/reference/live.md has the layout.
 
 Whatever is no frame is skipped: after garbage, or a frame that was cut or changed on
 the way, the next whole frame is read.

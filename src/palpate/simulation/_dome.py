@@ -186,9 +186,9 @@ class DomeCamera(DomeSensor):
     Linear elasticity of a shallow shell: no snap-through, no friction, no side
     walls, rigid and fixed objects, and beyond 0.8 of the radius the equation no
     longer holds. No shadows. The stiffness and the light are fitted to some real
-    pictures (docs/how-real.md); forces were not recorded with those, so stiffness
-    is only known if 75 gf is true of them. The published sensor has a sleeve of
-    19 mm radius, so the papers' "radius 40 mm" is read as a diameter.
+    pictures (docs/explanation/how-real.md); forces were not recorded with those, so
+    stiffness is only known if 75 gf is true of them. The published sensor has a sleeve
+    of 19 mm radius, so the papers' "radius 40 mm" is read as a diameter.
 
     References
     ----------
@@ -304,11 +304,11 @@ class DomeCamera(DomeSensor):
         """Return this sensor as it is after another mounting: camera, light, rubber.
 
         Exposure and place of the picture drift as between recordings of a BathTip,
-        whose spread the others are too (docs/how-real.md; standard deviations): the
-        light 10 % more or less glossy and 7 % brighter at one side of the rim than in
-        the middle, the picture 0.3 % larger or smaller, the lens 0.3 mm off the axis,
-        were half of how the rim wanders the camera's place and half its tilt. That the
-        rubber is 10 % stiffer or softer is a guess.
+        whose spread the others are too (docs/explanation/how-real.md; standard
+        deviations): the light 10 % more or less glossy and 7 % brighter at one side of
+        the rim than in the middle, the picture 0.3 % larger or smaller, the lens 0.3 mm
+        off the axis, were half of how the rim wanders the camera's place and half its
+        tilt. That the rubber is 10 % stiffer or softer is a guess.
         """
         drifted = self.drifted(rng)
         softer, gloss, size = np.exp(rng.normal(0, (0.1, 0.1, 0.003))).tolist()

@@ -206,7 +206,7 @@ def simulate_presses(
         Mountings that the presses of each part are split into. In each the array's
         gain (4 %), its taxels' (14 %) and its zero (1 level) are drawn anew, as a mat's
         on two mattresses; 1 % of a press is left in the next, as on a 10 x 10 array
-        (standard deviations; docs/how-real.md).
+        (standard deviations; docs/explanation/how-real.md).
     array : PressureArray, optional
         The device; by default that of Liu et al. One device keeps its gains.
     load_kgf : float or (float, float), default=4

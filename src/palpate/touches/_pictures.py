@@ -5,7 +5,7 @@ tests a PNG's checksums; OpenCV decodes, but fills what is missing with grey and
 on standard error alone. So a JPEG, which has no checksum, must also end after its
 scans: one that is cut short is always refused, but flipped bits within its coefficients
 give a wrong picture that nothing can tell. (Decoding with Pillow too would double the
-time, and finds as few of them; docs/architecture.md has figures.)
+time, and finds as few of them; docs/explanation/architecture.md has figures.)
 
 Pictures are taken as stored: Exif orientation is never applied, for it would turn
 some touches of a set and not others. Colour becomes its luma (ITU-R BT.601) unless

@@ -1,0 +1,135 @@
+"""How Sphinx builds the site: `make docs`, offline, warnings are errors."""
+
+import os
+import re
+import runpy
+import sys
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE)]
+
+import palpate  # noqa: E402
+
+project = "palpate"
+copyright = "The palpate developers, BSD-3-Clause"
+version = release = palpate.__version__
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "numpydoc",
+    "myst_parser",
+    "sphinx_gallery.gen_gallery",
+]
+root_doc = "index"
+exclude_patterns = ["_build", "gallery/*.md5", "gallery/*.py", "gallery/*.ipynb"]
+templates_path = ["_templates"]
+highlight_language = "text"
+default_role = "code"
+smartquotes = False
+nitpicky = False
+
+# Pages are Markdown that also reads well where the repository is shown.
+myst_heading_anchors = 4
+myst_enable_extensions = ["colon_fence", "deflist"]
+
+autosummary_generate = True
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # numpydoc says the types in words
+numpydoc_show_class_members = False
+numpydoc_xref_param_type = False
+
+html_theme = "pydata_sphinx_theme"
+html_title = "palpate"
+html_static_path = ["_static"]
+html_css_files = ["palpate.css"]
+html_show_sourcelink = False
+html_copy_source = False
+html_theme_options = {
+    "logo": {"text": "palpate"},
+    "navbar_align": "left",
+    "header_links_before_dropdown": 6,
+    "navbar_end": ["theme-switcher"],
+    "icon_links": [],
+    "show_prev_next": True,
+    "secondary_sidebar_items": {"**": ["page-toc"], "index": []},
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "pygments_light_style": "a11y-high-contrast-light",
+    "pygments_dark_style": "a11y-high-contrast-dark",
+    "show_toc_level": 1,
+}
+html_sidebars = {"index": [], "versions": []}
+
+# `make linkcheck`: our own repository is not public yet; the rest is asked.
+linkcheck_ignore = [
+    r"https://github\.com/palpate/palpate",
+    r"https?://(127\.|localhost)",
+]
+linkcheck_timeout = 20
+linkcheck_anchors = False
+
+
+# Examples that need recorded touches are shown, and run where PALPATE_DATA names them.
+RECORDED = [
+    path.name
+    for path in sorted((HERE.parent / "examples").glob("plot_*.py"))
+    if "PALPATE_DATA" in path.read_text("utf-8")
+]
+UNRUN = [] if os.environ.get("PALPATE_DATA") else RECORDED
+sphinx_gallery_conf = {
+    "examples_dirs": "../examples",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"plot_(?!" + "|".join(n[5:-3] + r"\.py" for n in UNRUN) + r")"
+    if UNRUN
+    else r"plot_",
+    "reset_modules": ("look.one_look",),
+    "doc_module": ("palpate",),
+    "backreferences_dir": "gallery/backreferences",
+    "inspect_global_variables": True,
+    "abort_on_example_error": False,
+    "only_warn_on_example_error": True,
+    "remove_config_comments": True,
+    "show_memory": False,
+    "show_signature": False,
+    "download_all_examples": False,
+    "plot_gallery": "True",
+    "min_reported_time": 0,
+    "within_subsection_order": "FileNameSortKey",
+    "default_thumb_file": str(HERE / "_static" / "recorded.png"),
+}
+
+
+# What docstrings mean as it stands and reStructuredText would take for markup.
+MARKUP = [
+    (re.compile(r"(?<![\\`])\|"), r"\|"),
+    (re.compile(r"(?<=[\w)\] ])(?<!\*)\*(?=[\w( ])(?!\*)"), r"\*"),
+    (re.compile(r"(?<![\w`.:])(\w+)_(?=[\s,.;:)]|$)"), r"\1\_"),
+]
+ROLE = re.compile(r":(?:ref|term|class|func|meth|doc):`([^`<]+?)\s*(?:<[^>]*>)?`")
+NAMES = re.compile(r"\s*[\w*, ]+ : ")
+
+
+def plain(
+    app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]
+) -> None:
+    """Escape what docstrings say in plain words; code in them stays as it is."""
+    for number, line in enumerate(lines):
+        if line.lstrip().startswith((">>>", "...", ".. ")) or "``" in line:
+            continue
+        named = NAMES.match(line)
+        start = named.end() if named else 0
+        words = ROLE.sub(r"\1", line[start:]).split("`")
+        for odd, part in enumerate(words):
+            for found, escaped in MARKUP if odd % 2 == 0 else ():
+                part = found.sub(escaped, part)
+            words[odd] = part
+        lines[number] = line[:start] + "`".join(words)
+
+
+def setup(app: Any) -> None:
+    """Write the pages that are made from the code before they are read."""
+    app.connect("autodoc-process-docstring", plain, priority=400)
+    pages = runpy.run_path(str(HERE / "reference.py"))
+    pages["write_generated"](HERE / "reference" / "generated")

@@ -1,0 +1,32 @@
+"""
+A thing that was never taught
+=============================
+
+The unknown score falls while a known thing is touched. For a thing that was never
+taught it stays up: the encodings do not agree on a name.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from palpate import ObjectRecogniser, simulate_presses
+
+strangers = ["bar35", "disc13"]
+touches = simulate_presses(None, 16, random_state=0)
+recogniser = ObjectRecogniser().fit(touches[~np.isin(touches.object, strangers)])
+
+figure, axes = plt.subplots()
+asked = simulate_presses(None, 8, random_state=1)
+for name, _, rows in asked.episodes():
+    belief = recogniser.start()
+    scores = [belief.update(touch).unknown for touch in asked[rows]]
+    never = name in strangers
+    axes.plot(
+        range(1, 9), scores, color="C1" if never else "C0", alpha=1 if never else 0.4
+    )
+    print(f"{name:16} {belief.decide(error=0.05)}")
+axes.plot([], [], "C1", label="never taught")
+axes.plot([], [], "C0", label="known")
+axes.set(xlabel="touches", ylabel="unknown score", ylim=(0, 1))
+axes.set_title("Twelve parts on a pressure array, two of them never taught")
+axes.legend()

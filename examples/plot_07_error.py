@@ -1,0 +1,44 @@
+"""
+Choose an error rate
+====================
+
+`belief.decide(error=...)` names a thing when the accepted share of wrong names is met.
+A smaller error costs more touches, and some episodes stay undecided.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from palpate import ObjectRecogniser, simulate_presses
+
+recogniser = ObjectRecogniser().fit(
+    simulate_presses(None, 12, load_kgf=(2, 5), random_state=1)
+)
+asked = simulate_presses(None, 10, load_kgf=(2, 5), random_state=2)
+errors = [0.2, 0.1, 0.05, 0.02, 0.01]
+outcome = np.zeros((len(errors), 3))  # right, wrong or refused, undecided
+used = np.zeros(len(errors))
+for name, _, rows in asked.episodes():
+    belief = recogniser.start()
+    said = [None] * len(errors)
+    for touch in asked[rows]:
+        used += [one is None for one in said]
+        belief.update(touch)
+        said = [
+            one or belief.decide(error=e) for one, e in zip(said, errors, strict=True)
+        ]
+    for row, one in enumerate(said):
+        outcome[row, 2 if one is None else int(one != name)] += 1
+shares = 100 * outcome / outcome.sum(axis=1, keepdims=True)
+
+figure, axes = plt.subplots()
+left = np.zeros(len(errors))
+for share, what in zip(
+    shares.T, ["right", "wrong or refused", "undecided"], strict=True
+):
+    axes.bar([f"{100 * e:g} %" for e in errors], share, bottom=left, label=what)
+    left += share
+for place, mean in enumerate(used / outcome.sum(axis=1)):
+    axes.text(place, 4, f"{mean:.1f} touches", ha="center", color="white", size=9)
+axes.set(xlabel="accepted error", ylabel="episodes, %")
+axes.legend(loc="lower right", frameon=True)

@@ -1,0 +1,40 @@
+"""
+Which part, where, and how is it turned?
+========================================
+
+For a gripper a name is not enough. `PressPose` learns a template of each part and gives
+place and angle of a press, with standard deviations.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from palpate import simulate_presses
+from palpate.images import PressPose
+
+taught = simulate_presses(["bar35", "hexagon13-hole8", "square13"], 20, random_state=0)
+pose = PressPose(pitch_mm=2.0).fit(taught.images, taught.object)
+asked = simulate_presses(["bar35", "hexagon13-hole8", "square13"], 2, random_state=1)
+found = pose.estimate(asked.images, asked.object)
+
+figure, axes = plt.subplots(1, len(asked), figsize=(7.2, 1.9))
+for number, axis in enumerate(axes):
+    axis.imshow(asked.images[number], extent=(-10, 10, 10, -10))
+    x, y, angle = (
+        found.x_mm[number],
+        found.y_mm[number],
+        np.deg2rad(found.angle_deg[number]),
+    )
+    along = 6 * np.array([np.cos(angle), -np.sin(angle)])
+    axis.plot(
+        [x - along[0], x + along[0]], [y - along[1], y + along[1]], color="C1", lw=2
+    )
+    axis.plot(x, y, "o", color="C1")
+    axis.set(xticks=[], yticks=[])
+    axis.set_title(
+        f"{found.angle_deg[number]:.0f} ± {found.sd_deg[number]:.0f} deg", size=8
+    )
+    print(
+        asked.object[number],
+        f"{x:.1f} mm, {y:.1f} mm, {found.angle_deg[number]:.0f} deg",
+    )

@@ -1,0 +1,123 @@
+"""Every command and every Python block of the pages is run, or marked why it is not.
+
+A page is run from top to bottom in a folder of its own. Blocks of ```sh are commands,
+blocks of ```python share their names. `<!-- not run: REASON -->` before a block leaves
+it out; so does a page whose first lines say `<!-- blocks not run: REASON -->`.
+"""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = [
+    ROOT / "README.md",
+    *(
+        path
+        for path in sorted((ROOT / "docs").rglob("*.md"))
+        if not {"_build", "gallery", "generated"} & {*path.parts}
+    ),
+]
+FENCE = re.compile(
+    r"(?P<before>[^\n]*)\n(?P<mark>`{3,})(?P<kind>[^\n]*)\n(?P<body>.*?)^(?P=mark) *$",
+    re.DOTALL | re.MULTILINE,
+)
+NOT_RUN = re.compile(r"<!-- not run: \w.{7,} -->")
+# Shown, not run: no commands and no Python.
+SHOWN = {"text", "toml", "json", "c", "{minigallery}"}
+
+
+def blocks(page):
+    """Return (line, kind, body, reason) of every fenced block of a page."""
+    text = "\n" + page.read_text("utf-8")
+    found = []
+    for block in FENCE.finditer(text):
+        reason = block["before"].strip() if NOT_RUN.search(block["before"]) else None
+        line = text.count("\n", 0, block.start("mark"))
+        found.append((line, block["kind"].strip(), block["body"], reason))
+    return found
+
+
+def is_slow(page):
+    """Return whether a page says that its blocks take more than some seconds."""
+    return "<!-- slow -->" in page.read_text("utf-8")[:200]
+
+
+def test_every_block_says_what_it_is():
+    """A block without a word for its language would never be run."""
+    unsaid = [
+        f"{page.relative_to(ROOT)}:{line}: {kind or 'no language'}"
+        for page in PAGES
+        for line, kind, _, _ in blocks(page)
+        if kind not in {"sh", "python", *SHOWN}
+    ]
+    assert unsaid == []
+
+
+def test_commands_are_not_hidden_as_text():
+    hidden = [
+        f"{page.relative_to(ROOT)}:{line}"
+        for page in PAGES
+        for line, kind, body, _ in blocks(page)
+        if kind == "text" and re.match(r"(palpate|pip|make|python) ", body)
+    ]
+    assert hidden == []
+
+
+def run_pages():
+    """Return a parameter for every page with something to run."""
+    return [
+        pytest.param(
+            page,
+            id=str(page.relative_to(ROOT)),
+            marks=[pytest.mark.slow] if is_slow(page) else [],
+        )
+        for page in PAGES
+        if any(
+            kind in {"sh", "python"} and reason is None
+            for _, kind, _, reason in blocks(page)
+        )
+    ]
+
+
+@pytest.mark.parametrize("page", run_pages())
+def test_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    monkeypatch.setenv("PATH", f"{_commands(tmp_path)}{os.pathsep}{os.environ['PATH']}")
+    names = {"__name__": "__main__"}
+    begun = time.monotonic()
+    for line, kind, body, reason in blocks(page):
+        if reason is not None or kind not in {"sh", "python"}:
+            continue
+        if kind == "python":
+            exec(compile(body, f"{page}:{line}", "exec"), names)
+        else:
+            done = subprocess.run(
+                ["bash", "-euo", "pipefail", "-c", body],
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            said = f"{page}:{line}\n{done.stdout}\n{done.stderr}"
+            assert done.returncode == 0, said
+            print(done.stdout)
+    print(f"{page.name}: {time.monotonic() - begun:.0f} s")
+
+
+def _commands(folder):
+    """Return a folder with a `palpate` and a `python` that are those of this test."""
+    place = folder / ".commands"
+    place.mkdir()
+    python = shlex.quote(sys.executable)
+    for name, words in {"palpate": "-m palpate", "python": ""}.items():
+        path = place / name
+        path.write_text(f'#!/bin/sh\nexec {python} {words} "$@"\n')
+        path.chmod(0o755)
+    return place
