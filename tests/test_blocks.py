@@ -30,7 +30,7 @@ FENCE = re.compile(
 )
 NOT_RUN = re.compile(r"<!-- not run: \w.{7,} -->")
 # Shown, not run: no commands and no Python.
-SHOWN = {"text", "toml", "json", "c", "{minigallery}"}
+SHOWN = {"text", "toml", "json", "c", "{eval-rst}"}
 
 
 def blocks(page):

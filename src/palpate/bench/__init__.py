@@ -43,6 +43,11 @@ def run_bench(name: str, **options: Any) -> list[dict[str, Any]]:
         Each row has `name`, `ours_ms`, `peer`, `peer_ms` and `ratio` = peer_ms /
         ours_ms, in milliseconds of CPU time unless the name says otherwise; `ratio`
         is None, with a `reason`, where the peer is absent.
+
+    Raises
+    ------
+    ValueError
+        There is no such benchmark; the message lists them.
     """
     check_option("name", name, BENCHES)
     module = import_module(f"{__name__}.{BENCHES[name][0]}")

@@ -36,6 +36,8 @@ def calibration_error(confidence: ArrayLike, hit: ArrayLike, n_bins: int = 10) -
 
     The mean distance between belief and share of hits, weighted by bin size;
     0 is perfect. With few episodes even a perfect recogniser scores above 0.
+    `confidence` (n_episodes,) are beliefs in the best object, `hit` whether it was
+    right; `n_bins` bins hold as many episodes each.
 
     Examples
     --------
@@ -51,6 +53,7 @@ def roc_area(known: ArrayLike, unknown: ArrayLike) -> float:
     """Return the area under the ROC curve of a score that is higher for unknown.
 
     The chance that an unknown episode scores higher than a known one, ties half.
+    `known` (n_known,) and `unknown` (n_unknown,) are the scores of both kinds.
 
     Examples
     --------
@@ -92,6 +95,11 @@ def davies_bouldin(X: ArrayLike, labels: ArrayLike, q: float = 2.0) -> float:
     index : float
         Mean over clusters of the largest (radius + other radius) / distance of the
         centroids. Infinite where two clusters share a centroid.
+
+    Raises
+    ------
+    ValueError
+        Fewer than two different labels, or `q` below 1.
 
     References
     ----------

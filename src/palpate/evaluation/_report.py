@@ -83,6 +83,11 @@ def write_report(
         From `evaluate`.
     trials : sequence of Trial
         From `evaluate`.
+
+    Raises
+    ------
+    ValueError
+        `path` does not end in `.html`, or its folder is not there.
     """
     target = check_report_path(path)
     sections = [

@@ -258,7 +258,7 @@ class EpisodeLog:
 
 
 def read_episode(folder: str | Path) -> list[TouchRecord]:
-    """Return all recorded attempts of an episode, in order.
+    """Return all recorded attempts of the episode in `folder`, in order.
 
     Raises
     ------

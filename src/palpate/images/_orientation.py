@@ -202,6 +202,11 @@ def repose(
     -------
     reposed : ndarray of shape (n_touches, *shape)
 
+    Raises
+    ------
+    ValueError
+        Images hold NaN, or an array has another length than the images.
+
     References
     ----------
     .. [1] R. G. Keys, "Cubic convolution interpolation for digital image

@@ -77,9 +77,11 @@ class ObjectRow(NamedTuple):
 class TouchRow(NamedTuple):
     """One touch of a library without its image.
 
-    `time_s` is the touch's own time, `added_s` when it was added (both seconds; the
-    latter since 1970), `force_n` in newtons; `n_channels` is None where images have no
-    axis of channels; `reason` says why it is retracted.
+    `id` follows from the image and the labels; `object`, `category`, `session`,
+    `episode`, `sensor` and `order` are what the touch came with, `n_rows` x `n_cols`
+    of `dtype` its image. `time_s` is the touch's own time, `added_s` when it was added
+    (both seconds; the latter since 1970), `force_n` in newtons; `n_channels` is None
+    where images have no axis of channels; `reason` says why it is `retracted`.
     """
 
     id: str

@@ -38,7 +38,8 @@ class CheckReport(NamedTuple):
     """What a check found; `ok` when nothing is wrong with any acknowledged touch.
 
     `n_set_aside` touches, which an earlier repair found no image of, are not among
-    the `n_touches`.
+    the `n_touches` in `n_files` image files; `problems` say what is damaged, and which
+    touches it concerns.
     """
 
     ok: bool

@@ -297,7 +297,7 @@ def _still(touches: Touches) -> Array:
 def find_geometry(touches: Touches) -> str:
     """Return "dome", "array", "plane" or "none" for a set of touches.
 
-    What the touches say of themselves holds; else a side below 8 taxels means
+    What `touches` say of themselves holds; else a side below 8 taxels means
     that places mean nothing ("none"), a rim that most of 50 touches spread over the
     set have in common a "dome", a side of at most 48 taxels an "array", and anything
     else a "plane".

@@ -66,7 +66,10 @@ class MountingCheck:
 
 
 def adapt(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecogniser:
-    """Return a copy that was remounted; see `ObjectRecogniser.remount`."""
+    """Return a copy of `recogniser` that was remounted with `touches`.
+
+    What is done, and what is refused: `ObjectRecogniser.remount`.
+    """
     return deepcopy(recogniser).remount(touches)
 
 

@@ -26,7 +26,7 @@ from ._placed import Mesh, SimObject, trimesh, turned
 
 
 def find_object(name: str) -> SimObject:
-    """Return the built-in object of this name.
+    """Return the built-in object called `name`, such as "mug".
 
     Raises
     ------

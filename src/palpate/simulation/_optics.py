@@ -29,7 +29,12 @@ _RIM_SHARE = 0.975
 
 @dataclass(frozen=True)
 class Lighting:
-    """How the membrane is lit and how it answers."""
+    """How the membrane is lit and how it answers.
+
+    `n_leds` stand evenly on a ring of `ring_radius_mm` about the lens; `diffuse`,
+    `specular` and `ambient` are weights without unit of the Lambert part, of the
+    highlight with the exponent `shininess`, and of light from all sides.
+    """
 
     n_leds: int = 8  # evenly spaced on a ring about the lens
     ring_radius_mm: float = 9.0

@@ -130,7 +130,7 @@ class Part:
 
 
 def find_parts(parts: Iterable[Part | str | int] | Part | str | int) -> list[Part]:
-    """Return parts for parts, names or numbers of `PARTS`, singly or listed.
+    """Return `parts`, which are parts, names or numbers of `PARTS`, singly or listed.
 
     Raises
     ------

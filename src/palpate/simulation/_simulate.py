@@ -241,6 +241,11 @@ def simulate_presses(
         `symmetry` (turns that look the same, 0 for all), `force_n`, `tilt_deg`
         (along x, y). For the set: `set_pitch_mm`.
 
+    Raises
+    ------
+    TypeError, ValueError
+        No such part, no `PressureArray`, or a number out of its range.
+
     Examples
     --------
     >>> from palpate.simulation import simulate_presses

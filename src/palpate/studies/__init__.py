@@ -20,7 +20,7 @@ STUDIES: dict[str, Study] = {
 
 
 def run_study(name: str, **options: Any) -> dict[str, Any]:
-    """Run the study called `name`, one of `STUDIES`; options as `Study.run` has them.
+    """Run the study called `name`, one of `STUDIES`; `options` as `Study.run` has them.
 
     Raises
     ------

@@ -46,7 +46,10 @@ class GaussianKernel:
 
 @dataclass(frozen=True)
 class PolynomialKernel:
-    """(offset + x'y)^degree, with an offset of at least 0."""
+    """(offset + x'y)^degree.
+
+    `degree` is at least 1; `offset`, at least 0, has the features' unit squared.
+    """
 
     degree: int = 2
     offset: float = 1.0

@@ -1,0 +1,210 @@
+"""The site: a page for all that is public, examples that run, colours that differ."""
+
+import ast
+import inspect
+import os
+import re
+import runpy
+import shutil
+import subprocess
+import sys
+import textwrap
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from structure import public_names
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+EXAMPLES = sorted((ROOT / "examples").glob("plot_*.py"))
+# The command line has a page of another kind.
+ROOMS = {k: v for k, v in public_names(ROOT / "src" / "palpate").items() if k != "cli"}
+SAYS_ERRORS = re.compile(r"Raise|refus|Error")
+# Made for the caller, never by it: the docstring says by what.
+MADE_BY = re.compile(r"Made by `\w+")
+
+
+@pytest.fixture(scope="module")
+def pages():
+    return runpy.run_path(str(DOCS / "reference.py"))
+
+
+def test_every_public_name_gets_a_page(pages):
+    listed = (DOCS / "reference" / "index.md").read_text("utf-8")
+    for room, names in ROOMS.items():
+        assert f"generated/{room}\n" in listed
+        page = pages["room_page"](room)
+        assert [n for n in names if f"palpate.{room}.{n}\n" not in page] == []
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_docstrings_name_every_parameter_and_the_errors(room):
+    """In a section of parameters or attributes, or in words between backticks."""
+    module = import_module(f"palpate.{room}")
+    silent = []
+    for name in module.__all__:
+        thing = getattr(module, name)
+        said = inspect.getdoc(thing) or ""
+        if not (inspect.isclass(thing) or inspect.isfunction(thing)):
+            continue
+        if not (MADE_BY.search(said) or getattr(thing, "_is_protocol", False)):
+            silent += [f"{name}: {one}" for one in _unnamed(thing, said)]
+        if (
+            inspect.isfunction(thing)
+            and _raises(thing)
+            and not SAYS_ERRORS.search(said)
+        ):
+            silent.append(f"{name}: errors")
+    assert silent == []
+
+
+def _unnamed(thing, said):
+    """Return parameters of which a docstring does not speak."""
+    try:
+        taken = list(inspect.signature(thing).parameters)
+    except ValueError:  # an error, built in
+        return []
+    return [
+        one
+        for one in taken
+        if one not in ("X", "y")
+        and not re.search(rf"^\**{one}\b[\w*, ]*(:|$)|^[\w*, ]+, {one}\b", said, re.M)
+        and not re.search(rf"[`*]{one}\b", said)
+    ]
+
+
+def _raises(function):
+    """Return whether a function raises or checks in its own words."""
+    tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
+    return any(
+        isinstance(node, ast.Raise)
+        or (isinstance(node, ast.Call) and getattr(node.func, "id", "")[:6] == "check_")
+        for node in ast.walk(tree)
+    )
+
+
+def test_every_command_and_address_stands_on_its_page(pages):
+    pytest.importorskip("fastapi", reason='pip install "palpate[web]"')
+    commands = pages["command_page"]()
+    for words in ("learn", "library add", "explore recognise", "sensor check"):
+        assert f"## palpate {words}\n" in commands
+    assert "`--pitch-mm float`" in commands
+    addresses = pages["http_page"]()
+    assert "## GET /api/state\n" in addresses
+    assert "\n| `" in addresses  # some take parameters
+
+
+def test_the_gallery_is_large_enough_and_each_program_short():
+    assert len(EXAMPLES) >= 20
+    for path in EXAMPLES:
+        text = path.read_text("utf-8")
+        assert len(text.splitlines()) <= 70, path.name
+        title, line = text.splitlines()[1:3]
+        assert len(title) == len(line), path.name
+        assert ("os.environ" in text) == ("needs recorded touches" in text), path.name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_example_runs(path, tmp_path):
+    pytest.importorskip("matplotlib", reason='pip install "palpate[plot]"')
+    if "PALPATE_DATA" in path.read_text("utf-8") and not os.environ.get("PALPATE_DATA"):
+        pytest.skip("needs recorded touches: PALPATE_DATA")
+    done = subprocess.run(
+        [sys.executable, str(path)],
+        cwd=tmp_path,
+        env={**os.environ, "MPLBACKEND": "agg"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+# Machado, Oliveira and Fernandes 2009 (doi:10.1109/TVCG.2009.113), severity 1.
+SEEN_BY = {
+    "everybody": np.eye(3),
+    "no long cones": [
+        [0.152286, 1.052583, -0.204868],
+        [0.114503, 0.786281, 0.099216],
+        [-0.003882, -0.048116, 1.051998],
+    ],
+    "no middle cones": [
+        [0.367322, 0.860646, -0.227968],
+        [0.280085, 0.672501, 0.047413],
+        [-0.011820, 0.042940, 0.968881],
+    ],
+    "no short cones": [
+        [1.255528, -0.076749, -0.178779],
+        [-0.078411, 0.930809, 0.147602],
+        [0.004733, 0.691367, 0.303900],
+    ],
+}
+
+
+@pytest.mark.parametrize("eyes", SEEN_BY)
+def test_the_colours_of_pictures_differ_for_the_colour_blind(eyes):
+    style = (DOCS / "palpate.mplstyle").read_text("utf-8")
+    (cycle,) = re.findall(r"axes.prop_cycle: .*\[(.*)\]", style)
+    codes = [*re.findall(r"[0-9a-f]{6}", cycle), "fbfaf7"]
+    srgb = np.array([[int(c[i : i + 2], 16) / 255 for i in (0, 2, 4)] for c in codes])
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    lab = _lab((linear @ np.transpose(SEEN_BY[eyes])).clip(0, 1))
+    away = np.linalg.norm(lab[:, None] - lab[None], axis=2)
+    # A difference of 2.3 is just seen side by side; ten is told on thin lines.
+    assert away[np.triu_indices(len(codes), 1)].min() > 10
+
+
+def _lab(linear):
+    """Return CIE L*a*b* (D65) of linear sRGB, (n, 3)."""
+    xyz = linear @ np.transpose(
+        [
+            [0.4124, 0.3576, 0.1805],
+            [0.2126, 0.7152, 0.0722],
+            [0.0193, 0.1192, 0.9505],
+        ]
+    )
+    f = np.cbrt(xyz / [0.9505, 1.0, 1.089])  # white; no colour here is near black
+    return np.stack(
+        [116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])], 1
+    )
+
+
+@pytest.mark.slow
+def test_the_site_is_built_and_asks_nobody_outside(tmp_path):
+    """Without the programs of the gallery, which have tests of their own."""
+    for module in ("numpydoc", "myst_parser", "sphinx_gallery", "pydata_sphinx_theme"):
+        pytest.importorskip(module, reason='pip install "palpate[docs]"')
+    left = shutil.ignore_patterns("_build", "gallery", "generated")
+    shutil.copytree(DOCS, tmp_path / "docs", ignore=left)
+    shutil.copytree(ROOT / "examples", tmp_path / "examples")
+    built = tmp_path / "html"
+    done = subprocess.run(
+        [
+            *f"{sys.executable} -m sphinx -q -W --keep-going".split(),
+            "-D",
+            "plot_gallery=0",
+            str(tmp_path / "docs"),
+            str(built),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    names = built / "reference" / "generated" / "names"
+    for room, public in ROOMS.items():
+        for name in public:
+            assert (names / f"palpate.{room}.{name}.html").is_file()
+    loads = re.compile(
+        r'<(?:script|img|link rel="stylesheet)[^>]+(?:src|href)="(http[^"]+)'
+    )
+    asked = {
+        found
+        for page in built.rglob("*.html")
+        for found in loads.findall(page.read_text("utf-8"))
+    }
+    assert asked == set()
