@@ -2,7 +2,7 @@
 Liu 2014, Figs 5 and 6: load and cover
 ======================================
 
-The paper presses one part with 1 to 5 kgf (Fig. 5) and through covers of different
+The paper presses a bar with 1 to 5 kgf (Fig. 5) and through covers of different
 thickness (Fig. 6), and shows the touch images. Ours, of a simulated array: a light load
 breaks the image up, a thick cover blurs it. The paper saw distorted images at its
 greatest load; the simulated metal does not slip or bend, so ours stay whole. The scores
@@ -16,7 +16,7 @@ from palpate.images import ArrayCleanUp
 from palpate.simulation import PressureArray
 
 loads, covers = [1, 2, 3, 4, 5], [0.3, 0.6, 0.9, 1.5, 3.0]
-part = "square13-hole8"
+part = "bar10"
 rows = {
     "load": [
         simulate_presses(part, 1, load_kgf=load, random_state=2) for load in loads
