@@ -41,4 +41,4 @@ for share, what in zip(
 for place, mean in enumerate(used / outcome.sum(axis=1)):
     axes.text(place, 4, f"{mean:.1f} touches", ha="center", color="white", size=9)
 axes.set(xlabel="accepted error", ylabel="episodes, %")
-axes.legend(loc="lower right", frameon=True)
+axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)

@@ -33,10 +33,10 @@ end = explore(
     stand.sensor,
     touch_map,
     strategy,
-    max_attempts=2,
+    max_attempts=1,
     clock=stand.robot.clock,
 )
-gains["after two touches"] = strategy.expected_gain(end.belief, end.history)
+gains["after one touch"] = strategy.expected_gain(end.belief, end.history)
 print({name: round(share, 3) for name, share in end.belief.posterior.items()})
 
 figure, axes = plt.subplots(1, 2, figsize=(7.2, 3), sharey=True)

@@ -20,9 +20,11 @@ curves = {"touch": figures["accuracy"]} | figures["controls"]
 figure, axes = plt.subplots()
 for name, curve in curves.items():
     if curve:
-        style = {"lw": 3} if name == "touch" else {"ls": "--"}
+        style = {"lw": 3} if name == "touch" else {"ls": "--", "alpha": 0.7}
         after = [int(k) for k in curve]
-        axes.plot(after, [100 * v for v in curve.values()], "o", label=name, **style)
+        axes.plot(
+            after, [100 * v for v in curve.values()], marker="o", label=name, **style
+        )
         print(name, {k: round(100 * v) for k, v in curve.items()})
 axes.axhline(100 * figures["chance"], color="C4", lw=1, label="chance")
 axes.set(xlabel="touches", ylabel="right, %", ylim=(0, 103), xticks=[1, 3, 5])

@@ -17,11 +17,11 @@ from palpate import Touches, simulate_presses
 from palpate.encodings import PadShapes
 from palpate.simulation import PressureArray
 
-thumb = simulate_presses(None, 12, random_state=0)
+thumb = simulate_presses(None, 24, random_state=0)
 device = PressureArray(
     random_state=1
 )  # another array: its taxels have gains of their own
-finger = simulate_presses(None, 12, array=device, load_kgf=2, random_state=1)
+finger = simulate_presses(None, 24, array=device, load_kgf=2, random_state=1)
 gap = np.full((len(thumb), 10, 2), np.nan)
 picture = np.concatenate([thumb.images, gap, finger.images], axis=2)
 pads = [[0, 0, 10, 10], [0, 12, 10, 10]]

@@ -35,4 +35,5 @@ axes.axhline(detector.end, color="C2", ls=":", label="a touch ends")
 peaks = [int(np.argmin(abs(frames - one).sum(axis=(1, 2)))) for one in found.images]
 axes.plot(peaks, change[peaks], "v", color="C3", ms=9, label="touch")
 axes.set(xlabel="frame", ylabel="change, counts")
-axes.legend(fontsize=8)
+axes.set_ylim(0, 17)
+axes.legend(fontsize=8, loc="upper center", ncols=2)

@@ -31,7 +31,7 @@ figure, axes = plt.subplots(2, 5, figsize=(6.4, 3))
 for row, session in zip(axes, ("monday", "tuesday"), strict=True):
     these = everything[everything.session == session]
     for axis, image in zip(row, these.images, strict=False):
-        axis.imshow(image, vmin=0, vmax=255)
+        axis.imshow(image, vmin=0, vmax=100)
         axis.set(xticks=[], yticks=[])
     row[0].set_ylabel(session)
 figure.suptitle(f"disc13, read back from the library; {len(back)} went into an archive")

@@ -17,8 +17,8 @@ pose = PressPose(pitch_mm=2.0).fit(taught.images, taught.object)
 asked = simulate_presses(["bar35", "hexagon13-hole8", "square13"], 2, random_state=1)
 found = pose.estimate(asked.images, asked.object)
 
-figure, axes = plt.subplots(1, len(asked), figsize=(7.2, 1.9))
-for number, axis in enumerate(axes):
+figure, axes = plt.subplots(2, 3, figsize=(5.4, 3.9))
+for number, axis in enumerate(axes.flat):
     axis.imshow(asked.images[number], extent=(-10, 10, 10, -10))
     x, y, angle = (
         found.x_mm[number],

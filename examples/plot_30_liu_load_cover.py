@@ -32,7 +32,7 @@ figure, axes = plt.subplots(4, 5, figsize=(7.2, 6.2))
 for number, (what, presses) in enumerate(rows.items()):
     for column, press in enumerate(presses):
         raw, clean = axes[2 * number, column], axes[2 * number + 1, column]
-        raw.imshow(press.images[0], vmin=0, vmax=255)
+        raw.imshow(press.images[0], vmin=0, vmax=120)
         raw.set_title(titles[number][column], size=10)
         clean.imshow(ArrayCleanUp().fit_transform(press.images)[0])
     axes[2 * number, 0].set_ylabel(f"{what}: as read")
