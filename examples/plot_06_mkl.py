@@ -29,7 +29,7 @@ touches = simulate_presses(None, 20, random_state=0)
 binary = ArrayCleanUp().fit_transform(touches.images)
 encoder = EncodingUnion([FourierDescriptors(), ShapeGeometry()])
 taught, asked = slice(0, None, 2), slice(1, None, 2)  # every other press
-model = make_pipeline(encoder, StandardScaler(), KernelPCA(40, sigma=2.0))
+model = make_pipeline(encoder, StandardScaler(), KernelPCA(40))
 X = model.fit(binary[taught]).transform(binary)
 sigmas = 2.0 ** np.arange(-5, 6)
 median = np.median(pdist(X[taught]))
@@ -48,6 +48,8 @@ for axis, (normalize, C) in zip(
     axis.set(xlabel="width of the Gaussian, power of 2")
     axis.set_title(f"{normalize}: {right:.0%} right")
     narrow = weights[sigmas <= median / 2].sum()
-    print(f"{normalize}: {narrow:.0f} % of the weight at half the median or less")
+    print(
+        f"{normalize}: {right:.0%} right, {narrow:.0f} % of the weight at half the median or less"
+    )
 axes[0].set_ylabel("weight, %, mean over pairs")
 axes[0].legend(fontsize=8)

@@ -25,7 +25,7 @@ for number, axis in enumerate(axes.flat):
         found.y_mm[number],
         np.deg2rad(found.angle_deg[number]),
     )
-    along = 6 * np.array([np.cos(angle), -np.sin(angle)])
+    along = 6 * np.array([np.cos(angle), np.sin(angle)])
     axis.plot(
         [x - along[0], x + along[0]], [y - along[1], y + along[1]], color="C1", lw=2
     )
