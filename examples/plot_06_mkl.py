@@ -47,9 +47,9 @@ for axis, (normalize, C) in zip(
     axis.axvline(np.log2(median), color="C1", ls="--", label="median distance")
     axis.set(xlabel="width of the Gaussian, power of 2")
     axis.set_title(f"{normalize}: {right:.0%} right")
-    narrow = weights[sigmas <= median / 2].sum()
+    narrow = weights[sigmas <= median / 2].sum()  # half the median or less
     print(
-        f"{normalize}: {right:.0%} right, {narrow:.0f} % of the weight at half the median or less"
+        f"{normalize}: {right:.0%} right, {narrow:.0f} % of the weight on narrow ones"
     )
 axes[0].set_ylabel("weight, %, mean over pairs")
 axes[0].legend(fontsize=8)

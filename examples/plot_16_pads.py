@@ -2,8 +2,8 @@
 A hand with several pads
 ========================
 
-Arrays of a hand lie side by side in one picture; the gaps are NaN, and `pads` says where
-each one is. `PadShapes` gives numbers of each pad and of how pads differ. Four things
+Arrays of a hand lie side by side in one picture; gaps are NaN, `pads` says where each
+one is. `PadShapes` gives numbers of each pad and of how pads differ. Four things
 here differ in what the thumb and the finger meet: each pad alone sees half of it.
 """
 
