@@ -37,6 +37,7 @@ COMMANDS = [
         "record mug --sensor camera:Desk --library lib",
     ),
     ("pyarrow", "parquet", "library export lib -o touches.parquet"),
+    ("pooch", "data", "data fetch tactip4 --data fetched --mirror http://127.0.0.1:9"),
 ]
 
 
