@@ -9,6 +9,7 @@ from pathlib import Path
 
 ROOMS = (
     "touches",
+    "datasets",
     "images",
     "encodings",
     "classifiers",

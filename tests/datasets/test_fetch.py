@@ -67,9 +67,8 @@ def test_a_download_that_is_whole_is_not_asked_for_again(sources, pins, monkeypa
 
     with monkeypatch.context() as patch:
         patch.setattr(np, "savez_compressed", no_room)
-        with pytest.raises(OSError, match="No space left") as failed:
+        with pytest.raises(OSError, match="No space left"):
             fetch("tactip4")
-    assert failed.value.filename is not None
     assert left(where() / "tactip4") == []
     fetch("tactip4")
     assert len(sources.asked) == 1
@@ -85,9 +84,8 @@ def test_a_full_disk_leaves_no_part_of_a_download(sources, pins, monkeypatch):
         raise OSError(ENOSPC, "No space left on device")
 
     monkeypatch.setattr(pooch.HTTPDownloader, "__call__", no_room)
-    with pytest.raises(OSError, match="No space left") as failed:
+    with pytest.raises(OSError, match="No space left"):
         fetch("tactip4")
-    assert str(where()) in failed.value.filename
     assert left(where()) == []
 
 
@@ -202,10 +200,9 @@ def test_a_list_of_checksums_is_believed_file_by_file(sources):
     place = sources.put("mattress", sums.encode())
     with pytest.raises(ValueError, match=other):
         fetch("mattress")
-    assert left(where()) == [".downloads/mattress/source"]
+    assert left(where()) == []
     true = hashlib.sha256(text * 64).hexdigest()
     place.write_text(sums.replace(other, true, 1))
-    (where() / ".downloads/mattress/source").unlink()
     with pytest.warns(UserWarning, match="mattress: "):
         touches = Touches.load(fetch("mattress"))
     assert (touches.images == 1).all()

@@ -13,7 +13,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -23,18 +23,15 @@ from ..touches import decode_bytes
 Read = Callable[[], bytes]
 Groups = dict[str, Any]
 Rule = dict[str, Any]
-
-
-class Made(NamedTuple):
-    """Arrays of an archive, and files beside it by their path."""
-
-    arrays: dict[str, Array]
-    beside: dict[str, bytes]
+Made = tuple[dict[str, Array], dict[str, bytes]]  # arrays, and files beside by path
 
 
 def converted(files: Mapping[str, Read], rule: Rule) -> Iterator[Made]:
     """Yield the arrays of a set, in each way that its images may have been made."""
-    rows = [row for row in _matching(files, rule["pattern"]) if _kept(row[0], rule)]
+    rows, masks = _matching(files, rule["pattern"]), rule.get("keep")
+    if masks is not None:  # hexadecimal, by object: bit n is whether number n is kept
+        bits = {name: int(mask, 16) for name, mask in masks.items()}
+        rows = [row for row in rows if bits.get(row[0]["object"], 0) >> row[0]["n"] & 1]
     if rule["read"] == "films":
         yield from _films({groups["object"]: read() for groups, read in rows})
         return
@@ -59,7 +56,7 @@ def converted(files: Mapping[str, Read], rule: Rule) -> Iterator[Made]:
         whole["no_contact"] = _WAYS[rule["ways"][0]](idle)
     for way in rule["ways"]:
         images = np.stack([_WAYS[way](picture) for picture in levels])
-        yield Made({"images": images, **columns, **whole}, beside)
+        yield {"images": images, **columns, **whole}, beside
 
 
 def _matching(files: Mapping[str, Read], pattern: str) -> list[tuple[Groups, Read]]:
@@ -82,12 +79,6 @@ def _matching(files: Mapping[str, Read], pattern: str) -> list[tuple[Groups, Rea
             "It is laid out in another way than palpate knows: please report it."
         )
     return list(found.values())
-
-
-def _kept(groups: Groups, rule: Rule) -> bool:
-    """Whether the object's mask has the bit of the number, where there are masks."""
-    mask = rule.get("keep", {}).get(groups["object"], "0") if "keep" in rule else "-1"
-    return bool(int(mask, 16) >> groups.get("n", 0) & 1)
 
 
 def _column(rows: list[Groups], how: Rule) -> Array:
@@ -125,19 +116,22 @@ def _films(data: Mapping[str, bytes]) -> Iterator[Made]:
 
     names, index = sorted(data), np.arange(300, 900, 20)
     films = [loadmat(io.BytesIO(data[n]), variable_names=["C"])["C"] for n in names]
-    grids = [
-        film.transpose(2, 1, 0).reshape(*film.shape[:0:-1], 10, 10) for film in films
-    ]
+    grids = [film.T.reshape(*film.shape[:0:-1], 10, 10) for film in films]
     for first in (0, 1):
-        frames = [grid[:, index - first].astype(np.float32) for grid in grids]
-        arrays = {
-            "images": np.concatenate([grid[:, 600 - first] for grid in grids]),
-            "object": np.repeat(np.array(names, "<U16"), list(map(len, grids))),
-            "press": np.concatenate([np.arange(len(g), dtype=np.int16) for g in grids]),
-            "frames": np.concatenate(frames),
-            "frame_index": index,
-        }
-        yield Made(arrays, {})
+        yield (
+            {
+                "images": np.concatenate([grid[:, 600 - first] for grid in grids]),
+                "object": np.repeat(np.array(names, "<U16"), list(map(len, grids))),
+                "press": np.concatenate(
+                    [np.arange(len(g), dtype=np.int16) for g in grids]
+                ),
+                "frames": np.concatenate([g[:, index - first] for g in grids]).astype(
+                    "<f4"
+                ),
+                "frame_index": index,
+            },
+            {},
+        )
 
 
 _READ: dict[str, Callable[[bytes, Rule], Array]] = {

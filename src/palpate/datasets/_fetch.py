@@ -1,10 +1,8 @@
 """Fetching: download, check, convert, write; each step whole or not at all.
 
-Downloads go to `.downloads/NAME` within the folder and are kept until the archive is
-made, so that fetching again goes on with the files that are there. The SHA-256 of the
-download is that of the card; where none is known, the first is written into
-`.fetched/NAME.sha256`, and a later one must be the same. What is made is compared with
-the arrays behind the figures, whose SHA-256 the card has.
+Downloads lie in `.downloads/NAME` until the archive is made. Where the card has no
+SHA-256, that of the first goes to `.fetched/NAME.sha256`; a later one must be the same.
+What is made is compared with the arrays behind the figures, whose SHA-256 the card has.
 """
 
 import hashlib
@@ -27,7 +25,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from .._checks import check_option
-from .._durable import replacing, write_bytes, write_text
+from .._durable import replacing, write_text
 from .._extras import needed
 from .._types import Array
 from ..touches import Touches
@@ -46,11 +44,7 @@ def names() -> tuple[str, ...]:
 
 
 def card(name: str) -> dict[str, Any]:
-    """Return what is known of a set, by headings; a ValueError lists the sets.
-
-    `arrays` has the SHA-256 of each array behind the figures, `makes` the files that
-    `fetch` puts into `where()`, `why_not` why it cannot.
-    """
+    """Return what is known of a set, by headings; a ValueError lists the sets."""
     check_option("name", name, names())
     text = (_CARDS / f"{name}.toml").read_text(encoding="utf-8")
     return {"name": name, **tomllib.loads(text)}
@@ -110,12 +104,12 @@ def fetch(
         url = _address(one["source"]["url"], mirror)
         with _source(one, url, known, load) as source:
             chosen, differs = _chosen(one, source)
-        _write(made, chosen)
+        _write(made, *chosen)
         with (downloads / "source").open("rb") as file:
             got = hashlib.file_digest(file, "sha256").hexdigest()
         seen.parent.mkdir(exist_ok=True)
         write_text(seen, got)
-    shutil.rmtree(downloads, ignore_errors=True)
+        shutil.rmtree(downloads, ignore_errors=True)
     if not known:
         trusted = "no SHA-256 of the source was known, so this download was trusted"
         warnings.warn(f"{name}: {trusted}; a later one must have {got}.", stacklevel=2)
@@ -190,8 +184,8 @@ def _chosen(one: dict[str, Any], source: Mapping[str, Read]) -> tuple[Made, list
     """Return the version behind the figures, else the first, and what differs."""
     tried: list[tuple[Made, list[str]]] = []
     for made in converted(source, one["convert"]):
-        Touches(**made.arrays)  # refuses what would not read as an archive
-        got = {name: digest(array) for name, array in made.arrays.items()}
+        Touches(**made[0])  # refuses what would not read as an archive
+        got = {name: digest(array) for name, array in made[0].items()}
         differs = [n for n, wanted in one["arrays"].items() if got.get(n) != wanted]
         tried = [*tried[:1], (made, differs)]
         if not differs:
@@ -207,25 +201,28 @@ def digest(array: Array) -> str:
     return hashlib.sha256(head + values).hexdigest()
 
 
-def _write(made: list[Path], chosen: Made) -> None:
+def _write(
+    made: list[Path], arrays: dict[str, Array], beside: dict[str, bytes]
+) -> None:
     """Write the files beside, then the archive, each whole or not at all."""
     archive, *folders = made
     archive.parent.mkdir(parents=True, exist_ok=True)
     for folder in folders:
         partly = folder.with_name(f".partial-{folder.name}")
         shutil.rmtree(partly, ignore_errors=True)
-        for name, data in chosen.beside.items():
+        for name, data in beside.items():
             (partly / name).parent.mkdir(parents=True, exist_ok=True)
-            write_bytes(partly / name, data)
+            (partly / name).write_bytes(data)
         if not folder.exists():
             partly.rename(folder)
+        shutil.rmtree(partly, ignore_errors=True)
     with replacing(archive) as file:
-        np.savez_compressed(file, allow_pickle=False, **chosen.arrays)
+        np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
 @contextmanager
 def _explained(name: str, downloads: Path, seen: Path) -> Iterator[None]:
-    """Say in one sentence what went wrong; forget a download that is damaged."""
+    """Say in one sentence what went wrong; forget a download that is not right."""
     needed("pooch", "data", "Fetching recorded touches")
     from requests import HTTPError, RequestException
 
@@ -235,22 +232,12 @@ def _explained(name: str, downloads: Path, seen: Path) -> Iterator[None]:
     except RequestException as error:
         http = isinstance(error, HTTPError)
         said = error if http else "the source cannot be reached, or was cut off"
-        raise OSError(
-            f"{name}: {said}. Check the network and try again, or give a copy with "
-            "--mirror; files that are done are kept."
-        ) from error
-    except OSError as error:
-        if error.errno is None or error.filename:
-            raise
-        raise OSError(error.errno, error.strerror, str(downloads)) from error
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError) as error:
+        again = "Check the network and try again, or give a copy with --mirror"
+        raise OSError(f"{name}: {said}. {again}.") from error
+    except (ValueError, zipfile.BadZipFile, zlib.error, EOFError) as error:
         shutil.rmtree(downloads, ignore_errors=True)
         raise ValueError(
-            f"{name}: the download must be a whole zip file, got: {error}. It was "
-            "deleted; fetch it again."
+            f"{name}: {error} The download was deleted; fetch it again. If so again, "
+            "the source has changed: give a copy with --mirror, or, if you trust the "
+            f"source as it is now, delete {seen}."
         ) from error
-    except ValueError as error:
-        trust = (
-            f" If you trust the new one, delete {seen}." if "hash" in str(error) else ""
-        )
-        raise ValueError(f"{name}: {error}{trust}") from error
