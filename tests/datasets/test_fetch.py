@@ -211,6 +211,22 @@ def test_a_list_of_checksums_is_believed_file_by_file(sources):
     assert "passwd" not in "".join(sources.asked)
 
 
+# pooch leaves the socket of a failed download open.
+@pytest.mark.filterwarnings("ignore:mattress", "ignore:unclosed:ResourceWarning")
+def test_files_that_are_done_are_not_asked_for_again(sources):
+    one, two = (b"\n".join([n * 27] * 64) for n in (b"1 ", b"2 "))
+    done, lacking = (f"experiment-ii/S1/Air_Mat/Matrix_Air_B{n}.txt" for n in (1, 2))
+    hashes = [hashlib.sha256(text).hexdigest() for text in (one, two)]
+    listed = f"{hashes[0]} {done}\n{hashes[1]}  {lacking}\n"
+    sources.put("mattress", listed.encode())
+    sources.put("mattress", one, f"files/pmd/1.0.0/{done}")
+    with pytest.raises(OSError, match="404"):
+        fetch("mattress")
+    sources.put("mattress", two, f"files/pmd/1.0.0/{lacking}")
+    assert len(Touches.load(fetch("mattress"))) == 2
+    assert sum(path.endswith(done) for path in sources.asked) == 1
+
+
 def test_names_that_are_nearly_right_are_told():
     with pytest.raises(ValueError, match="Did you mean 'mattress'"):
         fetch("matress")

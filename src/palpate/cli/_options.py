@@ -97,9 +97,7 @@ ModelOutput = Annotated[
 ]
 RecordedData = Annotated[
     Path | None,
-    option(
-        "--data", "Folder of recorded touches. Default: PALPATE_DATA, else a cache."
-    ),
+    option("--data", "Folder of recorded touches. Default: `palpate data where`."),
 ]
 AsJson = Annotated[bool, option("--json", "Print one JSON object and nothing else.")]
 Seed = Annotated[

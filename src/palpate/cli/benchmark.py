@@ -14,8 +14,7 @@ def benchmark(
     archives: Annotated[
         list[Path] | None,
         _options.argument(
-            "ARCHIVE",
-            "Touch archives (.npz), or folders of them. Default: `palpate data where`.",
+            "ARCHIVE", "Archives (.npz) or folders. Default: `palpate data where`."
         ),
     ] = None,
     *,

@@ -43,12 +43,12 @@ def fetch(
     from .. import datasets
 
     one = datasets.card(name)
-    said = [f"{name}: {one['source']['page']}", f"Licence: {one['licence']}"]
+    print(f"{one['source']['page']}\nLicence: {one['licence']}", file=sys.stderr)
     with warnings.catch_warnings(record=True) as noted, stages() as stage:
         warnings.simplefilter("always", UserWarning)
         path = datasets.fetch(name, folder=data, mirror=mirror, progress=stage)
     notes = [str(note.message) for note in noted]
-    print(*said, *notes, sep="\n", file=sys.stderr)
+    sys.stderr.writelines(f"{note}\n" for note in notes)
     answer(as_json, {"name": name, "path": str(path), "notes": notes}, path)
 
 

@@ -23,6 +23,7 @@ from ..touches import decode_bytes
 Read = Callable[[], bytes]
 Groups = dict[str, Any]
 Rule = dict[str, Any]
+_NUMBER = re.compile(r"-?[1-9]\d*|0").fullmatch
 Made = tuple[dict[str, Array], dict[str, bytes]]  # arrays, and files beside by path
 
 
@@ -44,10 +45,8 @@ def converted(files: Mapping[str, Read], rule: Rule) -> Iterator[Made]:
         seen[recording] += 1
     columns = {name: _column(groups, how) for name, how in rule["columns"].items()}
     whole = {name: np.array(value) for name, value in rule.get("whole", {}).items()}
-    pairs = zip(groups, data, strict=True)
-    beside = {
-        g["path"]: d for g, d in pairs if g.get("member") == rule.get("beside", "")
-    }
+    member, pairs = rule.get("beside", ""), zip(groups, data, strict=True)
+    beside = {one["path"]: d for one, d in pairs if one.get("member") == member}
     levels = [_READ[rule["read"]](content, rule) for content in data]
     if "no_contact" in rule:
         one, read = _matching(files, rule["no_contact"])[0]
@@ -68,10 +67,8 @@ def _matching(files: Mapping[str, Read], pattern: str) -> list[tuple[Groups, Rea
     for path in sorted(files):
         match = re.search(rf"(?:^|/)(?P<path>{pattern})$", path)
         if match:
-            number = re.compile(r"-?[1-9]\d*|0").fullmatch
-            groups = {
-                n: int(t) if number(t) else t for n, t in match.groupdict().items()
-            }
+            told = match.groupdict().items()
+            groups = {name: int(t) if _NUMBER(t) else t for name, t in told}
             found.setdefault(match["path"], (groups, files[path]))
     if not found:
         raise ValueError(
@@ -117,21 +114,17 @@ def _films(data: Mapping[str, bytes]) -> Iterator[Made]:
     names, index = sorted(data), np.arange(300, 900, 20)
     films = [loadmat(io.BytesIO(data[n]), variable_names=["C"])["C"] for n in names]
     grids = [film.T.reshape(*film.shape[:0:-1], 10, 10) for film in films]
+    presses = [np.arange(len(grid), dtype=np.int16) for grid in grids]
     for first in (0, 1):
-        yield (
-            {
-                "images": np.concatenate([grid[:, 600 - first] for grid in grids]),
-                "object": np.repeat(np.array(names, "<U16"), list(map(len, grids))),
-                "press": np.concatenate(
-                    [np.arange(len(g), dtype=np.int16) for g in grids]
-                ),
-                "frames": np.concatenate([g[:, index - first] for g in grids]).astype(
-                    "<f4"
-                ),
-                "frame_index": index,
-            },
-            {},
-        )
+        frames = [grid[:, index - first].astype(np.float32) for grid in grids]
+        arrays = {
+            "images": np.concatenate([grid[:, 600 - first] for grid in grids]),
+            "object": np.repeat(np.array(names, "<U16"), list(map(len, grids))),
+            "press": np.concatenate(presses),
+            "frames": np.concatenate(frames),
+            "frame_index": index,
+        }
+        yield arrays, {}
 
 
 _READ: dict[str, Callable[[bytes, Rule], Array]] = {

@@ -81,9 +81,7 @@ def _measure(plan: SessionsPlan, data: str | Path | None, work: Work) -> dict[st
         for name, touches, its_ways in _recorded(plan, folder):
             sources[name], ways[name] = touches, its_ways
     else:
-        why = (
-            f"no folder {folder}; --data names one" if plan.recorded else "a first look"
-        )
+        why = f"no {folder}; see --data" if plan.recorded else "a first look"
         skipped = [f"Recorded touches are left out: {why}."]
     tasks = [
         (plan, name, touches, way)
