@@ -15,8 +15,6 @@ import pytest
 
 from palpate.datasets import card
 
-pytest.importorskip("pooch")
-
 
 class Quiet(SimpleHTTPRequestHandler):
     asked: list[str]
@@ -46,6 +44,7 @@ class Sources:
 
 @pytest.fixture
 def sources(tmp_path, monkeypatch):
+    pytest.importorskip("pooch")
     asked = []
     handler = type("Handler", (Quiet,), {"asked": asked})
     folder = tmp_path / "sources"

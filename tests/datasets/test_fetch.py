@@ -115,7 +115,8 @@ def test_an_interruption_leaves_nothing(sources, pins):
     assert left(where()) == []
 
 
-def test_without_a_network_one_sentence_says_what_to_do(monkeypatch, tmp_path):
+def test_without_a_network_one_sentence_says_what_to_do(tmp_path):
+    pytest.importorskip("pooch")
     # Port 9 of this computer answers nobody.
     with pytest.raises(
         OSError, match=r"cannot be reached.*network.*--mirror"
@@ -131,6 +132,7 @@ def test_what_the_source_has_no_more_is_named(sources):
 
 @pytest.mark.parametrize("mirror", ["ftp://lab", "file:///etc", "lab", "https:///x"])
 def test_a_mirror_is_an_address(mirror, tmp_path):
+    pytest.importorskip("pooch")
     with pytest.raises(ValueError, match="mirror must begin with https"):
         fetch("tactip4", folder=tmp_path, mirror=mirror)
 
