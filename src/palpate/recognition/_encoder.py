@@ -12,6 +12,7 @@ from sklearn.base import BaseEstimator, clone
 from .._checks import ARRAY_SIDE, check_levels, size_said
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
+from ..encodings import EncodingUnion
 from ..images import fill_dead_taxels, grey, typical_rim
 from ..touches import Touches
 from ._sessions import looks
@@ -148,8 +149,11 @@ class TouchEncoder(BaseEstimator):
                     every[:, column] = step.left_out_unexplained(values, groups)
                 # Of touches that are all alike shares of the variance are 0 / 0.
                 with np.errstate(invalid="ignore"):
-                    step.fit(values)
-                values = _transformed(step, values, checked=True)
+                    if isinstance(step, EncodingUnion):
+                        # Learning encodes all at once; nothing is done again.
+                        values = step.fit_transform(values)
+                    else:
+                        values = _transformed(step.fit(values), values, checked=True)
             part = np.asarray(values, dtype=np.float64)
             self.parts_[name], self.scales_[name] = part.shape[1], 1.0
             if len(self.encodings) > 1:

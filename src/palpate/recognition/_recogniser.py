@@ -11,12 +11,12 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import log_softmax
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.exceptions import NotFittedError
 from sklearn.utils import Tags
 
 from .._checks import check_count, check_number, check_option
+from .._numbers import log_softmax
 from .._types import Array, Bools, Floats
 from ..classifiers import EncodingPool, TouchClassifier, as_groups
 from ..images import Poses, PressPose
