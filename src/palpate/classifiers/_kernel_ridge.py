@@ -19,6 +19,7 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotrf, dtrtri
 from scipy.optimize import minimize
 from sklearn.metrics.pairwise import euclidean_distances
+from sklearn.utils import gen_batches
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_positive, check_squarable
@@ -289,9 +290,16 @@ def _left_out(
 ) -> Floats:
     """Scores of every touch had its group never been learnt."""
     scores: Floats = target + 1 / target.shape[1]
+    by_size: dict[int, list[Indices]] = {}
     for members in _members(group):
-        mine = root[:, members]
-        scores[members] -= np.linalg.solve(mine.T @ mine, coefficients[members])
+        by_size.setdefault(len(members), []).append(members)
+    # Groups of one size are solved together, some at a time.
+    for size, groups in by_size.items():
+        for some in gen_batches(len(groups), max(1, _TOUCHES_AT_ONCE // size)):
+            rows = np.stack(groups[some])
+            mine = root.T[rows]
+            blocks = mine @ mine.transpose(0, 2, 1)
+            scores[rows] -= np.linalg.solve(blocks, coefficients[rows])
     return scores
 
 
@@ -350,6 +358,7 @@ def _best_shape(scores: Floats, codes: Array, bent: bool = True) -> tuple[Shape,
         jac=True,
         bounds=[limit for limit, one in zip(limits, free, strict=True) if one],
         method="L-BFGS-B",
+        options={"ftol": 1e-13, "gtol": 1e-9},
     )
     start[free] = found.x
     return (*np.exp(start[:2]).tolist(), float(start[2])), float(found.fun)

@@ -131,7 +131,7 @@ def _channels(image: Array, sigma: float, grid: Grid) -> Singles:
     across = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1 / 8)
     down = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=1 / 8)
     curvature = cv2.Laplacian(smooth, cv2.CV_32F, ksize=3)
-    root = cv2.sqrt(cv2.magnitude(across, down)) + 1e-6
+    root = np.sqrt(np.hypot(across, down)) + 1e-6
     across, down = across / root, down / root
     curvature = np.copysign(cv2.sqrt(np.abs(curvature)), curvature)
     tensor = [
