@@ -225,6 +225,11 @@ def fit_sequence_calibration(
     # Posteriors of single touches are calibrated already, and no strength above 1 may
     # undo their floor: training touches that are all told apart would ask for any.
     bounds = [(np.log(0.05), 0.0), (_LEAST_CORRELATION, 1 - _LEAST_CORRELATION)]
-    exact = {"ftol": 1e-13, "gtol": 1e-9}
-    found = minimize(loss, [-0.1, 0.1], jac=True, bounds=bounds, options=exact)
+    found = minimize(
+        loss,
+        [-0.1, 0.1],
+        jac=True,
+        bounds=bounds,
+        options={"ftol": 1e-13, "gtol": 1e-9},
+    )
     return SequenceCalibration(float(np.exp(found.x[0])), float(found.x[1]))
