@@ -10,7 +10,7 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -36,12 +36,15 @@ TakeTouch = Callable[[Array, float], None]
 class Event:
     """Something that happened: a kind, plain values, and the bytes of a picture.
 
-    Kinds: "frame", "contact", "touch", "state".
+    Kinds: "frame", "contact", "touch", "state". Of a frame and of a touch `image` is
+    what was read, with its channels.
     """
 
     kind: str
     values: dict[str, Any] = field(default_factory=dict)
     picture: bytes = b""
+    image: Array | None = None
+    channels: Sequence[str] | None = None
 
     @cached_property
     def text(self) -> str:
@@ -319,7 +322,8 @@ class SensorWatch:
             "number": frame.number,
             "touching": self.detector.touching,
         }
-        self._listeners.notify(Event("frame", values, picture))
+        shown = picture, frame.image, self.sensor.channels
+        self._listeners.notify(Event("frame", values, *shown))
 
     def _hand_on(self) -> None:
         while (found := self._found.get()) is not None:

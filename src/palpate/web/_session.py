@@ -410,7 +410,7 @@ class LiveSession:
             self.health.count_touch(touch.latency_ms)
             episode = {**self.episode.to_dict(), "touches": [dict(vars(touch))]}
             values = {"episode": episode, "nearest": self.episode.nearest}
-        self.listeners.notify(Event("touch", values))
+        self.listeners.notify(Event("touch", values, b"", image, channels))
         self._check_mounting()
 
     def _check_mounting(self) -> None:
