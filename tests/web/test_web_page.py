@@ -585,3 +585,42 @@ def test_long_names_and_many_pictures_fit_a_narrow_phone(
     saved.set_content(report)
     assert LONG in saved.inner_text("ol")
     assert saved.evaluate("document.documentElement.scrollWidth") <= 320
+
+
+def test_taxels_are_sharp_and_show_their_numbers_if_wished(page, serving):
+    """Two pads with a gap between them; what each taxel reads is known."""
+    rest = np.full((4, 9), 5, np.float32)
+    rest[:, 4] = np.nan
+    rest[1, 7] = 250.25
+    touches = Touches(rest[None] + 9, object=["pen"], no_contact=rest)
+    sensor = ReplaySensor(touches, rate_hz=50)
+    sensor.place(None)
+    drawn = """() => {
+        const canvas = document.getElementById("image");
+        const cell = canvas.width / 9;
+        const at = (x, y) => [...canvas.getContext("2d").getImageData(x, y, 1, 1).data];
+        const colours = (col, row) => [1, cell - 2].flatMap((a) => [1, cell - 2].map(
+            (b) => at(col * cell + a, row * cell + b).join()));
+        return [cell, colours(3, 1), colours(4, 1), colours(7, 1)];
+    }"""
+    with serving(LiveSession(sensor)) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        image = page.locator("#image")
+        expect(image).to_have_class("array")
+        expect(image).to_have_css("image-rendering", "pixelated")
+        page.get_by_label("Numbers").check()
+        page.wait_for_function("document.getElementById('image').width >= 9 * 34")
+        cell, low, gap, high = page.evaluate(drawn)
+        assert cell == round(cell)
+        assert set(low) == {"68,1,84,255"}  # viridis from its first colour to its last
+        assert set(gap) == {"11,14,16,255"}
+        assert set(high) == {"253,231,37,255"}
+        answer = page.request.get(f"{address}/api/frame?token={token}").json()["image"]
+        assert answer == np.where(np.isnan(rest), None, rest.astype(object)).tolist()
+        page.get_by_label("Numbers").uncheck()
+        page.wait_for_function("document.getElementById('image').width === 9")
+
+
+def test_a_frame_of_numbers_is_refused_where_there_is_none(make_session, connected):
+    with connected(make_session(sensor=False)) as client:
+        assert client.get("/api/frame").status_code == 409

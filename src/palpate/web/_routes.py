@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from fastapi import APIRouter, Depends, HTTPException, Query, Request, Response
 from fastapi.responses import FileResponse, JSONResponse
 from fastapi.security import HTTPBearer
@@ -220,6 +221,21 @@ def state(session: Session) -> Any:
 def health(session: Session) -> dict[str, Any]:
     """Return frame rate (Hz), frames dropped, latencies (ms)."""
     return session.health.to_dict()
+
+
+@router.get("/frame", tags=["sensor"])
+def frame(session: Session) -> JSONResponse:
+    """Return the newest frame of an array, `{"image": [[0, null]]}`; null is a gap.
+
+    Of at most 4096 taxels; larger frames are pictures, as the page is sent them.
+    """
+    if session.watch is None:
+        raise HTTPException(409, "There is no sensor here.")
+    image = session.watch.sensor.read_latest().image
+    if image.shape[0] * image.shape[1] > 4096:
+        raise HTTPException(409, "Frames of more than 4096 taxels are pictures.")
+    gap = np.isnan(image) if image.dtype.kind == "f" else False
+    return JSONResponse({"image": np.where(gap, None, image.astype(object)).tolist()})
 
 
 @router.post("/baseline", tags=["sensor"])

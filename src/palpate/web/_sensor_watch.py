@@ -145,7 +145,8 @@ class SensorWatch:
         self.sensor = sensor
         self.detector = sensors.TouchDetector(sensor.no_contact(), summary=summary)
         self._take, self._listeners, self._health = take, listeners, health
-        self._painter = FramePainter(sensor.image_shape, sensor.channels)
+        of_array = sensor.geometry == "array"
+        self._painter = FramePainter(sensor.image_shape, sensor.channels, of_array)
         self._memory: SensorMemory | None = None
         self.misfit = ""
         self._recent: list[Array] = []

@@ -1,6 +1,6 @@
 // The live image, the contact indicator, the baseline, frame rate and latency.
 
-import { post } from "./api.js";
+import { get, post } from "./api.js";
 import { find, make, say, show, step, text } from "./dom.js";
 
 let drawing = false;
@@ -8,11 +8,15 @@ let waiting = null;
 let insist = false;
 let refused = false;
 let known = false;
+let readings = null;
+const MOST = 32; // taxels a side whose numbers can be shown
+const NUMBERS_MS = 200;
 
 export function startSensor() {
   find("baseline").addEventListener("click", takeBaseline);
   find("press-keep").addEventListener("click", () => post("baseline/keep"));
   find("press-undo").addEventListener("click", () => post("baseline/undo"));
+  find("numbers").addEventListener("change", showNumbers);
   find("placed").addEventListener("change", ({ target }) =>
     post("place", { object: target.value === "" ? null : target.value }));
 }
@@ -45,6 +49,7 @@ export function showSensor(sensor) {
   }
   text(find("sensor-name"), `${sensor.name}, ${sensor.shape[0]} × ${sensor.shape[1]}, ${sensor.unit}`);
   known = sensor.baseline;
+  show(find("numbered"), Math.max(sensor.shape[0], sensor.shape[1]) <= MOST);
   if (sensor.lost) off("sensor lost");
   else touching(sensor.touching);
   note(find("lost"), sensor.lost);
@@ -67,14 +72,51 @@ export function showHealth(health) {
 
 function paint(bitmap, array) {
   const canvas = find("image");
-  if (canvas.width !== bitmap.width || canvas.height !== bitmap.height) {
-    canvas.width = bitmap.width;
-    canvas.height = bitmap.height;
+  const cell = readings?.length === bitmap.height ? cellOf(readings) : 1;
+  const [width, height] = [bitmap.width * cell, bitmap.height * cell];
+  if (canvas.width !== width || canvas.height !== height) {
+    canvas.width = width;
+    canvas.height = height;
     canvas.classList.toggle("array", array);
     document.body.classList.toggle("array", array);
   }
-  canvas.getContext("2d").drawImage(bitmap, 0, 0);
+  const pen = canvas.getContext("2d");
+  pen.imageSmoothingEnabled = false;
+  pen.drawImage(bitmap, 0, 0, width, height);
+  if (cell > 1) write(pen, cell);
   canvas.dataset.frames = String(Number(canvas.dataset.frames || 0) + 1);
+}
+
+const LINE = 13;
+const lines = (taxel) => [taxel].flat().map((value) => value === null ? ""
+  : Number.isInteger(value) ? String(value) : String(Number(value.toPrecision(3))));
+
+// How wide a taxel must be for its numbers, in pixels; all of the screen where there is room.
+function cellOf(rows) {
+  const written = rows.flat().map(lines);
+  const longest = Math.max(...written.flat().map((words) => words.length));
+  return Math.ceil(Math.max(7 * longest + 6, LINE * written[0].length + 6, find("screen").clientWidth / rows[0].length - 1));
+}
+
+function write(pen, cell) {
+  Object.assign(pen, { font: `${LINE - 2}px ui-monospace, monospace`, textAlign: "center", textBaseline: "middle",
+    lineWidth: 3, lineJoin: "round", strokeStyle: "#0b0e10", fillStyle: "#fff" });
+  readings.forEach((row, y) => row.forEach((taxel, x) => {
+    const words = lines(taxel);
+    words.forEach((word, at) => {
+      const place = [word, (x + 0.5) * cell, (y + 0.5) * cell + (at - (words.length - 1) / 2) * LINE];
+      pen.strokeText(...place);
+      pen.fillText(...place);
+    });
+  }));
+}
+
+// Numbers of the newest frame, a few times a second: more could not be read.
+async function showNumbers() {
+  const on = find("numbers").checked && !find("numbered").hidden;
+  find("screen").classList.toggle("numbers", on);
+  readings = on ? (await get("frame"))?.image ?? null : null;
+  if (on) setTimeout(showNumbers, NUMBERS_MS);
 }
 
 function touching(whether) {
