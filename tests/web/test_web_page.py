@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate import Touches
+from palpate import ObjectRecogniser, Touches
 from palpate.sensors import ReplaySensor
 from palpate.web import LiveSession
 
@@ -609,7 +609,7 @@ def test_taxels_are_sharp_and_show_their_numbers_if_wished(page, serving):
         expect(image).to_have_class("array")
         expect(image).to_have_css("image-rendering", "pixelated")
         page.get_by_label("Numbers").check()
-        page.wait_for_function("document.getElementById('image').width >= 9 * 34")
+        expect(image).to_have_attribute("width", re.compile(r"^\d{3,}$"))
         cell, low, gap, high = page.evaluate(drawn)
         assert cell == round(cell)
         assert set(low) == {"68,1,84,255"}  # viridis from its first colour to its last
@@ -618,9 +618,42 @@ def test_taxels_are_sharp_and_show_their_numbers_if_wished(page, serving):
         answer = page.request.get(f"{address}/api/frame?token={token}").json()["image"]
         assert answer == np.where(np.isnan(rest), None, rest.astype(object)).tolist()
         page.get_by_label("Numbers").uncheck()
-        page.wait_for_function("document.getElementById('image').width === 9")
+        expect(image).to_have_attribute("width", "9")
 
 
 def test_a_frame_of_numbers_is_refused_where_there_is_none(make_session, connected):
     with connected(make_session(sensor=False)) as client:
         assert client.get("/api/frame").status_code == 409
+
+
+def test_several_sensors_are_live_side_by_side(page, serving, drawn, tmp_path):
+    path = tmp_path / "two.palpate"
+    two = drawn[np.flatnonzero(drawn.object != "both")]
+    ObjectRecogniser("liu2014").fit(two).save(path)
+    sensors = [ReplaySensor(drawn, rate_hz=60, hold=3, gap=3) for _ in range(2)]
+    for sensor in sensors:
+        sensor.place(None)
+    sessions = [LiveSession(sensor, model=path) for sensor in sensors]
+    with serving(sessions) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        tiles = page.locator(".tile")
+        expect(tiles).to_have_count(2)
+        for number in range(2):
+            expect(tiles.nth(number).locator("canvas")).to_have_class("array")
+        for image in drawn.images[:2]:
+            for session in sessions:
+                session.post_touch(image)
+        beliefs = [session.episode.touches[-1].posterior for session in sessions]
+        share = np.prod([b["disc"] for b in beliefs])
+        share /= share + np.prod([b["bar"] for b in beliefs])
+        expect(page.locator("#together")).to_contain_text("All together: disc")
+        shown = re.search(r"disc >?([\d.]+) %", page.inner_text("#together"))
+        assert float(shown[1]) == pytest.approx(100 * share, abs=0.6)
+        tiles.nth(1).click()
+        expect(page.locator(".tile[aria-current]")).to_contain_text("2 replay")
+        assert page.url.endswith("/?sensor=2")
+        expect(page.locator("#strip li")).to_have_count(2)
+        page.click("#fresh")
+        expect(page.locator("#strip li")).to_have_count(0)
+        expect(page.locator("#together")).to_be_hidden()
+        assert [session.episode.touches for session in sessions] == [[], []]

@@ -89,11 +89,14 @@ def need_baseline(session: "LiveSession") -> None:
 
 
 @contextmanager
-def logged(session: "LiveSession", path: Path | None) -> Iterator[None]:
+def logged(
+    session: "LiveSession", path: Path | None, number: int = 0
+) -> Iterator[None]:
     """Let what a package has for the file's ending take the events of a session.
 
     Entry points of the group `palpate.logs`, such as `rrd`, are called with the path;
-    what they return has `take(event)` and `close()`.
+    what they return has `take(event)` and `close()`. Of several sensors each has a
+    `number`, and a file that ends in it.
     """
     from importlib.metadata import entry_points
 
@@ -106,6 +109,7 @@ def logged(session: "LiveSession", path: Path | None) -> Iterator[None]:
             "--log must end in .rrd or .mcap, and what writes these be installed "
             f"(plugs/look), got {path.name!r}."
         )
+    path = path.with_stem(f"{path.stem}-{number}") if number else path
     with closing(plugged[0].load()(path)) as log:
         session.listeners.add(log.take)
         yield

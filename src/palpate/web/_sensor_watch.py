@@ -56,9 +56,13 @@ Listener = Callable[[Event], None]
 
 
 class Listeners:
-    """Functions that are called with every event; one that fails is removed."""
+    """Functions that are called with every event; one that fails is removed.
+
+    Every event is told which of several sensors it is of, `number`.
+    """
 
     def __init__(self) -> None:
+        self.number = 1
         self._lock = threading.Lock()
         self._all: tuple[Listener, ...] = ()
 
@@ -74,6 +78,7 @@ class Listeners:
             self._all = tuple(one for one in self._all if one != listener)
 
     def notify(self, event: Event) -> None:
+        event.values["sensor_number"] = self.number
         for listener in self._all:
             try:
                 listener(event)
@@ -148,7 +153,7 @@ class SensorWatch:
         of_array = sensor.geometry == "array"
         self._painter = FramePainter(sensor.image_shape, sensor.channels, of_array)
         self._memory: SensorMemory | None = None
-        self.misfit = ""
+        self.misfit = self.failed = ""
         self._recent: list[Array] = []
         self._warnings: list[str] = []
         self._resting: list[Array] | None = None
@@ -164,6 +169,7 @@ class SensorWatch:
         if self._threads:
             return
         self.sensor.connect()
+        self.failed = ""
         for work in (self._follow, self._hand_on):
             thread = threading.Thread(target=work, daemon=True)
             self._threads.append(thread)
@@ -229,7 +235,7 @@ class SensorWatch:
             "name": sensor.name,
             "unit": sensor.unit,
             "shape": list(sensor.image_shape),
-            "lost": sensor.lost,
+            "lost": self.failed or sensor.lost,
             "baseline": has_baseline,
             "zero": has_baseline,  # the name before; goes with the next release
             "touching": self.detector.touching,

@@ -1,10 +1,10 @@
 // The live image, the contact indicator, the baseline, frame rate and latency.
 
-import { get, post } from "./api.js";
+import { get, here, post, url } from "./api.js";
 import { find, make, say, show, step, text } from "./dom.js";
 
+const waiting = new Map();
 let drawing = false;
-let waiting = null;
 let insist = false;
 let refused = false;
 let known = false;
@@ -21,17 +21,20 @@ export function startSensor() {
     post("place", { object: target.value === "" ? null : target.value }));
 }
 
-export async function drawFrame(head, picture) {
-  touching(head.touching);
-  waiting = picture;
+// The newest picture of each sensor; `shown` is called with what is drawn of any.
+export async function drawFrame(head, picture, shown) {
+  if (head.sensor_number === here) touching(head.touching);
+  waiting.set(head.sensor_number, [head, picture]);
   if (drawing) return;
   drawing = true;
-  while (waiting) {
-    const next = waiting;
-    waiting = null;
+  while (waiting.size) {
+    const [[number, [about, next]]] = waiting;
+    waiting.delete(number);
     try {
       const bitmap = await createImageBitmap(next);
-      paint(bitmap, head.type === "image/png");
+      const array = about.type === "image/png";
+      if (number === here) paint(bitmap, array);
+      shown(about, bitmap, array);
       bitmap.close();
     } catch {
       // A picture that cannot be drawn is skipped; the next one is on its way.
@@ -70,19 +73,24 @@ export function showHealth(health) {
   text(find("latency"), health.belief_ms === null ? "–" : `${health.belief_ms.toFixed(0)} ms`);
 }
 
-function paint(bitmap, array) {
-  const canvas = find("image");
-  const cell = readings?.length === bitmap.height ? cellOf(readings) : 1;
+export function draw(canvas, bitmap, array, cell = 1) {
   const [width, height] = [bitmap.width * cell, bitmap.height * cell];
   if (canvas.width !== width || canvas.height !== height) {
     canvas.width = width;
     canvas.height = height;
     canvas.classList.toggle("array", array);
-    document.body.classList.toggle("array", array);
   }
   const pen = canvas.getContext("2d");
   pen.imageSmoothingEnabled = false;
   pen.drawImage(bitmap, 0, 0, width, height);
+  return pen;
+}
+
+function paint(bitmap, array) {
+  const canvas = find("image");
+  const cell = readings?.length === bitmap.height ? cellOf(readings) : 1;
+  const pen = draw(canvas, bitmap, array, cell);
+  document.body.classList.toggle("array", array);
   if (cell > 1) write(pen, cell);
   canvas.dataset.frames = String(Number(canvas.dataset.frames || 0) + 1);
 }
@@ -174,7 +182,7 @@ function showPress(press) {
   show(picture, press.found);
   if (press.found && picture.dataset.number !== String(press.number)) {
     picture.dataset.number = String(press.number);
-    picture.src = `/api/baseline/press?number=${press.number}`;
+    picture.src = url(`baseline/press?number=${press.number}`);
   }
   show(find("press-keep"), press.found && !press.lower);
   text(find("press-undo"), press.found ? "No, undo it" : "Undo the baseline");
