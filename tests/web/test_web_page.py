@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate import ObjectRecogniser, Touches
+from palpate import Touches
 from palpate.sensors import ReplaySensor
 from palpate.web import LiveSession
 
@@ -626,14 +626,16 @@ def test_a_frame_of_numbers_is_refused_where_there_is_none(make_session, connect
         assert client.get("/api/frame").status_code == 409
 
 
-def test_several_sensors_are_live_side_by_side(page, serving, drawn, tmp_path):
-    path = tmp_path / "two.palpate"
-    two = drawn[np.flatnonzero(drawn.object != "both")]
-    ObjectRecogniser("liu2014").fit(two).save(path)
+def test_several_sensors_are_live_side_by_side(
+    page, serving, drawn, drawn_model, tmp_path
+):
     sensors = [ReplaySensor(drawn, rate_hz=60, hold=3, gap=3) for _ in range(2)]
     for sensor in sensors:
         sensor.place(None)
-    sessions = [LiveSession(sensor, model=path) for sensor in sensors]
+    sessions = [
+        LiveSession(sensor, model=drawn_model, library=tmp_path / str(number))
+        for number, sensor in enumerate(sensors)
+    ]
     with serving(sessions) as (address, token):
         page.goto(f"{address}/?token={token}")
         tiles = page.locator(".tile")
@@ -657,3 +659,12 @@ def test_several_sensors_are_live_side_by_side(page, serving, drawn, tmp_path):
         expect(page.locator("#strip li")).to_have_count(0)
         expect(page.locator("#together")).to_be_hidden()
         assert [session.episode.touches for session in sessions] == [[], []]
+        lessons = page.locator("#progress-text")
+        page.fill("#name", "pen")
+        page.press("#name", "Enter")
+        expect(lessons).to_have_text("Touch pen: 0 of 12 are stored.")
+        assert [session.teacher.lesson.name for session in sessions] == ["pen", "pen"]
+        page.locator("#as-one").uncheck()
+        page.click("#stop")
+        expect(lessons).to_be_hidden()
+        assert [session.teacher.lesson is None for session in sessions] == [False, True]

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from palpate import ObjectRecogniser
 from palpate.cli import app
 from palpate.sensors import LiveSensor, ReplaySensor, SensorError
 from palpate.web import LiveSession, start_all
@@ -28,22 +27,14 @@ class Missing(LiveSensor):
         pass
 
 
-@pytest.fixture(scope="module")
-def model(drawn, tmp_path_factory):
-    path = tmp_path_factory.mktemp("model") / "two.palpate"
-    two = drawn[np.flatnonzero(drawn.object != "both")]
-    ObjectRecogniser("liu2014").fit(two).save(path)
-    return path
-
-
 @pytest.fixture
-def fingers(drawn, model):
+def fingers(drawn, drawn_model):
     """Two sensors before which nothing lies yet, and the model of both."""
 
     def finger():
         sensor = ReplaySensor(drawn, rate_hz=100, hold=4, gap=4)
         sensor.place(None)
-        return LiveSession(sensor, model=model)
+        return LiveSession(sensor, model=drawn_model)
 
     return [finger(), finger()]
 
