@@ -13,7 +13,7 @@ from numpy.testing import assert_array_equal
 from palpate import ObjectRecogniser, Touches
 from palpate.library import read_bag
 from palpate.sensors import ReplaySensor
-from palpate.web import LiveSession
+from palpate.web import Event, LiveSession
 
 palpate_look = pytest.importorskip("palpate_look")
 needs_mcap = pytest.mark.skipif("not __import__('importlib').util.find_spec('mcap')")
@@ -248,7 +248,6 @@ def test_a_full_disk_is_said_at_the_end_and_stops_nothing(tmp_path):
         raise OSError("No space left on device")
 
     log._image = no_room
-    event = pytest.importorskip("palpate.web._sensor_watch").Event
-    log.take(event("frame", {}, b"", np.zeros((2, 2), np.uint8)))
+    log.take(Event("frame", {}, b"", np.zeros((2, 2), np.uint8)))
     with pytest.raises(OSError, match="is not whole: No space left"):
         log.close()
