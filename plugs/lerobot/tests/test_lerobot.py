@@ -176,7 +176,7 @@ def test_a_dataset_that_lerobot_wrote_is_touches(tmp_path, rng, feature):
         assert_array_equal(read_bag(tmp_path / "other").images, pictures)
 
 
-def test_a_video_that_lerobot_wrote_is_what_lerobot_reads(tmp_path):
+def test_a_video_that_lerobot_wrote_is_what_it_was_given(tmp_path):
     """Smooth pictures, which its codec, AV1, keeps well; two episodes, two films."""
     row, col = np.mgrid[:48, :64]
     pictures = [
@@ -195,13 +195,10 @@ def test_a_video_that_lerobot_wrote_is_what_lerobot_reads(tmp_path):
             dataset.add_frame({"observation.images.gel": picture, "task": task})
         dataset.save_episode()
     dataset.finalize()
-    again = datasets.LeRobotDataset("palpate/filmed", root=root, video_backend="pyav")
-    frames = [again[i]["observation.images.gel"].numpy() for i in range(len(again))]
     touches = read_bag(root)
-    theirs = np.moveaxis(np.array(frames), 1, 3) * 255
-    # Two ways from the film's colours to red, green and blue: a few levels apart.
-    assert np.abs(touches.images - theirs).max() <= 4
-    assert np.abs(touches.images.astype(int) - pictures).mean() < 4
+    apart = np.abs(touches.images.astype(int) - pictures)
+    # 1.5 levels apart at the mean; two pictures that follow each other are 8.
+    assert apart.mean(axis=(1, 2, 3)).max() < 3
     assert touches.object.tolist() == ["cup"] * 5 + ["pen"] * 3
     expected_s = [0, 0.1, 0.2, 0.3, 0.4, 0, 0.1, 0.2]
     assert_allclose(touches.columns["time_s"], expected_s, atol=1e-6)
