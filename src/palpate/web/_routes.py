@@ -181,7 +181,7 @@ router = APIRouter(prefix="/api", responses=_REFUSALS, dependencies=[Depends(_TO
 
 
 async def _session(
-    request: Request, sensor: Annotated[int, Query(ge=1, description="Which.")] = 1
+    request: Request, sensor: Annotated[int, Query(ge=1, description="Which one.")] = 1
 ) -> Any:
     sessions = request.app.state.sessions
     if sensor > len(sessions):
