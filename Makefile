@@ -7,6 +7,7 @@ OLDEST_VENV ?= .venv-oldest
 BARE_VENV ?= .venv-bare
 DIST_VENV ?= .venv-dist
 LEROBOT_VENV ?= .venv-lerobot
+LOOK_VENV ?= .venv-look
 # The oldest Python that pyproject.toml promises.
 OLDEST_PYTHON ?= python3.11
 BIN := $(VENV)/bin
@@ -15,7 +16,7 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
 PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-all test-oldest test-bare check check-lerobot format fuzz mutants bench dist clean
+.PHONY: demo test test-all test-oldest test-bare check check-lerobot check-look format fuzz mutants bench dist clean
 
 demo: $(VENV)/.demo-installed
 	@$(BIN)/palpate demo $(if $(PALPATE_DATA),--real)
@@ -25,6 +26,7 @@ test: check
 
 test-all: check
 	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --cov --cov-report=term
+	$(MAKE) check-lerobot check-look
 
 # The oldest versions that pyproject.toml promises; old packages beside new ones warn
 # about each other.
@@ -59,6 +61,10 @@ check-lerobot: $(LEROBOT_VENV)/.installed
 	HF_HUB_OFFLINE=1 $(ONE_THREAD) PYTHONPATH=src:plugs/lerobot \
 		$(LEROBOT_VENV)/bin/python -m pytest -q -p no:cacheprovider plugs/lerobot
 
+# Do the readers of Rerun and of MCAP read what is written for them?
+check-look: $(LOOK_VENV)/.installed
+	$(ONE_THREAD) $(LOOK_VENV)/bin/python -m pytest -q -p no:cacheprovider plugs/look
+
 check: $(VENV)/.test-installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -81,7 +87,7 @@ dist: $(VENV)/.dev-installed
 	$(ONE_THREAD) $(DIST_VENV)/bin/python -I .ci/check_wheel.py dist/*.whl
 
 clean:
-	rm -rf $(VENV) $(BENCH_VENV) $(OLDEST_VENV) $(BARE_VENV) $(DIST_VENV) $(LEROBOT_VENV)
+	rm -rf $(VENV) $(BENCH_VENV) $(OLDEST_VENV) $(BARE_VENV) $(DIST_VENV) $(LEROBOT_VENV) $(LOOK_VENV)
 	rm -rf .coverage .coverage.* .pytest_cache .mypy_cache .ruff_cache build dist
 
 $(VENV)/bin/python:
@@ -118,6 +124,11 @@ $(LEROBOT_VENV)/.installed: pyproject.toml
 	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) $(LEROBOT_NEEDS)
 	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) --no-deps $(LEROBOT)
 	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) -e ".[parquet]" -e plugs/lerobot
+	@touch $@
+
+$(LOOK_VENV)/.installed: pyproject.toml constraints.txt plugs/look/pyproject.toml
+	$(PYTHON) -m venv --clear $(LOOK_VENV)
+	$(LOOK_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e . -e "plugs/look[rerun]" pytest pyarrow
 	@touch $@
 
 # MKLpy (GPL-3) is a yardstick, never a dependency: it has an environment of its own,

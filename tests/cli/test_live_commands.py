@@ -221,7 +221,7 @@ def test_serve_says_what_is_wrong_before_it_gives_an_address(
 ):
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setattr("palpate.web.run_app", lambda app, opened: opened.close())
-    done = palpate("serve", *words, "--library", tmp_path / "l", "--port=0", *words)
+    done = palpate("serve", "--library", tmp_path / "l", "--port=0", *words)
     assert done.returncode in (1, 2)
     assert message in done.stderr
     assert "Open http" not in done.stdout
