@@ -192,7 +192,7 @@ def _forget(page, name):
     )
 
 
-def test_the_whole_way_with_drawn_touches(page, make_session, serving):
+def test_the_whole_way_with_drawn_touches(page, make_session, serving, learning_here):
     session = make_session()
     session.watch.sensor.rate_hz = 60.0
     walk(page, serving, session, ("disc", "bar", "both"), 8)
