@@ -433,16 +433,16 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("change", HOSTILE)
-def test_models_that_cannot_work_are_refused_when_read(tmp_path, test_touches, change):
-    model = ObjectRecogniser().fit(test_touches)
+def test_models_that_cannot_work_are_refused_when_read(tmp_path, recogniser, change):
+    model = copy.deepcopy(recogniser)
     HOSTILE[change](model)
     path = model.save(tmp_path / "m.palpate")
     with pytest.raises(ModelFileError, match="damaged"):
         ObjectRecogniser.load(path)
 
 
-def test_a_model_without_an_attribute_is_refused_when_read(tmp_path, test_touches):
-    model = ObjectRecogniser().fit(test_touches)
+def test_a_model_without_an_attribute_is_refused_when_read(tmp_path, recogniser):
+    model = copy.deepcopy(recogniser)
     del model.pose_
     with pytest.raises(ModelFileError, match="damaged"):
         ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
