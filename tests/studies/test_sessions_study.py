@@ -29,6 +29,15 @@ def result(tmp_path_factory):
     touches = Touches(images, object=names, session=days, geometry="none")
     people = np.repeat(["x", "y", "x", "y"], 12)
     touches.with_columns(subject=people).save(folder / "two_days.npz")
+    moved = np.array(["bowl_whitebig", "mug_blacksquared", "ball"])[np.arange(48) % 3]
+    rims = np.repeat([[20.0, 20.0, 9.0], [30.0, 20.0, 9.0]], 24, axis=0)
+    jumped = touches.without("session").with_columns(
+        object=moved,
+        category=moved,
+        order=np.arange(48),
+        rim_circle_row_col_radius_px=rims,
+    )
+    jumped.save(folder / "jumped.npz")
     touches[days == "mon"].save(folder / "one_day.npz")
     np.savez(folder / "no_touches.npz", numbers=np.arange(3))
     small = partial(simulate_touches, camera=DomeCamera(image_shape=(40, 40)))
@@ -40,20 +49,26 @@ def result(tmp_path_factory):
 def test_every_source_has_every_way_and_one_day_is_no_source(result):
     rows = result["rows"]
     sources = {row["data"] for row in rows}
-    assert sources == {"simulated dome", "simulated array", "two_days"}
-    for data in sources:
+    assert sources == {"simulated dome", "simulated array", "two_days", "jumped"}
+    for data in sources - {"jumped"}:
         ways = {row["way"] for row in rows if row["data"] == data}
         assert {"as it is", "one confirmed touch an object", "alarm: area"} <= ways
         assert "brightness alone" in ways
         assert "the last quarter of the same sessions" in ways
     ways = {row["way"] for row in rows if row["data"] == "two_days"}
     assert "pairs of others known, its touches without labels" in ways
+    ways = {row["way"] for row in rows if row["data"] == "jumped"}
+    assert ways == {
+        "object after the camera jumped, as it is",
+        "object after the camera jumped, its touches without labels",
+        "category after the camera jumped, as it is",
+    }
     assert all(0 <= row["ours"] <= 100 for row in rows)
 
 
 def test_it_is_shown(result, tmp_path):
     titles = [title for title, _, _ in STUDIES["sessions"].tables(result)]
-    assert titles == ["simulated dome", "simulated array", "two_days"]
+    assert titles == ["simulated dome", "simulated array", "jumped", "two_days"]
     pytest.importorskip("matplotlib")
     page = STUDIES["sessions"].write_report(tmp_path / "sessions.html", result)
     assert "two_days" in page.read_text()

@@ -21,6 +21,7 @@ from ...simulation import simulate_presses, simulate_touches
 from ...touches import Touches, TouchesError
 from .. import _study as shared
 from .._study import Experiment, Figures, Plan, Row, Table, Work, coded
+from ..corradi2015.beside import lacks_move, moved
 
 WAYS = {
     "none": "as it is",
@@ -31,7 +32,7 @@ WAYS = {
 }
 CEILING = "the last quarter of the same sessions"
 ALARM = "alarm"
-PAIRS = "pairs of others known"
+PAIRS, MOVED = "pairs of others known", "after the camera jumped"
 N_ALARM_TOUCHES = 10
 TITLE = "Taught in some sessions, asked in another"
 CAPTIONS = {"sessions": "Right after one touch (per cent), each session left out."}
@@ -96,7 +97,8 @@ def _recorded(
 ) -> Iterator[tuple[str, Touches, tuple[str, ...]]]:
     """Yield archives, and what can be asked of them.
 
-    All in which at least two objects were met in several sessions, and those objects.
+    All in which at least two objects were met in several sessions, and those objects
+    whose camera jumped within their recording.
     """
     for path in sorted(folder.rglob("*.npz")):
         try:
@@ -104,6 +106,8 @@ def _recorded(
         except TouchesError:
             continue
         objects, sessions = touches.object, touches.session
+        if not lacks_move(touches):
+            yield path.stem, touches, (MOVED,)
         if objects is None or sessions is None:
             continue
         met = np.unique(np.stack([objects, sessions.astype(str)]), axis=1)[0]
@@ -119,7 +123,7 @@ def _rows_of(plan: SessionsPlan, data: str, touches: Touches, way: str) -> list[
     if way == ALARM:
         return _alarm(plan, data, touches)
     asked = Asked(touches=plan.touches, orders=plan.orders, seed=plan.seed)
-    beside = {CEILING: _ceiling, PAIRS: _pairs_known}
+    beside = {CEILING: _ceiling, PAIRS: _pairs_known, MOVED: _moved}
     if way in beside:
         return beside[way](asked, data, touches)
     asked = replace(asked, remount=way)
@@ -171,6 +175,19 @@ def _pairs_known(asked: Asked, data: str, touches: Touches) -> list[Row]:
             shares = [one["accuracy"][k] for one in found if k in one["accuracy"]]
             if shares:
                 rows.append(_row(data, f"{PAIRS}, {WAYS[way]}", int(k), shares))
+    return rows
+
+
+def _moved(asked: Asked, data: str, touches: Touches) -> list[Row]:
+    """Ask about objects on the other side of the jump, among all the others."""
+    rows = []
+    asked_of = [("object", "none"), ("object", "recentre"), ("category", "none")]
+    for label, way in asked_of:
+        sizes: Any = {"lengths": asked.touches, "orders": asked.orders}
+        found = moved(touches, **sizes, seed=asked.seed, remount=way, label=label)
+        for k in map(str, asked.touches):
+            shares = [one["accuracy"][k] for one in found.values()]
+            rows.append(_row(data, f"{label} {MOVED}, {WAYS[way]}", int(k), shares))
     return rows
 
 
