@@ -8,34 +8,40 @@ BARE_VENV ?= .venv-bare
 DIST_VENV ?= .venv-dist
 LEROBOT_VENV ?= .venv-lerobot
 DOCS_VENV ?= .venv-docs
+LOOK_VENV ?= .venv-look
 # The oldest Python that pyproject.toml promises.
 OLDEST_PYTHON ?= python3.11
 BIN := $(VENV)/bin
 # One thread per process: tests and benchmarks run side by side.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
+# Two processes, each with neighbouring tests, so that what a file learns is learnt once.
+IN_TWO := -n 2 --dist worksteal
+# Compiled tests are kept, whatever the shell says: half of the time of finding them.
+unexport PYTHONDONTWRITEBYTECODE
 
 PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-all test-oldest test-bare check check-lerobot format fuzz mutants bench docs linkcheck dist clean
+.PHONY: demo test test-all test-oldest test-bare check check-lerobot check-look format fuzz mutants bench docs linkcheck dist clean
 
 demo: $(VENV)/.demo-installed
 	@$(BIN)/palpate demo $(if $(PALPATE_DATA),--real)
 
 test: check
-	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 -m "not slow"
+	$(ONE_THREAD) $(BIN)/python -m pytest $(IN_TWO) -m "not slow"
 
 test-all: check
-	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --cov --cov-report=term
+	$(ONE_THREAD) $(BIN)/python -m pytest $(IN_TWO) --cov --cov-report=term
+	$(MAKE) check-lerobot check-look
 
 # The oldest versions that pyproject.toml promises; old packages beside new ones warn
 # about each other.
 test-oldest: $(OLDEST_VENV)/.installed
-	$(ONE_THREAD) $(OLDEST_VENV)/bin/python -m pytest -n 2 -m "not slow" \
+	$(ONE_THREAD) $(OLDEST_VENV)/bin/python -m pytest $(IN_TWO) -m "not slow" \
 		-W ignore::DeprecationWarning -W ignore::PendingDeprecationWarning
 
 # No extra at all: what needs one is skipped by its name, and everything else works.
 test-bare: $(BARE_VENV)/.installed
-	PALPATE_BARE=1 $(ONE_THREAD) $(BARE_VENV)/bin/python -m pytest -n 2 \
+	PALPATE_BARE=1 $(ONE_THREAD) $(BARE_VENV)/bin/python -m pytest $(IN_TWO) \
 		-m "not slow" --doctest-ignore-import-errors
 
 # Inputs changed by chance, for so long; goes on where the last run stopped.
@@ -59,6 +65,10 @@ LEROBOT_NEEDS := torch==2.13.0 torchvision==0.28.0 "datasets>=4,<5" "av>=15,<16"
 check-lerobot: $(LEROBOT_VENV)/.installed
 	HF_HUB_OFFLINE=1 $(ONE_THREAD) PYTHONPATH=src:plugs/lerobot \
 		$(LEROBOT_VENV)/bin/python -m pytest -q -p no:cacheprovider plugs/lerobot
+
+# Do the readers of Rerun and of MCAP read what is written for them?
+check-look: $(LOOK_VENV)/.installed
+	$(ONE_THREAD) $(LOOK_VENV)/bin/python -m pytest -q -p no:cacheprovider plugs/look
 
 check: $(VENV)/.test-installed
 	$(BIN)/ruff check .
@@ -92,7 +102,7 @@ dist: $(VENV)/.dev-installed
 	$(ONE_THREAD) $(DIST_VENV)/bin/python -I .ci/check_wheel.py dist/*.whl
 
 clean:
-	rm -rf $(VENV) $(BENCH_VENV) $(OLDEST_VENV) $(BARE_VENV) $(DIST_VENV) $(LEROBOT_VENV) $(DOCS_VENV)
+	rm -rf $(VENV) $(BENCH_VENV) $(OLDEST_VENV) $(BARE_VENV) $(DIST_VENV) $(LEROBOT_VENV) $(LOOK_VENV) $(DOCS_VENV)
 	rm -rf .coverage .coverage.* .pytest_cache .mypy_cache .ruff_cache build dist
 	rm -rf docs/_build docs/gallery docs/reference/generated docs/sg_execution_times.rst
 
@@ -135,6 +145,11 @@ $(LEROBOT_VENV)/.installed: pyproject.toml
 	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) $(LEROBOT_NEEDS)
 	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) --no-deps $(LEROBOT)
 	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) -e ".[parquet]" -e plugs/lerobot
+	@touch $@
+
+$(LOOK_VENV)/.installed: pyproject.toml constraints.txt plugs/look/pyproject.toml
+	$(PYTHON) -m venv --clear $(LOOK_VENV)
+	$(LOOK_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e . -e "plugs/look[rerun]" pytest pyarrow
 	@touch $@
 
 # MKLpy (GPL-3) is a yardstick, never a dependency: it has an environment of its own,

@@ -116,20 +116,73 @@ def clocked(work: Callable[[], Any]) -> dict[str, float]:
 
 def learning(_: str) -> dict[str, float]:
     """Learn 60 touches of each of 10 objects with the preset `default`."""
-    from palpate import Touches
     from palpate.recognition import ObjectRecogniser
+
+    touches = recorded(n_objects=10, n_each=60)
+    return clocked(lambda: ObjectRecogniser("default").fit(touches))
+
+
+def learning_50(_: str) -> dict[str, float]:
+    """Learn up to 90 touches of each of 50 objects with the preset `default`."""
+    from palpate.recognition import ObjectRecogniser
+
+    touches = recorded(n_objects=50, n_each=90)
+    return clocked(lambda: ObjectRecogniser("default").fit(touches))
+
+
+def adding(_: str) -> dict[str, float]:
+    """Add ten touches to one of 50 objects of up to 40 touches each."""
+    from palpate.recognition import ObjectRecogniser
+
+    touches = recorded(n_objects=50, n_each=50)
+    mine = np.flatnonzero(touches.object == touches.object[0])
+    others = np.delete(np.arange(len(touches)), mine[-10:])
+    recogniser = ObjectRecogniser("default").fit(touches[others])
+    name, more = str(touches.object[0]), touches[mine[-10:]]
+    return clocked(lambda: recogniser.extend_object(name, more))
+
+
+def rim(_: str) -> dict[str, float]:
+    """Find the rim of 60 pictures of 480 x 640, of which a typical one is known."""
+    from palpate.images import find_rims, typical_rim
+
+    images = drawn(60, 1, DRAWN_SHAPE, seed=1)[0]
+    near = typical_rim(images)
+    return clocked(lambda: find_rims(images, near=near))
+
+
+def hu(_: str) -> dict[str, float]:
+    """Take Hu's moments of 60 discs of 480 x 480."""
+    from palpate.encodings import HuMoments
+
+    discs = drawn(60, 1, (480, 480), seed=1)[0].astype(np.float32)
+    encoder = HuMoments().fit(discs)
+    return clocked(lambda: encoder.transform(discs))
+
+
+def files(_: str) -> dict[str, float]:
+    """Read 200 recorded JPEGs of 640 x 480, or the drawn ones again and again."""
+    from palpate.touches import decode_bytes
+
+    source = Path(os.environ.get("PALPATE_DATA", "")) / "bathtip" / "originals"
+    paths = sorted(source.glob("*/*/*.jpg")) or sorted(Path("pictures").iterdir())
+    coded = [path.read_bytes() for path in (paths * 200)[:200]]
+    return clocked(lambda: [decode_bytes(one) for one in coded])
+
+
+def recorded(n_objects: int, n_each: int) -> Any:
+    """Return touches of the recorded dome, or drawn ones where it is not there."""
+    from palpate import Touches
 
     source = Path(os.environ.get("PALPATE_DATA", "")) / "bathtip" / "bathtip50.npz"
     if not source.exists():
-        images, objects = drawn(10, 60, (120, 120), seed=2)
-        touches = Touches(images, object=objects)
-    else:
-        recorded = Touches.load(source)
-        objects = np.asarray(recorded.columns["object"])
-        names = sorted(set(objects))[::5]
-        rows = [np.flatnonzero(objects == name)[:60] for name in names]
-        touches = recorded[np.concatenate(rows)]
-    return clocked(lambda: ObjectRecogniser("default").fit(touches))
+        images, objects = drawn(n_objects, n_each, (120, 120), seed=2)
+        return Touches(images, object=objects)
+    touches = Touches.load(source)
+    objects = np.asarray(touches.columns["object"])
+    names = sorted(set(objects))[:: 50 // n_objects]
+    rows = [np.flatnonzero(objects == name)[:n_each] for name in names]
+    return touches[np.concatenate(rows)]
 
 
 def latency(model: str) -> dict[str, float]:
@@ -197,7 +250,16 @@ def drawn(n_objects: int, n_each: int, shape: tuple[int, int], seed: int) -> Any
     return images, np.repeat([f"object {n:02d}" for n in range(n_objects)], n_each)
 
 
-INSIDE = {"learning": learning, "latency": latency, "MKLSVC": kernels}
+INSIDE = {
+    "learning": learning,
+    "learning 50": learning_50,
+    "adding": adding,
+    "latency": latency,
+    "rim": rim,
+    "hu": hu,
+    "files": files,
+    "MKLSVC": kernels,
+}
 WHOLE: dict[str, list[str]] = {
     "import": ["-c", "import palpate.recognition"],
     "--help": ["-m", "palpate", "--help"],

@@ -13,6 +13,7 @@ from typing import Any
 
 ROOMS = (
     "touches",
+    "datasets",
     "images",
     "encodings",
     "classifiers",

@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+# What somebody fetched on this computer is no part of a test.
+os.environ["PALPATE_DATA_HOME"] = str(Path(__file__).parent / "nothing-fetched")
+
 
 @pytest.fixture(scope="session")
 def data_folder() -> Path:

@@ -1,15 +1,19 @@
 """Without its extra a command says in one sentence what to install, and how.
 
-The extra's package is hidden behind one that cannot be imported, so this runs wherever
-palpate does.
+The extra's package is hidden, or stands behind one that cannot be imported, so this
+runs wherever palpate does.
 """
 
+import importlib
 import os
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+
+from palpate import Touches
+from palpate.library import TouchLibrary
 
 # What is hidden, the extra that brings it, and the command that wants it.
 COMMANDS = [
@@ -37,6 +41,7 @@ COMMANDS = [
         "record mug --sensor camera:Desk --library lib",
     ),
     ("pyarrow", "parquet", "library export lib -o touches.parquet"),
+    ("pooch", "data", "data fetch tactip4 --data fetched --mirror http://127.0.0.1:9"),
 ]
 
 
@@ -47,21 +52,61 @@ def folder(tmp_path_factory):
     rng = np.random.default_rng(0)
     images = rng.normal(size=(12, 8, 8)) + np.repeat([0, 5], 6)[:, None, None]
     np.savez(folder / "touches.npz", images=images, object=["a"] * 6 + ["b"] * 6)
-    done = palpate(folder, "library add lib touches.npz")
-    assert done.returncode == 0, done.stderr
+    with TouchLibrary.open(folder / "lib", create=True) as library:
+        library.add(Touches.load(folder / "touches.npz"))
     return folder
 
 
-def palpate(folder, command, *hidden):
-    """Run a command where packages are hidden, from its workers too."""
-    paths = [folder / f"without-{package}" for package in hidden]
-    for package, path in zip(hidden, paths, strict=True):
-        path.mkdir(exist_ok=True)
+@pytest.mark.parametrize(("package", "extra", "command"), COMMANDS)
+def test_the_refusal_names_package_and_extra(
+    folder, package, extra, command, monkeypatch, capsys
+):
+    for name in [*sys.modules]:
+        if name.partition(".")[0] == "palpate":  # imported anew, without the package
+            monkeypatch.delitem(sys.modules, name)
+        elif name.partition(".")[0] == package:
+            monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")  # no process that would find it
+    monkeypatch.setattr(sys, "argv", ["palpate", *command.split()])
+    monkeypatch.chdir(folder)
+    with pytest.raises(SystemExit) as stopped:
+        importlib.import_module("palpate.cli").main()
+    printed = capsys.readouterr().err
+    assert stopped.value.code == 1, printed
+    said = " ".join(printed.split())
+    assert f'which is not installed: pip install "palpate[{extra}]"' in said
+    assert package.replace("_", "-").lstrip("py") in said.replace("_", "-")
+    assert "Traceback" not in said
+
+
+NEED_NONE = """
+import sys
+from palpate.cli import main
+for command in (
+    "learn touches.npz -o few.palpate",
+    "recognise few.palpate touches.npz --json",
+    "evaluate --train touches.npz --split between --touches 1 --orders 1 --json",
+    "simulate array bar10 disc13 -o parts.npz --presses 4",
+    "library stats lib",
+    "doctor",
+):
+    sys.argv = ["palpate", *command.split()]
+    try:
+        main()
+    except SystemExit as end:
+        assert not end.code, command
+"""
+
+
+def run_without(packages, arguments, folder, hidden):
+    """Run Python where packages cannot be imported, in its workers neither."""
+    for package in packages:
         refusal = f"raise ModuleNotFoundError('no {package}', name='{package}')"
-        (path / f"{package}.py").write_text(refusal)
-    searched = [*map(str, paths), os.environ.get("PYTHONPATH", "")]
+        (hidden / f"{package}.py").write_text(refusal)
+    searched = [str(hidden), os.environ.get("PYTHONPATH", "")]
     return subprocess.run(
-        [sys.executable, "-m", "palpate", *command.split()],
+        [sys.executable, *arguments],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, searched))},
         capture_output=True,
@@ -69,25 +114,15 @@ def palpate(folder, command, *hidden):
     )
 
 
-@pytest.mark.parametrize(("package", "extra", "command"), COMMANDS)
-def test_the_refusal_names_package_and_extra(folder, package, extra, command):
-    done = palpate(folder, command, package)
-    assert done.returncode == 1, done.stderr
-    said = " ".join(done.stderr.split())
-    assert f'which is not installed: pip install "palpate[{extra}]"' in said
-    assert package.replace("_", "-").lstrip("py") in said.replace("_", "-")
-    assert "Traceback" not in said
-
-
-def test_what_needs_no_extra_works_without_any(folder):
+def test_what_needs_no_extra_works_without_any(folder, tmp_path):
     packages = {package for package, _, _ in COMMANDS}
-    for command in (
-        "learn touches.npz -o few.palpate",
-        "recognise few.palpate touches.npz --json",
-        "evaluate --train touches.npz --split between --touches 1 --orders 1 --json",
-        "simulate array bar10 disc13 -o parts.npz --presses 4",
-        "library stats lib",
-        "doctor",
-    ):
-        done = palpate(folder, command, *packages)
-        assert done.returncode == 0, (command, done.stderr)
+    done = run_without(packages, ["-c", NEED_NONE], folder, tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+def test_workers_refuse_as_well(folder, tmp_path):
+    words = ["-m", "palpate", "simulate", "dome", "mug", "-o", "d.npz", "--workers=2"]
+    done = run_without({"trimesh"}, words, folder, tmp_path)
+    assert done.returncode == 1
+    assert 'pip install "palpate[sim]"' in done.stderr
+    assert "Traceback" not in done.stderr

@@ -168,8 +168,8 @@ def check_levels(images: NDArray[Any]) -> NDArray[Any]:
     """Return `images` if single precision holds sums of their levels, or explain."""
     if images.dtype.kind != "f":
         return images
-    size = np.abs(images).max(axis=tuple(range(1, images.ndim)))
-    if size.max() > LARGEST_LEVEL:
+    if max(images.max(), -images.min()) > LARGEST_LEVEL:
+        size = np.abs(images).max(axis=tuple(range(1, images.ndim)))
         touch = int(np.argmax(size > LARGEST_LEVEL))
         raise ValueError(
             f"Images must have levels of at most {LARGEST_LEVEL:g} in size, got "

@@ -68,10 +68,23 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
             If `X` are no images such as this takes, or a parameter is none of those
             listed.
         """
-        images = self._checked(X)
-        self._learn(planes_of(images) if self._by_channel else images)
-        self.image_shape_ = images.shape[1:]
+        self._fitted(self._checked(X))
         return self
+
+    def fit_transform(self, X: ArrayLike, y: object = None, **known: Any) -> Array:
+        """Do what `fit` and then `transform` do, without doing anything twice."""
+        if type(self).fit is not ImageEstimator.fit:
+            return np.asarray(super().fit_transform(X, y, **known))
+        images = self._checked(X)
+        made = self._fitted(images)
+        if made is None:
+            return self.transform_checked(images)
+        return by_channel(lambda _: made, images)
+
+    def _fitted(self, images: Array) -> Array | None:
+        made = self._learn(planes_of(images) if self._by_channel else images)
+        self.image_shape_ = images.shape[1:]
+        return made
 
     def transform(self, X: ArrayLike) -> Array:
         """Check images `X` of the size that `fit` saw, and transform them.
@@ -96,8 +109,12 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
         """
         raise NotImplementedError
 
-    def _learn(self, images: Array) -> None:
-        """Check the parameters and learn what there is to learn."""
+    def _learn(self, images: Array) -> Array | None:
+        """Check the parameters and learn what there is to learn.
+
+        May return what `transform_checked` would then make of the images.
+        """
+        return None
 
     def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
         """Return `X` as images that this takes, of `shape` if given, or explain."""

@@ -20,10 +20,14 @@ from palpate.classifiers import MKLSVC, GaussianKernel, LinearKernel, Polynomial
 SOME = [GaussianKernel(1.0), GaussianKernel(4.0), PolynomialKernel(2), LinearKernel()]
 
 
-@parametrize_with_checks(
-    [MKLSVC(), MKLSVC(kernels=SOME, normalize="variance", norm=2, C=1)]
-)
+@parametrize_with_checks([MKLSVC(kernels=SOME, normalize="variance", norm=2, C=1)])
 def test_common_checks(estimator, check):
+    check(estimator)
+
+
+@pytest.mark.slow
+@parametrize_with_checks([MKLSVC()])
+def test_common_checks_with_all_22_kernels(estimator, check):
     check(estimator)
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,16 +20,21 @@ ENDS = {"decision", "unknown", "budget"}
 
 
 @pytest.fixture(scope="module")
-def taught():
+def learnt(tmp_path_factory):
+    """A folder with a model and the touches that it was taught."""
+    folder = tmp_path_factory.mktemp("learnt")
     camera = DomeCamera(image_shape=(48, 48), n_nodes=24)
     things = [find_object(name) for name in ("ball", "box", "pen")]
-    return explore_to_learn(things, 14, camera, n_sessions=2)
+    taught = explore_to_learn(things, 14, camera, n_sessions=2)
+    taught.save(folder / "m.npz")
+    ObjectRecogniser().fit(taught).save(folder / "m.palpate")
+    return folder
 
 
 @pytest.fixture
-def model(taught, tmp_path):
-    taught.save(tmp_path / "m.npz")
-    return ObjectRecogniser().fit(taught).save(tmp_path / "m.palpate")
+def model(learnt, tmp_path):
+    shutil.copytree(learnt, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "m.palpate"
 
 
 def test_learning_writes_a_model_and_its_touches_and_goes_on(palpate, tmp_path):

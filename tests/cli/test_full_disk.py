@@ -3,8 +3,7 @@
 import errno
 import os
 import signal
-import subprocess
-import sys
+from contextlib import contextmanager
 
 import pytest
 
@@ -13,10 +12,17 @@ from palpate import Touches
 resource = pytest.importorskip("resource")
 
 
-def _limit():
-    """Let no file of this process have over 500 bytes."""
-    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500))
+@contextmanager
+def no_room():
+    """Let no file of this process grow over 500 bytes."""
+    kind = resource.RLIMIT_FSIZE
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN), resource.getrlimit(kind)
+    resource.setrlimit(kind, (500, before[1][1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(kind, before[1])
+        signal.signal(signal.SIGXFSZ, before[0])
 
 
 @pytest.mark.parametrize(
@@ -26,21 +32,13 @@ def _limit():
         ("evaluate --train {} --split last --touches 1 --orders 2 --report", "r.html"),
     ],
 )
-def test_an_output_without_room(tmp_path, rng, verb, name):
+def test_an_output_without_room(palpate, tmp_path, rng, verb, name):
     archive, target = tmp_path / "touches.npz", tmp_path / name
     images = rng.uniform(0, 9, (24, 8, 8))
     Touches(images, object=["a", "b"] * 12, geometry="array").save(archive)
     target.write_bytes(b"old")
-    done = subprocess.run(
-        [
-            *(sys.executable, "-m", "palpate"),
-            *verb.format(archive).split(),
-            target,
-        ],
-        preexec_fn=_limit,
-        capture_output=True,
-        text=True,
-    )
+    with no_room():
+        done = palpate(*verb.format(archive).split(), target)
     assert done.returncode == 1, done.stderr
     assert f"{target} must be a place with room" in done.stderr
     assert os.strerror(errno.EFBIG) in done.stderr

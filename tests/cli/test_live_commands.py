@@ -37,6 +37,13 @@ def recording(tmp_path_factory):
     return path
 
 
+@pytest.fixture(scope="module")
+def model(recording):
+    """What is learnt from them."""
+    recogniser = ObjectRecogniser().fit(Touches.load(recording))
+    return recogniser.save(recording.with_name("model.palpate"))
+
+
 @pytest.fixture
 def replay(recording):
     return ["--sensor", f"replay:{recording}", "--rate", "200", "--hold", "3"]
@@ -77,9 +84,7 @@ def test_record_gives_up_where_no_touch_comes(palpate, replay, tmp_path):
     assert "No touch in 0.3 s" in done.stderr
 
 
-def test_live_follows_an_episode_to_its_decision(palpate, replay, recording, tmp_path):
-    model = tmp_path / "model.palpate"
-    ObjectRecogniser().fit(Touches.load(recording)).save(model)
+def test_live_follows_an_episode_to_its_decision(palpate, replay, model):
     said = palpate(
         "live", str(model), *replay, "--gap", "3", "--place", "bar", "-n", "6"
     )
@@ -97,10 +102,9 @@ def test_live_follows_an_episode_to_its_decision(palpate, replay, recording, tmp
 
 
 def test_live_says_what_the_camera_changes_by_itself(
-    palpate, replay, recording, tmp_path, monkeypatch
+    palpate, replay, model, monkeypatch
 ):
-    model, said = tmp_path / "model.palpate", "does not keep exposure fixed"
-    ObjectRecogniser().fit(Touches.load(recording)).save(model)
+    said = "does not keep exposure fixed"
     monkeypatch.setattr("palpate.sensors.LiveSensor.unfixed", said)
     words = ["live", model, *replay, "--gap", "3", "--place", "bar", "-n", "1"]
     assert said in palpate(*words).stderr
@@ -109,11 +113,7 @@ def test_live_says_what_the_camera_changes_by_itself(
 LEVELS = "--error", "0.02", "--refusal", "0.3"
 
 
-def test_live_decides_at_the_refusal_asked_for(
-    palpate, replay, recording, tmp_path, asked
-):
-    model = tmp_path / "model.palpate"
-    ObjectRecogniser().fit(Touches.load(recording)).save(model)
+def test_live_decides_at_the_refusal_asked_for(palpate, replay, model, asked):
     words = ["live", model, *replay, "--gap", "3", "-n", "2", *LEVELS, "--json"]
     (episode,) = json.loads(palpate(*words).stdout)["episodes"]
     assert (episode["error"], episode["refusal"]) == (0.02, 0.3)
@@ -122,12 +122,10 @@ def test_live_decides_at_the_refusal_asked_for(
 
 
 def test_serve_decides_at_the_refusal_asked_for(
-    palpate, monkeypatch, recording, tmp_path, asked
+    palpate, monkeypatch, recording, model, asked
 ):
     pytest.importorskip("fastapi", reason='needs the extra "web"')
-    model, ends = tmp_path / "model.palpate", []
-    touches = Touches.load(recording)
-    ObjectRecogniser().fit(touches).save(model)
+    ends, touches = [], Touches.load(recording)
 
     def run_app(app, opened):
         asked.clear()
@@ -221,30 +219,24 @@ def test_serve_says_what_is_wrong_before_it_gives_an_address(
 ):
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setattr("palpate.web.run_app", lambda app, opened: opened.close())
-    done = palpate("serve", *words, "--library", tmp_path / "l", "--port=0", *words)
+    done = palpate("serve", "--library", tmp_path / "l", "--port=0", *words)
     assert done.returncode in (1, 2)
     assert message in done.stderr
     assert "Open http" not in done.stdout
     assert not (tmp_path / "l").exists()
 
 
-def test_live_says_why_a_model_does_not_suit_the_sensor(palpate, recording, tmp_path):
-    model = tmp_path / "model.palpate"
-    ObjectRecogniser().fit(Touches.load(recording)).save(model)
+def test_live_says_why_a_model_does_not_suit_the_sensor(palpate, model):
     done = palpate("live", model, "--sensor", "sim:mug", "--timeout", "4")
     assert done.returncode == 1
     assert "120 x 120 pixels" in done.stderr
     assert "got one of 12 x 12" in done.stderr
 
 
-def test_live_says_why_a_touch_was_not_taken(
-    palpate, replay, recording, tmp_path, monkeypatch
-):
+def test_live_says_why_a_touch_was_not_taken(palpate, replay, model, monkeypatch):
     def refuse(self, *touch):
         raise ValueError("The touch is none.")
 
-    model = tmp_path / "model.palpate"
-    ObjectRecogniser().fit(Touches.load(recording)).save(model)
     monkeypatch.setattr("palpate.web.LiveSession._recognise", refuse)
     done = palpate("live", model, *replay, "--gap", "3", "--timeout", "20")
     assert done.returncode == 1

@@ -1,6 +1,7 @@
 """`palpate remount`, `palpate sensor learn-nuisance` and what `recognise` says."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -21,9 +22,15 @@ def visited(moved, n, seed, session):
     return Touches(images[:, None], geometry="none", **told)
 
 
+@pytest.fixture(scope="module")
+def learnt(tmp_path_factory):
+    path = tmp_path_factory.mktemp("learnt") / "m.palpate"
+    return ObjectRecogniser().fit(visited(0, 12, 0, "mon")).save(path)
+
+
 @pytest.fixture
-def files(tmp_path):
-    ObjectRecogniser().fit(visited(0, 12, 0, "mon")).save(tmp_path / "m.palpate")
+def files(learnt, tmp_path):
+    shutil.copy(learnt, tmp_path)
     visited(MOVE, 6, 1, "tue").save(tmp_path / "tue.npz")
     visited(0, 6, 2, "mon").save(tmp_path / "mon.npz")
     return tmp_path

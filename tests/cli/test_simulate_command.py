@@ -1,8 +1,6 @@
 """`palpate simulate array` from outside: archives, repeatability, refusals."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -14,8 +12,8 @@ from palpate.simulation import simulate_presses
 
 @pytest.fixture
 def simulate(palpate):
-    def run(*arguments):
-        return palpate("simulate", "array", *arguments)
+    def run(*arguments, cwd=None):
+        return palpate("simulate", "array", *arguments, cwd=cwd)
 
     return run
 
@@ -106,14 +104,8 @@ def test_the_same_seed_writes_the_same_touches_with_any_workers(simulate, tmp_pa
         ([], 2, "Missing option"),
     ],
 )
-def test_failures_say_what_to_do(arguments, code, message, tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-m", "palpate", "simulate", "array", *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=tmp_path,
-    )
+def test_failures_say_what_to_do(simulate, arguments, code, message, tmp_path):
+    done = simulate(*arguments, cwd=tmp_path)
     assert done.returncode == code
     assert message in done.stderr
     assert "Traceback" not in done.stderr

@@ -306,7 +306,7 @@ def marked(places, side, geometry):
 
 def test_default_sees_the_place_where_only_the_place_tells():
     touches = marked([[2, 8], [8, 2], [13, 8]], 16, "array")
-    entry = entry_of(touches, "blocks", ("default", "taxels SVM"))
+    entry = entry_of(touches, "halves", ("default", "taxels SVM"))
     assert [row["accuracy"] for row in entry["rows"]] == [1, 1]
     assert entry["behind"]["verdict"] == "not behind"
 

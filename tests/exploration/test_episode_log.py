@@ -184,7 +184,7 @@ def _run_until_killed(folder, after):
 
 def test_killed_again_and_again_no_recorded_touch_is_lost(tmp_path, world):
     folder, n_recorded, seen = tmp_path / "killed", 0, {}
-    for after in (1, 8, 15, 22):
+    for after in (1, 15):
         said, code = _run_until_killed(folder, after)
         assert code == -signal.SIGKILL
         files = {p.name: p.read_bytes() for p in folder.glob("touch_*")}

@@ -319,6 +319,8 @@ def steady_share(rims, objects, scale):
 def test_archive_centres_keep_to_their_running_median(data_folder):
     with np.load(data_folder / "bathtip/bathtip50.npz") as archive:
         order = np.lexsort((archive["order"], archive["object"]))
+        names = np.unique(archive["object"])[::4]
+        order = order[np.isin(archive["object"][order], names)]
         images, objects = archive["images"][order], archive["object"][order]
         rims = find_rims(images, no_contact=archive["no_contact"])
     assert rims.visible.mean() > 0.99

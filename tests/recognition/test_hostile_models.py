@@ -53,8 +53,8 @@ def campaign(folder, seeds):
     return refused
 
 
-def test_two_hundred_mutated_models_are_bounded(tmp_path):
-    assert campaign(tmp_path, range(200)) > 60
+def test_a_hundred_mutated_models_are_bounded(tmp_path):
+    assert campaign(tmp_path, range(100)) > 30
 
 
 @pytest.mark.slow

@@ -601,6 +601,7 @@ def test_left_out_objects_score_as_those_that_were_never_learnt(monkeypatch):
     assert medians[0] == pytest.approx(medians[1], abs=0.2)
 
 
+@pytest.mark.slow
 def test_a_thing_unlike_all_that_was_learnt_is_called_unknown():
     """A ball of spikes beside smooth household objects, on a simulated dome."""
     camera = DomeCamera(image_shape=(96, 96), n_nodes=40)

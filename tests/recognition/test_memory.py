@@ -1,6 +1,7 @@
 """What is kept of the training touches: it stays with its touches, whatever changes."""
 
 import json
+from copy import deepcopy
 from pathlib import Path
 
 import numpy as np
@@ -26,9 +27,15 @@ def drawn(seed, names=NAMES, n_each=12):
     return Touches(images, object=labels, touch_id=ids, geometry="none")
 
 
+@pytest.fixture(scope="module")
+def model():
+    return ObjectRecogniser().fit(drawn(0))
+
+
 @pytest.fixture
-def learnt():
-    return ObjectRecogniser().fit(drawn(0)).remember_sensor(SENSOR)
+def learnt(model):
+    """Give a model that may be changed."""
+    return deepcopy(model).remember_sensor(SENSOR)
 
 
 def ids_of(recogniser):

@@ -17,15 +17,16 @@ GEOMETRIES = ("dome", "array", "none")
 
 @pytest.mark.parametrize("geometry", GEOMETRIES)
 @pytest.mark.parametrize("preset", PRESETS)
-@pytest.mark.parametrize("size", [1e300, 1e160, 1e38])
-def test_levels_too_large_to_add_up_are_refused(preset, geometry, size):
-    recogniser = ObjectRecogniser(preset)
-    with pytest.raises(ValueError, match=r"at most 1e\+37"):
-        recogniser.fit(Touches(size * NOISE, object=LABELS, geometry=geometry))
+def test_levels_too_large_to_add_up_are_refused(preset, geometry):
+    recogniser, sizes = ObjectRecogniser(preset), (1e300, 1e160, 1e38)
+    for size in sizes:
+        with pytest.raises(ValueError, match=r"at most 1e\+37"):
+            recogniser.fit(Touches(size * NOISE, object=LABELS, geometry=geometry))
     known = np.where(np.arange(12)[:, None, None] < 6, NOISE, NOISE**2)
     recogniser.fit(Touches(known, object=LABELS, geometry=geometry))
-    with pytest.raises(ValueError, match=r"at most 1e\+37"):
-        recogniser.predict(Touches(size * NOISE, geometry=geometry))
+    for size in sizes:
+        with pytest.raises(ValueError, match=r"at most 1e\+37"):
+            recogniser.predict(Touches(size * NOISE, geometry=geometry))
 
 
 @pytest.mark.parametrize("geometry", GEOMETRIES)
@@ -53,7 +54,7 @@ ObjectRecogniser("liu2014").fit(touches).save(sys.argv[1])
 
 def test_identical_runs_write_identical_model_files(tmp_path):
     digests = set()
-    for run in range(4):
+    for run in range(2):
         path = tmp_path / f"{run}.palpate"
         command = [sys.executable, "-c", ONE_RUN, str(path)]
         subprocess.run(command, check=True, timeout=120)

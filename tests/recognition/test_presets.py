@@ -1,5 +1,7 @@
 """Every preset on touches it is made for: learns, survives its file, names itself."""
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -35,10 +37,14 @@ def dome_touches():
     return Touches(levels, object=labels)
 
 
-@pytest.mark.parametrize("preset", sorted(PRESETS))
-def test_preset_survives_its_file(preset, presses, dome_touches, tmp_path):
-    touches = presses if preset == "liu2014" else dome_touches
-    learnt = ObjectRecogniser(preset).fit(touches)
+@pytest.fixture(scope="module", params=sorted(PRESETS))
+def model(request, presses, dome_touches):
+    touches = presses if request.param == "liu2014" else dome_touches
+    return ObjectRecogniser(request.param).fit(touches), touches
+
+
+def test_preset_survives_its_file(model, tmp_path):
+    learnt, touches = model
     again = ObjectRecogniser.load(learnt.save(tmp_path / "m.palpate"))
     expected = learnt.log_likelihood(touches)
     assert_array_equal(again.log_likelihood(touches), expected)
@@ -47,10 +53,8 @@ def test_preset_survives_its_file(preset, presses, dome_touches, tmp_path):
     assert again.chosen_["encoding"] == learnt.chosen_["encoding"]
 
 
-@pytest.mark.parametrize("preset", sorted(PRESETS))
-def test_objects_come_and_go_in_every_preset(preset, presses, dome_touches):
-    touches = presses if preset == "liu2014" else dome_touches
-    learnt = ObjectRecogniser(preset).fit(touches)
+def test_objects_come_and_go_in_every_preset(model):
+    learnt, touches = deepcopy(model)
     new = touches[:6]
     learnt.add_object("new", new)
     assert learnt.log_likelihood(touches).shape == (len(touches), len(learnt.classes_))

@@ -21,6 +21,7 @@ def ten_objects(data_folder):
     return touches[np.isin(touches.object, names)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("split", "least"), [("between", 0.79), ("last", 0.70)])
 def test_ten_objects_by_default(ten_objects, split, least):
     figures, _ = evaluate(ten_objects, split=split, plan=PLAN)
@@ -30,6 +31,15 @@ def test_ten_objects_by_default(ten_objects, split, least):
     assert "rim" in figures["chosen"]["encoding"]
 
 
+def test_few_touches_of_three_objects_by_default(ten_objects):
+    some = ten_objects[np.isin(ten_objects.object, np.unique(ten_objects.object)[:3])]
+    plan = Plan(touches=(1, 5), orders=5)
+    figures, _ = evaluate(some[::2], split="last", plan=plan)
+    assert figures["accuracy"]["5"] > figures["controls"]["brightness"]["5"]
+    assert "rim" in figures["chosen"]["encoding"]
+
+
+@pytest.mark.slow
 def test_the_paper_as_written(ten_objects):
     plan = Plan(preset="corradi2015", touches=(1, 5, 15), orders=10)
     figures, trials = evaluate(ten_objects, split="between", plan=plan)
@@ -39,6 +49,7 @@ def test_the_paper_as_written(ten_objects):
     assert 14 <= trials[0].recogniser.memory_.features.shape[1] <= 24
 
 
+@pytest.mark.slow
 def test_a_sensor_without_a_rim(data_folder):
     """TacTip pins are recognised without being told what they are."""
     pins = Touches.load(data_folder / "tactip4" / "tactip4.npz")

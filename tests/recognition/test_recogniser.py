@@ -357,7 +357,7 @@ def test_likelihoods_as_far_apart_as_numbers_go_leave_a_belief(recogniser):
 def test_probabilities_are_never_zero_unless_the_floor_is(rng, floor, least):
     recogniser = ObjectRecogniser(floor=floor).fit(drawn(rng, noise=0.05))
     belief = recogniser.start()
-    belief.update_from_log_likelihood(np.repeat([[0.0, -99.0, -99.0]], 2000, axis=0))
+    belief.update_from_log_likelihood(np.repeat([[0.0, -999.0, -999.0]], 2000, axis=0))
     assert belief.log_posterior.min() < -1000
     assert (min(belief.posterior.values()) > least) == (floor is None)
     assert min(belief.categories.values()) >= least
@@ -433,16 +433,16 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("change", HOSTILE)
-def test_models_that_cannot_work_are_refused_when_read(tmp_path, test_touches, change):
-    model = ObjectRecogniser().fit(test_touches)
+def test_models_that_cannot_work_are_refused_when_read(tmp_path, recogniser, change):
+    model = copy.deepcopy(recogniser)
     HOSTILE[change](model)
     path = model.save(tmp_path / "m.palpate")
     with pytest.raises(ModelFileError, match="damaged"):
         ObjectRecogniser.load(path)
 
 
-def test_a_model_without_an_attribute_is_refused_when_read(tmp_path, test_touches):
-    model = ObjectRecogniser().fit(test_touches)
+def test_a_model_without_an_attribute_is_refused_when_read(tmp_path, recogniser):
+    model = copy.deepcopy(recogniser)
     del model.pose_
     with pytest.raises(ModelFileError, match="damaged"):
         ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))

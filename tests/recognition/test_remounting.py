@@ -133,45 +133,52 @@ def _session(offset, n, seed, name, objects="abcdef", labels=True):
 OFFSET = np.array([6.0, -5, 4, 0, 7, -3, 5, 4])
 
 
+@pytest.fixture(scope="module")
+def _taught():
+    return ObjectRecogniser().fit(_session(0, 12, 0, "one"))
+
+
+@pytest.fixture
+def taught(_taught):
+    """What six objects have taught in one session, to be changed."""
+    return deepcopy(_taught)
+
+
 def _right(recogniser, touches):
     return recogniser.score(touches)
 
 
-def test_a_session_is_taken_off_without_labels():
-    recogniser = ObjectRecogniser().fit(_session(0, 12, 0, "one"))
+def test_a_session_is_taken_off_without_labels(taught):
     there = _session(OFFSET, 12, 1, "two")
-    before = _right(recogniser, there)
-    recogniser.remount(_session(OFFSET, 5, 2, "two", labels=False))
-    found = recogniser.chosen_["remount"]
+    before = _right(taught, there)
+    taught.remount(_session(OFFSET, 5, 2, "two", labels=False))
+    found = taught.chosen_["remount"]
     assert before < 0.9
-    assert _right(recogniser, there) > 0.95
+    assert _right(taught, there) > 0.95
     assert not found["labelled"]
     assert found["n_touches"] == 30
     assert found["moved"] > 0.1
 
 
-def test_a_session_of_few_objects_is_not_centred_onto_others():
-    recogniser = ObjectRecogniser().fit(_session(0, 12, 0, "one"))
+def test_a_session_of_few_objects_is_not_centred_onto_others(taught):
     same = _session(0, 12, 1, "two", "ab")
-    recogniser.remount(_session(0, 10, 2, "two", "ab", labels=False))
-    assert recogniser.chosen_["remount"]["objects"] < 4
-    assert _right(recogniser, same) > 0.95
+    taught.remount(_session(0, 10, 2, "two", "ab", labels=False))
+    assert taught.chosen_["remount"]["objects"] < 4
+    assert _right(taught, same) > 0.95
 
 
-def test_a_session_like_those_of_training_is_left_alone():
-    recogniser = ObjectRecogniser().fit(_session(0, 12, 0, "one"))
-    recogniser.remount(_session(0, 10, 2, "two", labels=False))
-    assert recogniser.chosen_["remount"]["moved"] < 0.01
+def test_a_session_like_those_of_training_is_left_alone(taught):
+    taught.remount(_session(0, 10, 2, "two", labels=False))
+    assert taught.chosen_["remount"]["moved"] < 0.01
 
 
-def test_confirmed_touches_of_two_objects_tell_the_others_too():
-    recogniser = ObjectRecogniser().fit(_session(0, 12, 0, "one"))
+def test_confirmed_touches_of_two_objects_tell_the_others_too(taught):
     others = _session(OFFSET, 12, 1, "two", "cdef")
-    before = _right(recogniser, others)
-    recogniser.remount(_session(OFFSET, 2, 2, "two", "ab"))
-    assert _right(recogniser, others) > max(before, 0.9)
-    assert len(recogniser.memory_) == 76
-    assert set(recogniser.memory_.sessions) == {"one", "two"}
+    before = _right(taught, others)
+    taught.remount(_session(OFFSET, 2, 2, "two", "ab"))
+    assert _right(taught, others) > max(before, 0.9)
+    assert len(taught.memory_) == 76
+    assert set(taught.memory_.sessions) == {"one", "two"}
 
 
 def test_what_training_sessions_add_is_taken_off_where_that_helps():
@@ -238,13 +245,12 @@ def test_a_changed_mounting_raises_an_alarm_and_the_same_does_not():
     assert alarms[1] >= 38
 
 
-def test_remounting_goes_wrong_as_a_whole_or_not_at_all():
-    recogniser = ObjectRecogniser().fit(_session(0, 12, 0, "one"))
-    state = recogniser.log_likelihood(_session(0, 2, 5, "x"))
+def test_remounting_goes_wrong_as_a_whole_or_not_at_all(taught):
+    state = taught.log_likelihood(_session(0, 2, 5, "x"))
     strange = _session(0, 2, 1, "two").with_columns(object=["spoon"] * 12)
     with pytest.raises(ValueError, match="'spoon', which was not learnt"):
-        recogniser.remount(strange)
-    again = recogniser.log_likelihood(_session(0, 2, 5, "x"))
+        taught.remount(strange)
+    again = taught.log_likelihood(_session(0, 2, 5, "x"))
     assert np.array_equal(state, again)
 
 
@@ -307,11 +313,10 @@ def test_the_baseline_of_the_new_session_is_known_and_taken_off():
 
 # What one object alone is moved by cannot always be told from another object.
 @pytest.mark.parametrize(("moved", "at_most"), [(0, 0), (1, 1)])
-def test_a_session_of_one_object_is_not_centred_onto_another(moved, at_most):
+def test_a_session_of_one_object_is_not_centred_onto_another(taught, moved, at_most):
     lost = 0
-    recogniser = ObjectRecogniser().fit(_session(0, 12, 0, "one"))
     for name in "abcdef":
-        again = deepcopy(recogniser)
+        again = deepcopy(taught)
         there = _session(0.3 * moved * OFFSET, 15, 3, "two", name)
         before = _right(again, there)
         again.remount(there.without("object"))
@@ -337,45 +342,54 @@ def _presses(n, seed, gain=1.0):
     return Touches(images, object=names, geometry="array")
 
 
+@pytest.fixture(scope="module")
+def _pressed():
+    return ObjectRecogniser().fit(_presses(20, 0))
+
+
+@pytest.fixture
+def pressed(_pressed):
+    """What presses of three parts have taught, to be changed."""
+    return deepcopy(_pressed)
+
+
 @pytest.mark.parametrize("labelled", [False, True])
 @pytest.mark.parametrize("gain", [0.4, 2.5])
-def test_the_gain_of_an_array_is_found_and_taken_off(gain, labelled):
+def test_the_gain_of_an_array_is_found_and_taken_off(pressed, gain, labelled):
     there = _presses(8, 1, gain)
     first = there if labelled else there.without("object")
-    recogniser = ObjectRecogniser().fit(_presses(20, 0)).remount(first)
+    recogniser = pressed.remount(first)
     found = recogniser.chosen_["remount"]["gain"]
     assert found == pytest.approx(1 / gain, rel=0.15)
     assert recogniser.encoder_.gain_ == found
     assert recogniser.score(_presses(20, 2, gain), np.repeat(PARTS, 20)) > 0.9
 
 
-def test_an_array_of_the_same_gain_keeps_it():
-    recogniser = ObjectRecogniser().fit(_presses(20, 0))
-    recogniser.remount(_presses(8, 1).without("object"))
-    assert recogniser.chosen_["remount"]["gain"] == pytest.approx(1, abs=0.1)
-    assert recogniser.chosen_["remount"]["broken"] == 0
+def test_an_array_of_the_same_gain_keeps_it(pressed):
+    pressed.remount(_presses(8, 1).without("object"))
+    assert pressed.chosen_["remount"]["gain"] == pytest.approx(1, abs=0.1)
+    assert pressed.chosen_["remount"]["broken"] == 0
 
 
 @pytest.mark.parametrize("level", [0.0, 40.0])
-def test_taxels_that_are_stuck_are_filled_from_their_neighbours(level, tmp_path):
-    recogniser = ObjectRecogniser().fit(_presses(20, 0))
+def test_taxels_that_are_stuck_are_filled_from_their_neighbours(
+    pressed, level, tmp_path
+):
     there = _presses(8, 1)
     stuck = np.zeros((SIDE, SIDE), dtype=bool)
     stuck[[2, 5, 9], [7, 5, 1]] = True
     images = np.where(stuck, level, there.images)
     broken = Touches(images, object=there.object, geometry="array")
-    few = deepcopy(recogniser).remount(broken[::3].without("object"))
+    few = deepcopy(pressed).remount(broken[::3].without("object"))
     assert few.encoder_.broken_ is None  # eight touches do not tell
-    whole = recogniser.log_likelihood(there)
-    as_it_is = np.abs(recogniser.log_likelihood(broken) - whole).mean()
-    recogniser.remount(broken.without("object"))
-    assert np.array_equal(recogniser.encoder_.broken_, stuck)
-    assert recogniser.chosen_["remount"]["broken"] == 3
-    assert np.abs(recogniser.log_likelihood(broken) - whole).mean() < as_it_is / 2
-    loaded = ObjectRecogniser.load(recogniser.save(tmp_path / "m.palpate"))
-    assert np.array_equal(
-        loaded.log_likelihood(broken), recogniser.log_likelihood(broken)
-    )
+    whole = pressed.log_likelihood(there)
+    as_it_is = np.abs(pressed.log_likelihood(broken) - whole).mean()
+    pressed.remount(broken.without("object"))
+    assert np.array_equal(pressed.encoder_.broken_, stuck)
+    assert pressed.chosen_["remount"]["broken"] == 3
+    assert np.abs(pressed.log_likelihood(broken) - whole).mean() < as_it_is / 2
+    loaded = ObjectRecogniser.load(pressed.save(tmp_path / "m.palpate"))
+    assert np.array_equal(loaded.log_likelihood(broken), pressed.log_likelihood(broken))
 
 
 @pytest.mark.parametrize(
@@ -386,28 +400,24 @@ def test_taxels_that_are_stuck_are_filled_from_their_neighbours(level, tmp_path)
     ],
     ids=["gain", "blurred"],
 )
-def test_another_gain_or_a_softer_rubber_raises_the_alarm(change, said):
-    recogniser = ObjectRecogniser().fit(_presses(20, 0))
+def test_another_gain_or_a_softer_rubber_raises_the_alarm(pressed, change, said):
     same = _presses(4, 1)
-    assert not recogniser.check_mounting(same).changed
+    assert not pressed.check_mounting(same).changed
     other = Touches(change(same.images), object=same.object, geometry="array")
-    check = recogniser.check_mounting(other)
+    check = pressed.check_mounting(other)
     assert check.changed
     assert check.distance > check.usual
     assert said in check.reasons[0]
     # Who got used to it is not warned again.
-    recogniser.remount(other.without("object"))
-    assert not recogniser.check_mounting(other).changed
+    pressed.remount(other.without("object"))
+    assert not pressed.check_mounting(other).changed
 
 
-def test_a_model_that_kept_no_looks_still_tells_by_distances():
-    recogniser = ObjectRecogniser().fit(_presses(20, 0))
-    memory = recogniser.memory_
-    recogniser.memory_ = replace(memory, looks=np.full_like(memory.looks, np.nan))
+def test_a_model_that_kept_no_looks_still_tells_by_distances(pressed):
+    memory = pressed.memory_
+    pressed.memory_ = replace(memory, looks=np.full_like(memory.looks, np.nan))
     same = _presses(4, 1)
-    assert not recogniser.check_mounting(same).changed
-    assert recogniser.check_mounting(
-        Touches(same.images + 20, geometry="array")
-    ).changed
-    recogniser.remount(same.without("object"))
-    assert recogniser.chosen_["remount"]["gain"] == 1
+    assert not pressed.check_mounting(same).changed
+    assert pressed.check_mounting(Touches(same.images + 20, geometry="array")).changed
+    pressed.remount(same.without("object"))
+    assert pressed.chosen_["remount"]["gain"] == 1

@@ -64,26 +64,26 @@ def test_cross_validation(images_and_labels):
     images, labels = images_and_labels
     groups = np.arange(48) // 6
     scores = cross_val_score(
-        ObjectRecogniser(), images, labels, cv=GroupKFold(3), groups=groups
+        ObjectRecogniser(), images, labels, cv=GroupKFold(2), groups=groups
     )
-    assert scores.shape == (3,)
+    assert scores.shape == (2,)
     assert scores.mean() > 0.8
     touches = Touches(images, object=labels)
     assert_array_equal(
         cross_val_score(
-            ObjectRecogniser(), touches, labels, cv=GroupKFold(3), groups=groups
+            ObjectRecogniser(), touches, labels, cv=GroupKFold(2), groups=groups
         ),
         scores,
     )
     proba = cross_val_predict(
-        ObjectRecogniser(), images, labels, method="predict_proba", cv=3
+        ObjectRecogniser(), images, labels, method="predict_proba", cv=2
     )
     assert proba.shape == (48, 3)
 
 
 def test_grid_search_over_parameters(images_and_labels):
     search = GridSearchCV(
-        ObjectRecogniser(), {"floor": [0.0, 0.2], "prior": ["uniform", "counts"]}, cv=2
+        ObjectRecogniser(), {"floor": [0.0, 0.2], "prior": ["counts"]}, cv=2
     )
     search.fit(*images_and_labels)
     assert search.best_score_ > 0.7

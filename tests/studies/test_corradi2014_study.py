@@ -118,6 +118,7 @@ def test_tables_and_report_show_it_all(result, tmp_path):
     assert all(one.startswith(("#", "data:")) for one in loaded)
 
 
+@pytest.mark.slow
 def test_pictures_have_a_panel_per_set(result):
     drawn = pictures(result)
     assert len(drawn["table2"].axes) == 2

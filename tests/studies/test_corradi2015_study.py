@@ -103,6 +103,7 @@ def test_what_is_missing_is_said_and_json_holds_everything(result):
     assert json.loads(json.dumps(result))["study"] == "corradi2015"
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_figures(result, monkeypatch):
     monkeypatch.delenv("PALPATE_DATA", raising=False)
     plan = Corradi2015Plan(**{**TINY, "default_partitions": 0})

@@ -38,6 +38,11 @@ def small_result(tiny_plan):
     return run_without_data(tiny_plan(**SMALL))
 
 
+@pytest.fixture(scope="module")
+def nested_result(tiny_plan):
+    return run_without_data(tiny_plan(seed=1, protocol="nested", **SMALL))
+
+
 def held(result, **wanted):
     return [
         row
@@ -162,15 +167,15 @@ def test_the_papers_choice_is_made_on_the_runs_it_reports(result):
     assert knn["ours"] == other["ours"]
 
 
+@pytest.mark.slow
 def test_figures_do_not_depend_on_the_workers(small_result, tiny_plan):
     again = run_without_data(tiny_plan(**SMALL), workers=2)
     assert again["rows"] == small_result["rows"]
 
 
-def test_the_seed_changes_the_figures(small_result, tiny_plan):
-    other = run_without_data(tiny_plan(seed=1, protocol="nested", **SMALL))
+def test_the_seed_changes_the_figures(small_result, nested_result):
     figures = [r["ours"] for r in held(small_result, protocol="nested")]
-    assert figures != [r["ours"] for r in other["rows"]]
+    assert figures != [r["ours"] for r in nested_result["rows"]]
 
 
 def test_a_row_does_not_depend_on_what_else_is_measured(result, small_result):
@@ -180,10 +185,10 @@ def test_a_row_does_not_depend_on_what_else_is_measured(result, small_result):
         assert same["ours"] == row["ours"]
 
 
-@pytest.mark.parametrize("protocol", ["nested", "paper"])
-def test_one_protocol_alone(protocol, tiny_plan):
-    rows = run_without_data(tiny_plan(protocol=protocol, runs=1, **SMALL))["rows"]
-    assert {row["protocol"] for row in rows} == {protocol}
+def test_one_protocol_alone(nested_result, tiny_plan):
+    paper = run_without_data(tiny_plan(protocol="paper", runs=1, **SMALL))
+    assert {row["protocol"] for row in paper["rows"]} == {"paper"}
+    assert {row["protocol"] for row in nested_result["rows"]} == {"nested"}
 
 
 def test_missing_presses_are_told_once(result):
@@ -236,6 +241,7 @@ def test_quick_is_part_of_the_whole():
         assert set(getattr(quick, name)) <= set(getattr(whole, name))
 
 
+@pytest.mark.slow
 @pytest.mark.realdata
 def test_real_presses_are_reposed_and_reported(data_folder, tiny_plan):
     plan = tiny_plan(runs=1, components=(6,), **SMALL)

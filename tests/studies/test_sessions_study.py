@@ -1,9 +1,12 @@
 """The study of sessions: rows of every way, controls, a ceiling and an alarm."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from palpate import Touches
+from palpate.simulation import DomeCamera, simulate_touches
 from palpate.studies import STUDIES
 
 TINY = {
@@ -37,7 +40,10 @@ def result(tmp_path_factory):
     jumped.save(folder / "jumped.npz")
     touches[days == "mon"].save(folder / "one_day.npz")
     np.savez(folder / "no_touches.npz", numbers=np.arange(3))
-    return STUDIES["sessions"].run(data=folder, workers=1, progress=False, **TINY)
+    small = partial(simulate_touches, camera=DomeCamera(image_shape=(40, 40)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("palpate.studies.sessions.simulate_touches", small)
+        return STUDIES["sessions"].run(data=folder, workers=1, progress=False, **TINY)
 
 
 def test_every_source_has_every_way_and_one_day_is_no_source(result):

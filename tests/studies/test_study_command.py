@@ -21,6 +21,7 @@ def tiny_quick(tiny_plan, monkeypatch):
             "partitions": (2,),
             "loads_kgf": (),
             "covers_mm": (0.9,),
+            "runs": 1,
         }
         return tiny_plan(**small, **changes)
 

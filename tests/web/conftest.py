@@ -8,7 +8,7 @@ import httpx
 import numpy as np
 import pytest
 
-from palpate import Touches
+from palpate import ObjectRecogniser, Touches
 from palpate.sensors import LiveSensor, ReplaySensor
 from palpate.web import LiveSession, create_app, learn_job, new_token
 
@@ -43,6 +43,15 @@ def drawn():
     return Touches(
         images, object=np.repeat(names, 30), no_contact=rest, geometry="array"
     )
+
+
+@pytest.fixture(scope="session")
+def drawn_model(tmp_path_factory, drawn):
+    """Give the file of a model of the disc and the bar."""
+    path = tmp_path_factory.mktemp("model") / "two.palpate"
+    two = drawn[np.flatnonzero(drawn.object != "both")]
+    ObjectRecogniser("liu2014").fit(two).save(path)
+    return path
 
 
 @pytest.fixture(scope="session")

@@ -22,14 +22,13 @@ _WAIT_S = 0.1
 OpenPort = Callable[[str, int], Any]
 
 
-class Skin(LiveSensor):
-    """Base of sensors that write frames of one length on a serial port.
+class SerialStream(LiveSensor):
+    """Base of sensors that write bytes on a serial port.
 
     `open_port` returns an object like `serial.Serial`, for tests.
     """
 
     queue_length = 1000
-    _n_bytes: int  # of a frame, with what marks it
 
     def __init__(
         self, place: str, *described: Any, baud: int, open_port: OpenPort | None
@@ -41,8 +40,8 @@ class Skin(LiveSensor):
         self._begun = b""
 
     @abstractmethod
-    def _frame(self, data: bytes) -> np.ndarray | None:
-        """Return the frame in so many bytes, None where they are none."""
+    def _cut(self) -> list[np.ndarray]:
+        """Take whole frames from what has begun to come, `_begun`."""
 
     def _open(self) -> None:
         self._serial, self._begun = self._open_port(self.port, self.baud), b""
@@ -53,6 +52,24 @@ class Skin(LiveSensor):
         except (OSError, TypeError) as error:
             raise SensorError(f"{self.port} went away. Plug it in again.") from error
         self._begun += data
+        return self._cut()
+
+    def _close(self) -> None:
+        if self._serial is not None:
+            self._serial.close()
+        self._serial = None
+
+
+class Skin(SerialStream):
+    """Base of those whose frames have one length."""
+
+    _n_bytes: int  # of a frame, with what marks it
+
+    @abstractmethod
+    def _frame(self, data: bytes) -> np.ndarray | None:
+        """Return the frame in so many bytes, None where they are none."""
+
+    def _cut(self) -> list[np.ndarray]:
         frames, at, skipped = [], 0, 0
         while len(self._begun) - at >= self._n_bytes:
             frame = self._frame(self._begun[at : at + self._n_bytes])
@@ -69,11 +86,6 @@ class Skin(LiveSensor):
     def _step(self) -> int:
         """How far the next frame begins after one."""
         return self._n_bytes
-
-    def _close(self) -> None:
-        if self._serial is not None:
-            self._serial.close()
-        self._serial = None
 
 
 class MagneticSkin(Skin):

@@ -1,6 +1,7 @@
 """Drivers, on recorded bytes and cameras that are played; entry points; what lies."""
 
 import importlib.metadata
+import json
 import socket
 import threading
 import time
@@ -14,6 +15,7 @@ from palpate.sensors import SensorError, check_sensor, open_sensor
 
 cv2 = pytest.importorskip("cv2")
 cameras = pytest.importorskip("palpate_drivers.cameras")
+fingers = pytest.importorskip("palpate_drivers.fingers")
 network = pytest.importorskip("palpate_drivers.network")
 serials = pytest.importorskip("palpate_drivers.serials")
 
@@ -275,3 +277,138 @@ def test_a_driver_that_blocks_is_told_and_not_started_twice():
         sensor.read_next(0.1)
     with pytest.raises(SensorError, match="has not ended its last read"):
         sensor.connect()
+
+
+class Box(Port):
+    """Stands for a Paxini control box: answers what it is asked, keeps that."""
+
+    def __init__(self, frames, spoilt=b""):
+        self.frames, self.spoilt, self.asked, self.out = iter(frames), spoilt, [], b""
+
+    @property
+    def in_waiting(self):
+        return min(97, len(self.out))
+
+    def write(self, data):
+        self.asked.append(data)
+        answer = bytes(6) + next(self.frames) if data[7:9] == b"\xc0\x06" else b""
+        said = b"\x0e\x00" + data[6:9] + b"\x00" + len(answer).to_bytes(2, "little")
+        self.out += self.spoilt + fingers._HEAD + said + answer + b"?" + fingers._TAIL
+        if data[7:9] == b"\xc0\x0c":  # then the sensor is ready
+            self.out = self.out[len(self.spoilt) :]
+
+    def read(self, n):
+        time.sleep(0.001)
+        taken, self.out = self.out[:n], self.out[n:]
+        return taken
+
+    def close(self):
+        self.out = b""
+
+
+def test_a_paxini_box_is_asked_and_answers(rng):
+    # Two frames as published programs send them, sums included.
+    calibrate = "55 aa 7b 7b 0e 00 70 b0 02 02 00 03 01 ca 55 aa 7d 7d"
+    mode_two = "55 aa 7b 7b 0e 00 70 c0 0c 01 00 02 b3 55 aa 7d 7d"
+    assert fingers.paxini_command(0xB0, 2, b"\x03\x01").hex(" ") == calibrate
+    assert fingers.paxini_command(0xC0, 12, b"\x02").hex(" ") == mode_two
+    taxels = rng.integers(0, 256, (900, 120, 3), dtype=np.uint8)
+    box = Box([frame.tobytes() for frame in taxels])
+    with fingers.Paxini("p", module=3, open_port=lambda *_: box) as sensor:
+        image = sensor.read_next().image
+        for _ in range(4):
+            image = sensor.read_next().image
+        assert sensor.channels == ("x", "y", "z")
+    assert_array_equal(image[0, :, :2], taxels[4, :, :2].view(np.int8))
+    assert_array_equal(image[0, :, 2], taxels[4, :, 2])
+    assert box.asked[1][11] == 6  # the third plug
+    assert box.asked[2][11:16] == bytes([0x7B]) + bytes([0x0E, 4, 0x68, 1])
+    box = Box([frame.tobytes() for frame in taxels])
+    check_sensor(fingers.Paxini("p", open_port=lambda *_: box))
+
+
+def test_after_garbage_a_paxini_box_is_read_on(rng):
+    taxels = rng.integers(0, 256, (900, 120, 3), dtype=np.uint8)
+    box = Box([frame.tobytes() for frame in taxels])
+    with fingers.Paxini("p", open_port=lambda *_: box) as sensor:
+        box.spoilt = fingers._HEAD + b"garbage"
+        images = [sensor.read_next().image for _ in range(5)]
+        assert sensor.n_dropped > 0
+    for image in images:
+        assert (image[0, :, 2] == taxels[:, :, 2]).all(axis=1).any()
+    silent = Port(b"")
+    silent.write, silent.read = (lambda data: None), (lambda n: b"")
+    with pytest.raises(SensorError, match=r"must be a Paxini control box, got .* none"):
+        fingers.Paxini("p", open_port=lambda *_: silent).connect()
+
+
+def tip_bytes(rng, n=20):
+    """Packets of two fingers, with motion between, in which a mark stands too."""
+    values = rng.integers(0, 65536, (n, 2, 7, 4), dtype=np.uint16)
+    values[:, :, 2, 1] = 0x9A9A
+    data = b""
+    for frame in values:
+        for finger, taxels in enumerate(frame):
+            part = bytes([0x10 | finger << 2]) + taxels.astype(">u2").tobytes()
+            moved = bytes([0x30 | finger << 2]) + bytes(6) + b"\x70\x01\x02"
+            for said in (part, moved):
+                data += bytes([0x9A, 0, 0x61, len(said)]) + said
+    return values, data
+
+
+class Tip(Port):
+    """A port that keeps what is written to it."""
+
+    def write(self, data):
+        self.written = data
+
+
+@pytest.mark.parametrize("spoilt", [False, True], ids=["whole", "garbage and cut"])
+def test_bytes_of_a_tsf85_are_two_arrays_with_a_gap(rng, spoilt):
+    values, data = tip_bytes(rng)
+    if spoilt:
+        data = bytes(rng.integers(0, 256, 99, dtype=np.uint8)) + data[7:]
+    port = Tip(data, 211)
+    made = lambda: fingers.TSF85("p", period_ms=16, open_port=lambda *_: port)  # noqa: E731
+    with made() as sensor:
+        images = [sensor.read_next().image for _ in range(12)]
+        assert (sensor.n_dropped > 0) == spoilt
+    assert port.written == bytes([0x9A, 0, 0x58, 1, 16])
+    assert np.isnan(np.array(images)[:, :, 4]).all()
+    known = {frame.tobytes() for frame in values.astype(np.float32)}
+    read = [np.stack([image[:, :4], image[:, 5:]]) for image in images]
+    if not spoilt:
+        assert_array_equal(read, values[:12])
+        check_sensor(made())
+    # A packet that is cut costs a frame or two of one finger; then all are whole.
+    assert all(np.ascontiguousarray(pair).tobytes() in known for pair in read[4:])
+    with pytest.raises(ValueError, match="period_ms 1 to 255, got 2 and 999"):
+        fingers.TSF85("p", period_ms=999)
+
+
+def test_messages_of_a_uskin_server_are_frames(rng):
+    server = pytest.importorskip("websockets.sync.server")
+    values = rng.integers(0, 65536, (50, 4, 4, 3), dtype=np.uint16)
+
+    def speak(socket):
+        socket.send('{"message": "Welcome", "version": "1.7.6"}')
+        for number in range(5000):
+            words = ",".join(f"{v:04X}" for v in values[number % 50].ravel())
+            told = {"sensor": "2", "taxels": 16, "data": words, "calibrated": None}
+            socket.send(json.dumps({"message": number, "sensors": 1, "2": told}))
+            if number % 50 == 3:
+                for odd in ("no JSON", '{"message": 4}', '{"2": {"data": "GG,1"}}'):
+                    socket.send(odd)
+            time.sleep(0.002)
+
+    with server.serve(speak, "127.0.0.1", 0) as serving:
+        threading.Thread(target=serving.serve_forever, daemon=True).start()
+        place = f"127.0.0.1:{serving.socket.getsockname()[1]}"
+        with fingers.USkin(place, number=2) as sensor:
+            images = [sensor.read_next().image for _ in range(20)]
+            assert sensor.n_dropped == 3
+        check_sensor(fingers.USkin(place, number=2))
+        serving.shutdown()
+    assert_array_equal(images, values[:20])
+    with pytest.raises(SensorError, match=r"cannot be reached.*Start XELA's server"):
+        fingers.USkin(place).connect()

@@ -1,8 +1,8 @@
 """LeRobotDatasets of format v3.0 as touches, for `palpate.library.read_bag`.
 
-One feature of images or arrays is read; it needs pyarrow, not lerobot. Videos are not
-read: most are AV1, which OpenCV does not decode. Of others' datasets the object is what
-the task says, `episode` its number; of palpate's own, everything comes back.
+One feature of images, arrays or a video is read; it needs pyarrow, not lerobot, and
+for videos PyAV: most are AV1, which OpenCV does not decode. Of others' datasets the
+object is what the task says, `episode` its number; of palpate's own, all comes back.
 """
 
 import json
@@ -21,6 +21,7 @@ from palpate.touches import decode_bytes
 Array = NDArray[Any]
 TACTILE, RGB = "observation.tactile", ("r", "g", "b")
 _MAX_INFO = 16 * 2**20
+_APART_S = 1e-3  # a picture's time and the one that the table tells
 _TEXTS, _NUMBERS = ("object", "category", "session"), ("time_s", "order")
 _MEASURED = ("observation.position_mm", "observation.force_n")
 
@@ -50,13 +51,15 @@ def read(
             )
         wanted = [name, *_TEXTS, *_NUMBERS, *_MEASURED]
         wanted += ["task_index", "episode_index", "timestamp"]
-        kept = [n for n in wanted if n in features]
+        film = features[name]["dtype"] == "video"  # stands beside the table
+        kept = [n for n in wanted if n in features and not (film and n == name)]
         paths = sorted((folder / "data").glob("*/*.parquet"))
         table = pa.concat_tables([pq.read_table(path, columns=kept) for path in paths])
         if len(table) != n_frames:
             raise ValueError(f"{len(table)} frames where it counts {n_frames}")
         tasks = pq.read_table(folder / "meta" / "tasks.parquet").to_pydict()
-        return _touches_of(table, name, shape, info, tasks, object)
+        images = _filmed(folder, name, shape, table) if film else None
+        return _touches_of(table, name, shape, info, tasks, object, images)
     except (LibraryError, ImportError):
         raise
     except (pa.ArrowException, OSError, LookupError, TypeError, ValueError) as error:
@@ -83,16 +86,14 @@ def _chosen_feature(features: dict[str, Any], wanted: str | None) -> str:
     """Return the feature that is read: the one named, ours, or the only one."""
     kinds = {name: str(feature["dtype"]) for name, feature in features.items()}
     several = {name for name, f in features.items() if prod(f["shape"]) > 1}
-    able = sorted(n for n in several if kinds[n] not in ("video", "string"))
+    able = sorted(n for n in several if kinds[n] != "string")
     wide = [n for n in able if len(features[n]["shape"]) > 1]
     usual = TACTILE if TACTILE in able else wide[0] if len(wide) == 1 else None
     name = usual if wanted is None else wanted
     if name is None or name not in able:
-        videos = ", ".join(sorted(n for n in kinds if kinds[n] == "video")) or "none"
         raise LibraryError(
-            "The feature (--topic) must be an image or an array of the dataset "
-            f"({', '.join(able) or 'none'}), got {wanted!r}. Videos ({videos}) are not "
-            "read: record with images instead."
+            "The feature (--topic) must be an image, a video or an array of it "
+            f"({', '.join(able) or 'none'}), got {wanted!r}."
         )
     return name
 
@@ -104,9 +105,12 @@ def _touches_of(
     info: dict[str, Any],
     tasks: dict[str, Any],
     object: str | None,
+    images: Array | None,
 ) -> Touches:
     about = info.get("palpate", {})
-    if info["features"][name]["dtype"] == "image":
+    if images is not None:
+        pass
+    elif info["features"][name]["dtype"] == "image":
         images = _pictures(table[name], shape)
     else:
         images = _numbers_of(table[name], shape if len(shape) > 1 else (1, *shape))
@@ -138,6 +142,50 @@ def _touches_of(
             like = images.dtype if entry == "no_contact" else None
             whole[entry] = np.array(value, dtype=like)
     return Touches(images, **columns, **whole, set_topic=np.array(name))
+
+
+def _filmed(folder: Path, name: str, shape: tuple[int, ...], table: Any) -> Array:
+    """Return the pictures of a video that the times of the table's rows name."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        import av
+    except ImportError as error:
+        raise ImportError(
+            f"{name} is a video, which needs av, which is not installed: pip install av"
+        ) from error
+    where = [f"videos/{name}/{n}" for n in ("chunk_index", "file_index")]
+    begins = f"videos/{name}/from_timestamp"
+    paths = sorted((folder / "meta" / "episodes").glob("*/*.parquet"))
+    columns = ["episode_index", *where, begins]
+    told = pa.concat_tables([pq.read_table(path, columns=columns) for path in paths])
+    episodes = {row["episode_index"]: row for row in told.to_pylist()}
+    wanted: dict[Path, list[tuple[float, int]]] = {}
+    rows = zip(table["episode_index"], table["timestamp"], strict=True)
+    for row, (episode, time_s) in enumerate(rows):
+        one = episodes[episode.as_py()]
+        chunk, file = (one[key] for key in where)
+        path = folder / "videos" / name / f"chunk-{chunk:03d}" / f"file-{file:03d}.mp4"
+        wanted.setdefault(path, []).append((one[begins] + time_s.as_py(), row))
+    images = np.empty((len(table), *shape), np.uint8)
+    for path, asked in wanted.items():
+        asked.sort(reverse=True)
+        try:
+            with av.open(str(path)) as film:
+                for frame in film.decode(video=0):
+                    while asked and abs(frame.time - asked[-1][0]) <= _APART_S:
+                        levels = frame.to_ndarray(format="rgb24")
+                        if levels.shape != shape:
+                            raise ValueError(
+                                f"pictures of {levels.shape} in {path.name}"
+                            )
+                        images[asked.pop()[1]] = levels
+        except av.FFmpegError as error:
+            raise ValueError(f"{path.name}: {error}") from error
+        if asked:
+            raise ValueError(f"no picture at {asked[-1][0]:.4f} s of {path.name}")
+    return images
 
 
 def _numbers_of(column: Any, shape: Sequence[int]) -> Array:

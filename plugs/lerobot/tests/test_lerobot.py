@@ -174,3 +174,31 @@ def test_a_dataset_that_lerobot_wrote_is_touches(tmp_path, rng, feature):
     assert_allclose(touches.columns["time_s"], [0, 0.1, 0, 0.1], atol=1e-7)
     if "gel" in feature:
         assert_array_equal(read_bag(tmp_path / "other").images, pictures)
+
+
+def test_a_video_that_lerobot_wrote_is_what_it_was_given(tmp_path):
+    """Smooth pictures, which its codec, AV1, keeps well; two episodes, two films."""
+    row, col = np.mgrid[:48, :64]
+    pictures = [
+        np.stack([row * 3 + n, col * 2 + 5 * n, 0 * row + 20 * n], axis=2)
+        for n in range(1, 9)
+    ]
+    pictures = np.array(pictures).clip(0, 255).astype(np.uint8)
+    axes = ["height", "width", "channels"]
+    film = {"dtype": "video", "shape": (48, 64, 3), "names": axes}
+    root = tmp_path / "filmed"
+    dataset = datasets.LeRobotDataset.create(
+        "palpate/filmed", fps=10, root=root, features={"observation.images.gel": film}
+    )
+    for first, task in ((0, "cup"), (5, "pen")):
+        for picture in pictures[first : 5 if first == 0 else 8]:
+            dataset.add_frame({"observation.images.gel": picture, "task": task})
+        dataset.save_episode()
+    dataset.finalize()
+    touches = read_bag(root)
+    apart = np.abs(touches.images.astype(int) - pictures)
+    # 1.5 levels apart at the mean; two pictures that follow each other are 8.
+    assert apart.mean(axis=(1, 2, 3)).max() < 3
+    assert touches.object.tolist() == ["cup"] * 5 + ["pen"] * 3
+    expected_s = [0, 0.1, 0.2, 0.3, 0.4, 0, 0.1, 0.2]
+    assert_allclose(touches.columns["time_s"], expected_s, atol=1e-6)

@@ -15,11 +15,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
-from scipy.special import log_softmax
 from sklearn.base import clone
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_squarable
+from .._numbers import log_softmax
 from .._types import Array, Floats
 from . import _touch_classifier
 from ._kernel_ridge import KernelRidgeClassifier, fair_shares

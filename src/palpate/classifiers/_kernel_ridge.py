@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotrf, dtrtri
-from scipy.optimize import minimize, minimize_scalar
-from scipy.special import log_softmax
+from scipy.optimize import minimize
 from sklearn.metrics.pairwise import euclidean_distances
+from sklearn.utils import gen_batches
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_positive, check_squarable
+from .._numbers import log_softmax
 from .._types import Array, Floats, Indices
 from ._touch_classifier import (
     BayesRule,
@@ -40,6 +41,8 @@ _TOUCHES_AT_ONCE = 2000
 # Keeps the landmarks' own kernel positive definite, where two of them are the same.
 _JITTER = 1e-8
 
+# Where the search for a temperature begins.
+_USUAL_TEMPERATURE = 8.0
 # Temperature, bend and lean of a posterior.
 Shape = tuple[float, float, float]
 
@@ -183,7 +186,7 @@ class KernelRidgeClassifier(BayesRule):
             for ridge in ridges:
                 solved = _solve(kernel.copy(), target, ridge)
                 scores = _left_out(*solved, target, group[some])
-                loss = _best_temperature(scores, codes)[1]
+                loss = _best_shape(scores, codes, bent=False)[1]
                 if loss < best:
                     best, self.width_, self.ridge_ = loss, width, ridge
 
@@ -287,9 +290,16 @@ def _left_out(
 ) -> Floats:
     """Scores of every touch had its group never been learnt."""
     scores: Floats = target + 1 / target.shape[1]
+    by_size: dict[int, list[Indices]] = {}
     for members in _members(group):
-        mine = root[:, members]
-        scores[members] -= np.linalg.solve(mine.T @ mine, coefficients[members])
+        by_size.setdefault(len(members), []).append(members)
+    # Groups of one size are solved together, some at a time.
+    for size, groups in by_size.items():
+        for some in gen_batches(len(groups), max(1, _TOUCHES_AT_ONCE // size)):
+            rows = np.stack(groups[some])
+            mine = root.T[rows]
+            blocks = mine @ mine.transpose(0, 2, 1)
+            scores[rows] -= np.linalg.solve(blocks, coefficients[rows])
     return scores
 
 
@@ -301,13 +311,7 @@ def _log_posterior(shape: Shape, scores: Floats, log_counts: Floats) -> Floats:
     """Log posterior under equal priors; `shape` is (temperature, bend, lean)."""
     temperature, bend, lean = shape
     bent = temperature * scores / (1 + bend * np.abs(scores))
-    return np.asarray(log_softmax(bent - lean * log_counts, axis=1))
-
-
-def _loss(shape: Shape, scores: Floats, codes: Array, log_counts: Floats) -> float:
-    log_posterior = _log_posterior(shape, scores, log_counts)
-    own = log_posterior[np.arange(len(codes)), codes]
-    return float(-own @ fair_shares(codes))
+    return log_softmax(bent - lean * log_counts)
 
 
 def fair_shares(codes: Array) -> Floats:
@@ -316,36 +320,48 @@ def fair_shares(codes: Array) -> Floats:
     return 1 / (counts[codes] * np.count_nonzero(counts))
 
 
-def _best_temperature(scores: Floats, codes: Array) -> tuple[float, float]:
-    """Return the factor with the least log loss, unbent, and that loss (nats)."""
-    log_counts = _log_counts(codes, scores.shape[1])
-
-    def loss(log_factor: float) -> float:
-        return _loss((float(np.exp(log_factor)), 0.0, 1.0), scores, codes, log_counts)
-
-    found = minimize_scalar(loss, bounds=(-3, 6), method="bounded")
-    return float(np.exp(found.x)), float(found.fun)
-
-
-def _best_shape(scores: Floats, codes: Array) -> tuple[Shape, float]:
+def _best_shape(scores: Floats, codes: Array, bent: bool = True) -> tuple[Shape, float]:
     """Return (temperature, bend, lean) with the least log loss, and that loss (nats).
 
-    The lean counts where labels have unequal numbers of touches, and is 1 elsewhere.
+    Without `bent` the temperature alone is free. The lean counts where labels have
+    unequal numbers of touches, and is 1 elsewhere.
     """
     log_counts = _log_counts(codes, scores.shape[1])
+    own, shares = (np.arange(len(codes)), codes), fair_shares(codes)
+    size = np.abs(scores)
 
-    def shape(raw: Array) -> Shape:
-        log_temperature, log_bend, lean = np.clip([*raw, 1.0][:3], -8, 6)
-        return float(np.exp(log_temperature)), float(np.exp(log_bend)), max(lean, 0.0)
+    def loss(raw: Floats) -> tuple[float, Floats]:
+        temperature, bend = np.exp(raw[:2])
+        by_temperature = temperature * scores / (1 + bend * size)
+        said = log_softmax(by_temperature - raw[2] * log_counts)
+        value = float(-said[own] @ shares)
+        pull = np.exp(said)
+        pull[own] -= 1
+        pull *= shares[:, np.newaxis]
+        by_bend = -by_temperature * (bend * size / (1 + bend * size))
+        slopes = [by_temperature, by_bend, np.broadcast_to(-log_counts, pull.shape)]
+        return value, np.array([np.vdot(pull, slope) for slope in slopes])
 
-    def loss(raw: Array) -> float:
-        return _loss(shape(raw), scores, codes, log_counts)
+    free = [True, bent, bent and bool(np.ptp(log_counts) > 0)]
+    start = np.array([np.log(_USUAL_TEMPERATURE), np.log(0.5) if bent else -np.inf, 1])
+    limits = [(-3.0, 6.0), (-8.0, 6.0), (0.0, 6.0)]
 
-    start = [*np.log([_best_temperature(scores, codes)[0], 0.5])]
-    if np.ptp(log_counts) > 0:
-        start.append(1.0)
-    found = minimize(loss, start, method="Nelder-Mead")
-    return shape(found.x), float(found.fun)
+    def of_free(some: Floats) -> tuple[float, Floats]:
+        raw = start.copy()
+        raw[free] = some
+        value, slope = loss(raw)
+        return value, slope[free]
+
+    found = minimize(
+        of_free,
+        start[free],
+        jac=True,
+        bounds=[limit for limit, one in zip(limits, free, strict=True) if one],
+        method="L-BFGS-B",
+        options={"ftol": 1e-13, "gtol": 1e-9},
+    )
+    start[free] = found.x
+    return (*np.exp(start[:2]).tolist(), float(start[2])), float(found.fun)
 
 
 def _learn_from_landmarks(

@@ -9,12 +9,12 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import log_softmax
 from sklearn.base import BaseEstimator, ClassifierMixin, clone
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from .._checks import are_plain_vectors, check_label_kinds
+from .._numbers import log_softmax
 from .._types import Array, Floats, Indices
 
 # What each training touch is left out with: (n_touches,), by default itself alone.

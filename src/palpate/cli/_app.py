@@ -17,6 +17,7 @@ from ._output import answer
 from .bench import bench
 from .benchmark import benchmark
 from .check import check
+from .data import data
 from .demo import demo
 from .doctor import doctor
 from .evaluate import evaluate
@@ -47,6 +48,7 @@ for verb in VERBS:
     app.command()(verb)
 app.add_typer(simulate, name="simulate")
 app.add_typer(library, name="library")
+app.add_typer(data, name="data")
 app.add_typer(explore, name="explore")
 sensor.command("check")(check)
 app.add_typer(sensor, name="sensor")

@@ -95,6 +95,10 @@ MaxModelMb = Annotated[
 ModelOutput = Annotated[
     Path, option("-o", "--output", "The model file to write (.palpate).")
 ]
+RecordedData = Annotated[
+    Path | None,
+    option("--data", "Folder of recorded touches. Default: `palpate data where`."),
+]
 AsJson = Annotated[bool, option("--json", "Print one JSON object and nothing else.")]
 Seed = Annotated[
     int, option("--seed", "Seed of everything random.", callback=checked_seed)

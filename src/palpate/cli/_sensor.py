@@ -1,7 +1,10 @@
 """What the verbs with a live sensor share: its options, opening it, its baseline."""
 
 import sys
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -27,6 +30,10 @@ Summary = Annotated[
 ]
 Patience = Annotated[
     float, option("--timeout", "Give up after so long without a touch.")
+]
+LogFile = Annotated[
+    Path | None,
+    option("--log", "Write frames, touches, beliefs there: .rrd, .mcap (plugs/look)."),
 ]
 
 
@@ -79,3 +86,30 @@ def need_baseline(session: "LiveSession") -> None:
             if not sys.stdin.isatty() or not typer.confirm(question, err=True):
                 raise
             session.take_baseline(force=True)
+
+
+@contextmanager
+def logged(
+    session: "LiveSession", path: Path | None, number: int = 0
+) -> Iterator[None]:
+    """Let what a package has for the file's ending take the events of a session.
+
+    Entry points of the group `palpate.logs`, such as `rrd`, are called with the path;
+    what they return has `take(event)` and `close()`. Of several sensors each has a
+    `number`, and a file that ends in it.
+    """
+    from importlib.metadata import entry_points
+
+    if path is None:
+        yield
+        return
+    plugged = [*entry_points(group="palpate.logs", name=path.suffix[1:].lower())]
+    if not plugged:
+        raise typer.BadParameter(
+            "--log must end in .rrd or .mcap, and what writes these be installed "
+            f"(plugs/look), got {path.name!r}."
+        )
+    path = path.with_stem(f"{path.stem}-{number}") if number else path
+    with closing(plugged[0].load()(path)) as log:
+        session.listeners.add(log.take)
+        yield

@@ -12,9 +12,11 @@ from ._output import print_json, stages, table
 @_options.grouped
 def benchmark(
     archives: Annotated[
-        list[Path],
-        _options.argument("ARCHIVE", "Touch archives (.npz), or folders of them."),
-    ],
+        list[Path] | None,
+        _options.argument(
+            "ARCHIVE", "Archives (.npz) or folders. Default: `palpate data where`."
+        ),
+    ] = None,
     *,
     recognisers: Annotated[
         str | None,
@@ -39,13 +41,13 @@ def benchmark(
     as_json: _options.AsJson = False,
 ) -> None:
     """Compare presets with simple recognisers and controls on sets of touches."""
-    from .. import evaluation
+    from .. import datasets, evaluation
 
     if report is not None:
         evaluation.check_report_path(report)
     with stages() as stage, working.started():
         result = evaluation.benchmark(
-            archives,
+            archives or [datasets.where()],
             recognisers=_names(recognisers, evaluation.RECOGNISERS),
             protocols=_names(protocols, evaluation.PROTOCOLS),
             label=label,

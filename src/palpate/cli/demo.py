@@ -1,12 +1,11 @@
 """`palpate demo`: explore and learn six objects, recognise them, meet another."""
 
-import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from ._options import AsJson, Seed, option
+from ._options import AsJson, RecordedData, Seed, option
 from ._output import print_json, stages
 from .evaluate import print_figures
 from .explore import exploration_to_dict, print_attempt
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
     from ..recognition import ObjectRecogniser
     from ..touches import Touches
 
-SOURCE = "https://github.com/Exhor/deep_visuotactile_classification"
 NAME_PATTERN = (
     r"touch_\d+_img_(?P<order>\d+)_name_(?P<object>(?P<category>[a-z]+)_.+)"
     r"_at_(?P<x>-?\d+)_(?P<y>-?\d+)_(?P<z>-?\d+)"
@@ -38,7 +36,8 @@ Sets = tuple["Touches", "Touches", "Touches"]
 
 
 def demo(
-    real: Annotated[bool, option("--real", "Recorded ones, PALPATE_DATA.")] = False,
+    real: Annotated[bool, option("--real", "Recorded ones: see --data.")] = False,
+    data: RecordedData = None,
     folder: Annotated[Path, option("--output", "For model and report.")] = Path("demo"),
     seed: Seed = 0,
     as_json: AsJson = False,
@@ -49,7 +48,7 @@ def demo(
     recorded pictures of ten objects are read, 60 touches each, of which two are not
     learnt but met as unknown ones. The last line printed is the path of the report.
     """
-    pictures = _pictures() if real else None
+    pictures = _pictures(data) if real else None
     from ..evaluation import Plan, check_report_path, evaluate, write_report
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -182,13 +181,13 @@ def _read(pictures: Path, seed: int, stage: Callable[[str], None]) -> Sets:
     return *split_by_count(touches[~unknown], RECORDED_TOUCHES, seed), touches[unknown]
 
 
-def _pictures() -> Path:
-    data = os.environ.get("PALPATE_DATA")
-    pictures = Path(data or ".") / "bathtip" / "originals"
-    if not data or not pictures.is_dir():
+def _pictures(data: Path | None) -> Path:
+    from .. import datasets
+
+    pictures = datasets.where(data) / "bathtip" / "originals"
+    if not pictures.is_dir():
         raise ValueError(
-            "--real needs recorded touches: fetch the tactile pictures of "
-            f"{SOURCE} and set PALPATE_DATA to the folder that holds them as "
-            "bathtip/originals."
+            f"--real needs recorded touches, got no folder {pictures}: type `palpate "
+            "data fetch bathtip`, or name a folder with --data or PALPATE_DATA."
         )
     return pictures

@@ -65,7 +65,7 @@ def _package(name: str, extra: str | None) -> dict[str, Any]:
 def _data() -> dict[str, Any]:
     folder = os.environ.get("PALPATE_DATA")
     if not folder:
-        fix = "optional: name the folder of recorded touches"
+        fix = "optional: `palpate data fetch NAME` fetches recorded touches"
     else:
         fix = "" if Path(folder).is_dir() else "name a folder that exists"
     return _check("PALPATE_DATA", folder or "not set", fix, needed=False)

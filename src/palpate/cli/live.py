@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from . import _sensor
 from ._options import AsJson, ErrorRate, MaxModelMb, ModelPath, Refusal, grouped, option
 from ._output import belief_line, print_json
-from ._sensor import Patience, SensorAddress, SensorOptions, Summary, need_baseline
 
 if TYPE_CHECKING:
     from ..web import LiveSession
@@ -20,15 +20,16 @@ Episode = dict[str, Any]
 @grouped
 def live(
     model: ModelPath,
-    sensor: SensorAddress,
+    sensor: _sensor.SensorAddress,
     *,
     touches: Annotated[int, option("-n", "--touches", "Most of an episode.")] = 30,
     episodes: Annotated[int, option("How many episodes; 0 goes on until Ctrl-C.")] = 1,
-    timeout: Patience = 120.0,
+    timeout: _sensor.Patience = 120.0,
     error: ErrorRate = 0.01,
     refusal: Refusal = None,
-    summary: Summary = "peak",
-    options: SensorOptions,
+    summary: _sensor.Summary = "peak",
+    log: _sensor.LogFile = None,
+    options: _sensor.SensorOptions,
     max_model_mb: MaxModelMb = 2000,
     as_json: AsJson = False,
 ) -> None:
@@ -46,8 +47,8 @@ def live(
             found.put(event.values)
 
     session.listeners.add(listen)
-    with session:
-        need_baseline(session)
+    with _sensor.logged(session, log), session:
+        _sensor.need_baseline(session)
         try:
             while episodes == 0 or len(done) < episodes:
                 ended = done[-1]["number"] if done else 0

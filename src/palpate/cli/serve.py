@@ -1,13 +1,14 @@
 """`palpate serve`: a sensor on the desk, taught and asked in the browser."""
 
+import re
 import sys
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated, Any
 
 from ._options import AsJson, ErrorRate, MaxModelMb, Refusal, grouped, option
 from ._output import print_json
-from ._sensor import ADDRESS, SensorOptions, Summary
+from ._sensor import ADDRESS, LogFile, SensorOptions, Summary, logged
 
 HERE = "127.0.0.1"
 
@@ -16,7 +17,11 @@ HERE = "127.0.0.1"
 def serve(
     *,
     sensor: Annotated[
-        str | None, option(f"{ADDRESS} Without one touches come through the API alone.")
+        list[str] | None,
+        option(
+            f"{ADDRESS} Without one touches come through the API alone; several, such "
+            "as fingers, have a library each within --library."
+        ),
     ] = None,
     model: Annotated[
         Path | None,
@@ -47,27 +52,52 @@ def serve(
     error: ErrorRate = 0.01,
     refusal: Refusal = None,
     summary: Summary = "peak",
+    log: LogFile = None,
     options: SensorOptions,
     max_model_mb: MaxModelMb = 2000,
     as_json: AsJson = False,
 ) -> None:
-    """Serve the page and the API of one sensor, to whoever has the printed address."""
+    """Serve the page and the API of sensors, to whoever has the printed address."""
     from .. import web
     from ..web import LiveSession, checked_token, create_app, kept_token
 
     web.require_web()
     how: Any = {"error": error, "refusal": refusal, "summary": summary}
-    chosen = None if sensor is None else options.open(sensor)
+    given = sensor or []
+    chosen: list[Any] = [options.open(one) for one in given] or [None]
+    folders = [library] if len(given) < 2 else _folders(given, library, model)
     chosen_token = None if token is None else checked_token(token)
-    with (
-        closing(web.open_socket(host, port)) as socket,
-        LiveSession(chosen, model=model, library=library, **how) as session,
-    ):
+    with closing(web.open_socket(host, port)) as socket, ExitStack() as stack:
+        sessions = []
+        for one, folder in zip(chosen, folders, strict=True):
+            session = LiveSession(one, model=model, library=folder, **how)
+            sessions.append(session)
+            number = len(sessions) * (len(given) > 1)
+            stack.enter_context(logged(session, log, number))
+            stack.callback(session.stop)
+        web.start_all(sessions)
         if chosen_token is None:
             chosen_token = web.new_token() if library is None else kept_token(library)
-        app = create_app(session, chosen_token, names=[host, *(name or ())])
+        app = create_app(sessions, chosen_token, names=[host, *(name or ())])
         _say_where(host, socket.getsockname()[1], chosen_token, as_json=as_json)
         web.run_app(app, socket)
+
+
+def _folders(
+    sensors: list[str], library: Path | None, model: Path | None
+) -> list[Path | None]:
+    """Return a folder within the library for each of several sensors."""
+    names = [re.sub(r"[^\w.-]+", "-", one.partition("?")[0]) for one in sensors]
+    if len({*names}) < len(names):
+        raise ValueError(f"--sensor must name each once, got {', '.join(sensors)}.")
+    if library and (model or (library / "library.sqlite").exists()):
+        raise ValueError(
+            "Several sensors have a library and a model each: leave --model out, and "
+            f"name a --library that is none of one sensor, got {library}."
+        )
+    if library:
+        library.mkdir(parents=True, exist_ok=True)  # for the token
+    return [library / name if library else None for name in names]
 
 
 def _say_where(host: str, port: int, token: str, *, as_json: bool) -> None:

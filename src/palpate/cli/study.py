@@ -1,7 +1,6 @@
 """`palpate study`: a paper's experiment, its figures beside ours."""
 
 import sys
-from pathlib import Path
 from typing import Annotated, Any
 
 from . import _options
@@ -13,9 +12,7 @@ from ._output import print_json, table
 def study(
     *,
     name: Annotated[str, _options.argument("Which study; see --list.")] = "",
-    data: Annotated[
-        Path | None, option("Folder of recorded touches. Default: PALPATE_DATA.")
-    ] = None,
+    data: _options.RecordedData = None,
     quick: Annotated[bool, option("--quick", "A first look: few runs.")] = False,
     protocol: Annotated[
         str | None,

@@ -320,9 +320,10 @@ def _patterns(
         part = blended[col, across][row + margin : row + margin + rows + 1]
         near = _between(part[:-1], part[1:], down)
         np.greater_equal(near, least, out=bits)
-    ones = np.add.reduce(high, axis=0, dtype=np.uint8)
-    turns = np.add.reduce(high[1:] != high[:-1], axis=0, dtype=np.uint8)
-    turns += high[0] != high[-1]
+    bits = high.view(np.uint8)
+    ones = np.add.reduce(bits, axis=0, dtype=np.uint8)
+    turns = np.add.reduce(bits[1:] ^ bits[:-1], axis=0, dtype=np.uint8)
+    turns += bits[0] ^ bits[-1]
     return np.where(turns <= 2, ones, np.uint8(n_points + 1))
 
 

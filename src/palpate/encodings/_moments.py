@@ -18,7 +18,12 @@ from sklearn.utils.validation import check_is_fitted
 from .._checks import check_count, check_images, check_option, check_positive
 from .._image_estimator import ImageEstimator, by_channel
 from .._types import Array, Complexes, Floats, Indices
-from ..images import CentralMoments, above_least, central_moments, inscribed_mask
+from ..images import (
+    CentralMoments,
+    central_moments,
+    inscribed_mask,
+    relative_moments,
+)
 
 # Powers of the coordinates lose all digits to cancellation beyond this order.
 _HIGHEST_ORDER = 20
@@ -260,18 +265,14 @@ class HuMoments(ImageEstimator):
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the moments, shape (n_touches, n_components)."""
-        images = images.astype(np.float64, copy=False)
         mask = np.ones(images.shape[1:], dtype=bool)
         if self.region == "disc":
             mask = inscribed_mask(*images.shape[1:])
         if self.levels == "raw":
-            seen = images * mask
+            moments = central_moments(images * mask)
         else:
-            levels = above_least(images, mask)
-            mean = levels.sum(axis=(1, 2), keepdims=True) / mask.sum()
-            blank = mean <= 1e-12 * np.abs(images).max(axis=(1, 2), keepdims=True)
-            seen = np.where(blank, 0.0, levels / np.where(blank, 1.0, mean))
-        invariants = _hu(central_moments(seen))[:, : self.n_components]
+            moments = relative_moments(images, mask)
+        invariants = _hu(moments)[:, : self.n_components]
         if not self.log:
             return invariants
         return np.sign(invariants) * np.log10(1 + np.abs(invariants) / _SMALLEST)

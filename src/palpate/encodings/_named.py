@@ -192,37 +192,43 @@ class EncodingUnion(ImageEstimator, by_channel=False):
 
     def fit(self, X: ArrayLike, y: object = None) -> Self:
         """Fit every encoder to the images; `y` is passed on."""
+        self.fit_transform(X, y)
+        return self
+
+    def fit_transform(self, X: ArrayLike, y: object = None, **known: Any) -> Floats:
+        """Fit every encoder and return the joined vectors of the same images."""
         images = self._checked(X)
         encoders = _check_encoders(self.encoders)
         check_option("balanced", self.balanced, (False, True))
-        self.encoders_ = [clone(encoder).fit(images, y) for encoder in encoders]
-        for encoder in self.encoders_:
-            if np.iscomplexobj(encoder.transform(images[:1])):
+        self.encoders_ = [clone(encoder) for encoder in encoders]
+        parts = [encoder.fit_transform(images, y) for encoder in self.encoders_]
+        for encoder, part in zip(self.encoders_, parts, strict=True):
+            if np.iscomplexobj(part):
                 raise ValueError(
                     "encoders must give real features, got complex ones of "
                     f"{encoder!r}. Choose a real output, such as 'abs' or 'noll'."
                 )
         self.scalers_ = []
         if self.balanced:
-            self.scalers_ = [RootScaler().fit(part) for part in self._parts(images)]
+            self.scalers_ = [RootScaler().fit(part) for part in parts]
         self.image_shape_ = images.shape[1:]
-        return self
+        return self._joined(parts)
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the joined vectors, shape (n_touches, n_features)."""
-        parts = self._parts(images)
-        if self.scalers_:
-            scaled = zip(self.scalers_, parts, strict=True)
-            parts = [scaler.scale(part) for scaler, part in scaled]
-        return np.hstack(parts)
-
-    def _parts(self, images: Array) -> list[Array]:
-        return [
+        parts = [
             encoder.transform_checked(images)
             if isinstance(encoder, ImageEstimator)
             else encoder.transform(images)
             for encoder in self.encoders_
         ]
+        return self._joined(parts)
+
+    def _joined(self, parts: list[Array]) -> Floats:
+        if self.scalers_:
+            scaled = zip(self.scalers_, parts, strict=True)
+            parts = [scaler.scale(part) for scaler, part in scaled]
+        return np.hstack(parts)
 
     def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
         # Which levels are too large, each encoder says itself.

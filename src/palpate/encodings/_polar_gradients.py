@@ -81,7 +81,7 @@ class PolarGradients(ImageEstimator):
         self.n_harmonics = n_harmonics
         self.smoothing = smoothing
 
-    def _learn(self, images: Array) -> None:
+    def _learn(self, images: Array) -> Floats:
         check_count("n_rings", self.n_rings)
         check_count("n_harmonics", self.n_harmonics)
         check_number("n_harmonics", self.n_harmonics, high=_PLACES // 2 - 1)
@@ -91,12 +91,16 @@ class PolarGradients(ImageEstimator):
         spread[..., 0] -= raw[..., 0].mean(axis=0)
         power = (np.abs(spread) ** 2).sum(axis=(2, 3)).mean(axis=0)
         self.scale_ = np.where(power > 1e-24, np.sqrt(power), 1.0)
+        return self._sizes(raw)
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the sizes, (n_touches, 6 * n_rings * (n_harmonics + 1))."""
-        sizes = np.abs(self._harmonics(images))
+        return self._sizes(self._harmonics(images))
+
+    def _sizes(self, harmonics: Complexes) -> Floats:
+        sizes = np.abs(harmonics)
         sizes /= self.scale_[:, np.newaxis, np.newaxis]
-        return sizes.reshape(len(images), -1)
+        return sizes.reshape(len(harmonics), -1)
 
     def _harmonics(self, images: Array) -> Complexes:
         """Fourier coefficients, (n_touches, 6, n_rings, n_harmonics + 1)."""
@@ -129,7 +133,7 @@ def _channels(image: Array, sigma: float, grid: Grid) -> Singles:
     curvature = cv2.Laplacian(smooth, cv2.CV_32F, ksize=3)
     root = np.sqrt(np.hypot(across, down)) + 1e-6
     across, down = across / root, down / root
-    curvature = np.sign(curvature) * np.sqrt(np.abs(curvature))
+    curvature = np.copysign(cv2.sqrt(np.abs(curvature)), curvature)
     tensor = [
         cv2.GaussianBlur(product, (0, 0), _SURROUNDINGS * sigma)
         for product in (across * across, down * down, across * down)

@@ -214,7 +214,7 @@ class PrincipalShare(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEsti
         if _are_alike(features):
             self.components_ = np.zeros((1, features.shape[1]))
         else:
-            self.components_ = _fitted(features, share).components_
+            self.components_ = _directions(features - self.mean_, share)
         self._n_features_out = len(self.components_)
         return self
 
@@ -285,6 +285,25 @@ def check_components(value: object, *, whole: bool = False) -> Components:
 
 def _are_alike(rows: Array) -> bool:
     return len(rows) < 2 or bool((rows == rows[0]).all())
+
+
+def _directions(centred: Floats, share: float) -> Floats:
+    """Return the directions that hold a share of the variance, (n_kept, n_features).
+
+    From the smaller of the matrices of products of touches and of features.
+    """
+    few = centred.shape[0] <= centred.shape[1]
+    variance, found = np.linalg.eigh(
+        centred @ centred.T if few else centred.T @ centred
+    )
+    held = np.cumsum(variance[::-1]) / variance.sum()
+    n_kept = min(int(np.searchsorted(held, share, side="right")) + 1, len(held))
+    found = found[:, ::-1][:, :n_kept]
+    if few:
+        found = centred.T @ found
+        found /= np.sqrt((found**2).sum(axis=0))
+    largest = np.abs(found).argmax(axis=0)
+    return np.ascontiguousarray((found * np.sign(found[largest, np.arange(n_kept)])).T)
 
 
 def _fitted(features: Floats, n_components: Components) -> PCA:

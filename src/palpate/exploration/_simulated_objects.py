@@ -128,7 +128,6 @@ def explore_to_learn(
     turned: bool = False,
     drift: bool = False,
     placement_sd_mm: float = 5.0,
-    guard: Guard = QUICK_GUARD,
     folder: str | Path | None = None,
     random_state: int = 0,
     n_jobs: int | None = None,
@@ -153,8 +152,6 @@ def explore_to_learn(
         `DomeCamera.drifted`.
     placement_sd_mm : float, default=5.0
         See `put_down`.
-    guard : Guard, default=QUICK_GUARD
-        How touches are made.
     folder : path, optional
         Where to keep the attempts, an episode for each time an object is put down:
         what was begun there goes on. Of one that holds more touches, the first are
@@ -184,7 +181,7 @@ def explore_to_learn(
     shares = [len(part) for part in np.array_split(range(count), sessions)]
     seen_by = DomeCamera(image_shape=(120, 120)) if camera is None else camera
     home = None if folder is None else Path(folder)
-    how = (seen_by, turned, drift, placement_sd_mm, guard, home, random_state)
+    how = (seen_by, turned, drift, placement_sd_mm, home, random_state)
     parts = in_parallel(
         partial(_session, *how),
         [(*thing, *part) for thing in enumerate(objects) for part in enumerate(shares)],
@@ -202,7 +199,6 @@ def _session(
     turned: bool,
     drift: bool,
     placement_sd_mm: float,
-    guard: Guard,
     home: Path | None,
     random_state: int,
     number: int,
@@ -227,7 +223,7 @@ def _session(
         RandomHemisphere(stand.hemisphere, seed),
         None if home is None else home / thing.name / str(session),
         n_touches=n_touches,
-        guard=guard,
+        guard=QUICK_GUARD,
         clock=stand.robot.clock,
     )
     named = {"object": thing.name, "category": thing.category}

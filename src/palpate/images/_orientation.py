@@ -8,10 +8,11 @@ turns from the column axis towards the row axis: clockwise as displayed.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import pascal
@@ -44,10 +45,53 @@ class CentralMoments:
 
 def central_moments(images: ArrayLike) -> CentralMoments:
     """Return the central moments of images to order 3 along x and y."""
-    checked = check_images(images)
-    _, n_rows, n_cols = checked.shape
-    down, across = _powers(n_rows), _powers(n_cols)
-    raw = down.T @ checked @ across
+    return _about_centroid(_about_middle(check_images(images)))
+
+
+def relative_moments(images: Array, mask: Bools) -> CentralMoments:
+    """Return those of levels above the least one in the mask, divided by their mean.
+
+    Zeros where an image is blank there. `images` (n_touches, n_rows, n_cols) are
+    finite, of any real type.
+    """
+    kind = images.dtype if images.dtype in (np.uint8, np.float32) else np.float64
+    inside, whole = mask.view(np.uint8), mask.astype(kind)
+    of_mask = _about_corner(whole)
+    raw = np.zeros((len(images), ORDER + 1, ORDER + 1))
+    for moments, image in zip(raw, images, strict=True):
+        plane = np.ascontiguousarray(image, kind)
+        least, largest, *_ = cv2.minMaxLoc(plane, inside)
+        # Moments are linear: those of the least level are taken off in the end.
+        moments[:] = _about_corner(cv2.multiply(plane, whole)) - least * of_mask
+        mean = moments[0, 0] / of_mask[0, 0]
+        blank = mean <= 1e-9 * max(abs(least), abs(largest))
+        moments /= np.inf if blank else mean
+    found = _about_centroid(raw)
+    middle = [(n - 1) / 2 * (found.mass != 0) for n in mask.shape]
+    return replace(found, y=found.y - middle[0], x=found.x - middle[1])
+
+
+def _about_corner(plane: Array) -> Floats:
+    """Moments about the first pixel to order 3 in all, (4, 4) along rows and columns.
+
+    Those beyond, which no central moment of that order needs, are 0.
+    """
+    found = cv2.moments(plane)
+    return np.array(
+        [
+            [found.get(f"m{p}{q}", 0.0) for p in range(ORDER + 1)]
+            for q in range(ORDER + 1)
+        ]
+    )
+
+
+def _about_middle(images: Floats) -> Floats:
+    """Moments about the middle of the frame, (..., 4, 4) along rows and columns."""
+    n_rows, n_cols = images.shape[-2:]
+    return np.asarray(_powers(n_rows).T @ images @ _powers(n_cols))
+
+
+def _about_centroid(raw: Floats) -> CentralMoments:
     mass = raw[:, 0, 0]
     safe = np.where(mass == 0, 1.0, mass)
     x = np.where(mass == 0, 0.0, raw[:, 0, 1] / safe)
@@ -74,6 +118,7 @@ def above_least(images: ArrayLike, mask: Bools) -> Floats:
     return np.asarray((checked - least) * mask)
 
 
+@lru_cache(maxsize=16)
 def _powers(n: int) -> Floats:
     """Return 1, x, x^2, x^3 of pixel centres from the middle, (n, 4)."""
     from_middle = np.arange(n) - (n - 1) / 2

@@ -31,6 +31,8 @@ RADII = (0.25, 0.8)
 MIN_SUPPORT, MIN_ARC, MIN_BALANCE = 0.65, 0.2, 0.12
 ONE_SIDED, ONE_SIDED_SUPPORT = 0.2, 0.9
 FREE_RADIUS, FREE_CENTRE = 0.03, 0.5
+# A rim found from where it was is trusted no further off than this share of its radius.
+FEW_STEPS = 0.05
 N_TYPICAL = 64
 
 
@@ -207,6 +209,15 @@ def _find(image: Array, near: Circle | None) -> Circle:
     else:
         low, high = image.min(), image.max()
         grey = ((image / 2 - low / 2) / (high / 2 - low / 2)).astype(np.float32)
+    if near is not None:
+        # The camera rarely moves far: looked for first where the rim was.
+        usual = (near.row, near.col, near.radius)
+        sign = _rim_fit.sign_at(grey, usual)
+        here = _rim_fit.refine(grey, usual, sign, near.radius, widths=(0.4, 0.2))
+        if here is not None and _is_rim(here, shape, near):
+            away = np.hypot(here.circle[0] - near.row, here.circle[1] - near.col)
+            if away <= FEW_STEPS * near.radius:
+                return Circle(*here.circle, True, here.support)
     best: Fit | None = None
     for fit in _candidates(grey, near):
         if _is_rim(fit, shape, near) and (best is None or fit.evidence > best.evidence):
@@ -239,7 +250,7 @@ def _candidates(grey: Array, near: Circle | None) -> Iterator[Fit]:
     for (row, col, radius), sign in found:
         start = (row * block + centre, col * block + centre, radius * block)
         hold = None if near is None else near.radius
-        fit = _rim_fit.refine(grey, start, sign, radius=hold)
+        fit = _rim_fit.refine(grey, start, sign, hold)
         if fit is not None:
             yield fit
 

@@ -21,6 +21,7 @@ References
 
 from collections.abc import Iterator
 from functools import lru_cache
+from math import hypot
 from typing import NamedTuple
 
 import cv2
@@ -39,6 +40,7 @@ BIWEIGHT = 4.685
 MIN_EDGES = 12
 HOLD = 0.003
 TOLERANCE, SHARP = 0.012, 1.8
+_EDGE = cv2.BORDER_REPLICATE
 
 _ANGLE = 2 * np.pi * np.arange(N_RAYS) / N_RAYS
 _SIN, _COS = np.sin(_ANGLE).astype(np.float32), np.cos(_ANGLE).astype(np.float32)
@@ -104,12 +106,26 @@ def vote(
         votes[rows, cols, :, max(0, k - 2) : k + 3] = 0
 
 
+def sign_at(image: Array, circle: Triple) -> int:
+    """Return +1 where the surround of `circle` is brighter than its inside, else -1."""
+    row, col, radius = circle
+    reach = radius * np.array([[1 - HALF_WIDTH / 2], [1 + HALF_WIDTH / 2]], np.float32)
+    y, x = np.float32(row) + _SIN * reach, np.float32(col) + _COS * reach
+    inner, outer = cv2.remap(image, x, y, cv2.INTER_NEAREST, borderMode=_EDGE)
+    return 1 if np.median(outer.astype(np.float32) - inner) > 0 else -1
+
+
 def refine(
-    image: Array, start: Triple, sign: int, *, radius: float | None = None
+    image: Array,
+    start: Triple,
+    sign: int,
+    radius: float | None = None,
+    widths: tuple[float, ...] = (1.0, 0.4, 0.2),
 ) -> Fit | None:
     """Fit the circle near `start` to sub-pixel edges; None where there are too few.
 
     With `radius`, it is held as if known to 0.3 %, against errors all of one cause.
+    Edges are sought within these `widths` in turn, as shares of how far the rays reach.
     """
     rays = _Rays(image, start, sign)
     if len(rays.sin) < MIN_EDGES:
@@ -117,7 +133,7 @@ def refine(
     circle = np.array(start)
     if radius is not None:
         circle[2] = radius
-    for width in (1.0, 0.4, 0.2):
+    for width in widths:
         edges = rays.edges(circle, width)
         if edges.shape[1] < MIN_EDGES:
             return None
@@ -127,7 +143,7 @@ def refine(
 
 def _edge_points(small: NDArray[np.uint8]) -> Singles | None:
     """Row, col and unit gradient of points steeper than thrice the median, or 1 %."""
-    smooth = cv2.GaussianBlur(small, (5, 5), 1.0, borderType=cv2.BORDER_REPLICATE)
+    smooth = cv2.GaussianBlur(small, (5, 5), 1.0, borderType=_EDGE)
     dx, dy = cv2.spatialGradient(smooth)
     some = np.abs(dx[::3, ::3]) + np.abs(dy[::3, ::3])
     high = max(2.4 * float(np.median(some)), 0.01 * 255 * 8)
@@ -187,10 +203,9 @@ class _Rays:
         self.cos = _COS[which].astype(np.float64)
         if len(which):
             y, x, inside = y[which], x[which], inside[which]
-            edge = cv2.BORDER_REPLICATE
-            grey = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=edge)
+            grey = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=_EDGE)
             kernel = self.sign * _slope_kernel(max(1.0, 1.2 / self.cell))
-            slope = cv2.filter2D(grey, cv2.CV_32F, kernel, borderType=edge)
+            slope = cv2.filter2D(grey, cv2.CV_32F, kernel, borderType=_EDGE)
             self.slope = slope * inside
             n_inside = np.count_nonzero(inside, axis=1)
             self.typical = np.abs(self.slope).sum(axis=1) / n_inside
@@ -205,8 +220,12 @@ class _Rays:
     def edges(self, circle: Array, width: float) -> Array:
         """Each ray's steepest edge near `circle`: row, col, slope, usual slope, ray."""
         reach = 2.5 * max(width * self.half, 0.03 * self.radius, 1.5)
-        away = self.offset - self.predict(circle).astype(np.float32)[:, None]
-        likely = self.slope * np.maximum(1 - (away / np.float32(reach)) ** 2, 0)
+        likely = self.offset - self.predict(circle).astype(np.float32)[:, None]
+        likely /= np.float32(reach)
+        likely *= likely
+        np.subtract(1, likely, out=likely)
+        np.maximum(likely, 0, out=likely)
+        likely *= self.slope
         peak = likely.argmax(axis=1)
         ray = np.flatnonzero((peak > 0) & (peak < len(self.offset) - 1))
         peak = peak[ray]
@@ -231,7 +250,8 @@ class _Rays:
         good &= seen[edges[4].astype(np.intp)]
         on_circle = outward[:2, good]
         spread = on_circle @ on_circle.T / max(on_circle.shape[1], 1)
-        balance = float(np.linalg.eigvalsh(spread)[0])
+        (down, mixed), (_, across) = spread.tolist()
+        balance = (down + across) / 2 - hypot((down - across) / 2, mixed)
         row, col, radius = circle.tolist()
         support, arc = on_circle.shape[1] / n_seen, n_seen / N_RAYS
         return Fit((row, col, radius), self.sign, support, arc, balance)
@@ -255,7 +275,7 @@ def _improved(circle: Array, edges: Array, radius: float | None) -> Array:
             normal[2, 2] += hold
             pull[2] -= hold * (circle[2] - radius)
         normal.flat[::4] += 1e-6 * total
-        circle = circle + np.linalg.solve(normal, pull)
+        circle = circle + cv2.solve(normal, pull[:, np.newaxis])[1].ravel()
     return circle
 
 

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import log_softmax
 
 from .._checks import check_number, check_option
+from .._numbers import log_softmax
 from .._types import Array, Floats
 from ..touches import Touches
 from . import _evidence, _unknown

@@ -17,12 +17,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
-from scipy.special import log_softmax
 from sklearn.base import BaseEstimator
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils import check_array
 
 from .._checks import check_number
+from .._numbers import log_softmax
 from .._types import Array, Floats, Indices
 from ..classifiers import FromProbabilities, KernelRidgeClassifier, TouchClassifier
 from ._evidence import SequenceCalibration, n_informative, with_floor
@@ -32,6 +32,7 @@ EPISODES_PER_OBJECT = 40
 # Long episodes in all, of all objects together.
 IN_ALL = 1000
 LENGTHS = (1, 2, 3, 5, 8, 12, 20, 30)
+_LEAST_CORRELATION = 6e-6
 
 
 class Modality(BaseEstimator):
@@ -202,28 +203,33 @@ def fit_sequence_calibration(
     floored: Floats, codes: Array, episodes: dict[int, Array], log_prior: Floats
 ) -> SequenceCalibration:
     """Return the calibration of least log loss over episodes of all lengths."""
-    sums = [floored[rows].sum(axis=1) for rows in episodes.values()]
-    counts = [n_informative(floored[rows])[:, -1:] for rows in episodes.values()]
-    truths = [codes[rows[:, 0]] for rows in episodes.values()]
+    drawn = episodes.values()
+    total = np.concatenate([floored[rows].sum(axis=1) for rows in drawn])
+    count = np.concatenate([n_informative(floored[rows])[:, -1] for rows in drawn])
+    others = np.maximum(count - 1, 0)
+    truth = np.concatenate([codes[rows[:, 0]] for rows in drawn])
+    # Every length counts the same.
+    share = np.concatenate([np.full(len(e), 1 / len(e) / len(drawn)) for e in drawn])
+    own = np.arange(len(truth)), truth
 
-    def loss(raw: Array) -> float:
-        calibration = _calibration(raw)
-        losses = []
-        for count, total, truth in zip(counts, sums, truths, strict=True):
-            last = log_softmax(total * calibration.weight(count) + log_prior, axis=1)
-            losses.append(-last[np.arange(len(truth)), truth].mean())
-        return float(np.mean(losses))
+    def loss(raw: Floats) -> tuple[float, Floats]:
+        calibration = SequenceCalibration(float(np.exp(raw[0])), float(raw[1]))
+        weight = calibration.weight(count)
+        last = log_softmax(total * weight[:, np.newaxis] + log_prior)
+        value = float(-last[own] @ share)
+        pull = np.einsum("eo,eo->e", np.exp(last), total) - total[own]
+        by_strength = pull * weight * share
+        by_correlation = -by_strength * others / (1 + others * raw[1])
+        return value, np.array([by_strength.sum(), by_correlation.sum()])
 
-    found = minimize(loss, x0=[-0.1, -2.0], method="Nelder-Mead")
-    return _calibration(found.x)
-
-
-def _calibration(raw: Array) -> SequenceCalibration:
-    """Map two free numbers to a strength in [0.05, 1] and a correlation in (0, 1).
-
-    Posteriors of single touches are calibrated already, and no strength above 1 may
-    undo their floor: training touches that are all told apart would ask for any.
-    """
-    strength = float(np.exp(np.clip(raw[0], np.log(0.05), 0)))
-    correlation = float(1 / (1 + np.exp(-np.clip(raw[1], -12, 12))))
-    return SequenceCalibration(strength, correlation)
+    # Posteriors of single touches are calibrated already, and no strength above 1 may
+    # undo their floor: training touches that are all told apart would ask for any.
+    bounds = [(np.log(0.05), 0.0), (_LEAST_CORRELATION, 1 - _LEAST_CORRELATION)]
+    found = minimize(
+        loss,
+        [-0.1, 0.1],
+        jac=True,
+        bounds=bounds,
+        options={"ftol": 1e-13, "gtol": 1e-9},
+    )
+    return SequenceCalibration(float(np.exp(found.x[0])), float(found.x[1]))

@@ -228,9 +228,9 @@ def correlation(images: Array, idle: Array) -> Floats:
     """Return the correlation of each image with one, 0 for even ones, (n_touches,)."""
     flat = images.reshape(len(images), -1).astype(np.float64)
     one = idle.ravel().astype(np.float64)
-    flat = flat - flat.mean(axis=1, keepdims=True)
-    one = one - one.mean()
-    norms = np.linalg.norm(flat, axis=1) * np.linalg.norm(one)
+    flat -= flat.mean(axis=1, keepdims=True)
+    one -= one.mean()
+    norms = np.sqrt(np.einsum("tp,tp->t", flat, flat)) * np.linalg.norm(one)
     return np.asarray(flat @ one / np.where(norms > 0, norms, 1))
 
 

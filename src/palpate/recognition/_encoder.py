@@ -8,10 +8,12 @@ from typing import Any, Self
 
 import numpy as np
 from sklearn.base import BaseEstimator, clone
+from sklearn.preprocessing import StandardScaler
 
 from .._checks import ARRAY_SIDE, check_levels, size_said
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
+from ..encodings import EncodingUnion
 from ..images import fill_dead_taxels, grey, typical_rim
 from ..touches import Touches
 from ._sessions import looks
@@ -148,8 +150,11 @@ class TouchEncoder(BaseEstimator):
                     every[:, column] = step.left_out_unexplained(values, groups)
                 # Of touches that are all alike shares of the variance are 0 / 0.
                 with np.errstate(invalid="ignore"):
-                    step.fit(values)
-                values = _transformed(step, values, checked=True)
+                    if isinstance(step, EncodingUnion):
+                        # Learning encodes all at once; nothing is done again.
+                        values = step.fit_transform(values)
+                    else:
+                        values = _transformed(step.fit(values), values, checked=True)
             part = np.asarray(values, dtype=np.float64)
             self.parts_[name], self.scales_[name] = part.shape[1], 1.0
             if len(self.encodings) > 1:
@@ -337,8 +342,12 @@ def in_batches(values: Any) -> Iterator[Any]:
 
 def _transformed(step: Any, values: Array, *, checked: bool = False) -> Array:
     """Return what a step makes of values, which it does not check again."""
-    unchecked = checked and isinstance(step, ImageEstimator)
-    transform = step.transform_checked if unchecked else step.transform
+    transform = step.transform
+    if checked and isinstance(step, ImageEstimator):
+        transform = step.transform_checked
+    elif isinstance(step, StandardScaler):
+        # Its own checks take as long as an encoding does.
+        return np.asarray((values - step.mean_) / step.scale_)
     if len(values) <= BATCH:
         return np.asarray(transform(values))
     return np.concatenate([transform(some) for some in in_batches(values)])

@@ -12,9 +12,10 @@ from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import log_softmax, logsumexp
+from scipy.special import logsumexp
 
 from .._checks import check_positive
+from .._numbers import log_softmax
 from .._types import Array, Bools, Floats, Indices
 from ..touches import Touches
 

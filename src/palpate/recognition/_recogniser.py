@@ -11,12 +11,12 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import log_softmax
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.exceptions import NotFittedError
 from sklearn.utils import Tags
 
 from .._checks import check_count, check_number, check_option
+from .._numbers import log_softmax
 from .._types import Array, Bools, Floats
 from ..classifiers import EncodingPool, TouchClassifier, as_groups
 from ..images import Poses, PressPose
@@ -669,7 +669,11 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     def _category_of(self, memory: Memory) -> NDArray[np.str_]:
         if self.label == "category":
             return np.full(len(memory.classes), "")
-        return memory.category_of
+        made: tuple[Memory, NDArray[np.str_]] | None
+        made = getattr(self, "_categories_in", None)
+        if made is None or made[0] is not memory:
+            made = self._categories_in = memory, memory.category_of
+        return made[1]
 
     def _evidence_of(self, touches: Touches) -> Evidence:
         features, flags = encoded_and_flagged(self.encoder_, self.contact_, touches)

@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import log_softmax, softmax
+from scipy.special import softmax
 from scipy.stats import t as t_distribution
 
+from .._numbers import log_softmax
 from .._types import Array, Floats
 from ..images import DomeCrop
 from ..touches import Touches

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.optimize import nnls
@@ -256,24 +256,29 @@ def looks(images: Array, rest: Array | None) -> Floats:
     """
     import cv2
 
-    small = np.asarray(images, dtype=np.float32)
+    small = levels = np.asarray(images, dtype=np.float32)
     shrink = LOOK_SIDE / max(small.shape[1:])
     if shrink < 1:
         size = tuple(max(1, round(shrink * side)) for side in small.shape[:0:-1])
         area = cv2.INTER_AREA
-        small = np.stack([cv2.resize(one, size, interpolation=area) for one in small])
-    n_rows, n_cols = small.shape[1:]
-    window = np.outer(np.hanning(n_rows + 2)[1:-1], np.hanning(n_cols + 2)[1:-1])
+        small = np.stack([cv2.resize(one, size, interpolation=area) for one in levels])
+    window, octaves = _window_and_octaves(*small.shape[1:])
     waves = np.fft.rfft2((small - small.mean(axis=(1, 2), keepdims=True)) * window)
-    power = np.abs(waves) ** 2
+    sums = (np.abs(waves) ** 2).reshape(len(small), -1) @ octaves
+    sums = np.maximum(sums, 1e-6 * sums.sum(axis=1, keepdims=True))
+    away = levels if rest is None else levels - rest.astype(np.float32)
+    away = np.abs(away).mean(axis=(1, 2), dtype=np.float64)
+    return np.asarray(np.log(np.maximum(np.column_stack([sums, away]), 1e-12)))
+
+
+@lru_cache(maxsize=16)
+def _window_and_octaves(n_rows: int, n_cols: int) -> tuple[Floats, Floats]:
+    """Return a Hann window, and which wave is in which octave, (n_waves, N_OCTAVES)."""
+    window = np.outer(np.hanning(n_rows + 2)[1:-1], np.hanning(n_cols + 2)[1:-1])
     across, down = np.fft.rfftfreq(n_cols), np.fft.fftfreq(n_rows)
     octave = np.log2(np.maximum(np.hypot(down[:, np.newaxis], across), 1e-9) * 2)
     octave = np.clip(N_OCTAVES + np.ceil(octave).astype(int) - 1, 0, N_OCTAVES - 1)
-    sums = np.stack([power[:, octave == k].sum(axis=1) for k in range(N_OCTAVES)])
-    sums = np.maximum(sums, 1e-6 * sums.sum(axis=0))
-    away = np.abs(images - (0.0 if rest is None else rest.astype(np.float64)))
-    found = np.vstack([sums, away.mean(axis=(1, 2))]).T
-    return np.asarray(np.log(np.maximum(found, 1e-12)))
+    return window, np.eye(N_OCTAVES)[octave.ravel()]
 
 
 def unlikeness(drawn: Floats, runs: Indices, found: Floats) -> tuple[Floats, float]:

@@ -21,9 +21,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_softmax, logsumexp
+from scipy.special import logsumexp
 from scipy.stats import beta
 
+from .._numbers import log_softmax
 from .._types import Array, Bools, Floats, Indices
 from ._evidence import (
     SequenceCalibration,

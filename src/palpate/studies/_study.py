@@ -5,7 +5,6 @@ it is imported when the study is first used. matplotlib is the extra `plot`, imp
 where it is used.
 """
 
-import os
 import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -24,6 +23,7 @@ from .._checks import check_count
 from .._durable import replacing, write_text
 from .._parallel import in_parallel
 from .._types import Indices
+from ..datasets import where
 from ..touches import Touches
 
 if TYPE_CHECKING:
@@ -203,43 +203,34 @@ class Study:
 
 
 class Archive(NamedTuple):
-    """Recorded touches: their place in the folder, what they are, where published."""
+    """Recorded touches: their place in the folder (of a set of that name), and what."""
 
     place: Path
     what: str
-    source: str
 
 
-BATHTIP = Archive(
-    Path("bathtip") / "bathtip50.npz",
-    "a real dome camera",
-    "github.com/Exhor/deep_visuotactile_classification",
-)
+BATHTIP = Archive(Path("bathtip") / "bathtip50.npz", "a real dome camera")
 
 
 def recorded_touches(data: str | Path | None, archive: Archive) -> Touches | str:
     """Return the touches of an archive, or the sentence that says what is left out.
 
-    They are in `data`, by default the folder of PALPATE_DATA; a ValueError says that a
-    folder given by name does not hold them.
+    They are in `palpate.datasets.where(data)`; a ValueError says that a folder given by
+    name does not hold them.
     """
-    place, what, source = archive
-    named = data if data is not None else os.environ.get("PALPATE_DATA")
-    if not named:
-        return (
-            f"The rows of {what} ({place.stem}) are left out: name their "
-            "folder with --data or PALPATE_DATA."
-        )
-    path = Path(named) / place
+    place, what = archive
+    path = where(data) / place
     if path.is_file():
         return Touches.load(path)
+    fetch = f"palpate data fetch {archive.place.parts[0]}"
     if data is not None:
         raise ValueError(
-            f"--data must name a folder that holds {place}, got {named}. "
-            f"Fetch the recordings from {source}, or leave --data out."
+            f"--data must name a folder that holds {place}, got {data}. Type `{fetch} "
+            f"--data {data}`, or leave --data out."
         )
     return (
-        f"The rows of {what} are left out: the folder of PALPATE_DATA has no {place}."
+        f"The rows of {what} ({place.stem}) are left out: {where()} has no {place}. "
+        f"Type `{fetch}`, or name their folder with --data or PALPATE_DATA."
     )
 
 

@@ -18,6 +18,7 @@ from ._serving import require_web as require_web
 from ._serving import run_app as run_app
 from ._serving import server_of as server_of
 from ._session import LiveSession
+from ._session import start_all as start_all
 from ._teaching import Variety as Variety
 from ._teaching import advice as advice
 from ._teaching import object_quality as object_quality

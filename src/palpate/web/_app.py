@@ -8,7 +8,7 @@ import asyncio
 import errno
 import sqlite3
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager, suppress
 from typing import Any
 
@@ -23,7 +23,7 @@ from ._learning import LearningError
 from ._request_guard import STATIC, RequestGuard, cookie_name
 from ._routes import router
 from ._sensor_watch import Event
-from ._session import LiveSession
+from ._session import LiveSession, start_all
 from ._teaching import MissingObjectError
 
 _COOKIE_S = 30 * 24 * 3600
@@ -32,16 +32,17 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 _MOST_CLIENTS, _LONGEST_QUEUE, _PATIENCE_S = 64, 200, 10.0  # of the websocket
 
 
-def build_app(session: LiveSession, token: str, **limits: Any) -> FastAPI:
+def build_app(sessions: Sequence[LiveSession], token: str, **limits: Any) -> FastAPI:
     """Return the application; `palpate.web.create_app` explains the arguments."""
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        session.start()
+        start_all(sessions)
         try:
             yield
         finally:
-            session.stop()
+            for session in sessions:
+                session.stop()
 
     app = FastAPI(
         title="palpate",
@@ -56,9 +57,11 @@ def build_app(session: LiveSession, token: str, **limits: Any) -> FastAPI:
             **dict.fromkeys((*_NOT_NOW, ValueError, TypeError, OSError), _refused),
         },
     )
-    app.state.session = session
+    for number, session in enumerate(sessions, start=1):
+        session.listeners.number = number
+    app.state.session, app.state.sessions = sessions[0], sessions
     app.include_router(router)
-    app.websocket("/ws")(_Hub(session).serve)
+    app.websocket("/ws")(_Hub(sessions).serve)
 
     @app.get("/", include_in_schema=False)
     async def page(request: Request) -> Response:
@@ -114,14 +117,14 @@ def _lacks_room(error: BaseException) -> bool:
 
 
 class _Hub:
-    """Hands events of a session to all its websockets, none waiting for another.
+    """Hands events of sessions to all their websockets, none waiting for another.
 
-    Every client has a place for one frame, the newest, and a short queue for all else.
-    One that stops reading misses frames; when its queue is full it is let go.
+    Every client has a place for the newest frame of each, and a short queue for all
+    else. One that stops reading misses frames; when its queue is full it is let go.
     """
 
-    def __init__(self, session: LiveSession) -> None:
-        self._session = session
+    def __init__(self, sessions: Sequence[LiveSession]) -> None:
+        self._sessions = sessions
         self._clients: set[_Client] = set()
 
     async def serve(self, socket: WebSocket) -> None:
@@ -131,14 +134,17 @@ class _Hub:
         await socket.accept()
         client = _Client(socket, asyncio.get_running_loop())
         self._clients.add(client)
-        self._session.listeners.add(client.receive)
-        state = await asyncio.to_thread(self._session.to_dict)
-        await asyncio.to_thread(client.receive, Event("state", state))
+        for one in self._sessions:
+            one.listeners.add(client.receive)
+            state = await asyncio.to_thread(one.to_dict)
+            state["sensor_number"] = one.listeners.number
+            await asyncio.to_thread(client.receive, Event("state", state))
         tasks = [asyncio.create_task(work()) for work in (client.listen, client.send)]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            self._session.listeners.discard(client.receive)
+            for one in self._sessions:
+                one.listeners.discard(client.receive)
             self._clients.discard(client)
             for task in tasks:
                 task.cancel()
@@ -151,7 +157,7 @@ class _Hub:
 class _Client:
     def __init__(self, socket: WebSocket, loop: asyncio.AbstractEventLoop) -> None:
         self._socket, self._loop = socket, loop
-        self._frame: Event | None = None
+        self._frames: dict[int, Event] = {}
         self._waiting: deque[Event] = deque()
         self._some = asyncio.Event()
         self._full = False
@@ -164,7 +170,7 @@ class _Client:
     def put(self, event: Event) -> None:
         """Keep an event until it is sent; a newer frame takes the place of one."""
         if event.kind == "frame":
-            self._frame = event
+            self._frames[event.values["sensor_number"]] = event
         elif len(self._waiting) < _LONGEST_QUEUE:
             self._waiting.append(event)
         else:
@@ -178,8 +184,8 @@ class _Client:
             self._some.clear()
             while self._waiting:
                 await self._send_one(self._waiting.popleft())
-            frame, self._frame = self._frame, None
-            if frame is not None:
+            frames, self._frames = self._frames, {}
+            for frame in frames.values():
                 await self._send_one(frame)
 
     async def listen(self) -> None:

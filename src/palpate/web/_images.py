@@ -26,6 +26,7 @@ from ..touches import RGB, TouchesError, as_shown, decode_bytes
 MAX_PIXELS, MOST_CHANNELS = 4_000_000, 64
 _QUALITY = 80
 _THUMBNAIL = 96
+_GAP = (16, 14, 11)  # what lies behind pictures on the page; blue first
 NPY = "application/x-npy"
 KINDS = ("image/png", "image/jpeg", NPY)
 # Of a body of JSON: where its rows begin, where the next does, and where they end; how
@@ -42,15 +43,18 @@ class FramePainter:
     """Turns frames into JPEG or PNG bytes; keeps the range of what it has shown.
 
     Frames with the channels "r", "g" and "b" are shown in these colours, of others the
-    mean. Images of at most 48 taxels a side are of an array, shown in false colour
-    unless they have colours of their own.
+    mean. Images of an array, of at most 48 taxels a side unless it is `told`, are shown
+    in false colour unless they have colours of their own; what has no reading is a gap.
     """
 
     def __init__(
-        self, image_shape: Sequence[int], channels: Sequence[str] | None = None
+        self,
+        image_shape: Sequence[int],
+        channels: Sequence[str] | None = None,
+        told: bool = False,
     ) -> None:
         own = set(RGB) <= set(channels or ())
-        self.coloured = not own and max(image_shape[:2]) <= ARRAY_SIDE
+        self.coloured = not own and (told or max(image_shape[:2]) <= ARRAY_SIDE)
         self._channels = channels
         self.content_type = "image/png" if self.coloured else "image/jpeg"
         self._low, self._high = float("inf"), float("-inf")
@@ -68,7 +72,7 @@ class FramePainter:
         if self.coloured:
             levels = self._stretched(image)
             painted = cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)
-            painted[np.isnan(image.astype(np.float64))] = (90, 90, 90)
+            painted[np.isnan(image.astype(np.float64))] = _GAP
             return painted.astype(np.uint8, copy=False)
         if image.ndim == 3:  # OpenCV writes blue first
             image = np.ascontiguousarray(image[..., ::-1])

@@ -180,8 +180,13 @@ _TOKEN = HTTPBearer(auto_error=False, description="The token that the server pri
 router = APIRouter(prefix="/api", responses=_REFUSALS, dependencies=[Depends(_TOKEN)])
 
 
-async def _session(request: Request) -> Any:
-    return request.app.state.session
+async def _session(
+    request: Request, sensor: Annotated[int, Query(ge=1, description="Which one.")] = 1
+) -> Any:
+    sessions = request.app.state.sessions
+    if sensor > len(sessions):
+        raise HTTPException(404, f"There are {len(sessions)} sensors, got {sensor}.")
+    return sessions[sensor - 1]
 
 
 Session = Annotated[LiveSession, Depends(_session)]
@@ -193,9 +198,8 @@ async def _teacher(session: Session) -> Teacher:
     return session.teacher
 
 
-async def _picture(request: Request) -> Array:
+async def _picture(request: Request, session: Session) -> Array:
     kind = request.headers.get("content-type", "")
-    session: LiveSession = request.app.state.session
     colour = request.query_params.get("colour") == "1" or session.takes_colour()
     return await asyncio.to_thread(read_picture, await request.body(), kind, colour)
 
@@ -220,6 +224,19 @@ def state(session: Session) -> Any:
 def health(session: Session) -> dict[str, Any]:
     """Return frame rate (Hz), frames dropped, latencies (ms)."""
     return session.health.to_dict()
+
+
+@router.get("/frame", tags=["sensor"])
+def frame(session: Session) -> JSONResponse:
+    """Return the newest frame, `{"image": [[0, null]]}`, of at most 4096 taxels."""
+    if session.watch is None:
+        raise HTTPException(409, "There is no sensor here.")
+    image = session.watch.sensor.read_latest().image
+    if image.shape[0] * image.shape[1] > 4096:
+        raise HTTPException(409, "Frames of more than 4096 taxels are pictures.")
+    values = image.astype(object)
+    values[image != image] = None
+    return JSONResponse({"image": values.tolist()})
 
 
 @router.post("/baseline", tags=["sensor"])

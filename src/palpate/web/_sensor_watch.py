@@ -10,7 +10,7 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -36,12 +36,15 @@ TakeTouch = Callable[[Array, float], None]
 class Event:
     """Something that happened: a kind, plain values, and the bytes of a picture.
 
-    Kinds: "frame", "contact", "touch", "state".
+    Kinds: "frame", "contact", "touch", "state". Of a frame and of a touch `image` is
+    what was read, with its channels.
     """
 
     kind: str
     values: dict[str, Any] = field(default_factory=dict)
     picture: bytes = b""
+    image: Array | None = None
+    channels: Sequence[str] | None = None
 
     @cached_property
     def text(self) -> str:
@@ -53,9 +56,13 @@ Listener = Callable[[Event], None]
 
 
 class Listeners:
-    """Functions that are called with every event; one that fails is removed."""
+    """Functions that are called with every event; one that fails is removed.
+
+    Every event is told which of several sensors it is of, `number`.
+    """
 
     def __init__(self) -> None:
+        self.number = 1
         self._lock = threading.Lock()
         self._all: tuple[Listener, ...] = ()
 
@@ -71,6 +78,7 @@ class Listeners:
             self._all = tuple(one for one in self._all if one != listener)
 
     def notify(self, event: Event) -> None:
+        event.values["sensor_number"] = self.number
         for listener in self._all:
             try:
                 listener(event)
@@ -142,9 +150,10 @@ class SensorWatch:
         self.sensor = sensor
         self.detector = sensors.TouchDetector(sensor.no_contact(), summary=summary)
         self._take, self._listeners, self._health = take, listeners, health
-        self._painter = FramePainter(sensor.image_shape, sensor.channels)
+        of_array = sensor.geometry == "array"
+        self._painter = FramePainter(sensor.image_shape, sensor.channels, of_array)
         self._memory: SensorMemory | None = None
-        self.misfit = ""
+        self.misfit = self.failed = ""
         self._recent: list[Array] = []
         self._warnings: list[str] = []
         self._resting: list[Array] | None = None
@@ -160,6 +169,7 @@ class SensorWatch:
         if self._threads:
             return
         self.sensor.connect()
+        self.failed = ""
         for work in (self._follow, self._hand_on):
             thread = threading.Thread(target=work, daemon=True)
             self._threads.append(thread)
@@ -225,7 +235,7 @@ class SensorWatch:
             "name": sensor.name,
             "unit": sensor.unit,
             "shape": list(sensor.image_shape),
-            "lost": sensor.lost,
+            "lost": self.failed or sensor.lost,
             "baseline": has_baseline,
             "zero": has_baseline,  # the name before; goes with the next release
             "touching": self.detector.touching,
@@ -319,7 +329,8 @@ class SensorWatch:
             "number": frame.number,
             "touching": self.detector.touching,
         }
-        self._listeners.notify(Event("frame", values, picture))
+        shown = picture, frame.image, self.sensor.channels
+        self._listeners.notify(Event("frame", values, *shown))
 
     def _hand_on(self) -> None:
         while (found := self._found.get()) is not None:

@@ -4,7 +4,7 @@ import os
 import re
 import secrets
 import socket
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +28,7 @@ _ELSEWHERE = ("192.0.2.1", 9)
 
 
 def create_app(
-    session: LiveSession,
+    session: LiveSession | Sequence[LiveSession],
     token: str,
     *,
     max_body: int = MAX_BODY,
@@ -39,7 +39,7 @@ def create_app(
 
     Parameters
     ----------
-    session : LiveSession
+    session : LiveSession, or a sequence of one per sensor
         Started and stopped with the application.
     token : str
         What everybody must know: as `Authorization: Bearer TOKEN`, as the cookie that
@@ -60,7 +60,8 @@ def create_app(
     require_web()
     from ._app import build_app
 
-    return build_app(session, token, max_body=max_body, rate_hz=rate_hz, names=names)
+    sessions = (session,) if isinstance(session, LiveSession) else tuple(session)
+    return build_app(sessions, token, max_body=max_body, rate_hz=rate_hz, names=names)
 
 
 def new_token() -> str:

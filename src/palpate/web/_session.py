@@ -27,6 +27,20 @@ ONE_SESSION = (
 LOOK_EVERY = 10  # touches, at the mounting
 
 
+def start_all(sessions: Sequence["LiveSession"]) -> None:
+    """Start sessions; one that fails says so on its page, if another can go on."""
+    failed: list[Exception] = []
+    for session in sessions:
+        try:
+            session.start()
+        except (ValueError, OSError, SensorError) as error:
+            failed.append(error)
+            if session.watch is not None:
+                session.watch.failed = f"It is left out: {error}"
+    if len(failed) == len(sessions):
+        raise failed[0]
+
+
 class LiveSession:
     """A sensor, what it has learnt, and the episode under way.
 
@@ -410,7 +424,7 @@ class LiveSession:
             self.health.count_touch(touch.latency_ms)
             episode = {**self.episode.to_dict(), "touches": [dict(vars(touch))]}
             values = {"episode": episode, "nearest": self.episode.nearest}
-        self.listeners.notify(Event("touch", values))
+        self.listeners.notify(Event("touch", values, b"", image, channels))
         self._check_mounting()
 
     def _check_mounting(self) -> None:

@@ -63,11 +63,7 @@ CANDIDATES: dict[str, tuple[Part, ...]] = {
 }
 Images = Singles
 
-TACTIP = Archive(
-    Path("tactip4") / "tactip4.npz",
-    "a real dome with pins",
-    "github.com/marselap/tactip-cnn-bayes",
-)
+TACTIP = Archive(Path("tactip4") / "tactip4.npz", "a real dome with pins")
 SIZE = 128
 N_GROUPS = 5
 # Two touches whose standardised discs correlate above this show the same picture.

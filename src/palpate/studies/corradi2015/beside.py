@@ -5,7 +5,6 @@ in some recordings the camera moved: what was learnt before must do after. `sigh
 `moved` ask it of any touches; the study's rows are made of what they answer.
 """
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._types import Bools, Floats
+from ...datasets import where
 from ...evaluation import Fold, Plan, evaluate, split_touches
 from ...recognition import ObjectRecogniser
 from ...touches import Touches
@@ -149,7 +149,7 @@ def beside_tasks(
     """Return what is to be run, and a sentence for each kind of rows left out."""
     tasks: list[Callable[[], list[Row]]] = []
     skipped = []
-    words = Path(data if data is not None else os.environ["PALPATE_DATA"]) / WORDS
+    words = where(data) / WORDS
     if words.is_file():
         seen = read_photographs(words)
         tasks += [partial(sight_rows, plan, touches, seen, label) for label in SIGHT]

@@ -51,9 +51,7 @@ FIGURES: dict[tuple[str, str], float] = {
     ("GE", "all solid"): 74.45,
     ("FD+GE", "all solid"): 84.3,
 }
-REAL = Archive(
-    Path("taxel10x10") / "taxel10x10.npz", "real presses", "github.com/aslepyan/SPTS"
-)
+REAL = Archive(Path("taxel10x10") / "taxel10x10.npz", "real presses")
 _SUBPIXELS = 16  # for the share of a pixel that a part covers
 SHIFT_PX = 2.0
 GAIN_RANGE = (0.8, 1.2)

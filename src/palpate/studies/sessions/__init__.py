@@ -6,7 +6,6 @@ asked and the others teach, with what `remount` does beside nothing done, what n
 values alone achieve, and the last quarter of the same sessions as a ceiling.
 """
 
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ...datasets import where
 from ...evaluation import Plan as Asked
 from ...evaluation import evaluate, plots, roc_area, split_by_count, split_touches
 from ...recognition import MountingCheck, ObjectRecogniser
@@ -76,12 +76,12 @@ def _measure(plan: SessionsPlan, data: str | Path | None, work: Work) -> dict[st
         "simulated array": simulate_presses(parts, n_touches, **sizes),
     }
     ways = dict.fromkeys(sources, (*plan.ways, CEILING, ALARM))
-    folder, skipped = data or os.environ.get("PALPATE_DATA"), []
-    if folder and plan.recorded:
-        for name, touches, its_ways in _recorded(plan, Path(folder)):
+    folder, skipped = where(data), []
+    if folder.is_dir() and plan.recorded:
+        for name, touches, its_ways in _recorded(plan, folder):
             sources[name], ways[name] = touches, its_ways
     else:
-        why = "name their folder with --data" if plan.recorded else "a first look"
+        why = f"no {folder}; see --data" if plan.recorded else "a first look"
         skipped = [f"Recorded touches are left out: {why}."]
     tasks = [
         (plan, name, touches, way)

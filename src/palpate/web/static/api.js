@@ -1,17 +1,32 @@
 // The API: the same one that robots use.
 
-import { say } from "./dom.js";
+import { find, say } from "./dom.js";
+
+// Which of several sensors the page is about; what a hand does, all of them do.
+export const here = Math.max(1, parseInt(new URLSearchParams(location.search).get("sensor"), 10) || 1);
+export const OF_ALL = { count: 1, paths: ["teach", "teach/stop", "learn", "episode/start", "episode/end"] };
+
+export const url = (path, number = here) =>
+  `/api/${path}${number > 1 ? `${path.includes("?") ? "&" : "?"}sensor=${number}` : ""}`;
 
 export async function post(path, body) {
+  const all = OF_ALL.paths.includes(path) && find("as-one").checked;
+  for (let number = 1; all && number <= OF_ALL.count; number += 1) {
+    if (number !== here) await postTo(url(path, number), body);
+  }
+  return postTo(url(path), body);
+}
+
+async function postTo(address, body) {
   const order = { method: "POST", headers: {} };
   if (body !== undefined) {
     order.headers["Content-Type"] = "application/json";
     order.body = JSON.stringify(body);
   }
-  return answered(() => fetch(`/api/${path}`, order));
+  return answered(() => fetch(address, order));
 }
 
-export const get = (path) => answered(() => fetch(`/api/${path}`));
+export const get = (path) => answered(() => fetch(url(path)));
 
 async function answered(ask) {
   let answer;

@@ -1,9 +1,11 @@
 // The page: what the server sends goes to the parts that show it.
 
+import { here, url } from "./api.js";
 import { addTouch, showEpisode, showNearest, startBelief } from "./belief.js";
 import { find, say, show } from "./dom.js";
 import { showObjects } from "./objects.js";
 import { drawFrame, showHealth, showOffline, showSensor, startSensor } from "./sensor.js";
+import { drawTile, showSensors } from "./sensors.js";
 import { listen } from "./socket.js";
 import { showTeach, startTeach } from "./teach.js";
 
@@ -30,13 +32,18 @@ const handlers = {
   },
 };
 
-history.replaceState(null, "", location.pathname); // the token need not be seen
+// The token need not be seen.
+history.replaceState(null, "", here > 1 ? `/?sensor=${here}` : "/");
+document.querySelectorAll(".menu a").forEach((link) => { link.href = url(link.getAttribute("href").slice(5)); });
 startSensor();
 startBelief();
 startTeach();
 listen({
-  event: (news) => handlers[news.kind]?.(news),
-  frame: drawFrame,
+  event(news) {
+    if (news.sensor_number) showSensors(news);
+    if (news.sensor_number === here) handlers[news.kind]?.(news);
+  },
+  frame: (head, picture) => drawFrame(head, picture, drawTile),
   online(whether, refused) {
     show(find("offline"), !whether && !refused);
     show(find("refused"), !whether && refused);

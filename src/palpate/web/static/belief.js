@@ -1,6 +1,6 @@
 // The belief: bars, unknown score, its history over the episode, and the decision.
 
-import { get, post } from "./api.js";
+import { get, post, url } from "./api.js";
 import { drawn, find, make, percent, pictures, say, show, step, text } from "./dom.js";
 import { teachThese } from "./teach.js";
 
@@ -43,7 +43,7 @@ export function showNearest(nearest) {
   find("nearest").replaceChildren(...nearest.map(({ id, object, distance }) => {
     const words = `${object}, distance ${distance.toFixed(2)}`;
     const picture = id === null ? [] : [make("img", {
-      class: "thumb", alt: words, loading: "lazy", src: `/api/touches/${id}/picture` })];
+      class: "thumb", alt: words, loading: "lazy", src: url(`touches/${id}/picture`) })];
     return make("li", { title: words }, ...picture, object);
   }));
 }
@@ -193,5 +193,5 @@ function band(at, y, height, fill) {
 function drawStrip(touches) {
   pictures(find("strip"), touches.map(({ number }) => ({
     key: `${episode.number} ${number}`, label: String(number), alt: `Touch ${number}`,
-    src: `/api/episode/touches/${number}/picture?episode=${episode.number}` })));
+    src: url(`episode/touches/${number}/picture?episode=${episode.number}`) })));
 }

@@ -1,6 +1,6 @@
 // Objects of the library: their touches, renaming, forgetting, export.
 
-import { get, post } from "./api.js";
+import { get, post, url } from "./api.js";
 import { find, make, percent, show, text } from "./dom.js";
 
 const THUMBNAILS = 8;
@@ -36,7 +36,7 @@ function makeCard(name, manage) {
   const about = { "aria-label": `Rename ${name}`, type: "button", onclick: () => rename(name) };
   const leave = { "aria-label": `Forget ${name}`, type: "button", onclick: () => forget(name) };
   const link = { class: "button", download: "", "aria-label": `Export ${name}`,
-    href: `/api/objects/archive?object=${encodeURIComponent(name)}` };
+    href: url(`objects/archive?object=${encodeURIComponent(name)}`) };
   return make("li", { class: "object" },
     make("h3", {}, name), make("p", { class: "meta" }), make("div", { class: "thumbs" }), make("p", { class: "quality" }),
     ...(manage ? [make("div", { class: "row" }, make("button", about, "Rename"),
@@ -71,7 +71,7 @@ async function showThumbs(place, name) {
   const ids = await get(`objects/touches?object=${encodeURIComponent(name)}&limit=${THUMBNAILS}`);
   if (!ids) return;
   place.replaceChildren(...ids.map(({ id }) => make("img", {
-    class: "thumb", alt: `A touch of ${name}`, loading: "lazy", src: `/api/touches/${id}/picture` })));
+    class: "thumb", alt: `A touch of ${name}`, loading: "lazy", src: url(`touches/${id}/picture`) })));
 }
 
 async function asked(dialog) {

@@ -1,33 +1,40 @@
 // The live image, the contact indicator, the baseline, frame rate and latency.
 
-import { post } from "./api.js";
+import { get, here, post, url } from "./api.js";
 import { find, make, say, show, step, text } from "./dom.js";
 
+const waiting = new Map();
 let drawing = false;
-let waiting = null;
 let insist = false;
 let refused = false;
 let known = false;
+let readings = null;
+const MOST = 32; // taxels a side whose numbers can be shown
+const NUMBERS_MS = 200;
 
 export function startSensor() {
   find("baseline").addEventListener("click", takeBaseline);
   find("press-keep").addEventListener("click", () => post("baseline/keep"));
   find("press-undo").addEventListener("click", () => post("baseline/undo"));
+  find("numbers").addEventListener("change", showNumbers);
   find("placed").addEventListener("change", ({ target }) =>
     post("place", { object: target.value === "" ? null : target.value }));
 }
 
-export async function drawFrame(head, picture) {
-  touching(head.touching);
-  waiting = picture;
+// The newest picture of each sensor; `shown` is called with what is drawn of any.
+export async function drawFrame(head, picture, shown) {
+  if (head.sensor_number === here) touching(head.touching);
+  waiting.set(head.sensor_number, [head, picture]);
   if (drawing) return;
   drawing = true;
-  while (waiting) {
-    const next = waiting;
-    waiting = null;
+  while (waiting.size) {
+    const [[number, [about, next]]] = waiting;
+    waiting.delete(number);
     try {
       const bitmap = await createImageBitmap(next);
-      paint(bitmap, head.type === "image/png");
+      const array = about.type === "image/png";
+      if (number === here) paint(bitmap, array);
+      shown(about, bitmap, array);
       bitmap.close();
     } catch {
       // A picture that cannot be drawn is skipped; the next one is on its way.
@@ -45,6 +52,7 @@ export function showSensor(sensor) {
   }
   text(find("sensor-name"), `${sensor.name}, ${sensor.shape[0]} × ${sensor.shape[1]}, ${sensor.unit}`);
   known = sensor.baseline;
+  show(find("numbered"), Math.max(sensor.shape[0], sensor.shape[1]) <= MOST);
   if (sensor.lost) off("sensor lost");
   else touching(sensor.touching);
   note(find("lost"), sensor.lost);
@@ -65,16 +73,58 @@ export function showHealth(health) {
   text(find("latency"), health.belief_ms === null ? "–" : `${health.belief_ms.toFixed(0)} ms`);
 }
 
+export function draw(canvas, bitmap, array, cell = 1) {
+  const [width, height] = [bitmap.width * cell, bitmap.height * cell];
+  if (canvas.width !== width || canvas.height !== height) {
+    canvas.width = width;
+    canvas.height = height;
+    canvas.classList.toggle("array", array);
+  }
+  const pen = canvas.getContext("2d");
+  pen.imageSmoothingEnabled = false;
+  pen.drawImage(bitmap, 0, 0, width, height);
+  return pen;
+}
+
 function paint(bitmap, array) {
   const canvas = find("image");
-  if (canvas.width !== bitmap.width || canvas.height !== bitmap.height) {
-    canvas.width = bitmap.width;
-    canvas.height = bitmap.height;
-    canvas.classList.toggle("array", array);
-    document.body.classList.toggle("array", array);
-  }
-  canvas.getContext("2d").drawImage(bitmap, 0, 0);
+  const cell = readings?.length === bitmap.height ? cellOf(readings) : 1;
+  const pen = draw(canvas, bitmap, array, cell);
+  document.body.classList.toggle("array", array);
+  if (cell > 1) write(pen, cell);
   canvas.dataset.frames = String(Number(canvas.dataset.frames || 0) + 1);
+}
+
+const LINE = 13;
+const lines = (taxel) => [taxel].flat().map((value) => value === null ? ""
+  : Number.isInteger(value) ? String(value) : String(Number(value.toPrecision(3))));
+
+// How wide a taxel must be for its numbers, in pixels; all of the screen where there is room.
+function cellOf(rows) {
+  const written = rows.flat().map(lines);
+  const longest = Math.max(...written.flat().map((words) => words.length));
+  return Math.ceil(Math.max(7 * longest + 6, LINE * written[0].length + 6, find("screen").clientWidth / rows[0].length - 1));
+}
+
+function write(pen, cell) {
+  Object.assign(pen, { font: `${LINE - 2}px ui-monospace, monospace`, textAlign: "center", textBaseline: "middle",
+    lineWidth: 3, lineJoin: "round", strokeStyle: "#0b0e10", fillStyle: "#fff" });
+  readings.forEach((row, y) => row.forEach((taxel, x) => {
+    const words = lines(taxel);
+    words.forEach((word, at) => {
+      const place = [word, (x + 0.5) * cell, (y + 0.5) * cell + (at - (words.length - 1) / 2) * LINE];
+      pen.strokeText(...place);
+      pen.fillText(...place);
+    });
+  }));
+}
+
+// Numbers of the newest frame, a few times a second: more could not be read.
+async function showNumbers() {
+  const on = find("numbers").checked && !find("numbered").hidden;
+  find("screen").classList.toggle("numbers", on);
+  readings = on ? (await get("frame"))?.image ?? null : null;
+  if (on) setTimeout(showNumbers, NUMBERS_MS);
 }
 
 function touching(whether) {
@@ -132,7 +182,7 @@ function showPress(press) {
   show(picture, press.found);
   if (press.found && picture.dataset.number !== String(press.number)) {
     picture.dataset.number = String(press.number);
-    picture.src = `/api/baseline/press?number=${press.number}`;
+    picture.src = url(`baseline/press?number=${press.number}`);
   }
   show(find("press-keep"), press.found && !press.lower);
   text(find("press-undo"), press.found ? "No, undo it" : "Undo the baseline");

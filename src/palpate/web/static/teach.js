@@ -1,6 +1,6 @@
 // Teaching: a name, so many touches, undo, learn.
 
-import { get, post } from "./api.js";
+import { get, post, url } from "./api.js";
 import { drawn, find, make, pictures, show, step, text } from "./dom.js";
 
 const SHOWN = 12;
@@ -77,7 +77,7 @@ async function showLesson({ name, wanted, done, map, n_new: differ, prompt }) {
   if (!ids || list.dataset.shown !== now) return;
   const like = new Map(map.map((one) => [one.number, one.like ? `${one.number} ≈ ${one.like}` : String(one.number)]));
   pictures(list, ids.reverse().map(({ id }, at) => ({ key: id, alt: `Touch ${done - few + at + 1} of ${name}`,
-    label: like.get(done - few + at + 1), src: `/api/touches/${id}/picture` })));
+    label: like.get(done - few + at + 1), src: url(`touches/${id}/picture`) })));
 }
 
 // A dot for each touch that differs from those before it, with how many are like it.

@@ -1,0 +1,253 @@
+"""What is written for Rerun and Foxglove, read back by their own readers."""
+
+import json
+import subprocess
+import sys
+import threading
+from importlib.metadata import EntryPoint
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from palpate import ObjectRecogniser, Touches
+from palpate.library import read_bag
+from palpate.sensors import ReplaySensor
+from palpate.web import Event, LiveSession
+
+palpate_look = pytest.importorskip("palpate_look")
+needs_mcap = pytest.mark.skipif("not __import__('importlib').util.find_spec('mcap')")
+
+
+@pytest.fixture(scope="module")
+def touches():
+    """Two things, pressed here and there, on one mat."""
+    rng = np.random.default_rng(0)
+    row, col = np.mgrid[:12, :12]
+    images = []
+    for number in range(40):
+        y, x = rng.uniform(4, 7, 2)
+        disc = np.hypot(row - y, col - x) < 3.2
+        bar = (abs(row - y) < 1.2) & (abs(col - x) < 4.5)
+        image = (bar if number % 2 else disc) * 150 + rng.normal(scale=3, size=(12, 12))
+        images.append(np.rint(image).clip(0, 255))
+    return Touches(
+        np.array(images, np.uint8),
+        object=["disc", "bar"] * 20,
+        time_s=1.7e9 + np.arange(40) * 0.25,
+        no_contact=np.zeros((12, 12), np.uint8),
+    )
+
+
+@pytest.fixture(scope="module")
+def model(touches, tmp_path_factory):
+    """A model of both, learnt from the first thirty touches."""
+    path = tmp_path_factory.mktemp("model") / "two.palpate"
+    ObjectRecogniser("liu2014").fit(touches[:30]).save(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def expected(model, touches):
+    """Posterior and unknown score after each of the last ten touches, in order."""
+    recogniser, asked = ObjectRecogniser.load(model), touches[30:]
+    found = []
+    evidence = recogniser.evidence(asked)
+    for _, _, rows in asked.episodes():
+        belief = recogniser.start()
+        for row in rows:
+            belief.update(evidence.one(row))
+            found.append((int(row), belief.posterior, belief.unknown))
+    return found
+
+
+def read_mcap(path):
+    """Return per topic the messages of a file, as mcap's own reader gives them."""
+    reader = pytest.importorskip("mcap.reader")
+    found = {}
+    with path.open("rb") as file:
+        for _, channel, message in reader.make_reader(file).iter_messages():
+            found.setdefault(channel.topic, []).append(message)
+    return found
+
+
+def read_rrd(path):
+    """Return per entity the rows of a recording, as Rerun's own reader gives them."""
+    chunk = pytest.importorskip("rerun.chunk")
+    found = {}
+    for part in chunk.RrdReader(path).stream():
+        batch = part.to_record_batch()
+        told = batch.select([name for name in batch.schema.names if ":" in name])
+        found.setdefault(part.entity_path, []).extend(told.to_pylist())
+    return found
+
+
+def values_of(rows, ending):
+    (key,) = {k for row in rows for k in row if k.endswith(ending)}
+    return [row[key] for row in rows if row.get(key) is not None]
+
+
+@needs_mcap
+def test_mcap_holds_touches_and_beliefs_to_the_bit(model, touches, expected, tmp_path):
+    path = tmp_path / "run.mcap"
+    recogniser = ObjectRecogniser.load(model)
+    assert palpate_look.log_episodes(path, recogniser, touches[30:]) == 2
+    found = read_mcap(path)
+    beliefs = [json.loads(message.data) for message in found["/belief"]]
+    by_time = sorted(expected)
+    assert [belief["posterior"] for belief in beliefs] == [b[1] for b in by_time]
+    assert [belief["unknown"] for belief in beliefs] == [b[2] for b in by_time]
+    assert [m.log_time for m in found["/touch"]] == [
+        1_700_000_007_500_000_000 + 250_000_000 * k for k in range(10)
+    ]
+    assert len(found["/decision"]) == 2
+    again = read_bag(path, "/touch", object="thing")
+    assert_array_equal(again.images, touches.images[30:])
+    assert_array_equal(again.columns["time_s"], touches.columns["time_s"][30:])
+
+
+def kinds(rng):
+    gaps = rng.normal(size=(5, 7)).astype(np.float32)
+    gaps[2, 3] = np.nan
+    return [
+        gaps,
+        rng.integers(0, 65536, (5, 7), dtype=np.uint16),
+        rng.integers(-999, 999, (5, 7), dtype=np.int16),
+        rng.normal(size=(5, 7, 3)).astype(np.float32),
+    ]
+
+
+@needs_mcap
+def test_mcap_keeps_what_arrays_read(tmp_path):
+    for number, image in enumerate(kinds(np.random.default_rng(0))):
+        path = tmp_path / f"{number}.mcap"
+        names = ("x", "y", "z") if image.ndim == 3 else None
+        with palpate_look.FoxgloveLog(path) as log:
+            log.frame(image, 1.25, names)
+        for index, name in enumerate(names or ("",)):
+            topic = f"/tactile/{name}".rstrip("/")
+            read = read_bag(path, topic).images[0]
+            assert_array_equal(read, image[..., index] if names else image)
+
+
+@needs_mcap
+def test_colours_of_a_camera_are_one_picture(tmp_path):
+    typesys = pytest.importorskip("rosbags.typesys")
+    image = np.random.default_rng(0).integers(0, 256, (4, 6, 3), dtype=np.uint8)
+    with palpate_look.FoxgloveLog(tmp_path / "c.mcap") as log:
+        log.frame(image, 2.0, ("r", "g", "b"))
+    (message,) = read_mcap(tmp_path / "c.mcap")["/tactile"]
+    types = typesys.get_typestore(typesys.Stores.LATEST)
+    read = types.deserialize_cdr(message.data, "sensor_msgs/msg/Image")
+    assert read.encoding == "rgb8"
+    assert_array_equal(read.data.reshape(4, 6, 3), image)
+
+
+def test_rerun_holds_touches_and_beliefs_to_the_bit(model, touches, expected, tmp_path):
+    pytest.importorskip("rerun")
+    path = tmp_path / "run.rrd"
+    palpate_look.log_episodes(path, ObjectRecogniser.load(model), touches[30:])
+    found = read_rrd(path)
+    buffers = values_of(found["/touch"], "Image:buffer")
+    images = [np.array(b[0], np.uint8).reshape(12, 12) for b in buffers]
+    assert_array_equal(images, touches.images[30:][[row for row, *_ in expected]])
+    for name in ("disc", "bar"):
+        shares = [one[0] for one in values_of(found[f"/belief/{name}"], ":scalars")]
+        assert shares == [posterior[name] for _, posterior, _ in expected]
+    assert len(values_of(found["/decision"], ":text")) == 2
+
+
+def test_rerun_keeps_what_arrays_read(tmp_path):
+    pytest.importorskip("rerun")
+    for number, image in enumerate(kinds(np.random.default_rng(0))):
+        path = tmp_path / f"{number}.rrd"
+        with palpate_look.RerunLog(path) as log:
+            log.frame(image, 1.25, ("x", "y", "z") if image.ndim == 3 else None)
+        rows = read_rrd(path)["/tactile"]
+        if image.ndim == 3:
+            ((tensor,),) = values_of(rows, "Tensor:data")
+            assert tensor["shape"] == [5, 7, 3]
+            read = np.array(tensor["buffer"], image.dtype).reshape(image.shape)
+        else:
+            ((buffer,),) = values_of(rows, "Image:buffer")
+            read = np.array(buffer, np.uint8).view(image.dtype).reshape(5, 7)
+        assert_array_equal(read, image)
+
+
+def test_reruns_own_command_finds_nothing_wrong(model, touches, tmp_path):
+    pytest.importorskip("rerun")
+    log = tmp_path / "run.rrd"
+    palpate_look.log_episodes(log, ObjectRecogniser.load(model), touches[30:])
+    command = [sys.executable, "-m", "rerun", "rrd", "verify", str(log)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@needs_mcap
+def test_a_live_session_is_written_as_it_goes(model, touches, tmp_path):
+    sensor = ReplaySensor(touches[30:], rate_hz=250, hold=3, gap=3)
+    log = palpate_look.FoxgloveLog(tmp_path / "live.mcap")
+    enough = threading.Event()
+    with log, LiveSession(sensor, model=model) as session:
+        session.listeners.add(log.take)
+        session.listeners.add(
+            lambda event: len(session.episode.touches) > 3 and enough.set()
+        )
+        assert enough.wait(10)
+        episode = session.episode.to_dict()["touches"]
+        seen = [image.tobytes() for image in session.episode.images]
+    found = read_mcap(log.path)
+    beliefs = [json.loads(message.data) for message in found["/belief"]]
+    for belief, touch in zip(beliefs, episode, strict=False):
+        assert belief["posterior"] == touch["posterior"]
+        assert belief["touch"] == touch["number"]
+    frames = read_bag(log.path, "/tactile").images
+    shown = {image.tobytes() for image in touches.images[30:]} | {bytes(144)}
+    assert {frame.tobytes() for frame in frames} <= shown
+    assert seen[0] == read_bag(log.path, "/touch").images[0].tobytes()
+
+
+@needs_mcap
+def test_the_option_of_the_command_line_finds_the_log(monkeypatch, tmp_path):
+    from palpate.cli._sensor import logged
+
+    point = EntryPoint("mcap", "palpate_look:FoxgloveLog", "palpate.logs")
+    monkeypatch.setattr(
+        "importlib.metadata.entry_points",
+        lambda group, name: [point] * ((group, name) == (point.group, point.name)),
+    )
+    session = LiveSession()
+    with logged(session, tmp_path / "a.mcap"):
+        assert len(session.listeners) == 1
+    assert read_mcap(tmp_path / "a.mcap") == {}
+    with pytest.raises(Exception, match=r"must end in .rrd or .mcap"):
+        logged(session, tmp_path / "a.txt").__enter__()
+
+
+@needs_mcap
+def test_the_command_writes_or_says_why_not(model, touches, tmp_path, capsys):
+    main = pytest.importorskip("palpate_look.__main__").main
+    archive, log = tmp_path / "t.npz", tmp_path / "t.mcap"
+    touches[30:].save(archive)
+    asked = [str(model), str(archive), "-o"]
+    assert main([*asked, str(log)]) == 0
+    assert "10 touches in 2 episodes" in capsys.readouterr().out
+    before = log.read_bytes()
+    assert main([*asked, str(log)]) == 1
+    assert "exists already" in capsys.readouterr().err
+    assert log.read_bytes() == before
+    assert main([*asked, str(tmp_path / "t.avi")]) == 1
+    assert "must end in .rrd or .mcap, got 't.avi'" in capsys.readouterr().err
+
+
+@needs_mcap
+def test_a_full_disk_is_said_at_the_end_and_stops_nothing(tmp_path):
+    log = palpate_look.FoxgloveLog(tmp_path / "full.mcap")
+
+    def no_room(*_):
+        raise OSError("No space left on device")
+
+    log._image = no_room
+    log.take(Event("frame", {}, b"", np.zeros((2, 2), np.uint8)))
+    with pytest.raises(OSError, match="is not whole: No space left"):
+        log.close()

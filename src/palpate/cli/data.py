@@ -1,0 +1,82 @@
+"""`palpate data`: touches that others published, fetched from their public sources."""
+
+import sys
+import warnings
+from typing import Annotated, Any
+
+import typer
+
+from ._options import AsJson, RecordedData, argument, option
+from ._output import answer, stages
+
+data = typer.Typer(
+    no_args_is_help=True,
+    help="Fetch touches that others published, and read what is known of them.",
+)
+Name = Annotated[str, argument("NAME", "A set; see `palpate data list`.")]
+
+
+@data.command("list")
+def list_sets(data: RecordedData = None, as_json: AsJson = False) -> None:
+    """List the sets, and whether they are there or can be fetched."""
+    from ..datasets import card, names, where
+
+    here, rows = where(data), []
+    for one in map(card, names()):
+        there = all((here / place).exists() for place in one["makes"])
+        state = "there" if there else "no" if "why_not" in one else "to fetch"
+        told = {key: one[key] for key in ("name", "what", "licence")}
+        rows.append(told | {"state": state})
+    lines = [f"{row['name']:16s}{row['state']:10s}{row['what']}" for row in rows]
+    answer(as_json, {"folder": str(here), "sets": rows}, *lines)
+
+
+@data.command()
+def fetch(
+    name: Name,
+    *,
+    data: RecordedData = None,
+    mirror: Annotated[str | None, option("URL in place of https://HOST.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Fetch a set once, check it, and make its touch archive; prints the path."""
+    from .. import datasets
+
+    one = datasets.card(name)
+    print(f"{one['source']['page']}\nLicence: {one['licence']}", file=sys.stderr)
+    with warnings.catch_warnings(record=True) as noted, stages() as stage:
+        warnings.simplefilter("always", UserWarning)
+        path = datasets.fetch(name, folder=data, mirror=mirror, progress=stage)
+    notes = [str(note.message) for note in noted]
+    sys.stderr.writelines(f"{note}\n" for note in notes)
+    answer(as_json, {"name": name, "path": str(path), "notes": notes}, path)
+
+
+@data.command()
+def where(data: RecordedData = None, as_json: AsJson = False) -> None:
+    """Print the folder of recorded touches."""
+    from .. import datasets
+
+    folder = datasets.where(data)
+    answer(as_json, {"folder": str(folder), "there": folder.is_dir()}, folder)
+
+
+@data.command()
+def card(name: Name, as_json: AsJson = False) -> None:
+    """Print a set's source, licence, leaks, best figures, and what it is not for."""
+    from .. import datasets
+
+    one = datasets.card(name)
+    columns = one.get("convert", {}).get("columns", {})
+    one["holds"] |= {key: how["means"] for key, how in columns.items()}
+    keys = (key for key in one if key not in ("convert", "arrays", "name"))
+    answer(as_json, one, *(_said(key, one[key]) for key in keys))
+
+
+def _said(key: str, value: Any) -> str:
+    if isinstance(value, dict):
+        value = [f"{name}: {one}" for name, one in value.items()]
+    if not isinstance(value, list):
+        return f"{key}: {value}"
+    lines = ("; ".join(v.values()) if isinstance(v, dict) else v for v in value)
+    return "\n  ".join([f"{key}:", *lines])

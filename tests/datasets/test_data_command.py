@@ -1,0 +1,135 @@
+"""`palpate data`, and the verbs that find what it fetched."""
+
+import json
+import sys
+
+import cv2
+import numpy as np
+import pytest
+
+from palpate.cli import main
+from palpate.datasets import card, names, where
+
+from .conftest import zipped
+
+
+@pytest.fixture
+def palpate(capsys, monkeypatch):
+    """Call `palpate ARGUMENTS...`; return the exit code and what it printed."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["palpate", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            main()
+        return (stop.value.code or 0, *capsys.readouterr())
+
+    return run
+
+
+def test_list_where_and_card(palpate, sources, pins):
+    sources.put("tactip4", zipped(pins[0]))
+    code, out, _ = palpate("data", "where")
+    assert (code, out.strip()) == (0, str(where()))
+    assert json.loads(palpate("data", "where", "--json")[1])["there"] is False
+    code, out, err = palpate("data", "fetch", "tactip4")
+    assert code == 0, err
+    assert out.strip() == str(where() / "tactip4" / "tactip4.npz")
+    assert "None stated by the source" in err
+    assert "github.com/marselap/tactip-cnn-bayes" in err
+    assert "was trusted" in err
+    listed = json.loads(palpate("data", "list", "--json")[1])
+    states = {one["name"]: one["state"] for one in listed["sets"]}
+    assert set(states) == set(names())
+    assert states["tactip4"] == "there"
+    assert states["mattress"] == "to fetch"
+    assert states["gelsight_wedge"] == "no"
+    out = palpate("data", "list")[1]
+    assert "tactip4         there     800 pictures" in out
+
+
+def test_fetch_as_json_says_what_is_not_as_it_was(palpate, sources, pins):
+    sources.put("tactip4", zipped(pins[0]))
+    code, out, _ = palpate("data", "fetch", "tactip4", "--json")
+    told = json.loads(out)
+    assert (code, told["name"]) == (0, "tactip4")
+    assert any("not the arrays behind the figures" in note for note in told["notes"])
+    told = json.loads(palpate("data", "fetch", "tactip4", "--json")[1])
+    assert told["notes"] == []
+
+
+@pytest.mark.parametrize("name", names())
+def test_a_card_for_people_says_what_it_says_for_machines(palpate, name):
+    code, out, _ = palpate("data", "card", name)
+    assert code == 0
+    one = card(name)
+    said = [one["what"], one["licence"], one["sensor"], one["source"]["page"]]
+    said += [*one["leaks"], *one["not_for"], one["tried"], one.get("why_not", "")]
+    said += [figure[key] for figure in one["figures"] for key in ("figure", "command")]
+    assert [text for text in said if text not in out] == []
+    code, out, _ = palpate("data", "card", name, "--json")
+    assert json.loads(out)["licence"] == one["licence"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        (["fetch", "tactip5"], "Did you mean 'tactip4'"),
+        (["card", "bathtub"], "Did you mean 'bathtip'"),
+        (["fetch", "gelsight_wedge"], "cannot be fetched"),
+        (["fetch", "mattress"], "404"),
+        (["fetch", "mattress", "--mirror", "lab"], "mirror must begin"),
+    ],
+)
+def test_errors_are_a_sentence_and_json(arguments, error, palpate, sources):
+    code, out, err = palpate("data", *arguments, "--json")
+    assert code == 1
+    assert error in json.loads(out)["error"]
+    assert error in err
+    assert "Traceback" not in err
+
+
+def test_the_demo_says_how_to_get_its_pictures(palpate, tmp_path):
+    code, _, err = palpate("demo", "--real", "--data", tmp_path)
+    assert code == 1
+    assert "palpate data fetch bathtip" in err
+    assert str(tmp_path) in err
+
+
+def camera(rng, pattern):
+    """Return a picture as the BathTip camera writes it: a disc with something on it."""
+    rows, cols = np.mgrid[:480, :640]
+    shade = cv2.resize(pattern, (640, 480)) + rng.normal(scale=3, size=(480, 640))
+    disc = np.where(np.hypot(rows - 240, cols - 240) < 220, 60 + shade, 245)
+    return cv2.imencode(".jpg", disc.clip(0, 255).astype(np.uint8))[1].tobytes()
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:bathtip:UserWarning")
+def test_two_commands_make_the_demo(palpate, sources, tmp_path, monkeypatch):
+    """An outsider has no PALPATE_DATA: what was fetched lies in the cache."""
+    monkeypatch.delenv("PALPATE_DATA")
+    monkeypatch.setenv("PALPATE_DATA_HOME", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(0)
+    files = {"baselineForCalibration.jpg": camera(rng, np.zeros((3, 3)))}
+    owners = ("ball_yellowbeachball", "box_hst", "can_largeyellow", "mug_greenplain")
+    for code, owner in enumerate(owners):
+        pattern = np.random.default_rng(code).uniform(0, 120, (5, 5))
+        folder = f"touch/0{code}_{owner.split('_')[0]}/01"
+        for n in range(1, 90):
+            name = f"touch_{code}_img_{n}_name_{owner}_at_{n}_0_1.jpg"
+            files[f"{folder}/{name}"] = camera(rng, pattern)
+    sources.put("bathtip", zipped(files))
+    assert palpate("data", "fetch", "bathtip")[0] == 0
+    code, out, err = palpate("demo", "--real", "--json")
+    assert code == 0, err
+    assert json.loads(out)["n_labels"] == 2
+    archive = tmp_path / "cache" / "bathtip" / "bathtip50.npz"
+    asked = ("--split", "last", "--touches", "1,3", "--orders", "2", "--json")
+    code, out, err = palpate("evaluate", "--train", archive, *asked)
+    assert code == 0, err
+    assert json.loads(out)["n_labels"] == 4
+    code, out, err = palpate("benchmark", "--protocols", "halves", "--recognisers",
+                             "3-NN", "--json")  # fmt: skip
+    assert code == 0, err
+    assert "bathtip50" in out

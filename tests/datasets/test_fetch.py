@@ -1,0 +1,275 @@
+"""Fetching from a server on this computer: once, checked, whole or not at all."""
+
+import hashlib
+import zipfile
+from errno import ENOSPC
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from palpate import Touches
+from palpate.datasets import card, fetch, names, where
+
+from .conftest import zipped
+
+pytestmark = pytest.mark.filterwarnings("ignore:tactip4:UserWarning")
+
+
+def left(folder):
+    """Return what lies in a folder, but for records and empty folders."""
+    found = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    return sorted(map(str, found))
+
+
+def test_a_set_becomes_an_archive_once(sources, pins, tmp_path):
+    files, levels = pins
+    sources.put("tactip4", zipped({**files, "README.md": b"pins"}))
+    with pytest.warns(UserWarning, match="tactip4: ") as told:
+        path = fetch("tactip4")
+    touches = Touches.load(path)
+    assert touches.object.tolist() == ["cuboid"] * 3 + ["prism"] * 2
+    assert touches.columns["frame"].tolist() == [1, 2, 10, 1, 2]  # 4 is not in the card
+    assert_array_equal(touches.images, levels[[0, 1, 2, 4, 3]])
+    said = [str(one.message) for one in told]
+    assert "no SHA-256 of the source was known" in said[0]
+    assert "images, object, frame are not the arrays behind the figures" in said[1]
+    assert left(tmp_path / "fetched") == [
+        ".fetched/tactip4.sha256",
+        "tactip4/tactip4.npz",
+    ]
+    assert fetch("tactip4") == path
+    assert len(sources.asked) == 1
+
+
+def test_the_first_hash_is_kept_and_another_is_refused(sources, pins):
+    content = zipped(pins[0])
+    place = sources.put("tactip4", content)
+    path = fetch("tactip4")
+    path.unlink()
+    kept = hashlib.sha256(content).hexdigest()
+    changed = zipped({**pins[0], "more.txt": b"changed"})
+    place.write_bytes(changed)
+    got = hashlib.sha256(changed).hexdigest()
+    with pytest.raises(ValueError, match=f"{kept}.*{got}.*delete .*tactip4.sha256"):
+        fetch("tactip4")
+    assert not path.exists()
+    place.write_bytes(content)
+    assert fetch("tactip4").is_file()
+
+
+def test_a_download_that_is_whole_is_not_asked_for_again(sources, pins, monkeypatch):
+    sources.put("tactip4", zipped(pins[0]))
+
+    def no_room(*_, **__):
+        raise OSError(ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "savez_compressed", no_room)
+        with pytest.raises(OSError, match="No space left"):
+            fetch("tactip4")
+    assert left(where() / "tactip4") == []
+    fetch("tactip4")
+    assert len(sources.asked) == 1
+
+
+def test_a_full_disk_leaves_no_part_of_a_download(sources, pins, monkeypatch):
+    import pooch
+
+    sources.put("tactip4", zipped(pins[0]))
+
+    def no_room(self, url, output_file, _):
+        Path(output_file).write_bytes(b"half")
+        raise OSError(ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(pooch.HTTPDownloader, "__call__", no_room)
+    with pytest.raises(OSError, match="No space left"):
+        fetch("tactip4")
+    assert left(where()) == []
+
+
+def test_a_download_that_is_cut_off_leaves_nothing(sources, pins, monkeypatch):
+    from http.server import SimpleHTTPRequestHandler
+
+    content = zipped(pins[0])
+    sources.put("tactip4", content)
+
+    def half(self, source, outputfile):
+        outputfile.write(source.read(len(content) // 2))
+
+    monkeypatch.setattr(SimpleHTTPRequestHandler, "copyfile", half)
+    with pytest.raises(OSError, match=r"cut off.*--mirror"):
+        fetch("tactip4")
+    assert left(where()) == []
+
+
+def test_an_interruption_leaves_nothing(sources, pins):
+    sources.put("tactip4", zipped(pins[0]))
+
+    def stop(stage):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fetch("tactip4", progress=stop)
+    assert left(where()) == []
+
+
+def test_without_a_network_one_sentence_says_what_to_do(tmp_path):
+    pytest.importorskip("pooch")
+    # Port 9 of this computer answers nobody.
+    with pytest.raises(
+        OSError, match=r"cannot be reached.*network.*--mirror"
+    ) as failed:
+        fetch("tactip4", folder=tmp_path, mirror="http://127.0.0.1:9")
+    assert "\n" not in str(failed.value)
+
+
+def test_what_the_source_has_no_more_is_named(sources):
+    with pytest.raises(OSError, match=r"404.*tactip-cnn-bayes.*--mirror"):
+        fetch("tactip4")
+
+
+@pytest.mark.parametrize("mirror", ["ftp://lab", "file:///etc", "lab", "https:///x"])
+def test_a_mirror_is_an_address(mirror, tmp_path):
+    pytest.importorskip("pooch")
+    with pytest.raises(ValueError, match="mirror must begin with https"):
+        fetch("tactip4", folder=tmp_path, mirror=mirror)
+
+
+def test_a_mirror_goes_before_the_environment(sources, pins, monkeypatch):
+    sources.put("tactip4", zipped(pins[0]))
+    monkeypatch.setenv("PALPATE_DATA_MIRROR", "http://127.0.0.1:9")
+    assert fetch("tactip4", mirror=sources.address + "/").is_file()
+
+
+def test_what_is_too_large_is_refused_before_it_is_there(sources, monkeypatch):
+    place = sources.put("tactip4", b"")
+    with place.open("wb") as file:
+        file.truncate(501 * 10**6)  # a sparse file
+    with pytest.raises(ValueError, match="at most 500 MB, got 501"):
+        fetch("tactip4")
+    assert left(where()) == []
+
+
+def test_no_path_of_a_zip_leads_out(sources, pins, tmp_path):
+    files, _ = pins
+    hostile = {
+        "../../../../escaped/cuboid/_1.png": files[min(files)],
+        "/etc/cuboid/_2.png": files[min(files)],
+        "..\\..\\_3.png": b"",
+    }
+    sources.put("tactip4", zipped({**files, **hostile}))
+    fetch("tactip4")
+    assert not list(tmp_path.rglob("*escaped*"))
+    assert {p.split("/")[0] for p in left(where())} == {".fetched", "tactip4"}
+
+
+def test_a_file_that_would_inflate_too_far_is_passed_over(sources, pins):
+    files, _ = pins
+    bomb = bytes(101 * 10**6)
+    sources.put("tactip4", zipped({**files, "dataset-image/x/cuboid/_3.png": bomb}))
+    assert len(Touches.load(fetch("tactip4"))) == 5
+
+
+@pytest.mark.parametrize("damage", ["no zip", "cut", "changed"])
+def test_a_damaged_zip_is_deleted(damage, sources, pins):
+    content = bytearray(zipped(pins[0]))
+    if damage == "changed":
+        content[100:140] = bytes(40)
+    kept = {"no zip": b"<html>", "cut": content[:-30]}.get(damage, content)
+    place = sources.put("tactip4", bytes(kept))
+    with pytest.raises(ValueError, match=r"tactip4: .*fetch it again"):
+        fetch("tactip4")
+    assert left(where()) == []
+    place.write_bytes(zipped(pins[0]))
+    assert fetch("tactip4").is_file()
+
+
+def test_a_source_of_another_layout_is_said(sources):
+    sources.put("tactip4", zipped({"new/place.png": b""}))
+    with pytest.raises(ValueError, match=r"files like .*laid out in another way"):
+        fetch("tactip4")
+
+
+def test_a_list_of_checksums_is_believed_file_by_file(sources):
+    text = b"1 " * 27 + b"\n"
+    inside = "experiment-ii/S1/Air_Mat/Matrix_Air_B1.txt"
+    root = "files/pmd/1.0.0"
+    sources.put("mattress", text * 64, f"{root}/{inside}")
+    other = hashlib.sha256(b"").hexdigest()
+    sums = f"{other} {inside}\n{other} ../../etc/passwd\nno line\n"
+    place = sources.put("mattress", sums.encode())
+    with pytest.raises(ValueError, match=other):
+        fetch("mattress")
+    assert left(where()) == []
+    true = hashlib.sha256(text * 64).hexdigest()
+    place.write_text(sums.replace(other, true, 1))
+    with pytest.warns(UserWarning, match="mattress: "):
+        touches = Touches.load(fetch("mattress"))
+    assert (touches.images == 1).all()
+    assert touches.images.shape == (1, 64, 27)
+    assert touches.session.tolist() == ["air"]
+    assert "passwd" not in "".join(sources.asked)
+
+
+# pooch leaves the socket of a failed download open.
+@pytest.mark.filterwarnings("ignore:mattress", "ignore:unclosed:ResourceWarning")
+def test_files_that_are_done_are_not_asked_for_again(sources):
+    one, two = (b"\n".join([n * 27] * 64) for n in (b"1 ", b"2 "))
+    done, lacking = (f"experiment-ii/S1/Air_Mat/Matrix_Air_B{n}.txt" for n in (1, 2))
+    hashes = [hashlib.sha256(text).hexdigest() for text in (one, two)]
+    listed = f"{hashes[0]} {done}\n{hashes[1]}  {lacking}\n"
+    sources.put("mattress", listed.encode())
+    sources.put("mattress", one, f"files/pmd/1.0.0/{done}")
+    with pytest.raises(OSError, match="404"):
+        fetch("mattress")
+    sources.put("mattress", two, f"files/pmd/1.0.0/{lacking}")
+    assert len(Touches.load(fetch("mattress"))) == 2
+    assert sum(path.endswith(done) for path in sources.asked) == 1
+
+
+def test_names_that_are_nearly_right_are_told():
+    with pytest.raises(ValueError, match="Did you mean 'mattress'"):
+        fetch("matress")
+
+
+def test_what_cannot_be_fetched_says_why(tmp_path):
+    for name in names():
+        if "why_not" in card(name):
+            with pytest.raises(ValueError, match="See its page"):
+                fetch(name, folder=tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_where(monkeypatch, tmp_path):
+    monkeypatch.delenv("PALPATE_DATA", raising=False)
+    monkeypatch.delenv("PALPATE_DATA_HOME")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr("sys.platform", "linux")
+    assert where() == tmp_path / "palpate"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert where() == tmp_path / ".cache" / "palpate"
+    monkeypatch.setattr("sys.platform", "darwin")
+    assert where() == tmp_path / "Library" / "Caches" / "palpate"
+    monkeypatch.setenv("PALPATE_DATA_HOME", "home")
+    assert str(where()) == "home"
+    monkeypatch.setenv("PALPATE_DATA", "mine")
+    assert str(where()) == "mine"
+    assert str(where("given")) == "given"
+
+
+def test_what_is_there_is_neither_asked_for_nor_changed(sources, tmp_path):
+    archive = where() / "tactip4" / "tactip4.npz"
+    archive.parent.mkdir(parents=True)
+    archive.write_bytes(b"mine")
+    assert fetch("tactip4") == archive
+    assert archive.read_bytes() == b"mine"
+    assert sources.asked == []
+
+
+def test_an_archive_holds_plain_arrays(sources, pins):
+    sources.put("tactip4", zipped(pins[0]))
+    with zipfile.ZipFile(fetch("tactip4")) as archive:
+        assert archive.namelist() == ["images.npy", "object.npy", "frame.npy"]

@@ -1,0 +1,101 @@
+"""Several sensors at one server: each its own session, and what all say together."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from palpate.cli import app
+from palpate.sensors import LiveSensor, ReplaySensor, SensorError
+from palpate.web import LiveSession, start_all
+
+
+class Missing(LiveSensor):
+    """A sensor that is not plugged in."""
+
+    def __init__(self):
+        super().__init__("missing", "count", (12, 12), np.uint8, "array")
+
+    def _open(self):
+        raise SensorError("Nothing is plugged in at 7. Plug it in.")
+
+    def _grab(self):
+        return []
+
+    def _close(self):
+        pass
+
+
+@pytest.fixture
+def fingers(drawn, drawn_model):
+    """Two sensors before which nothing lies yet, and the model of both."""
+
+    def finger():
+        sensor = ReplaySensor(drawn, rate_hz=100, hold=4, gap=4)
+        sensor.place(None)
+        return LiveSession(sensor, model=drawn_model)
+
+    return [finger(), finger()]
+
+
+def test_each_sensor_has_an_episode_of_its_own(fingers, connected, drawn):
+    discs = drawn.images[drawn.object == "disc"]
+    with connected(fingers) as client:
+        for number, count in ((1, 2), (2, 3)):
+            for image in discs[:count]:
+                body = {"image": image.tolist()}
+                asked = {"params": {"sensor": number}, "json": body}
+                assert client.post("/api/touch", **asked).status_code == 200
+        found = [
+            client.get("/api/episode", params={"sensor": number}).json()["touches"]
+            for number in (1, 2)
+        ]
+        assert [len(touches) for touches in found] == [2, 3]
+        assert client.get("/api/episode").json()["touches"] == found[0]
+        client.post("/api/episode/start", params={"sensor": 2})
+        assert len(fingers[0].episode.touches) == 2
+        assert fingers[1].episode.touches == []
+        refused = client.get("/api/state", params={"sensor": 3})
+        assert refused.status_code == 404
+        assert refused.json()["detail"] == "There are 2 sensors, got 3."
+
+
+def test_frames_and_states_of_all_go_through_one_websocket(fingers, serving):
+    sync = pytest.importorskip("websockets.sync.client")
+    with serving(fingers, "token") as (address, _):
+        where = f"ws{address[4:]}/ws?token=token"
+        with sync.connect(where) as socket:
+            seen = set()
+            while len(seen) < 4:
+                data = socket.recv(timeout=10)
+                if isinstance(data, bytes):
+                    data = data[4 : 4 + int.from_bytes(data[:4], "big")]
+                told = json.loads(data)
+                if told["kind"] in ("frame", "state"):
+                    seen.add((told["kind"], told["sensor_number"]))
+    assert seen == {(kind, n) for kind in ("frame", "state") for n in (1, 2)}
+
+
+def test_one_that_fails_is_said_and_the_other_goes_on(fingers, connected):
+    with connected([LiveSession(Missing()), fingers[1]]) as client:
+        first = client.get("/api/state").json()["sensor"]
+        assert first["lost"].startswith("It is left out: Nothing is plugged in at 7.")
+        second = client.get("/api/state", params={"sensor": 2}).json()["sensor"]
+        assert second["lost"] == ""
+        assert client.get("/api/frame", params={"sensor": 2}).status_code == 200
+    with pytest.raises(SensorError, match="Nothing is plugged in at 7"):
+        start_all([LiveSession(Missing()), LiveSession(Missing())])
+
+
+def test_the_command_refuses_what_cannot_be(tmp_path):
+    def said(*arguments):
+        result = CliRunner().invoke(app, ["serve", "--port", "0", *arguments])
+        assert result.exit_code
+        return " ".join(f"{result.output} {result.exception}".split())
+
+    two = "--sensor", "sim:mug", "--sensor", "sim:mug?rate=10"
+    assert "--sensor must name each once, got sim:mug, sim:mug?rate=10" in said(*two)
+    (tmp_path / "library.sqlite").touch()
+    several = "--sensor", "sim:mug", "--sensor", "sim:box", "--library", str(tmp_path)
+    assert "name a --library that is none of one sensor" in said(*several)
