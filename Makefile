@@ -104,7 +104,7 @@ dist: $(VENV)/.dev-installed
 clean:
 	rm -rf $(VENV) $(BENCH_VENV) $(OLDEST_VENV) $(BARE_VENV) $(DIST_VENV) $(LEROBOT_VENV) $(LOOK_VENV) $(DOCS_VENV)
 	rm -rf .coverage .coverage.* .pytest_cache .mypy_cache .ruff_cache build dist
-	rm -rf docs/_build docs/gallery docs/reference/generated docs/sg_execution_times.rst
+	rm -rf docs/_build docs/gallery docs/reference/generated
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

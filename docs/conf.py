@@ -99,7 +99,7 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "download_all_examples": False,
     "plot_gallery": "True",
-    "min_reported_time": 0,
+    "write_computation_times": False,  # its page loads scripts from elsewhere
     "within_subsection_order": "FileNameSortKey",
     "default_thumb_file": str(HERE / "_static" / "recorded.png"),
 }
