@@ -239,7 +239,7 @@ def test_a_hole_in_a_png_is_refused(grey):
 
 
 def test_a_damaged_jpeg_is_refused_or_keeps_its_size(grey, tmp_path):
-    """A JPEG has no checksum: flips among coefficients cannot be told."""
+    """A JPEG has no checksum: not all flips among coefficients can be told."""
     data = coded(Image.fromarray(grey), "JPEG", quality=50)
     for name in ("1.jpg", "2.jpg"):
         (tmp_path / name).write_bytes(data)
@@ -252,6 +252,28 @@ def test_a_damaged_jpeg_is_refused_or_keeps_its_size(grey, tmp_path):
         except TouchesError:
             n_refused += 1
     assert 0 < n_refused < len(data)
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB"])
+def test_a_jpeg_that_lacks_some_coefficients_is_refused(grey, mode):
+    """OpenCV and Pillow fill what is missing with grey, without a word."""
+    data = coded(Image.fromarray(grey).convert(mode), "JPEG")
+    for lacking in (data[:-60] + data[-30:], data[:-2] + data[-40:]):
+        with pytest.raises(TouchesError, match=r"a damaged JPEG .*(premature|extran)"):
+            decode_bytes(lacking, colour=mode == "RGB")
+
+
+def test_a_jpeg_of_a_rare_but_legal_subsampling_is_read():
+    """Four, two and one blocks of grey a unit: each a difference of 0, and its end."""
+    data = coded(Image.new("RGB", (32, 16), (128, 128, 128)), "JPEG")
+    frame, scan = data.index(b"\xff\xc0"), data.index(b"\xff\xda")
+    for component, factors in enumerate((0x22, 0x21, 0x11)):
+        data = patched(data, frame + 11 + 3 * component, factors)
+        data = patched(data, scan + 6 + 2 * component, 0)
+    bits = "001010" * 7 * 2 + "1" * 4
+    blocks = int(bits, 2).to_bytes(len(bits) // 8, "big")
+    data = data[: scan + 14] + blocks + b"\xff\xd9"
+    assert_array_equal(decode_bytes(data), np.full((16, 32), 128))
 
 
 @pytest.mark.filterwarnings("error")
