@@ -14,9 +14,6 @@ is none (both in seconds since 1970); `order` counts the messages.
 A bag in SQLite (`.db3`) has no checksum, and one in MCAP may lack it: a flipped bit in
 a message is read as it stands. `set_bag_sha256`, of times and messages as they were
 read, is kept with the touches: the bag can be compared with it from then on.
-
-What is compressed (zstd, lz4) is counted a piece at a time before any of it is kept,
-for the sizes that a bag declares may lie.
 """
 
 import hashlib
@@ -71,8 +68,8 @@ def read_bag(
     object : str, optional
         What is touched in all of it.
     max_bytes : int, default=4 GiB
-        Most memory that the images may take. A compressed bag may unpack to a
-        sixteenth of it and 64 times the bag's own size.
+        Most memory that the images may take. What is compressed may unpack to a
+        sixteenth of it and 64 times the size of the bag.
 
     Raises
     ------
@@ -140,7 +137,7 @@ def _readers(path: Path) -> list[Any]:
 
 @cache
 def _have_unpacking_counted() -> None:
-    """Count what rosbags is about to unpack, wherever it does; it has no limit."""
+    """Count what rosbags is about to unpack: it has no limit, and sizes may lie."""
     bags: Any = import_module("rosbags.rosbag2.reader")
     chunks: Any = import_module("rosbags.rosbag2.storage_mcap")
     zstd, unpack = bags.zstd, chunks.decompress
@@ -162,9 +159,8 @@ def _counted(packed: Any, opener: Any) -> Any:
         _room.left = getattr(_room, "left", inf) - len(piece)
         if _room.left < 0:
             raise LibraryError(
-                f"{_room.bag} must unpack to at most 64 times its size and a sixteenth "
-                "of max_bytes, got more. Raise max_bytes, or unpack it first "
-                "(rosbags-convert), if you trust it."
+                f"{_room.bag} must unpack to at most max_bytes / 16 and 64 times its "
+                "size, got more. Raise max_bytes or use rosbags-convert if you trust it."
             )
     file.seek(0)
     return packed

@@ -2,10 +2,9 @@
 
 Pillow reads the headers, so that the size is known before anything is decoded, and
 tests a PNG's checksums; OpenCV decodes it. A JPEG has no checksum: it must end after
-its scans, or it was cut short, and libjpeg must have nothing to complain about, which
-simplejpeg passes on (OpenCV and Pillow do not). Half of all flipped bits within its
-coefficients still give a wrong picture that nothing can tell; docs/architecture.md has
-figures.
+its scans, or it was cut short, and libjpeg must not complain, which simplejpeg passes
+on (OpenCV and Pillow do not). Most single flipped bits still give a wrong picture that
+nothing can tell; docs/architecture.md has figures.
 
 Pictures are taken as stored: Exif orientation is never applied, for it would turn
 some touches of a set and not others. Colour becomes its luma (ITU-R BT.601) unless
@@ -286,37 +285,30 @@ def _levels(data: bytes, header: Header) -> Array:
             raise PictureError(_CUT_SHORT)
         if end[0] != _END_OF_IMAGE:
             raise PictureError("a damaged JPEG (a second frame)")
-    see_through = header.format == "PNG" and data[25] in _ALPHA
-    levels = _jpeg_levels(data, header.colour) if header.format == "JPEG" else None
-    if levels is None:
-        levels = _decoded(data, see_through=see_through, colour=header.colour)
+    levels = _decoded(data, header)
     if levels is None or levels.shape != header.shape or levels.dtype != header.dtype:
         raise PictureError("a picture that cannot be decoded")
     return levels
 
 
-def _jpeg_levels(data: bytes, colour: bool) -> Array | None:
-    """Return the levels of an undamaged JPEG, or None where only OpenCV can tell."""
+def _decoded(data: bytes, header: Header) -> Array | None:
+    import cv2
     import simplejpeg
 
-    try:
-        levels: Array = simplejpeg.decode_jpeg(data, "RGB" if colour else "GRAY")
-    except ValueError as error:
-        if "subsampling" in str(error):  # a legal one that TurboJPEG has no name for
-            return None
-        raise PictureError(f"a damaged JPEG ({error})") from error
-    return levels if colour else levels[..., 0]
-
-
-def _decoded(data: bytes, *, see_through: bool, colour: bool) -> Array | None:
-    import cv2
-
+    colour = header.colour
+    if header.format == "JPEG":
+        try:
+            levels: Array = simplejpeg.decode_jpeg(data, "RGB" if colour else "GRAY")
+            return levels.reshape(header.shape)
+        except ValueError as error:  # legal subsamplings without a name are OpenCV's
+            if "subsampling" not in str(error):
+                raise PictureError(f"a damaged JPEG ({error})") from error
     as_stored = cv2.IMREAD_IGNORE_ORIENTATION
     kind = cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE
     flags = kind | cv2.IMREAD_ANYDEPTH | as_stored
     coded = np.frombuffer(data, np.uint8)
     try:
-        if not see_through:
+        if header.format == "JPEG" or data[25] not in _ALPHA:
             levels = cv2.imdecode(coded, flags)
             if levels is None or not colour:
                 return levels
