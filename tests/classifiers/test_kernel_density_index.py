@@ -91,6 +91,10 @@ def test_the_same_seed_gives_the_same_index(stored):
     one, other = (KernelDensityIndex(model, n_exact=1) for _ in range(2))
     np.testing.assert_array_equal(one.weights_, other.weights_)
     np.testing.assert_array_equal(one.log_likelihood(new), other.log_likelihood(new))
+    stated = KernelDensityIndex(model, n_exact=1, random_state=0)
+    np.testing.assert_array_equal(one.weights_, stated.weights_)
+    another = KernelDensityIndex(model, n_exact=1, random_state=1)
+    assert not np.array_equal(one.weights_, another.weights_)
 
 
 def test_without_faiss_the_extra_is_named(stored, monkeypatch):

@@ -76,8 +76,7 @@ def read_bag(
     ImportError
         rosbags is missing; the message names the extra.
     LibraryError
-        It is no bag, unpacks to too much, lacks the topic, or a message is no image;
-        topics are listed.
+        It is no bag, unpacks to too much, lacks the topic, or a message is no image.
     """
     for plugged in _readers(Path(path)):
         found: Touches = plugged.read(Path(path), topic, object, max_bytes)
@@ -160,7 +159,7 @@ def _counted(packed: Any, opener: Any) -> Any:
         if _room.left < 0:
             raise LibraryError(
                 f"{_room.bag} must unpack to at most max_bytes / 16 and 64 times its "
-                "size, got more. Raise max_bytes or use rosbags-convert if you trust it."
+                "size, got more. If you trust it raise max_bytes or rosbags-convert it."
             )
     file.seek(0)
     return packed
