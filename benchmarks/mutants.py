@@ -86,7 +86,7 @@ _SWAPS = {
     ast.In: ast.NotIn,
     ast.NotIn: ast.In,
 }
-CPU_LIMIT_S = 180
+CPU_LIMIT_S = 90
 TIME_LIMIT_S = 3600  # for what waits for ever; the machine may be busy
 
 
