@@ -299,6 +299,22 @@ def test_a_library_that_cannot_be_opened_has_no_touches(folder):
     assert str(report).startswith("0 touches in 0 files: 1 problems.\ndatabase: ")
 
 
+def test_a_sheet_written_again_keeps_the_names_that_touches_came_with(folder):
+    """The renames are carried out over it when the database is lost as well."""
+    before = _state(folder)
+    [path] = (folder / "images").rglob("*.npy")
+    content = bytearray(path.read_bytes())
+    content[-40] ^= 1  # in the table behind the images
+    path.write_bytes(content)
+    assert not check_library(folder).ok
+    repair_library(folder)
+    assert _state(folder) == before
+    (folder / "library.sqlite").unlink()
+    repair_library(folder)
+    assert _state(folder) == before
+    assert check_library(folder).ok
+
+
 @pytest.mark.parametrize("n_lost", [1, 20, 21, 23])
 def test_at_most_twenty_problems_are_shown(tmp_path, n_lost):
     with TouchLibrary.open(tmp_path, create=True) as library:
