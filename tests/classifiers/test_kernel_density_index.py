@@ -51,6 +51,14 @@ def test_with_all_objects_exact_it_is_the_model(stored):
     assert quality.n_touches == 180
 
 
+def test_pairs_that_float32_cannot_tell_are_summed_exactly(stored):
+    """A narrow kernel: exponents of millions, of which float32 keeps seven digits."""
+    touches, labels, new = (part[::10] for part in stored)
+    model = KernelDensityBayes(scale=0.001).fit(touches, labels)
+    index = KernelDensityIndex(model, n_exact=6, n_near=1000)
+    assert_allclose(index.log_likelihood(new), model.log_likelihood(new), rtol=1e-12)
+
+
 def test_cells_of_one_touch_are_exact(stored):
     """A cell of one touch has no spread: its normal density is the kernel itself."""
     touches, labels, new = stored
