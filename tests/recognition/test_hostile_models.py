@@ -196,6 +196,7 @@ def with_nan(values):
     ("name", "change", "message"),
     [
         ("weights", lambda v: v[:0], "no such table"),
+        ("weights", lambda v: v[None], "no such table"),
         ("weights", lambda v: 1.01 + 0 * v, "not between 0 and 1"),
         ("usual", lambda v: v[:1], "no such table"),
         ("usual", with_nan, "NaN or infinity"),
