@@ -1,5 +1,6 @@
 """Some seeds of the standing campaign, and what it found; `make fuzz` goes on."""
 
+import subprocess
 import sys
 from pathlib import Path
 
