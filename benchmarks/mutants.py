@@ -11,6 +11,7 @@ import copy
 import importlib
 import os
 import random
+import resource
 import shutil
 import signal
 import sys
@@ -85,7 +86,8 @@ _SWAPS = {
     ast.In: ast.NotIn,
     ast.NotIn: ast.In,
 }
-TIME_LIMIT_S = 180
+CPU_LIMIT_S = 90
+TIME_LIMIT_S = 3600  # for what waits for ever; the machine may be busy
 
 
 def faults(tree):
@@ -143,6 +145,7 @@ def is_found(source, name):
 def _try_tests(source, name):
     """Run the tests of a module, say by the exit code whether they passed, and end."""
     os.setpgid(0, 0)
+    resource.setrlimit(resource.RLIMIT_CPU, (CPU_LIMIT_S, CPU_LIMIT_S))
     os.chdir(ROOT)
     silent = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1, 2):

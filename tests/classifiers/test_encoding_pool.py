@@ -100,6 +100,8 @@ def test_refit_keeps_weights_and_widths(problem):
     assert pool.weights_ == weights
     assert pool.classes_.tolist() == ["ball", "mug"]
     assert pool.left_out_log_likelihood().shape == (60, 2)
+    with pytest.raises(ValueError, match="5 features"):
+        pool.refit(X[some, :4], labels[some], groups=groups[some])
 
 
 def test_any_touch_classifier_can_be_the_machine(problem):

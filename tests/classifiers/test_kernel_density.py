@@ -273,7 +273,9 @@ def test_prior_by_counts_shifts_the_posterior_only(learnt, new_touches):
 def test_precision_chosen_for_few_touches_and_narrow_bandwidths(learnt):
     touches, labels = learnt
     assert KernelDensityBayes().fit(touches, labels).dtype_ == "float32"
-    assert KernelDensityBayes().fit(touches[:200], labels[:200]).dtype_ == "float64"
+    for n_touches, dtype in ((256, "float64"), (257, "float32")):
+        few = KernelDensityBayes().fit(touches[:n_touches], labels[:n_touches])
+        assert few.dtype_ == dtype
     assert KernelDensityBayes(scale=0.05).fit(touches, labels).dtype_ == "float64"
 
 

@@ -51,6 +51,14 @@ def test_with_all_objects_exact_it_is_the_model(stored):
     assert quality.n_touches == 180
 
 
+def test_pairs_that_float32_cannot_tell_are_summed_exactly(stored):
+    """A narrow kernel: exponents of millions, of which float32 keeps seven digits."""
+    touches, labels, new = (part[::10] for part in stored)
+    model = KernelDensityBayes(scale=0.001).fit(touches, labels)
+    index = KernelDensityIndex(model, n_exact=6, n_near=1000)
+    assert_allclose(index.log_likelihood(new), model.log_likelihood(new), rtol=1e-12)
+
+
 def test_cells_of_one_touch_are_exact(stored):
     """A cell of one touch has no spread: its normal density is the kernel itself."""
     touches, labels, new = stored
@@ -91,6 +99,10 @@ def test_the_same_seed_gives_the_same_index(stored):
     one, other = (KernelDensityIndex(model, n_exact=1) for _ in range(2))
     np.testing.assert_array_equal(one.weights_, other.weights_)
     np.testing.assert_array_equal(one.log_likelihood(new), other.log_likelihood(new))
+    stated = KernelDensityIndex(model, n_exact=1, random_state=0)
+    np.testing.assert_array_equal(one.weights_, stated.weights_)
+    another = KernelDensityIndex(model, n_exact=1, random_state=1)
+    assert not np.array_equal(one.weights_, another.weights_)
 
 
 def test_without_faiss_the_extra_is_named(stored, monkeypatch):

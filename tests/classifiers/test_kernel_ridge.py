@@ -38,6 +38,12 @@ def test_left_out_scores_are_those_of_a_machine_that_never_met_the_group(problem
         assert_allclose(machine.left_out_scores_[out], slow, atol=1e-10)
 
 
+def test_touches_that_tell_all_choose_the_smallest_ridge():
+    X = np.repeat(np.eye(2), 20, axis=0) + 1e-3 * np.arange(40)[:, None] / 40
+    machine = KernelRidgeClassifier().fit(X, np.repeat(["mug", "pen"], 20))
+    assert machine.ridge_ == 0.003
+
+
 def test_temperature_makes_left_out_touches_calibrated(problem):
     X, labels, groups = problem
     machine = KernelRidgeClassifier().fit(X, labels, groups=groups)

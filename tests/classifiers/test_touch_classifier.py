@@ -69,6 +69,29 @@ def test_left_out_touches_have_not_met_themselves(separate, n_neighbors):
     assert right.mean() < 0.7
 
 
+def test_two_labels_are_left_out_too(separate):
+    features, labels, groups = (part[:40] for part in separate)
+    machine = FromProbabilities(GaussianNB()).fit(features, labels, groups=groups)
+    left_out = machine.left_out_log_likelihood()
+    assert np.isfinite(left_out).all()
+    assert (machine.classes_[left_out.argmax(axis=1)] == labels).mean() > 0.9
+
+
+@every
+def test_touches_to_tell_are_checked_as_those_to_learn(classifier, separate):
+    features, labels, _ = separate
+    model = classifier.fit(features, labels)
+    for bad, message in ((np.nan, "NaN"), (np.inf, "infinity")):
+        with pytest.raises(ValueError, match=message):
+            model.log_likelihood(np.full((1, 5), bad))
+    with pytest.raises(ValueError, match="5 features"):
+        model.log_likelihood(features[:, :4])
+    pandas = pytest.importorskip("pandas")
+    model.fit(pandas.DataFrame(features, columns=list("vwxyz")), labels)
+    with pytest.warns(UserWarning, match="valid feature names"):
+        model.log_likelihood(features)
+
+
 def test_probabilities_are_logarithms_above_a_floor(separate):
     features, labels, _ = separate
     model = FromProbabilities(GaussianNB()).fit(features, labels)

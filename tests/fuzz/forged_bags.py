@@ -1,11 +1,15 @@
 """Bags of ROS 2 that are whole files and hold messages no honest writer would write."""
 
 import sqlite3
+import struct
 from functools import cache
+from itertools import product
 
+import lz4.frame
 import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+from rosbags.rosbag2.writer import zstd  # of the standard library from 3.14 on
 from rosbags.typesys import Stores, get_typestore
 
 SIZES = [0, 1, 2, 3, 4, 5, 7, 255, 2**16, 2**31, 2**32 - 1]
@@ -124,3 +128,42 @@ def _alter_rows(path, chance):
             except sqlite3.IntegrityError:
                 return
         database.close()
+
+
+def bombs(folder, n_bytes):
+    """Write bags whose few bytes unpack to `n_bytes`, whole ones and forged ones."""
+    folder.mkdir(exist_ok=True)
+    whole, forged = [], []
+    modes = [CompressionMode.MESSAGE, CompressionMode.FILE, CompressionMode.STORAGE]
+    kind = "std_msgs/msg/UInt8MultiArray"
+    layout = store().types["std_msgs/msg/MultiArrayLayout"]([], 0)
+    values = store().types[kind](layout, np.zeros(n_bytes, np.uint8))
+    raw = store().serialize_cdr(values, kind)
+    for plugin, mode in product(StoragePlugin, modes):
+        if (plugin, mode) == (StoragePlugin.SQLITE3, CompressionMode.STORAGE):
+            continue
+        path = folder / f"{plugin.name}_{mode.name}"
+        writer = Writer(path, version=9, storage_plugin=plugin)
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+        with writer:
+            writer.write(writer.add_connection("/pad", kind, typestore=store()), 0, raw)
+        whole.append(path)
+    zeros, stream = bytes(n_bytes), zstd.ZstdCompressor()
+    for name, compression, packed, size in [
+        ("true", "lz4", lz4.frame.compress(zeros), n_bytes),
+        ("lying", "lz4", lz4.frame.compress(zeros, store_size=False), 1000),
+        ("no_size", "zstd", stream.compress(zeros) + stream.flush(), 1000),
+        ("frames", "zstd", zstd.compress(zeros[: 2**20]) * (n_bytes // 2**20), n_bytes),
+    ]:
+        forged.append(folder / f"{name}.mcap")
+        forged[-1].write_bytes(_one_chunk(compression, packed, size))
+    return whole, forged
+
+
+def _one_chunk(compression, packed, size):
+    """Return an MCAP file without an index, of one chunk said to unpack to `size`."""
+    kind = struct.pack("<I", len(compression)) + compression.encode()
+    chunk = struct.pack("<QQQI", 0, 0, size, 0) + kind + struct.pack("<Q", len(packed))
+    records = [(1, b"\4\0\0\0ros2\0\0\0\0"), (6, chunk + packed), (2, bytes(20))]
+    written = b"".join(struct.pack("<BQ", op, len(r)) + r for op, r in records)
+    return b"\x89MCAP0\r\n" + written + b"\x89MCAP0\r\n"

@@ -1,10 +1,13 @@
 """Some seeds of the standing campaign, and what it found; `make fuzz` goes on."""
 
+import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 import fuzz
+from palpate.library import LibraryError, read_bag
 
 SEEDS = {
     "model": 5,
@@ -35,3 +38,48 @@ def test_a_run_goes_on_where_the_last_one_stopped(tmp_path, monkeypatch):
         assert int(file.read_text().strip("}").rsplit(": ")[1]) > int(
             before.strip("}").rsplit(": ")[1]
         )
+
+
+def test_a_bag_that_unpacks_to_much_is_refused(tmp_path):
+    """In every container, whatever sizes it declares; or read if one says so."""
+    forged_bags = pytest.importorskip("forged_bags")
+    whole, forged = forged_bags.bombs(tmp_path, 4 * 2**20)
+    for path in [*whole, *forged]:
+        with pytest.raises(LibraryError, match=r"must unpack to at most .* max_bytes"):
+            read_bag(path, max_bytes=2**20)
+    for path in whole:
+        assert read_bag(path, max_bytes=2**30).images.shape == (1, 1, 4 * 2**20)
+
+
+def test_a_bag_of_ros_1_is_refused_by_name(tmp_path):
+    pytest.importorskip("rosbags")
+    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
+    with pytest.raises(LibraryError, match=r"old.bag is of ROS 1.*rosbags-convert"):
+        read_bag(tmp_path / "old.bag")
+
+
+PEAKS = """
+import sys
+from palpate.library import LibraryError, read_bag
+def peak_kib():
+    return next(int(l.split()[1]) for l in open("/proc/self/status") if "VmHWM" in l)
+before = 0
+for path in sys.argv[1:]:
+    try:
+        read_bag(path, max_bytes=2**20)
+    except LibraryError as error:
+        before = before or peak_kib()
+print(peak_kib() - before)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells peaks")
+def test_a_refused_bag_was_not_unpacked(tmp_path):
+    forged_bags = pytest.importorskip("forged_bags")
+    small, _ = forged_bags.bombs(tmp_path / "small", 4 * 2**20)
+    whole, forged = forged_bags.bombs(tmp_path, 64 * 2**20)
+    command = [sys.executable, "-c", PEAKS, *map(str, [small[0], *whole, *forged])]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    # Counted in pieces of 1 MiB, out of files of up to 280 KiB.
+    assert int(done.stdout) < 16 * 2**10

@@ -291,6 +291,43 @@ def test_an_older_no_contact_image_stands_in_for_a_damaged_one(folder):
             assert (library.no_contact() == 1).all()
 
 
+def test_a_library_that_cannot_be_opened_has_no_touches(folder):
+    (folder / "library.sqlite").write_bytes(b"no database" * 99)
+    report = check_library(folder)
+    assert not report.ok
+    assert (report.n_touches, report.n_files, report.n_set_aside) == (0, 0, 0)
+    assert str(report).startswith("0 touches in 0 files: 1 problems.\ndatabase: ")
+
+
+def test_a_sheet_written_again_keeps_the_names_that_touches_came_with(folder):
+    """The renames are carried out over it when the database is lost as well."""
+    before = _state(folder)
+    [path] = (folder / "images").rglob("*.npy")
+    content = bytearray(path.read_bytes())
+    content[-40] ^= 1  # in the table behind the images
+    path.write_bytes(content)
+    assert not check_library(folder).ok
+    repair_library(folder)
+    assert _state(folder) == before
+    (folder / "library.sqlite").unlink()
+    repair_library(folder)
+    assert _state(folder) == before
+    assert check_library(folder).ok
+
+
+@pytest.mark.parametrize("n_lost", [1, 20, 21, 23])
+def test_at_most_twenty_problems_are_shown(tmp_path, n_lost):
+    with TouchLibrary.open(tmp_path, create=True) as library:
+        for seed in range(n_lost):
+            library.add(_touches(seed))
+    for path in (tmp_path / "images").rglob("*.npy"):
+        path.unlink()
+    lines = str(check_library(tmp_path)).splitlines()
+    more = [f"... and {n_lost - 20} more"] * (n_lost > 20)
+    assert lines[0].endswith(f"files: {n_lost} problems.")
+    assert lines[min(n_lost, 20) + 1 :] == more
+
+
 def test_touches_set_aside_are_counted_apart(folder):
     with TouchLibrary.open(folder) as library:
         first = set((folder / "images").rglob("*.npy"))

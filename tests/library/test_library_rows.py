@@ -120,10 +120,11 @@ def test_images_that_are_gone_are_left_out_and_told(folder):
         path.write_bytes(content)
         with pytest.raises(LibraryError, match="altered values"):
             library.touches()
-        with pytest.warns(UserWarning, match="1 touches are left out"):
+        with pytest.warns(UserWarning, match="1 touches are left out") as told:
             assert library.touches(damaged="skip").columns["force_n"].tolist() == [
                 *(0, 2, 3, 4, 5)
             ]
+    assert told[0].filename == __file__
 
 
 def test_damaged_is_one_of_two_words(folder):

@@ -24,7 +24,7 @@ def test_an_object_with_few_touches_has_few_blocks():
 
 
 def test_episodes_come_from_one_object_and_few_blocks(rng):
-    objects = np.repeat(["a", "b"], [30, 6])
+    objects = np.repeat(["a", "b", "c"], [30, 6, 6])
     group = blocks_in_order(objects)
     rows = draw_episodes(objects, group, 6, rng)
     for episode in rows:

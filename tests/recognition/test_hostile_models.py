@@ -4,12 +4,14 @@ import json
 import time
 import tracemalloc
 from copy import deepcopy
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from forged_models import forged, models, mutated, opened
+from numpy.testing import assert_array_equal
 
-from palpate import ObjectRecogniser
+from palpate import ObjectRecogniser, Touches
 from palpate.recognition import ModelFileError
 
 HANG_S = 2.0
@@ -92,13 +94,6 @@ def with_high_degree(learnt, tensors):
         holder["kernels_"]["list"][0] = kernel
 
 
-def with_long_label(learnt, tensors):
-    for holder in every(learnt, "text"):
-        if len(holder["text"]) > 2:
-            holder["text"] = ["x" * 50_000] + ["y"] * 20_000
-            holder["shape"] = [20_001]
-
-
 def with_many_kernels(learnt, tensors):
     for holder in every(learnt, "kernels_"):
         holder["kernels_"]["list"] *= 1000
@@ -121,7 +116,6 @@ def with_array_again(learnt, tensors):
         (5, with_high_degree, "degree must be at most 60"),
         (4, with_all("order", 10**30), "order must be at most 60"),
         (5, with_all("shape", {"tuple": [12_000, 12_000]}), "at most 1024"),
-        (0, with_long_label, "20001 texts of up to 50000 letters"),
         (5, with_many_kernels, "501 parts"),
         (4, with_many_counted, "more touches than there are"),
         (1, with_array_again, "array t1"),
@@ -183,3 +177,118 @@ def test_what_is_added_to_a_touch_must_be_as_large_as_it(tmp_path, name):
     setattr(model.encoder_, name, np.zeros((1000, 1)))
     with pytest.raises(ModelFileError, match=f"its {name} has shape"):
         ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_a_sound_model_is_read_and_answers_as_before(tmp_path, number):
+    model = models()[number]
+    images = np.random.default_rng(1).random((3, *model.encoder_.image_shape_))
+    touches = Touches(images, channels=list("rgb") if images.ndim == 4 else None)
+    again = ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+    assert_array_equal(again.log_likelihood(touches), model.log_likelihood(touches))
+
+
+def with_nan(values):
+    return np.where(np.arange(values.size).reshape(values.shape) == 0, np.nan, values)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("weights", lambda v: v[:0], "no such table"),
+        ("weights", lambda v: v[None], "no such table"),
+        ("weights", lambda v: 1.01 + 0 * v, "not between 0 and 1"),
+        ("usual", lambda v: v[:1], "no such table"),
+        ("usual", with_nan, "NaN or infinity"),
+        ("far", lambda v: np.c_[v, v], "no such table"),
+        ("far", lambda v: 0 * v, "no spread"),
+        ("quantiles", lambda v: v[:, 1:], "no such table"),
+        ("quantiles", lambda v: v - 2, "not between 0 and 1"),
+        ("naming", lambda v: v[1:], "no such table"),
+        ("refusing", with_nan, "NaN or infinity"),
+        ("wrong", lambda v: v + 2, "not between 0 and 1"),
+        ("n_units", lambda v: 0, "n_units must be at least 1"),
+        ("population", lambda v: 5, "no text"),
+    ],
+)
+def test_limits_that_decide_nothing_are_refused(tmp_path, name, change, message):
+    model = deepcopy(models()[0])
+    changed = change(getattr(model.limits_, name))
+    model.limits_ = replace(model.limits_, **{name: changed})
+    with pytest.raises(ModelFileError, match=message):
+        ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "values", "message"),
+    [
+        ("", "floor_", (0.0, 0.5), "floor_"),
+        ("encoder_", "gain_", (1e-6, 1e6), "gain_"),
+        ("sequence_calibration_", "strength", (0.0, 100.0), "strength"),
+        ("sequence_calibration_", "correlation", (0.0, 1.0), "correlation"),
+    ],
+)
+def test_numbers_are_read_up_to_their_bounds(tmp_path, part, name, values, message):
+    for value, step in zip(values, (-1e-3, 1e-3), strict=True):
+        for beyond in (False, True):
+            model = deepcopy(models()[0])
+            holder = getattr(model, part) if part else model
+            number = value * (1 + 2 * np.sign(step) * 0.1) + step if beyond else value
+            if part == "sequence_calibration_":
+                model.sequence_calibration_ = replace(holder, **{name: number})
+            else:
+                setattr(holder, name, number)
+            if beyond:
+                with pytest.raises(ModelFileError, match=message):
+                    ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+            else:
+                ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("looks", lambda looks: looks[:, :-1], "its looks have"),
+        ("looks", lambda looks: looks[:-1], "sizes do not agree"),
+    ],
+)
+def test_a_memory_that_does_not_fit_is_refused(tmp_path, name, change, message):
+    model = deepcopy(models()[0])
+    changed = change(getattr(model.memory_, name))
+    model.memory_ = replace(model.memory_, **{name: changed})
+    with pytest.raises(ModelFileError, match=message):
+        ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+
+
+def test_a_pose_of_another_kind_is_refused(tmp_path):
+    model = deepcopy(models()[0])
+    model.pose_ = model.memory_
+    with pytest.raises(ModelFileError, match="pose_ is a Memory"):
+        ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+
+
+def with_texts(first, others):
+    def change(learnt, tensors):
+        for holder in every(learnt, "text"):
+            if len(holder["text"]) > 2:
+                holder["text"] = [first, *others]
+                holder["shape"] = [1 + len(others)]
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("n_letters", "n_others", "told"),
+    [
+        (50_000, 20_000, True),
+        (1000, 15, False),
+        (1001, 15, True),
+        (900, 20_000, True),
+        (40, 20_000, False),
+    ],
+)
+def test_texts_of_a_model_are_bounded(tmp_path, n_letters, n_others, told):
+    """To 1,000 letters; in an array each letter of the longest takes four bytes."""
+    path = changed(tmp_path, 0, with_texts("x" * n_letters, ["y"] * n_others))
+    refusal = f"{n_others + 1} texts of up to {n_letters} letters"
+    assert (refusal in (check_bounded(path) or "")) == told

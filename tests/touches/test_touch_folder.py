@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from palpate import Touches
-from palpate.touches import TouchesError, decode_bytes, read_folder
+from palpate.touches import TouchesError, decode_bytes, png_bytes, read_folder
 
 
 def first_levels(touches):
@@ -57,6 +57,14 @@ def test_no_contact_from_elsewhere(put, tmp_path):
     touches.without("no_contact").save(tmp_path / "t.npz")
     again = Touches.load(tmp_path / "t.npz", no_contact=tmp_path / "empty.jpg")
     assert (again.no_contact == 9).all()
+
+
+def test_no_contact_of_16_bits_for_an_archive(tmp_path):
+    empty = np.full((4, 6), 300, np.uint16)
+    (tmp_path / "empty.png").write_bytes(png_bytes(empty))
+    Touches(np.zeros((2, 4, 6), np.uint16)).save(tmp_path / "t.npz")
+    again = Touches.load(tmp_path / "t.npz", no_contact=tmp_path / "empty.png")
+    assert_array_equal(again.no_contact, empty)
 
 
 @pytest.mark.parametrize(

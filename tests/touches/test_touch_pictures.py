@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image, PngImagePlugin
 
 from palpate import Touches
-from palpate.touches import TouchesError, decode_bytes, read_folder
+from palpate.touches import TouchesError, decode_bytes, png_bytes, read_folder
 
 
 def coded(image, kind="PNG", **options):
@@ -169,7 +169,7 @@ def refused_kinds():
         (patched(jpeg, frame + 1, 0xC9), "lossless or arithmetic"),
         (jpeg[:frame] + jpeg[jpeg.index(b"\xff\xda") :], "a damaged JPEG"),
         (patched(patched(jpeg, frame + 5, 0), frame + 6, 0), r"JPEG of \d+ x 0 pixels"),
-        (jpeg[:-2] + jpeg[frame : frame + 13] + b"\xff\xd9", "a damaged JPEG"),
+        (jpeg[:-2] + jpeg[frame : frame + 13] + b"\xff\xd9", r"a damaged or .*two SOF"),
         (jpeg[: jpeg.index(b"\xff\xda")] + b"\xff\xd9", "cut short"),
         (coded(image, save_all=True, append_images=[other]), "an animated PNG"),
         (coded(clear), "transparent parts"),
@@ -239,7 +239,7 @@ def test_a_hole_in_a_png_is_refused(grey):
 
 
 def test_a_damaged_jpeg_is_refused_or_keeps_its_size(grey, tmp_path):
-    """A JPEG has no checksum: flips among coefficients cannot be told."""
+    """A JPEG has no checksum: not all flips among coefficients can be told."""
     data = coded(Image.fromarray(grey), "JPEG", quality=50)
     for name in ("1.jpg", "2.jpg"):
         (tmp_path / name).write_bytes(data)
@@ -252,6 +252,29 @@ def test_a_damaged_jpeg_is_refused_or_keeps_its_size(grey, tmp_path):
         except TouchesError:
             n_refused += 1
     assert 0 < n_refused < len(data)
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB"])
+def test_a_jpeg_that_lacks_some_coefficients_is_refused(grey, mode):
+    """OpenCV and Pillow fill what is missing with grey, without a word."""
+    data = coded(Image.fromarray(grey).convert(mode), "JPEG")
+    for lacking in (data[:-60] + data[-30:], data[:-2] + data[-40:]):
+        with pytest.raises(TouchesError, match=r"a damaged or .*(premature|extran)"):
+            decode_bytes(lacking, colour=mode == "RGB")
+
+
+def test_a_jpeg_of_a_rare_subsampling_is_refused_by_name():
+    """Four, two and one blocks of grey a unit: each a difference of 0, and its end."""
+    data = coded(Image.new("RGB", (32, 16), (128, 128, 128)), "JPEG")
+    frame, scan = data.index(b"\xff\xc0"), data.index(b"\xff\xda")
+    for component, factors in enumerate((0x22, 0x21, 0x11)):
+        data = patched(data, frame + 11 + 3 * component, factors)
+        data = patched(data, scan + 6 + 2 * component, 0)
+    bits = "001010" * 7 * 2 + "1" * 4
+    blocks = int(bits, 2).to_bytes(len(bits) // 8, "big")
+    data = data[: scan + 14] + blocks + b"\xff\xd9"
+    with pytest.raises(TouchesError, match=r"unusual JPEG .*subsampling"):
+        decode_bytes(data)
 
 
 @pytest.mark.filterwarnings("error")
@@ -312,3 +335,24 @@ def test_as_many_bytes_as_allowed_are_read(grey, tmp_path):
     assert len(read_folder(tmp_path, max_bytes=2 * grey.size)) == 2
     with pytest.raises(TouchesError, match="must take at most"):
         read_folder(tmp_path, max_bytes=2 * grey.size - 1)
+
+
+@pytest.mark.parametrize("levels", [np.uint8, np.uint16])
+@pytest.mark.parametrize("shape", [(3, 5), (3, 5, 3)])
+def test_levels_written_as_a_png_come_back(levels, shape, rng):
+    written = rng.integers(0, np.iinfo(levels).max, shape, levels, endpoint=True)
+    assert_array_equal(decode_bytes(png_bytes(written), colour=len(shape) > 2), written)
+
+
+def test_a_file_may_hold_32_mib_beside_eight_bytes_a_pixel(grey, tmp_path):
+    path = tmp_path / "1.jpg"
+    path.write_bytes(coded(Image.fromarray(grey), "JPEG"))
+    limit = 32 * 2**20 + 8 * grey.size
+    for size, message in ((limit, None), (limit + 1, f"a file of {limit + 1} bytes")):
+        with path.open("r+b") as file:
+            file.truncate(size)
+        if message is None:
+            assert Touches.load(path).images.shape == (1, *grey.shape)
+        else:
+            with pytest.raises(TouchesError, match=message):
+                Touches.load(path, max_pixels=grey.size)

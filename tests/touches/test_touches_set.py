@@ -249,6 +249,12 @@ def test_every_object_in_every_session_is_an_episode_of_its_own():
         assert set(touches.session[episode.rows]) == {episode.session}
 
 
+def test_more_objects_than_sessions_are_not_mixed():
+    labels = {"object": ["a", "b", "c"] * 2, "session": [1, 1, 1, 2, 2, 2]}
+    told = Touches(np.zeros((6, 2, 2)), **labels).episodes()
+    assert [e.rows.tolist() for e in told] == [[0], [1], [2], [3], [4], [5]]
+
+
 def test_episodes_without_labels_or_sessions():
     bare = Touches(np.zeros((3, 2, 2)))
     assert [(e.object, e.session, len(e.rows)) for e in bare.episodes()] == [

@@ -1,9 +1,8 @@
 """Gels before a USB camera: DIGIT and GelSight Mini, as any UVC camera.
 
 Both are UVC devices that the system knows without a vendor's package. What differs from
-other cameras is here: what of the picture is gel, which way up it is, and the light.
-Both are UVC devices that the system knows without a vendor package. What differs from
-the camera has run for a minute.
+other cameras is here: what of the picture is gel, which way up it is, and the light,
+which is steady once the camera has run for a minute.
 """
 
 from collections.abc import Callable

@@ -17,8 +17,14 @@ read, is kept with the touches: the bag can be compared with it from then on.
 """
 
 import hashlib
+import threading
+from functools import cache
+from importlib import import_module
 from importlib.metadata import entry_points
+from io import BytesIO
+from math import inf
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -30,6 +36,7 @@ from ..touches import Touches, TouchesError, decode_bytes
 from ._store import LibraryError
 
 MAX_BYTES = 4 * 2**30
+_room = threading.local()  # how much the bag that is read may still unpack to
 _IMAGE = "sensor_msgs/msg/Image"
 _PICTURE = "sensor_msgs/msg/CompressedImage"
 _CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -61,14 +68,15 @@ def read_bag(
     object : str, optional
         What is touched in all of it.
     max_bytes : int, default=4 GiB
-        Most memory that the images may take.
+        Most memory that the images may take. What is compressed may unpack to a
+        sixteenth of it and 64 times the size of the bag.
 
     Raises
     ------
     ImportError
         rosbags is missing; the message names the extra.
     LibraryError
-        It is no bag, lacks the topic, or a message is no image; topics are listed.
+        It is no bag, unpacks to too much, lacks the topic, or a message is no image.
     """
     for plugged in _readers(Path(path)):
         found: Touches = plugged.read(Path(path), topic, object, max_bytes)
@@ -77,7 +85,12 @@ def read_bag(
     typesys = needed("rosbags.typesys", "ros", "Reading ROS 2 bags")
     types = typesys.get_typestore(typesys.Stores.LATEST)
     bag = Path(path)
+    _have_unpacking_counted()
     try:
+        if bag.suffix == ".bag":
+            raise LibraryError(f"{bag} is of ROS 1: make it one of 2, rosbags-convert.")
+        size = sum(part.stat().st_size for part in (bag, *bag.glob("*")))
+        _room.left, _room.bag = max_bytes // 16 + 64 * size, bag
         with highlevel.AnyReader([bag], default_typestore=types) as reader:
             topic = _chosen_topic(reader, topic)
             images, times, digest = _messages(reader, topic, max_bytes)
@@ -88,6 +101,8 @@ def read_bag(
             f"{bag} must be a ROS 2 bag or an MCAP file, got: "
             f"{error or type(error).__name__}. Check the path; it may be damaged."
         ) from error
+    finally:
+        _room.left = inf
     labels = None if object is None else np.full(len(images), object)
     return Touches(
         np.stack(images),
@@ -117,6 +132,37 @@ def _readers(path: Path) -> list[Any]:
             f"{path} looks like a LeRobotDataset: install what reads it, plugs/lerobot."
         )
     return [module for module in plugged if module.is_dataset(path)]
+
+
+@cache
+def _have_unpacking_counted() -> None:
+    """Count what rosbags is about to unpack: it has no limit, and sizes may lie."""
+    bags: Any = import_module("rosbags.rosbag2.reader")
+    chunks: Any = import_module("rosbags.rosbag2.storage_mcap")
+    zstd, unpack = bags.zstd, chunks.decompress
+    openers = {"zstd": zstd.open, "lz4": import_module("lz4.frame").open}
+    bags.zstd = SimpleNamespace(
+        decompress=lambda data: zstd.decompress(_counted(data, zstd.open)),
+        open=lambda file, mode: zstd.open(_counted(file, zstd.open), mode),
+    )
+    chunks.decompress = lambda data, kind, *sizes: unpack(
+        _counted(data, openers[kind]) if kind in openers else data, kind, *sizes
+    )
+
+
+def _counted(packed: Any, opener: Any) -> Any:
+    """Return packed bytes or a file of them, if they unpack to what room is left."""
+    file = packed if hasattr(packed, "read") else BytesIO(packed)
+    unpacked = opener(file)
+    while piece := unpacked.read(2**20):
+        _room.left = getattr(_room, "left", inf) - len(piece)
+        if _room.left < 0:
+            raise LibraryError(
+                f"{_room.bag} must unpack to at most max_bytes / 16 and 64 times its "
+                "size, got more. If you trust it raise max_bytes or rosbags-convert it."
+            )
+    file.seek(0)
+    return packed
 
 
 def _chosen_topic(reader: Any, topic: str | None) -> str:

@@ -104,7 +104,7 @@ def with_images(store: Store, numbers: Numbers) -> Numbers:
         warnings.warn(
             f"{whole.count(False)} touches are left out: their images in "
             f"{store.folder} are missing or altered.",
-            stacklevel=3,
+            stacklevel=4,
         )
     return np.asarray(numbers[np.array(whole, bool)])
 

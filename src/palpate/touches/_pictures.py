@@ -1,11 +1,10 @@
 """JPEG and PNG pictures: their headers, whether they are whole, and their levels.
 
 Pillow reads the headers, so that the size is known before anything is decoded, and
-tests a PNG's checksums; OpenCV decodes, but fills what is missing with grey and says so
-on standard error alone. So a JPEG, which has no checksum, must also end after its
-scans: one that is cut short is always refused, but flipped bits within its coefficients
-give a wrong picture that nothing can tell. (Decoding with Pillow too would double the
-time, and finds as few of them; docs/explanation/architecture.md has figures.)
+tests a PNG's checksums; OpenCV decodes it. A JPEG has no checksum, but libjpeg
+complains of much damage and of a missing end: simplejpeg tells, where OpenCV and Pillow
+fill in grey. Most single flipped bits among its coefficients still give a wrong picture
+that nothing can tell; docs/explanation/architecture.md has figures.
 
 Pictures are taken as stored: Exif orientation is never applied, for it would turn
 some touches of a set and not others. Colour becomes its luma (ITU-R BT.601) unless
@@ -38,11 +37,7 @@ if TYPE_CHECKING:
 _JPEG = b"\xff\xd8\xff"
 _PNG = b"\x89PNG\r\n\x1a\n"
 _PNG_END = b"\0\0\0\0IEND\xae\x42\x60\x82"
-# Within a scan 0xFF is followed by zero or a restart; tables and further scans come
-# after it, never a second frame.
-_FRAME_OR_END = re.compile(rb"\xff[\xc0-\xc3\xc5-\xc7\xc9-\xcb\xcd-\xcf\xd9]")
 _HUFFMAN_FRAME = rb"\xff[\xc0-\xc2].."
-_END_OF_IMAGE = b"\xff\xd9"
 _ALPHA = (4, 6)
 _GREY = (0, 4)
 RGB = ("r", "g", "b")
@@ -262,8 +257,7 @@ def _damage(kind: str, stream: IO[bytes], error: Exception) -> PictureError:
 
 def _levels(data: bytes, header: Header) -> Array:
     """Decode a whole picture to the shape and type that `header` gives."""
-    stream = BytesIO(data)
-    found = _read_header(stream).checked(header.colour)
+    found = _read_header(BytesIO(data)).checked(header.colour)
     if found != header:
         raise PictureError(f"{found} after {header}: the file changed meanwhile")
     if header.format == "PNG":
@@ -280,34 +274,34 @@ def _levels(data: bytes, header: Header) -> Array:
             raise PictureError(_CUT_SHORT)
         if data[25] == 3:  # a palette
             _refuse_missing_colours(data)
-    else:
-        end = _FRAME_OR_END.search(data, stream.tell())
-        if end is None:
-            raise PictureError(_CUT_SHORT)
-        if end[0] != _END_OF_IMAGE:
-            raise PictureError("a damaged JPEG (a second frame)")
-    see_through = header.format == "PNG" and data[25] in _ALPHA
-    levels = _decoded(data, see_through=see_through, colour=header.colour)
+    levels = _decoded(data, header)
     if levels is None or levels.shape != header.shape or levels.dtype != header.dtype:
         raise PictureError("a picture that cannot be decoded")
     return levels
 
 
-def _decoded(data: bytes, *, see_through: bool, colour: bool) -> Array | None:
+def _decoded(data: bytes, header: Header) -> Array | None:
     import cv2
+    import simplejpeg
 
-    as_stored = cv2.IMREAD_IGNORE_ORIENTATION
+    colour = header.colour
+    if header.format == "JPEG":
+        try:
+            levels = simplejpeg.decode_jpeg(data, "RGB" if colour else "GRAY")
+            return np.asarray(levels).reshape(header.shape)
+        except ValueError as error:
+            raise PictureError(f"a damaged or unusual JPEG ({error})") from error
+    see_through = data[25] in _ALPHA
     kind = cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE
-    flags = kind | cv2.IMREAD_ANYDEPTH | as_stored
+    kind = cv2.IMREAD_UNCHANGED if see_through else kind | cv2.IMREAD_ANYDEPTH
     coded = np.frombuffer(data, np.uint8)
     try:
+        levels = cv2.imdecode(coded, kind | cv2.IMREAD_IGNORE_ORIENTATION)
+        if levels is None or not (see_through or colour):
+            return levels
         if not see_through:
-            levels = cv2.imdecode(coded, flags)
-            if levels is None or not colour:
-                return levels
             return cv2.cvtColor(levels, cv2.COLOR_BGR2RGB)
-        levels = cv2.imdecode(coded, cv2.IMREAD_UNCHANGED | as_stored)
-        if levels is None or levels.ndim != 3 or levels.shape[2] != 4:
+        if levels.ndim != 3 or levels.shape[2] != 4:
             return None
         if levels[..., 3].min() < 2 ** (8 * levels.itemsize) - 1:
             raise PictureError("a picture with transparent parts")
