@@ -9,7 +9,7 @@ from palpate.studies import Archive, recorded_touches
 
 def test_a_folder_without_the_archive_is_named_with_where_to_fetch_it(tmp_path):
     archive = Path("tactip4") / "tactip4.npz"
-    pins = Archive(archive, "a real dome", "example.org/here")
-    said = r"got .*\. Fetch the recordings from example\.org/here, or leave --data out"
+    pins = Archive(archive, "a real dome")
+    said = r"got .*\. Type `palpate data fetch tactip4 --data .*`, or leave --data out"
     with pytest.raises(ValueError, match=said):
         recorded_touches(tmp_path, pins)
