@@ -15,7 +15,7 @@ from ._options import AsJson
 from ._output import print_json, table
 
 # Extras of those who change palpate, not of those who use it.
-FOR_AUTHORS = ("test", "dev")
+FOR_AUTHORS = ("test", "dev", "docs")
 
 
 def doctor(as_json: AsJson = False) -> None:
