@@ -155,7 +155,11 @@ def picture_header(path: Path, *, max_pixels: int, colour: bool) -> Header:
 def decode_picture(path: Path, header: Header) -> Array:
     try:
         with _opened(path, header.n_rows * header.n_cols) as file:
-            return _levels(file.read(), header)
+            data = file.read()
+        found = _read_header(BytesIO(data)).checked(header.colour)
+        if found != header:
+            raise PictureError(f"{found} after {header}: the file changed meanwhile")
+        return _levels(data, header)
     except (OSError, PictureError) as error:
         raise refusal(path, error) from error
 
@@ -256,10 +260,7 @@ def _damage(kind: str, stream: IO[bytes], error: Exception) -> PictureError:
 
 
 def _levels(data: bytes, header: Header) -> Array:
-    """Decode a whole picture to the shape and type that `header` gives."""
-    found = _read_header(BytesIO(data)).checked(header.colour)
-    if found != header:
-        raise PictureError(f"{found} after {header}: the file changed meanwhile")
+    """Decode a whole picture to the shape and type that its `header` gives."""
     if header.format == "PNG":
         from PIL.PngImagePlugin import ChunkStream
 
