@@ -69,3 +69,11 @@ def test_touches_all_alike_have_one_feature_that_is_zero():
 def test_a_share_outside_0_to_1_is_refused(touches, share):
     with pytest.raises(ValueError, match="share"):
         PrincipalShare(share).fit(touches)
+
+
+@pytest.mark.parametrize("size", [2.0**-600, 2.0**500])
+@pytest.mark.parametrize("n_touches", [6, 48])
+def test_directions_do_not_depend_on_the_size_of_features(n_touches, size):
+    features = np.random.default_rng(0).normal(size=(n_touches, 20))
+    whole = PrincipalShare(0.9).fit(features).components_
+    assert np.array_equal(PrincipalShare(0.9).fit(size * features).components_, whole)

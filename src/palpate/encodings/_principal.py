@@ -292,6 +292,8 @@ def _directions(centred: Floats, share: float) -> Floats:
 
     From the smaller of the matrices of products of touches and of features.
     """
+    # Exactly, to sizes around 1: squares of very small or large ones overflow.
+    centred = np.ldexp(centred, -np.frexp(np.abs(centred).max())[1])
     few = centred.shape[0] <= centred.shape[1]
     variance, found = np.linalg.eigh(
         centred @ centred.T if few else centred.T @ centred
