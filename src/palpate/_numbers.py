@@ -18,3 +18,21 @@ def log_softmax(values: Array, axis: int = -1) -> Floats:
     with np.errstate(divide="ignore"):
         result -= np.log(total)
     return result
+
+
+def log_loss(logits: Floats, codes: Array, shares: Floats) -> tuple[float, Floats]:
+    """Return the log loss of softmax beliefs (nats), and its slope by each logit.
+
+    Of `logits` (n_touches, n_classes), which become the slope, the column of each
+    touch's own class (n_touches,) and its share in the loss (n_touches,).
+    """
+    each = np.arange(len(codes))
+    own = logits[each, codes]
+    largest = logits.max(axis=1)
+    logits -= largest[:, np.newaxis]
+    np.exp(logits, out=logits)
+    total = logits.sum(axis=1)
+    loss = (largest + np.log(total) - own) @ shares
+    logits *= (shares / total)[:, np.newaxis]
+    logits[each, codes] -= shares
+    return float(loss), logits

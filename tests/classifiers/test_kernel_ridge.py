@@ -1,6 +1,8 @@
 """Kernel ridge classification: left-out scores against refitting, and refusals."""
 
+import pickle
 import tracemalloc
+from copy import copy
 
 import numpy as np
 import pytest
@@ -257,3 +259,82 @@ def test_every_label_adds_the_same_to_what_is_minimised():
 
     shares = fair_shares(np.array([0, 0, 0, 2]))
     assert_allclose(shares, [1 / 6, 1 / 6, 1 / 6, 1 / 2])
+
+
+def by_hand(machine, X, labels, groups):
+    """Coefficients, and scores of one group left out, by solving all anew."""
+    targets = (labels[:, None] == machine.classes_) - 1 / len(machine.classes_)
+    squared = ((X[:, None] - X) ** 2).sum(axis=2)
+    kernel = np.exp(-machine.width_ * squared / machine.unit_)
+    regular = kernel + machine.ridge_ * np.eye(len(X))
+    out = groups == groups[-1]
+    dual = np.linalg.solve(regular[np.ix_(~out, ~out)], targets[~out])
+    left_out = kernel[np.ix_(out, ~out)] @ dual + 1 / len(machine.classes_)
+    return np.linalg.solve(regular, targets), left_out
+
+
+def test_touches_learnt_later_count_as_if_learnt_with_the_others(rng):
+    labels = np.repeat(["ball", "mug", "pen", "tin"], 150)
+    places = dict(zip(["ball", "mug", "pen", "tin", "cup"], np.eye(5), strict=True))
+    X = 0.4 * rng.normal(size=(600, 5)) + np.array([places[n] for n in labels])
+    groups = np.arange(600) // 10
+    machine = KernelRidgeClassifier(max_choice_touches=200)
+    machine.fit(X, labels, groups=groups)
+    first = machine.coefficients_.copy()
+    # Ten of a known label, twice, one of them in a group that was there; then a new
+    # label; then so many that all are learnt again.
+    known = machine
+    for more in (["mug"] * 10, ["pen"] * 10, ["cup"] * 12, ["tin"] * 200):
+        new = np.array([places[name] for name in more])
+        X = np.concatenate([X, new + 0.4 * rng.normal(size=new.shape)])
+        labels = np.concatenate([labels, more])
+        later = groups[-1] + 1 + np.arange(len(more)) // 5
+        later[0] = 3
+        groups = np.concatenate([groups, later])
+        known = copy(known).refit(X, labels, groups=groups)
+        coefficients, left_out = by_hand(known, X, labels, groups)
+        assert_allclose(known.coefficients_, coefficients, atol=1e-10)
+        mine = known.left_out_scores_[groups == groups[-1]]
+        assert_allclose(mine, left_out, atol=1e-10)
+    assert_array_equal(machine.coefficients_, first)
+
+
+@pytest.mark.parametrize("changed", ["touch", "label", "fewer", "none"])
+def test_touches_that_changed_are_learnt_again(rng, changed):
+    labels, X = np.repeat(["mug", "pen"], 300), rng.normal(size=(600, 3))
+    X[300:] += 1
+    machine = KernelRidgeClassifier(max_choice_touches=100).fit(X, labels)
+    later, named = np.concatenate([X, X[:5] + 0.1]), np.append(labels, ["mug"] * 5)
+    if changed == "touch":
+        later[7] += 0.5
+    elif changed == "label":
+        named[7] = "pen"
+    elif changed == "fewer":
+        later, named = later[9:], named[9:]
+    else:
+        later, named = X, labels
+    again = copy(machine).refit(later, named)
+    wanted, _ = by_hand(again, later, named, np.arange(len(later)))
+    assert_allclose(again.coefficients_, wanted, atol=1e-10)
+
+
+def test_learning_anew_forgets_what_was_solved_before(rng):
+    labels, X = np.repeat(["mug", "pen"], 300), rng.normal(size=(600, 3))
+    X[300:] += 1
+    machine = KernelRidgeClassifier(max_choice_touches=100, ridges=[0.1])
+    machine.fit(X, labels)
+    machine.set_params(ridges=[0.01]).fit(
+        np.r_[X, X[:5]], np.append(labels, labels[:5])
+    )
+    fresh = KernelRidgeClassifier(max_choice_touches=100, ridges=[0.01])
+    fresh.fit(np.r_[X, X[:5]], np.append(labels, labels[:5]))
+    assert_array_equal(machine.coefficients_, fresh.coefficients_)
+
+
+def test_what_makes_more_touches_quick_is_not_copied_or_sent_away(rng):
+    X, labels = rng.normal(size=(600, 3)), np.repeat(["mug", "pen"], 300)
+    machine = KernelRidgeClassifier(max_choice_touches=100).fit(X, labels)
+    # 600 x 600 values would be 2.9 MB.
+    assert len(pickle.dumps(machine)) < 200_000
+    again = pickle.loads(pickle.dumps(machine)).refit(X[1:], labels[1:])
+    assert_allclose(again.scores(X), machine.refit(X[1:], labels[1:]).scores(X))

@@ -19,7 +19,7 @@ from sklearn.base import clone
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_squarable
-from .._numbers import log_softmax
+from .._numbers import log_loss, log_softmax
 from .._types import Array, Floats
 from . import _touch_classifier
 from ._kernel_ridge import KernelRidgeClassifier, fair_shares
@@ -201,16 +201,13 @@ def pool_weights(every: Floats, codes: Array) -> Floats:
     """
     n_machines, n_touches = every.shape[:2]
     usual = 1 / n_machines
-    own = every[:, np.arange(n_touches), codes]
     shares = n_touches * fair_shares(codes)
 
     def loss(weights: Floats) -> tuple[float, Floats]:
-        log_posterior = log_softmax(np.tensordot(weights, every, 1), axis=1)
-        expected = np.einsum("tc,mtc,t->m", np.exp(log_posterior), every, shares)
-        value = -log_posterior[np.arange(n_touches), codes] @ shares
+        value, pull = log_loss(np.tensordot(weights, every, 1), codes, shares)
         away = (weights - usual) / usual
-        gradient = expected - own @ shares + away / usual
-        return float(value + (away**2).sum() / 2), gradient
+        slope = np.tensordot(every, pull, 2)
+        return value + (away**2).sum() / 2, slope + away / usual
 
     start = np.full(n_machines, usual)
     bounds = [(0, None)] * n_machines

@@ -11,9 +11,10 @@ without a single further fit.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
+from numpy.linalg import LinAlgError
 from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotrf, dtrtri
@@ -23,8 +24,9 @@ from sklearn.utils import gen_batches
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_positive, check_squarable
-from .._numbers import log_softmax
+from .._numbers import log_loss, log_softmax
 from .._types import Array, Floats, Indices
+from ._growing_inverse import GrowingInverse
 from ._touch_classifier import (
     BayesRule,
     Groups,
@@ -38,6 +40,9 @@ from ._touch_classifier import (
 _SHAPED_BY, _SHAPED_ANSWERS = 10_000, 500_000
 # Touches whose kernel with the landmarks is in memory at once.
 _TOUCHES_AT_ONCE = 2000
+# From so many touches to so many, learning a few more costs a few columns; in memory 4
+# bytes for each pair. As many more as this share of them are learnt so.
+_GROWS_FROM, _GROWS_TO, _GROWTH = 500, 5000, 1 / 8
 # Keeps the landmarks' own kernel positive definite, where two of them are the same.
 _JITTER = 1e-8
 
@@ -48,6 +53,8 @@ Shape = tuple[float, float, float]
 
 # Rows of touches, some of them -> their kernel with the landmarks.
 KernelOf = Callable[[Indices], Floats]
+# Rows of groups of one size, (n_groups, size), and the inverse's blocks of them.
+Blocks = Iterable[tuple[Indices, Floats]]
 
 
 class KernelRidgeClassifier(BayesRule):
@@ -152,6 +159,7 @@ class KernelRidgeClassifier(BayesRule):
                 f"y must hold at least two labels, got 1 class: {self.classes_[0]}."
             )
         self._choose(touches, codes, group)
+        self._inverse: GrowingInverse | None = None
         self._learn(touches, codes, group)
         return self
 
@@ -184,21 +192,39 @@ class KernelRidgeClassifier(BayesRule):
         for width in widths:
             kernel = np.exp(-width / self.unit_ * squared)
             for ridge in ridges:
-                solved = _solve(kernel.copy(), target, ridge)
-                scores = _left_out(*solved, target, group[some])
+                root, found = _solve(kernel.copy(), target, ridge)
+                scores = _left_out(_own_blocks(root, group[some]), found, target)
                 loss = _best_shape(scores, codes, bent=False)[1]
                 if loss < best:
                     best, self.width_, self.ridge_ = loss, width, ridge
 
     def _learn(self, touches: Floats, codes: Array, group: Array) -> None:
-        self.mean_ = touches.mean(axis=0)
-        centred = touches - self.mean_
         target = _one_hot(codes, len(self.classes_))
         n_touches = check_count("max_touches", self.max_touches, at_least=2)
-        if len(centred) <= n_touches:
+        grown = self._grown(touches, codes) if len(touches) <= n_touches else None
+        if grown is None:
+            self.mean_ = touches.mean(axis=0)
+        centred = touches - self.mean_
+        self._inverse = grown
+        blocks: Blocks
+        if grown is not None:
+            self.coefficients_ = grown.coefficients(target, self.classes_)
+            blocks = ((rows[None], grown.block(rows)[None]) for rows in _members(group))
+            left_out = _left_out(blocks, self.coefficients_, target)
+            self.touches_ = centred
+        elif len(centred) <= n_touches:
             kernel = self._kernel(euclidean_distances(centred, squared=True))
-            root, self.coefficients_ = _solve(kernel, target, self.ridge_)
-            left_out = _left_out(root, self.coefficients_, target, group)
+            # The columns of the labels as they are, of which later classes need others.
+            root, columns = _solve(kernel, target + 1 / len(self.classes_), self.ridge_)
+            share = columns.mean(axis=1, keepdims=True)
+            self.coefficients_ = columns - share
+            blocks = _own_blocks(root, group)
+            if _GROWS_FROM <= len(centred) <= _GROWS_TO:
+                blocks = list(blocks)
+                self._inverse = GrowingInverse(
+                    root, centred, self.classes_[codes], self.classes_, columns, blocks
+                )
+            left_out = _left_out(blocks, self.coefficients_, target)
             self.touches_ = centred
         else:
             n_landmarks = check_count("n_landmarks", self.n_landmarks, at_least=2)
@@ -214,12 +240,28 @@ class KernelRidgeClassifier(BayesRule):
             )
             left_out += 1 / len(self.classes_)
             self.touches_ = marks
-        self.squared_norms_ = (self.touches_**2).sum(axis=1)
+        self.squared_norms_ = np.einsum("ij,ij->i", self.touches_, self.touches_)
         self.left_out_scores_ = left_out
         some = _thin(codes, min(_SHAPED_BY, _SHAPED_ANSWERS // target.shape[1] + 1))
         shape, self.log_loss_ = _best_shape(left_out[some], codes[some])
         self.temperature_, self.bend_, lean = shape
         self.log_counts_ = lean * _log_counts(codes, target.shape[1])
+
+    def _grown(self, touches: Floats, codes: Array) -> GrowingInverse | None:
+        """Return the inverse with a few touches more than it has, None of others."""
+        inverse: GrowingInverse | None = self.__dict__.get("_inverse")
+        if inverse is None or len(touches) > (1 + _GROWTH) * inverse.n_first:
+            return None
+        centred, labels = touches - self.mean_, self.classes_[codes]
+        n_known = len(inverse.touches)
+        if not inverse.begins(centred, labels) or n_known == len(centred):
+            return None
+        squared = euclidean_distances(centred[n_known:], centred, squared=True)
+        kernel = self._kernel(squared)
+        try:
+            return inverse.plus(centred, labels, kernel, self.ridge_)
+        except LinAlgError:
+            return None
 
     def _kernel(self, squared: Floats) -> Floats:
         """Turn squared distances into the kernel, in place."""
@@ -260,6 +302,15 @@ class KernelRidgeClassifier(BayesRule):
         self._learn(*self._taken(X, y, groups, reset=False))
         return self
 
+    def __copy__(self) -> Self:
+        again = type(self).__new__(type(self))
+        again.__dict__.update(self.__dict__)
+        return again
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What makes learning more of it quick is larger than all the rest.
+        return {k: v for k, v in super().__getstate__().items() if k != "_inverse"}
+
 
 def _thin(codes: Array, at_most: int) -> Array:
     """Return every k-th touch of each label, for the least k that fits."""
@@ -285,21 +336,23 @@ def _solve(kernel: Floats, target: Floats, ridge: float) -> tuple[Floats, Floats
     return root, root.T @ (root @ target)
 
 
-def _left_out(
-    root: Floats, coefficients: Floats, target: Floats, group: Array
-) -> Floats:
-    """Scores of every touch had its group never been learnt."""
-    scores: Floats = target + 1 / target.shape[1]
+def _own_blocks(root: Floats, group: Array) -> Blocks:
+    """Yield groups of one size, some at a time, and the inverse's block of each."""
     by_size: dict[int, list[Indices]] = {}
     for members in _members(group):
         by_size.setdefault(len(members), []).append(members)
-    # Groups of one size are solved together, some at a time.
     for size, groups in by_size.items():
         for some in gen_batches(len(groups), max(1, _TOUCHES_AT_ONCE // size)):
             rows = np.stack(groups[some])
             mine = root.T[rows]
-            blocks = mine @ mine.transpose(0, 2, 1)
-            scores[rows] -= np.linalg.solve(blocks, coefficients[rows])
+            yield rows, mine @ mine.transpose(0, 2, 1)
+
+
+def _left_out(blocks: Blocks, coefficients: Floats, target: Floats) -> Floats:
+    """Scores of every touch had its group never been learnt."""
+    scores: Floats = target + 1 / target.shape[1]
+    for rows, inverse in blocks:
+        scores[rows] -= np.linalg.solve(inverse, coefficients[rows])
     return scores
 
 
@@ -327,20 +380,19 @@ def _best_shape(scores: Floats, codes: Array, bent: bool = True) -> tuple[Shape,
     unequal numbers of touches, and is 1 elsewhere.
     """
     log_counts = _log_counts(codes, scores.shape[1])
-    own, shares = (np.arange(len(codes)), codes), fair_shares(codes)
-    size = np.abs(scores)
+    shares, size = fair_shares(codes), np.abs(scores)
 
     def loss(raw: Floats) -> tuple[float, Floats]:
         temperature, bend = np.exp(raw[:2])
-        by_temperature = temperature * scores / (1 + bend * size)
-        said = log_softmax(by_temperature - raw[2] * log_counts)
-        value = float(-said[own] @ shares)
-        pull = np.exp(said)
-        pull[own] -= 1
-        pull *= shares[:, np.newaxis]
-        by_bend = -by_temperature * (bend * size / (1 + bend * size))
-        slopes = [by_temperature, by_bend, np.broadcast_to(-log_counts, pull.shape)]
-        return value, np.array([np.vdot(pull, slope) for slope in slopes])
+        damping = 1 + bend * size if bent else 1.0
+        by_temperature = temperature * scores / damping
+        value, pull = log_loss(by_temperature - raw[2] * log_counts, codes, shares)
+        slopes = np.array([np.vdot(pull, by_temperature), 0, -pull.sum(0) @ log_counts])
+        if bent:
+            by_temperature /= damping
+            by_temperature *= size
+            slopes[1] = -bend * np.vdot(pull, by_temperature)
+        return value, slopes
 
     free = [True, bent, bent and bool(np.ptp(log_counts) > 0)]
     start = np.array([np.log(_USUAL_TEMPERATURE), np.log(0.5) if bent else -np.inf, 1])

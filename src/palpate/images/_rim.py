@@ -14,7 +14,7 @@ reaches from -0.5 to n - 0.5.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any, overload
 
@@ -162,20 +162,24 @@ def typical_rim(
 ) -> Circle | None:
     """Return the rim that a set of touches has in common, or None where it has none.
 
-    That of the no-contact frame if visible; else the median over at most 64 touches,
+    As large as in the no-contact frame if it is visible there, in the middle of where
+    touches show it, which may be elsewhere; else the median over at most 64 touches,
     half of which must show rims of one size (median deviation below 2 %) and place
     (below 15 % of the radius): so a device's rim differs from round edges of what
     touches it.
     """
     checked = as_images(images)
-    if no_contact is not None:
-        rim = find_rim(no_contact)
-        if rim.visible:
-            return rim
     n = len(checked)
     which = np.unique(np.linspace(0, n - 1, min(n, N_TYPICAL)).round().astype(int))
-    rims = rims_near(checked[which], None)
+    alone = None if no_contact is None else find_rim(no_contact)
+    known = alone if alone is not None and alone.visible else None
+    rims = rims_near(checked[which], known)
     seen = rims[rims.visible]
+    if known is not None:
+        if not len(seen):
+            return known
+        row, col = float(np.median(seen.row)), float(np.median(seen.col))
+        return replace(known, row=row, col=col)
     if 2 * len(seen) < len(rims):
         return None
     row, col, radius = (float(np.median(v)) for v in (seen.row, seen.col, seen.radius))

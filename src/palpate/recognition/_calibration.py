@@ -22,10 +22,10 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils import check_array
 
 from .._checks import check_number
-from .._numbers import log_softmax
+from .._numbers import log_loss
 from .._types import Array, Floats, Indices
 from ..classifiers import FromProbabilities, KernelRidgeClassifier, TouchClassifier
-from ._evidence import SequenceCalibration, n_informative, with_floor
+from ._evidence import SequenceCalibration, is_informative, with_floor
 from ._unknown import MOST_ASKED
 
 EPISODES_PER_OBJECT = 40
@@ -161,13 +161,14 @@ def _episodes_of(
     rows: Array, group: Array, n_touches: int, n_episodes: int, rng: np.random.Generator
 ) -> Indices:
     rows = rows[np.argsort(group[rows], kind="stable")]
-    parts = np.split(rows, np.flatnonzero(np.diff(group[rows])) + 1)
+    first = [0, *(np.flatnonzero(np.diff(group[rows])) + 1).tolist(), len(rows)]
+    around = np.concatenate([rows, rows])
     episodes = np.empty((n_episodes, n_touches), dtype=np.intp)
     for episode in episodes:
-        start = rng.integers(len(parts))
-        pool = np.concatenate(parts[start:] + parts[:start])
-        enough = -(-n_touches // len(parts[start])) * len(parts[start])
-        episode[:] = rng.permutation(pool[:enough])[:n_touches]
+        start = rng.integers(len(first) - 1)
+        begin, n_own = first[start], first[start + 1] - first[start]
+        enough = min(-(-n_touches // n_own) * n_own, len(rows))
+        episode[:] = rng.permutation(around[begin : begin + enough])[:n_touches]
     return episodes
 
 
@@ -204,21 +205,20 @@ def fit_sequence_calibration(
 ) -> SequenceCalibration:
     """Return the calibration of least log loss over episodes of all lengths."""
     drawn = episodes.values()
+    used = is_informative(floored)
     total = np.concatenate([floored[rows].sum(axis=1) for rows in drawn])
-    count = np.concatenate([n_informative(floored[rows])[:, -1] for rows in drawn])
+    count = np.concatenate([used[rows].sum(axis=1) for rows in drawn])
     others = np.maximum(count - 1, 0)
     truth = np.concatenate([codes[rows[:, 0]] for rows in drawn])
     # Every length counts the same.
     share = np.concatenate([np.full(len(e), 1 / len(e) / len(drawn)) for e in drawn])
-    own = np.arange(len(truth)), truth
 
     def loss(raw: Floats) -> tuple[float, Floats]:
         calibration = SequenceCalibration(float(np.exp(raw[0])), float(raw[1]))
         weight = calibration.weight(count)
-        last = log_softmax(total * weight[:, np.newaxis] + log_prior)
-        value = float(-last[own] @ share)
-        pull = np.einsum("eo,eo->e", np.exp(last), total) - total[own]
-        by_strength = pull * weight * share
+        logits = total * weight[:, np.newaxis] + log_prior
+        value, pull = log_loss(logits, truth, share)
+        by_strength = np.einsum("eo,eo->e", pull, total) * weight
         by_correlation = -by_strength * others / (1 + others * raw[1])
         return value, np.array([by_strength.sum(), by_correlation.sum()])
 

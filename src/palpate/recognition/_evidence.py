@@ -12,7 +12,6 @@ from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
 
 from .._checks import check_positive
 from .._numbers import log_softmax
@@ -146,8 +145,10 @@ def with_floor(log_likelihood: Floats, floor: float) -> Floats:
         # Finite, so that touches that rule out all objects in turn leave a belief.
         return np.maximum(log_posterior, _RULED_OUT)
     n_objects = log_likelihood.shape[-1]
-    least = np.log(floor / n_objects)
-    return np.asarray(np.logaddexp(np.log1p(-floor) + log_posterior, least))
+    mixed = np.exp(log_posterior, out=log_posterior)
+    mixed *= 1 - floor
+    mixed += floor / n_objects
+    return np.log(mixed, out=mixed)
 
 
 def log_posteriors(
@@ -205,5 +206,7 @@ def doubts(log_posterior: Floats) -> Floats:
 
     Summed over the other objects, so that it stays exact near 0.
     """
-    others = np.sort(log_posterior, axis=-1)[..., :-1]
-    return np.asarray(np.exp(logsumexp(others, axis=-1)))
+    others = np.exp(log_posterior)
+    best = log_posterior.argmax(axis=-1)
+    np.put_along_axis(others, best[..., np.newaxis], 0, axis=-1)
+    return np.asarray(others.sum(axis=-1))

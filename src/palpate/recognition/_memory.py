@@ -179,13 +179,18 @@ class Nearest:
 
     def _least(self, features: Floats, blocks: Indices | None) -> Floats:
         centred = features - self._middle
-        own = (centred**2).sum(axis=1)[:, np.newaxis]
-        squared = self._squares + own - 2 * centred @ self._marks.T
-        # Below this the difference of squares is rounding.
-        squared = np.maximum(squared, 1e-12 * (self._squares + own) + 1e-300)
+        own = (centred**2).sum(axis=1)
+        squared = (-2 * centred) @ self._marks.T
+        squared += self._squares
         if blocks is not None:
-            squared[blocks[:, np.newaxis] == self._blocks] = np.inf
-        least = np.minimum.reduceat(squared, self._first, axis=1)
+            order = np.argsort(self._blocks, kind="stable")
+            ends = np.cumsum(np.bincount(self._blocks, minlength=blocks.max() + 1))
+            for block in np.unique(blocks):
+                same = order[ends[block - 1] if block else 0 : ends[block]]
+                squared[np.ix_(blocks == block, same)] = np.inf
+        least = np.minimum.reduceat(squared, self._first, axis=1) + own[:, np.newaxis]
+        # Below this the difference of squares is rounding.
+        least = np.maximum(least, 2e-12 * own[:, np.newaxis] + 1e-300)
         return np.where(np.isfinite(least), 0.5 * np.log(least), np.nan)
 
 

@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 from scipy.stats import beta
 
 from .._numbers import log_softmax
@@ -437,6 +436,14 @@ def category_codes(categories: NDArray[np.str_]) -> Indices | None:
 
 
 def summed_by_category(log_posterior: Floats, codes: Array, present: Array) -> Floats:
-    """Return log posteriors of the categories with some codes, (..., n_categories)."""
-    parts = [log_posterior[..., codes == code] for code in present]
-    return np.stack([logsumexp(part, axis=-1) for part in parts], axis=-1)
+    """Return log posteriors of the categories with some codes, (..., n_categories).
+
+    `present` are all the codes (n_objects,) there are, sorted.
+    """
+    order = np.argsort(codes, kind="stable")
+    first = np.searchsorted(codes[order], present)
+    together = log_posterior[..., order]
+    largest = np.maximum.reduceat(together, first, axis=-1)
+    together -= np.repeat(largest, np.diff([*first, len(codes)]), axis=-1)
+    total = np.add.reduceat(np.exp(together, out=together), first, axis=-1)
+    return np.asarray(largest + np.log(total))

@@ -1,0 +1,156 @@
+"""The inverse of a kernel matrix that grows by a few touches at its end.
+
+Adding ten touches to thousands changes little: with G the inverse of the first touches,
+B their kernel with the later ones, W = G B and S the later ones' own matrix less B^T W,
+the inverse of all is G, framed with zeros, plus Z S^-1 Z^T with Z = [W; -I]. So G stays
+as it is, and each touch added costs as much as one column of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from copy import copy
+from itertools import pairwise
+from typing import Any, Self
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from .._types import Array, Floats, Indices
+
+# The inverse's root is kept in so many strips, none longer than its last row: together
+# little more than the half below its diagonal.
+_N_STRIPS = 16
+
+
+class GrowingInverse:
+    """What it takes to learn more touches without those before them again.
+
+    Attributes `n_first`, `touches` and `labels`: how many the first touches are, and
+    all that it has.
+
+    Parameters
+    ----------
+    root : ndarray of shape (n_first, n_first)
+        R below its diagonal, with R^T R the inverse of the first touches' kernel and
+        ridge.
+    touches : ndarray of shape (n_first, n_features)
+        The first touches, in the order of the kernel.
+    labels : ndarray of shape (n_first,)
+        Their labels.
+    classes, coefficients : ndarray of shape (n_classes,) and (n_first, n_classes)
+        The sorted labels, and the inverse times their one-hot columns.
+    blocks : iterable of (ndarray of shape (n_groups, size), ndarray)
+        Rows of groups of touches, and the inverse at them (n_groups, size, size).
+    """
+
+    def __init__(
+        self,
+        root: Floats,
+        touches: Floats,
+        labels: Array,
+        classes: Array,
+        coefficients: Floats,
+        blocks: Iterable[tuple[Indices, Floats]],
+    ) -> None:
+        ends = np.linspace(0, len(root), _N_STRIPS + 1).astype(int)
+        self._strips = [np.array(root[a:b, :b], order="C") for a, b in pairwise(ends)]
+        self.touches = touches
+        self.labels = labels
+        self._classes, self._coefficients = classes, coefficients
+        self._blocks = {
+            one.tobytes(): block
+            for rows, own in blocks
+            for one, block in zip(rows, own, strict=True)
+        }
+        self.n_first = len(touches)
+        none = np.empty((len(touches), 0))
+        self._between, self._solved, self._own = none, none, none[:0]
+        self._factor: Any = None
+
+    def begins(self, touches: Floats, labels: Array) -> bool:
+        """Whether these touches begin with those it has, with the same labels."""
+        n_known = len(self.touches)
+        return (
+            len(touches) >= n_known
+            and np.array_equal(touches[:n_known], self.touches)
+            and np.array_equal(labels[:n_known], self.labels)
+        )
+
+    def plus(
+        self, touches: Floats, labels: Array, kernel: Floats, ridge: float
+    ) -> Self:
+        """Return this with the touches that come after those it has.
+
+        Of all `touches` (n_touches, n_features), their `labels`, and the `kernel` of
+        the new ones with all (n_new, n_touches).
+
+        Raises
+        ------
+        LinAlgError
+            If rounding hides the difference between two of them.
+        """
+        n_first, n_known = self.n_first, len(self.touches) - self.n_first
+        n_added = len(touches) - n_first
+        more = copy(self)
+        more.touches, more.labels = touches, labels
+        between = kernel[:, :n_first].T
+        more._between = np.hstack([self._between, between])
+        more._solved = np.hstack([self._solved, self._times_first(between)])
+        own = np.empty((n_added, n_added))
+        own[:n_known, :n_known] = self._own
+        own[n_known:] = kernel[:, n_first:]
+        own[:, n_known:] = kernel[:, n_first:].T
+        more._own = own
+        schur = own + ridge * np.eye(n_added) - more._between.T @ more._solved
+        more._factor = cho_factor(schur)
+        return more
+
+    def coefficients(self, target: Floats, classes: Array) -> Floats:
+        """Return the inverse times the labels' one-hot columns less 1 / n_classes."""
+        n_classes = len(classes)
+        first = np.zeros((self.n_first, n_classes))
+        first[:, np.searchsorted(classes, self._classes)] = self._coefficients
+        first -= first.sum(axis=1, keepdims=True) / n_classes
+        frame = self._frame(np.arange(len(self.touches)))
+        result: Floats = frame @ self._through(frame.T @ target)
+        result[: self.n_first] += first
+        return result
+
+    def block(self, rows: Indices) -> Floats:
+        """Return the inverse at some rows, sorted, and the same columns."""
+        first = rows[: np.searchsorted(rows, self.n_first)]
+        frame = self._frame(rows)
+        block: Floats = frame @ self._through(frame.T)
+        block[: len(first), : len(first)] += self._first_block(first)
+        return block
+
+    def _through(self, values: Floats) -> Floats:
+        return np.asarray(cho_solve(self._factor, values))
+
+    def _frame(self, rows: Indices) -> Floats:
+        """Return rows of Z."""
+        n_first = np.searchsorted(rows, self.n_first)
+        frame = np.zeros((len(rows), self._solved.shape[1]))
+        frame[:n_first] = self._solved[rows[:n_first]]
+        later = np.arange(n_first, len(rows))
+        frame[later, rows[n_first:] - self.n_first] = -1
+        return frame
+
+    def _first_block(self, rows: Indices) -> Floats:
+        known = self._blocks.get(rows.tobytes())
+        if known is None:
+            known = np.zeros((len(rows), len(rows)))
+            for strip in self._strips:
+                n_here = np.searchsorted(rows, strip.shape[1])
+                mine = strip[:, rows[:n_here]]
+                known[:n_here, :n_here] += mine.T @ mine
+            self._blocks[rows.tobytes()] = known
+        return known
+
+    def _times_first(self, values: Floats) -> Floats:
+        result = np.zeros_like(values, order="C")
+        for strip in self._strips:
+            width = strip.shape[1]
+            result[:width] += strip.T @ (strip @ values[:width])
+        return result
