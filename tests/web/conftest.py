@@ -78,6 +78,7 @@ def learn_job_fixture():
 def learning_here(monkeypatch):
     """Learn in this process: starting another one takes seconds; others try that."""
     monkeypatch.setattr("palpate.web._session.learn_apart", learn_job)
+    monkeypatch.setattr("palpate.web._session.start_learning", lambda: None)
 
 
 class HandSensor(LiveSensor):

@@ -1,7 +1,10 @@
 """The live loop by itself, without any web in it."""
 
+import os
 import queue
+import signal
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -335,6 +338,35 @@ def test_frames_go_on_while_it_learns(make_session, drawn):
         assert session.recogniser is not None
         # The sensor keeps 256 frames: a stall of over 10 s would have dropped some.
         assert session.health.to_dict()["n_dropped"] == 0
+
+
+def learning_processes():
+    """The processes that this one has started to learn in."""
+    pids = Path(f"/proc/{os.getpid()}/task").glob("*/children")
+    every = [pid for file in pids for pid in file.read_text().split()]
+    told = {pid: Path(f"/proc/{pid}/cmdline").read_bytes() for pid in every}
+    return [int(pid) for pid, line in told.items() if b"_learning" in line]
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs Linux's /proc")
+def test_the_process_that_learns_stays_and_is_replaced_when_it_ends(
+    make_session, drawn
+):
+    with make_session(sensor=False) as session:
+        session.teacher.library.add(drawn[drawn.object != "both"][::4])
+        session.learn(wait=True)
+        (first,) = learning_processes()
+        session.learn(wait=True)
+        assert learning_processes() == [first]
+        assert session.learn_error == ""
+        session.learn()
+        os.kill(first, signal.SIGKILL)  # in the midst of it, or just before
+        assert waited(lambda: not session.learning)
+        assert "ended with -9; was memory short?" in session.learn_error
+        known = session.recogniser.classes_.tolist()
+        session.learn(wait=True)
+        assert (session.learn_error, learning_processes() != [first]) == ("", True)
+        assert session.recogniser.classes_.tolist() == known
 
 
 def test_what_cannot_be_opened_is_refused(tmp_path, drawn):

@@ -77,6 +77,8 @@ def learn_encoding(
     else:
         rows = shown_rows(labels)
         shown = touches.touches(rows)
+    # What it takes a search for rims to know is found out once.
+    shown = shown.with_columns(geometry=find_geometry(shown))
     asked = labels[rows], group[rows]
     encoder, chosen = choose_encoder(preset, shown, *asked, presentation)
     cleaned = encoder.fit_clean(shown)

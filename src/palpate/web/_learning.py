@@ -1,15 +1,20 @@
 """Learning in a process of its own, so that frames go on while it works.
 
-The other process reads a job as JSON from standard input, writes the model file all
-or nothing, and answers with one JSON object.
+The other process stays for the next lesson: starting it takes longer than learning a
+few touches. It reads jobs as lines of JSON from standard input, writes the model file
+all or nothing, and answers each with a line.
 """
 
+import atexit
 import json
 import os
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
+from signal import SIGKILL
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -53,22 +58,70 @@ def learn_apart(
     one's. Returns `n_touches`, `objects`, and `kept`, those of the base model; no
     `objects` where too little is left to be a model.
     """
-    job = [library, output, base, list(drop), image_shape]
-    done = subprocess.run(
-        [sys.executable, "-c", "from palpate.web._learning import main; main()"],
-        input=json.dumps(job, default=str),  # folders and files as text
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    try:
-        answer: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    except (IndexError, ValueError) as error:
-        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        raise LearningError(f"Learning ended without a model: {last}") from error
+    answer = _LEARNER.ask([library, output, base, list(drop), image_shape])
     if "refused" in answer:
         raise LearningError(answer["refused"])
     return answer
+
+
+def start_learning() -> None:
+    """Start the process that learns, so that the first lesson need not wait for it."""
+    _LEARNER.start()
+
+
+class _Learner:
+    """The process that learns, one job at a time."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._process: subprocess.Popen[str] | None = None
+
+    def start(self) -> None:
+        """Start the process where there is none."""
+        with self._lock:
+            self._running()
+
+    def ask(self, job: list[Any]) -> dict[str, Any]:
+        """Return the answer to a job; a process that ended is replaced by the next."""
+        with self._lock:
+            process = self._running()
+            assert process.stdin is not None
+            assert process.stdout is not None
+            with suppress(OSError):  # it has ended, and says nothing below
+                # Folders and files as text.
+                print(json.dumps(job, default=str), file=process.stdin, flush=True)
+            try:
+                answer: dict[str, Any] = json.loads(process.stdout.readline())
+            except ValueError as error:
+                self.stop()
+                how = f"its process ended with {process.returncode}"
+                why = "; was memory short?" if process.returncode == -SIGKILL else "."
+                raise LearningError(
+                    f"Learning ended without a model: {how}{why}"
+                ) from error
+            return answer
+
+    def stop(self) -> None:
+        """End the process, whatever it does: a model is written whole or not at all."""
+        process, self._process = self._process, None
+        if process is not None:
+            process.terminate()
+            process.communicate()
+
+    def _running(self) -> "subprocess.Popen[str]":
+        if self._process is None or self._process.poll() is not None:
+            self.stop()
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", f"from {__name__} import main; main()"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+            )
+        return self._process
+
+
+_LEARNER = _Learner()
+atexit.register(_LEARNER.stop)
 
 
 def of_size(image_shape: Sequence[int]) -> str:
@@ -200,11 +253,13 @@ def _images(touches: Selection, rows: NDArray[np.intp]) -> Iterator[Array]:
 
 
 def main() -> None:
-    """Do the job on standard input, less urgently than what goes on beside it."""
+    """Do the jobs on standard input, less urgently than what goes on beside them."""
     if hasattr(os, "nice"):
         os.nice(5)
-    try:
-        answer = learn_job(*json.load(sys.stdin))
-    except (ValueError, OSError, MemoryError) as error:
-        answer = {"refused": str(error)}
-    print(json.dumps(answer))
+    answers, sys.stdout = sys.stdout, sys.stderr
+    for line in sys.stdin:
+        try:
+            answer = learn_job(*json.loads(line))
+        except (ValueError, OSError, MemoryError) as error:
+            answer = {"refused": str(error)}
+        print(json.dumps(answer), file=answers, flush=True)

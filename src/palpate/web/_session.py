@@ -15,7 +15,7 @@ from ..recognition import OTHER_MOUNTING, Evidence, ObjectRecogniser
 from ..sensors import LiveSensor, SensorError, channels_of, desk_of
 from ._episode import LiveEpisode, Neighbours
 from ._images import ImageKind, Names, check_image
-from ._learning import LearningError, learn_apart
+from ._learning import LearningError, learn_apart, start_learning
 from ._sensor_watch import Event, Health, Listeners, SensorWatch
 from ._teaching import Teacher, advice, object_quality
 
@@ -200,6 +200,7 @@ class LiveSession:
 
         With `keep_episode` those of the episode become its first, up to `wanted`.
         """
+        start_learning()
         with self._changing():
             teacher = self._teacher()
             teacher.begin(name, wanted)
