@@ -66,3 +66,16 @@ def test_stored_and_tested_touches_are_apart():
     assert stored.shape == (5000, 22)
     assert (labels[:100] == 0).all()
     assert not set(map(tuple, new.round(9))) & set(map(tuple, stored.round(9)))
+
+
+@pytest.mark.slow
+def test_learning_is_measured_beside_a_plain_svm_and_learning_again():
+    rows = run_bench("learning", n_objects=3, n_each=8, many=4, many_each=20)
+    assert [r["name"] for r in rows] == [
+        "learning 3 objects x 8 touches 120 x 120 default",
+        "learning 4 objects x 20 touches 120 x 120 default",
+        "adding ten touches at 50",
+        "adding an object of 20 touches at 50",
+        "page learning again 72 touches wall",
+    ]
+    assert all(r["ratio"] == r["peer_ms"] / r["ours_ms"] > 0 for r in rows)

@@ -4,9 +4,10 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from palpate import ObjectRecogniser, Touches
-from palpate.classifiers import KernelRidgeClassifier
+from palpate.classifiers import KernelDensityBayes, KernelRidgeClassifier
 from palpate.classifiers._kernel_ridge import _log_posterior
 
 MB = 2**20
@@ -60,3 +61,17 @@ def test_large_scores_are_bent_and_frequent_labels_leant_against():
     found = _log_posterior((10.0, 0.5, 1.0), scores, log_counts)
     odds = 10 * 0.8 / 1.4 + 10 * 0.2 / 1.1 - np.log(2)
     assert found[0, 0] - found[0, 1] == pytest.approx(odds)
+
+
+def test_very_many_touches_are_stored_in_single_precision(rng):
+    labels = np.tile(["mug", "pen"], 50_001)
+    X = rng.normal(size=(len(labels), 2)) + (labels == "pen")[:, None]
+    asked = np.r_[X[:20], [[40.0, -40.0], [300.0, 300.0]]]
+    many = KernelDensityBayes().fit(X, labels)
+    exact = KernelDensityBayes(precision="double").fit(X, labels)
+    assert (many.points_.dtype, exact.points_.dtype) == (np.float32, np.float64)
+    wanted = exact.log_likelihood(asked)
+    # The error that is promised where tiles answer; far away the rounded touches are
+    # answered exactly, of which 300 bandwidths make the largest difference.
+    assert_allclose(many.log_likelihood(asked)[:-1], wanted[:-1], atol=1e-3)
+    assert_allclose(many.log_likelihood(asked)[-1], wanted[-1], rtol=1e-6)

@@ -16,6 +16,7 @@ BENCHES: dict[str, tuple[str, str]] = {
     "library-large": ("_library", "the same with 10^6"),
     "encodings": ("_encodings", "from a picture to a vector, by stage"),
     "latency": ("_live", "from a JPEG to the new belief over 50 objects, by stage"),
+    "learning": ("_learning", "learning, adding, and the page's next lesson"),
     "likelihood": ("_library", "kernel densities per touch"),
     "live": ("_live", "frames to a page, touches to a belief"),
     "mkl": ("_mkl", "multiple kernel learning beside MKLpy and SVC"),

@@ -13,12 +13,20 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn.utils import gen_batches
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_number, check_option, check_positive
 from .._types import Array, Floats, Indices
 from . import _kernel_sums
-from ._kernel_sums import blocks_of, count_tiles, exact_log_sums, is_precise, make_tiles
+from ._kernel_sums import (
+    TILE,
+    blocks_of,
+    count_tiles,
+    exact_log_sums,
+    is_precise,
+    make_tiles,
+)
 from ._touch_classifier import (
     BayesRule,
     Groups,
@@ -31,6 +39,10 @@ from ._touch_classifier import (
 # touches, or when float32 is good enough for less than this share of its pairs.
 SMALL = 256
 MOSTLY = 0.9
+# More touches than this are stored in single precision, unless "double" was asked for.
+MANY = 100_000
+# Touches looked at at once, so that memory stays bounded.
+_AT_ONCE = 65_536
 
 
 class KernelDensityBayes(BayesRule):
@@ -159,8 +171,12 @@ class KernelDensityBayes(BayesRule):
         self.dtype_ = "float64" if self.precision == "double" else "float32"
         self._learn(touches, labels, groups)
         if self.precision == "auto":
-            precise = is_precise(self.points_, self.reaches_, self.dtype_)
-            if len(self.points_) <= SMALL or precise.mean() < MOSTLY:
+            n_precise = sum(
+                is_precise(self.points_[some], self.reaches_, self.dtype_).sum()
+                for some in gen_batches(len(self.points_), _AT_ONCE)
+            )
+            n_pairs = len(self.points_) * len(self.counts_)
+            if len(self.points_) <= SMALL or n_precise < MOSTLY * n_pairs:
                 self.dtype_ = "float64"
                 self._store(self.points_, self.counts_)
         return self
@@ -224,8 +240,11 @@ class KernelDensityBayes(BayesRule):
         self.classes_, codes = np.unique(labels, return_inverse=True)
         self.order_ = np.argsort(codes, kind="stable")
         counts = np.bincount(codes)
-        parts = np.split(touches[self.order_], np.cumsum(counts)[:-1])
-        self._store(np.concatenate([self._whiten(part) for part in parts]), counts)
+        parts = np.split(self.order_, np.cumsum(counts)[:-1])
+        few = len(touches) <= MANY or self.precision == "double"
+        dtype = "float64" if few else "float32"
+        whitened = (self._whiten(touches[rows]).astype(dtype) for rows in parts)
+        self._store(np.concatenate([*whitened]), counts)
 
     def _rows(self) -> list[slice]:
         """Return where each object's touches stand in `points_`."""
@@ -235,7 +254,7 @@ class KernelDensityBayes(BayesRule):
     def _store(self, points: Floats, counts: Indices) -> None:
         self.points_, self.counts_ = points, counts
         parts = [points[rows] for rows in self._rows()]
-        self.means_ = np.array([part.mean(axis=0) for part in parts])
+        self.means_ = np.array([part.mean(axis=0, dtype=np.float64) for part in parts])
         self.precisions_ = None
         log_shape = np.zeros(len(parts))
         if self.bandwidth == "per-object":
@@ -244,12 +263,13 @@ class KernelDensityBayes(BayesRule):
         log_unit = np.log(self.scale) + np.log(2 * np.pi) / 2
         log_cell = self.log_volume_ + points.shape[1] * log_unit
         self.log_norms_ = log_shape - log_cell - np.log(counts)
-        packed = [
-            make_tiles(part, self._precision(place), self.dtype_)
-            for place, part in enumerate(parts)
-        ]
-        self.tiles_ = np.concatenate([tiles for tiles, _ in packed])
-        self.reaches_ = np.array([reach for _, reach in packed])
+        ends = np.cumsum(count_tiles(counts))
+        self.tiles_ = np.empty((ends[-1], TILE, points.shape[1] + 1), self.dtype_)
+        self.reaches_ = np.empty((len(parts), 2))
+        for place, part in enumerate(parts):
+            tiles, reach = make_tiles(part, self._precision(place), self.dtype_)
+            self.tiles_[ends[place] - len(tiles) : ends[place]] = tiles
+            self.reaches_[place] = reach
 
     def _own_precision(self, points: Floats) -> Floats:
         """Return pooled over own variances of one object, (n_directions,)."""

@@ -16,6 +16,7 @@ own, so what one object answers never depends on which others are stored.
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
+from sklearn.utils import gen_batches
 
 from .._types import Array, Bools, Floats, Indices
 
@@ -28,6 +29,7 @@ MAX_ERROR = 1e-3
 
 _QUERIES = 64  # touches recognised at once
 _BLOCK = 2**20  # exponents in memory at once
+_ROWS = 2**16  # touches whose variance is in memory at once
 # From this many touches on, long columns of touches are quicker than rows of tiles.
 _COLUMNS_FROM = 32
 _EMPTY = -1e30  # exponent of a place in a tile that holds no touch
@@ -46,7 +48,7 @@ def make_tiles(
     Returns tiles (n_tiles, TILE, n_directions + 1) and the largest |p| and |b|;
     `precisions` (n_directions,) weigh the squared differences, None is all ones.
     """
-    mean = points.mean(axis=0)
+    mean = points.mean(axis=0, dtype=np.float64)
     from_mean = points - mean
     weighted = from_mean if precisions is None else from_mean * precisions
     bias = -(from_mean * weighted).sum(axis=1) / 2 - weighted @ mean
@@ -173,13 +175,17 @@ def learn_whitening(touches: Floats, *, full: bool) -> Whitening:
     """
     with np.errstate(over="ignore", invalid="ignore"):
         centre = touches.mean(axis=0)
-        squared = ((touches - centre) ** 2).sum(axis=0)
+        squared = sum(
+            ((touches[some] - centre) ** 2).sum(axis=0)
+            for some in gen_batches(len(touches), _ROWS)
+        )
         spread = np.sqrt(squared / max(1, len(touches) - 1))
     if not np.isfinite(spread).all():
         raise ValueError(
             "X must have variances below 1e308, got larger ones. Rescale the features."
         )
-    varies = spread > ROUNDING * np.abs(touches).max(axis=0)
+    largest = np.maximum(touches.max(axis=0), -touches.min(axis=0))
+    varies = spread > ROUNDING * largest
     log_volume = float(np.log(spread[varies]).sum())
     if not (full and varies.any()):
         return centre, spread, varies, None, log_volume

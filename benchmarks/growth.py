@@ -1,0 +1,186 @@
+"""How time and memory grow with touches, objects and pixels: `growth.py [--quick]`.
+
+    python benchmarks/growth.py                # measures, writes growth.json, draws
+    python benchmarks/growth.py --picture DIR  # draws what was measured
+
+Each size is learnt in a process of its own, on one thread, until one takes longer than
+`LONGEST_S` of CPU time. Objects and touches are those of `default` on vectors of 71
+features: features of recorded touches of a dome (drawn vectors without PALPATE_DATA),
+drawn again with a tenth of their spread as noise. Pixels are whole drawn domes.
+Memory is read from Linux's /proc. Exponents are slopes of log time over log size, fitted to the larger half of the sizes.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+RESULTS = HERE / "growth.json"
+N_FEATURES, LONGEST_S, N_ASKED = 71, 240, 20
+# What grows: sizes, and (objects, touches of each, pixels) of a size.
+WAYS: dict[str, tuple[list[int], Any]] = {
+    "touches": (
+        [250, 500, 1000, 2000, 4000, 8000, 16000, 32000],
+        lambda n: (10, n // 10, 0),
+    ),
+    "objects": ([10, 30, 100, 300, 1000, 3000, 10000], lambda n: (n, 4, 0)),
+    "pixels": ([60, 120, 240, 480], lambda n: (10, 20, n)),
+}
+
+
+def main() -> None:
+    """Measure every size, or one of them in this process, or draw."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="the three smallest sizes")
+    parser.add_argument("--picture", type=Path, metavar="FOLDER")
+    parser.add_argument("--one", nargs=3, type=int, help=argparse.SUPPRESS)
+    asked = parser.parse_args()
+    if asked.one:
+        print(json.dumps(learnt(*asked.one)))
+        return
+    if not asked.picture:
+        rows = {way: measured(way, 3 if asked.quick else None) for way in WAYS}
+        RESULTS.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    draw(asked.picture or HERE.parent / "docs" / "images")
+
+
+def measured(way: str, most: int | None) -> dict[str, Any]:
+    """Learn each size of one way in turn, and fit how cost grows."""
+    sizes, of_size = WAYS[way]
+    rows = []
+    for size in sizes[:most]:
+        command = [sys.executable, __file__, "--one", *map(str, of_size(size))]
+        environment = os.environ | dict.fromkeys(
+            ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
+        )
+        done = subprocess.run(command, capture_output=True, text=True, env=environment)
+        if done.returncode:
+            refused = (done.stderr.strip().splitlines() or ["killed"])[-1]
+            rows.append({"size": size, "refused": refused})
+        else:
+            rows.append({"size": size, **json.loads(done.stdout)})
+        print(way, rows[-1], flush=True)
+        if done.returncode or rows[-1]["learning_s"] > LONGEST_S:
+            break
+    known = [row for row in rows if "refused" not in row]
+    half = known[-max(3, -(-len(known) // 2)) :]
+    at = np.log([row["size"] for row in half])
+    exponents = {
+        key: float(np.polyfit(at, np.log([max(row[key], 1e-9) for row in half]), 1)[0])
+        for key in ("learning_s", "memory_mb", "belief_ms")
+    }
+    print(way, exponents, flush=True)
+    return {"rows": rows, "exponents": exponents}
+
+
+def learnt(n_objects: int, n_each: int, side: int) -> dict[str, float]:
+    """Learn one size; return CPU times, and memory beside the touches."""
+    from palpate.recognition import ObjectRecogniser
+
+    touches = pictures(n_objects, n_each, side) if side else vectors(n_objects, n_each)
+    recogniser = ObjectRecogniser()
+    recogniser.max_memory_gb = 16.0
+    # From here on the kernel counts the peak of this process anew.
+    Path("/proc/self/clear_refs").write_text("5")
+    before = _peak_mb()
+    cpu = time.process_time()
+    recogniser.fit(touches)
+    learning_s = time.process_time() - cpu
+    some = [
+        touches[[k]] for k in range(0, len(touches), max(1, len(touches) // N_ASKED))
+    ]
+    belief = recogniser.start()
+    cpu = time.process_time()
+    for touch in some:
+        belief.update(touch)
+        belief.decide()
+    return {
+        "learning_s": learning_s,
+        "memory_mb": max(_peak_mb() - before, 1.0),
+        "belief_ms": 1e3 * (time.process_time() - cpu) / len(some),
+    }
+
+
+def vectors(n_objects: int, n_each: int) -> Any:
+    """Draw touches from features of recorded ones, objects about some of them."""
+    from palpate import Touches
+
+    rng = np.random.default_rng(0)
+    known = recorded_features(rng)
+    spread = known.std(axis=0)
+    centres = known[rng.integers(len(known), size=n_objects)]
+    centres = centres + 0.3 * spread * rng.normal(size=centres.shape)
+    drawn = np.repeat(centres, n_each, axis=0)
+    drawn += 0.1 * spread * rng.normal(size=drawn.shape)
+    names = np.repeat([f"object {k:05d}" for k in range(n_objects)], n_each)
+    return Touches(drawn[:, np.newaxis], object=names, geometry="none")
+
+
+def recorded_features(rng: np.random.Generator) -> Any:
+    """Return `N_FEATURES` principal components of recorded discs, or drawn vectors."""
+    from sklearn.decomposition import PCA
+
+    from palpate import Touches
+    from palpate.images import DomeCrop
+
+    file = Path(os.environ.get("PALPATE_DATA", "")) / "bathtip" / "bathtip50.npz"
+    if not file.exists():
+        return rng.normal(size=(500, N_FEATURES))
+    touches = Touches.load(file)
+    discs = DomeCrop(size=48).fit_transform(touches.images[::8])
+    return PCA(N_FEATURES).fit_transform(discs.reshape(len(discs), -1))
+
+
+def pictures(n_objects: int, n_each: int, side: int) -> Any:
+    """Draw discs of objects with dents of their own, `side` pixels."""
+    from paired import drawn
+    from palpate import Touches
+
+    images, objects = drawn(n_objects, n_each, (side, side), seed=0)
+    return Touches(images, object=objects, geometry="dome")
+
+
+def _peak_mb() -> float:
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if "VmHWM" in line) / 1024
+
+
+def draw(folder: Path) -> None:
+    """Write growth.png: time of learning, memory and time of a belief over size."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    plt.style.use(str(HERE.parent / "docs" / "palpate.mplstyle"))
+    kept = json.loads(RESULTS.read_text(encoding="utf-8"))
+    labels = {
+        "learning_s": "learning (s of CPU)",
+        "memory_mb": "memory of learning (MB)",
+        "belief_ms": "a touch to its belief (ms)",
+    }
+    figure, axes = plt.subplots(1, 3, figsize=(10.8, 3.6), layout="constrained")
+    for axis, (key, label) in zip(axes, labels.items(), strict=True):
+        for (way, found), marker in zip(kept.items(), "os^", strict=True):
+            rows = [row for row in found["rows"] if "refused" not in row]
+            power = found["exponents"][key]
+            axis.plot(
+                [row["size"] for row in rows],
+                [row[key] for row in rows],
+                marker=marker,
+                label=f"{way}: size^{power:.1f}",
+            )
+        axis.set(xscale="log", yscale="log", xlabel="size", title=label)
+        axis.legend(fontsize="small")
+    figure.savefig(folder / "growth.png", dpi=120)
+
+
+if __name__ == "__main__":
+    main()
