@@ -7,7 +7,8 @@ Each size is learnt in a process of its own, on one thread, until one takes long
 `LONGEST_S` of CPU time. Objects and touches are those of `default` on vectors of 71
 features: features of recorded touches of a dome (drawn vectors without PALPATE_DATA),
 drawn again with a tenth of their spread as noise. Pixels are whole drawn domes.
-Memory is read from Linux's /proc. Exponents are slopes of log time over log size, fitted to the larger half of the sizes.
+Memory is read from Linux's /proc. Exponents are slopes of log time over log size,
+fitted to the larger half of the sizes.
 """
 
 import argparse
