@@ -9,9 +9,10 @@ may have had before are looked for as well.
 
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import replace
-from itertools import product
+from itertools import islice, product
 from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,6 +31,7 @@ from ._where import COLUMNS, Condition, parse_where
 
 _TOUCHES_PER_FILE = 256
 _BYTES_PER_FILE = 32 * 2**20
+_TOGETHER = 32
 
 
 class SensorDescription(NamedTuple):
@@ -194,7 +196,52 @@ def add_touches(
     sensor: SensorDescription | None,
     progress: bool | None,
 ) -> list[str]:
-    """Store touches and return their ids, in their order; see `TouchLibrary.add`."""
+    """Store touches and return their ids, in their order; see `TouchLibrary.add`.
+
+    Of small sets that several threads add, those that wait while one is written go
+    together next: into one file and one transaction.
+    """
+    shares = len(touches) / _TOUCHES_PER_FILE, touches.images.nbytes / _BYTES_PER_FILE
+    if max(shares) * _TOGETHER > 1:
+        return _add_all(store, touches, sensor, progress)
+    arrays = {**touches.columns, **touches.whole}.items()
+    kind = sensor, [(name, array.dtype.str.split("U")[0]) for name, array in arrays]
+    ids: Future[list[str]] = Future()
+    with store.turn:
+        store.waiting[ids] = kind, touches
+        store.turn.wait_for(lambda: ids.done() or not store.leads)
+        if ids.done():
+            return ids.result()
+        store.leads, alike = True, {ids: touches}
+        alike |= {f: t for f, (other, t) in store.waiting.items() if other == kind}
+    group = dict(islice(alike.items(), _TOGETHER))
+    try:
+        try:
+            keys = _add_all(store, Touches.concatenate(group.values()), sensor, False)
+        except Exception:
+            if len(group) == 1:
+                raise
+            group = {ids: touches}  # another one may have spoilt it
+            keys = _add_all(store, touches, sensor, False)
+        rest = iter(keys)
+        for future, some in group.items():
+            future.set_result(list(islice(rest, len(some))))
+    finally:
+        with store.turn:
+            left = [
+                w for w in store.waiting.items() if not (w[0] is ids or w[0].done())
+            ]
+            store.leads, store.waiting = False, dict(left)
+            store.turn.notify_all()
+    return ids.result()
+
+
+def _add_all(
+    store: Store,
+    touches: Touches,
+    sensor: SensorDescription | None,
+    progress: bool | None,
+) -> list[str]:
     ids: list[str] = []
     n_bytes = max(1, touches.images[0].nbytes)
     step = max(1, min(_TOUCHES_PER_FILE, _BYTES_PER_FILE // n_bytes))
@@ -261,11 +308,11 @@ def _store_sheet(store: Store, sheet: Sheet) -> None:
     if not new:
         return
     kept = sheet.picked(sorted(new.values()))
-    name = publish(images, packed(kept.arrays()))
+    name = publish(images, kept.packed(), store.slots)
     with store.writing():
         if (now := next_time(store)) > kept.added_s:  # another changed names since
             kept = replace(kept, added_s=now)
-            name = publish(images, packed(kept.arrays()))
+            name = publish(images, kept.packed(), store.slots)
         _rows.write_rows(store, kept, name, lost)
 
 
