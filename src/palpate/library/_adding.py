@@ -216,22 +216,18 @@ def add_touches(
         alike |= {f: t for f, (other, t) in store.waiting.items() if other == kind}
     group = dict(islice(alike.items(), _TOGETHER))
     try:
-        try:
-            keys = _add_all(store, Touches.concatenate(group.values()), sensor, False)
-        except Exception:
-            if len(group) == 1:
-                raise
-            group = {ids: touches}  # another one may have spoilt it
-            keys = _add_all(store, touches, sensor, False)
-        rest = iter(keys)
-        for future, some in group.items():
-            future.set_result(list(islice(rest, len(some))))
+        with suppress(*[Exception] * (len(group) > 1)):
+            together = Touches.concatenate(group.values())
+            keys = iter(_add_all(store, together, sensor, False))
+            for future, some in group.items():
+                future.set_result(list(islice(keys, len(some))))
+        if not ids.done():  # one of the others may have spoilt it
+            return _add_all(store, touches, sensor, False)
     finally:
         with store.turn:
-            left = [
-                w for w in store.waiting.items() if not (w[0] is ids or w[0].done())
-            ]
-            store.leads, store.waiting = False, dict(left)
+            del store.waiting[ids]
+            store.waiting = {f: w for f, w in store.waiting.items() if not f.done()}
+            store.leads = False
             store.turn.notify_all()
     return ids.result()
 

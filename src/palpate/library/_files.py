@@ -84,10 +84,8 @@ def publish(folder: Path, content: bytes, slots: list[Path] | None = None) -> st
         return name
     if slots is not None:
         slots += [] if slots else make_slots(folder, _SLOTS)
-        target.parent.mkdir(exist_ok=True)
-        with suppress(
-            FileNotFoundError, IndexError
-        ):  # another program or thread has it
+        with suppress(FileNotFoundError, IndexError):  # taken by another meanwhile
+            target.parent.mkdir(exist_ok=True)
             write_bytes(target, content, slots.pop())
             return name
     if not target.parent.is_dir():
