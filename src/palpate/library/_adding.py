@@ -202,10 +202,13 @@ def add_touches(
     together next: into one file and one transaction.
     """
     shares = len(touches) / _TOUCHES_PER_FILE, touches.images.nbytes / _BYTES_PER_FILE
-    if max(shares) * _TOGETHER > 1:
+    arrays = {"": touches.images, **touches.columns, **touches.whole}
+    native = all(
+        array.dtype.isnative for array in arrays.values()
+    )  # as joined ones are
+    if max(shares) * _TOGETHER > 1 or not native:
         return _add_all(store, touches, sensor, progress)
-    arrays = {**touches.columns, **touches.whole}.items()
-    kind = sensor, [(name, array.dtype.str.split("U")[0]) for name, array in arrays]
+    kind = sensor, [(n, array.dtype.str.split("U")[0]) for n, array in arrays.items()]
     ids: Future[list[str]] = Future()
     with store.turn:
         store.waiting[ids] = kind, touches
