@@ -18,7 +18,7 @@ PARTIAL = ".partial-"
 
 
 @contextmanager
-def replacing(target: Path) -> Iterator[BinaryIO]:
+def replacing(target: Path, slot: Path | None = None) -> Iterator[BinaryIO]:
     """Open a file that takes the place of `target` once the block ends well.
 
     Parameters
@@ -26,6 +26,9 @@ def replacing(target: Path) -> Iterator[BinaryIO]:
     target : Path
         Where the file goes; one that is there is replaced in one step, and a link is
         followed. Its folder must exist.
+    slot : Path, optional
+        One of `make_slots`, to be renamed. The folder is not flushed then: should a
+        power cut undo the renaming, the file stands whole in the slot.
 
     Raises
     ------
@@ -34,9 +37,9 @@ def replacing(target: Path) -> Iterator[BinaryIO]:
         left behind then, nor where the block itself raises.
     """
     place = target.resolve()
-    partial = place.with_name(f"{PARTIAL}{secrets.token_hex(8)}")
+    partial = slot or place.with_name(f"{PARTIAL}{secrets.token_hex(8)}")
     try:
-        with partial.open("xb") as file:
+        with partial.open("r+b" if slot else "xb") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
@@ -49,7 +52,19 @@ def replacing(target: Path) -> Iterator[BinaryIO]:
     finally:
         with suppress(OSError):
             partial.unlink()
-    flush_folder(place.parent)
+    if slot is None:
+        flush_folder(place.parent)
+
+
+def make_slots(folder: Path, n_slots: int) -> list[Path]:
+    """Make empty files whose names are on the disk before they are needed."""
+    folder.mkdir(exist_ok=True)
+    slots = [folder / f"{PARTIAL}{secrets.token_hex(8)}" for _ in range(n_slots)]
+    for slot in slots:
+        slot.open("xb").close()
+    flush_folder(folder)
+    flush_folder(folder.parent)
+    return slots
 
 
 def _disk_error(error: Exception, partial: Path) -> int | None:
@@ -60,9 +75,9 @@ def _disk_error(error: Exception, partial: Path) -> int | None:
     return int(said[1]) if said else None
 
 
-def write_bytes(target: Path, content: bytes) -> None:
+def write_bytes(target: Path, content: bytes, slot: Path | None = None) -> None:
     """Put `content` into `target`, whole or not at all; see `replacing`."""
-    with replacing(target) as file:
+    with replacing(target, slot) as file:
         file.write(content)
 
 

@@ -14,11 +14,14 @@ def test_a_small_run_has_every_row():
     pytest.importorskip("faiss")
     rows = run_bench("library", sizes=(500,), seconds=0.005)
     names = [row["name"] for row in rows]
-    assert len(set(names)) == len(names) == 6 + 2 * 4
+    assert len(set(names)) == len(names) == 7 + 2 * 4
     assert all(row["ours_ms"] > 0 for row in rows)
     added = rows[0]
     assert added["touches_per_s"] == pytest.approx(1000 / added["ours_ms"])
     assert 100 < added["bytes_per_touch"] < 3000
+    streamed = rows[2]
+    assert "streamed" in streamed["name"]
+    assert streamed["touches_per_s"] == pytest.approx(1000 / streamed["ours_ms"])
     indexed = [row for row in rows if "index" in row["name"]]
     assert all(0 <= row["equal_decisions"] <= 1 for row in indexed)
     assert all("random" in row["name"] for row in indexed)

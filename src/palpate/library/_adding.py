@@ -9,9 +9,10 @@ may have had before are looked for as well.
 
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import replace
-from itertools import product
+from itertools import islice, product
 from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,6 +31,7 @@ from ._where import COLUMNS, Condition, parse_where
 
 _TOUCHES_PER_FILE = 256
 _BYTES_PER_FILE = 32 * 2**20
+_TOGETHER = 32
 
 
 class SensorDescription(NamedTuple):
@@ -194,7 +196,51 @@ def add_touches(
     sensor: SensorDescription | None,
     progress: bool | None,
 ) -> list[str]:
-    """Store touches and return their ids, in their order; see `TouchLibrary.add`."""
+    """Store touches and return their ids, in their order; see `TouchLibrary.add`.
+
+    Of small sets that several threads add, those that wait while one is written go
+    together next: into one file and one transaction.
+    """
+    shares = len(touches) / _TOUCHES_PER_FILE, touches.images.nbytes / _BYTES_PER_FILE
+    arrays = {"": touches.images, **touches.columns, **touches.whole}
+    native = all(
+        array.dtype.isnative for array in arrays.values()
+    )  # as joined ones are
+    if max(shares) * _TOGETHER > 1 or not native:
+        return _add_all(store, touches, sensor, progress)
+    kind = sensor, [(n, array.dtype.str.split("U")[0]) for n, array in arrays.items()]
+    ids: Future[list[str]] = Future()
+    with store.turn:
+        store.waiting[ids] = kind, touches
+        store.turn.wait_for(lambda: ids.done() or not store.leads)
+        if ids.done():
+            return ids.result()
+        store.leads, alike = True, {ids: touches}
+        alike |= {f: t for f, (other, t) in store.waiting.items() if other == kind}
+    group = dict(islice(alike.items(), _TOGETHER))
+    try:
+        with suppress(*[Exception] * (len(group) > 1)):
+            together = Touches.concatenate(group.values())
+            keys = iter(_add_all(store, together, sensor, False))
+            for future, some in group.items():
+                future.set_result(list(islice(keys, len(some))))
+        if not ids.done():  # one of the others may have spoilt it
+            return _add_all(store, touches, sensor, False)
+    finally:
+        with store.turn:
+            del store.waiting[ids]
+            store.waiting = {f: w for f, w in store.waiting.items() if not f.done()}
+            store.leads = False
+            store.turn.notify_all()
+    return ids.result()
+
+
+def _add_all(
+    store: Store,
+    touches: Touches,
+    sensor: SensorDescription | None,
+    progress: bool | None,
+) -> list[str]:
     ids: list[str] = []
     n_bytes = max(1, touches.images[0].nbytes)
     step = max(1, min(_TOUCHES_PER_FILE, _BYTES_PER_FILE // n_bytes))
@@ -261,11 +307,11 @@ def _store_sheet(store: Store, sheet: Sheet) -> None:
     if not new:
         return
     kept = sheet.picked(sorted(new.values()))
-    name = publish(images, packed(kept.arrays()))
+    name = publish(images, kept.packed(), store.slots)
     with store.writing():
         if (now := next_time(store)) > kept.added_s:  # another changed names since
             kept = replace(kept, added_s=now)
-            name = publish(images, packed(kept.arrays()))
+            name = publish(images, kept.packed(), store.slots)
         _rows.write_rows(store, kept, name, lost)
 
 

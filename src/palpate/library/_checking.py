@@ -9,7 +9,7 @@ from .._durable import PARTIAL
 from .._progress import Progress
 from . import _changes, _rows, _store
 from ._changes import Names, change_files, file_fault, known_changes, read_change
-from ._files import CELLS, Sheet, file_path, read_file, read_sheet
+from ._files import CELLS, Sheet, adopt, file_path, read_file, read_sheet
 from ._reading import is_whole
 from ._rows import FROM, SET_ASIDE, StoredTouch, damaged_touches, layouts, recordings
 from ._store import CHANGES, FILE_NAME, IMAGES, LibraryError, NewerLibrary, Store
@@ -77,6 +77,7 @@ def check_library(folder: str | Path, *, progress: bool | None = None) -> CheckR
         Show a bar on standard error when it takes over two seconds; by default
         where that is a terminal.
     """
+    adopt(Path(folder) / IMAGES)
     try:
         with closing(Store(Path(folder))) as store:
             return _checked(store, progress)
@@ -292,4 +293,6 @@ def _leftovers(store: Store) -> Iterator[Problem]:
     partial = sorted(store.folder.rglob(f"{PARTIAL}*"))
     left = [("file without touches", path, spare) for path in spare_files(store)]
     for kind, path, what in left + [("partial file", path, begun) for path in partial]:
-        yield Problem(kind, path.relative_to(store.folder).as_posix(), what, [])
+        with suppress(OSError):  # renamed meanwhile; empty ones wait to be written to
+            if path.stat().st_size:
+                yield Problem(kind, path.relative_to(store.folder).as_posix(), what, [])

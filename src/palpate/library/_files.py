@@ -17,7 +17,7 @@ import json
 import os
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from math import prod
 from pathlib import Path
@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.lib import format as npy
 
-from .._durable import flush_folder, write_bytes
+from .._durable import PARTIAL, flush_folder, make_slots, write_bytes
 from .._types import Array
 from ..touches import Touches
 from ._store import LibraryError
@@ -35,6 +35,9 @@ _MAX_HEADER = 2**14
 _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 _NAME = re.compile("[0-9a-f]{64}")
 _PLAIN_KINDS = "biufcSUMm"
+_SLOTS = 16
+_END = 66  # the digits of a SHA-256, a quote and a bracket
+_flushed: set[tuple[str, int, int]] = set()
 WIDE = 16
 CELLS = (
     *("object", "category", "session", "episode", "sensor", "order"),
@@ -64,18 +67,47 @@ def packed(arrays: Sequence[Array]) -> bytes:
     return stream.getvalue()
 
 
-def publish(folder: Path, content: bytes) -> str:
-    """Put a file in place and return its name; afterwards it is on the disk."""
+def publish(folder: Path, content: bytes, slots: list[Path] | None = None) -> str:
+    """Put a file in place and return its name; afterwards it is on the disk.
+
+    With `slots`, which are filled when they are used up, that takes one flush; after a
+    power cut `adopt` gives it its name again.
+    """
     name = hashlib.sha256(content).hexdigest()
     target = file_path(folder, name)
     if target.is_file() and target.read_bytes() == content:
-        flush_folder(target.parent)
+        about = target.stat()
+        known = str(target), about.st_ino, about.st_ctime_ns
+        if known not in _flushed:
+            flush_folder(target.parent)
+            _flushed.add(known)
         return name
+    if slots is not None:
+        slots += [] if slots else make_slots(folder, _SLOTS)
+        with suppress(FileNotFoundError, IndexError):  # taken by another meanwhile
+            target.parent.mkdir(exist_ok=True)
+            write_bytes(target, content, slots.pop())
+            return name
     if not target.parent.is_dir():
         target.parent.mkdir(parents=True, exist_ok=True)
         flush_folder(folder)
     write_bytes(target, content)
     return name
+
+
+def adopt(folder: Path) -> None:
+    """Name files that stand whole in slots, where a power cut has undone that."""
+    for slot in folder.glob(f"{PARTIAL}*"):
+        with suppress(OSError):
+            content = slot.read_bytes()
+            if content[-_END:] == _end(content[:-_END]):
+                publish(folder, content)
+                slot.unlink()
+
+
+def _end(start: bytes) -> bytes:
+    """Return what ends a file that starts so: the last value of its sheet."""
+    return hashlib.sha256(start).hexdigest().encode() + b'"}'
 
 
 def read_values(
@@ -166,8 +198,8 @@ class Sheet:
     ids: list[bytes]
     digests: list[bytes]
 
-    def arrays(self) -> list[Array]:
-        """Return what is written into the file: images, wide columns, the rest."""
+    def packed(self) -> bytes:
+        """Return the file: images, wide columns, the rest, the SHA-256 of all that."""
         sheet = {
             "format": 1,
             "layout": [list(column) for column in self.layout],
@@ -175,9 +207,11 @@ class Sheet:
             "recording": self.recording,
             "added_s": self.added_s,
             "ids": [key.hex() for key in self.ids],
+            "written": "0" * 64,
         }
         text = np.frombuffer(canonical(sheet).encode(), dtype=np.uint8)
-        return [self.images, *self.wide.values(), text]
+        start = packed([self.images, *self.wide.values(), text])[:-_END]
+        return start + _end(start)
 
     def picked(self, rows: Sequence[int]) -> "Sheet":
         return replace(
@@ -211,7 +245,7 @@ def sheet_of(touches: Touches, recording: dict[str, Any], added_s: float) -> She
 
 
 def read_sheet(arrays: Sequence[Array]) -> Sheet:
-    """Return the sheet that `Sheet.arrays` wrote; many errors where it is none."""
+    """Return the sheet that `Sheet.packed` wrote; many errors where it is none."""
     images, *blocks, text = arrays
     if images.ndim not in (3, 4) or text.dtype != np.uint8:
         raise ValueError("no images, or no sheet after them")

@@ -14,10 +14,11 @@ from ._adding import ObjectRow, SensorDescription, TouchRow, condition, numbers_
 from ._changes import checked_name, chosen_ids, known_object, make_change
 from ._checking import CheckReport, check_library
 from ._exchange import export_touches
+from ._files import adopt
 from ._reading import IN_MEMORY, Selection, read_array, read_images, read_touches
 from ._repairing import RepairReport, repair_library
 from ._rows import FROM, Numbers, read_one, read_rows, without_damaged
-from ._store import FILE_NAME, LibraryError, Store, holds_files, is_unicode
+from ._store import FILE_NAME, IMAGES, LibraryError, Store, holds_files, is_unicode
 from ._where import objects_asked
 
 MAX_BYTES = 64 * 2**30
@@ -53,6 +54,7 @@ class TouchLibrary:
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
+        adopt(self.folder / IMAGES)
         self._store = Store(self.folder)
 
     @classmethod

@@ -12,7 +12,7 @@ from .._durable import PARTIAL, flush_folder
 from . import _changes as changes
 from . import _checking as checking
 from . import _rows, _store
-from ._files import Sheet, file_path, packed, publish
+from ._files import Sheet, adopt, file_path, publish
 from ._reading import is_whole, read_images
 from ._rows import MISSING, SET_ASIDE, StoredTouch, layouts, move_rows, recordings
 from ._store import IMAGES, SEALED, DatabaseDamaged, DatabaseUnavailable, Store
@@ -93,6 +93,7 @@ def repair_library(folder: str | Path, *, progress: bool | None = None) -> Repai
         to be read: then the library is left as it was.
     """
     folder = Path(folder)
+    adopt(folder / IMAGES)
     gained = _make_anew(folder) if _is_damaged(folder) else None
     with closing(Store(folder)) as store:
         n_recovered, n_changes = gained or _enter_all(store, anew=False)
@@ -307,7 +308,7 @@ def _write_sheets_again(store: Store, file: int, name: str) -> None:
             [row.digest for row in touches],
         )
         with _store.room_for("touches", store.folder, "Free space and repair again."):
-            new = publish(store.folder / IMAGES, packed(sheet.arrays()))
+            new = publish(store.folder / IMAGES, sheet.packed())
         with store.writing():
             move_rows(store, sheet, new)
         mended = mended or new == name

@@ -151,6 +151,10 @@ class Store:
         self._lock = threading.RLock()
         self._seen: dict[str, tuple[int, list[int]]] = {}
         self._process = os.getpid()
+        # Of threads that add touches: files to write to, who waits, is one at work?
+        self.slots: list[Path] = []
+        self.turn, self.leads = threading.Condition(), False
+        self.waiting: dict[Any, Any] = {}
         if not create and not self.path.is_file():
             start = f"{folder} must be a library of touches, got "
             if not holds_files(folder):
@@ -172,6 +176,8 @@ class Store:
         """Close the connection; closing twice does nothing."""
         with self._lock:
             self._connection.close()
+            while self.slots:
+                self.slots.pop().unlink(missing_ok=True)
 
     def rows(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
         with self._lock, self._explained():
