@@ -50,8 +50,7 @@ def load_and_cover(plan: Liu2014Plan) -> Any:
             binary = ArrayCleanUp().fit_transform(press)[0]
             middles = (np.arange(len(binary)) + 0.5) / len(binary)
             place.contour(middles, middles, binary, [0.5], colors=LINE)
-            if bar == 0:
-                place.set_title(title, fontsize=9)
+            place.set_title("" if bar else title, fontsize=9)
     return figure
 
 
@@ -76,6 +75,7 @@ def stages(touches: Touches) -> Any:
         chain = stage_pictures(touches.images[row])
         del chain["filled"]
         line[0].imshow(touches.images[row], alpha=0)
+        line[0].autoscale(False)
         line[0].set_title(name, fontsize=9)
         for number, edge in enumerate(_edges(touches, row)):
             line[0].fill(*edge, color="white" if number else plots.CONTROLS[3])
@@ -95,6 +95,7 @@ def boundaries(touches: Touches) -> Any:
         waves = np.fft.fft(points, axis=0)
         waves[np.abs(np.fft.fftfreq(len(points), 1 / len(points))) > WAVES_KEPT] = 0
         place.imshow(binary, cmap="gray", vmin=-3, vmax=1)
+        place.autoscale(False)
         place.fill(*points.T, fill=False, ec=plots.OURS, lw=2)
         place.fill(*np.fft.ifft(waves, axis=0).real.T, fill=False, ec=LINE, lw=1.2)
         place.set_title(f"{name}: {len(points)}", fontsize=9)
@@ -122,9 +123,8 @@ def class_sets(rows: Sequence[Row]) -> Any:
     for place in axes[1]:
         place.set(xticks=[], xlabel="")
     axes[0, 0].plot([], "o", mfc="none", mec=plots.INK, ms=9, label="the paper's")
-    handles = axes[0, 0].get_legend_handles_labels()
-    look = {"ncols": 2, "fontsize": 9, "frameon": False}
-    figure.legend(*handles, loc="outside lower center", **look)
+    look = {"loc": "outside lower center", "ncols": 2, "fontsize": 9, "frameon": False}
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), **look)
     return figure
 
 
