@@ -96,9 +96,12 @@ def _shown(path: Path, *, tables: bool) -> bytes:
 
 
 def draw_study(name: str, wanted: list[str], quick: bool) -> None:
-    """Run a study and write its pictures, or some of them, to docs/images."""
+    """Run a study and write its pictures, in the one look, to docs/images."""
+    import matplotlib.pyplot as plt
+
     from palpate.studies import STUDIES
 
+    plt.style.use(ROOT / "docs" / "palpate.mplstyle")
     study = STUDIES[name]
     result = study.run(data=os.environ.get("PALPATE_DATA"), quick=quick, seed=0)
     with tempfile.TemporaryDirectory() as place:

@@ -88,6 +88,7 @@ sphinx_gallery_conf = {
     if UNRUN
     else r"plot_",
     "reset_modules": ("look.one_look",),
+    "image_scrapers": ("matplotlib", "look.free_figures"),
     "doc_module": ("palpate",),
     "backreferences_dir": "gallery/backreferences",
     "inspect_global_variables": True,

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from palpate.evaluation import plots
 from structure import public_names
 
 ROOT = Path(__file__).parents[1]
@@ -150,6 +151,7 @@ def test_the_colours_of_pictures_differ_for_the_colour_blind(eyes):
     style = (DOCS / "palpate.mplstyle").read_text("utf-8")
     (cycle,) = re.findall(r"axes.prop_cycle: .*\[(.*)\]", style)
     codes = [*re.findall(r"[0-9a-f]{6}", cycle), "fbfaf7"]
+    assert [f"#{code}" for code in codes[:-1]] == list(plots.COLOURS)
     srgb = np.array([[int(c[i : i + 2], 16) / 255 for i in (0, 2, 4)] for c in codes])
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     lab = _lab((linear @ np.transpose(SEEN_BY[eyes])).clip(0, 1))

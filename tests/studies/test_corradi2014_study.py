@@ -112,7 +112,8 @@ def test_tables_and_report_show_it_all(result, tmp_path):
         assert rows
         assert {len(row) for row in rows} == {len(columns)}
     page = STUDY.write_report(tmp_path / "r.html", again).read_text("utf-8")
-    assert page.count("<svg") == 3
+    named = re.findall(r'<svg role="img" aria-label="([^:]+): ', page)
+    assert named == ["Fig. 2", "Table 2", "Fig. 3"]
     assert "96.4" in page
     loaded = re.findall(r"""(?:src|href)=["']?([^"' >]+)""", page)
     assert all(one.startswith(("#", "data:")) for one in loaded)

@@ -1,6 +1,7 @@
 """The Corradi 2015 study on few touches: which rows there are, and that they repeat."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -128,6 +129,8 @@ def test_tables_pictures_and_report(result, tmp_path):
     page = STUDY.write_report(tmp_path / "page.html", result).read_text("utf-8")
     assert page.startswith("<!doctype html>")
     assert "Most confused pairs" in page
+    named = re.findall(r'<svg role="img" aria-label="([^:]+): ', page)
+    assert named == ["Fig. 7", "Fig. 6", "Fig. 8"]
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,15 @@ TABLE_2 = {
 }
 
 
+NAMED = [
+    "Figs 5 and 6: a bar under loads and through covers",
+    "Figs 5 and 6 as scores: against load (0.9 mm) and cover (4 kgf)",
+    "Fig. 9: a press of every part",
+    "Fig. 10, (a) to (h): a part, its image, and each step of the clean-up",
+    "Fig. 11: the boundaries of the same presses",
+    "Figs 12 to 14: 3-NN on descriptors, on geometry and on both",
+]
+
 SMALL = {"counts": (5,), "partitions": (2,), "loads_kgf": (), "covers_mm": ()}
 
 
@@ -41,6 +50,14 @@ def small_result(tiny_plan):
 @pytest.fixture(scope="module")
 def nested_result(tiny_plan):
     return run_without_data(tiny_plan(seed=1, protocol="nested", **SMALL))
+
+
+def named_pictures(page):
+    """Return what the alt texts of a page say; each stands below its picture too."""
+    found = re.findall(r'<svg role="img" aria-label="([^"]+)"', page)
+    assert len(found) == page.count("<svg")
+    assert re.findall(r"<figcaption><b>(.*?)\.</b>", page) == found
+    return found
 
 
 def held(result, **wanted):
@@ -208,7 +225,7 @@ def test_tables_have_cells_for_every_column(result):
 def test_the_report_is_one_page_that_loads_nothing(result, tmp_path):
     page = STUDY.write_report(tmp_path / "r.html", result).read_text("utf-8")
     assert page.startswith("<!doctype html>")
-    assert page.count("<svg") == 3
+    assert named_pictures(page) == NAMED
     for row in STUDY.tables(result)[0][2]:
         assert row[0] in page
     assert "<script" not in page
@@ -220,9 +237,12 @@ def test_a_result_read_back_from_json_makes_the_same_pictures(result, tmp_path):
     again = json.loads(json.dumps(result))
     written = STUDY.write_pictures(tmp_path, again)
     assert [path.name for path in written] == [
-        "liu2014-stages.png",
-        "liu2014-parts.png",
+        "liu2014-load-cover.png",
         "liu2014-conditions.png",
+        "liu2014-parts.png",
+        "liu2014-stages.png",
+        "liu2014-boundaries.png",
+        "liu2014-features.png",
     ]
     assert all(path.stat().st_size > 5000 for path in written)
 

@@ -85,9 +85,10 @@ def test_failures_say_what_to_do(arguments, message, monkeypatch, capsys, tmp_pa
 
 
 @pytest.mark.slow
-def test_quick_is_quick(tmp_path):
+def test_quick_is_quick_and_draws_every_picture(tmp_path):
+    arguments = ["study", "liu2014", "--quick", "--json", "--report", "liu.html"]
     done = subprocess.run(
-        [sys.executable, "-m", "palpate", "study", "liu2014", "--quick", "--json"],
+        [sys.executable, "-m", "palpate", *arguments],
         capture_output=True,
         text=True,
         check=False,
@@ -95,3 +96,4 @@ def test_quick_is_quick(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["seconds"] < 60
+    assert (tmp_path / "liu.html").read_text("utf-8").count('role="img"') == 6

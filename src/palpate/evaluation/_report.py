@@ -43,7 +43,10 @@ td:first-child,th:first-child{text-align:left}
 .why div{width:9rem;font-size:.8rem;line-height:1.25;overflow-wrap:anywhere}
 .why div:first-child{width:19rem;display:flex;gap:.6rem;border-right:1px solid #dde3e8}
 .why img{display:block;height:72px;border-radius:4px;margin-bottom:2px}
-.note{color:#5a6572}svg{max-width:100%;height:auto}
+.note,figcaption{color:#5a6572}svg{max-width:100%;height:auto}
+table,figure div{display:block;max-width:100%;overflow-x:auto}
+figure{display:flex;flex-wrap:wrap;gap:1rem;margin:2.5rem 0}figcaption{flex:1 1 18rem}
+figure svg{min-width:calc(var(--inches)*72px)}
 """
 
 

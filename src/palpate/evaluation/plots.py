@@ -5,6 +5,7 @@ matplotlib is the extra `plot`, imported where it is used.
 
 import io
 from collections.abc import Sequence
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,8 +17,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INK = "#1f2933"
-OURS = "#0b6e8a"
-CONTROLS = ("#b8572a", "#8a6d0b", "#6b4e9b", "#5a6572")
+# Apart for the colour-blind too, in this order; the site's pictures have the same.
+COLOURS = ("#0b6e8a", "#d55e00", "#e0a100", "#6b4e9b", "#5a6572", "#7fb8a4")
+OURS, CONTROLS = COLOURS[0], COLOURS[1:5]
 
 
 def require_matplotlib() -> None:
@@ -47,7 +49,7 @@ def accuracy_curve(figures: dict[str, Any], curve: Array, spread: Array) -> str:
         xlabel="touches", ylabel="right, %", ylim=(0, 101), xlim=(1, max(2, len(curve)))
     )
     axes.legend(frameon=False, loc="center right", fontsize=8)
-    return svg(figure)
+    return svg(figure, "Share right against touches")
 
 
 def calibration_plot(bins: dict[str, tuple[Array, Array, Array]]) -> str:
@@ -61,7 +63,7 @@ def calibration_plot(bins: dict[str, tuple[Array, Array, Array]]) -> str:
     axes.set(xlabel="belief in the best", xlim=(0, 1.01))
     axes.set(ylabel="share right", ylim=(0, 1.01))
     axes.legend(frameon=False, fontsize=8)
-    return svg(figure)
+    return svg(figure, "Share right against belief")
 
 
 def confusion_plot(confusion: Array, names: Sequence[str]) -> str:
@@ -70,7 +72,7 @@ def confusion_plot(confusion: Array, names: Sequence[str]) -> str:
     figure, ((axes,),) = panels(1, 1, (size + 0.8, size))
     draw_confusion(axes, confusion, names, max(4.5, 9 - 0.08 * len(names)))
     axes.set(xlabel="recognised as", ylabel="touched")
-    return svg(figure)
+    return svg(figure, "Share of answers for each label touched")
 
 
 def draw_confusion(
@@ -105,17 +107,18 @@ def panels(
     for place in axes.ravel():
         if pictures:
             place.set(xticks=[], yticks=[])
-        else:
-            place.spines[["top", "right"]].set_visible(False)
+        hidden = [*place.spines] if pictures else ["top", "right"]
+        place.spines[hidden].set_visible(False)
     return figure, axes
 
 
-def svg(figure: "Figure") -> str:
-    """Return a figure as SVG text that a page can hold."""
+def svg(figure: "Figure", alt: str) -> str:
+    """Return a figure as SVG text that a page can hold, `alt` for who cannot see it."""
     from matplotlib import rc_context
 
     text = io.StringIO()
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "palpate"}):
         figure.savefig(text, format="svg", metadata={"Date": None}, transparent=True)
     whole = text.getvalue()
-    return whole[whole.index("<svg") :]
+    named = f'<svg role="img" aria-label="{escape(alt)}"'
+    return named + whole[whole.index("<svg") + 4 :]

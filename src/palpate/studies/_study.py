@@ -91,10 +91,11 @@ def on_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What a paper's subpackage brings; `captions` are those of the pictures, by name.
+    """What a paper's subpackage brings.
 
     `measure(plan, data, work)` returns `rows`, `skipped` and what else the result
     holds; `tables`, `pictures` and the `introduction` of its page are made of it.
+    Of the captions, by picture, the first line says what it is and is its alt text.
     """
 
     plan: type[Plan]
@@ -177,10 +178,13 @@ class Study:
         target = check_report_path(path)
         sections = [f"<h1>{escape(one.title)}</h1>"]
         sections.append(f"<p>{escape(one.introduction(result))}</p>")
-        sections += [html_table(*table) for table in self.tables(result)]
         for name, figure in one.pictures(result).items():
-            below = escape(one.captions[name])
-            sections.append(f"<p>{plots.svg(figure)}</p><p class=note>{below}</p>")
+            what, _, more = one.captions[name].partition("\n")
+            drawn = f"<div>{plots.svg(figure, what)}</div>"
+            below = f"<figcaption><b>{escape(what)}.</b> {escape(more)}</figcaption>"
+            inches = f"style='--inches:{figure.get_figwidth():g}'"
+            sections.append(f"<figure {inches}>{drawn}{below}</figure>")
+        sections += [html_table(*table) for table in self.tables(result)]
         write_text(target, report_page(one.title, sections))
         return target
 

@@ -24,13 +24,15 @@ from .plan import LATER_CATEGORY, LATER_OBJECTS, LATER_SIGHT, PAPER, Corradi2015
 
 TITLE = "Ten objects, touch by touch: Corradi et al. (2015) beside ours"
 CAPTIONS = {
-    "accuracy": "Right against touches, as the paper's Fig. 7; the bands are one "
-    "standard deviation over partitions.",
-    "confusion": "Answers (columns) for each object touched (rows), in per cent, "
-    "as the paper's Fig. 6.",
-    "unseen": "Mean belief in the known objects while an object is touched that "
-    "was never learnt, as the paper's Fig. 8.",
-    "later": "The first author's later experiments on these recordings.",
+    "accuracy": "Fig. 7: right answers against the number of touches\n"
+    "Hollow marks are the paper's. Bands are one standard deviation over partitions.",
+    "confusion": "Fig. 6: answers (columns) for each object touched (rows), %\n"
+    "After 15 touches the paper takes toothbrush and pen for each other most (19 %).",
+    "unseen": "Fig. 8: mean belief while an object is touched that was never learnt\n"
+    "In the paper a new mug, ball and book come to the known one of their kind, a new "
+    "pen at first, a plastic card never.",
+    "later": "The first author's later experiments on these recordings\n"
+    "Hollow marks are his figures.",
 }
 DATA_NAMES = {"simulated": "simulated", "bathtip": "recorded"}
 _FIRST = {MAIN: 0, DEFAULT: 1}
@@ -214,7 +216,7 @@ def _accuracy(
                 low, high = np.clip(mean - sd, 0, 100), np.clip(mean + sd, 0, 100)
                 place.fill_between(touches, low, high, color=colour, alpha=0.12, lw=0)
         known = zip(*figures.items(), strict=True)
-        place.plot(*known, "D", color="#c0392b", ms=6, label="published")
+        place.plot(*known, "D", mec=plots.INK, mfc="none", ms=7, label="published")
         most = max((row["touches"] for row in rows), default=1)
         ticks = [1, *range(5, most + 1, 5)]
         place.set(xlabel="touches", ylim=(0, 101), xticks=ticks)

@@ -35,7 +35,7 @@ ALARM = "alarm"
 PAIRS, MOVED = "pairs of others known", "after the camera jumped"
 N_ALARM_TOUCHES = 10
 TITLE = "Taught in some sessions, asked in another"
-CAPTIONS = {"sessions": "Right after one touch (per cent), each session left out."}
+CAPTIONS = {"sessions": "Right after one touch, each session left out, in per cent"}
 
 
 @dataclass(frozen=True)

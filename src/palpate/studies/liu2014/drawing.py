@@ -1,0 +1,175 @@
+"""What the figures of Liu et al. (2014) show, of simulated presses and of our rows."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..._types import Floats
+from ...encodings import outer_boundary
+from ...evaluation import plots
+from ...images import ArrayCleanUp, stage_pictures
+from ...simulation import find_parts
+from ...touches import Touches
+from .. import _study as shared
+from .._study import Row, labels
+from .plan import CLASS_SETS, PAPER_LOAD_KGF, Liu2014Plan, simulated_presses
+
+STAGES_SHOWN, WAVES_KEPT = 3, 3
+LEVELS, LINE = "cividis", plots.COLOURS[1]
+# Encoding, scaling, name, colour and line of the curves over load and cover.
+CURVES = (
+    ("FD+GE", "z-scored", "FD+GE, z-scored", plots.OURS, "o-"),
+    ("FD+GE", "raw", "FD+GE, raw", plots.OURS, "o--"),
+    ("sorted pixels", "z-scored", "sorted pixels", plots.CONTROLS[0], "s:"),
+    ("raw pixels", "z-scored", "raw pixels", plots.CONTROLS[3], "s:"),
+)
+_OVERLAP = (
+    ("in_pieces", "presses in several pieces", plots.CONTROLS[0]),
+    ("overlap", "overlap with the true face", plots.OURS),
+)
+_FEATURES = {"Fig. 12": "descriptors", "Fig. 13": "geometry", "Fig. 14": "both"}
+_MARKS = "os^D"
+
+
+def load_and_cover(plan: Liu2014Plan) -> Any:
+    """Draw Figs 5 and 6: both bars under every load and cover, levels alike by line."""
+    bars, covers = replace(plan, parts=(1, 2)), Liu2014Plan.covers_mm
+    loads = {f"{load:g} kgf": (load,) for load in Liu2014Plan.loads_kgf}
+    sides = loads, {f"{mm:g} mm": (PAPER_LOAD_KGF, mm) for mm in covers}
+    figure, axes = _images(4, len(covers), 0.8)
+    for number, line in enumerate(axes):
+        side, bar = sides[number // 2], number % 2
+        line[0].set_ylabel(("bar10", "bar35")[bar], fontsize=9)
+        touches = [simulated_presses(bars, *how) for how in side.values()]
+        presses = [one.images[[bar * plan.n_presses]] for one in touches]
+        look = {"cmap": LEVELS, "vmin": 0, "vmax": max(map(np.max, presses))}
+        for place, title, press in zip(line, side, presses, strict=False):
+            place.imshow(press[0], extent=(0, 1, 1, 0), **look)
+            binary = ArrayCleanUp().fit_transform(press)[0]
+            middles = (np.arange(len(binary)) + 0.5) / len(binary)
+            place.contour(middles, middles, binary, [0.5], colors=LINE)
+            place.set_title("" if bar else title, fontsize=9)
+    return figure
+
+
+def parts(touches: Touches) -> Any:
+    """Draw Fig. 9: every part's first press, with its edges where it really lay."""
+    figure, axes = _images(-(-len(_firsts(touches)) // 3), 3, 1.5)
+    for place, (row, name) in zip(axes.ravel(), _firsts(touches), strict=False):
+        place.set_title(name, fontsize=9)
+        place.imshow(touches.images[row], cmap=LEVELS)
+        for edge in _edges(touches, row):
+            place.plot(*edge, color="white", lw=1, scalex=False, scaley=False)
+    return figure
+
+
+def stages(touches: Touches) -> Any:
+    """Draw Fig. 10, (a) to (h): a part, its image, and each step of the clean-up."""
+    firsts = _firsts(touches)
+    spaced = np.linspace(0, len(firsts) - 1, min(STAGES_SHOWN, len(firsts))).round()
+    figure, axes = _images(8, len(spaced), 1.1)
+    for line, at in zip(axes.T, spaced.astype(int), strict=True):
+        row, name = firsts[at]
+        chain = stage_pictures(touches.images[row])
+        del chain["filled"]
+        line[0].imshow(touches.images[row], alpha=0)
+        line[0].autoscale(False)
+        line[0].set_title(name, fontsize=9)
+        for number, edge in enumerate(_edges(touches, row)):
+            line[0].fill(*edge, color="white" if number else plots.CONTROLS[3])
+        for place, (stage, image) in zip(line[1:], chain.items(), strict=True):
+            place.imshow(image, cmap="gray" if "binary" in stage else LEVELS)
+    for number, stage in enumerate(("part", *chain)):
+        axes[number, 0].set_ylabel(f"({'abcdefgh'[number]}) {stage}", fontsize=9)
+    return figure
+
+
+def boundaries(touches: Touches) -> Any:
+    """Draw Fig. 11: the outline of every part's first press, and its slow waves."""
+    figure, axes = _images(-(-len(_firsts(touches)) // 3), 3, 1.5)
+    for place, (row, name) in zip(axes.ravel(), _firsts(touches), strict=False):
+        (binary,) = ArrayCleanUp().fit_transform(touches.images[[row]])
+        points = outer_boundary(binary)
+        waves = np.fft.fft(points, axis=0)
+        waves[np.abs(np.fft.fftfreq(len(points), 1 / len(points))) > WAVES_KEPT] = 0
+        place.imshow(binary, cmap="gray", vmin=-3, vmax=1)
+        place.autoscale(False)
+        place.fill(*points.T, fill=False, ec=plots.OURS, lw=2)
+        place.fill(*np.fft.ifft(waves, axis=0).real.T, fill=False, ec=LINE, lw=1.2)
+        place.set_title(f"{name}: {len(points)}", fontsize=9)
+    return figure
+
+
+def class_sets(rows: Sequence[Row]) -> Any:
+    """Draw Figs 12 to 14 of rows of simulated presses, the paper's figures hollow."""
+    known = shared.held(rows, data="simulated")
+    scalings = shared.unique(row["features"] for row in known)
+    figure, axes = plots.panels(3, len(scalings), (4.9, 7.2), sharey=True)
+    for line, (table, what) in zip(axes, _FEATURES.items(), strict=True):
+        for place, scaling in zip(line, scalings, strict=True):
+            place.set_title(f"{table}: {what}, {scaling}", fontsize=9)
+            place.set(ylim=(0, 104), xlabel="descriptors")
+            some = shared.held(known, table=table, features=scaling)
+            for at, name in enumerate(CLASS_SETS):
+                mine = shared.held(some, classes=name)
+                found = [{**row, "n": row["n"] or at} for row in mine]
+                look = {"color": plots.COLOURS[at], "marker": _MARKS[at], "lw": 1.3}
+                _curve(place, found, "n", label=name, **look)
+                beside = [(r["n"], r["paper"]) for r in found if r["paper"]]
+                place.plot(*zip(*beside, strict=True), mfc="none", ms=9, ls="", **look)
+        line[0].set_ylabel("3-NN right, %")
+    for place in axes[1]:
+        place.set(xticks=[], xlabel="")
+    axes[0, 0].plot([], "o", mfc="none", mec=plots.INK, ms=9, label="the paper's")
+    look = {"loc": "outside lower center", "ncols": 2, "fontsize": 9, "frameon": False}
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), **look)
+    return figure
+
+
+def conditions(rows: Sequence[Row]) -> Any:
+    """Draw the scores, and how images fall apart, that belong to Figs 5 and 6."""
+    figure, axes = plots.panels(2, 2, (4.9, 5.2), sharex="col", sharey="row")
+    sides = (("Fig. 5", "load_kgf", "load, kgf"), ("Fig. 6", "cover_mm", "cover, mm"))
+    for (above, below), (table, key, label) in zip(axes.T, sides, strict=True):
+        some = shared.held(rows, table=table)
+        for encoding, scaling, name, colour, style in CURVES:
+            found = shared.held(some, encoding=encoding, features=scaling)
+            _curve(above, found, key, label=name, color=colour, fmt=style, lw=1.3)
+        ours = shared.held(some, encoding="FD+GE")
+        for entry, name, colour in _OVERLAP:
+            points = np.array(shared.different(ours, key, entry)).reshape(-1, 2).T
+            below.plot(*points, "o-", ms=4, lw=1.3, color=colour, label=name)
+        below.set_xlabel(label)
+    axes[0, 0].set(ylabel="3-NN right, %", ylim=(0, 101))
+    axes[1, 0].set(ylabel="presses or pixels, %", ylim=(0, 101))
+    for place in axes[:, 1]:
+        place.legend(frameon=False, fontsize=8, loc="best")
+    return figure
+
+
+def _curve(place: Any, rows: Sequence[Row], key: str, **look: Any) -> None:
+    x, y = [row[key] for row in rows], [row["ours"] for row in rows]
+    place.errorbar(x, y, [r["sd"] or 0.0 for r in rows], ms=4, capsize=2, **look)
+
+
+def _firsts(touches: Touches) -> list[tuple[int, str]]:
+    """Return the first row of every part, and its name."""
+    names = labels(touches).tolist()
+    return [(names.index(name), name) for name in shared.unique(names)]
+
+
+def _edges(touches: Touches, row: int) -> list[Floats]:
+    """Return the closed edges of a touch's part in taxels, each (column, row)."""
+    n_rows, n_cols = touches.images.shape[1:]
+    (part,) = find_parts(int(touches.columns["part"][row]))
+    x, y = touches.columns["position_mm"][row].tolist()
+    loops = part.placed(x, y, float(touches.columns["angle_deg"][row]))
+    pitch, middle = float(touches.whole["set_pitch_mm"]), [[n_cols - 1], [n_rows - 1]]
+    return [np.vstack([one, one[:1]]).T / pitch + np.array(middle) / 2 for one in loops]
+
+
+def _images(n_rows: int, n_columns: int, side: float) -> tuple[Any, Any]:
+    size = (side * n_columns, side * n_rows + 0.3)
+    return plots.panels(n_rows, n_columns, size, pictures=True)
