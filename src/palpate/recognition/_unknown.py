@@ -366,14 +366,16 @@ def _naming(
 ) -> tuple[Floats, Floats]:
     """Return for each of `LEVELS` the greatest limit that keeps to it, and the wrong.
 
-    What four in five known episodes come to in the end is always allowed, where the
-    encodings then give 1 - error to the name: of objects with twins none could else be
-    named. The wrong are a share of known episodes.
+    Where no limit keeps strangers out, objects with twins among them, a score up to the
+    error suffices: the encodings then give 1 - error to the name. Nor is less asked for
+    because left-out touches, nearer to each other than new ones, score next to nothing;
+    and what four in five of their episodes come to in the end is always allowed, up to
+    the error. The wrong are a share of known episodes.
     """
     reached = float(np.quantile(known.scores[:, -1], _FOUR_IN_FIVE))
     limits, shares = [], []
     for level in LEVELS:
-        limit = least = min(level, reached) if never is not None else level
+        limit = level
         for candidate in _CANDIDATES:
             if never is None:
                 break
@@ -381,7 +383,8 @@ def _naming(
             other = _share_wrong(never, candidate, level)
             expected = (1 - missed) * wrong + missed * other
             if expected <= level and other <= _NEVER_NAMED:
-                limit = max(least, min(float(candidate), _when_sure(known, level)))
+                sure = max(level, _when_sure(known, level))
+                limit = max(min(level, reached), min(float(candidate), sure))
                 break
         limits.append(limit)
         shares.append(_share_wrong(known, limit, level))
