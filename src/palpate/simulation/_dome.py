@@ -332,7 +332,7 @@ class DomeCamera(DomeSensor):
         if self.texture_sd > 0 or any(self.light_slope):
             mottled *= _mottling(self)
         np.maximum(mottled, 0, out=mottled)
-        grey = np.asarray(cv2.pow(mottled, 1 / self.gamma, mottled))
+        grey: Plane = np.asarray(cv2.pow(mottled, 1 / self.gamma, mottled))
         grey *= np.float32(255)
         np.minimum(grey, 255, out=grey)
         white = np.float32(SURROUND_GREY)

@@ -319,7 +319,7 @@ class PrimalNewton:
         search, before = np.zeros_like(right), np.inf
         for _ in range(_MOST_STEPS):
             ahead = self._near(left[:, None])[:, 0]
-            size = left @ ahead
+            size = float(left @ ahead)
             if size <= most:
                 break
             search = ahead + size / before * search
