@@ -7,6 +7,7 @@ landmark, the machine is the exact one.
 
 The hyperplane is its normal vector in the space of the features, so Newton's step has
 one row per feature and not one per touch; touches are only gone through, in blocks.
+Conjugate gradients solve for the step; its matrix made of some of the touches leads.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -29,8 +30,7 @@ _KEPT_BYTES = 2**30
 # Touches per feature from which on margins cannot all be met.
 _CROWD = 3
 
-# Touches per column in the matrix that stands in for Newton's, steps of conjugate
-# gradients at most, and errors left: in a predictor, in a corrector.
+# Touches per column that lead the gradients; steps; errors predicted, corrected.
 _DRAWN, _MOST_STEPS, _LEFT = 6, 30, (0.1, 0.003)
 
 Blocks = Callable[[], Iterator[tuple[slice, Floats]]]
