@@ -219,6 +219,57 @@ def kernels(_: str) -> dict[str, float]:
     return clocked(lambda: MKLSVC().fit(features, labels))
 
 
+def kernels_66(_: str) -> dict[str, float]:
+    """Learn 66 pairs of 20 touches from 22 kernels given, C = 1 and 100, 20 times."""
+    from palpate.classifiers import MKLSVC
+    from palpate.classifiers.mkl import kernel_diagonals, paper_kernels
+    from palpate.classifiers.mkl._kernels import kernel_stack
+
+    rng = np.random.default_rng(0)
+    codes = np.repeat(np.arange(12), 10)
+    touches = 0.5 * rng.normal(size=(12, 20))[codes] + rng.normal(size=(120, 20))
+    bank, zero = paper_kernels(), np.zeros(20)
+    stack = kernel_stack(bank, touches, touches, zero)
+    stack /= kernel_diagonals(bank, touches, zero).sum(axis=1)[:, None, None]
+    given = np.ascontiguousarray(stack.transpose(1, 2, 0))
+    machines = [
+        MKLSVC(C=C, kernels="precomputed", probability=False) for C in (1.0, 100.0)
+    ]
+    machines[0].fit(given, codes)
+    return clocked(lambda: [one.fit(given, codes) for one in machines * 20])
+
+
+def landmarks(_: str) -> dict[str, float]:
+    """Learn 100,000 touches of 2 classes by `MKLSVC`, 4 kernels, 200 landmarks."""
+    from palpate.classifiers import MKLSVC, GaussianKernel
+
+    rng = np.random.default_rng(0)
+    codes = rng.integers(2, size=100_000)
+    touches = rng.normal(size=(len(codes), 20)) + 0.5 * np.eye(2, 20)[codes]
+    bank = [GaussianKernel(sigma) for sigma in (2.0, 4.0, 8.0, 16.0)]
+    machine = MKLSVC(C=1e5, kernels=bank, probability=False, random_state=0)
+    return clocked(lambda: machine.fit(touches, codes))
+
+
+def dome(side: int) -> dict[str, float]:
+    """Press a simulated dome of `side` x `side` pixels on household things."""
+    from palpate import simulation
+
+    camera = simulation.DomeCamera(image_shape=(side, side))
+    rng, approaches = np.random.default_rng(0), []
+    for thing in simulation.HOUSEHOLD:
+        placed = simulation.PlacedObject.resting(thing)
+        for outward in rng.normal(size=(6, 3)):
+            outward[2] = abs(outward[2])
+            outward /= np.linalg.norm(outward)
+            goal = placed.centre_mm + rng.normal(0, 5, 3)
+            pose = simulation.SensorPose(goal + 300 * outward, -outward)
+            approaches.append((placed, pose))
+    for approach in approaches[::6]:
+        camera.touch(*approach, rng=rng)
+    return clocked(lambda: [camera.touch(*one, rng=rng) for one in approaches * 3])
+
+
 def draw(folder: Path) -> None:
     """Write 12 touches of each of 50 objects, and pictures of other touches."""
     import cv2
@@ -260,6 +311,10 @@ INSIDE = {
     "hu": hu,
     "files": files,
     "MKLSVC": kernels,
+    "MKLSVC 66": kernels_66,
+    "landmarks": landmarks,
+    "dome 150": lambda _: dome(150),
+    "dome 300": lambda _: dome(300),
 }
 WHOLE: dict[str, list[str]] = {
     "import": ["-c", "import palpate.recognition"],

@@ -292,7 +292,8 @@ class DomeCamera(DomeSensor):
         grey = self._grey(_optics(self).light(dent))
         if rng is not None and self.noise_sd > 0:
             grey += self._noise(rng)
-        return np.clip(grey + np.float32(0.5), 0, 255).astype(np.uint8)
+        grey += np.float32(0.5)
+        return np.clip(grey, 0, 255, out=grey).astype(np.uint8)
 
     def drifted(self, rng: np.random.Generator) -> Self:
         """Return this camera as another recording would find it."""
@@ -325,11 +326,14 @@ class DomeCamera(DomeSensor):
 
     def _grey(self, light: Plane) -> Plane:
         """Mottle the light, expose it, and draw the rim and the white around it."""
+        import cv2
+
         mottled = light * np.float32(self.gain)
         if self.texture_sd > 0 or any(self.light_slope):
             mottled *= _mottling(self)
         np.maximum(mottled, 0, out=mottled)
-        grey = np.float32(255) * mottled ** np.float32(1 / self.gamma)
+        grey: Plane = np.asarray(cv2.pow(mottled, 1 / self.gamma, mottled))
+        grey *= np.float32(255)
         np.minimum(grey, 255, out=grey)
         white = np.float32(SURROUND_GREY)
         return np.asarray(white + _optics(self).inside * (grey - white))

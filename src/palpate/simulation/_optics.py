@@ -193,25 +193,28 @@ def shade(
     doi:10.1145/563858.563893), inverse squares, the lens's cosine to the fourth; no
     shadows. At `distance_mm` an LED gives 1.
     """
+    import cv2
+
     x, y, z = point_mm
-    to_camera = 1 / np.sqrt(x * x + y * y + z * z)
+    away = x * x + y * y + z * z
+    to_camera = 1 / np.sqrt(away)
     scale = 1 / np.sqrt(slope[0] ** 2 + slope[1] ** 2 + 1)
     # The inner side faces the camera: the normal is (dz/dx, dz/dy, -1) scaled.
-    nx, ny, nz = slope[0] * scale, slope[1] * scale, -scale
-    view = -(nx * x + ny * y + nz * z) * to_camera
-    light = np.full_like(z, lighting.ambient)
-    shininess = np.float32(lighting.shininess)
-    for led in lighting.led_mm:
-        lx, ly, lz = led[0] - x, led[1] - y, led[2] - z
-        squared = lx * lx + ly * ly + lz * lz
-        near = 1 / np.sqrt(squared)
-        facing = (nx * lx + ny * ly + nz * lz) * near
-        # Twice the half vector's square is 1 + cos(angle between light and view).
-        between = -(lx * x + ly * y + lz * z) * near * to_camera
-        half = (facing + view) / np.sqrt(2 + 2 * np.maximum(between, -0.999))
-        answer = lighting.diffuse * np.maximum(facing, 0)
-        answer += lighting.specular * np.maximum(half, 0) ** shininess
-        light += answer * (distance_mm**2 / lighting.n_leds / squared)
+    nx, ny = slope[0] * scale, slope[1] * scale
+    outward = nx * x + ny * y - scale * z
+    view = -outward * to_camera
+    twice, light = 2 * away, np.zeros_like(z)
+    for led_x, led_y, _ in lighting.led_mm:  # level with the lens
+        along = (2 * led_x) * x + (2 * led_y) * y
+        near = 1 / np.sqrt(away + (led_x**2 + led_y**2) - along)
+        facing = (led_x * nx + led_y * ny - outward) * near
+        half = np.maximum(facing + view, 0)
+        # Its length: twice the half vector's, whose square is 2 + 2 cos(angle).
+        half *= half / (2 + (twice - along) * near * to_camera)
+        gloss = np.asarray(cv2.pow(half, 0.5 * lighting.shininess)).reshape(z.shape)
+        answer = lighting.diffuse * np.maximum(facing, 0) + lighting.specular * gloss
+        light += answer * (near * near)
+    light = light * (distance_mm**2 / lighting.n_leds) + lighting.ambient
     cosine = z * to_camera
     return np.asarray(light * (cosine * cosine) ** 2)
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Self, cast
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpotrf, dpotrs
 
 from ..._types import Array, Floats
 from . import _problem
@@ -125,24 +125,16 @@ class DenseKernels:
 
 
 def cholesky_solver(matrix: Floats) -> Solver:
-    """Factorise one matrix, scaled to a diagonal of ones and lifted where need be."""
-    unit = np.sqrt(np.maximum(matrix.diagonal(), np.finfo(float).tiny))
-    scaled = matrix / unit[:, None] / unit
-    for lift in (0.0, 1e-15, 1e-13, 1e-11):
-        try:
-            lifted = scaled + lift * np.eye(len(matrix)) if lift else scaled
-            factor = cho_factor(lifted, check_finite=False)
+    """Factorise one symmetric matrix, its diagonal raised where rounding spoils it."""
+    factor, failed = dpotrf(matrix.T, lower=1, clean=0)
+    for share in (1e-15, 1e-13, 1e-11):
+        if not failed:
             break
-        except np.linalg.LinAlgError:
-            continue
-    else:
+        raised = matrix + np.diag(share * matrix.diagonal())
+        factor, failed = dpotrf(raised.T, lower=1, clean=0)
+    if failed:
         return lambda right: np.full_like(right, np.nan)
-
-    def solve(right: Floats) -> Floats:
-        solved = cho_solve(factor, right / unit[:, None], check_finite=False)
-        return solved / unit[:, None]
-
-    return solve
+    return lambda right: cast(Floats, dpotrs(factor, right, lower=1)[0])
 
 
 def _pull_root(forces: Floats, gain: Floats) -> Floats:
