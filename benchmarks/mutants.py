@@ -43,13 +43,14 @@ CORE = {
     "library_names library_durability",
     "library/_changes.py": "library_changes touch_library library_repair "
     "library_histories",
-    "library/_checking.py": "library_changes library_repair library_durability "
-    "library_flips",
-    "library/_reading.py": "touch_library library_channels library_learning",
-    "library/_repairing.py": "library_changes library_repair library_durability "
-    "library_histories",
+    "library/_checking.py": "library_changes library_repair library_rows "
+    "library_durability library_flips",
+    "library/_reading.py": "library_reading touch_library library_channels "
+    "library_rows library_learning",
+    "library/_repairing.py": "library_changes library_repair library_rows "
+    "library_durability library_histories",
     "library/_rows.py": "touch_library library_rows library_repair",
-    "library/_store.py": "touch_library library_order library_rows "
+    "library/_store.py": "touch_library library_order library_rows library_changes "
     "library_durability library_repair",
     "library/_where.py": "library_where",
     "touches/_archive.py": "touch_archive touch_archive_hostile",

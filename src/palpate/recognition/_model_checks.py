@@ -103,9 +103,8 @@ def check_parts(judge: Judge, encoder: TouchEncoder, pose: object) -> None:
     if not np.isfinite(memory.features).all():
         raise ValueError("its features hold NaN or infinity")
     n = judge.memory.features.shape[1]
-    shapes = {"drift_": tuple(image_shape), "offset_": (n,), "weighing_": (n, n)}
-    shapes |= dict.fromkeys(("still_", "broken_"), tuple(image_shape))
-    shapes |= {"look_offset_": (N_LOOKS,)}
+    shapes = dict.fromkeys(("drift_", "still_", "broken_"), tuple(image_shape))
+    shapes |= {"offset_": (n,), "weighing_": (n, n), "look_offset_": (N_LOOKS,)}
     check_number("gain_", encoder.gain_, low=1e-6, high=1e6)
     radius = getattr(encoder.clean_up_, "disc_radius_", 0.0)
     check_number("disc_radius_", radius, low=0, high=min(image_shape[:2]))
