@@ -243,6 +243,29 @@ def test_changes_that_fit_their_files_and_others_are_told_apart(folder):
     assert repair_library(folder) == (False, 0, 0, 0, 0, 0, 0)
 
 
+@pytest.mark.parametrize("n_lost", [1, 2, 3])
+def test_a_retraction_whose_file_is_lost_is_written_as_it_still_stands(folder, n_lost):
+    with TouchLibrary.open(folder) as library:
+        ids = [row.id for row in library.list()]
+        library.retract(ids[:4], reason="wet")
+        library.restore(ids[1:3])
+        library.retract(ids[2], reason="dry")
+    for path in sorted((folder / "changes").iterdir())[:n_lost]:
+        path.unlink()
+    before = state_of(folder)
+    assert [row.reason for row in before[0]] == ["wet", None, "dry", "wet", None, None]
+    report = check_library(folder)
+    assert [p.kind for p in report.problems] == ["change"] * n_lost
+    assert repair_library(folder).n_changes == n_lost
+    assert check_library(folder).ok
+    assert state_of(folder) == before
+    made = changes_of(folder)
+    assert [one["action"] for one in made] == ["retract", "restore", "retract"]
+    # Of the first what it leaves out to this day.
+    assert made[0]["ids"] == [ids[0], ids[3]]
+    assert rebuilt(folder) == before
+
+
 def test_files_begun_by_a_writer_are_left_for_a_day(folder):
     ages = {"old": DAY_S + 0.5, "young": DAY_S - 20, "now": 0}
     paths = {name: folder / "images" / f".partial-{name}" for name in ages}
@@ -392,7 +415,57 @@ def test_the_database_of_something_else_is_no_library(folder, application, versi
         TouchLibrary.open(folder)
     with closing(sqlite3.connect(path)) as database:
         database.execute("PRAGMA user_version = 3")
-    [problem] = check_library(folder).problems
+    report = check_library(folder)
+    [problem] = report.problems
     assert problem.kind == "version"
+    assert report == (False, 0, 0, [problem], 0)
     with pytest.raises(LibraryError, match="Update palpate"):
         repair_library(folder)
+
+
+@pytest.mark.parametrize(
+    ("table", "statement", "n_touches"),
+    [
+        ("touches", "UPDATE touches SET force_n = 5 WHERE number = 4", 1),
+        ("objects", "UPDATE objects SET name = 'x' WHERE name = 'b'", 2),
+        ("files", "UPDATE files SET n_touches = 7", 6),
+    ],
+)
+def test_rows_that_another_program_wrote_are_told_with_their_touches(
+    folder, table, statement, n_touches
+):
+    before = state_of(folder)
+    with closing(sqlite3.connect(folder / "library.sqlite")) as database:
+        database.execute(statement)
+        database.commit()
+    report = check_library(folder)
+    assert report[:3] == (False, 0, 0)
+    [problem] = report.problems
+    assert problem.kind == "database"
+    assert problem.what.startswith(f"1 rows of {table} must be as they were written")
+    assert len(problem.touches) == n_touches
+    assert repair_library(folder).rebuilt
+    assert state_of(folder) == before
+
+
+def test_arrays_of_the_whole_set_are_told_with_their_touches(folder):
+    frame = np.arange(9, dtype=np.uint8).reshape(3, 3)
+    with TouchLibrary.open(folder) as library:
+        ids = library.add(touches("de", 1, no_contact=frame, set_scale=frame * 2.0))
+        ids += library.add(touches("f", 2, no_contact=frame))
+    assert not check_library(folder).problems
+    [path] = [
+        p for p in (folder / "arrays").rglob("*.npy") if (np.load(p) == frame).all()
+    ]
+    path.unlink()
+    report = check_library(folder)
+    [problem] = report.problems
+    assert (report.ok, problem.kind) == (False, "array")
+    assert problem.path == path.relative_to(folder).as_posix()
+    assert problem.touches == ids
+    assert "3 touches are read without their no_contact; adding them" in problem.what
+    assert repair_library(folder) == (False, 0, 0, 0, 0, 1, 0)
+    report = check_library(folder)
+    assert report.ok
+    assert report.problems == [problem]
+    assert repair_library(folder).n_left_out == 0

@@ -242,3 +242,24 @@ def test_a_lost_array_of_the_whole_set_is_told_to_the_caller(library):
     said = f"without their no_contact, {path.stem[:12]}; add them again"
     with pytest.warns(UserWarning, match=said):
         assert library.touches().no_contact is None
+
+
+def test_features_made_before_an_interruption_are_kept(library):
+    """512 touches at a time, put down after every sixteenth time."""
+    n = 20 * 512
+    levels = np.arange(n, dtype=np.uint16).reshape(n, 1, 1)
+    library.add(Touches(levels, object=np.repeat("a", n)))
+    made = []
+
+    def encode(touches, most=18 * 512):
+        made.extend(touches.images.ravel().tolist())
+        if len(made) > most:
+            raise KeyboardInterrupt
+        return touches.images.reshape(-1, 1).astype(float)
+
+    with pytest.raises(KeyboardInterrupt):
+        library.select().features("key", encode)
+    made.clear()
+    features = library.select().features("key", encode)
+    assert_array_equal(features.ravel(), np.arange(n))
+    assert made == list(range(16 * 512, n))
