@@ -225,6 +225,29 @@ def test_a_change_that_cannot_be_carried_out_is_set_aside(folder):
     assert (n_changes, names) == (0, ["a", "b", "c"])
 
 
+def test_a_repair_counts_the_changes_that_it_carried_out(folder):
+    """Made anew from its files alone, some of which say nothing (any more)."""
+    with TouchLibrary.open(folder) as library:
+        library.rename_object("a", "x")
+        library.retract(object="b", reason="wet")
+    before = state_of(folder)
+    last = max((folder / "changes").iterdir())
+    content = json.loads(last.read_text())
+    after = {"time_s": content["time_s"] + 1, "after": last.stem}
+    for k, change in enumerate(
+        [{"action": "rename", "old": "nobody", "new": "y"}, {"action": "merge"}]
+    ):
+        path = last.with_name(f"{int(last.stem[:17]) + k + 1:017}-0000000{k}.json")
+        path.write_text(json.dumps({**change, **after}))
+        after = {"time_s": after["time_s"] + 1, "after": path.stem}
+    (folder / "library.sqlite").unlink()
+    # The two that say nothing are set aside with what was written beside them.
+    assert repair_library(folder) == (True, 6, 0, 0, 2, 0, 2)
+    assert len(list(folder.glob("damaged/*/*.json"))) == 2
+    assert state_of(folder) == before
+    assert check_library(folder).ok
+
+
 def test_changes_that_fit_their_files_and_others_are_told_apart(folder):
     with TouchLibrary.open(folder) as library:
         library.rename_object("a", "x")
