@@ -246,12 +246,12 @@ def test_a_lost_array_of_the_whole_set_is_told_to_the_caller(library):
 
 def test_features_made_before_an_interruption_are_kept(library):
     """512 touches at a time, put down after every sixteenth time."""
-    n = 20 * 512
+    n = 17 * 512
     levels = np.arange(n, dtype=np.uint16).reshape(n, 1, 1)
     library.add(Touches(levels, object=np.repeat("a", n)))
     made = []
 
-    def encode(touches, most=18 * 512):
+    def encode(touches, most=16 * 512):
         made.extend(touches.images.ravel().tolist())
         if len(made) > most:
             raise KeyboardInterrupt

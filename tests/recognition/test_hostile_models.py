@@ -324,6 +324,20 @@ def beside(*nodes):
     return change
 
 
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """Forge a model, written once, that keeps some nodes more."""
+    folder = tmp_path_factory.mktemp("plain")
+    document, tensors = opened(models()[0].save(folder / "a.palpate"))
+
+    def forge(place, *nodes):
+        other = deepcopy(document)
+        beside(*nodes)(other["model"]["learnt"], tensors)
+        return forged(place / "b.palpate", other, tensors)
+
+    return forge
+
+
 MOST = {
     **dict.fromkeys(("degree", "order", "n_orientations", "n_partitions"), 60),
     **dict.fromkeys(("n_points", "n_rings", "radii", "n_harmonics", "cell"), 32),
@@ -334,16 +348,19 @@ MOST = {
 
 
 @pytest.mark.parametrize("name", MOST)
-def test_what_sizes_something_has_a_limit(tmp_path, name):
+def test_what_sizes_something_has_a_limit(tmp_path, plain, name):
     most = MOST[name]
-    values = {most: False, most + 1: True, -most: False, -most - 1: True}
-    for value, refused in values.items():
-        for given in (value, {"tuple": [1, value]}):
-            one = (
-                node(params={name: given}) if name[-1] != "_" else node(**{name: given})
-            )
-            said = refusal_of(changed(tmp_path, 0, beside(one)))
-            assert (f"{name} must be at most {most}, got {value}" in said) == refused
+    for value in (most, most + 1):
+        one = node(params={name: value}) if name[-1] != "_" else node(**{name: value})
+        said = refusal_of(plain(tmp_path, one))
+        assert (f"{name} must be at most {most}, got {value}" in said) == (value > most)
+
+
+@pytest.mark.parametrize("value", [-2048, -2049])
+def test_what_sizes_something_has_a_limit_below_and_in_a_row(tmp_path, plain, value):
+    for given in (value, {"tuple": [1, value]}, {"list": [1, value]}):
+        said = refusal_of(plain(tmp_path, node(size_=given)))
+        assert (f"at most 2048, got {value}" in said) == (value < -2048)
 
 
 @pytest.mark.parametrize(
@@ -358,18 +375,20 @@ def test_what_sizes_something_has_a_limit(tmp_path, name):
     ],
 )
 def test_moments_of_high_order_are_made_of_small_images(
-    tmp_path, order, shape, refused
+    tmp_path, plain, order, shape, refused
 ):
     # What is built from it then fails for another reason, or is built.
     one = node(params={"order": order}, image_shape_={"tuple": shape})
-    said = refusal_of(changed(tmp_path, 0, beside(one)))
+    said = refusal_of(plain(tmp_path, one))
     assert ("too much for one touch" in said) == refused
 
 
 @pytest.mark.parametrize(("n_kernels", "refused"), [(2500, False), (2501, True)])
-def test_kernels_times_touches_are_at_most_five_million(tmp_path, n_kernels, refused):
+def test_kernels_times_touches_are_at_most_five_million(
+    tmp_path, plain, n_kernels, refused
+):
     one = node(kernels_={"list": [0] * n_kernels}, touches_={"list": [0] * 2000})
-    said = refusal_of(changed(tmp_path, 0, beside(one)))
+    said = refusal_of(plain(tmp_path, one))
     assert ("too much for one touch" in said) == refused
 
 

@@ -491,16 +491,7 @@ def test_touches_without_contact_are_no_part_of_a_session():
     )
     assert_allclose(padded.encoder_.offset_, plain.encoder_.offset_, atol=1e-9)
     assert padded.chosen_["remount"]["n_touches"] == 17
-    told = np.repeat(["block", "bar"], 4)
-    late = np.concatenate([told, ["bar"] * 9])
-    labelled = [
-        deepcopy(learnt).remount(Touches(one, object=of, geometry="array"))
-        for one, of in ((some, told), (np.concatenate([some, idle]), late))
-    ]
-    offsets = [one.encoder_.offset_ for one in labelled]
-    assert_allclose(offsets[1], offsets[0], atol=1e-9)
-    assert labelled[1].memory_.nothing.sum() == 9
-    # Of both alike or of one, the check asks those that show contact.
+    # The check asks those that show contact as well.
     checks = [
         learnt.check_mounting(one) for one in (some, np.concatenate([some, idle]))
     ]
@@ -511,7 +502,7 @@ def test_touches_without_contact_are_no_part_of_a_session():
     assert nothing.reasons == ["Nothing was touched."]
 
 
-def _of_persons(seed, twist, n_persons=4, n_days=2):
+def _of_persons(seed, twist, n_persons=3, n_days=2):
     """Six objects met by persons on days; how a thing lies differs by day and thing."""
     rng = np.random.default_rng(seed)
     axis = np.array([1.0, 1, -1, 1, 1, -1, 1, -1])
@@ -591,7 +582,7 @@ def test_what_is_weighed_down_after_remounting_keeps_the_session_off(taught):
     assert_allclose(taught.encoder_.transform(there), made, atol=1e-9)
 
 
-def test_what_training_says_of_another_day():
+def test_what_training_says_of_another_day(taught):
     one, two, three = (
         _session(0, 3, k, name, objects)
         for k, (name, objects) in enumerate(
@@ -603,11 +594,13 @@ def test_what_training_says_of_another_day():
     # a and b were met in three, c in two, d in one: it cannot be asked.
     assert (found["least"], found["median"], found["asked"]) == (1, 2.5, 24)
     assert found["expected"] == 1.0
-    bare = ObjectRecogniser().fit(one.without("session"))
-    assert across_sessions(bare) == {"least": 1, "median": 1.0, "asked": 0}
-    far = [_session(k * 40.0 * np.ones(8), 3, k, f"{k}") for k in range(2)]
+    assert across_sessions(taught) == {"least": 1, "median": 1.0, "asked": 0}
+    untold = replace(taught.memory_, sessions=np.full(72, ""))
+    taught.memory_ = untold
+    assert across_sessions(taught) == {"least": 1, "median": 1.0, "asked": 0}
+    far = [_session(k * 40.0 * np.ones(8), 3, k, f"{k}", "abc") for k in range(2)]
     lost = across_sessions(ObjectRecogniser().fit(Touches.concatenate(far)))
-    assert lost["expected"] < 0.5
+    assert lost["expected"] < 0.7  # of three
 
 
 def test_what_training_says_of_another_day_in_words():
@@ -637,6 +630,12 @@ def _discs(rng, n, moved=(0, 0), radius=27.0):
     return Touches(images, object=names, geometry="dome")
 
 
+@pytest.fixture(scope="module")
+def rimmed():
+    """What discs about one place have taught."""
+    return ObjectRecogniser("corradi2015").fit(_discs(np.random.default_rng(0), 8))
+
+
 @pytest.mark.parametrize(
     ("moved", "radius", "said"),
     [
@@ -648,10 +647,9 @@ def _discs(rng, n, moved=(0, 0), radius=27.0):
         ((0, 0), 29.0, "0 pixels from where it was learnt, and is +7% larger"),
     ],
 )
-def test_a_rim_that_lies_elsewhere_is_told(moved, radius, said):
-    learnt = ObjectRecogniser("corradi2015").fit(_discs(np.random.default_rng(0), 8))
+def test_a_rim_that_lies_elsewhere_is_told(rimmed, moved, radius, said):
     asked = _discs(np.random.default_rng(1), 4, moved, radius)
-    reasons = learnt.check_mounting(asked).reasons
+    reasons = rimmed.check_mounting(asked).reasons
     rim = [reason for reason in reasons if reason.startswith("The rim lies")]
     assert len(rim) == (said is not None)
     if said:
@@ -727,13 +725,7 @@ def test_the_evidence_of_touches_tells_as_much_of_the_mounting(taught):
         )
 
 
-def test_few_draws_that_share_no_touch_allow_for_more():
-    """Two blocks an object are two draws of all: a t-test of one degree of freedom."""
-    touches = _session(0, 6, 0, "one")
-    learnt = ObjectRecogniser().fit(touches.images, touches.object)
-    learnt.memory_ = replace(learnt.memory_, blocks=np.tile([0, 0, 0, 1, 1, 1], 6))
-    check = learnt.check_mounting(_session(0, 2, 1, "two"))
-    blocks = 6 * 5  # as recorded, five runs of each object
-    of_one = blocks // 6
-    least = t_distribution.ppf(0.975, of_one - 1) * np.sqrt(1 + 1 / of_one)
-    assert check.usual >= least * (1 - 1e-12)
+def test_few_draws_that_share_no_touch_allow_for_more(pressed):
+    """Of three parts, each in five runs: a t-test of four degrees of freedom, twice."""
+    least = t_distribution.ppf(0.975, 4) * np.sqrt(1 + 1 / 5)
+    assert pressed.check_mounting(_presses(4, 1)).usual == pytest.approx(least)
