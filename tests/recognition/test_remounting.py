@@ -540,6 +540,22 @@ def test_how_sessions_differ_is_weighed_down_where_other_persons_say_it_helps(
         assert np.array_equal(learnt.memory_.features, features)
 
 
+def test_touches_are_weighed_by_how_sessions_of_the_other_half_of_persons_differ():
+    """Every other person, by name: it is no matter who of one half is who."""
+    learnt = ObjectRecogniser().fit(_of_persons(0, 4.0, n_persons=4))
+    new = _session(0, 3, 1, "new", labels=False)
+    memory, losses = learnt.memory_, {}
+    for order in ("0123", "2301", "1032", "0213"):
+        other = deepcopy(learnt)
+        renamed = np.array([f"p{order[int(name[1])]}" for name in memory.subjects])
+        other.memory_ = replace(memory, subjects=renamed)
+        found = other.remount(new).chosen_["remount"]
+        losses[order] = found["log_loss"]["weighed"]
+    assert losses["2301"] == pytest.approx(losses["0123"], rel=1e-6)
+    assert losses["1032"] == pytest.approx(losses["0123"], rel=1e-6)
+    assert losses["0213"] != pytest.approx(losses["0123"], rel=1e-6)
+
+
 def test_touches_of_one_person_do_not_tell_what_to_weigh_down():
     learnt = ObjectRecogniser().fit(_of_persons(0, 12.0, 1, 4))
     new = _of_persons(1, 12.0, 1, 1).without("object", "subject")
