@@ -492,3 +492,29 @@ def test_arrays_of_the_whole_set_are_told_with_their_touches(folder):
     assert report.ok
     assert report.problems == [problem]
     assert repair_library(folder).n_left_out == 0
+
+
+@pytest.mark.parametrize("name", ["time_s", "force_n"])
+def test_numbers_that_a_database_keeps_as_others_are_no_problem(folder, name):
+    """It keeps them as real ones; texts of digits stay texts."""
+    large = np.array([2**64 - 1, 7], dtype=np.uint64)
+    with TouchLibrary.open(folder) as library:
+        library.add(touches("de", 1, session=["12", "2.0"], **{name: large}))
+        assert library.list("object = d")[0].session == "12"
+        assert (
+            library.touches("object in (d, e)").columns[name].tolist() == large.tolist()
+        )
+    assert not check_library(folder).problems
+
+
+def test_a_database_that_lacks_a_table_is_no_sound_one(folder):
+    before = state_of(folder)
+    with closing(sqlite3.connect(folder / "library.sqlite")) as database:
+        database.execute("DROP TABLE changes")
+    with pytest.raises(
+        LibraryError, match=r"no such table.*run `palpate library check`"
+    ):
+        state_of(folder)
+    assert [p.kind for p in check_library(folder).problems] == ["database"]
+    assert repair_library(folder).rebuilt
+    assert state_of(folder) == before
