@@ -24,11 +24,11 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 # Each file and the tests that are asked to find a fault in it, fast ones first.
 CORE = {
-    "recognition/_belief.py": "sequence recogniser beside_touch numbers",
-    "recognition/_calibration.py": "calibration fair_weight beside_touch",
-    "recognition/_contact.py": "contact contact_on_pads",
-    "recognition/_evidence.py": "sequence numbers recogniser",
-    "recognition/_memory.py": "memory recogniser fair_weight",
+    "recognition/_belief.py": "belief beside_touch recogniser limits",
+    "recognition/_calibration.py": "calibration beside_touch fair_weight",
+    "recognition/_contact.py": "contact_on_pads contact",
+    "recognition/_evidence.py": "sequence belief recogniser",
+    "recognition/_memory.py": "memory belief recogniser",
     "recognition/_model_checks.py": "hostile_models model_file",
     "recognition/_remounting.py": "remounting",
     "recognition/_unknown.py": "limits calibration recogniser",
@@ -41,12 +41,16 @@ CORE = {
     "classifiers/_touch_classifier.py": "touch_classifier classifier_inputs",
     "library/_adding.py": "touch_library library_again library_channels "
     "library_names library_durability",
-    "library/_changes.py": "library_histories touch_library library_repair",
-    "library/_checking.py": "library_flips library_repair library_durability",
-    "library/_reading.py": "touch_library library_channels library_learning",
-    "library/_repairing.py": "library_histories library_repair library_durability",
+    "library/_changes.py": "library_changes touch_library library_repair "
+    "library_histories",
+    "library/_checking.py": "library_changes library_repair library_rows "
+    "library_durability library_flips",
+    "library/_reading.py": "library_reading touch_library library_channels "
+    "library_rows library_learning",
+    "library/_repairing.py": "library_changes library_repair library_rows "
+    "library_durability library_histories",
     "library/_rows.py": "touch_library library_rows library_repair",
-    "library/_store.py": "touch_library library_order library_rows "
+    "library/_store.py": "touch_library library_order library_rows library_changes "
     "library_durability library_repair",
     "library/_where.py": "library_where",
     "touches/_archive.py": "touch_archive touch_archive_hostile",
@@ -101,7 +105,7 @@ def faults(tree):
             yield number, "constant"
         elif isinstance(node, ast.If | ast.IfExp):
             yield number, "condition"
-        elif isinstance(node, ast.Return) and node.value is not None:
+        elif isinstance(node, ast.Return) and not _is_none(node.value):
             yield number, "answer"
 
 
@@ -189,6 +193,10 @@ def tried(room, n_mutants, chance):
                 print(f"  not found: {name}:{where}", flush=True)
     print(f"{room}: {found[True]} of {len(chosen)}", flush=True)
     return len(chosen), found[True]
+
+
+def _is_none(node):
+    return node is None or (isinstance(node, ast.Constant) and node.value is None)
 
 
 def _text(name):

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
+from palpate.recognition import (
+    Modality,
+    ObjectRecogniser,
+    SequenceCalibration,
+    log_posteriors,
+    with_floor,
+)
 from palpate.recognition._calibration import (
+    draw_all,
     draw_asked,
     draw_episodes,
     fit_sequence_calibration,
@@ -75,3 +83,179 @@ def test_repeated_touches_weigh_less_than_independent_ones(rng):
     assert independent.strength == pytest.approx(1, abs=0.25)
     assert independent.correlation < 0.1
     assert repeated.correlation > 0.5
+
+
+@pytest.mark.parametrize("n_touches", [1, 3, 4, 5, 8, 9, 12, 19, 20])
+def test_episodes_lie_in_as_few_neighbouring_blocks_as_hold_them(n_touches, rng):
+    """Blocks of four touches, in a ring: after the last comes the first."""
+    objects, group = np.repeat(["a", "b"], 20), np.repeat(np.arange(10), 4)[::-1]
+    for episode in draw_episodes(objects, group, n_touches, rng):
+        blocks = np.unique(group[episode]) % 5
+        assert len(blocks) == -(-n_touches // 4)
+        gaps = np.diff(np.append(blocks, blocks[0] + 5))
+        assert (gaps > 1).sum() <= 1
+        assert len(set(episode)) == n_touches
+    every = draw_episodes(objects, group, n_touches, np.random.default_rng(1))
+    assert len(every) == 80
+    # All places of the ring are begun at.
+    assert len(np.unique(group[every])) == 10
+
+
+def test_episodes_of_all_lengths_that_some_object_has():
+    objects, group = np.repeat(["a", "b"], [12, 5]), np.arange(17)
+    drawn = draw_all(objects, group, 3)
+    assert {k: rows.shape for k, rows in drawn.items()} == {
+        1: (80, 1),
+        2: (80, 2),
+        3: (80, 3),
+        5: (80, 5),
+        8: (40, 8),
+        12: (40, 12),
+    }
+    again, other = draw_all(objects, group, 3), draw_all(objects, group, 4)
+    assert all(np.array_equal(again[k], drawn[k]) for k in drawn)
+    assert not all(np.array_equal(other[k], drawn[k]) for k in drawn)
+    long = np.repeat(["a"], 31)
+    assert list(draw_all(long, np.arange(31), 0)) == [1, 2, 3, 5, 8, 12, 20, 30]
+
+
+@pytest.mark.parametrize(
+    ("n_objects", "n_each"), [(2, 40), (25, 40), (26, 38), (700, 1), (1500, 1)]
+)
+def test_a_thousand_long_episodes_at_most_are_drawn(n_objects, n_each):
+    objects = np.repeat(np.arange(n_objects), 3)
+    drawn = draw_asked(objects, np.arange(len(objects)), seed=0)
+    assert {rows.shape for rows in drawn} == {(n_each, 3)}
+    whose = [int(objects[rows[0, 0]]) for rows in drawn]
+    assert len(set(whose)) == len(whose) == min(n_objects, 1000)
+    # Of very many some are asked, spread over all.
+    assert (whose[0], whose[-1]) == (0, n_objects - 1)
+    assert np.diff(whose).max() <= 2
+    again = draw_asked(objects, np.arange(len(objects)), seed=0)
+    assert all(np.array_equal(a, b) for a, b in zip(again, drawn, strict=True))
+
+
+def loss_of(calibration, floored, codes, episodes, prior):
+    """Return the log loss after the last touch, every length alike, one by one."""
+    losses = []
+    for rows in episodes.values():
+        ends = [
+            log_posteriors(floored[one], prior, calibration)[-1][codes[one[0]]]
+            for one in rows
+        ]
+        losses.append(-np.mean(ends))
+    return np.mean(losses)
+
+
+@pytest.fixture(scope="module")
+def repeated():
+    """Touches of three objects that resemble their neighbours and are too sure."""
+    rng = np.random.default_rng(8)
+    codes = np.repeat(np.arange(3), 40)
+    shared = np.repeat(rng.normal(size=(12, 3)), 10, axis=0)
+    said = 1.6 * (rng.normal(size=(120, 3)) / 2 + shared + np.eye(3)[codes])
+    said[::9] = 0.0  # no contact
+    rows = np.arange(120).reshape(-1, 10)
+    episodes = {1: rows.reshape(-1, 1), 3: rows[:, :3], 7: rows[:, 2:9]}
+    prior = np.log([0.5, 0.3, 0.2])
+    return with_floor(said, 0.01), codes, episodes, prior
+
+
+def test_the_calibration_found_is_of_least_loss(repeated):
+    found = fit_sequence_calibration(*repeated)
+    assert 0.1 < found.strength < 0.9
+    assert 0.1 < found.correlation < 0.9
+    least = loss_of(found, *repeated)
+    for strength, correlation in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        beside = SequenceCalibration(
+            found.strength + 1e-3 * strength, found.correlation + 1e-3 * correlation
+        )
+        assert loss_of(beside, *repeated) > least
+
+
+def test_calibrations_stay_within_their_bounds(repeated):
+    floored, codes, episodes, prior = repeated
+    # What always misleads keeps a twentieth of its weight.
+    wrong = fit_sequence_calibration(floored, (codes + 1) % 3, episodes, prior)
+    assert wrong.strength == pytest.approx(0.05)
+    # What never misleads is taken at its word, and as if no touch were like another.
+    sure = fit_sequence_calibration(
+        with_floor(9.0 * np.eye(3)[codes], 0.01), codes, episodes, prior
+    )
+    assert (sure.strength, sure.correlation) == pytest.approx((1, 0), abs=1e-5)
+    assert sure.correlation > 0
+    # Touches that repeat the first one's word are worth one.
+    first = np.repeat(floored[1::10], 10, axis=0)
+    same = {k: rows for k, rows in episodes.items() if k < 7}
+    alike = fit_sequence_calibration(first, codes, same, prior)
+    assert alike.correlation == pytest.approx(1, abs=1e-5)
+    assert alike.correlation < 1
+
+
+def seen(seed=0, n_each=10, spread=1.0):
+    """Examples of three things in a plane, and their names."""
+    rng = np.random.default_rng(seed)
+    labels = np.repeat(["ball", "mug", "pen"], n_each)
+    centres = np.array([[0.0, 50.0], [3.0, 50.0], [0.0, 90.0]])
+    return np.repeat(centres, n_each, axis=0) + [spread, 10 * spread] * rng.normal(
+        size=(3 * n_each, 2)
+    ), labels
+
+
+def test_a_sense_says_what_its_classifier_says_with_the_floor():
+    X, y = seen()
+    sense = Modality(floor=0.2).fit(X, y)
+    assert sense.classes_.tolist() == ["ball", "mug", "pen"]
+    asked = seen(1, 2)[0]
+    scaled = (asked - X.mean(axis=0)) / X.std(axis=0)
+    shares = np.exp(sense.classifier_.log_likelihood(scaled))
+    shares = 0.8 * shares / shares.sum(axis=1, keepdims=True) + 0.2 / 3
+    said = np.exp(sense.log_likelihood(asked, np.array(["pen", "ball", "mug"])))
+    assert said == pytest.approx(shares[:, [2, 0, 1]])
+    # What it does not know gets the mean of what it knows among those asked about.
+    some = np.exp(sense.log_likelihood(asked, np.array(["box", "mug", "pen"])))
+    middle = shares[:, 1:].mean(axis=1)
+    assert some == pytest.approx(np.column_stack([middle, shares[:, 1:]]))
+    none = sense.log_likelihood(asked, np.array(["box", "cup"]))
+    assert none.tolist() == [[0.0, 0.0]] * 6
+
+
+def test_examples_that_resemble_each_other_are_left_out_together():
+    X, y = seen(spread=3.0)
+    alone = Modality().fit(X, y).sequence_calibration_
+    assert alone == Modality().fit(X, y, groups=np.arange(30)).sequence_calibration_
+    assert alone != Modality(random_state=1).fit(X, y).sequence_calibration_
+    # Copies that are met in training are surer of themselves.
+    rng = np.random.default_rng(2)
+    copies = np.repeat(X, 4, axis=0) + 1e-3 * rng.normal(size=(120, 2))
+    names, visit = np.repeat(y, 4), np.repeat(np.arange(30), 4)
+    told = Modality().fit(copies, names, groups=visit).sequence_calibration_
+    untold = Modality().fit(copies, names).sequence_calibration_
+    assert told.strength < untold.strength - 0.2
+
+
+@pytest.mark.parametrize("floor", [0, 0.5])
+def test_a_floor_of_a_sense_is_at_most_a_half(floor):
+    assert Modality(floor=floor).fit(*seen()).floor == floor
+    for beyond in (-0.01, 0.51):
+        with pytest.raises(ValueError, match="floor must be"):
+            Modality(floor=beyond).fit(*seen())
+
+
+@pytest.mark.parametrize("y", [["a"] * 4, ["a", "a", "a", "b"], ["a", "b"]])
+def test_a_sense_needs_two_labels_of_two_examples(y):
+    with pytest.raises(ValueError, match="y must"):
+        Modality().fit(np.eye(4), y)
+    Modality().fit(np.eye(4), ["a", "b", "b", "a"])
+
+
+def test_a_label_left_out_whole_gets_the_least_that_any_got(rng):
+    images = rng.normal(size=(24, 2, 4)) + 3 * np.repeat(np.eye(8)[:3], 8, 0).reshape(
+        24, 2, 4
+    )
+    labels = np.repeat(["a", "b", "c"], 8)
+    groups = np.where(labels == "c", 9, np.arange(24) % 4)
+    learnt = ObjectRecogniser("corradi2015").fit(images, labels, groups)
+    said = learnt.left_out_log_likelihood()
+    assert np.isfinite(said).all()
+    assert (said[16:, 2] == said[16:, :2].min(axis=1)).all()

@@ -1,10 +1,10 @@
-"""Contact of touches with channels, and on pads side by side in one picture."""
+"""When touches count as contact, saturated or double; with channels, on pads."""
 
 import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.recognition import ObjectRecogniser, _contact
+from palpate.recognition import ObjectRecogniser, _contact, correlation
 
 NAMES = ["block"] * 12 + ["bar"] * 12
 PADS = [[0, 0, 9, 9], [0, 11, 9, 9]]
@@ -38,15 +38,16 @@ def check(monkeypatch):
     monkeypatch.setattr(_contact, "find_geometry", lambda touches: touches.geometry)
 
     def fit(images, **about):
-        touches = Touches(images, object=NAMES, **about)
+        names = np.resize(NAMES, len(images))
+        touches = Touches(images, object=names, **about)
         return _contact.ContactCheck().fit(touches, AsTheyAre())
 
     return fit
 
 
-def flags(check, images, **about):
+def flags(check, images, every=None, **about):
     touches = Touches(np.asarray(images), **about)
-    return check.flags(touches, touches.images)
+    return check.flags(touches, touches.images, every)
 
 
 def test_taxels_outside_every_pad_do_not_count(check):
@@ -132,3 +133,209 @@ def test_images_with_channels_must_be_named():
     )
     with pytest.raises(ValueError, match=r"shape \(1, 9, 20, 3\). Name its channels"):
         learnt.evidence(np.zeros((1, 9, 20, 3)))
+
+
+def mixed(share, frame, other):
+    """Return an image whose correlation with a frame is given."""
+    one, two = (image - image.mean() for image in (frame, other))
+    two -= (one * two).sum() / (one**2).sum() * one
+    two *= np.linalg.norm(one) / np.linalg.norm(two)
+    return 50 + 7 * (share * one + np.sqrt(1 - share**2) * two)
+
+
+def test_correlation_is_that_of_statistics():
+    images = np.random.default_rng(0).integers(0, 255, (4, 5, 6), dtype=np.uint8)
+    images[3] = 9  # an even image is like nothing
+    found = correlation(images, images[1])
+    expected = np.corrcoef(images[:3].reshape(3, -1))[1]
+    assert found == pytest.approx([*expected, 0])
+    assert correlation(images, images[3]).tolist() == [0, 0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("geometry", "typical", "limit"),
+    [
+        # Those of a middling touch or not, a camera has one limit.
+        ("dome", 0.5, 0.985),
+        ("dome", 0.99, 0.985),
+        ("plane", 0.5, 0.985),
+        # A quarter of what a middling touch is unlike the frame.
+        ("plane", 0.98, 0.995),
+    ],
+)
+def test_a_camera_sees_no_contact_where_it_sees_the_frame(
+    check, geometry, typical, limit
+):
+    rng = np.random.default_rng(1)
+    frame, others = rng.random((9, 20)), rng.random((24, 9, 20))
+    taught = [mixed(typical, frame, other) for other in others]
+    camera = check(np.stack(taught), geometry=geometry, no_contact=frame)
+    near = [mixed(limit + step, frame, others[0]) for step in (5e-4, -5e-4, 0.004)]
+    assert flags(camera, np.stack(near)) == ["no contact", "", "no contact"]
+
+
+@pytest.mark.parametrize("geometry", ["dome", "plane", "none"])
+def test_without_a_frame_only_arrays_tell_no_contact(check, geometry):
+    blind = check(pressed(), geometry=geometry)
+    assert blind.kind_ == ""
+    assert flags(blind, np.zeros((2, 9, 20))) == ["", ""]
+    assert check(pressed(), geometry="array").kind_ == "array"
+
+
+@pytest.mark.parametrize("rest", [0.0, 30.0])
+def test_an_array_is_pressed_from_three_hundredths_of_a_middling_touch(check, rest):
+    frame = rest + np.random.default_rng(2).random((9, 20))
+    images = frame + pressed()
+    about = {"no_contact": frame} if rest else {}
+    array = check(images if rest else pressed(), geometry="array", **about)
+    size = np.median(np.sqrt((pressed() ** 2).mean(axis=(1, 2))))
+    assert array.typical_ == pytest.approx(size)
+    # Up or down: a change is a change.
+    asked = [frame * bool(rest) + share * size for share in (0.029, 0.031, -0.031)]
+    said = flags(array, np.stack(asked), **about)
+    assert said == ["no contact", "", ""]
+
+
+def test_touches_that_never_change_leave_a_unit_of_one(check):
+    assert check(np.zeros((24, 9, 20)), geometry="array").typical_ == 1
+
+
+@pytest.mark.parametrize(
+    ("dtype", "geometry", "low", "high"),
+    [
+        # An array at rest is full of taxels at the lowest level.
+        (np.uint8, "array", False, True),
+        (np.uint8, "plane", True, True),
+        (np.int16, "plane", True, True),
+        (np.float64, "plane", False, False),
+    ],
+)
+def test_saturated_is_more_at_the_limit_than_in_training(
+    check, dtype, geometry, low, high
+):
+    limits = np.iinfo(dtype if dtype != np.float64 else np.uint8)
+    images = np.random.default_rng(0).integers(100, 150, (24, 10, 10)).astype(dtype)
+    ends = {"low": (limits.min, low), "high": (limits.max, high)}
+    for level, is_limit in ends.values():
+        for usual in (0, 3):
+            taught = images.copy()
+            taught.reshape(24, -1)[:, :usual] = level
+            learnt = check(taught, geometry=geometry, no_contact=np.full((10, 10), 90))
+            # Five in a hundred taxels more are still as in training.
+            touches = images[:2].copy()
+            for touch, count in zip(touches, (5, 6), strict=True):
+                touch.reshape(-1)[: usual + count] = level
+            expected = ["", "saturated" if is_limit else ""]
+            assert flags(learnt, touches) == expected
+
+
+def test_what_one_in_a_hundred_training_touches_shows_is_no_measure(check):
+    images = np.full((24, 10, 10), 100, np.uint8) + np.eye(10, dtype=np.uint8)
+    images[0, :5] = 255
+    learnt = check(images, geometry="plane")
+    # The 99 % quantile of 23 zeros and 0.5 lies 0.77 of the way to the last.
+    assert learnt.at_limit_ == pytest.approx(0.5 * (0.99 * 23 - 22))
+
+
+@pytest.mark.parametrize(
+    ("regions", "said"),
+    [
+        ([(0, 0, 2, 8), (5, 2, 2, 2)], "double contact"),  # 16 and 4 taxels
+        ([(0, 0, 2, 8), (5, 2, 1, 4)], "double contact"),
+        ([(0, 0, 2, 8), (5, 2, 4, 1)], "double contact"),
+        ([(0, 0, 2, 8), (5, 2, 1, 3)], ""),  # 16 and 3
+        ([(0, 0, 2, 8), (5, 2, 3, 1)], ""),
+        ([(0, 0, 8, 2), (0, 5, 1, 3)], ""),
+        ([(0, 0, 8, 2), (0, 5, 1, 4)], "double contact"),
+        ([(0, 0, 2, 8), (5, 0, 1, 3), (5, 5, 1, 3), (7, 8, 1, 3)], ""),
+        ([(0, 0, 2, 8), (2, 8, 2, 8)], ""),  # corner to corner is one
+        ([(0, 0, 2, 8), (3, 8, 2, 8)], "double contact"),
+        ([(3, 3, 4, 4)], ""),
+    ],
+)
+def test_double_is_a_second_region_of_a_quarter_of_the_first(check, regions, said):
+    image = np.zeros((1, 9, 20))
+    for row, col, n_rows, n_cols in regions:
+        image[0, row : row + n_rows, col : col + n_cols] = 100
+    array = check(pressed(), geometry="array")
+    for sign in (1, -1):  # a change is a change
+        assert flags(array, sign * image) == [said]
+
+
+@pytest.mark.parametrize(("n_double", "tells"), [(4, True), (5, False)])
+def test_two_regions_are_a_sign_where_few_training_touches_have_them(
+    check, n_double, tells
+):
+    images = np.concatenate([pressed(), pressed()])[:25]
+    images[:n_double, 7:9, 8:17] = 120
+    learnt = check(images, geometry="array")
+    assert learnt.tells_double_ == tells
+
+
+@pytest.mark.parametrize(("side", "tells"), [(8, True), (7, False)])
+def test_fewer_than_eight_taxels_a_side_show_no_two_things(check, side, tells):
+    images = np.zeros((24, 20, side))
+    images[:, 2:5, 2:5] = 100 + np.arange(24)[:, None, None]
+    for turned in (images, np.swapaxes(images, 1, 2)):
+        assert check(turned, geometry="array").tells_double_ == tells
+        assert not check(turned, geometry="plane").tells_double_
+
+
+class Sighted:
+    """Four encodings, of which two are blind to how a thing lies."""
+
+    def __init__(self):
+        self.parts_ = dict.fromkeys(["a", "b", "c", "d"], 3)
+
+    def blind_to(self, name):
+        return {"a": set(), "b": {"turns"}, "c": {"light"}, "d": {"shifts"}}[name]
+
+
+def test_turned_is_new_to_encodings_that_see_it_and_known_to_the_others(check):
+    rng = np.random.default_rng(3)
+    array = check(pressed(), geometry="array")
+    left_out = rng.random((500, 4))
+    assert flags(array, pressed()[:1], every=np.full((1, 4), 9.0)) == [""]
+    array.learn_poses(Sighted(), left_out)
+    assert array.blind_.tolist() == [False, True, False, True]
+    means = left_out[:, [0, 2]].mean(axis=1), left_out[:, [1, 3]].mean(axis=1)
+    assert array.usual_ == pytest.approx([np.quantile(m, 0.99) for m in means])
+    sees, blind = array.usual_
+    step = 1e-9
+    every = [
+        ([sees + step, blind, sees + step, blind], "turned or shifted"),
+        ([sees, blind, sees, blind], ""),
+        ([sees + step, blind + step, sees + step, blind + step], ""),
+        # What does not tell is left out of the mean; where nothing does, none is new.
+        ([np.nan, blind - 1, sees + step, np.nan], "turned or shifted"),
+        ([np.nan, 0, np.nan, 0], ""),
+        ([9, np.nan, 9, np.nan], ""),
+        ([9 - 2 * step, -9, sees - 9 + step, 9], ""),
+    ]
+    touches = np.repeat(pressed()[:1], len(every), axis=0)
+    said = flags(array, touches, every=np.array([row for row, _ in every]))
+    assert said == [expected for _, expected in every]
+    left_out[7, 0] = left_out[7, 2] = np.nan
+    array.learn_poses(Sighted(), left_out)
+    assert np.isnan(array.usual_).tolist() == [True, False]
+    assert set(flags(array, touches, every=np.full((7, 4), 9.0))) == {""}
+
+
+def test_the_gravest_reason_is_told_first(check):
+    array = check(pressed().astype(np.uint8), geometry="array")
+    array.learn_poses(Sighted(), np.zeros((9, 4)))
+    new = np.array([[1.0, 0, 1, 0]] * 4)
+    touches = np.zeros((4, 9, 20), np.uint8)
+    touches[1:, 0:3, 0:6] = touches[1:, 6:9, 0:6] = 120
+    touches[2, 0:3, 0:6] = 255
+    told = flags(array, touches, every=new)
+    assert told[:3] == ["no contact", "turned or shifted", "saturated"]
+    assert flags(array, touches)[1] == "double contact"
+
+
+def test_a_label_consists_of_nothing_where_most_of_its_touches_do():
+    labels = np.repeat(["a", "b"], 4)
+    half = np.array([1, 1, 0, 0, 0, 0, 0, 0], dtype=bool)
+    more = np.array([0, 0, 0, 0, 1, 1, 1, 0], dtype=bool)
+    assert not _contact.consists_of_nothing(labels, half)
+    assert _contact.consists_of_nothing(labels, more)

@@ -12,7 +12,7 @@ from forged_models import forged, models, mutated, opened
 from numpy.testing import assert_array_equal
 
 from palpate import ObjectRecogniser, Touches
-from palpate.recognition import ModelFileError
+from palpate.recognition import ModelFileError, SequenceCalibration
 
 HANG_S = 2.0
 MB = 2**20
@@ -62,6 +62,15 @@ def test_a_hundred_mutated_models_are_bounded(tmp_path):
 @pytest.mark.slow
 def test_ten_thousand_mutated_models_are_bounded(tmp_path):
     assert campaign(tmp_path, range(10_000)) > 3000
+
+
+def refusal_of(path):
+    """Return what a model is refused with, "" where it is read."""
+    try:
+        ObjectRecogniser.load(path)
+    except ModelFileError as error:
+        return str(error)
+    return ""
 
 
 def changed(folder, number, change):
@@ -119,6 +128,9 @@ def with_array_again(learnt, tensors):
         (5, with_many_kernels, "501 parts"),
         (4, with_many_counted, "more touches than there are"),
         (1, with_array_again, "array t1"),
+        (4, with_all("disc_radius_", {"float": "1e9"}), "disc_radius_ must be"),
+        (3, with_all("disc_radius_", {"float": "20.1"}), "between 0 and 20, got 20.1"),
+        (3, with_all("disc_radius_", {"float": "-0.1"}), "between 0 and 20, got -0.1"),
         (1, with_all("image_shape_", {"tuple": [9000, 9000]}), "9000 x 9000"),
         (1, with_all("image_shape_", {"tuple": [{"float": 1e400}, 5]}), "inf"),
     ],
@@ -126,6 +138,11 @@ def with_array_again(learnt, tensors):
 def test_what_would_hang_or_fill_memory_is_refused(tmp_path, number, change, message):
     path = changed(tmp_path, number, change)
     assert message in (check_bounded(path) or "")
+
+
+def test_a_disc_as_large_as_its_frame_is_read(tmp_path):
+    change = with_all("disc_radius_", {"float": "20.0"})
+    assert refusal_of(changed(tmp_path, 3, change)) == ""
 
 
 def test_nan_among_the_features_is_refused(tmp_path):
@@ -292,3 +309,272 @@ def test_texts_of_a_model_are_bounded(tmp_path, n_letters, n_others, told):
     path = changed(tmp_path, 0, with_texts("x" * n_letters, ["y"] * n_others))
     refusal = f"{n_others + 1} texts of up to {n_letters} letters"
     assert (refusal in (check_bounded(path) or "")) == told
+
+
+def node(name="SequenceCalibration", params=None, **learnt):
+    return {"class": name, "params": params or {}, "learnt": learnt}
+
+
+def beside(*nodes):
+    """Put nodes where a model keeps whatever was found out."""
+
+    def change(learnt, tensors):
+        learnt["chosen_"]["dict"].append(["more", {"list": [*nodes]}])
+
+    return change
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """Forge a model, written once, that keeps some nodes more."""
+    folder = tmp_path_factory.mktemp("plain")
+    document, tensors = opened(models()[0].save(folder / "a.palpate"))
+
+    def forge(place, *nodes):
+        other = deepcopy(document)
+        beside(*nodes)(other["model"]["learnt"], tensors)
+        return forged(place / "b.palpate", other, tensors)
+
+    return forge
+
+
+MOST = {
+    **dict.fromkeys(("degree", "order", "n_orientations", "n_partitions"), 60),
+    **dict.fromkeys(("n_points", "n_rings", "radii", "n_harmonics", "cell"), 32),
+    **dict.fromkeys(("shape", "side", "cells", "n", "resample", "n_quantiles"), 1024),
+    **dict.fromkeys(("size", "size_"), 2048),
+    "whatever_": 2**53,
+}
+
+
+@pytest.mark.parametrize("name", MOST)
+def test_what_sizes_something_has_a_limit(tmp_path, plain, name):
+    most = MOST[name]
+    for value in (most, most + 1):
+        one = node(params={name: value}) if name[-1] != "_" else node(**{name: value})
+        said = refusal_of(plain(tmp_path, one))
+        assert (f"{name} must be at most {most}, got {value}" in said) == (value > most)
+
+
+@pytest.mark.parametrize("value", [-2048, -2049])
+def test_what_sizes_something_has_a_limit_below_and_in_a_row(tmp_path, plain, value):
+    for given in (value, {"tuple": [1, value]}, {"list": [1, value]}):
+        said = refusal_of(plain(tmp_path, node(size_=given)))
+        assert (f"at most 2048, got {value}" in said) == (value < -2048)
+
+
+@pytest.mark.parametrize(
+    ("order", "shape", "refused"),
+    [
+        (20, [9000, 9000], False),
+        (21, [21, 2159], False),  # 45,339 levels times 441
+        (21, [21, 2160], True),
+        (40, [100, 125], False),  # 20 million
+        (40, [1, 12_501], True),
+        (60, [5, 1112], True),
+    ],
+)
+def test_moments_of_high_order_are_made_of_small_images(
+    tmp_path, plain, order, shape, refused
+):
+    # What is built from it then fails for another reason, or is built.
+    one = node(params={"order": order}, image_shape_={"tuple": shape})
+    said = refusal_of(plain(tmp_path, one))
+    assert ("too much for one touch" in said) == refused
+
+
+@pytest.mark.parametrize(("n_kernels", "refused"), [(2500, False), (2501, True)])
+def test_kernels_times_touches_are_at_most_five_million(
+    tmp_path, plain, n_kernels, refused
+):
+    one = node(kernels_={"list": [0] * n_kernels}, touches_={"list": [0] * 2000})
+    said = refusal_of(plain(tmp_path, one))
+    assert ("too much for one touch" in said) == refused
+
+
+def test_a_model_has_at_most_five_hundred_parts(tmp_path):
+    document, _ = opened(models()[0].save(tmp_path / "a.palpate"))
+    more = 500 - len(every(document, "class"))
+    for n_nodes, refused in ((more, False), (more + 1, True)):
+        said = refusal_of(changed(tmp_path, 0, beside(*[node()] * n_nodes)))
+        assert bool(said) == refused
+        assert said.count("501 parts, too much for one touch") == refused
+
+
+@pytest.mark.parametrize(
+    ("counts", "refused"), [([0, 4], False), ([-1, 4], True), ([0, 5], True)]
+)
+def test_touches_are_counted_from_none_to_all(tmp_path, counts, refused):
+    def change(learnt, tensors):
+        tensors["t900"] = np.array(counts)
+        counted = {"array": "t900", "shape": [2], "turned": False}
+        beside(node(counts_=counted, points_={"list": [0] * 4}))(learnt, tensors)
+
+    said = refusal_of(changed(tmp_path, 0, change))
+    assert ("more touches than there are" in said) == refused
+
+
+@pytest.mark.parametrize(("n_uses", "refused"), [(4, False), (5, True)])
+def test_an_array_is_used_four_times_at_most(tmp_path, n_uses, refused):
+    def change(learnt, tensors):
+        tensors["t900"] = np.zeros((2, 3))
+        one = {"array": "t900", "shape": [2, 3], "turned": False}
+        beside(*[one] * n_uses)(learnt, tensors)
+
+    said = refusal_of(changed(tmp_path, 0, change))
+    assert ("the array t900 has shape" in said) == refused
+
+
+@pytest.mark.parametrize(
+    ("shape", "refused"), [([2, 3], False), ([3, 2], True), ([6], True), ([], True)]
+)
+def test_an_array_has_its_own_shape(tmp_path, shape, refused):
+    def change(learnt, tensors):
+        tensors["t900"] = np.zeros((2, 3))
+        beside({"array": "t900", "shape": shape, "turned": False})(learnt, tensors)
+
+    said = refusal_of(changed(tmp_path, 0, change))
+    assert ("the array t900 has shape (2, 3)" in said) == refused
+
+
+def test_a_number_in_an_array_is_read_as_one(tmp_path):
+    model = deepcopy(models()[0])
+    model.chosen_["number"] = np.array(5.0)
+    again = ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+    assert again.chosen_["number"].shape == ()
+    assert again.chosen_["number"] == 5
+
+
+@pytest.mark.parametrize(("more", "refused"), [(0, False), (1, True)])
+def test_a_document_has_a_million_values_and_one_in_fifty_bytes(
+    tmp_path, more, refused
+):
+    """Each bracket, brace and comma is one."""
+    path, start, end = tmp_path / "a.palpate", '{"a":[0', "]}"
+
+    def written(n_values):
+        return forged(path, start + ",0" * (n_values - 2) + end, {}).stat().st_size
+
+    n_values = 1_000_000
+    while n_values + 1 <= 1_000_000 + written(n_values + 1) / 50:
+        n_values = int(1_000_000 + written(n_values + 1) / 50)
+    n_bytes = written(n_values + more)
+    assert (n_values + more > 1_000_000 + n_bytes / 50) == refused
+    said = f"{n_values + more} values are too many for its size"
+    assert (said in refusal_of(path)) == refused
+
+
+def test_a_document_is_of_plain_letters(tmp_path):
+    path = forged(tmp_path / "a.palpate", '{"format": 4, "model": "é"}', {})
+    assert "values are too many" in refusal_of(path)
+
+
+def test_texts_take_32_mb_and_half_of_the_file_at_most(tmp_path):
+    path = models()[0].save(tmp_path / "a.palpate")
+    document, tensors = opened(path)
+    texts = {"text": ["x" * 1000, *["y"] * 8499], "shape": [8500]}
+    beside(texts)(document["model"]["learnt"], tensors)
+    held = [one["text"] for one in every(document, "text")]
+    n_letters = sum(max(map(len, items), default=0) * len(items) for items in held)
+    most = 2 * (4 * n_letters - 32 * MB)  # bytes of a file that may hold them
+    text = json.dumps(document)
+    # Files of whole words, as headers are.
+    n_odd = forged(path, text, tensors).stat().st_size % 8
+    tensors["t900"] = np.zeros(8 - n_odd, dtype=np.uint8)
+    short = most - forged(path, text, tensors).stat().st_size
+    assert 0 < short < 8 * MB
+    for missing, refused in ((0, False), (8, True)):
+        forged(path, text + " " * (short - missing), tensors)
+        assert path.stat().st_size == most - missing
+        assert ("texts of up to" in refusal_of(path)) == refused
+
+
+@pytest.mark.parametrize(
+    ("shape", "said"),
+    [
+        ([10_000, 5000], ""),  # 50 million levels, too many to try
+        ([10_000, 5001], "images of 10000 x 5001 are none"),
+        ([10], "images of 10 are none"),
+        ([10, 0], "images of 10 x 0 are none"),
+        ([2, 2, 2, 2], "images of 2 x 2 x 2 x 2 are none"),
+        ([1, 800_001], ""),
+        ([1, 800_000], "damaged"),  # tried, and does not fit
+    ],
+)
+def test_images_have_50_million_levels_and_are_tried_up_to_800_000(
+    tmp_path, shape, said
+):
+    model = deepcopy(models()[0])
+    model.encoder_.image_shape_ = tuple(shape)
+    model.encoder_.still_ = None
+    refusal = refusal_of(model.save(tmp_path / "m.palpate"))
+    assert said in refusal
+    assert bool(said) == bool(refusal)
+
+
+def test_what_is_as_large_as_a_touch_is_read(tmp_path):
+    model = deepcopy(models()[0])
+    encoder, n = model.encoder_, model.memory_.features.shape[1]
+    encoder.drift_ = encoder.still_ = np.zeros(encoder.image_shape_)
+    encoder.broken_ = np.zeros(encoder.image_shape_, dtype=bool)
+    encoder.offset_, encoder.weighing_ = np.zeros(n), np.eye(n)
+    encoder.look_offset_ = np.zeros(7)
+    path = model.save(tmp_path / "m.palpate")
+    assert refusal_of(path) == ""
+    for name in ("offset_", "look_offset_", "weighing_"):
+        other = deepcopy(model)
+        setattr(other.encoder_, name, getattr(encoder, name)[:-1])
+        said = refusal_of(other.save(path))
+        assert f"its {name} has shape" in said
+
+
+def test_a_memory_of_nothing_is_refused(tmp_path):
+    model = deepcopy(models()[0])
+    columns = {k: v[:0] for k, v in vars(model.memory_).items() if k != "sensor"}
+    model.memory_ = replace(model.memory_, **columns)
+    model.classes_ = model.classes_[:0]
+    assert refusal_of(model.save(tmp_path / "m.palpate"))
+
+
+@pytest.mark.parametrize(
+    ("sense", "message"),
+    [
+        (lambda sense: SequenceCalibration(), "sight is a SequenceCalibration"),
+        (lambda sense: with_calibration(sense, 7), "a sequence calibration is a int"),
+        (
+            lambda sense: with_calibration(sense, SequenceCalibration(200.0)),
+            "strength must be",
+        ),
+    ],
+)
+def test_a_sense_of_another_kind_is_refused(tmp_path, sense, message):
+    model = deepcopy(models()[0])
+    model.learn_modality("sight", np.eye(4), ["mug", "mug", "pen", "pen"])
+    path = model.save(tmp_path / "m.palpate")
+    assert refusal_of(path) == ""
+    model.modalities_["sight"] = sense(model.modalities_["sight"])
+    assert message in refusal_of(model.save(path))
+
+
+def with_calibration(sense, calibration):
+    sense.sequence_calibration_ = calibration
+    return sense
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("weights", lambda v: np.ones_like(v) / len(v)),
+        ("naming", lambda v: 0 * v),
+        ("refusing", lambda v: 0 * v + 1),
+        ("usual", lambda v: v - 1e6),
+        ("far", lambda v: np.c_[v[:, 0] - 1e6, v[:, 1]]),
+        ("quantiles", lambda v: v[:1]),
+        ("n_units", lambda v: 1),
+    ],
+)
+def test_limits_at_their_bounds_are_read(tmp_path, name, change):
+    model = deepcopy(models()[0])
+    changed = change(getattr(model.limits_, name))
+    model.limits_ = replace(model.limits_, **{name: changed})
+    assert refusal_of(model.save(tmp_path / "m.palpate")) == ""

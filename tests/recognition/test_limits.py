@@ -92,6 +92,18 @@ def test_touches_far_from_what_was_learnt_count_as_unknown(rng):
     assert limits.apart(sure, distances) == pytest.approx(9.0 - limits.usual[0])
 
 
+def test_of_an_object_left_out_whole_the_usual_distance_is_that_of_all(rng):
+    given = left_out(4, rng)
+    given.log_distances[:] = rng.normal(size=given.log_distances.shape)
+    given.log_distances[given.codes == 1, 1] = np.nan
+    own = given.log_distances[np.arange(4 * N_EACH), given.codes].reshape(4, N_EACH)
+    means = own.mean(axis=1)
+    means[1] = means[[0, 2, 3]].mean()
+    assert_allclose(limits_of(given).usual, means)
+    given.log_distances[:] = np.nan
+    assert_allclose(limits_of(given).usual, 0)
+
+
 def test_episodes_score_as_worked_out_touch_by_touch(rng):
     given = left_out(4, rng)
     floored, each = (

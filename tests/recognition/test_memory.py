@@ -6,10 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches
-from palpate.recognition import ObjectRecogniser, without_copies
+from palpate.recognition import (
+    Memory,
+    ObjectRecogniser,
+    left_out_groups,
+    without_copies,
+)
 
 NAMES = ("ball", "mug", "pen")
 DATA = Path(__file__).parent / "data"
@@ -180,3 +185,265 @@ def test_nothing_may_be_called_unknown(way):
     learnt = ObjectRecogniser().fit(touches)
     with pytest.raises(ValueError, match="name must not be 'unknown'"):
         WAYS[way](learnt, touches, odd)
+
+
+def kept(labels, blocks=None, **columns):
+    """Return a memory of touches in a row, each one unit apart from the next."""
+    n = len(labels)
+    features = np.arange(n, dtype=float)[:, np.newaxis] * [1.0, 0.0]
+    own = {
+        "features": features,
+        "objects": np.array(labels),
+        "sessions": np.full(n, ""),
+        "subjects": np.full(n, ""),
+        "nothing": np.zeros(n, dtype=bool),
+        "touch_ids": np.array([f"{k}" for k in range(n)]),
+        "categories": np.full(n, ""),
+    }
+    blocks = np.arange(n) if blocks is None else np.array(blocks)
+    return Memory(labels=np.array(labels), blocks=blocks, **(own | columns))
+
+
+def test_what_is_kept_is_counted_and_named():
+    kinds = np.array(["tool", "", "tool", "tool", "cup", "tool", "", ""])
+    memory = kept(["b", "b", "a", "a", "c", "c", "d", "d"], categories=kinds)
+    assert len(memory) == 8
+    assert memory.classes.tolist() == ["a", "b", "c", "d"]
+    # Of b one touch tells nothing, those of c do not agree, of d none tells.
+    assert memory.category_of.tolist() == ["tool", "", "", ""]
+    assert memory.looks.shape == (8, 7)
+    assert np.isnan(memory.looks).all()
+    looks = np.ones((8, 7))
+    assert kept(["a"] * 8, looks=looks).looks is looks
+
+
+def test_units_are_objects_or_objects_in_a_session():
+    labels = ["a"] * 4 + ["b"] * 4 + ["c"] * 4
+    alone = kept(labels, np.arange(12) // 2)
+    assert alone.units == (3, "these objects, recorded as when they were learnt")
+    visits = kept(labels, [0, 0, 1, 1] * 2 + [1, 1, 2, 2])
+    assert visits.units == (6, "these objects in other sessions")
+    one_each = kept(labels, np.arange(12) // 4)
+    assert one_each.units[0] == 3
+
+
+def test_later_touches_come_last_with_blocks_of_their_own_and_copies_join():
+    first = kept(
+        ["a"] * 4 + ["b"] * 4, [0, 0, 1, 1, 2, 2, 3, 3], sensor={"kind": "mat"}
+    )
+    more = kept(["b"] * 3, [0, 1, 1], sensor={"kind": "pad"})
+    far = np.array([[4.0, 0.0], [95.0, 0.0], [101.0, 0.0]])
+    later = Memory(**{**vars(more), "features": far})
+    both = first.plus(later)
+    assert both.labels.tolist() == ["a"] * 4 + ["b"] * 7
+    assert_array_equal(both.features, np.concatenate([first.features, far]))
+    # The first of them is the touch of block 2; blocks are numbered on from 4.
+    assert both.blocks.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 2, 5, 5]
+    assert both.sensor == {"kind": "mat"}
+    other = kept(["c"] * 2, [0, 1], sensor={"kind": "pad"})
+    bare = Memory(**{**vars(first), "sensor": None}).plus(other)
+    # Of another object even the same features are no copy.
+    assert bare.blocks.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 5]
+    assert bare.sensor == {"kind": "pad"}
+
+
+def test_forgetting_and_replacing_keep_the_others():
+    memory = kept([10, 10, 2, 2, 3], [0, 1, 2, 2, 3])
+    assert memory.without([2, "3"]).touch_ids.tolist() == ["0", "1"]
+    assert memory.without([]).touch_ids.tolist() == list("01234")
+    anew = kept([2, 2, 2], [0, 0, 1], touch_ids=np.array(["x", "y", "z"]))
+    replaced = memory.replaced(anew)
+    assert replaced.touch_ids.tolist() == ["0", "1", "4", "x", "y", "z"]
+    assert replaced.blocks.tolist() == [0, 1, 3, 4, 4, 5]
+    assert anew.replaced(kept([2, 2], [0, 1])).touch_ids.tolist() == ["0", "1"]
+
+
+@pytest.mark.parametrize("most", range(2, 10))
+def test_the_newest_are_kept_in_turn_of_each_session(most):
+    days = ["mon"] * 5 + ["tue"] * 2 + ["mon"] + ["wed"]
+    labels = [7] * 9 + [8] * 3
+    memory = kept(labels, sessions=np.array([*days, "mon", "mon", "mon"]))
+    # One more of each session in turn, the last that was met first.
+    piles = {"mon": [7, 4, 3, 2, 1, 0], "tue": [6, 5], "wed": [8]}
+    turns = [[p[k] for p in piles.values() if k < len(p)] for k in range(6)]
+    ids = memory.newest("7", most).touch_ids.astype(int).tolist()
+    assert ids == sorted(ids)
+    assert ids[-3:] == [9, 10, 11]
+    assert len(ids) == 3 + min(most, 9)
+    for turn in turns:
+        # A turn is begun only when the one before it is kept whole.
+        left = most - sum(len(t) for t in turns[: turns.index(turn)])
+        assert len(set(turn) & set(ids)) == min(max(left, 0), len(turn))
+
+
+def distances(memory, features, left_out=None):
+    """Return log distances to the nearest touch of each object, pair by pair."""
+    apart = np.linalg.norm(features[:, None] - memory.features, axis=2)
+    if left_out is not None:
+        apart[left_out[:, None] == memory.blocks] = np.nan
+    of_each = [apart[:, memory.labels == name] for name in memory.classes]
+    with np.errstate(divide="ignore"):
+        return np.log([[np.nanmin(row) for row in one] for one in of_each]).T
+
+
+def test_distances_are_those_to_the_nearest_touch_of_each_object(model):
+    given = model.evidence(drawn(4))
+    assert_allclose(given.log_distances, distances(model.memory_, given.features))
+    # A touch that was learnt is nearly nowhere; how near rounding decides.
+    again = model.evidence(drawn(0)).log_distances
+    own = again[np.arange(36), np.repeat([0, 1, 2], 12)]
+    assert np.isfinite(own).all()
+    assert (own < again.max() + np.log(1e-5)).all()
+
+
+def test_usual_distances_leave_out_the_block_of_each_touch(model):
+    memory = model.memory_
+    far = distances(memory, memory.features, memory.blocks)
+    usual = [
+        far[memory.labels == name, k].mean() for k, name in enumerate(memory.classes)
+    ]
+    assert_allclose(model.limits_.usual, usual)
+
+
+@pytest.mark.parametrize(("n_each", "step"), [(666, 1), (667, 2)])
+def test_of_more_than_2000_touches_some_stand_for_all(learnt, n_each, step):
+    """Every second of each object, the first of them."""
+    touches = drawn(5, n_each=n_each)
+    features = learnt.encoder_.transform(touches)
+    memory = kept(touches.object.tolist(), features=features)
+    learnt.memory_ = memory
+    asked = touches[::97]
+    some = np.concatenate([np.flatnonzero(memory.labels == n)[::step] for n in NAMES])
+    assert len(some) <= 2000
+    part = kept(memory.labels[some].tolist(), features=features[some])
+    expected = distances(part, learnt.encoder_.transform(asked))
+    found = learnt.evidence(asked).log_distances
+    assert_allclose(np.maximum(found, -5), np.maximum(expected, -5))
+
+
+def test_distances_are_told_in_units_of_a_middling_pair(learnt):
+    """Of up to 300 touches; of more, every second one tells."""
+    for n, step in ((300, 1), (301, 2)):
+        features = np.zeros((n, learnt.memory_.features.shape[1]))
+        features[:, 0] = np.random.default_rng(n).normal(size=n) * (
+            1 + np.arange(n) % 2
+        )
+        learnt.memory_ = kept(
+            ["ball", "mug", "pen"] * (n // 3) + ["ball"] * (n % 3), features=features
+        )
+        line = features[::step, 0]
+        unit = np.median(abs(line[:, None] - line)[np.triu_indices(len(line), 1)])
+        belief = learnt.start()
+        belief.update_from_log_likelihood([0.0, -1.0, -2.0], features=features[:1] + 0)
+        (one,) = belief.explain(n_nearest=n)
+        found = [near["distance"] for near in one["nearest"]]
+        assert_allclose(found, np.sort(abs(features[:, 0] - features[0, 0])) / unit)
+
+
+def test_of_touches_that_are_all_alike_the_unit_is_one(learnt):
+    features = np.ones((6, learnt.memory_.features.shape[1]))
+    learnt.memory_ = kept([*NAMES, *NAMES], features=features)
+    belief = learnt.start().update_from_log_likelihood(
+        [0.0, -1.0, -2.0], features=features[:1] + 3.0 / np.sqrt(features.shape[1])
+    )
+    assert [n["distance"] for n in belief.explain()[0]["nearest"]] == [3.0] * 3
+
+
+def test_exact_copies_are_left_out_together_even_where_most_are_copies():
+    features = np.array([[0.0]] * 6 + [[1.0], [2.0]])
+    objects, blocks = np.repeat(["cup"], 8), np.repeat(np.arange(4), 2)
+    # Of 28 pairs 15 are no distance apart, so that the median is none either.
+    joined = without_copies(features, objects, blocks)
+    assert joined.tolist() == [0, 0, 0, 0, 0, 0, 3, 3]
+
+
+@pytest.mark.parametrize(("share", "joined"), [(0.0099, True), (0.0101, False)])
+def test_copies_are_nearer_than_a_hundredth_of_the_median_square(share, joined):
+    # Pairs of 20 corners of a simplex are all at a squared distance of 2.
+    features = np.vstack([np.eye(20), np.eye(20)[3]])
+    features[20, 19] += np.sqrt(2 * share)
+    blocks = np.arange(21) + 5
+    objects = np.repeat(["cup"], 21)
+    found = without_copies(features, objects, blocks)
+    assert found.tolist() == [*blocks[:20], 8 if joined else 25]
+    # Another object's touches are no copies; one touch alone has none.
+    objects[20] = "mug"
+    assert without_copies(features, objects, blocks).tolist() == blocks.tolist()
+
+
+def visits(label="object", **columns):
+    """Return the groups in which twelve touches of four objects are left out."""
+    objects = np.repeat(["a", "b", "c", "d"], 3)
+    touches = Touches(np.zeros((12, 2, 2)), object=objects, **columns)
+    labels = touches.object if label == "object" else touches.category
+    return left_out_groups(touches, labels, objects, label).tolist()
+
+
+def test_whom_or_when_touches_are_of_tells_what_is_left_out_together():
+    persons = ["x", "y", "y"] * 4
+    days = ["1", "2", "3"] * 4
+    assert visits(subject=persons, session=days) == [0, 1, 1] * 4
+    assert visits(session=days) == [0, 1, 2] * 4
+    # Where one object was met by one person alone, the days tell.
+    assert visits(subject=["x", "x", "x", *persons[3:]], session=days) == [0, 1, 2] * 4
+    # Where neither does, each recording is cut into runs.
+    once = ["1", "1", "1", *days[3:]]
+    assert visits(subject=["x"] * 12, session=once) == list(range(12))
+    assert visits(session=["1"] * 3 + ["2"] * 9) == list(range(12))
+
+
+def test_of_categories_whole_objects_are_left_out_where_there_are_several():
+    kinds = np.repeat(["tool", "tool", "mug", "bowl"], 3)
+    groups = visits("category", category=kinds)
+    assert groups[:3] == [groups[0]] * 3
+    assert groups[3:6] == [groups[3]] * 3
+    # Mugs and bowls are one thing each, and left out in runs.
+    assert len(set(groups)) == 2 + 3 + 3
+    order = np.arange(12)[::-1]
+    assert (
+        visits("category", category=kinds, order=order)[6:]
+        == groups[6:9][::-1] + (groups[9:][::-1])
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "message"),
+    [
+        ((np.zeros((3, 2, 2)),), TypeError, "must be Touches, got ndarray without"),
+        ((np.zeros((3, 2, 2)), ["a", "b"]), ValueError, "each of 3 touches, got shape"),
+        ((np.zeros((3, 2, 2)), ["a", "a", "a"]), ValueError, "got only 'a'"),
+        ((np.zeros((3, 2, 2)), ["a", "a", "b"]), ValueError, "got 1 of 'b'"),
+        ((np.zeros((3, 2, 2)), ["b", "b", "a"]), ValueError, "got 1 of 'a'"),
+    ],
+)
+def test_labels_that_teach_nothing_are_refused(given, error, message):
+    with pytest.raises(error, match=message):
+        ObjectRecogniser().fit(*given)
+
+
+def test_senses_and_objects_must_have_names(learnt):
+    examples = np.eye(6), ["ball"] * 3 + ["mug"] * 3
+    for name in ("", None, 5, "unknown"):
+        with pytest.raises(ValueError, match="name must"):
+            learnt.learn_modality(name, *examples)
+        with pytest.raises(ValueError, match="name must"):
+            learnt.add_object(name, drawn(1)[:4])
+    learnt.learn_modality("sight", *examples)
+    assert list(learnt.modalities_) == ["sight"]
+
+
+def test_labels_of_touches_or_beside_them_teach_the_same():
+    touches = drawn(0, n_each=5)
+    beside = ObjectRecogniser("corradi2015").fit(
+        touches.without("object"), touches.object
+    )
+    own = ObjectRecogniser("corradi2015").fit(touches)
+    assert_array_equal(beside.predict(drawn(1)), own.predict(drawn(1)))
+    assert_array_equal(beside.memory_.objects, own.memory_.objects)
+    kinds = np.where(touches.object == "pen", "tool", "thing")
+    told = touches.with_columns(category=kinds)
+    learnt = ObjectRecogniser("corradi2015", label="category").fit(told)
+    assert learnt.classes_.tolist() == ["thing", "tool"]
+    assert_array_equal(learnt.memory_.objects, touches.object)
+    given = ObjectRecogniser("corradi2015", label="category").fit(touches, kinds)
+    assert given.classes_.tolist() == ["thing", "tool"]

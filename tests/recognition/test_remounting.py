@@ -5,9 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from scipy.stats import t as t_distribution
 
 from palpate import Touches
-from palpate.recognition import ObjectRecogniser, across_sessions, adapt
+from palpate.recognition import (
+    ObjectRecogniser,
+    across_sessions,
+    adapt,
+    said_of_sessions,
+)
 from palpate.simulation import DomeCamera, simulate_touches
 
 NAMES = ("ball", "mug", "pen")
@@ -426,3 +433,315 @@ def test_a_model_that_kept_no_looks_still_tells_by_distances(pressed):
     assert pressed.check_mounting(Touches(same.images + 20, geometry="array")).changed
     pressed.remount(same.without("object"))
     assert pressed.chosen_["remount"]["gain"] == 1
+
+
+def test_what_was_moved_is_told_and_moves_touches_onto_those_of_training(taught):
+    before = taught.memory_
+    variance = before.features.var(axis=0).sum()
+    there = _session(OFFSET, 6, 2, "two")
+    found = taught.remount(there).chosen_["remount"]
+    assert (found["n_touches"], found["labelled"], found["broken"]) == (36, True, 0)
+    shift = taught.encoder_.offset_
+    assert found["moved"] == pytest.approx((shift**2).sum() / variance)
+    features = taught.encoder_.transform(there)
+    means = [
+        np.mean([f[labels == name].mean(axis=0) for name in "abcdef"], axis=0)
+        for f, labels in (
+            (features, there.object),
+            (before.features, before.labels),
+        )
+    ]
+    # But for what chance would move, which is a share of it.
+    left = np.linalg.norm(means[0] - means[1])
+    assert 0 < left < 0.05 * np.linalg.norm(shift)
+    # What is kept of the session is what the recogniser makes of it from now on.
+    kept = taught.memory_.features[len(before) :]
+    assert_allclose(kept, features, atol=1e-9)
+    assert_allclose(taught.memory_.looks[len(before) :], taught.encoder_.look(there))
+
+
+def test_remounting_again_begins_where_the_first_one_ended(taught):
+    first = _session(OFFSET, 6, 2, "two", labels=False)
+    second = _session(-OFFSET, 6, 3, "three", labels=False)
+    taught.remount(first)
+    there = taught.encoder_.offset_
+    twice = deepcopy(taught).remount(second)
+    from_start = twice.encoder_.offset_ - there
+    variance = taught.memory_.features.var(axis=0).sum()
+    moved = twice.chosen_["remount"]["moved"]
+    assert moved == pytest.approx((from_start**2).sum() / variance)
+    # Back over the middle to the other side: twice as far as the first time.
+    assert np.linalg.norm(from_start + 2 * there) < 0.6 * np.linalg.norm(there)
+    assert _right(twice, _session(-OFFSET, 10, 4, "three")) > 0.95
+
+
+def test_touches_without_contact_are_no_part_of_a_session():
+    rng = np.random.default_rng(5)
+    names = np.repeat(["block", "bar"], 12)
+    shapes = np.zeros((2, 10, 10))
+    shapes[0, 3:7, 3:7], shapes[1, 4:6, 1:9] = 90, 60
+    images = np.repeat(shapes, 12, axis=0) * rng.uniform(0.8, 1.2, (24, 1, 1))
+    images = images + rng.normal(0, 0.3, images.shape)
+    learnt = ObjectRecogniser().fit(Touches(images, object=names, geometry="array"))
+    idle = rng.normal(0, 0.3, (9, 10, 10))
+    some = images[::3]
+    plain, padded = (
+        deepcopy(learnt).remount(Touches(one, geometry="array"))
+        for one in (some, np.concatenate([some, idle]))
+    )
+    assert_allclose(padded.encoder_.offset_, plain.encoder_.offset_, atol=1e-9)
+    assert padded.chosen_["remount"]["n_touches"] == 17
+    # The check asks those that show contact as well.
+    checks = [
+        learnt.check_mounting(one) for one in (some, np.concatenate([some, idle]))
+    ]
+    assert checks[0] == checks[1]
+    nothing = learnt.check_mounting(idle)
+    assert not nothing.changed
+    assert (nothing.distance, nothing.usual) == (-np.inf, np.inf)
+    assert nothing.reasons == ["Nothing was touched."]
+
+
+def _of_persons(seed, twist, n_persons=3, n_days=2):
+    """Six objects met by persons on days; how a thing lies differs by day and thing."""
+    rng = np.random.default_rng(seed)
+    axis = np.array([1.0, 1, -1, 1, 1, -1, 1, -1])
+    parts = []
+    for person in range(n_persons):
+        for day in range(n_days):
+            for name in "abcdef":
+                moved = twist * rng.normal() * axis
+                name_of = f"{person} {day}"
+                part = _session(moved, 2, int(rng.integers(1e9)), name_of, name)
+                parts.append(part.with_columns(subject=[f"p{person}"] * len(part)))
+    return Touches.concatenate(parts)
+
+
+@pytest.mark.parametrize(("twist", "weighed"), [(12.0, True), (0.0, False)])
+def test_how_sessions_differ_is_weighed_down_where_other_persons_say_it_helps(
+    twist, weighed
+):
+    learnt = ObjectRecogniser().fit(_of_persons(0, twist))
+    new = _of_persons(1, twist, n_persons=1)
+    features = learnt.memory_.features
+    found = learnt.remount(new.without("object", "subject")).chosen_["remount"]
+    loss = found["log_loss"]
+    assert (loss["weighed"] < loss["centred"]) == weighed == found["weighed"]
+    assert (learnt.encoder_.weighing_ is not None) == weighed
+    if weighed:
+        assert found["centred"]
+        assert loss["weighed"] < 0.8 * loss["centred"]
+        # Once is enough: what is weighed is not weighed again.
+        once = learnt.encoder_.weighing_
+        again = learnt.remount(new.without("object", "subject"))
+        assert "weighed" not in again.chosen_["remount"]["log_loss"]
+        assert np.array_equal(again.encoder_.weighing_, once)
+    elif not found["centred"]:
+        assert np.array_equal(learnt.memory_.features, features)
+
+
+def test_touches_are_weighed_by_how_sessions_of_the_other_half_of_persons_differ():
+    """Every other person, by name: it is no matter who of one half is who."""
+    learnt = ObjectRecogniser().fit(_of_persons(0, 4.0, n_persons=4))
+    new = _session(0, 3, 1, "new", labels=False)
+    memory, losses = learnt.memory_, {}
+    for order in ("0123", "2301", "1032", "0213"):
+        other = deepcopy(learnt)
+        renamed = np.array([f"p{order[int(name[1])]}" for name in memory.subjects])
+        other.memory_ = replace(memory, subjects=renamed)
+        found = other.remount(new).chosen_["remount"]
+        losses[order] = found["log_loss"]["weighed"]
+    assert losses["2301"] == pytest.approx(losses["0123"], rel=1e-6)
+    assert losses["1032"] == pytest.approx(losses["0123"], rel=1e-6)
+    assert losses["0213"] != pytest.approx(losses["0123"], rel=1e-6)
+
+
+def test_touches_of_one_person_do_not_tell_what_to_weigh_down():
+    learnt = ObjectRecogniser().fit(_of_persons(0, 12.0, 1, 4))
+    new = _of_persons(1, 12.0, 1, 1).without("object", "subject")
+    found = learnt.remount(new).chosen_["remount"]
+    assert set(found["log_loss"]) == {"plain", "centred"}
+    assert not found["weighed"]
+
+
+@pytest.mark.parametrize(("n_last", "enough"), [(4, True), (3, False)])
+def test_twenty_differences_between_sessions_are_enough(taught, n_last, enough):
+    parts = [
+        _session(0, 1, 10 * day, f"{day}", name)
+        for name in "abcde"
+        for day in range(n_last if name == "e" else 4)
+    ]
+    told = Touches.concatenate(parts)
+    before = taught.memory_
+    if enough:
+        assert taught.learn_nuisance(told) == 20
+        made = before.features @ taught.encoder_.weighing_
+        assert_allclose(taught.memory_.features, made)
+        return
+    with pytest.raises(ValueError, match="got 19 differences"):
+        taught.learn_nuisance(told)
+    assert taught.memory_ is before
+
+
+def test_what_is_weighed_down_after_remounting_keeps_the_session_off(taught):
+    there = _session(OFFSET, 6, 2, "two", labels=False)
+    taught.remount(there)
+    made = taught.encoder_.transform(there)
+    rng = np.random.default_rng(4)
+    axes = [_session(3 * rng.normal(size=8), 2, k, f"{k}", "abcdef") for k in range(4)]
+    taught.learn_nuisance(Touches.concatenate(axes))
+    first = taught.encoder_.weighing_
+    assert_allclose(taught.encoder_.transform(there), made @ first, atol=1e-9)
+    taught.learn_nuisance(Touches.concatenate(axes))
+    second = np.linalg.solve(first, taught.encoder_.weighing_)
+    made = made @ first @ second
+    assert_allclose(taught.encoder_.transform(there), made, atol=1e-9)
+
+
+def test_what_training_says_of_another_day(taught):
+    one, two, three = (
+        _session(0, 3, k, name, objects)
+        for k, (name, objects) in enumerate(
+            [("one", "abcd"), ("two", "abc"), ("three", "ab")]
+        )
+    )
+    learnt = ObjectRecogniser().fit(Touches.concatenate([one, two, three]))
+    found = across_sessions(learnt)
+    # a and b were met in three, c in two, d in one: it cannot be asked.
+    assert (found["least"], found["median"], found["asked"]) == (1, 2.5, 24)
+    assert found["expected"] == 1.0
+    assert across_sessions(taught) == {"least": 1, "median": 1.0, "asked": 0}
+    untold = replace(taught.memory_, sessions=np.full(72, ""))
+    taught.memory_ = untold
+    assert across_sessions(taught) == {"least": 1, "median": 1.0, "asked": 0}
+    far = [_session(k * 40.0 * np.ones(8), 3, k, f"{k}", "abc") for k in range(2)]
+    lost = across_sessions(ObjectRecogniser().fit(Touches.concatenate(far)))
+    assert lost["expected"] < 0.7  # of three
+
+
+def test_what_training_says_of_another_day_in_words():
+    assert said_of_sessions({"least": 1, "median": 1.0, "asked": 0}) == (
+        "Taught in 1 session an object, and none in two: on another day, or mounted "
+        "anew, expect less than today; how much less only touches of another session "
+        "tell."
+    )
+    told = {"least": 3, "median": 3.0, "asked": 40, "expected": 0.756}
+    assert said_of_sessions(told) == (
+        "Taught in 3 sessions an object: expect 76% right after one touch in another "
+        "one (40 touches of sessions left out whole)."
+    )
+
+
+def _discs(rng, n, moved=(0, 0), radius=27.0):
+    """Discs before a dark surround, with a dent of two widths."""
+    row, col = np.mgrid[:60, :60] - 29.5
+    row, col = row - moved[0], col - moved[1]
+    at = rng.uniform(-8, 8, (2, n, 2, 1, 1))
+    squared = (row - at[:, :, 0]) ** 2 + (col - at[:, :, 1]) ** 2
+    dents = np.exp(-squared / (2 * np.array([3, 8])[:, None, None, None] ** 2))
+    inside = np.hypot(row, col) < radius
+    images = 10 + inside * (120 + 100 * dents.reshape(-1, 60, 60))
+    names = np.repeat(["ball", "pen"], n)
+    images = images + rng.normal(0, 2, images.shape)
+    return Touches(images, object=names, geometry="dome")
+
+
+@pytest.fixture(scope="module")
+def rimmed():
+    """What discs about one place have taught."""
+    return ObjectRecogniser("corradi2015").fit(_discs(np.random.default_rng(0), 8))
+
+
+@pytest.mark.parametrize(
+    ("moved", "radius", "said"),
+    [
+        ((0, 0), 27.0, None),
+        # Three hundredths of the radius are 0.8 pixels.
+        ((0.0, 0.4), 27.0, None),
+        ((3, -4), 24.0, "5 pixels from where it was learnt, and is -11% larger"),
+        ((-1.5, 0), 27.0, "pixels from where it was learnt, and is"),
+        ((0, 0), 29.0, "0 pixels from where it was learnt, and is +7% larger"),
+    ],
+)
+def test_a_rim_that_lies_elsewhere_is_told(rimmed, moved, radius, said):
+    asked = _discs(np.random.default_rng(1), 4, moved, radius)
+    reasons = rimmed.check_mounting(asked).reasons
+    rim = [reason for reason in reasons if reason.startswith("The rim lies")]
+    assert len(rim) == (said is not None)
+    if said:
+        assert said in rim[0]
+        assert reasons[-1] == rim[0]
+
+
+def _parts_of(reason):
+    """Return the number in a reason, and the words about it."""
+    before, after = reason.split(" times ")
+    words = before.rsplit(" ", 1)
+    return float(words[1]), f"{words[0]} {after}"
+
+
+@pytest.mark.parametrize("gain", [0.7, 0.8, 1.25, 1.5])
+def test_another_gain_is_told_by_how_much(pressed, gain):
+    check = pressed.check_mounting(_presses(4, 1, gain))
+    assert check.changed
+    times, words = _parts_of(check.reasons[0])
+    # Twelve loads that vary by a fifth, told to a tenth.
+    assert times == pytest.approx(max(gain, 1 / gain), abs=0.12)
+    way = "stronger" if gain > 1 else "weaker"
+    assert words == f"These 12 touches press {way} than training touches."
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda images: 0.6 * images + 0.2 * _beside(images), "fine detail weaker"),
+        (
+            lambda images: images + 2 * (np.indices((SIDE, SIDE)).sum(axis=0) % 2) - 1,
+            "fine detail stronger",
+        ),
+        (lambda images: 0.8 * images + 0.1 * _beside(images), "coarse detail stronger"),
+    ],
+    ids=["blurred", "chequered", "a little blurred"],
+)
+def test_another_detail_is_told_by_how_much(pressed, change, said):
+    other = Touches(change(_presses(4, 1).images), geometry="array")
+    check = pressed.check_mounting(other)
+    assert check.changed
+    times, words = _parts_of(check.reasons[0])
+    assert words == f"These 12 touches show {said} than training touches."
+    # Looks are logarithms of power in octaves, the coarsest first, and of the load.
+    looks, memory = pressed.evidence(other).looks.mean(axis=0), pressed.memory_
+    apart = np.abs(looks - memory.looks.mean(axis=0))[:-1] / 2
+    octaves = slice(0, 4) if "coarse" in said else slice(4, 6)
+    assert np.abs(np.exp(apart[octaves]) - times).min() < 0.1
+
+
+def test_touches_farther_than_usual_are_told(taught):
+    there = _session(3 * OFFSET, 2, 1, "two")
+    check = taught.check_mounting(there)
+    assert check.changed
+    times, words = _parts_of(check.reasons[0])
+    assert words == (
+        "These 12 touches lie as far from training touches as those from each other."
+    )
+    log_distances = taught.evidence(there).log_distances.min(axis=1)
+    memory = taught.memory_
+    # What is usual for training touches is that to other blocks.
+    away = np.linalg.norm(memory.features[:, None] - memory.features, axis=2)
+    away[memory.blocks[:, None] == memory.blocks] = np.inf
+    usual = np.log(away.min(axis=1)).mean()
+    assert times == pytest.approx(np.exp(log_distances.mean() - usual), rel=0.15)
+
+
+def test_the_evidence_of_touches_tells_as_much_of_the_mounting(taught):
+    for moved in (0, 3):
+        there = _session(moved * OFFSET, 2, 1, "two")
+        assert taught.check_mounting(taught.evidence(there)) == (
+            taught.check_mounting(there)
+        )
+
+
+def test_few_draws_that_share_no_touch_allow_for_more(pressed):
+    """Of three parts, each in five runs: a t-test of four degrees of freedom, twice."""
+    least = t_distribution.ppf(0.975, 4) * np.sqrt(1 + 1 / 5)
+    assert pressed.check_mounting(_presses(4, 1)).usual == pytest.approx(least)

@@ -311,6 +311,7 @@ def _store_sheet(store: Store, sheet: Sheet) -> None:
     with store.writing():
         if (now := next_time(store)) > kept.added_s:  # another changed names since
             kept = replace(kept, added_s=now)
+            file_path(images, name).unlink()  # a rebuild would believe the first
             name = publish(images, kept.packed(), store.slots)
         _rows.write_rows(store, kept, name, lost)
 

@@ -487,7 +487,7 @@ class Belief:
         if not self._floored:
             return []
         order = np.argsort(-self._touch_log_posterior, kind="stable")
-        best, rival = int(order[0]), int(order[min(1, len(order) - 1)])
+        best, rival = map(int, order[:2])
         floored, names = np.stack(self._floored), self._judge.classes
         weight = float(self._judge.sequence_calibration.weight(self._n_informative))
         nats = weight * (floored[:, best] - floored[:, rival])

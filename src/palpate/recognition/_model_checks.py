@@ -103,10 +103,11 @@ def check_parts(judge: Judge, encoder: TouchEncoder, pose: object) -> None:
     if not np.isfinite(memory.features).all():
         raise ValueError("its features hold NaN or infinity")
     n = judge.memory.features.shape[1]
-    shapes = {"drift_": tuple(image_shape), "offset_": (n,), "weighing_": (n, n)}
-    shapes |= dict.fromkeys(("still_", "broken_"), tuple(image_shape))
-    shapes |= {"look_offset_": (N_LOOKS,)}
+    shapes = dict.fromkeys(("drift_", "still_", "broken_"), tuple(image_shape))
+    shapes |= {"offset_": (n,), "weighing_": (n, n), "look_offset_": (N_LOOKS,)}
     check_number("gain_", encoder.gain_, low=1e-6, high=1e6)
+    radius = getattr(encoder.clean_up_, "disc_radius_", 0.0)
+    check_number("disc_radius_", radius, low=0, high=min(image_shape[:2]))
     for name, shape in shapes.items():
         if (found := getattr(encoder, name)) is not None and found.shape != shape:
             raise ValueError(f"its {name} has shape {found.shape}, not {shape}")
@@ -133,8 +134,6 @@ def try_one_touch(belief: Belief, blank: Evidence, log_likelihood: Floats) -> No
         raise ValueError("its parts do not fit together")
     for _ in range(2):
         belief.update(blank._replace(log_likelihood=log_likelihood))
-    if abs(sum(belief.posterior.values()) - 1) > 1e-6:
-        raise ValueError("its belief does not sum to one")
     if not 0 <= belief.unknown <= 1:
         raise ValueError("its unknown score is no number")
     belief.decide()

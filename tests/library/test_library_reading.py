@@ -1,0 +1,265 @@
+"""What is read back of some touches: columns, whole sets, limits, selections."""
+
+import mmap
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from palpate import Touches
+from palpate.library import LibraryError, TouchLibrary
+
+N_BYTES = 6 * 4 * 5 * 2
+
+
+def images(n=6, seed=0, shape=(4, 5)):
+    rng = np.random.default_rng(seed)
+    return rng.integers(0, 999, (n, *shape)).astype(np.uint16)
+
+
+@pytest.fixture
+def library(tmp_path):
+    with TouchLibrary.open(tmp_path / "library", create=True) as opened:
+        yield opened
+
+
+def is_mapped(array):
+    while isinstance(array, np.ndarray):
+        array = array.base
+    return isinstance(array, mmap.mmap)
+
+
+def test_limits_of_memory_are_reached_and_not_passed(library):
+    library.add(Touches(images(), object=["a"] * 6))
+    assert not is_mapped(library.touches(in_memory=N_BYTES).images)
+    mapped = library.touches(in_memory=N_BYTES - 1).images
+    assert is_mapped(mapped)
+    assert_array_equal(mapped, images())
+    assert len(library.touches(max_bytes=N_BYTES)) == 6
+    said = f"6 touches must take at most {N_BYTES - 1} bytes, got {N_BYTES}"
+    with pytest.raises(LibraryError, match=said):
+        library.touches(max_bytes=N_BYTES - 1)
+    # By default 256 MiB are held in memory, and 64 GiB are read at all.
+    assert not is_mapped(library.touches().images)
+
+
+@pytest.mark.parametrize(
+    "pick", ["press < 3", "press in (0, 2, 4)", "press != 3", None]
+)
+def test_touches_of_several_files_come_in_the_order_added(library, pick):
+    parts = [
+        Touches(
+            images(2, seed),
+            object=["a", "b"],
+            press=[2 * seed, 2 * seed + 1],
+            place=images(2, seed + 9, (2, 3)),
+            wide=images(2, seed + 20, (7, 9)).astype(float),
+        )
+        for seed in range(3)
+    ]
+    for part in parts:
+        library.add(part)
+    whole = Touches.concatenate(parts)
+    press = np.arange(6)
+    rows = {
+        "press < 3": press < 3,
+        "press in (0, 2, 4)": press % 2 == 0,
+        "press != 3": press != 3,
+        None: press >= 0,
+    }[pick]
+    read, picked = library.touches(pick), library.select(pick)
+    assert_array_equal(read.images, whole.images[rows])
+    for name, column in whole.columns.items():
+        assert_array_equal(read.columns[name], column[rows])
+    # A selection holds short columns alone until images are read.
+    assert "press" in picked.columns
+    assert "wide" not in picked.columns
+    assert_array_equal(picked.columns["press"], press[rows])
+    assert_array_equal(
+        picked.touches([0, 2]).columns["wide"], read.columns["wide"][::2][:2]
+    )
+    assert_array_equal(picked[[1, 2]].touches([1]).images, read.images[2:3])
+    assert len(picked) == rows.sum()
+    ids = [row.id for row in library.list()]
+    assert picked.touch_id.tolist() == list(np.array(ids)[rows])
+    assert (
+        repr(picked) == f"<Selection: {rows.sum()} touches of {str(library.folder)!r}>"
+    )
+
+
+@pytest.mark.parametrize("rows", [[1, 0], [1, 1], [[0, 1]], 0])
+def test_places_in_a_selection_rise(library, rows):
+    library.add(Touches(images(), object=["a"] * 6))
+    some = library.select()
+    with pytest.raises(LibraryError, match="rows must be places in the selection that"):
+        some.touches(rows)
+    assert len(some[[5]]) == 1
+    assert len(some[[0, 5]]) == 2
+
+
+def test_what_whole_sets_share_is_read_and_the_rest_left_out(library):
+    frame = images(1)[0]
+    about = {"no_contact": frame, "set_unit": "kPa", "geometry": "array"}
+    library.add(Touches(images(2), object=["a", "b"], **about))
+    assert set(library.touches().whole) == set(about)
+    library.add(
+        Touches(images(2, 1), object=["a", "b"], **{**about, "set_unit": "bar"})
+    )
+    assert set(library.touches().whole) == {"no_contact", "geometry"}
+    assert_array_equal(library.select().whole["no_contact"], frame)
+    library.add(Touches(images(2, 2), object=["c", "d"], set_unit="kPa"))
+    # Of those without a geometry nothing is known of it.
+    assert library.touches().whole == {}
+    assert library.touches("object in (a, b)").geometry == "array"
+    library.add(Touches(images(2, 3), object=["e", "f"], geometry="plane"))
+    with pytest.raises(LibraryError, match=r"one geometry, got array, plane\. Choose"):
+        library.touches()
+    assert library.touches("object in (c, d, e)").geometry is None
+
+
+def test_touches_of_several_shapes_are_told_with_a_filter_that_chooses(library):
+    with pytest.raises(LibraryError, match="at least one touch, got none"):
+        library.select()
+    library.add(Touches(images(2), object=["a", "b"]))
+    library.add(Touches(images(2, 1, (3, 5)), object=["a", "b"]))
+    said = r"got 3 x 5 <u2; 4 x 5 <u2. Choose .* or \"n_rows = 3\""
+    for read in (library.touches, library.select):
+        with pytest.raises(LibraryError, match=said):
+            read()
+    assert library.touches("n_rows = 3").images.shape == (2, 3, 5)
+    colour = Touches(images(2, 2, (3, 5, 3)), object=["a", "b"], channels=[*"rgb"])
+    library.add(colour)
+    with pytest.raises(LibraryError, match='or "n_channels is null"'):
+        library.touches("n_rows = 3")
+    other = Touches(images(2, 3, (3, 5, 3)), object=["a", "b"], channels=[*"xyz"])
+    library.add(other, session="tue")
+    with pytest.raises(LibraryError, match="must have the same channels, got several"):
+        library.touches("n_channels = 3")
+    assert library.touches("session = tue").channels == ("x", "y", "z")
+
+
+def test_columns_of_several_kinds_are_joined_as_texts_or_refused(library):
+    library.add(Touches(images(2), object=["a", "b"], note=["x", "y"], turn=[1, 2]))
+    library.add(Touches(images(2, 1), object=["a", "b"], note=[5, 6], turn=[0.5, 1.5]))
+    read = library.touches()
+    assert read.columns["note"].tolist() == ["x", "y", "5", "6"]
+    assert read.columns["turn"].tolist() == [1, 2, 0.5, 1.5]
+    library.add(Touches(images(2, 2), object=["a", "b"], note=[[1, 2]] * 2))
+    with pytest.raises(
+        LibraryError, match=r"'note' must have one shape, got \(\) and \(2,"
+    ):
+        library.touches()
+
+
+def test_a_category_that_some_lack_is_left_out_and_an_object_refused(library):
+    library.add(Touches(images(2), object=["a", "b"], category=["x", "y"]))
+    library.add(Touches(images(2, 1), object=["a", "c"]))
+    read = library.touches()
+    assert read.category is None
+    assert read.object.tolist() == ["a", "b", "a", "c"]
+    assert library.touches("category is not null").category.tolist() == ["x", "y"]
+    library.add(Touches(images(3, 2)))
+    with pytest.raises(LibraryError, match=r"or none, got 3 without\. Leave those"):
+        library.touches()
+    bare = library.touches("object is null")
+    assert bare.object is None
+    assert bare.category is None
+
+
+def summed(touches):
+    """Return two features of each touch."""
+    return touches.images.reshape(len(touches), -1)[:, :2].astype(float)
+
+
+def test_features_are_those_of_each_touch_whatever_was_known_before(library):
+    library.add(Touches(images(), object=["a"] * 6, press=np.arange(6)))
+    made = []
+
+    def encode(touches):
+        made.append(len(touches))
+        return summed(touches)
+
+    odd = library.select("press in (1, 3, 5)")
+    expected = summed(Touches(images()))
+    assert_array_equal(odd.features("key", encode), expected[1::2])
+    assert_array_equal(library.select().features("key", encode), expected)
+    assert_array_equal(library.select().features("key", encode), expected)
+    assert made == [3, 3]
+    assert_array_equal(
+        library.select()[[2, 3]].features("other", encode), expected[2:4]
+    )
+    assert made == [3, 3, 2]
+    for bad in ("", "a/b", ".."):
+        with pytest.raises(ValueError, match="key must be letters and digits"):
+            odd.features(bad, encode)
+    # A cache and nothing more: what is damaged is computed again, as are new touches.
+    for path in (library.folder / "features" / "key").rglob("*.npy"):
+        path.write_bytes(b"altered")
+    library.add(Touches(images(1, 5), object=["a"], press=[6]))
+    every = library.select().features("key", encode)
+    assert_array_equal(every[:6], expected)
+    assert made == [3, 3, 2, 7]
+
+
+def test_images_that_are_gone_or_altered_are_named(library):
+    ids = library.add(Touches(images(), object=["a"] * 6, press=np.arange(6)))
+    later = library.add(Touches(images(2, 1), object=["b"] * 2, press=[6, 7]))
+    paths = {len(np.load(p)): p for p in (library.folder / "images").rglob("*.npy")}
+    content = bytearray(paths[6].read_bytes())
+    content[128 + 40 * 3] ^= 1
+    paths[6].write_bytes(content)
+    with pytest.raises(
+        LibraryError, match=f"Touch {ids[3]}: its image in .* as it was"
+    ):
+        library.touches()
+    with pytest.warns(UserWarning, match="^1 touches are left out: their images"):
+        rest = library.touches(damaged="skip")
+    assert rest.columns["press"].tolist() == [0, 1, 2, 4, 5, 6, 7]
+    paths[2].unlink()
+    with pytest.warns(UserWarning, match="^3 touches are left out"):
+        assert len(library.select(damaged="skip")) == 5
+    with pytest.raises(LibraryError, match=f"Touch {later[0]}: "):
+        library.image(later[0])
+    assert_array_equal(library.image(ids[4]), images()[4])
+
+
+def test_a_touch_whose_wide_column_is_altered_is_not_whole(library):
+    wide = np.arange(6 * 30.0).reshape(6, 30)
+    library.add(Touches(images(), object=["a"] * 6, wave=wide))
+    library.add(Touches(images(2, 1), object=["b"] * 2))
+    path = {len(np.load(p)): p for p in (library.folder / "images").rglob("*.npy")}[6]
+    content = bytearray(path.read_bytes())
+    content[128 + N_BYTES + 128 + 8] ^= 1  # in the array behind the images
+    path.write_bytes(content)
+    with pytest.warns(UserWarning, match="^6 touches are left out"):
+        assert len(library.touches(damaged="skip")) == 2
+
+
+def test_a_lost_array_of_the_whole_set_is_told_to_the_caller(library):
+    library.add(Touches(images(), object=["a"] * 6, no_contact=images(1)[0]))
+    [path] = (library.folder / "arrays").rglob("*.npy")
+    path.unlink()
+    said = f"without their no_contact, {path.stem[:12]}; add them again"
+    with pytest.warns(UserWarning, match=said):
+        assert library.touches().no_contact is None
+
+
+def test_features_made_before_an_interruption_are_kept(library):
+    """512 touches at a time, put down after every sixteenth time."""
+    n = 17 * 512
+    levels = np.arange(n, dtype=np.uint16).reshape(n, 1, 1)
+    library.add(Touches(levels, object=np.repeat("a", n)))
+    made = []
+
+    def encode(touches, most=16 * 512):
+        made.extend(touches.images.ravel().tolist())
+        if len(made) > most:
+            raise KeyboardInterrupt
+        return touches.images.reshape(-1, 1).astype(float)
+
+    with pytest.raises(KeyboardInterrupt):
+        library.select().features("key", encode)
+    made.clear()
+    features = library.select().features("key", encode)
+    assert_array_equal(features.ravel(), np.arange(n))
+    assert made == list(range(16 * 512, n))

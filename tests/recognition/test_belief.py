@@ -1,0 +1,449 @@
+"""A belief beside what it says worked out by hand: numbers, decisions, sentences."""
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.special import log_softmax, softmax
+
+from palpate import Touches
+from palpate.recognition import Belief, Evidence, ObjectRecogniser, SequenceCalibration
+
+NAMES = ("ball", "cup", "mug", "pen", "rod")
+KINDS = ("", "vessel", "vessel", "tool", "tool")
+N_EACH, SHAPE = 6, (2, 4)
+
+
+def drawn(seed):
+    """Touches of five things, each of a pattern of its own."""
+    rng = np.random.default_rng(seed)
+    images = np.repeat(3 * np.eye(8)[:5].reshape(5, *SHAPE), N_EACH, axis=0)
+    return Touches(
+        images + rng.normal(size=images.shape),
+        object=np.repeat(NAMES, N_EACH),
+        geometry="none",
+    )
+
+
+@pytest.fixture(scope="module")
+def model():
+    learnt = ObjectRecogniser().fit(drawn(0))
+    rng = np.random.default_rng(5)
+    X = 2 * np.eye(5)[np.repeat(range(5), 8)] + 0.5 * rng.normal(size=(40, 5))
+    return learnt.learn_modality("sight", X, np.repeat(NAMES, 8))
+
+
+@pytest.fixture
+def start(model):
+    """Begin a belief whose limits, calibration, floor and prior are given."""
+    alike = {
+        "weights": np.array([0.7, 0.3]),
+        "naming": np.ones(9),
+        "naming_category": np.ones(9),
+        "refusing": np.ones(9),
+    }
+
+    def begin(prior=None, *, floor=0.0, calibration=(1.0, 0.0), judged=None, **limits):
+        judge = replace(
+            model.judge(),
+            limits=replace(model.limits_, **(alike | limits)),
+            floor=floor,
+            sequence_calibration=SequenceCalibration(*calibration),
+            **({"categories": np.array(KINDS)} | (judged or {})),
+        )
+        logs = None if prior is None else np.log(prior)
+        return Belief(judge, model.evidence, logs)
+
+    return begin
+
+
+def posed(belief, *shares, **more):
+    """Take in one touch after which a belief without prior has these shares."""
+    return belief.update_from_log_likelihood(np.log(shares), **more)
+
+
+SURE = 0.02, 0.95, 0.01, 0.01, 0.01
+TORN = 0.01, 0.5, 0.47, 0.01, 0.01
+
+
+@pytest.mark.parametrize("floor", [0.0, 0.02, 0.5])
+@pytest.mark.parametrize("calibration", [(1.0, 0.0), (0.7, 0.2)])
+def test_a_belief_is_what_its_touches_come_to(start, floor, calibration):
+    rng = np.random.default_rng(1)
+    rows = 2 * rng.normal(size=(5, 5))
+    rows[2] = 7.0  # says nothing
+    each, distances = rng.normal(size=(5, 2, 5)), 3 + rng.normal(size=(5, 5))
+    prior = np.array([0.1, 0.2, 0.3, 0.3, 0.1])
+    usual, far = rng.normal(size=5), np.array([[0.1, 1.0], [0.2, 0.5], [-0.3, 0.4]])
+    limits = {"usual": usual, "far": far}
+    belief = start(prior, floor=floor, calibration=calibration, **limits)
+    assert belief.unknown == 0
+    for k in range(5):
+        belief.update_from_log_likelihood(
+            rows[k],
+            by_encoding=each[k : k + 1],
+            log_distances=distances[k : k + 1],
+        )
+        used = [touch for touch in range(k + 1) if touch != 2]
+        n = len(used)
+        weight = calibration[0] / (1 + (n - 1) * calibration[1])
+
+        def summed(said, used=used, weight=weight):
+            mixed = (1 - floor) * softmax(said, axis=-1) + floor / 5
+            total = weight * np.log(mixed[used]).sum(axis=0) + np.log(prior)
+            return log_softmax(total, axis=-1)
+
+        logs = summed(rows)
+        assert_allclose(belief.log_posterior, logs, atol=1e-12)
+        assert belief.posterior == pytest.approx(
+            dict(zip(NAMES, np.exp(logs), strict=True))
+        )
+        assert belief.best == NAMES[logs.argmax()]
+        assert belief.doubt == pytest.approx(1 - np.exp(logs.max()))
+        agreed = np.array([0.7, 0.3]) @ summed(each)
+        apart = (distances[used].mean(axis=0) - usual)[agreed.argmax()]
+        mean, spread = far[min(n, 3) - 1]
+        nats = max(0, (apart - mean) / spread - 1.645) - agreed.max()
+        assert belief.unknown == pytest.approx(1 - np.exp(-nats))
+        shares = belief.categories
+        kinds = np.exp(logs) @ np.eye(3)[[0, 1, 1, 2, 2]]
+        assert shares == pytest.approx(
+            {"ball": kinds[0], "vessel": kinds[1], "tool": kinds[2]}
+        )
+        assert belief.touches_used == k + 1
+        assert belief.flags == [""] * (k + 1)
+
+
+def test_touches_come_one_by_one_or_together(start, model):
+    touches = drawn(3)[::4]
+    given = model.evidence(touches)
+    weights = model.limits_.weights
+    beliefs = [start(floor=0.01, weights=weights) for _ in range(4)]
+    beliefs[0].update(touches)
+    beliefs[1].update(given)
+    for k in range(len(touches)):
+        beliefs[2].update(given.one(k))
+        beliefs[3].update(touches.images[k])
+    for belief in beliefs[1:]:
+        # Products of one row and of several round differently.
+        assert belief.posterior == pytest.approx(beliefs[0].posterior, abs=1e-9)
+        assert belief.unknown == pytest.approx(beliefs[0].unknown, abs=1e-9)
+        told = [one["touch"] for one in belief.explain()]
+        assert told == [one["touch"] for one in beliefs[0].explain()]
+
+
+def test_before_the_first_touch_nothing_is_decided_however_sure_the_prior(start):
+    belief = start([0.996, 0.001, 0.001, 0.001, 0.001])
+    for level in ("object", "category", "any"):
+        assert belief.decide(0.5, level=level) is None
+    # One touch is enough, even if it says nothing.
+    belief.update_from_log_likelihood(np.zeros(5))
+    assert belief.decide(0.5) == "ball"
+    assert belief.touches_used == 1
+    again = posed(start(), *SURE)
+    assert (again.decide(0.06), again.decide(0.04)) == ("cup", None)
+
+
+def test_a_decision_is_for_an_error_of_one_in_a_hundred_unless_another_is_given(start):
+    assert posed(start(), 0.9905, *[0.0095 / 4] * 4).decide() == "ball"
+    belief = posed(start(), 0.9895, *[0.0105 / 4] * 4)
+    assert belief.promise.level == 0.01
+    assert belief.decide() is None
+    assert "less than 0.99." in belief.reason()
+    # So is a refusal, of the errors that were learnt the fourth.
+    refusing = np.array([0.9, 0.9, 0.9, 0.3, 0.1, 0.1, 0.1, 0.1, 0.1])
+    belief = posed(start(refusing=refusing), *SURE)
+    assert belief.unknown_limit() == belief.unknown_limit(0.01) == 0.3
+
+
+@pytest.mark.parametrize("asked", [{}, {"costs": {}}, {"level": "category"}])
+def test_shares_and_scores_at_their_limit_are_accepted(start, asked):
+    belief = posed(start(), *SURE)
+    doubt = belief.doubt
+    if "costs" in asked:
+        doubt = float((np.exp(belief.log_posterior) @ (1 - np.eye(5))).min())
+    if "level" in asked:
+        shares = belief.categories
+        doubt = sum(shares.values()) - shares["vessel"]
+    assert belief.decide(doubt, **asked) is not None
+    assert belief.decide(np.nextafter(doubt, 0), **asked) is None
+
+
+def test_scores_at_their_limit_are_named_and_not_refused(start):
+    score = posed(start(), *SURE).unknown
+    less = np.nextafter(score, 0)
+
+    def decided(**limits):
+        every = {name: np.full(9, limit) for name, limit in limits.items()}
+        return posed(start(**every), *SURE).decide(0.1)
+
+    assert decided(naming=score) == "cup"
+    assert decided(naming=less) is None
+    assert decided(refusing=score) == "cup"
+    assert decided(refusing=less) == "unknown"
+
+
+def test_a_category_has_a_limit_of_its_own(start):
+    # Of vessels the two encodings give 0.97 and 0.92, of cups 0.5 and 0.3.
+    each = np.log([[TORN, (0.04, 0.3, 0.62, 0.02, 0.02)]])
+    score = 1 - 0.97**0.7 * 0.92**0.3
+
+    def named(limit, level):
+        every = {"naming": np.zeros(9), "naming_category": np.full(9, limit)}
+        belief = posed(start(**every), *TORN, by_encoding=each)
+        return belief.decide(0.1, level=level)
+
+    assert named(score + 1e-9, "category") == "vessel"
+    assert named(score + 1e-9, "any") == ("category", "vessel")
+    assert named(score - 1e-9, "category") is None
+    assert named(score + 1e-9, "object") is None
+    # An object is named first where it may be; never where categories are asked for.
+    sure = posed(start(), *SURE)
+    assert sure.decide(0.1, level="any") == ("object", "cup")
+    assert sure.decide(0.1, level="category") == "vessel"
+    assert posed(start(), *TORN).decide(0.02, level="category") is None
+
+
+def test_what_is_unlike_all_is_unknown_unless_its_category_is_sure(start):
+    unlike = {"refusing": np.full(9, 0.04)}
+    belief = posed(start(**unlike), *SURE)
+    assert belief.decide(0.1) == "unknown"
+    assert belief.decide(0.1, level="any") == ("category", "vessel")
+    assert belief.decide(0.01, level="any") == ("unknown", "unknown")
+
+
+def test_the_object_of_least_expected_cost_is_named(start):
+    rng = np.random.default_rng(2)
+    shares = rng.dirichlet(np.ones(5))
+    table = rng.uniform(0, 2, (5, 5)) * (1 - np.eye(5))
+    costs = {
+        truth: {named: table[k, j] for j, named in enumerate(NAMES) if (k + j) % 3}
+        for k, truth in enumerate(NAMES)
+    }
+    for k, j in np.ndindex(5, 5):
+        if k != j and (k + j) % 3 == 0:
+            table[k, j] = 1  # what is not given costs 1
+    expected = shares @ table
+    belief = posed(start(), *shares)
+    least = float(expected.min())
+    assert least < 0.5
+    assert belief.decide(least + 1e-6, costs) == NAMES[expected.argmin()]
+    assert belief.decide(least - 1e-6, costs) is None
+    assert f"cost is {least:.4f} after 1 touch" in belief.reason(0.5, costs)
+
+
+def test_shares_asked_for_are_between_a_millionth_and_a_half(start):
+    belief = posed(start(), *SURE)
+    for share in (1e-6, 0.5):
+        belief.decide(share)
+        belief.decide(refusal=share)
+    for share in (0.99e-6, 0.51, np.nan):
+        with pytest.raises(ValueError, match="error must be"):
+            belief.decide(share)
+        with pytest.raises(ValueError, match="refusal must be"):
+            belief.decide(refusal=share)
+
+
+CUP = "cup has probability 0.9500 after 1 touch"
+NOT_AGREED = (
+    f"Undecided: {CUP}, but the encodings do not agree enough (unknown score 0.05, "
+    "above 0). Touch again."
+)
+UNLIKE = (
+    "Unknown: after 1 touch the unknown score (nearest: cup) is 0.050, above 0.040: "
+    "what was learnt is hardly ever so."
+)
+VESSEL = (
+    "Decided for the category vessel: it has probability 0.9700 after 1 touch; which "
+    "one is not sure."
+)
+
+
+@pytest.mark.parametrize(
+    ("shares", "limits", "asked", "said"),
+    [
+        (SURE, {}, {"error": 0.06}, f"Decided for cup: {CUP}, at least 0.94."),
+        (SURE, {}, {"error": 0.02}, f"Undecided: {CUP}, less than 0.98."),
+        (
+            SURE,
+            {"naming": 0},
+            {"error": 0.06},
+            NOT_AGREED,
+        ),
+        (
+            SURE,
+            {"refusing": 0.04},
+            {"error": 0.06},
+            UNLIKE,
+        ),
+        (
+            TORN,
+            {},
+            {"error": 0.06, "level": "any"},
+            VESSEL,
+        ),
+        (
+            SURE,
+            {},
+            {"error": 0.06, "costs": {}},
+            "Decided for cup: its expected cost is 0.0500 after 1 touch.",
+        ),
+        (
+            SURE,
+            {},
+            {"error": 0.02, "costs": {}},
+            "Undecided: the least expected cost is 0.0500 after 1 touch, over 0.02.",
+        ),
+        (
+            SURE,
+            {"naming": 0},
+            {"error": 0.06, "costs": {}},
+            NOT_AGREED,
+        ),
+    ],
+)
+def test_a_reason_says_what_decided(start, shares, limits, asked, said):
+    every = {name: np.full(9, limit) for name, limit in limits.items()}
+    belief = posed(start(**every), *shares)
+    assert belief.reason(**asked) == said
+    # A touch that says nothing is counted, and changes nothing else.
+    belief.update_from_log_likelihood(np.zeros(5))
+    assert belief.reason(**asked) == said.replace("1 touch", "2 touches")
+
+
+def test_a_refusal_is_explained_by_its_own_share(start):
+    refusing = np.array([0.9, 0.9, 0.9, 0.3, 0.3, 0.04, 0.03, 0.02, 0.01])
+    belief = posed(start(refusing=refusing), *SURE)
+    assert "above 0.040" in belief.reason(0.01, refusal=0.05)
+    assert "above 0.040" in belief.reason(0.05)
+
+
+def test_another_sense_adds_its_examples_by_its_own_calibration(start, model):
+    sight = model.modalities_["sight"]
+    X = np.random.default_rng(4).normal(size=(4, 5)) + np.eye(5)[1]
+    prior = np.array([0.1, 0.2, 0.3, 0.3, 0.1])
+    belief = start(prior)
+    for k in range(4):
+        belief.update_sense("sight", X[k])
+        rows = sight.log_likelihood(X[: k + 1], np.array(NAMES))
+        weight = sight.sequence_calibration_.weight(k + 1)
+        expected = softmax(np.log(prior) + weight * rows.sum(axis=0))
+        assert list(belief.posterior.values()) == pytest.approx(list(expected))
+    together = start(prior).update_sense("sight", X)
+    assert together.posterior == pytest.approx(belief.posterior)
+    posed(together, *SURE)
+    both = softmax(np.log(SURE) + np.log(list(belief.posterior.values())))
+    assert list(together.posterior.values()) == pytest.approx(list(both))
+    # The score is of what all senses say: each encoding counts with the others.
+    assert together.unknown == pytest.approx(1 - both.max())
+
+
+def test_a_copy_goes_on_by_itself_with_every_sense(start):
+    belief = start().update_sense("sight", np.ones(5))
+    before = belief.posterior
+    posed(copy.copy(belief).update_sense("sight", np.eye(5)[2]), *SURE)
+    assert belief.posterior == before
+    assert belief.update_sense("sight", np.ones(5)).touches_used == 0
+
+
+def test_explanations_weigh_each_touch_between_the_two_best(start, model):
+    rows = np.log([SURE, TORN, (0.2, 0.1, 0.6, 0.05, 0.05), (0.2,) * 5])
+    features = model.memory_.features[[3, 9, 14, 20]] + 0.01
+    belief = start(calibration=(0.8, 0.1))
+    flags = ["", "saturated", "", "no contact"]
+    belief.update_from_log_likelihood(rows, features=features, flags=flags)
+    total = rows[:3].sum(axis=0)
+    best, rival = np.argsort(-total)[:2]
+    nats = 0.8 / 1.2 * (rows[:, best] - rows[:, rival])
+    order = np.argsort(-np.abs(nats))
+    told = belief.explain(n_touches=9, n_nearest=30)
+    assert [one["touch"] for one in told] == (order + 1).tolist()
+    assert [one["flag"] for one in told] == [flags[k] for k in order]
+    assert {one["best"] for one in told} == {NAMES[best]} == {"cup"}
+    assert {one["rival"] for one in told} == {NAMES[rival]} == {"mug"}
+    assert [one["nats"] for one in told] == pytest.approx(nats[order].tolist())
+    pairs = np.linalg.norm(
+        model.memory_.features[:, None] - model.memory_.features, axis=2
+    )
+    unit = np.median(pairs[np.triu_indices(len(pairs), 1)])
+    for one, k in zip(told, order, strict=True):
+        away = np.linalg.norm(model.memory_.features - features[k], axis=1) / unit
+        rows_there = [near["row"] for near in one["nearest"]]
+        assert rows_there == np.argsort(away).tolist()
+        assert [near["distance"] for near in one["nearest"]] == pytest.approx(
+            np.sort(away).tolist()
+        )
+        assert [near["object"] for near in one["nearest"]] == [
+            NAMES[row // N_EACH] for row in rows_there
+        ]
+    shortest = belief.explain()
+    assert len(shortest) == 3
+    assert [len(one["nearest"]) for one in shortest] == [3] * 3
+    # Without features there is nothing that a touch resembles.
+    bare = posed(start(), *SURE).explain()
+    assert [one["nearest"] for one in bare] == [[]]
+
+
+def test_a_belief_shows_the_three_most_probable(start):
+    belief = posed(start(), 0.05, 0.6, 0.21, 0.04, 0.1)
+    expected = "<Belief after 1 touches: cup 0.60, mug 0.21, rod 0.10>"
+    assert repr(belief) == expected
+
+
+def test_names_are_shown_up_to_24_letters(start):
+    judged = {"classes": np.array(["a" * 24, "b" * 25, "c", "d", "e"])}
+    belief = posed(start(judged=judged), 0.6, 0.3, 0.08, 0.01, 0.01)
+    listed = f"{'a' * 24} 0.60, {'b' * 21}... 0.30, c 0.08"
+    assert repr(belief) == f"<Belief after 1 touches: {listed}>"
+
+
+def test_bars_are_as_long_as_their_shares(start):
+    page = posed(start(), 0.05, 0.6, 0.2499, 0.1, 0.0001)._repr_html_()
+    assert page.startswith(
+        "<table><caption>After 1 touches; unknown score 0.40</caption>"
+    )
+    widths = [part.split("em")[0] for part in page.split("width:")[1:]]
+    # Twelve em are all of it; the least is a line of 0.02 that can be seen.
+    assert widths == ["7.20", "3.00", "1.20", "0.60", "0.02"]
+    assert [
+        page.index(f">{name}<") for name in ("cup", "mug", "pen", "ball", "rod")
+    ] == (sorted(page.index(f">{name}<") for name in NAMES))
+    assert "</div> 0.600</td>" in page
+    assert "more" not in page
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [np.zeros((1, 1, 5)), np.zeros(4), np.zeros((2, 6)), np.full(5, -np.inf)],
+)
+def test_evidence_of_another_shape_or_none_is_refused(start, rows):
+    belief = start()
+    with pytest.raises(ValueError, match="log_likelihood must"):
+        belief.update_from_log_likelihood(rows)
+    assert belief.touches_used == 0
+
+
+def test_only_a_touch_that_rules_all_out_or_is_no_number_is_refused(start):
+    belief = start()
+    rows = np.zeros((3, 5))
+    rows[0, 1:] = -np.inf
+    belief.update_from_log_likelihood(rows)
+    assert belief.touches_used == 3
+    for bad in (np.nan, np.inf):
+        rows[1, 2] = bad
+        with pytest.raises(ValueError, match=f"{bad}.* for touch 1. Leave that touch"):
+            belief.update_from_log_likelihood(rows)
+
+
+def test_evidence_names_what_is_wrong_with_it(start, model):
+    belief = start()
+    given = model.evidence(drawn(1)[:2])
+    with pytest.raises(ValueError, match="by_encoding must have shape"):
+        belief.update(given._replace(by_encoding=given.by_encoding[:, :, :4]))
+    with pytest.raises(ValueError, match="features must have shape"):
+        belief.update(given._replace(features=given.features[:, :-1]))
+    whole = Evidence.together([given.one(0), given.one(1)])
+    for one, other in zip(whole, given, strict=True):
+        assert np.array_equal(one, other)
