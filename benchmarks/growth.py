@@ -8,7 +8,8 @@ Each size is learnt in a process of its own, on one thread, until one takes long
 features: features of recorded touches of a dome (drawn vectors without PALPATE_DATA),
 drawn again with a tenth of their spread as noise. Pixels are whole drawn domes.
 Memory is read from Linux's /proc. Exponents are slopes of log time over log size,
-fitted to the larger half of the sizes.
+fitted to the larger half of the sizes up to `KERNELS`, beyond which `default` learns
+through landmarks.
 """
 
 import argparse
@@ -25,6 +26,12 @@ import numpy as np
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "growth.json"
 N_FEATURES, LONGEST_S, N_ASKED = 71, 240, 20
+KERNELS = 10_000
+FIGURES = {
+    "learning_s": "learning (s of CPU)",
+    "memory_mb": "memory of learning (MB)",
+    "belief_ms": "a touch to its belief (ms)",
+}
 # What grows: sizes, and (objects, touches of each, pixels) of a size.
 WAYS: dict[str, tuple[list[int], Any]] = {
     "touches": (
@@ -70,15 +77,15 @@ def measured(way: str, most: int | None) -> dict[str, Any]:
         print(way, rows[-1], flush=True)
         if done.returncode or rows[-1]["learning_s"] > LONGEST_S:
             break
-    known = [row for row in rows if "refused" not in row]
+    return {"rows": rows}
+
+
+def exponent(rows: list[dict[str, Any]], key: str) -> float:
+    """Return how a figure grows with the size, fitted to the larger sizes."""
+    known = [row for row in rows if row["size"] <= KERNELS]
     half = known[-max(3, -(-len(known) // 2)) :]
-    at = np.log([row["size"] for row in half])
-    exponents = {
-        key: float(np.polyfit(at, np.log([max(row[key], 1e-9) for row in half]), 1)[0])
-        for key in ("learning_s", "memory_mb", "belief_ms")
-    }
-    print(way, exponents, flush=True)
-    return {"rows": rows, "exponents": exponents}
+    at, figures = ([row[name] for row in half] for name in ("size", key))
+    return float(np.polyfit(np.log(at), np.log(figures), 1)[0])
 
 
 def learnt(n_objects: int, n_each: int, side: int) -> dict[str, float]:
@@ -162,16 +169,12 @@ def draw(folder: Path) -> None:
 
     plt.style.use(str(HERE.parent / "docs" / "palpate.mplstyle"))
     kept = json.loads(RESULTS.read_text(encoding="utf-8"))
-    labels = {
-        "learning_s": "learning (s of CPU)",
-        "memory_mb": "memory of learning (MB)",
-        "belief_ms": "a touch to its belief (ms)",
-    }
     figure, axes = plt.subplots(1, 3, figsize=(10.8, 3.6), layout="constrained")
-    for axis, (key, label) in zip(axes, labels.items(), strict=True):
+    for axis, (key, label) in zip(axes, FIGURES.items(), strict=True):
         for (way, found), marker in zip(kept.items(), "os^", strict=True):
             rows = [row for row in found["rows"] if "refused" not in row]
-            power = found["exponents"][key]
+            power = exponent(rows, key)
+            print(f"{label}, {way}: {power:.2f}")
             axis.plot(
                 [row["size"] for row in rows],
                 [row[key] for row in rows],

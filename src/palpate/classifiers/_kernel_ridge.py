@@ -10,7 +10,7 @@ without a single further fit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Self
 
 import numpy as np
@@ -447,18 +447,35 @@ def _learn_from_landmarks(
     factor = cho_factor(inner)
     weights = cho_solve(factor, outer)
     left_out = target.copy()
-    for members in _members(group):
-        some = features(members)
-        residual = target[members] - some @ weights
-        # Without the group, through the smaller of two matrices.
-        if len(some) <= n_landmarks:
-            hat = some @ cho_solve(factor, some.T)
-            alone = np.linalg.solve(np.eye(len(some)) - hat, residual)
-        else:
-            others = cho_factor(inner - some.T @ some)
-            alone = residual + some @ cho_solve(others, some.T @ residual)
-        left_out[members] -= alone
+    at_once = min(_TOUCHES_AT_ONCE, n_landmarks)
+    for groups in _batches(_members(group), at_once):
+        some = features(np.concatenate(groups))
+        # Without its group, through the smaller of two matrices.
+        through = None if len(some) > n_landmarks else cho_solve(factor, some.T)
+        ends = np.cumsum([len(members) for members in groups])
+        for members, end in zip(groups, ends, strict=True):
+            here = slice(end - len(members), end)
+            mine = some[here]
+            residual = target[members] - mine @ weights
+            if through is not None:
+                hat = mine @ through[:, here]
+                left_out[members] -= np.linalg.solve(np.eye(len(mine)) - hat, residual)
+            else:
+                others = cho_factor(inner - mine.T @ mine)
+                answer = mine @ cho_solve(others, mine.T @ residual)
+                left_out[members] -= residual + answer
     return solve_triangular(root, weights, lower=True, trans="T"), left_out
+
+
+def _batches(groups: list[Indices], at_once: int) -> Iterator[list[Indices]]:
+    """Yield groups so many touches at a time, one that is larger alone."""
+    batch: list[Indices] = []
+    for members in groups:
+        if batch and sum(map(len, batch)) + len(members) > at_once:
+            yield batch
+            batch = []
+        batch.append(members)
+    yield batch
 
 
 def _members(group: Indices) -> list[Indices]:

@@ -31,8 +31,9 @@ N_FOLDS = 3
 LEAST_SHARE = 0.05
 MOST_KEPT = 5
 # Memory of learning: bytes for each touch and object, and for each pair of touches up
-# to `KernelRidgeClassifier.max_touches`, as measured (docs/explanation/recognition.md).
-_EACH_BYTES, _PAIR_BYTES, _PAIRED = 200, 10, 10_000
+# to `KernelRidgeClassifier.max_touches`, twice as many where what was solved is kept
+# for later touches; as measured (docs/explanation/recognition.md).
+_EACH_BYTES, _PAIR_BYTES, _PAIRED, _KEPT = 200, 13, 10_000, 5000
 
 
 @dataclass
@@ -47,7 +48,7 @@ class Encoded:
 def refuse_too_large(labels: Array, max_memory_gb: float) -> None:
     """Refuse labels (n_touches,) of more objects and touches than memory is for."""
     n_touches, n_labels = len(labels), len(np.unique(labels))
-    pairs = min(n_touches, _PAIRED) ** 2
+    pairs = min(n_touches, _PAIRED) ** 2 * (2 if n_touches <= _KEPT else 1)
     needed_gb = (_EACH_BYTES * n_touches * n_labels + _PAIR_BYTES * pairs) / 1e9
     if needed_gb > max_memory_gb:
         raise ValueError(
