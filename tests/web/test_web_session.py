@@ -356,6 +356,7 @@ def test_the_process_that_learns_stays_and_is_replaced_when_it_ends(
         session.teacher.library.add(drawn[drawn.object != "both"][::4])
         session.learn(wait=True)
         (first,) = learning_processes()
+        os.kill(first, signal.SIGINT)  # as Ctrl-C in a terminal does to both
         session.learn(wait=True)
         assert learning_processes() == [first]
         assert session.learn_error == ""

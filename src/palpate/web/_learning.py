@@ -13,7 +13,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from signal import SIGKILL
+from signal import SIG_IGN, SIGINT, signal
 from threading import Lock
 from typing import Any
 
@@ -95,7 +95,7 @@ class _Learner:
             except ValueError as error:
                 self.stop()
                 how = f"its process ended with {process.returncode}"
-                why = "; was memory short?" if process.returncode == -SIGKILL else "."
+                why = "; was memory short?" if process.returncode == -9 else "."
                 raise LearningError(
                     f"Learning ended without a model: {how}{why}"
                 ) from error
@@ -256,6 +256,7 @@ def main() -> None:
     """Do the jobs on standard input, less urgently than what goes on beside them."""
     if hasattr(os, "nice"):
         os.nice(5)
+    signal(SIGINT, SIG_IGN)  # of the terminal: who started this one ends it
     answers, sys.stdout = sys.stdout, sys.stderr
     for line in sys.stdin:
         try:
