@@ -33,6 +33,7 @@ CORE = {
     "recognition/_remounting.py": "remounting",
     "recognition/_unknown.py": "limits calibration recogniser",
     "classifiers/_encoding_pool.py": "encoding_pool touch_classifier",
+    "classifiers/_growing_inverse.py": "kernel_ridge",
     "classifiers/_kernel_density.py": "kernel_density kernel_density_spread "
     "touch_classifier classifier_inputs",
     "classifiers/_kernel_density_index.py": "kernel_density_index",

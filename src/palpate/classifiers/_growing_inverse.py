@@ -69,10 +69,10 @@ class GrowingInverse:
         self._factor: Any = None
 
     def begins(self, touches: Floats, labels: Array) -> bool:
-        """Whether these touches begin with those it has, with the same labels."""
+        """Whether touches go on after those it has, which have the same labels."""
         n_known = len(self.touches)
         return (
-            len(touches) >= n_known
+            len(touches) > n_known
             and np.array_equal(touches[:n_known], self.touches)
             and np.array_equal(labels[:n_known], self.labels)
         )

@@ -253,10 +253,10 @@ class KernelRidgeClassifier(BayesRule):
         if inverse is None or len(touches) > (1 + _GROWTH) * inverse.n_first:
             return None
         centred, labels = touches - self.mean_, self.classes_[codes]
-        n_known = len(inverse.touches)
-        if not inverse.begins(centred, labels) or n_known == len(centred):
+        if not inverse.begins(centred, labels):
             return None
-        squared = euclidean_distances(centred[n_known:], centred, squared=True)
+        new = centred[len(inverse.touches) :]
+        squared = euclidean_distances(new, centred, squared=True)
         kernel = self._kernel(squared)
         try:
             return inverse.plus(centred, labels, kernel, self.ridge_)
