@@ -136,9 +136,7 @@ class _Hub:
         self._clients.add(client)
         for one in self._sessions:
             one.listeners.add(client.receive)
-            state = await asyncio.to_thread(one.to_dict)
-            state["sensor_number"] = one.listeners.number
-            await asyncio.to_thread(client.receive, Event("state", state))
+            await asyncio.to_thread(one.tell_state, client.receive)
         tasks = [asyncio.create_task(work()) for work in (client.listen, client.send)]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)

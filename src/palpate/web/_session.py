@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
@@ -311,6 +311,12 @@ class LiveSession:
             raise ValueError("What lies before a real sensor cannot be chosen here.")
         desk.place(name)
         self._notify_state()
+
+    def tell_state(self, listener: Callable[[Event], None]) -> None:
+        """Tell one listener the state, before whatever changes it next."""
+        with self._lock:
+            numbered = {**self.to_dict(), "sensor_number": self.listeners.number}
+            listener(Event("state", numbered))
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but pictures, as plain values."""
