@@ -517,7 +517,7 @@ def test_touches_that_are_alike_are_told_while_teaching_and_after_learning(
     images = np.concatenate([drawn.images[:1].repeat(12, 0), drawn.images[30:60]])
     names = ["disc"] * 12 + ["bar", "rod"] * 15
     touches = Touches(images, object=names, no_contact=drawn.no_contact)
-    sensor = ReplaySensor(touches, rate_hz=60, hold=3, gap=3)
+    sensor = ReplaySensor(touches, rate_hz=25, hold=3, gap=3)
     sensor.place(None)
     session = LiveSession(sensor, library=tmp_path / "library")
     page.set_viewport_size({"width": size[0], "height": size[1]})
