@@ -155,7 +155,7 @@ def walk(page, serving, session, names, n_touches):
         _reload(page)
         _cut(page, relay)
         put(page, third)
-        expect(page.locator("#count")).to_contain_text("3 touches", timeout=PATIENT)
+        expect(page.locator("#strip li").nth(2)).to_be_attached(timeout=PATIENT)
         clear(page)
         # Of two things taught the page may take a third for one of them.
         said = {"unknown": "I do not know this one"}
@@ -447,6 +447,41 @@ def test_an_unknown_object_is_taught_with_the_touches_just_made(
         expect(page.locator("#lesson-strip li")).to_have_count(3)
         page.click("#stop")
         expect(page.locator("#belief")).to_be_visible()
+
+
+def test_an_answer_that_is_late_does_not_take_newer_touches_away(
+    page, taught, serving, drawn
+):
+    asked = []
+    page.route("**/api/episode", lambda route: asked.append(route))
+    with serving(taught) as (address, token):
+        page.goto(f"{address}/?token={token}")
+        expect(page.locator("#bars")).to_be_attached()
+        page.wait_for_function("document.body.dataset.online === 'true'")
+        taught.post_touch(drawn.images[0])
+        expect(page.locator("#strip li")).to_have_count(1)
+        late = taught.episode.to_dict()
+        # A touch was missed, so that the page asks for the whole episode.
+        missed = {**late, "touches": [{**late["touches"][0], "number": 3}]}
+        page.evaluate(
+            """(news) => { window.added = import('/static/belief.js')
+            .then((belief) => belief.addTouch(news)); }""",
+            missed,
+        )
+        while not asked:
+            page.wait_for_timeout(10)
+        taught.post_touch(drawn.images[1])
+        expect(page.locator("#strip li")).to_have_count(2)
+        asked[0].fulfill(json=late)
+        page.evaluate("() => window.added")
+        assert page.locator("#strip li").count() == 2
+        # And a touch that is told twice is one.
+        page.evaluate(
+            "(news) => import('/static/belief.js').then((one) => one.addTouch(news))",
+            late,
+        )
+        assert page.locator("#strip li").count() == 2
+        assert len(asked) == 1
 
 
 def test_of_a_long_episode_the_last_dozen_pictures_are_loaded(

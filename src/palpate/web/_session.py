@@ -431,7 +431,7 @@ class LiveSession:
             self.health.count_touch(touch.latency_ms)
             episode = {**self.episode.to_dict(), "touches": [dict(vars(touch))]}
             values = {"episode": episode, "nearest": self.episode.nearest}
-        self.listeners.notify(Event("touch", values, b"", image, channels))
+            self.listeners.notify(Event("touch", values, b"", image, channels))
         self._check_mounting()
 
     def _check_mounting(self) -> None:
@@ -499,5 +499,6 @@ class LiveSession:
         self._notify_state()
 
     def _notify_state(self) -> None:
-        if len(self.listeners):
-            self.listeners.notify(Event("state", self.to_dict()))
+        with self._lock:  # so that no state comes after a newer one
+            if len(self.listeners):
+                self.listeners.notify(Event("state", self.to_dict()))

@@ -31,11 +31,19 @@ export function showEpisode(whole) {
 
 export async function addTouch(news) {
   const [touch] = news.touches;
-  const inOrder = episode && episode.number === news.number &&
-    touch.number === episode.touches.length + 1;
-  if (inOrder) episode = { ...news, touches: [...episode.touches, touch] };
-  else episode = touch.number === 1 ? news : (await get("episode")) ?? news;
+  const held = episode?.number === news.number ? episode.touches : [];
+  if (touch.number <= held.length) return;
+  const inOrder = touch.number === held.length + 1;
+  const whole = inOrder ? { ...news, touches: [...held, touch] } : (await get("episode")) ?? news;
+  if (isOlder(whole)) return;
+  episode = whole;
   draw();
+}
+
+// Whether there were newer touches while an episode was asked for.
+function isOlder({ number, touches }) {
+  if (!episode || number !== episode.number) return number < episode?.number;
+  return touches.length < episode.touches.length;
 }
 
 export function showNearest(nearest) {
