@@ -4,13 +4,16 @@
     python benchmarks/pictures.py live-desktop.png  # make it anew, and note that
     python benchmarks/pictures.py --made NAME ...   # note that they were made
     python benchmarks/pictures.py --study corradi2015 [--quick] [NAME ...]
+    python benchmarks/pictures.py --study corradi2015 --of result.json [NAME ...]
 
 `docs/images/made.json` holds for each picture the command that makes it, the files that
 say what it shows, and a hash of these. Of Python files the code counts, not comments,
 docstrings and layout; of a page named as `PAGE.md#tables` the rows of its tables: the
 picture of a study belongs to the tables of the same run. A picture whose files have
 changed is stale: make it anew, and look at it. `--study` runs a study with the recorded
-touches of PALPATE_DATA and writes its pictures (all, or those named).
+touches of PALPATE_DATA and writes its pictures (all, or those named); `--of` takes what
+`palpate study NAME --json` printed instead. Where all are written, the tables of its
+page are too: those whose heads are the study's, in its order.
 """
 
 import argparse
@@ -39,10 +42,11 @@ def main() -> None:
     parser.add_argument("--made", action="store_true")
     parser.add_argument("--study")
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--of", type=Path, metavar="FILE")
     asked = parser.parse_args()
     known = json.loads(MADE.read_text("utf-8"))
     if asked.study:
-        draw_study(asked.study, asked.names, asked.quick)
+        draw_study(asked.study, asked.names, asked.quick, asked.of)
         return
     if not asked.names:
         print("\n".join(stale(known)) or "All pictures are of today.")
@@ -95,20 +99,48 @@ def _shown(path: Path, *, tables: bool) -> bytes:
     return "".join(kept.split()).encode()
 
 
-def draw_study(name: str, wanted: list[str], quick: bool) -> None:
-    """Run a study and write its pictures, in the one look, to docs/images."""
+def draw_study(name: str, wanted: list[str], quick: bool, of: Path | None) -> None:
+    """Run a study and write its pictures, in the one look, and its page's tables."""
     import matplotlib.pyplot as plt
 
     from palpate.studies import STUDIES
 
     plt.style.use(ROOT / "docs" / "palpate.mplstyle")
     study = STUDIES[name]
-    result = study.run(data=os.environ.get("PALPATE_DATA"), quick=quick, seed=0)
+    if of is not None:
+        result = json.loads(of.read_text("utf-8"))
+    else:
+        result = study.run(data=os.environ.get("PALPATE_DATA"), quick=quick, seed=0)
     with tempfile.TemporaryDirectory() as place:
         for path in study.write_pictures(place, result):
             if not wanted or path.name in wanted:
                 (IMAGES / path.name).write_bytes(path.read_bytes())
                 print(IMAGES / path.name)
+    if not wanted and not quick:
+        page = ROOT / "docs" / "explanation" / f"{name}.md"
+        tables = study.tables(result)
+        page.write_text(with_tables(page.read_text("utf-8"), tables), "utf-8")
+
+
+def with_tables(page: str, tables: list[tuple[str, list[str], list[list[str]]]]) -> str:
+    """Return a page, its tables by those of a study; what has no place is printed."""
+    lines, at = page.splitlines(), 0
+    for title, heads, rows in tables:
+        head = row_of(heads)
+        if head not in lines[at:]:
+            print(f"not on the page: {title}")
+            continue
+        first = end = lines.index(head, at) + 2
+        while end < len(lines) and lines[end].startswith("|"):
+            end += 1
+        lines[first:end] = map(row_of, rows)
+        at = first + len(rows)
+    return "\n".join(lines) + "\n"
+
+
+def row_of(cells: list[str]) -> str:
+    """Return a row of a table of Markdown."""
+    return f"| {' | '.join(cells)} |"
 
 
 if __name__ == "__main__":
