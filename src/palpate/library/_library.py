@@ -140,9 +140,16 @@ class TouchLibrary:
                 f"touches must be Touches, got {type(touches).__name__}. "
                 "Write Touches(images, object=labels)."
             )
-        checked = None if sensor is None else sensor.checked()
-        labelled = _labelled(touches, episode, session, checked)
-        return _adding.add_touches(self._store, labelled, checked, progress)
+        each: dict[str, Any] = {"episode": episode, "session": session}
+        whole: dict[str, Any] = {}
+        if sensor is not None:
+            each["sensor"] = sensor.checked().name
+            whole = {"set_pitch_mm": sensor.pitch_mm, "set_unit": sensor.unit}
+            whole["geometry"] = None if touches.geometry else sensor.geometry
+        known = {n: np.full(len(touches), v) for n, v in each.items() if v is not None}
+        known |= {n: np.array(v) for n, v in whole.items() if v is not None}
+        labelled = touches.with_columns(**known) if known else touches
+        return _adding.add_touches(self._store, labelled, sensor, progress)
 
     def objects(self) -> list[ObjectRow]:
         """Return all objects with touches, sorted by name."""
@@ -353,20 +360,3 @@ def _make(place: Path) -> None:
     Store(place, create=True).close()
     flush_folder(place)
     flush_folder(place.parent)
-
-
-def _labelled(
-    touches: Touches,
-    episode: str | None,
-    session: str | None,
-    sensor: SensorDescription | None,
-) -> Touches:
-    each: dict[str, Any] = {"episode": episode, "session": session}
-    whole: dict[str, Any] = {}
-    if sensor is not None:
-        each["sensor"] = sensor.name
-        whole = {"set_pitch_mm": sensor.pitch_mm, "set_unit": sensor.unit}
-        whole["geometry"] = None if touches.geometry else sensor.geometry
-    columns = {n: np.full(len(touches), v) for n, v in each.items() if v is not None}
-    columns |= {n: np.array(v) for n, v in whole.items() if v is not None}
-    return touches.with_columns(**columns) if columns else touches
