@@ -67,8 +67,17 @@ class TouchLibrary:
             There is none, it is damaged, or a newer palpate made it.
         """
         place = Path(folder)
-        if create:
-            _make(place)
+        # Where there are files the database came first: without one it was lost.
+        if create and not holds_files(place):
+            try:
+                place.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise LibraryError(
+                    f"{place} must be a folder that can be made, got: {error.strerror}."
+                ) from error
+            Store(place, create=True).close()  # several programs may try at once
+            flush_folder(place)
+            flush_folder(place.parent)
         return cls(place)
 
     @staticmethod
@@ -345,18 +354,3 @@ class TouchLibrary:
     def repair(self, *, progress: bool | None = None) -> RepairReport:
         """Set aside what is damaged and recover what is not; see `repair_library`."""
         return repair_library(self.folder, progress=progress)
-
-
-def _make(place: Path) -> None:
-    """Make an empty library; several programs may try at once."""
-    if holds_files(place):  # Its database comes first: without one it was lost.
-        return
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise LibraryError(
-            f"{place} must be a folder that can be made, got: {error.strerror}."
-        ) from error
-    Store(place, create=True).close()
-    flush_folder(place)
-    flush_folder(place.parent)
