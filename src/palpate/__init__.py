@@ -45,18 +45,7 @@ _ROOM_OF = {
     "simulate_presses": "simulation",
     "simulate_touches": "simulation",
 }
-_ROOMS = (
-    "classifiers",
-    "encodings",
-    "evaluation",
-    "exploration",
-    "images",
-    "library",
-    "recognition",
-    "sensors",
-    "simulation",
-    "touches",
-)
+_ROOMS = {*_ROOM_OF.values(), "classifiers", "encodings", "images"}
 
 
 def __getattr__(name: str) -> Any:

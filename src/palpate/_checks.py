@@ -143,7 +143,13 @@ def check_image_shape(
     X: ArrayLike, *, shape: tuple[int, ...] | None = None, channels: bool = False
 ) -> NDArray[Any]:
     """Return `X` as real images of its own type, of `shape` if given, or explain."""
-    images = _as_array(X)
+    try:
+        images = np.asarray(X)
+    except ValueError as error:
+        raise ValueError(
+            "Images must be one array of shape (n_touches, n_rows, n_cols), got lists "
+            "of unequal lengths. Bring all touches to the same rows and columns."
+        ) from error
     if images.dtype.kind not in "biuf":
         raise TypeError(f"Images must be numbers, got an array of {images.dtype}.")
     if images.ndim not in ((3, 4) if channels else (3,)):
@@ -225,14 +231,3 @@ def _label_kind(label: object) -> str:
     if isinstance(label, Number | np.bool_):
         return "numbers"
     return type(label).__name__
-
-
-def _as_array(X: ArrayLike) -> NDArray[Any]:
-    """Return images as an array, or say that lists of unequal lengths are none."""
-    try:
-        return np.asarray(X)
-    except ValueError as error:
-        raise ValueError(
-            "Images must be one array of shape (n_touches, n_rows, n_cols), got lists "
-            "of unequal lengths. Bring all touches to the same rows and columns."
-        ) from error

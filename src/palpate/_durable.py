@@ -21,20 +21,10 @@ PARTIAL = ".partial-"
 def replacing(target: Path, slot: Path | None = None) -> Iterator[BinaryIO]:
     """Open a file that takes the place of `target` once the block ends well.
 
-    Parameters
-    ----------
-    target : Path
-        Where the file goes; one that is there is replaced in one step, and a link is
-        followed. Its folder must exist.
-    slot : Path, optional
-        One of `make_slots`, to be renamed. The folder is not flushed then: should a
-        power cut undo the renaming, the file stands whole in the slot.
-
-    Raises
-    ------
-    OSError
-        The folder is missing, read-only or full; the error names `target`. Nothing is
-        left behind then, nor where the block itself raises.
+    A file that is there is replaced in one step, and a link is followed. With a `slot`,
+    one of `make_slots`, that is renamed, and the folder is not flushed: should a power
+    cut undo the renaming, the file stands whole in the slot. An `OSError` names
+    `target`; nothing is left behind then, nor where the block itself raises.
     """
     place = target.resolve()
     partial = slot or place.with_name(f"{PARTIAL}{secrets.token_hex(8)}")

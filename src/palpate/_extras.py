@@ -5,21 +5,10 @@ from typing import Any
 
 
 def needed(module: str, extra: str, what: str) -> Any:
-    """Import an optional package, or say how to install it.
+    """Import a `module` of an optional package, or say how to install it.
 
-    Parameters
-    ----------
-    module : str
-        What to import, such as "matplotlib.pyplot".
-    extra : str
-        The extra of palpate that brings it, such as "plot".
-    what : str
-        Who needs it, as the subject of a sentence in the singular: "A report".
-
-    Raises
-    ------
-    ImportError
-        It is not installed; the message says what to type.
+    `extra` is the one of palpate that brings it, `what` who needs it, as the subject of
+    a sentence in the singular: "A report".
     """
     try:
         return import_module(module)

@@ -118,8 +118,7 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
 
     def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
         """Return `X` as images that this takes, of `shape` if given, or explain."""
-        nan = self._allow_nan
-        images = check_images(X, shape=shape, allow_nan=nan, channels=True)
+        images = check_images(X, shape=shape, allow_nan=self._allow_nan, channels=True)
         return check_levels(images) if self._bounded else images
 
     def _images(self, X: ArrayLike) -> Array:

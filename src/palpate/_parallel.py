@@ -17,20 +17,10 @@ def in_parallel(
 ) -> list[Any]:
     """Return `function(*task)` of every task, in their order.
 
-    Parameters
-    ----------
-    function : callable
-        Runs in other processes, so it and its arguments can be pickled.
-    tasks : sequence of iterables
-        The arguments of each call.
-    what : str
-        What the bar is called.
-    n_jobs : int, optional
-        Processes, -1 for one a core; None leaves it to `joblib.parallel_config`.
-    show : bool, optional
-        Whether to draw a bar; None means where standard error is a terminal.
-    sizes : sequence of int, optional
-        How much each task counts in the bar; 1 each by default.
+    It runs in `n_jobs` other processes, -1 for one a core; None leaves it to
+    `joblib.parallel_config`. `what` is what the bar is called; with `show` None it is
+    drawn where standard error is a terminal. `sizes` is how much each task counts in
+    it, 1 by default.
     """
     from joblib import Parallel, delayed
 

@@ -2,7 +2,6 @@
 
 import sys
 import time
-from types import TracebackType
 from typing import Any, Self
 
 _PATIENCE_S = 2.0
@@ -24,12 +23,7 @@ class Progress:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._bar is not None:
             self._bar.stop()
 
@@ -38,16 +32,11 @@ class Progress:
         self._done += n_done
         late = time.monotonic() - self._start > _PATIENCE_S
         if self._bar is None and self._show and late and self._done < self._total:
-            self._bar = _started_bar(self._what, self._total)
+            from rich.console import Console
+            from rich.progress import Progress as RichProgress
+
+            self._bar = RichProgress(console=Console(stderr=True))
+            self._bar.add_task(self._what, total=self._total)
+            self._bar.start()
         if self._bar is not None:
             self._bar.update(self._bar.task_ids[0], completed=self._done)
-
-
-def _started_bar(what: str, total: int) -> Any:
-    from rich.console import Console
-    from rich.progress import Progress as RichProgress
-
-    bar = RichProgress(console=Console(stderr=True))
-    bar.add_task(what, total=total)
-    bar.start()
-    return bar

@@ -65,8 +65,8 @@ def test_controls_that_do_as_well_are_named_with_the_touches():
         },
     }
     said = as_good_alone(figures)
-    assert [one.split(" touches:")[0] for one in said] == [
-        "brightness alone does as well after 1",
-        "disc centre alone does as well after 1, 5",
+    assert [one.split(":")[0] for one in said] == [
+        "brightness alone does as well after 1 touch",
+        "disc centre alone does as well after 1, 5 touches",
     ]
     assert all("may have learnt the recording" in one for one in said)

@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from palpate import Touches
+from palpate.evaluation import Plan
 from palpate.studies import STUDIES, corradi2015, run_study
 from palpate.studies.corradi2015 import Corradi2015Plan, beside
 from palpate.studies.corradi2015.beside import beside_tasks, moved_rows, sight_rows
@@ -48,7 +49,7 @@ def test_photographs_are_roots_of_shares(tmp_path):
 def test_telling_photographs_help_touches_that_tell_nothing(rng, tmp_path):
     touches = drawn(NAMES, 1e3, rng)
     seen = photographed(NAMES, tmp_path / "w.npz", NAMES.index)
-    right = beside.sight(touches, seen, "object", lengths=(1, 30), orders=20)
+    right = beside.sight(touches, seen, Plan(touches=(1, 30)))
     # "last" tests a quarter of 16 touches, so that nothing is said after 30.
     assert {sense: list(curve) for sense, curve in right.items()} == {
         "touch": [1],
@@ -65,7 +66,7 @@ def test_photographs_of_unseen_objects_name_their_category(rng, tmp_path):
     touches = drawn((*NAMES[:2], *NAMES[3:5]), 1, rng)
     of_kind = {name: 3 * name.startswith("pen") for name in NAMES}
     seen = photographed(NAMES, tmp_path / "w.npz", of_kind.__getitem__)
-    right = beside.sight(touches, seen, "category", lengths=(1,), orders=4)
+    right = beside.sight(touches, seen, Plan(label="category", touches=(1,), orders=4))
     # Two folds, one object of each category in each.
     assert_array_equal(right["sight"][0], np.ones(4))
 
@@ -73,7 +74,7 @@ def test_photographs_of_unseen_objects_name_their_category(rng, tmp_path):
 def test_objects_without_photographs_are_left_out(rng, tmp_path):
     touches = drawn(NAMES, 0.1, rng)
     seen = photographed((*NAMES[:4], "key_a"), tmp_path / "w.npz", len)
-    right = beside.sight(touches, seen, "object", lengths=(1,), orders=2)
+    right = beside.sight(touches, seen, Plan(touches=(1,), orders=2))
     assert_array_equal(right["touch"][1], np.ones(4))
 
 

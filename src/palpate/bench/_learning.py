@@ -14,13 +14,11 @@ from timeit import timeit
 
 import numpy as np
 
+from .._types import Array
 from ..library import TouchLibrary
 from ..recognition import ObjectRecogniser
 from ..touches import Touches
 from ._timing import Row, drawn_dome, one_thread, row, wall_ms
-
-_SVM = "scikit-learn PCA and SVC of pixels"
-_ANEW, _STARTED = "learning all again", "the first, whose process starts"
 
 
 def bench_learning(
@@ -38,19 +36,21 @@ def bench_learning(
         return [*rows, *_added(touches), _lesson(drawn_touches(6, 12))]
 
 
-def drawn_touches(n_objects: int, n_each: int, seed: int = 0) -> Touches:
-    """Draw `n_each` touches of each object, 120 x 120 pixels."""
+def drawn_touches(
+    n_objects: int, n_each: int, seed: int = 0, *, small: bool = True
+) -> Touches:
+    """Draw touches of objects whose dents differ, `small` ones of 120 x 120 pixels."""
     import cv2
 
     rng = np.random.default_rng(seed)
     numbers = np.repeat(np.arange(n_objects), n_each)
     sizes = [(20.0 + 7 * (n % 10), 20.0 + 12 * (n // 10 % 9)) for n in numbers]
-    discs = [drawn_dome(rng, size)[:, 80:560] for size in sizes]
-    small = [
-        cv2.resize(disc, (120, 120), interpolation=cv2.INTER_AREA) for disc in discs
-    ]
+    images: list[Array] = [drawn_dome(rng, size) for size in sizes]
+    if small:
+        shrink = partial(cv2.resize, dsize=(120, 120), interpolation=cv2.INTER_AREA)
+        images = [shrink(image[:, 80:560]) for image in images]
     names = [f"object {n:04d}" for n in numbers]
-    return Touches(np.stack(small), object=names, geometry="dome")
+    return Touches(np.stack(images), object=names, geometry="dome")
 
 
 def _cpu_once(function: Callable[[], object]) -> float:
@@ -67,7 +67,7 @@ def _learnt(touches: Touches, n_objects: int, n_each: int) -> Row:
     ours = _cpu_once(lambda: ObjectRecogniser().fit(touches))
     theirs = _cpu_once(lambda: peer.fit(pixels, touches.object))
     name = f"learning {n_objects} objects x {n_each} touches 120 x 120 default"
-    return row(name, ours, _SVM, theirs)
+    return row(name, ours, "scikit-learn PCA and SVC of pixels", theirs)
 
 
 def _added(touches: Touches) -> list[Row]:
@@ -88,7 +88,7 @@ def _added(touches: Touches) -> list[Row]:
     rows = []
     for name, way in ways.items():
         quick, slow = (_cpu_once(partial(way, r)) for r in (recogniser, without))
-        rows.append(row(f"{name} at {len(known)}", quick, _ANEW, slow))
+        rows.append(row(f"{name} at {len(known)}", quick, "learning all again", slow))
     return rows
 
 
@@ -104,4 +104,4 @@ def _lesson(touches: Touches) -> Row:
             library.add(touches[-1:])
             again = wall_ms(lambda: learn_apart(place, model, model))
     name = f"page learning again {len(touches)} touches wall"
-    return row(name, again, _STARTED, first)
+    return row(name, again, "the first, whose process starts", first)

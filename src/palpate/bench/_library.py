@@ -64,27 +64,19 @@ def bench_likelihood(
             centres = rng.normal(size=(n_objects, n_features))
             stored = centres[labels] + rng.normal(size=(len(labels), n_features))
             size = f"{n_objects} objects x {n_each} touches, {n_features} features"
+            model = KernelDensityBayes(precision="single").fit(stored, labels)
+            peers = _peers(stored, labels)
             for n_touches in BATCHES:
                 new = rng.normal(size=(n_touches, n_features))
                 mode = "single" if n_touches == 1 else f"batch {n_touches}"
                 name = f"{size}, float32 {mode}"
-                rows += _rows(name, stored, labels, new, seconds)
+                reference = peers["scipy cdist + logsumexp, float64"](new)
+                error = float(np.abs(model.log_likelihood(new) - reference).max())
+                ours = cpu_ms(partial(model.log_likelihood, new), seconds) / n_touches
+                for peer, measure in peers.items():
+                    ms = cpu_ms(partial(measure, new), seconds) / n_touches
+                    rows.append(row(name, ours, peer, ms, error_nats=error))
     return rows
-
-
-def _rows(
-    name: str, stored: Floats, labels: Array, new: Floats, seconds: float
-) -> list[Row]:
-    model = KernelDensityBayes(precision="single").fit(stored, labels)
-    peers = _peers(stored, labels)
-    reference = peers["scipy cdist + logsumexp, float64"](new)
-    error = float(np.abs(model.log_likelihood(new) - reference).max())
-    ours = cpu_ms(lambda: model.log_likelihood(new), seconds) / len(new)
-    times = {
-        peer: cpu_ms(partial(measure, new), seconds) / len(new)
-        for peer, measure in peers.items()
-    }
-    return [row(name, ours, peer, ms, error_nats=error) for peer, ms in times.items()]
 
 
 def _peers(stored: Floats, labels: Array) -> dict[str, Measure]:

@@ -21,6 +21,7 @@ import numpy as np
 
 from ..recognition import ObjectRecogniser
 from ..touches import Touches, decode_bytes
+from ._learning import drawn_touches
 from ._timing import N_COLS, N_ROWS, Row, coded, drawn_dome, one_thread, row
 
 STAGES = ("decode", "clean up", "encode", "likelihood", "belief")
@@ -38,8 +39,8 @@ def bench_latency(
     presets: tuple[str, ...] = ("default", "corradi2015"),
 ) -> list[Row]:
     """Measure stages of single touches: median and 99th percentile of wall time, ms."""
-    train = _draw(n_objects, n_each, seed=0)
-    asked = _draw(n_objects, -(-n_asked // n_objects), seed=1)
+    train = drawn_touches(n_objects, n_each, small=False)
+    asked = drawn_touches(n_objects, -(-n_asked // n_objects), seed=1, small=False)
     pictures = [coded(image) for image in asked.images[:n_asked]]
     rows = []
     with one_thread():
@@ -76,17 +77,6 @@ def _one(recogniser: ObjectRecogniser, picture: bytes) -> list[float]:
     belief.decide()
     times.append(clock())
     return np.diff(times).tolist()
-
-
-def _draw(n_objects: int, n_each: int, seed: int) -> Touches:
-    """Draw touches of objects whose dents differ in length and width."""
-    rng = np.random.default_rng(seed)
-    numbers = np.repeat(np.arange(n_objects), n_each)
-    images = [
-        drawn_dome(rng, (20.0 + 7 * (n % 10), 20.0 + 12 * (n // 10))) for n in numbers
-    ]
-    names = [f"object {n:02d}" for n in numbers]
-    return Touches(np.stack(images), object=names, geometry="dome")
 
 
 def bench_live(seconds: float = 8.0) -> list[Row]:

@@ -7,6 +7,7 @@ that `palpate --help` answers at once.
 import errno
 import os
 import sys
+from importlib import import_module
 from typing import Annotated, Any
 
 import typer
@@ -14,23 +15,8 @@ import typer
 from .. import __version__
 from ._options import option
 from ._output import answer
-from .bench import bench
-from .benchmark import benchmark
 from .check import check
-from .data import data
-from .demo import demo
-from .doctor import doctor
-from .evaluate import evaluate
-from .explore import explore
-from .learn import learn
-from .library import library
-from .live import live
-from .recognise import recognise
-from .record import record
-from .remount import remount, sensor
-from .serve import serve
-from .simulate import simulate
-from .study import study
+from .remount import sensor
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -40,16 +26,18 @@ app = typer.Typer(
     help="Recognise things by touch: learn objects from touches, recognise them "
     "touch by touch, and say when something is unknown.",
 )
+# Each is the function, or the group of several, of that name in the file of that name.
 VERBS = (
-    *(learn, recognise, evaluate, benchmark, demo, study, bench),
-    *(remount, doctor, serve, record, live),
+    *("learn", "recognise", "evaluate", "benchmark", "demo", "study", "bench"),
+    *("remount", "doctor", "serve", "record", "live"),
+    *("simulate", "library", "data", "explore"),
 )
-for verb in VERBS:
-    app.command()(verb)
-app.add_typer(simulate, name="simulate")
-app.add_typer(library, name="library")
-app.add_typer(data, name="data")
-app.add_typer(explore, name="explore")
+for name in VERBS:
+    verb = getattr(import_module(f".{name}", __package__), name)
+    if isinstance(verb, typer.Typer):
+        app.add_typer(verb, name=name)
+    else:
+        app.command()(verb)
 sensor.command("check")(check)
 app.add_typer(sensor, name="sensor")
 

@@ -123,18 +123,8 @@ NamePattern = Annotated[
         r"'(?P<object>\w+)_(?P<order>\d+)'. Without it folders name the objects.",
     ),
 ]
-Levels = Annotated[
-    str | None,
-    option(
-        "--levels",
-        "What folder levels are, such as object/session; unnamed: category/object.",
-    ),
-]
 NoContact = Annotated[
     Path | None, option("--no-contact", "The image of the sensor touching nothing.")
-]
-Colour = Annotated[
-    bool | None, option("--colour", "Read pictures of a folder in red, green and blue.")
 ]
 Where = Annotated[
     str | None,
@@ -184,9 +174,17 @@ class Reading:
 
     where: Where = None
     name_pattern: NamePattern = None
-    levels: Levels = None
+    levels: Annotated[
+        str | None,
+        option(
+            "What folder levels are, such as object/session; unnamed: category/object."
+        ),
+    ] = None
     no_contact: NoContact = None
-    colour: Colour = None
+    colour: Annotated[
+        bool | None,
+        option("--colour", "Read pictures of a folder in red, green and blue."),
+    ] = None
     shape: Annotated[
         str | None, option("Of a CSV file: rows x columns of its taxels, 16x16.")
     ] = None

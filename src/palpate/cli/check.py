@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._options import AsJson, MaxModelMb, grouped, option
+from ._options import AsJson, MaxModelMb, Report, grouped, option
 from ._output import answer
 from ._sensor import SensorAddress, SensorOptions
 
@@ -24,7 +24,7 @@ def check(
     *,
     seconds: Annotated[float, option("How long; drift asks for minutes.")] = 60.0,
     model: Annotated[Path | None, option("A model that remembers its rest.")] = None,
-    report: Annotated[Path | None, option("Write one self-contained .html.")] = None,
+    report: Report = None,
     options: SensorOptions,
     max_model_mb: MaxModelMb = 2000,
     as_json: AsJson = False,

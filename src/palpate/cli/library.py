@@ -118,10 +118,18 @@ def show(
 
     if output is not None and output.suffix != ".npy":
         raise ValueError(f"--output must end in .npy, got {output.name!r}.")
+    if not touch.isalnum():
+        raise ValueError(f"The id of a touch must be hexadecimal, got {touch!r}.")
     with _opened(folder) as opened:
-        row = _one_touch(opened, touch)
-        image = opened.image(row.id)
-    known = row._asdict()
+        found = opened.list(f"id contains '{touch}'", limit=None, retracted=True)
+        rows = [row for row in found if row.id.startswith(touch)]
+        if len(rows) != 1:
+            raise ValueError(
+                f"The id must be that of one touch, got {touch!r}, which begins "
+                f"{len(rows)} of them. See `palpate library list`."
+            )
+        image = opened.image(rows[0].id)
+    known = rows[0]._asdict()
     known |= {"least": image.min().item(), "largest": image.max().item()}
     if output is not None:
         with replacing(output) as file:
@@ -270,19 +278,6 @@ def _meant(
     chosen = where if given is None else given
     opened.refuse_unknown(chosen)
     return opened.list(chosen, limit=None, **how)
-
-
-def _one_touch(opened: "TouchLibrary", start: str) -> "TouchRow":
-    if not start.isalnum():
-        raise ValueError(f"The id of a touch must be hexadecimal, got {start!r}.")
-    found = opened.list(f"id contains '{start}'", limit=None, retracted=True)
-    rows = [row for row in found if row.id.startswith(start)]
-    if len(rows) != 1:
-        raise ValueError(
-            f"The id must be that of one touch, got {start!r}, which begins "
-            f"{len(rows)} of them. See `palpate library list`."
-        )
-    return rows[0]
 
 
 def _shown(value: Any) -> str:

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 SHOWN_ALL = 5
 SHOWN_LATER = (8, 12, 20, 30, 50, 100)
+# Of the best object's press; angles are in degrees from 0 to 360 / symmetry.
+_POSE = ("x_mm", "y_mm", "angle_deg", "sd_mm", "sd_deg", "symmetry")
 
 
 @_options.grouped
@@ -89,8 +91,11 @@ def recognise_episodes(
                 }
             )
             if recogniser.pose_ is not None:
-                touch = touches[int(row)]
-                beliefs[-1]["pose"] = press_pose(recogniser, touch, belief.best)
+                beliefs[-1]["pose"] = None  # added after poses were learnt
+                if belief.best in recogniser.pose_.labels_:
+                    poses = recogniser.pose(touches[int(row)], [belief.best])
+                    pose = {name: getattr(poses, name)[0].item() for name in _POSE}
+                    beliefs[-1]["pose"] = pose
             if decision is None and (decision := belief.decide(**how)) is not None:
                 used, reasons = number, [belief.reason(**how)]
         name = getattr(decision, "name", decision)
@@ -109,21 +114,6 @@ def recognise_episodes(
             }
         )
     return result
-
-
-def press_pose(
-    recogniser: "ObjectRecogniser", touch: "Touches", label: str
-) -> dict[str, Any] | None:
-    """Return where a press lies and how it is turned, if it is `label`.
-
-    Angles are in degrees from 0 to 360 / symmetry. None where the label has been added
-    after poses were learnt.
-    """
-    if recogniser.pose_ is None or label not in recogniser.pose_.labels_:
-        return None
-    poses = recogniser.pose(touch, [label])
-    names = ("x_mm", "y_mm", "angle_deg", "sd_mm", "sd_deg", "symmetry")
-    return {name: getattr(poses, name)[0].item() for name in names}
 
 
 def print_episode(episode: dict[str, Any]) -> None:

@@ -108,8 +108,9 @@ def as_good_alone(figures: dict[str, Any]) -> list[str]:
         right = figures["accuracy"]
         as_good = [k for k in right if (curve or {}).get(k, -1) >= right[k]]
         if as_good and name != "no contact":
+            after = f"{', '.join(as_good)} touch{'es' * (as_good != ['1'])}"
             sentences.append(
-                f"{name} alone does as well after {', '.join(as_good)} touches: the "
-                "recogniser may have learnt the recording, not the objects."
+                f"{name} alone does as well after {after}: the recogniser may have "
+                "learnt the recording, not the objects."
             )
     return sentences

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from .. import recognition
 from .._types import Array, Bools, Floats, Indices
-from ..recognition import n_informative
 
 
 @dataclass(frozen=True)
@@ -123,7 +122,7 @@ def run_episodes(
         beliefs = recognition.log_posteriors(floored[rows], prior, calibration)
         said = floored[rows], each[rows], distances[rows]
         unknown = recognition.episode_scores(*said, prior, calibration, limits)
-        return beliefs, n_informative(floored[rows]), unknown
+        return beliefs, recognition.n_informative(floored[rows]), unknown
 
     of_each = [np.flatnonzero(objects == name) for name in np.unique(objects)]
     first = [rows[0] for rows in of_each]
@@ -185,10 +184,7 @@ class Decisions:
             if rows.any():
                 shares.append(1 - self.right[rows].mean())
         n_objects, wrong = len(shares), float(np.sum(shares))
-        bound, least = (
-            recognition.upper_bound(wrong, n_objects),
-            recognition.upper_bound(0, n_objects),
-        )
+        bound = recognition.upper_bound(wrong, n_objects)
         return {
             "error": error,
             "refusal": refusal,
@@ -202,7 +198,7 @@ class Decisions:
             "n_objects": n_objects,
             "bound": bound,
             "verified": bound <= error,
-            "can_be_verified": least <= error,
+            "can_be_verified": recognition.upper_bound(0, n_objects) <= error,
         }
 
 

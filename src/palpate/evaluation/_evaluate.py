@@ -234,9 +234,8 @@ def _meet_unknown(
             f"{str(known[0])!r}. Leave those out."
         )
     evidence = recogniser.evidence(unknown)
-    rows = evidence.log_likelihood
     args = (objects, None, plan.orders, plan.seed + 1, evidence)
-    return run_episodes(recogniser, rows, *args)
+    return run_episodes(recogniser, evidence.log_likelihood, *args)
 
 
 def _controls(

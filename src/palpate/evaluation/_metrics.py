@@ -123,7 +123,9 @@ def davies_bouldin(X: ArrayLike, labels: ArrayLike, q: float = 2.0) -> float:
             f"labels must hold at least two different ones, got {len(kinds)}. "
             "Clusters are compared with each other."
         )
-    touches = _about_one(touches)
+    # Exact where touches are close; the index does not notice, and no square overflows.
+    halved = _scaled(touches) / 2
+    touches = _scaled(halved - halved[0])
     members = [touches[codes == kind] for kind in range(len(kinds))]
     centres = np.array([part.mean(axis=0) for part in members])
     pairs = zip(members, centres, strict=True)
@@ -137,15 +139,6 @@ def davies_bouldin(X: ArrayLike, labels: ArrayLike, q: float = 2.0) -> float:
     ratio[distance == 0] = np.inf
     np.fill_diagonal(ratio, -np.inf)
     return float(ratio.max(axis=1).mean())
-
-
-def _about_one(touches: Floats) -> Floats:
-    """Shift and scale touches, exactly where they are close, to sizes of at most 1.
-
-    The index does not notice, and no square of a coordinate leaves the range.
-    """
-    halved = _scaled(touches) / 2
-    return _scaled(halved - halved[0])
 
 
 def _scaled(values: Floats) -> Floats:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._durable import write_text
-from .._types import Bools, Floats, Indices
+from .._types import Bools, Indices
 from ..recognition import said_of_sessions
 from ..touches import Touches, as_shown, png_address
 from . import plots
@@ -223,7 +223,13 @@ def _head(figures: dict[str, Any]) -> str:
 
 
 def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
-    plot = plots.accuracy_curve(figures, *_curve(trials))
+    # After 1, 2, 3... touches, as far as every object has that many.
+    shortest = min(b.shape[1] for trial in trials for b in trial.episodes.beliefs)
+    each = [[one.accuracy for one in scored(trials, k)] for k in range(1, shortest + 1)]
+    per_fold = np.array([[over.mean() for over in folds] for folds in each])
+    over = [folds[0] for folds in each] if len(trials) == 1 else per_fold
+    sd = np.array([float(spread(one)) for one in over])
+    plot = plots.accuracy_curve(figures, per_fold.mean(axis=1), sd)
     bins = {}
     for k in figures["accuracy"]:
         ends = scored(trials, int(k))
@@ -249,7 +255,7 @@ def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     pairs = [divmod(place, len(names)) for place in order if off.flat[place] > 0]
     shown = "".join(_pair(trials, names, pair, off[pair]) for pair in pairs)
     return (
-        f"<h2>What is taken for what, after {k} touches</h2>"
+        f"<h2>What is taken for what, after {k} touch{'es' * (k > 1)}</h2>"
         + plots.confusion_plot(confusion, names)
         + "<h2>Most confused pairs</h2>"
         + (shown or "<p>No label was ever taken for another.</p>")
@@ -291,18 +297,6 @@ def _pictures(trials: Sequence[Trial], name: str, count: int) -> str:
     return "".join(
         f"<img src='{png_address(image, SIDE)}' alt='{alt}'>" for image in cleaned
     )
-
-
-def _curve(trials: Sequence[Trial]) -> tuple[Floats, Floats]:
-    """Return mean and spread of accuracy after 1, 2, 3... touches.
-
-    As far as every object has that many touches.
-    """
-    shortest = min(b.shape[1] for trial in trials for b in trial.episodes.beliefs)
-    each = [[one.accuracy for one in scored(trials, k)] for k in range(1, shortest + 1)]
-    per_fold = np.array([[over.mean() for over in folds] for folds in each])
-    over = [folds[0] for folds in each] if len(trials) == 1 else per_fold
-    return per_fold.mean(axis=1), np.array([float(spread(one)) for one in over])
 
 
 def _explanations(figures: dict[str, Any], trials: Sequence[Trial]) -> str:

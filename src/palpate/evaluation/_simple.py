@@ -108,9 +108,6 @@ class SmallCNN(ClassifierMixin, BaseEstimator):
     Each channel is standardised over the touches it learns from.
     """
 
-    def __init__(self, random_state: int = 0) -> None:
-        self.random_state = random_state
-
     def fit(self, X: Array, y: Array) -> Self:
         """Learn pictures (n_touches, n_channels, n_rows, n_cols), always the same."""
         torch = needed("torch", "cnn", "The small CNN")
@@ -121,7 +118,7 @@ class SmallCNN(ClassifierMixin, BaseEstimator):
         n_threads = torch.get_num_threads()
         torch.set_num_threads(1)
         with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(self.random_state)
+            torch.manual_seed(0)
             self.net_ = _net(torch.nn, X.shape[1], len(self.classes_))
             self._learn(torch, self._standardised(X), codes)
         torch.set_num_threads(n_threads)

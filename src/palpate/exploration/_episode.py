@@ -117,11 +117,25 @@ def explore(
     check_count("max_attempts", max_attempts)
     check_count("max_faults", max_faults)
     touch_at = partial(guarded_touch, robot, sensor, guard=guard, clock=clock)
-    accepted = {"error": error, "refusal": refusal}
+    accepted: dict[str, Any] = {"error": error, "refusal": refusal}
     with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
         n_before, belief = len(log.history), recogniser.start()
         log.history = [_taken_in(belief, record) for record in log.history]
-        end = _end(belief, n_before, max_attempts, accepted, "")
+
+        def ended(gave_up: str) -> tuple[str | None, str, str] | None:
+            """Return decision, what ended the episode and why, or None to go on."""
+            decision = belief.decide(**accepted)
+            if decision is not None:
+                ended_by = "unknown" if decision == "unknown" else "decision"
+                return decision, ended_by, belief.reason(**accepted)
+            if gave_up:
+                return None, "faults", gave_up
+            if len(log.history) >= max_attempts:
+                made = f"{max_attempts} attempts made."
+                return None, "budget", f"{made} {belief.reason(**accepted)}"
+            return None
+
+        end = ended("")
         if end is None:
             _come_out(robot, strategy)
         while end is None:
@@ -133,8 +147,7 @@ def explore(
                 log.append(record)
             if on_attempt is not None:
                 on_attempt(record, belief)
-            gave_up = _gave_up(log.history[n_before:], max_faults)
-            end = _end(belief, len(log.history), max_attempts, accepted, gave_up)
+            end = ended(_gave_up(log.history[n_before:], max_faults))
         return Exploration(*end, belief, list(log.history))
 
 
@@ -214,26 +227,6 @@ def _taken_in(belief: Belief, record: TouchRecord) -> TouchRecord:
         message = f"{record.message} {why}".strip()
         return replace(record, outcome="no frame", message=message)
     return record
-
-
-def _end(
-    belief: Belief,
-    n_attempts: int,
-    max_attempts: int,
-    accepted: dict[str, Any],
-    gave_up: str,
-) -> tuple[str | None, str, str] | None:
-    """Return decision, what ended the episode and why, or None to go on."""
-    decision = belief.decide(**accepted)
-    if decision is not None:
-        ended_by = "unknown" if decision == "unknown" else "decision"
-        return decision, ended_by, belief.reason(**accepted)
-    if gave_up:
-        return None, "faults", gave_up
-    if n_attempts >= max_attempts:
-        made = f"{max_attempts} attempts made."
-        return None, "budget", f"{made} {belief.reason(**accepted)}"
-    return None
 
 
 def _gave_up(attempts: History, max_faults: int) -> str:

@@ -46,32 +46,27 @@ class Robot(Protocol):
 
     def move_to(self, pose: SensorPose) -> None:
         """Move the tip to `pose` in a straight line, and wait until it is there."""
-        ...
 
     def read_pose(self) -> SensorPose:
         """Return where the tip is now, as measured and not as it was sent.
 
         A touch ends as a fault where the two differ, see `Guard.max_miss_mm`.
         """
-        ...
 
     def read_force(self) -> float:
         """Return a fresh reading of the force sensor (N), its offset included.
 
         Positive when something pushes back.
         """
-        ...
 
     def retract(self, way_mm: float) -> None:
         """Pull the tip straight back, against the way it looks, and wait.
 
         Must work while in contact and after any error.
         """
-        ...
 
     def stop(self) -> None:
         """Halt at once and stay; the last resort, allowed at any time."""
-        ...
 
 
 class SimulatedRobot:

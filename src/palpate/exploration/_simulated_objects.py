@@ -114,8 +114,7 @@ def put_down(
         )
     home = hemisphere.pose(0.0, np.pi / 2)
     robot = SimulatedRobot(bench, home, random_state=seeds[1], faults=faults)
-    lost = MissingFrames(robot)
-    sensor = SimulatedSensor(bench, random_state=seeds[2], missing=lost)
+    sensor = SimulatedSensor(bench, random_state=seeds[2], missing=MissingFrames(robot))
     return Stand(thing, hemisphere, robot, sensor)
 
 
@@ -190,8 +189,7 @@ def explore_to_learn(
         show=progress,
         sizes=shares * len(objects),
     )
-    made = Touches.concatenate(parts)
-    return made.with_columns(no_contact=seen_by.no_contact())
+    return Touches.concatenate(parts).with_columns(no_contact=seen_by.no_contact())
 
 
 def _session(

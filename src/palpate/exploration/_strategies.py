@@ -136,7 +136,6 @@ class Strategy(Protocol):
 
         `belief` is None while an object is taught: there is none to hold yet.
         """
-        ...
 
 
 @dataclass(frozen=True)
@@ -281,7 +280,12 @@ class InformativeTouch:
         self.touch_map = touch_map
         self.hemisphere = Hemisphere() if hemisphere is None else hemisphere
         self.n_rings = check_count("n_rings", n_rings)
-        grid = self._grid()
+        # Directions of the candidates, (n_rings, n_turns, 3), outward.
+        lowest = np.sin(self.hemisphere.lowest_rad)
+        heights = lowest + (1 - lowest) * (np.arange(n_rings) + 0.5) / n_rings
+        turns = np.arange(touch_map.n_turns) * (2 * np.pi / touch_map.n_turns)
+        rings = [[outward(a, np.arcsin(h)) for a in turns] for h in heights]
+        grid = np.array(rings)
         self._candidates = grid.reshape(-1, 3)
         self._stations = Stations(touch_map, grid)
         self._seen: list[TouchRecord] = []
@@ -315,14 +319,6 @@ class InformativeTouch:
             f"InformativeTouch(hemisphere={self.hemisphere!r}, n_rings={self.n_rings}, "
             f"n_turns={self.touch_map.n_turns})"
         )
-
-    def _grid(self) -> Floats:
-        """Directions of the candidates, (n_rings, n_turns, 3), outward."""
-        lowest = np.sin(self.hemisphere.lowest_rad)
-        heights = lowest + (1 - lowest) * (np.arange(self.n_rings) + 0.5) / self.n_rings
-        n_turns = self.touch_map.n_turns
-        turns = np.arange(n_turns) * (2 * np.pi / n_turns)
-        return np.array([[outward(a, np.arcsin(h)) for a in turns] for h in heights])
 
     def _follow(self, history: History) -> PlacedBelief:
         """Return the placed belief after `history`; what was encoded stays so."""

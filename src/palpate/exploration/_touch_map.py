@@ -136,16 +136,24 @@ class TouchMap:
         """Set the kernels, then the weights, with the least log loss of episodes."""
         # Each touch of theirs is judged by a map without its block (or session). How
         # the object is turned is unknown in them as it is in real ones.
-        episodes = _episodes(self)
+        rng, episodes = np.random.default_rng(self.random_state), []
+        for length in LENGTHS:
+            rows = [
+                rng.permutation(touches)[:length]
+                for touches in self.rows_of_object
+                for _ in range(EPISODES_PER_OBJECT)
+                if len(touches) >= length
+            ]
+            episodes += [np.stack(rows)] if rows else []
         losses = {}
         for width, share in product(WIDTHS, BANDWIDTHS):
             self.set_kernels(width, share)
             ratio = self._left_out_ratio()
-            losses[width, share] = _loss(self, ratio, episodes, _FIRST_WEIGHTS)
+            losses[width, share] = self._loss(ratio, episodes, _FIRST_WEIGHTS)
         self.set_kernels(*min(losses, key=lambda pair: losses[pair]))
         ratio = self._left_out_ratio()
-        by_touch, _ = _best_weights(self, 0 * ratio, episodes)
-        by_place, weights = _best_weights(self, ratio, episodes)
+        by_touch, _ = self._best_weights(0 * ratio, episodes)
+        by_place, weights = self._best_weights(ratio, episodes)
         self.touch_weight_, self.placed_weight_, self.correlation_ = weights
         self.log_loss_ = {"touch": by_touch, "placed": by_place}
 
@@ -156,6 +164,37 @@ class TouchMap:
             close = self.closeness(stations)
             ratios.append(self.station_ratio(*left_out, close, row_by_row=True))
         return np.stack(ratios, axis=-1)
+
+    def _best_weights(self, ratio: Floats, episodes: Episodes) -> tuple[float, Weights]:
+        """Return the least log loss and the weights that have it."""
+
+        def weights(raw: Array) -> Weights:
+            touch, placed = np.exp(np.clip(raw[:2], -4, 1))
+            return float(touch), float(placed), float(1 / (1 + np.exp(-raw[2])))
+
+        def loss(raw: Array) -> float:
+            return self._loss(ratio, episodes, weights(raw))
+
+        start = np.array([-0.3, -1.0, -1.0])
+        simplex = start + np.vstack([np.zeros(3), np.eye(3)])
+        options: Any = {"initial_simplex": simplex, "maxfev": 60, "xatol": 0.02}
+        found = minimize(loss, start, method="Nelder-Mead", options=options)
+        return float(found.fun), weights(found.x)
+
+    def _loss(self, ratio: Floats, episodes: Episodes, weights: Weights) -> float:
+        """Return the mean log loss (nats) of the object after drawn episodes."""
+        evidence = self.weighed(self.left_out_, ratio, weights[:2])
+        flat = evidence.reshape(len(evidence), -1)
+        prior = np.repeat(self.recogniser.log_prior(), self.n_turns)
+        losses = []
+        for rows in episodes:
+            discount = SequenceCalibration(1.0, weights[2]).weight(rows.shape[1])
+            joint = log_softmax(flat[rows].sum(axis=1) * discount + prior, axis=1)
+            shape = (-1, self.n_objects, self.n_turns)
+            posterior = logsumexp(joint.reshape(shape), axis=2)
+            true = self.codes_[rows[:, 0]]
+            losses.append(-posterior[np.arange(len(rows)), true].mean())
+        return float(np.mean(losses))
 
     @property
     def n_objects(self) -> int:
@@ -327,58 +366,6 @@ class PlacedBelief(Belief):
         weight = self._map.sequence_calibration.weight(self._n_informative)
         joint = self._placed * weight + prior[:, np.newaxis]
         self.log_joint: Floats = joint - logsumexp(joint)
-
-
-def _episodes(touch_map: TouchMap) -> Episodes:
-    """Draw episodes of each length, (n_episodes, n_touches) training touches."""
-    rng = np.random.default_rng(touch_map.random_state)
-    drawn = [
-        [
-            rng.permutation(touches)[:length]
-            for touches in touch_map.rows_of_object
-            for _ in range(EPISODES_PER_OBJECT)
-            if len(touches) >= length
-        ]
-        for length in LENGTHS
-    ]
-    return [np.stack(rows) for rows in drawn if rows]
-
-
-def _best_weights(
-    touch_map: TouchMap, ratio: Floats, episodes: Episodes
-) -> tuple[float, Weights]:
-    """Return the least log loss and the weights that have it."""
-
-    def weights(raw: Array) -> Weights:
-        touch, placed = np.exp(np.clip(raw[:2], -4, 1))
-        return float(touch), float(placed), float(1 / (1 + np.exp(-raw[2])))
-
-    def loss(raw: Array) -> float:
-        return _loss(touch_map, ratio, episodes, weights(raw))
-
-    start = np.array([-0.3, -1.0, -1.0])
-    simplex = start + np.vstack([np.zeros(3), np.eye(3)])
-    options: Any = {"initial_simplex": simplex, "maxfev": 60, "xatol": 0.02}
-    found = minimize(loss, start, method="Nelder-Mead", options=options)
-    return float(found.fun), weights(found.x)
-
-
-def _loss(
-    touch_map: TouchMap, ratio: Floats, episodes: Episodes, weights: Weights
-) -> float:
-    """Return the mean log loss (nats) of the object after drawn episodes."""
-    evidence = touch_map.weighed(touch_map.left_out_, ratio, weights[:2])
-    flat = evidence.reshape(len(evidence), -1)
-    prior = np.repeat(touch_map.recogniser.log_prior(), touch_map.n_turns)
-    losses = []
-    for rows in episodes:
-        discount = SequenceCalibration(1.0, weights[2]).weight(rows.shape[1])
-        joint = log_softmax(flat[rows].sum(axis=1) * discount + prior, axis=1)
-        shape = (-1, touch_map.n_objects, touch_map.n_turns)
-        posterior = logsumexp(joint.reshape(shape), axis=2)
-        true = touch_map.codes_[rows[:, 0]]
-        losses.append(-posterior[np.arange(len(rows)), true].mean())
-    return float(np.mean(losses))
 
 
 def places_of(touches: object, places: ArrayLike | None, n_turns: int) -> Floats:

@@ -5,27 +5,48 @@ n_channels where images have these), row by row, in the sensor's own type; colum
 their names, vectors become lists. What describes the whole set stands in the schema's
 metadata under `palpate`, as JSON.
 
+Of a LeRobotDataset v3.0 [1]_ one touch is one frame, one object in one session (and
+episode) is one episode, and its task is "touch <object>", or "touch" without a label.
+The feature `observation.tactile` is an image where touches are pictures of a camera (8
+bits, grey or r, g, b), else an array of float32, NaN where it has gaps. `object`,
+`category`, `session`, `time_s`, `order` are features where touches have them;
+`timestamp` counts seconds from the first touch of the episode. What belongs to the
+whole set stands in `meta/info.json` under `palpate`, which other readers pass over.
+
 Of touches all must have an object or none, whatever they are written to.
+
+References
+----------
+.. [1] LeRobotDataset v3.0, https://huggingface.co/docs/lerobot/lerobot-dataset-v3
 """
 
 import json
 import secrets
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .._checks import ARRAY_SIDE
 from .._durable import PARTIAL, flush_all, flush_folder
 from .._extras import needed
-from .._types import Array
-from ..touches import Touches
-from ._lerobot import part_of, write_lerobot, write_tables
-from ._reading import common_kind, read_columns, read_touches
-from ._rows import Numbers
+from .._types import Array, Floats, Indices
+from ..touches import RGB, Touches, png_bytes
+from ._reading import common_kind, read_columns, read_touches, read_whole
+from ._rows import FROM, Numbers
 from ._store import AT_ONCE, LibraryError, Store, room_for
+
+TACTILE = "observation.tactile"
+_LEROBOT_VERSION = "v3.0"
+_FRAMES_PER_SECOND = 1
+_FILE = "chunk-{:03d}/file-{:03d}.parquet"
+_PARTS, _KINDS = ("data", "meta/episodes"), ("chunk", "file")
+_TEXTS, _NUMBERS = ("object", "category", "session"), ("time_s", "order")
+_MEASURED = ("observation.position_mm", "observation.force_n")
 
 
 def export_touches(store: Store, numbers: Numbers, path: Path) -> int:
@@ -66,11 +87,10 @@ def export_touches(store: Store, numbers: Numbers, path: Path) -> int:
 
 def _write_parquet(path: Path, store: Store, numbers: Numbers) -> None:
     """Write one row group for every `AT_ONCE` touches."""
-    common = read_columns(store, numbers)
     starts = range(0, len(numbers), AT_ONCE)
     rows = (np.arange(s, min(s + AT_ONCE, len(numbers))) for s in starts)
-    parts = (part_of(store, numbers, some, common) for some in rows)
-    write_tables(path, map(_parquet_table, parts), compression="zstd")
+    parts = _parts(store, numbers, rows)
+    _write_tables(path, map(_parquet_table, parts), compression="zstd")
 
 
 def _parquet_table(touches: Touches) -> Any:
@@ -102,8 +122,212 @@ def _arrow(pa: Any, name: str, array: Array) -> Any:
         ) from error
 
 
+def _write_lerobot(path: Path, store: Store, numbers: Numbers) -> None:
+    """Write a new folder; episodes are read one by one."""
+    pa = needed("pyarrow", "parquet", "Writing a LeRobotDataset")
+    data = path / "data" / _FILE.format(0, 0)
+    data.parent.mkdir(parents=True)
+    dataset = _Dataset(read_whole(store, numbers))
+    columns = "o.name, t.session, t.episode, t.number"
+    sql = f"SELECT {columns} {FROM} WHERE t.number IN (?) ORDER BY t.number"
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    for *key, number in store.among(sql, numbers.tolist()):
+        groups.setdefault(tuple(key), []).append(number)
+    rows = (np.searchsorted(numbers, some) for some in groups.values())
+    episodes = _parts(store, numbers, rows)
+    _write_tables(data, (_frame_table(pa, dataset.add(e)) for e in episodes))
+    _write_meta(pa, path / "meta", dataset)
+
+
+def _parts(
+    store: Store, numbers: Numbers, places: Iterable[Indices]
+) -> Iterator[Touches]:
+    """Read some touches at a time, with the columns that all of an export have.
+
+    Read by themselves some would lack what none of them has.
+    """
+    common = read_columns(store, numbers)
+    for rows in places:
+        touches = read_touches(store, numbers[rows])
+        columns = {name: column[rows] for name, column in common.items()}
+        wide = {n: c for n, c in touches.columns.items() if n not in columns}
+        wide.pop("category", None)
+        yield Touches(touches.images, **columns, **wide, **touches.whole)
+
+
+def _write_tables(path: Path, tables: Iterator[Any], **options: Any) -> None:
+    """Write tables of one schema into one Parquet file, one row group each."""
+    pq = needed("pyarrow.parquet", "parquet", "Writing Parquet")
+    first = next(tables)
+    with pq.ParquetWriter(path, first.schema, **options) as writer:
+        for table in chain([first], tables):
+            writer.write_table(table.cast(first.schema))
+
+
+class _Dataset:
+    """What a LeRobotDataset says of its episodes, gathered one by one."""
+
+    def __init__(self, whole: dict[str, Array]) -> None:
+        self.whole = whole
+        self.tasks: dict[str, int] = {}
+        self.rows: list[dict[str, Any]] = []
+        self.features: dict[str, Any] = {}
+        self.dtype, self.n_frames = "", 0
+        # Count, sum and sum of squares; the most of what is below and above zero.
+        self._spread: dict[str, tuple[Floats, Floats]] = {}
+
+    def add(self, touches: Touches) -> dict[str, Array]:
+        """Take in the touches of one episode, all of one object; return its frames."""
+        task = f"touch {'' if touches.object is None else touches.object[0]}".strip()
+        task_index = self.tasks.setdefault(task, len(self.tasks))
+        number, first = len(self.rows), self.n_frames
+        frames = _lerobot_frames(touches, number, first, task_index)
+        self.dtype = touches.images.dtype.str
+        for name, values in frames.items():
+            feature = _feature(name, values)
+            self.features.setdefault(name, feature)
+            if feature["dtype"] == "string":
+                continue
+            wide = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+            if feature["dtype"] == "image":  # as readers see it: 0 to 1, by channel
+                wide = wide.reshape(-1, feature["shape"][2]) / 255
+            known, filled = ~np.isnan(wide), np.nan_to_num(wide)
+            sums = np.stack([known.sum(0), filled.sum(0), (filled**2).sum(0)])
+            most = np.fmax.reduce([-wide.T, wide.T], axis=2)  # NaN only where all are
+            before = self._spread.get(name, (0 * sums, most))
+            self._spread[name] = before[0] + sums, np.fmax(before[1], most)
+        places = [f"{part}/{kind}_index" for part in _PARTS for kind in _KINDS]
+        row = {"episode_index": number, "tasks": [task], "length": len(touches)}
+        row |= dict.fromkeys(places, 0) | {"dataset_from_index": first}
+        self.n_frames += len(touches)
+        self.rows.append({**row, "dataset_to_index": self.n_frames})
+        return frames
+
+    def spread(self) -> dict[str, Any]:
+        """Return minimum, maximum, mean and deviation of each feature over all.
+
+        Gaps between pads and dead taxels (NaN) do not count; 0 where nothing does.
+        """
+        result = {}
+        for name, ((count, total, squares), (under, over)) in self._spread.items():
+            mean = total / np.maximum(count, 1)
+            sd = np.sqrt(np.maximum(squares / np.maximum(count, 1) - mean**2, 0))
+            picture = self.features[name]["dtype"] == "image"
+            shape = (-1, 1, 1) if picture else self.features[name]["shape"]
+            values = {"min": -under, "max": over, "mean": mean, "std": sd}
+            values = {k: np.nan_to_num(v).reshape(shape) for k, v in values.items()}
+            result[name] = {k: v.tolist() for k, v in values.items()}
+            result[name]["count"] = [self.n_frames]
+        return result
+
+
+def _feature(name: str, values: Array) -> dict[str, Any]:
+    if name == TACTILE and values.dtype == np.uint8:
+        shape = [*values.shape[1:], *[1] * (4 - values.ndim)]
+        axes = ["height", "width", "channels"]
+        return {"dtype": "image", "shape": shape, "names": axes}
+    kind = "string" if values.dtype.kind == "U" else values.dtype.name
+    return {"dtype": kind, "shape": list(values.shape[1:]) or [1], "names": None}
+
+
+def _lerobot_frames(
+    touches: Touches, episode: int, first: int, task: int
+) -> dict[str, Array]:
+    """Return frames by feature; where times are not known, they count touches."""
+    n_touches = len(touches)
+    number = np.arange(n_touches, dtype=np.int64)
+    time_s = np.asarray(touches.columns.get("time_s", number), dtype=np.float64)
+    if np.isnan(time_s).any():
+        time_s = number.astype(np.float64)
+    images = touches.images
+    # What a camera gives: 8 bits, grey or in colour, and larger than an array.
+    arranged = touches.geometry in ("array", "none") or touches.pads is not None
+    levels = images.dtype == np.uint8 and touches.channels in (None, RGB)
+    if arranged or not levels or min(images.shape[1:3]) <= ARRAY_SIDE:
+        images = images.astype("f4")
+    columns = {TACTILE: images}
+    known = touches.columns
+    for feature in _MEASURED:
+        if (values := known.get(feature.removeprefix("observation."))) is not None:
+            flat = values.reshape(n_touches, -1).astype(np.float32)
+            columns[feature] = flat[:, 0] if flat.shape[1] == 1 else flat
+    columns |= {n: known[n].astype(np.str_) for n in _TEXTS if n in known}
+    columns |= {n: known[n].astype(np.float64) for n in _NUMBERS if n in known}
+    return {
+        **columns,
+        "timestamp": (time_s - time_s[0]).astype(np.float32),
+        "frame_index": number,
+        "episode_index": np.full(n_touches, episode, np.int64),
+        "index": first + number,
+        "task_index": np.full(n_touches, task, np.int64),
+    }
+
+
+def _frame_table(pa: Any, frames: dict[str, Array]) -> Any:
+    arrays = {}
+    for name, values in frames.items():
+        if name == TACTILE and values.dtype == np.uint8:
+            files = [{"bytes": png_bytes(v), "path": None} for v in values]
+            kind = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+            arrays[name] = pa.array(files, kind)
+            continue
+        column = pa.array(values.reshape(-1))
+        for size in reversed(values.shape[1:]):
+            ends = np.arange(0, len(column) + 1, size, dtype=np.int32)
+            column = pa.ListArray.from_arrays(pa.array(ends), column)
+        arrays[name] = column
+    return pa.table(arrays)
+
+
+def _write_meta(pa: Any, meta: Path, dataset: _Dataset) -> None:
+    pq = needed("pyarrow.parquet", "parquet", "Writing a LeRobotDataset")
+    whole = {name: array.tolist() for name, array in dataset.whole.items()}
+    info = {
+        "codebase_version": _LEROBOT_VERSION,
+        "robot_type": None,
+        "total_episodes": len(dataset.rows),
+        "total_frames": dataset.n_frames,
+        "total_tasks": len(dataset.tasks),
+        "chunks_size": 1000,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": _FRAMES_PER_SECOND,
+        "splits": {"train": f"0:{len(dataset.rows)}"},
+        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        "video_path": None,
+        "features": dataset.features,
+        # What other readers pass over: of what type the touches were, and the rest.
+        "palpate": {"dtype": dataset.dtype, "whole": whole},
+    }
+    episodes = meta / "episodes" / _FILE.format(0, 0)
+    episodes.parent.mkdir(parents=True)
+    pq.write_table(pa.Table.from_pylist(dataset.rows), episodes)
+    tasks = dataset.tasks
+    table = pa.table({"task_index": list(tasks.values()), "task": list(tasks)})
+    table = table.replace_schema_metadata({"pandas": json.dumps(_TASKS_PANDAS)})
+    pq.write_table(table, meta / "tasks.parquet")
+    (meta / "info.json").write_text(json.dumps(info, indent=4, default=str))
+    (meta / "stats.json").write_text(json.dumps(dataset.spread()))
+
+
+def _column(name: str, kind: str, numpy_type: str) -> dict[str, Any]:
+    kinds = {"pandas_type": kind, "numpy_type": numpy_type, "metadata": None}
+    return {"name": name, "field_name": name, **kinds}
+
+
+# Readers take a task's name from the index of a pandas table; this is what
+# `DataFrame.to_parquet` writes of such a table.
+_TEXT = _column("task", "unicode", "object")
+_TASKS_PANDAS = {
+    "index_columns": ["task"],
+    "column_indexes": [{**_TEXT, "name": None, "field_name": None}],
+    "columns": [_column("task_index", "int64", "int64"), _TEXT],
+    "pandas_version": "2.2.0",
+}
+
+
 _WRITERS: dict[str, Callable[[Path, Store, Numbers], None]] = {
     ".npz": lambda path, store, numbers: read_touches(store, numbers).save(path),
     ".parquet": _write_parquet,
-    "": write_lerobot,
+    "": _write_lerobot,
 }

@@ -67,8 +67,17 @@ class TouchLibrary:
             There is none, it is damaged, or a newer palpate made it.
         """
         place = Path(folder)
-        if create:
-            _make(place)
+        # Where there are files the database came first: without one it was lost.
+        if create and not holds_files(place):
+            try:
+                place.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise LibraryError(
+                    f"{place} must be a folder that can be made, got: {error.strerror}."
+                ) from error
+            Store(place, create=True).close()  # several programs may try at once
+            flush_folder(place)
+            flush_folder(place.parent)
         return cls(place)
 
     @staticmethod
@@ -140,9 +149,16 @@ class TouchLibrary:
                 f"touches must be Touches, got {type(touches).__name__}. "
                 "Write Touches(images, object=labels)."
             )
-        checked = None if sensor is None else sensor.checked()
-        labelled = _labelled(touches, episode, session, checked)
-        return _adding.add_touches(self._store, labelled, checked, progress)
+        each: dict[str, Any] = {"episode": episode, "session": session}
+        whole: dict[str, Any] = {}
+        if sensor is not None:
+            each["sensor"] = sensor.checked().name
+            whole = {"set_pitch_mm": sensor.pitch_mm, "set_unit": sensor.unit}
+            whole["geometry"] = None if touches.geometry else sensor.geometry
+        known = {n: np.full(len(touches), v) for n, v in each.items() if v is not None}
+        known |= {n: np.array(v) for n, v in whole.items() if v is not None}
+        labelled = touches.with_columns(**known) if known else touches
+        return _adding.add_touches(self._store, labelled, sensor, progress)
 
     def objects(self) -> list[ObjectRow]:
         """Return all objects with touches, sorted by name."""
@@ -338,35 +354,3 @@ class TouchLibrary:
     def repair(self, *, progress: bool | None = None) -> RepairReport:
         """Set aside what is damaged and recover what is not; see `repair_library`."""
         return repair_library(self.folder, progress=progress)
-
-
-def _make(place: Path) -> None:
-    """Make an empty library; several programs may try at once."""
-    if holds_files(place):  # Its database comes first: without one it was lost.
-        return
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise LibraryError(
-            f"{place} must be a folder that can be made, got: {error.strerror}."
-        ) from error
-    Store(place, create=True).close()
-    flush_folder(place)
-    flush_folder(place.parent)
-
-
-def _labelled(
-    touches: Touches,
-    episode: str | None,
-    session: str | None,
-    sensor: SensorDescription | None,
-) -> Touches:
-    each: dict[str, Any] = {"episode": episode, "session": session}
-    whole: dict[str, Any] = {}
-    if sensor is not None:
-        each["sensor"] = sensor.name
-        whole = {"set_pitch_mm": sensor.pitch_mm, "set_unit": sensor.unit}
-        whole["geometry"] = None if touches.geometry else sensor.geometry
-    columns = {n: np.full(len(touches), v) for n, v in each.items() if v is not None}
-    columns |= {n: np.array(v) for n, v in whole.items() if v is not None}
-    return touches.with_columns(**columns) if columns else touches

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices
 from ..touches import FORMER, Labelled, Touches
 from . import _files, _rows
 from ._files import Column, column_array, file_path, image_digest, packed, read_file
@@ -309,12 +309,35 @@ class Selection(Labelled):
         known_ids, known = _cached(cache)
         missing = np.flatnonzero(~np.isin(ids, known_ids))
         if len(missing):
-            numbers = self._numbers[missing]
-            layout = {n: a for n, a in self.whole.items() if n in FORMER.values()}
-            encode_some = partial(_encoded, self._store.folder, encode, layout)
-            _encode_new(self._store, cache, numbers, ids[missing], encode_some)
+            self._encode_new(cache, encode, missing, ids[missing])
             known_ids, known = _cached(cache)
         return known[np.searchsorted(known_ids, ids)]
+
+    def _encode_new(
+        self, cache: Path, encode: Encode, rows: Indices, ids: Array
+    ) -> None:
+        """Encode touches; what is done is kept now and then, should this be stopped."""
+        from joblib import Parallel, delayed
+
+        layout = {n: a for n, a in self.whole.items() if n in FORMER.values()}
+        encode_some = partial(_encoded, self._store.folder, encode, layout)
+        parts = Parallel(return_as="generator")(
+            delayed(encode_some)(some)
+            for some in rows_at(self._store, self._numbers[rows])
+        )
+        waiting: list[Floats] = []
+        n_kept = n_done = 0
+        for number, part in enumerate(parts, start=1):
+            waiting.append(part)
+            n_done += len(part)
+            if number % _TASKS_PER_FILE == 0 or n_done == len(ids):
+                plain = ids[n_kept:n_done].view(np.uint8).reshape(-1, 16)
+                content = packed([plain, np.concatenate(waiting)])
+                fix = "Free space; touches are not affected."
+                with room_for("features", cache, fix):
+                    cache.mkdir(parents=True, exist_ok=True)
+                    _files.publish(cache, content)
+                waiting, n_kept = [], n_done
 
     def _ids(self) -> list[bytes]:
         sql = "SELECT id FROM touches WHERE number IN (?) ORDER BY number"
@@ -345,33 +368,6 @@ def _cached(cache: Path) -> tuple[Array, Floats]:
     order = np.argsort(every, kind="stable")
     joined = np.concatenate(features) if features else np.empty((0, 0))
     return every[order], joined[order]
-
-
-def _encode_new(
-    store: Store,
-    cache: Path,
-    numbers: Numbers,
-    ids: Array,
-    encode: Callable[[list[StoredTouch]], Floats],
-) -> None:
-    """Encode touches; what is done is kept now and then, should this be stopped."""
-    from joblib import Parallel, delayed
-
-    parts = Parallel(return_as="generator")(
-        delayed(encode)(rows) for rows in rows_at(store, numbers)
-    )
-    waiting: list[Floats] = []
-    n_kept = n_done = 0
-    for number, part in enumerate(parts, start=1):
-        waiting.append(part)
-        n_done += len(part)
-        if number % _TASKS_PER_FILE == 0 or n_done == len(ids):
-            plain = ids[n_kept:n_done].view(np.uint8).reshape(-1, 16)
-            content = packed([plain, np.concatenate(waiting)])
-            with room_for("features", cache, "Free space; touches are not affected."):
-                cache.mkdir(parents=True, exist_ok=True)
-                _files.publish(cache, content)
-            waiting, n_kept = [], n_done
 
 
 def _encoded(

@@ -64,9 +64,9 @@ class RepairReport(NamedTuple):
     n_recovered: int
     n_set_aside: int
     n_restored: int
-    n_changes: int = 0
-    n_left_out: int = 0
-    n_unacknowledged: int = 0
+    n_changes: int
+    n_left_out: int
+    n_unacknowledged: int
 
 
 def repair_library(folder: str | Path, *, progress: bool | None = None) -> RepairReport:

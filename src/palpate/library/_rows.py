@@ -46,7 +46,7 @@ _FIELDS = {
     "retracted": "t.retraction IS NOT NULL",
     "reason": "json_extract(c.content, '$.reason')",
 }
-_RECORDED = "sensor, kind, unit, pitch_mm, geometry, n_rows, n_cols, dtype"
+_RECORDED = SEALED["recordings"][2:-1]
 _INSERT = (
     f"INSERT INTO touches ({', '.join(SEALED['touches'][1:-1])}) "
     f"VALUES {holders(19)} ON CONFLICT (id) DO "
@@ -217,7 +217,7 @@ def write_rows(
 def _rows(store: Store, sheet: Sheet, name: str) -> Iterator[tuple[Any, ...]]:
     """Return what `_INSERT` names of each touch."""
     layout = {"columns": json.dumps([list(column) for column in sheet.layout])}
-    recording = {name: sheet.recording[name] for name in _RECORDED.split(", ")}
+    recording = {name: sheet.recording[name] for name in _RECORDED}
     recording["whole"] = canonical(sheet.recording["whole"])
     recording["digest"] = hashlib.sha256(canonical(sheet.recording).encode()).digest()
     keys = (
@@ -266,10 +266,9 @@ def move_rows(store: Store, sheet: Sheet, name: str) -> None:
 
 def recordings(store: Store) -> dict[int, dict[str, Any]]:
     """Return what is the same for all touches of a recording, by its key."""
-    rows = store.rows(f"SELECT id, {_RECORDED}, whole FROM recordings")
-    names = _RECORDED.split(", ")
+    rows = store.rows(f"SELECT id, {', '.join(_RECORDED)}, whole FROM recordings")
     return {
-        key: dict(zip(names, known, strict=True)) | {"whole": from_json(whole)}
+        key: dict(zip(_RECORDED, known, strict=True)) | {"whole": from_json(whole)}
         for key, *known, whole in rows
     }
 

@@ -61,6 +61,7 @@ _DESK = {
     "gap": _Option("gap", int, "a whole number of frames"),
     "place": _Option("place", str, "what to put on the desk"),
 }
+_YES_NO = {"1": True, "0": False, "yes": True, "no": False}
 _WIDTHS = ("uint8", "uint16", "int16", "float32")
 _OPTIONS: dict[str, dict[str, _Option]] = {
     "camera": {
@@ -72,7 +73,7 @@ _OPTIONS: dict[str, dict[str, _Option]] = {
         "rotation": _Option("rotation", int, "0, 90, 180 or 270 degrees"),
         "scale": _Option("scale", float, "a share of at most 1, such as 0.5"),
         "fourcc": _Option("fourcc", str, "four letters such as MJPG"),
-        "colour": _word("colour", **{"1": True, "0": False}, yes=True, no=False),
+        "colour": _word("colour", **_YES_NO),
     },
     "serial": {
         "shape": _Option(
@@ -83,7 +84,7 @@ _OPTIONS: dict[str, dict[str, _Option]] = {
         "baud": _Option("baud", int, "a whole number of bits a second"),
         "framing": _word("framing", line="line", binary="binary"),
         "checksum": _word("checksum", yes=True, no=False),
-        "dtype": _word("dtype", **dict(zip(_WIDTHS, _WIDTHS, strict=True))),
+        "dtype": _word("dtype", **{name: name for name in _WIDTHS}),
         "unit": _Option("unit", str, "a text"),
     },
     "replay": {
@@ -94,7 +95,6 @@ _OPTIONS: dict[str, dict[str, _Option]] = {
     "sim": {**_DESK, "seed": _Option("random_state", int, "a whole number")},
 }
 _GROUP = "palpate.sensors"
-_YES_NO = {"1": True, "0": False, "yes": True, "no": False}
 _READ: dict[str, tuple[Callable[[str], Any], str]] = {
     "int": (int, "a whole number"),
     "float": (float, "a number"),
@@ -202,9 +202,7 @@ def desk_of(sensor: object) -> PlayedSensor | None:
 def _agreed(
     address: str, kind: str, given: dict[str, Any], keyword: str, value: Any
 ) -> Any:
-    name = _NAMES.get(keyword)
-    if name is None and kind not in _OPTIONS:
-        name = keyword
+    name = _NAMES.get(keyword, None if kind in _OPTIONS else keyword)
     if name is None:  # not for addresses; the sensor itself knows or refuses it
         return value
     if name not in _options(kind):

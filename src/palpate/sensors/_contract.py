@@ -71,11 +71,9 @@ class TouchSensor(Protocol):
         SensorError
             None arrived in the sensor's own time limit.
         """
-        ...
 
     def no_contact(self) -> Array | None:
         """Return the frame of touching nothing, or None where it is not known."""
-        ...
 
 
 class LiveSensor(ABC):
@@ -397,8 +395,7 @@ def _check_promises(sensor: LiveSensor) -> None:
 
 def _check_frames(sensor: LiveSensor, n_frames: int) -> None:
     started_s = time.monotonic()
-    first = sensor.read_next()
-    frames = [first, *(sensor.read_next() for _ in range(n_frames - 1))]
+    frames = [sensor.read_next() for _ in range(n_frames)]
     for frame in frames:
         _check_frame(sensor, frame)
         late = frame.time_s > time.monotonic()

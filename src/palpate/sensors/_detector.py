@@ -429,13 +429,10 @@ class SensorMemory:
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> Self:
         """Return what `to_dict` gave."""
-        return cls(
-            np.asarray(stored["no_contact"], dtype=np.float64),
-            float(stored["touch_change"]),
-            np.asarray(stored["response"], dtype=np.float64),
-            np.asarray(stored["response_var"], dtype=np.float64),
-            int(stored["n_touches"]),
-        )
+        names = ("no_contact", "response", "response_var")
+        arrays = {name: np.asarray(stored[name], np.float64) for name in names}
+        change, n_touches = float(stored["touch_change"]), int(stored["n_touches"])
+        return cls(**arrays, touch_change=change, n_touches=n_touches)
 
     def to_dict(self) -> dict[str, Any]:
         """Return arrays and plain values, for a model file."""
@@ -464,9 +461,8 @@ def gain_warning(memory: SensorMemory, now: SensorMemory) -> str:
     Asks for 10 touches learnt and 10 recent ones. A taxel is named whose share in
     touches differs by a factor of 2, up or down, and by 4 standard errors.
     """
-    if min(memory.n_touches, now.n_touches) < _ENOUGH_TOUCHES:
-        return ""
-    if not memory.response.size or memory.response.shape != now.response.shape:
+    few = min(memory.n_touches, now.n_touches) < _ENOUGH_TOUCHES
+    if few or not memory.response.size or memory.response.shape != now.response.shape:
         return ""
     before, after = np.nan_to_num(memory.response), np.nan_to_num(now.response)
     error = np.sqrt(np.nan_to_num(memory.response_var + now.response_var))

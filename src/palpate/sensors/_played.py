@@ -36,6 +36,7 @@ class PlayedSensor(LiveSensor):
     """
 
     queue_length = 256
+    _rest: Array | None
 
     def __init__(
         self,
@@ -57,6 +58,10 @@ class PlayedSensor(LiveSensor):
         self._lock = threading.Lock()
         self._due_s = 0.0
 
+    def no_contact(self) -> Array | None:
+        """Return the frame of touching nothing, or None where it is not known."""
+        return self._rest
+
     def place(self, name: str | None) -> None:
         """Put one of `objects` on the desk, or nothing; the touch under way ends."""
         if name is not None:
@@ -64,9 +69,8 @@ class PlayedSensor(LiveSensor):
         with self._lock:
             self.placed = name
             self._frames.clear()
-            rest = self.no_contact()
-            if rest is not None:
-                self._frames.extend([rest] * max(self._gap, 2))
+            if self._rest is not None:
+                self._frames.extend([self._rest] * max(self._gap, 2))
 
     @abstractmethod
     def _next_touch(self, name: str) -> Array | None:
@@ -93,7 +97,7 @@ class PlayedSensor(LiveSensor):
         with self._lock:
             if not self._frames:
                 self._frames.extend(self._cycle())
-            image = self._frames.popleft() if self._frames else self.no_contact()
+            image = self._frames.popleft() if self._frames else self._rest
         return [] if image is None else [self._with_noise(image)]
 
     def _cycle(self) -> list[Array]:
@@ -101,8 +105,7 @@ class PlayedSensor(LiveSensor):
         touch = None if self.placed is None else self._next_touch(self.placed)
         if touch is None:
             return []
-        rest = self.no_contact()
-        if rest is None:
+        if (rest := self._rest) is None:
             return [touch] * self._hold
         shares = np.arange(1, self._ramp + 1) / (self._ramp + 1)
         way = touch.astype(np.float64) - rest  # a blend, not physics
@@ -163,7 +166,17 @@ class ReplaySensor(PlayedSensor):
         no_contact: Array | str | PathLike[str] | None = None,
         name_pattern: str | None = None,
     ) -> None:
-        recorded = _recorded(touches, no_contact, name_pattern)
+        frame: Any = no_contact if isinstance(no_contact, np.ndarray) else None
+        path: Any = no_contact if frame is None else None
+        try:
+            recorded = touches
+            if not isinstance(recorded, Touches):
+                options = {"name_pattern": name_pattern, "no_contact": path}
+                recorded = Touches.load(recorded, **options)
+            if frame is not None:
+                recorded = recorded.with_columns(no_contact=frame)
+        except TouchesError as error:
+            raise SensorError(f"The recording cannot be replayed: {error}") from error
         source = "touches" if isinstance(touches, Touches) else touches
         labels = recorded.object
         if labels is None:
@@ -171,11 +184,11 @@ class ReplaySensor(PlayedSensor):
         self._images = recorded.images
         self._rows = {str(n): np.flatnonzero(labels == n) for n in np.unique(labels)}
         self._at = dict.fromkeys(self._rows, 0)
-        self._no_contact = recorded.no_contact
-        if self._no_contact is not None:
-            self._no_contact = self._no_contact.astype(self._images.dtype)
+        self._rest = recorded.no_contact
+        if self._rest is not None:
+            self._rest = self._rest.astype(self._images.dtype)
         elif max(self._images.shape[1:3]) <= ARRAY_SIDE:
-            self._no_contact = np.zeros_like(self._images[0])
+            self._rest = np.zeros_like(self._images[0])
         super().__init__(
             f"replay of {source}",
             "grey level" if recorded.images.dtype.kind == "u" else "as recorded",
@@ -189,30 +202,11 @@ class ReplaySensor(PlayedSensor):
         )
         self.channels = recorded.channels
 
-    def no_contact(self) -> Array | None:
-        """Return the frame of touching nothing, or None where it is not known."""
-        return self._no_contact
-
     def _next_touch(self, name: str) -> Array:
         rows = self._rows[name]
         touch: Array = self._images[rows[self._at[name] % len(rows)]]
         self._at[name] += 1
         return touch
-
-
-def _recorded(
-    touches: Touches | str | PathLike[str],
-    no_contact: Array | str | PathLike[str] | None,
-    name_pattern: str | None,
-) -> Touches:
-    frame: Any = no_contact if isinstance(no_contact, np.ndarray) else None
-    path: Any = no_contact if frame is None else None
-    try:
-        if not isinstance(touches, Touches):
-            touches = Touches.load(touches, name_pattern=name_pattern, no_contact=path)
-        return touches if frame is None else touches.with_columns(no_contact=frame)
-    except TouchesError as error:
-        raise SensorError(f"The recording cannot be replayed: {error}") from error
 
 
 class SimulatedStream(PlayedSensor):
@@ -247,13 +241,13 @@ class SimulatedStream(PlayedSensor):
         self._device: DomeCamera | PressureArray
         if dome:
             self._device = DomeCamera(image_shape=image_shape or (120, 120))
-            self._rest_image = self._device.no_contact()
+            rest = self._device.no_contact()
         else:
             self._device = PressureArray()
             shape = self._device.rows, self._device.cols
-            self._rest_image = np.zeros(shape, dtype=np.uint8)
+            rest = np.zeros(shape, dtype=np.uint8)
         # Fields of noise, (n_frames, n_rows, n_cols), that are played round.
-        size = _NOISE_FRAMES, *self._rest_image.shape
+        self._rest, size = rest, (_NOISE_FRAMES, *rest.shape)
         noise = self._rng.normal(scale=_DOME_NOISE if dome else _ARRAY_NOISE, size=size)
         self._noise = np.rint(noise).astype(np.int16)
         self._pool: ThreadPoolExecutor | None = None
@@ -261,7 +255,7 @@ class SimulatedStream(PlayedSensor):
         super().__init__(
             f"simulated {'dome camera' if dome else 'pressure array'}",
             "grey level",
-            self._rest_image.shape,
+            rest.shape,
             np.uint8,
             "dome" if dome else "array",
             objects=solids if dome else parts,
@@ -271,10 +265,6 @@ class SimulatedStream(PlayedSensor):
             ramp=ramp,
         )
         self.placed = name
-
-    def no_contact(self) -> Array:
-        """Return the frame of touching nothing, without noise."""
-        return self._rest_image
 
     def _open(self) -> None:
         super()._open()
@@ -297,14 +287,13 @@ class SimulatedStream(PlayedSensor):
 
     def _touched(self, name: str) -> Array:
         seed = int(self._rng.integers(2**31))
+        how: Any = {"random_state": seed}
         if isinstance(self._device, DomeCamera):
             made = simulation.simulate_touches(
-                name, 1, self._device, drift=False, random_state=seed
+                name, 1, self._device, drift=False, **how
             )
         else:
-            made = simulation.simulate_presses(
-                name, 1, array=self._device, random_state=seed
-            )
+            made = simulation.simulate_presses(name, 1, array=self._device, **how)
         return np.asarray(made.images[0])
 
     def _with_noise(self, image: Array) -> Array:

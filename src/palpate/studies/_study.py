@@ -1,7 +1,10 @@
 """What the papers' studies have in common: a plan, touches, a run, a result for people.
 
-A study's subpackage has an `EXPERIMENT` that says what differs from paper to paper;
-it is imported when the study is first used. matplotlib is the extra `plot`, imported
+A study's subpackage, imported when the study is first used, has what differs from paper
+to paper: its `PLAN`, a class; `measure(plan, data, work)`, which returns `rows`,
+`skipped` and what else the result holds; `tables`, `pictures` and the `introduction` of
+its page, made of a result; its `TITLE` and, by picture, the `CAPTIONS`, whose first
+line says what it is and is its alt text. matplotlib is the extra `plot`, imported
 where it is used.
 """
 
@@ -90,24 +93,6 @@ def on_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Experiment:
-    """What a paper's subpackage brings.
-
-    `measure(plan, data, work)` returns `rows`, `skipped` and what else the result
-    holds; `tables`, `pictures` and the `introduction` of its page are made of it.
-    Of the captions, by picture, the first line says what it is and is its alt text.
-    """
-
-    plan: type[Plan]
-    measure: Callable[[Any, str | Path | None, Work], dict[str, Any]]
-    tables: Callable[[dict[str, Any]], list[Table]]
-    pictures: Callable[[dict[str, Any]], Figures]
-    introduction: Callable[[dict[str, Any]], str]
-    title: str
-    captions: Mapping[str, str]
-
-
-@dataclass(frozen=True)
 class Study:
     """A paper's experiment: its name, what it is about, and how it is run."""
 
@@ -144,7 +129,7 @@ class Study:
         no sense, or a folder without the recorded touches.
         """
         if plan is None:
-            made = self._experiment.plan
+            made: type[Plan] = self._subpackage.PLAN
             known = ["data", "quick", "workers", "progress", "plan"]
             known += [field.name for field in fields(made)]
             for option in changes:
@@ -158,7 +143,7 @@ class Study:
         if workers != -1:
             check_count("workers", workers)
         started = time.perf_counter()
-        measured = self._experiment.measure(plan, data, Work(workers, progress))
+        measured = self._subpackage.measure(plan, data, Work(workers, progress))
         return {
             "study": self.name,
             **measured,
@@ -168,24 +153,24 @@ class Study:
 
     def tables(self, result: dict[str, Any]) -> list[Table]:
         """Return what a person reads of a result: (title, columns, rows of text)."""
-        return [table for table in self._experiment.tables(result) if table[2]]
+        return [table for table in self._subpackage.tables(result) if table[2]]
 
     def write_report(self, path: str | Path, result: dict[str, Any]) -> Path:
         """Write tables and pictures as one `.html` that loads nothing else."""
         from ..evaluation import check_report_path, html_table, plots, report_page
 
-        one = self._experiment
+        one = self._subpackage
         target = check_report_path(path)
-        sections = [f"<h1>{escape(one.title)}</h1>"]
+        sections = [f"<h1>{escape(one.TITLE)}</h1>"]
         sections.append(f"<p>{escape(one.introduction(result))}</p>")
         for name, figure in one.pictures(result).items():
-            what, _, more = one.captions[name].partition("\n")
+            what, _, more = one.CAPTIONS[name].partition("\n")
             drawn = f"<div>{plots.svg(figure, what)}</div>"
             below = f"<figcaption><b>{escape(what)}.</b> {escape(more)}</figcaption>"
             inches = f"style='--inches:{figure.get_figwidth():g}'"
             sections.append(f"<figure {inches}>{drawn}{below}</figure>")
         sections += [html_table(*table) for table in self.tables(result)]
-        write_text(target, report_page(one.title, sections))
+        write_text(target, report_page(one.TITLE, sections))
         return target
 
     def write_pictures(self, folder: str | Path, result: dict[str, Any]) -> list[Path]:
@@ -194,16 +179,15 @@ class Study:
 
         plots.require_matplotlib()
         written = []
-        for name, figure in self._experiment.pictures(result).items():
+        for name, figure in self._subpackage.pictures(result).items():
             written.append(Path(folder) / f"{self.name}-{name}.png")
             with replacing(written[-1]) as file:
                 figure.savefig(file, format="png", dpi=100)
         return written
 
     @property
-    def _experiment(self) -> Experiment:
-        found: Experiment = import_module(f"{__package__}.{self.name}").EXPERIMENT
-        return found
+    def _subpackage(self) -> Any:
+        return import_module(f"{__package__}.{self.name}")
 
 
 class Archive(NamedTuple):

@@ -10,7 +10,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from signal import SIG_IGN, SIGINT, signal
@@ -18,7 +18,6 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._checks import size_said
 from .._types import Array
@@ -44,21 +43,9 @@ class LearningError(ValueError):
     """Nothing could be learnt; the message says what is missing."""
 
 
-def learn_apart(
-    library: Path,
-    output: Path,
-    base: Path | None,
-    drop: Sequence[str] = (),
-    image_shape: tuple[int, ...] | None = None,
-) -> dict[str, Any]:
-    """Learn what a library holds in another process, into the model file `output`.
-
-    Kept are the objects of the model in `base` that are not of the library, but for
-    those to `drop`. Learnt are touches of `image_shape`, by default of the newest
-    one's. Returns `n_touches`, `objects`, and `kept`, those of the base model; no
-    `objects` where too little is left to be a model.
-    """
-    answer = _LEARNER.ask([library, output, base, list(drop), image_shape])
+def learn_apart(*job: Any) -> dict[str, Any]:
+    """Do what `learn_job` does, in another process."""
+    answer = _LEARNER.ask(job)
     if "refused" in answer:
         raise LearningError(answer["refused"])
     return answer
@@ -81,7 +68,7 @@ class _Learner:
         with self._lock:
             self._running()
 
-    def ask(self, job: list[Any]) -> dict[str, Any]:
+    def ask(self, job: Sequence[Any]) -> dict[str, Any]:
         """Return the answer to a job; a process that ended is replaced by the next."""
         with self._lock:
             process = self._running()
@@ -138,13 +125,23 @@ def learn_job(
     drop: Sequence[str] = (),
     image_shape: tuple[int, ...] | None = None,
 ) -> dict[str, Any]:
-    """Do what `learn_apart` does, in this process."""
+    """Learn what a library holds into the model file `output`.
+
+    Kept are the objects of the model in `base` that are not of the library, but for
+    those to `drop`. Learnt are touches of `image_shape`, by default of the newest
+    one's. Returns `n_touches`, `objects`, and `kept`, those of the base model; no
+    `objects` where too little is left to be a model.
+    """
     with TouchLibrary.open(library) as opened:
         touches = _taught(opened, image_shape)
         model, kept = None, []
         if base is not None and Path(base).is_file():
             model = ObjectRecogniser.load(base)
-            kept = _kept(model, opened, drop)
+            # What is of this library it now says: renamed, forgotten or learnt anew.
+            stored = {row.id for row in opened.list(limit=None, retracted=True)}
+            here = np.isin(model.memory_.touch_ids, list(stored))
+            gone = {*map(str, model.memory_.labels[here]), *drop}
+            kept = [name for name in model.classes_.tolist() if name not in gone]
         names = [] if touches is None else touches.object.tolist()
         if len({*kept, *names}) < LEAST_OBJECTS:
             if model is not None and image_shape is not None:
@@ -177,7 +174,9 @@ def remember_sensor(
     if baseline is None:
         return
     rows = np.unique(np.linspace(0, len(touches) - 1, _ENOUGH).round().astype(int))
-    memory = SensorMemory.of(_images(touches, rows), baseline)
+    pieces = (rows[i : i + _AT_ONCE] for i in range(0, len(rows), _AT_ONCE))
+    images = (image for some in pieces for image in touches.touches(some).images)
+    memory = SensorMemory.of(images, baseline)
     model.remember_sensor(memory.to_dict())
 
 
@@ -195,19 +194,6 @@ def _taught(library: TouchLibrary, image_shape: Sequence[int] | None) -> Any:
     at, counts = np.unique(labels, return_inverse=True, return_counts=True)[1:]
     rows = np.flatnonzero(counts[at] >= LEAST_TOUCHES)
     return chosen[rows] if len(rows) else None
-
-
-def _kept(
-    base: ObjectRecogniser, library: TouchLibrary, drop: Sequence[str]
-) -> list[str]:
-    """Return the objects of a model that do not come from this library.
-
-    Those that do are what the library says now: renamed, forgotten or learnt anew.
-    """
-    stored = {row.id for row in library.list(limit=None, retracted=True)}
-    here = np.isin(base.memory_.touch_ids, list(stored))
-    gone = {*map(str, base.memory_.labels[here]), *drop}
-    return [name for name in base.classes_.tolist() if name not in gone]
 
 
 def _learnt(base: ObjectRecogniser | None, kept: Sequence[str], touches: Any) -> Any:
@@ -244,12 +230,6 @@ def _latest_baseline(library: TouchLibrary, touches: Selection) -> Array | None:
         if baseline is not None and baseline.shape == shape:
             return baseline
     return None
-
-
-def _images(touches: Selection, rows: NDArray[np.intp]) -> Iterator[Array]:
-    """Read images in pieces, so that few are in memory at once."""
-    for start in range(0, len(rows), _AT_ONCE):
-        yield from touches.touches(rows[start : start + _AT_ONCE]).images
 
 
 def main() -> None:

@@ -112,10 +112,9 @@ class LiveSession:
         self._n_met = 0
         self._drop_next: list[str] | None = None
         self._lock, self._learn_lock = threading.RLock(), threading.Lock()
-        self.model_path = None if model is None else Path(model)
         if model is None and library is not None:
-            self.model_path = Path(library) / "model.palpate"
-        path = self.model_path
+            model = Path(library) / "model.palpate"
+        self.model_path = path = None if model is None else Path(model)
         if path is not None and (library is None or path.exists()):
             self._use(ObjectRecogniser.load(path))
 
@@ -321,11 +320,18 @@ class LiveSession:
     def to_dict(self) -> dict[str, Any]:
         """Return everything but pictures, as plain values."""
         with self._lock:
-            teacher = self.teacher
+            teacher, model = self.teacher, self.recogniser
             lesson = None if teacher is None else teacher.lesson
             return {
                 "sensor": None if self.watch is None else self.watch.to_dict(),
-                "model": self._model_to_dict(),
+                "model": None
+                if model is None
+                else {
+                    "objects": model.classes_.tolist(),
+                    "n_touches": len(model.memory_),
+                    "encoding": str(model.chosen_.get("encoding", "")),
+                    "file": str(self.model_path),
+                },
                 "library": None if teacher is None else teacher.to_dict(),
                 "lesson": None if lesson is None else lesson.to_dict(),
                 "episode": self.episode.to_dict(),
@@ -337,16 +343,6 @@ class LiveSession:
                 "message": self.message,
                 "health": self.health.to_dict(),
             }
-
-    def _model_to_dict(self) -> dict[str, Any] | None:
-        if self.recogniser is None:
-            return None
-        return {
-            "objects": self.recogniser.classes_.tolist(),
-            "n_touches": len(self.recogniser.memory_),
-            "encoding": str(self.recogniser.chosen_.get("encoding", "")),
-            "file": str(self.model_path),
-        }
 
     def _teacher(self) -> Teacher:
         if self.teacher is None:

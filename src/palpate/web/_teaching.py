@@ -184,9 +184,7 @@ class Teacher:
         self._session = f"{started} {why}".strip()
 
     def begin(self, name: str, wanted: int) -> None:
-        check_count("count", wanted)
-        if wanted > MOST_PER_LESSON:
-            raise ValueError(f"count must be at most {MOST_PER_LESSON}, got {wanted}.")
+        check_count("count", wanted, at_most=MOST_PER_LESSON)
         if self._sensor is None:
             raise SensorError(
                 "There is no sensor here whose touches could be stored. Post them "

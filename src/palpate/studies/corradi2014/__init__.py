@@ -15,12 +15,13 @@ import numpy as np
 
 from ...evaluation import plots
 from .. import _study as shared
-from .._study import BATHTIP, Experiment, Figures, Row, Table, Work, recorded_touches
+from .._study import BATHTIP, Figures, Row, Table, Work, recorded_touches
 from . import judging
 from . import plan as stated
 from .judging import DATA, Judged, candidate_features, compare_fold, compared_rows, holm
 from .plan import CLASSIFIERS, TACTIP, VARIANTS, Corradi2014Plan, near_duplicates
 
+PLAN = Corradi2014Plan
 TITLE = "One touch of a dome camera: Corradi et al. (2014) beside ours"
 CAPTIONS = {
     "shapes": "Fig. 2: one touch of each shape, and its derivative\n"
@@ -41,7 +42,7 @@ _TICKS = (1, 2, 5, 10, 30, 100, 1000)
 _MOST_ALIKE = 1000
 
 
-def _measure(
+def measure(
     plan: Corradi2014Plan, data: str | Path | None, work: Work
 ) -> dict[str, Any]:
     pins, dome = (recorded_touches(data, archive) for archive in (TACTIP, BATHTIP))
@@ -262,8 +263,3 @@ def introduction(result: dict[str, Any]) -> str:
         "at hand; the real dome with pins also with only its test touches turned at "
         f"random. Seed {plan['seed']}. {missing}"
     )
-
-
-EXPERIMENT = Experiment(
-    Corradi2014Plan, _measure, tables, pictures, introduction, TITLE, CAPTIONS
-)

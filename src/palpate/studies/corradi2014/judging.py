@@ -118,21 +118,19 @@ def encode(name: str, known: Images, asked: Images | None, counts: Counts) -> En
     return Encoded(old, new, name in PRINCIPAL)
 
 
-def classifier(name: str, seed: int) -> Any:
-    """Return a classifier of the paper, unfitted; it says nothing of scaling."""
-    if name == "1-NN":
-        return KNeighborsClassifier(1, algorithm="kd_tree")
-    if name == "naive Bayes":
-        return classifiers.KernelDensityNaiveBayes()
-    if name == "SVMs":
-        return make_pipeline(StandardScaler(), classifiers.OnePerLabelSVC(C=10.0))
-    network = MLPClassifier((7,), solver="lbfgs", max_iter=200, random_state=seed)
-    return make_pipeline(StandardScaler(), network)
-
-
 def answers(name: str, train: Floats, codes: Codes, test: Floats, seed: int) -> Codes:
-    # The network stops after so many steps, converged or not.
-    return np.asarray(fitted(classifier(name, seed), train, codes).predict(test))
+    """Return what a classifier of the paper names; it says nothing of scaling."""
+    model: Any
+    if name == "1-NN":
+        model = KNeighborsClassifier(1, algorithm="kd_tree")
+    elif name == "naive Bayes":
+        model = classifiers.KernelDensityNaiveBayes()
+    elif name == "SVMs":
+        model = make_pipeline(StandardScaler(), classifiers.OnePerLabelSVC(C=10.0))
+    else:  # it stops after so many steps, converged or not
+        network = MLPClassifier((7,), solver="lbfgs", max_iter=200, random_state=seed)
+        model = make_pipeline(StandardScaler(), network)
+    return np.asarray(fitted(model, train, codes).predict(test))
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,14 @@ import numpy as np
 
 from ...evaluation import plots
 from .. import _study as shared
-from .._study import BATHTIP, Experiment, Figures, Row, Table, Work, recorded_touches
+from .._study import BATHTIP, Figures, Row, Table, Work, recorded_touches
 from . import episodes
 from . import plan as stated
 from .beside import MOVES, SIGHT, beside_tasks
 from .episodes import CLUSTERS, DEFAULT, FLOORED, MAIN
 from .plan import LATER_CATEGORY, LATER_OBJECTS, LATER_SIGHT, PAPER, Corradi2015Plan
 
+PLAN = Corradi2015Plan
 TITLE = "Ten objects, touch by touch: Corradi et al. (2015) beside ours"
 CAPTIONS = {
     "accuracy": "Fig. 7: right answers against the number of touches\n"
@@ -75,7 +76,7 @@ _STYLES: dict[str, tuple[str, str, float]] = {
 }
 
 
-def _measure(
+def measure(
     plan: Corradi2015Plan, data: str | Path | None, work: Work
 ) -> dict[str, Any]:
     recorded = recorded_touches(data, BATHTIP)
@@ -288,8 +289,3 @@ def introduction(result: dict[str, Any]) -> str:
         "Bags of touches reached 90 % after about 60 touches of five objects in "
         f"Pezzementi et al. (2011). {recorded}"
     )
-
-
-EXPERIMENT = Experiment(
-    Corradi2015Plan, _measure, tables, pictures, introduction, TITLE, CAPTIONS
-)

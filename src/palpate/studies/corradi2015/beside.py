@@ -5,7 +5,7 @@ in some recordings the camera moved: what was learnt before must do after. `sigh
 `moved` ask it of any touches; the study's rows are made of what they answer.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -57,13 +57,7 @@ def read_photographs(path: str | Path) -> Photographs:
 
 
 def sight(
-    touches: Touches,
-    photographs: Photographs,
-    label: str,
-    *,
-    lengths: Sequence[int],
-    orders: int = 20,
-    seed: int = 0,
+    touches: Touches, photographs: Photographs, asked: Plan
 ) -> dict[str, dict[int, Floats]]:
     """Recognise by touch, by one photograph and by both: `right[sense][k]`, by object.
 
@@ -74,10 +68,10 @@ def sight(
     both = touches[np.isin(labels(touches), photographs.object)]
     shown = np.isin(photographs.object, labels(both))
     seen = Photographs(photographs.words[shown], photographs.object[shown])
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(asked.seed)
     right: dict[str, dict[int, list[float]]] = {sense: {} for sense in SENSES}
-    for fold in split_touches(both, SPLIT_FOR[label]):
-        for sense, k, hits in _fused(fold, seen, label, lengths, orders, rng):
+    for fold in split_touches(both, SPLIT_FOR[asked.label]):
+        for sense, k, hits in _fused(fold, seen, asked, rng):
             right[sense].setdefault(k, []).append(float(np.mean(hits)))
     return {
         sense: {k: np.array(shares) for k, shares in curve.items()}
@@ -85,15 +79,7 @@ def sight(
     }
 
 
-def moved(
-    touches: Touches,
-    *,
-    lengths: Sequence[int],
-    orders: int = 20,
-    seed: int = 0,
-    remount: str = "none",
-    label: str = "object",
-) -> dict[str, dict[str, Any]]:
+def moved(touches: Touches, asked: Plan) -> dict[str, dict[str, Any]]:
     """Learn all objects, and the moved ones on one side of their move alone.
 
     The rim's column only says when the camera moved. Returns, for each of `WAYS`, what
@@ -101,10 +87,8 @@ def moved(
     """
     early = before_the_move(touches)
     mine = np.isin(labels(touches), MOVED)
-    sizes: Any = {"touches": tuple(lengths), "orders": orders, "seed": seed}
-    plan = Plan(label=label, remount=remount, **sizes)
     return {
-        way: evaluate(touches[~mine | side], touches[mine & ~side], plan=plan)[0]
+        way: evaluate(touches[~mine | side], touches[mine & ~side], plan=asked)[0]
         for way, side in zip(WAYS, (early, ~early), strict=True)
     }
 
@@ -139,8 +123,7 @@ def jump_of(centres: NDArray[Any]) -> int:
 
 
 def _apart(centres: NDArray[Any]) -> float:
-    distances = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
-    return float(distances.sum())
+    return float(np.linalg.norm(centres - np.median(centres, axis=0), axis=1).sum())
 
 
 def beside_tasks(
@@ -173,7 +156,7 @@ def sight_rows(
 ) -> list[Row]:
     """Return rows of touch, a photograph and both, beside the first author's."""
     rows = []
-    for sense, curve in sight(touches, photographs, label, **_sizes(plan)).items():
+    for sense, curve in sight(touches, photographs, _asked(plan, label)).items():
         for k, shares in curve.items():
             known = {"recogniser": sense, "touches": k, "objects": len(shares)}
             paper = LATER_SIGHT[label, sense].get(k)
@@ -185,7 +168,7 @@ def sight_rows(
 def moved_rows(plan: Corradi2015Plan, touches: Touches) -> list[Row]:
     """Return rows of `default`, and of the controls, on the move's other side."""
     rows = []
-    for way, figures in moved(touches, **_sizes(plan)).items():
+    for way, figures in moved(touches, _asked(plan)).items():
         curves = {DEFAULT: figures["accuracy"], **figures["controls"]}
         for name, curve in curves.items():
             for k, share in (curve or {}).items():
@@ -196,8 +179,8 @@ def moved_rows(plan: Corradi2015Plan, touches: Touches) -> list[Row]:
     return rows
 
 
-def _sizes(plan: Corradi2015Plan) -> dict[str, Any]:
-    return {"lengths": plan.touches, "orders": plan.orders, "seed": plan.seed}
+def _asked(plan: Corradi2015Plan, label: str = "object") -> Plan:
+    return Plan(label=label, touches=plan.touches, orders=plan.orders, seed=plan.seed)
 
 
 def _row(
@@ -211,38 +194,31 @@ def _row(
 
 
 def _fused(
-    fold: Fold,
-    seen: Photographs,
-    label: str,
-    lengths: Sequence[int],
-    orders: int,
-    rng: np.random.Generator,
+    fold: Fold, seen: Photographs, asked: Plan, rng: np.random.Generator
 ) -> Iterator[tuple[str, int, list[bool]]]:
     """Yield sense, number of touches and what was right, object by object."""
     kinds = {
         name: kind
         for part in (fold.train, fold.test)
-        for name, kind in zip(labels(part), labels(part, label), strict=True)
+        for name, kind in zip(labels(part), labels(part, asked.label), strict=True)
     }
     kind_of = np.array([kinds[name] for name in seen.object])
     # Objects: half of the photographs; categories: those of the known objects.
     learnt = np.isin(seen.object, labels(fold.train))
-    if label == "object":
+    if asked.label == "object":
         learnt = np.arange(len(kind_of)) % 2 == 0
-    recogniser = ObjectRecogniser(label=label).fit(fold.train)
+    recogniser = ObjectRecogniser(label=asked.label).fit(fold.train)
     recogniser.learn_modality("sight", seen.words[learnt], kind_of[learnt])
     rows = recogniser.log_likelihood(fold.test)
     for name in np.unique(labels(fold.test)):
         mine = np.flatnonzero(fold.test.object == name)
         pool = np.flatnonzero((seen.object == name) & ~learnt)
         hits: dict[tuple[str, int], list[bool]] = {}
-        for _ in range(orders):
+        for _ in range(asked.orders):
             order, photograph = rng.permutation(mine), seen.words[rng.choice(pool)]
             alone = recogniser.start().update_sense("sight", photograph).best
             hits.setdefault(("sight", 0), []).append(alone == kinds[name])
-            for k in lengths:
-                if k > len(mine):
-                    continue
+            for k in (k for k in asked.touches if k <= len(mine)):
                 belief = recogniser.start()
                 belief.update_from_log_likelihood(rows[order[:k]])
                 hits.setdefault(("touch", k), []).append(belief.best == kinds[name])

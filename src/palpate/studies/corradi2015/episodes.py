@@ -110,8 +110,7 @@ def known_tasks(plan: Corradi2015Plan, objects: Objects) -> Iterator[Compared]:
     made = partial(Compared, "ten objects", objects.data, objects.known, encoded)
     sizes = (plan.n_train, plan.n_test, plan.few_train)
     for number in range(plan.partitions):
-        seed = (plan.seed, 0, number)
-        partition = draw_partition(encoded.codes, *sizes, seed)
+        partition = draw_partition(encoded.codes, *sizes, (plan.seed, 0, number))
         yield made(partition, recognisers(plan))
         if number < plan.default_partitions:
             yield made(partition, _CONTROLS)
@@ -326,7 +325,7 @@ def unseen_rows(beliefs: dict[str, dict[str, Floats]], objects: Objects) -> list
         order = np.argsort(-belief, kind="stable")[:3].tolist()
         share = {known[i]: float(100 * belief[i]) for i in order}
         best = known[order[0]]
-        shown = f"{name} taken for {best}, {preset}, {k} touches"
+        shown = after_touches(f"{name} taken for {best}", preset, k)
         facts: Row = {"data": objects.data, "table": "unseen", "recogniser": preset}
         facts |= {"unseen": name, "touches": k, "beliefs": share}
         rows.append(row(shown, share[best], **facts))

@@ -53,8 +53,7 @@ class _Clustered:
     features: str = "Zernike"
 
     def scores(self, train: Floats, codes: Codes, episodes: Floats) -> Floats:
-        chosen = self.choose(train, codes)
-        return self.with_clusters(chosen, train, codes, episodes)
+        return self.with_clusters(self.choose(train, codes), train, codes, episodes)
 
     def with_clusters(
         self, n_clusters: int, train: Floats, codes: Codes, episodes: Floats

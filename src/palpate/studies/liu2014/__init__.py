@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from .. import _study as shared
-from .._study import Experiment, Figures, Row, Table, Work, recorded_touches
+from .._study import Figures, Row, Table, Work, recorded_touches
 from . import drawing
 from .drawing import CURVES
 from .methods import condition_jobs, run_jobs, study_jobs
 from .plan import REAL, Liu2014Plan, reposed_presses, simulated_presses
 
+PLAN = Liu2014Plan
 TITLE = "One press of a pressure array: Liu et al. (2014) beside ours"
 CAPTIONS = {
     "load-cover": "Figs 5 and 6: a bar under loads and through covers\n"
@@ -41,7 +42,7 @@ CAPTIONS = {
 DATA_NAMES = {"simulated": "simulated", "taxel10x10": "real"}
 
 
-def _measure(plan: Liu2014Plan, data: str | Path | None, work: Work) -> dict[str, Any]:
+def measure(plan: Liu2014Plan, data: str | Path | None, work: Work) -> dict[str, Any]:
     real = recorded_touches(data, REAL)
     jobs = study_jobs(plan, simulated_presses(plan), "simulated")
     if not isinstance(real, str):
@@ -156,8 +157,3 @@ def introduction(result: dict[str, Any]) -> str:
         "standard deviation over runs, in per cent. nested: parameters chosen inside "
         f"the training half; paper: on the runs reported, as the paper did. {real}"
     )
-
-
-EXPERIMENT = Experiment(
-    Liu2014Plan, _measure, tables, pictures, introduction, TITLE, CAPTIONS
-)

@@ -173,19 +173,16 @@ class Twofold:
         seed: int,
     ) -> Half:
         """Choose a setting on the training touches; test labels are only compared."""
-        chosen = self._choose(method, features[train], codes[train], seed)
-        answers = self._answers(method, features, codes, train, test)
-        return Half(chosen, (answers == codes[test]).mean(axis=1), len(test))
-
-    def _choose(self, method: Method, known: Floats, codes: Codes, seed: int) -> int:
-        if len(method.settings) == 1:
-            return 0
         right = np.zeros(len(method.settings))
-        folds = StratifiedKFold(self.inner_folds, shuffle=True, random_state=seed)
-        for train, held in folds.split(known, codes):
-            answers = self._answers(method, known, codes, train, held)
-            right += (answers == codes[held]).sum(axis=1)
-        return int(right.argmax())
+        if len(right) > 1:
+            known, inner = features[train], codes[train]
+            folds = StratifiedKFold(self.inner_folds, shuffle=True, random_state=seed)
+            for learnt, held in folds.split(known, inner):
+                answers = self._answers(method, known, inner, learnt, held)
+                right += (answers == inner[held]).sum(axis=1)
+        answers = self._answers(method, features, codes, train, test)
+        shares = (answers == codes[test]).mean(axis=1)
+        return Half(int(right.argmax()), shares, len(test))
 
     def _answers(
         self, method: Method, features: Floats, codes: Codes, train: Codes, test: Codes
@@ -249,8 +246,7 @@ class Job:
 
     def run(self, plan: Liu2014Plan, number: int) -> list[Half]:
         twofold = Twofold(self.row["features"] == "z-scored", plan.inner_folds)
-        seed = (plan.seed, number)
-        return twofold.run(self.method, self.features, self.codes, seed)
+        return twofold.run(self.method, self.features, self.codes, (plan.seed, number))
 
     def rows(self, runs: Runs, plan: Liu2014Plan) -> Iterator[Row]:
         """Yield a row per protocol; where nothing is chosen, one outside Table 2."""

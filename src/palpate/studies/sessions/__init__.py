@@ -20,7 +20,7 @@ from ...recognition import MountingCheck, ObjectRecogniser
 from ...simulation import simulate_presses, simulate_touches
 from ...touches import Touches, TouchesError
 from .. import _study as shared
-from .._study import Experiment, Figures, Plan, Row, Table, Work, coded
+from .._study import Figures, Plan, Row, Table, Work, coded
 from ..corradi2015.beside import lacks_move, moved
 
 WAYS = {
@@ -66,7 +66,10 @@ class SessionsPlan(Plan):
         self.check_counts("sessions", "touches_each", at_least=2)
 
 
-def _measure(plan: SessionsPlan, data: str | Path | None, work: Work) -> dict[str, Any]:
+PLAN = SessionsPlan
+
+
+def measure(plan: SessionsPlan, data: str | Path | None, work: Work) -> dict[str, Any]:
     n_touches = plan.sessions * plan.touches_each
     sizes: dict[str, Any] = {"n_sessions": plan.sessions, "random_state": plan.seed}
     mounted = {**sizes, "mountings": True, "n_jobs": work.workers}
@@ -183,8 +186,7 @@ def _moved(asked: Asked, data: str, touches: Touches) -> list[Row]:
     rows = []
     asked_of = [("object", "none"), ("object", "recentre"), ("category", "none")]
     for label, way in asked_of:
-        sizes: Any = {"lengths": asked.touches, "orders": asked.orders}
-        found = moved(touches, **sizes, seed=asked.seed, remount=way, label=label)
+        found = moved(touches, replace(asked, remount=way, label=label))
         for k in map(str, asked.touches):
             shares = [one["accuracy"][k] for one in found.values()]
             rows.append(_row(data, f"{label} {MOVED}, {WAYS[way]}", int(k), shares))
@@ -252,5 +254,5 @@ def pictures(result: dict[str, Any]) -> Figures:
     return {"sessions": figure}
 
 
-_shown = (lambda result: str(__doc__).partition("\n\n")[2], TITLE, CAPTIONS)
-EXPERIMENT = Experiment(SessionsPlan, _measure, tables, pictures, *_shown)
+def introduction(result: dict[str, Any]) -> str:
+    return str(__doc__).partition("\n\n")[2]
