@@ -186,8 +186,7 @@ class LowRankKernels:
 
     def view(self, task: Task, point: Point) -> View:
         normal, signed = self.normal(task, point)[0], (self.labels * point.alpha)[0]
-        plane = np.append(normal, point.bias[0])
-        seen, pull = self.both(plane, lambda rows, _: signed[rows])
+        seen, pull = self.both(np.append(normal, point.bias), lambda r, _: signed[r])
         missing = task.real - self.labels * seen
         lengths = self.lengths(normal)
         square = 0.5 * norms(lengths[None], 2 * task.norm / (task.norm + 1)) ** 2
@@ -245,17 +244,13 @@ class LowRankKernels:
         """Return [features, 1]' diag(ease) [features, 1]; ease 0 costs nothing."""
         parts = [block[ease[rows] > 0] for rows, block in self._blocks()]
         root = np.sqrt(ease[ease > 0])[:, None]
-        scaled = np.concatenate([np.concatenate(parts), np.ones_like(root)], axis=1)
-        scaled *= root
+        scaled = np.concatenate([np.concatenate(parts) * root, root], axis=1)
         return np.asarray(scaled.T @ scaled)
 
     def both(
         self, columns: Floats, values: Callable[[slice, Floats], Floats]
     ) -> tuple[Floats, Floats]:
-        """Return [features, 1] times `columns`, and its transpose times `values`.
-
-        Those are asked for by slice and the first product, while a block is in cache.
-        """
+        """Return F `columns` and F' `values`(slice, F `columns`), F = [features, 1]."""
         seen, total = np.empty(self.labels.shape[1]), np.zeros(len(columns))
         for rows, block in self._blocks():
             seen[rows] = block @ columns[:-1] + columns[-1]
