@@ -123,9 +123,10 @@ class Membrane:
 
     def _answer(self, force: Grid, spectrum: Grid, whole: bool = False) -> Grid:
         # Products with the waves: on so few nodes they beat the fast transform.
-        there = self._waves[:, : self.n_nodes]
+        there = self._waves[: self.n_nodes]
         back = self._waves if whole else there
-        return np.asarray(back.T @ (there @ force @ there.T * spectrum) @ back)
+        answer = there.T.dot(force).dot(there) * spectrum
+        return np.asarray(back.dot(answer).dot(back.T))
 
     @cached_property
     def _outside(self) -> Grid:
@@ -140,13 +141,11 @@ class Membrane:
 
     @cached_property
     def _waves(self) -> Grid:
-        """Cosines, then sines along the padded grid, a row each, of length 1."""
+        """Cosines, then sines along the padded grid, a column each, of length 1."""
         number = np.arange(self._padded)
         angle = 2 * np.pi / self._padded * np.outer(number, number)
-        cosine = number[:, None] <= self._padded // 2
-        waves = np.where(cosine, np.cos(angle), np.sin(angle))
-        length = np.linalg.norm(waves, axis=1, keepdims=True)
-        return np.asarray(waves / length, np.float32)
+        waves = np.where(number <= self._padded // 2, np.cos(angle), np.sin(angle))
+        return np.asarray(waves / np.linalg.norm(waves, axis=0), np.float32)
 
     @cached_property
     def _shell(self) -> Grid:
@@ -262,12 +261,14 @@ class _Problem:
             touching = force > 0
             misfit = indented + self.gap
             inside = touching.astype(_FLOAT)
-            depth = depth_mm or np.vdot(misfit, inside) / inside.sum()
+            n_inside = inside.sum()
+            depth = depth_mm or np.vdot(misfit, inside) / n_inside
             misfit -= _FLOAT(depth)
             pierced = (misfit < -tolerance) & (self.reachable > touching)
             any_pierced = pierced.any()
-            inside += pierced
-            n_inside = inside.sum()
+            if any_pierced:
+                inside += pierced
+                n_inside = inside.sum()
             held = misfit * inside
             if total is not None and any_pierced:
                 held -= inside * (held.sum() / n_inside)

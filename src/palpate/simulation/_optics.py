@@ -98,9 +98,14 @@ class Optics:
         steps = np.linspace(near, view.distance_mm, _MARCH_STEPS, dtype=np.float32)
         self._depths = steps
         x, y = self._at(self._depths[:, None, None])
-        self._steps = _cells(x, y, membrane)
+        self._steps = [cells.ravel() for cells in _cells(x, y, membrane)]
         self._undented, self._at_rim = self._met_undented()
-        self._ahead = self._sphere(x, y) - self._depths[:, None, None]
+        self._ahead = (self._sphere(x, y) - self._depths[:, None, None]).ravel()
+        # Where each ray can first meet dents up to a limit, counted through all steps.
+        self._limits = np.append(np.linspace(0, deepest_mm, _MARCH_STEPS), np.inf)
+        least = np.minimum.accumulate(self._ahead.reshape(_MARCH_STEPS, -1))[:-1]
+        first = [np.maximum((least > mm).sum(axis=0), 1) for mm in self._limits]
+        self._starts = [one * one.size + np.arange(one.size) for one in first]
 
     def light(self, displacement_mm: Plane) -> Plane:
         """Return the light each pixel gets, (n_rows, n_cols), of a dented dome."""
@@ -163,22 +168,30 @@ class Optics:
 
     def _first_met(self, displacement_mm: Plane) -> Plane:
         """Depth at which each ray first meets the surface: steps, then one secant."""
-        dent = _remapped(displacement_mm, *self._steps)
-        ahead = self._ahead - dent.reshape(self._ahead.shape)
-        met = ahead <= 0
-        met[-1] = True
-        after = np.maximum(met.argmax(axis=0), 1)[None]
-        before = np.take_along_axis(ahead, after - 1, axis=0)[0]
-        fall = before - np.take_along_axis(ahead, after, axis=0)[0]
+        limit = np.searchsorted(self._limits, displacement_mm.max(), "right")
+        place = self._starts[limit].reshape(self.grid_shape).copy()
+        ahead = self._left(place, displacement_mm)
+        at, left, last = place.ravel(), ahead.ravel(), self._ahead.size - place.size
+        going = np.flatnonzero(~self._at_rim)
+        while (going := going[(left[going] > 0) & (at[going] < last)]).size:
+            at[going] += place.size
+            left[going] = self._left(at[going], displacement_mm)
+        before = self._left(place - place.size, displacement_mm)
         step = self._depths[1] - self._depths[0]
-        fall = np.maximum(fall, np.float32(0.1) * step)
-        start = self._depths[after[0] - 1]
+        fall = np.maximum(before - ahead, np.float32(0.1) * step)
+        start = self._depths[place // place.size - 1]
         z = start + np.clip(before / fall, 0, 1) * step
         x, y = self._at(z)
-        left = self._sphere(x, y) - z
-        left -= sampled(displacement_mm, x, y, self._membrane)
-        z = np.clip(z + left * (step / fall), start, start + step)
+        rest = self._sphere(x, y) - z
+        rest -= sampled(displacement_mm, x, y, self._membrane)
+        z = np.clip(z + rest * (step / fall), start, start + step)
         return np.where(self._at_rim, self._undented, z)
+
+    def _left(self, places: Array, displacement_mm: Plane) -> Plane:
+        """Way from places on rays to the surface; OpenCV wants short lines of them."""
+        wide = np.resize(places, (places.size // 128 + 1, 128))
+        dent = _remapped(displacement_mm, *(axis.take(wide) for axis in self._steps))
+        return np.asarray(self._ahead.take(places) - np.resize(dent, places.shape))
 
 
 def shade(

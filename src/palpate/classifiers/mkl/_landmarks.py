@@ -185,13 +185,13 @@ class LowRankKernels:
         return np.asarray(weights * point.pulls)
 
     def view(self, task: Task, point: Point) -> View:
-        pull = self.gather((self.labels * point.alpha)[0])
-        normal = self.normal(task, point)[0]
-        missing = task.real - self.labels * (self.spread(normal) + point.bias[0])
+        normal, signed = self.normal(task, point)[0], (self.labels * point.alpha)[0]
+        seen, pull = self.both(np.append(normal, point.bias), lambda r, _: signed[r])
+        missing = task.real - self.labels * seen
         lengths = self.lengths(normal)
         square = 0.5 * norms(lengths[None], 2 * task.norm / (task.norm + 1)) ** 2
         energies = 0.5 * self.lengths(pull)[None] ** 2
-        return View(energies, missing, square, pull[None])
+        return View(energies, missing, square, pull[None, :-1])
 
     def newton(self, task: Task, point: Point, view: View) -> Step:
         return PrimalNewton(self, task, point, view).direction
@@ -247,14 +247,17 @@ class LowRankKernels:
         scaled = np.concatenate([np.concatenate(parts) * root, root], axis=1)
         return np.asarray(scaled.T @ scaled)
 
-    def gram_times(self, ease: Floats, columns: Floats) -> Floats:
-        """Return the product of that matrix with one value per column."""
-        total = np.zeros(len(columns))
+    def both(
+        self, columns: Floats, values: Callable[[slice, Floats], Floats]
+    ) -> tuple[Floats, Floats]:
+        """Return F `columns` and F' `values`(slice, F `columns`), F = [features, 1]."""
+        seen, total = np.empty(self.labels.shape[1]), np.zeros(len(columns))
         for rows, block in self._blocks():
-            eased = ease[rows] * (block @ columns[:-1] + columns[-1])
-            total[:-1] += block.T @ eased
-            total[-1] += eased.sum()
-        return total
+            seen[rows] = block @ columns[:-1] + columns[-1]
+            given = values(rows, seen[rows])
+            total[:-1] += block.T @ given
+            total[-1] += given.sum()
+        return seen, total
 
 
 def drawn(ease: Floats, n_drawn: int) -> Floats:
@@ -308,12 +311,14 @@ class PrimalNewton:
         self._near = cholesky_solver(matrix + system.gram(some))
         self._exact = some is self._eased
         self._right, self._solved, self._left = np.zeros((3, len(matrix)))
+        self._seen = np.zeros_like(self._ease)
 
-    def _solve(self, right: Floats) -> Floats:
-        """Solve nearly, starting from the solution for the right side before."""
+    def _solve(self, right: Floats) -> tuple[Floats, Floats]:
+        """Solve nearly, from the solution before; return also what touches see."""
         if self._exact:
-            return np.asarray(self._near(right[:, None])[:, 0])
-        solved, left = self._solved, self._left + right - self._right
+            solved = self._near(right[:, None])[:, 0]
+            return solved, self._system.spread(solved[:-1]) + solved[-1]
+        solved, left, seen = self._solved, self._left + right - self._right, self._seen
         share = _LEFT[int(self._right.any())]
         most = share**2 * (right @ self._near(right[:, None])[:, 0])
         search, before = np.zeros_like(right), np.inf
@@ -323,11 +328,13 @@ class PrimalNewton:
             if size <= most:
                 break
             search = ahead + size / before * search
-            pulled = self._alike @ search + self._system.gram_times(self._eased, search)
+            look, pulled = self._system.both(search, lambda r, s: self._eased[r] * s)
+            pulled += self._alike @ search
             step, before = size / (search @ pulled), size
             solved, left = solved + step * search, left - step * pulled
-        self._right, self._solved, self._left = right, solved, left
-        return np.asarray(solved)
+            seen = seen + step * look
+        self._right, self._solved, self._left, self._seen = right, solved, left, seen
+        return solved, seen
 
     def _per_column(self, per_kernel: Floats) -> Floats:
         return np.repeat(per_kernel, self._system.ranks)
@@ -343,10 +350,9 @@ class PrimalNewton:
         right[:-1] = self._apart + self._lean * self._per_column(self._yield(push)[0])
         right[:-1] += system.gather(eased)
         right[-1] = eased.sum() + self._imbalance
-        solved = self._solve(right)
+        solved, seen = self._solve(right)
         normal, bias = solved[:-1], solved[-1]
-        moved = self._labels * (system.spread(normal) + bias)
-        alpha = self._ease * (short - moved)
+        alpha = self._ease * (short - self._labels * seen)
         push += np.array([self._lean[p] @ normal[p] for p in system.slices])
         shares, level = self._yield(push)
         pulls = normal / self._per_column(self._weights)
