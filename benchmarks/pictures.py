@@ -13,7 +13,7 @@ picture of a study belongs to the tables of the same run. A picture whose files 
 changed is stale: make it anew, and look at it. `--study` runs a study with the recorded
 touches of PALPATE_DATA and writes its pictures (all, or those named); `--of` takes what
 `palpate study NAME --json` printed instead. Where all are written, the tables of its
-page are too: those whose heads are the study's, in its order.
+page are too: those whose heads are the study's; alike ones come in its order.
 """
 
 import argparse
@@ -22,6 +22,7 @@ import hashlib
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -124,23 +125,28 @@ def draw_study(name: str, wanted: list[str], quick: bool, of: Path | None) -> No
 
 def with_tables(page: str, tables: list[tuple[str, list[str], list[list[str]]]]) -> str:
     """Return a page, its tables by those of a study; what has no place is printed."""
-    lines, at = page.splitlines(), 0
+    parts: dict[str, str] = {}
     for title, heads, rows in tables:
-        head = row_of(heads)
-        if head not in lines[at:]:
+        head, mark = row_of(heads), f"<!-- table {len(parts)} -->"
+        found = re.search(
+            rf"^{re.escape(head)}\n[|: -]+\n(\|.*\n)*", page, re.MULTILINE
+        )
+        if found is None:
             print(f"not on the page: {title}")
             continue
-        first = end = lines.index(head, at) + 2
-        while end < len(lines) and lines[end].startswith("|"):
-            end += 1
-        lines[first:end] = map(row_of, rows)
-        at = first + len(rows)
-    return "\n".join(lines) + "\n"
+        lines = [head, "|---" * len(heads) + "|", *map(row_of, rows)]
+        parts[mark] = "".join(f"{line}\n" for line in lines)
+        page = page[: found.start()] + mark + page[found.end() :]
+    for mark, part in parts.items():
+        page = page.replace(mark, part)
+    return page
 
 
 def row_of(cells: list[str]) -> str:
     """Return a row of a table of Markdown."""
-    return f"| {' | '.join(cells)} |"
+    return f"| {' | '.join(cell.replace('±', ' ± ') for cell in cells)} |".replace(
+        "  ", " "
+    )
 
 
 if __name__ == "__main__":
