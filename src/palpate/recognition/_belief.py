@@ -241,7 +241,7 @@ class Belief:
 
     def _shares(self, logs: Floats) -> list[float]:
         """Return probabilities by their logarithms; never 0 unless the floor is."""
-        least = _LEAST_LOG if self._judge.floor else -np.inf
+        least = _unknown.LEAST_LOG if self._judge.floor else -np.inf
         return list(np.exp(np.maximum(logs, least)).tolist())
 
     @property
@@ -528,8 +528,6 @@ class Belief:
         return f"<table><caption>{head}</caption>{rows}{more}</table>"
 
 
-# Of a smaller one the probability would be 0.
-_LEAST_LOG = -700.0
 # Objects and letters that a picture of a belief shows.
 _BARS, _LETTERS = 10, 24
 

@@ -17,6 +17,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
+from scipy.sparse import csr_array
 from sklearn.base import BaseEstimator
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils import check_array
@@ -163,13 +164,15 @@ def _episodes_of(
     rows = rows[np.argsort(group[rows], kind="stable")]
     first = [0, *(np.flatnonzero(np.diff(group[rows])) + 1).tolist(), len(rows)]
     around = np.concatenate([rows, rows])
-    episodes = np.empty((n_episodes, n_touches), dtype=np.intp)
-    for episode in episodes:
-        start = rng.integers(len(first) - 1)
-        begin, n_own = first[start], first[start + 1] - first[start]
-        enough = min(-(-n_touches // n_own) * n_own, len(rows))
-        episode[:] = rng.permutation(around[begin : begin + enough])[:n_touches]
-    return episodes
+    sizes = np.diff(first)
+    enough = np.minimum(-(-n_touches // sizes) * sizes, len(rows)).tolist()
+    n_blocks, episodes = len(sizes), []
+    for _ in range(n_episodes):
+        start = rng.integers(n_blocks)
+        episode = around[first[start] : first[start] + enough[start]].copy()
+        rng.shuffle(episode)
+        episodes.append(episode[:n_touches])
+    return np.stack(episodes)
 
 
 def draw_all(objects: Array, group: Array, seed: int) -> dict[int, Array]:
@@ -206,8 +209,11 @@ def fit_sequence_calibration(
     """Return the calibration of least log loss over episodes of all lengths."""
     drawn = episodes.values()
     used = is_informative(floored)
-    total = np.concatenate([floored[rows].sum(axis=1) for rows in drawn])
-    count = np.concatenate([used[rows].sum(axis=1) for rows in drawn])
+    # A row for each episode, with a one for each of its touches.
+    touches = np.concatenate([rows.ravel() for rows in drawn])
+    ends = np.cumsum([0, *(len(one) for rows in drawn for one in rows)])
+    sums = csr_array((np.ones(len(touches)), touches, ends), (len(ends) - 1, len(used)))
+    total, count = sums @ floored, sums @ used.astype(float)
     others = np.maximum(count - 1, 0)
     truth = np.concatenate([codes[rows[:, 0]] for rows in drawn])
     # Every length counts the same.

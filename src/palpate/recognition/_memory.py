@@ -106,6 +106,14 @@ class Memory:
             return len(met[0]), "these objects in other sessions"
         return n_objects, "these objects, recorded as when they were learnt"
 
+    def begins(self, other: Memory) -> bool:
+        """Whether the touches begin with the other's, of the same labels and blocks."""
+        rows = len(other)
+        return all(
+            np.array_equal(getattr(self, name)[:rows], getattr(other, name))
+            for name in ("labels", "blocks", "features")
+        )
+
     def plus(self, other: Self) -> Self:
         """Return both, the other one last, its blocks numbered after these.
 
@@ -157,38 +165,74 @@ class Nearest:
     def __init__(self, memory: Memory) -> None:
         step = -(-len(memory) // MOST_MARKS)
         rows = [np.flatnonzero(memory.labels == c)[::step] for c in memory.classes]
-        every = np.concatenate(rows)
-        self._first = np.cumsum([0, *map(len, rows[:-1])])
+        self._memory, self._step = memory, step
+        self._rows = np.concatenate(rows)
+        self._owner = np.repeat(np.arange(len(rows)), [*map(len, rows)])
         self._middle = memory.features.mean(axis=0)
-        self._marks = memory.features[every] - self._middle
+        self._marks = memory.features[self._rows] - self._middle
         self._squares = (self._marks**2).sum(axis=1)
-        self._blocks = memory.blocks[every]
+        self._told: Floats | None = None
 
-    def log_distances(self, features: Floats, blocks: Indices | None = None) -> Floats:
+    def left_out(self, before: Nearest | None) -> Floats:
+        """Return `log_distances` of the training touches, their blocks left out.
+
+        Those that were asked for `before` more touches came are not sought again.
+        """
+        memory = self._memory
+        if (
+            before is None
+            or before._told is None
+            or before._step != self._step
+            or not memory.begins(before._memory)
+        ):
+            self._told = self.log_distances(memory.features, memory.blocks)
+            return self._told
+        known, new = slice(len(before._told)), slice(len(before._told), None)
+        told = self.log_distances(
+            memory.features[known], memory.blocks[known], since=new.start
+        )
+        columns = np.searchsorted(memory.classes, before._memory.classes)
+        told[:, columns] = np.fmin(told[:, columns], before._told)
+        later = self.log_distances(memory.features[new], memory.blocks[new])
+        self._told = np.concatenate([told, later])
+        return self._told
+
+    def log_distances(
+        self, features: Floats, blocks: Indices | None = None, since: int = 0
+    ) -> Floats:
         """Return the logarithms of the distances, shape (n_touches, n_objects).
 
         `blocks` (n_touches,) are those of training touches, which are left out of what
-        they are compared with; NaN where an object has nothing else.
+        they are compared with; NaN where an object has nothing else, or nothing `since`
+        a row of the memory.
         """
         return np.concatenate(
             [
-                self._least(features[rows], None if blocks is None else blocks[rows])
+                self._least(
+                    features[rows], None if blocks is None else blocks[rows], since
+                )
                 for rows in gen_batches(len(features), AT_ONCE)
             ]
         )
 
-    def _least(self, features: Floats, blocks: Indices | None) -> Floats:
+    def _least(self, features: Floats, blocks: Indices | None, since: int) -> Floats:
+        marks = self._rows >= since if since else slice(None)
         centred = features - self._middle
         own = (centred**2).sum(axis=1)
-        squared = (-2 * centred) @ self._marks.T
-        squared += self._squares
+        squared = (-2 * centred) @ self._marks[marks].T
+        squared += self._squares[marks]
         if blocks is not None:
-            order = np.argsort(self._blocks, kind="stable")
-            ends = np.cumsum(np.bincount(self._blocks, minlength=blocks.max() + 1))
+            theirs = self._memory.blocks[self._rows[marks]]
+            order = np.argsort(theirs, kind="stable")
+            ends = np.cumsum(np.bincount(theirs, minlength=blocks.max() + 1))
             for block in np.unique(blocks):
                 same = order[ends[block - 1] if block else 0 : ends[block]]
                 squared[np.ix_(blocks == block, same)] = np.inf
-        least = np.minimum.reduceat(squared, self._first, axis=1) + own[:, np.newaxis]
+        owner = self._owner[marks]
+        first = np.flatnonzero(np.diff(owner, prepend=-1))
+        least = np.full((len(features), self._owner[-1] + 1), np.inf)
+        least[:, owner[first]] = np.minimum.reduceat(squared, first, axis=1)
+        least += own[:, np.newaxis]
         # Below this the difference of squares is rounding.
         least = np.maximum(least, 2e-12 * own[:, np.newaxis] + 1e-300)
         return np.where(np.isfinite(least), 0.5 * np.log(least), np.nan)
