@@ -18,6 +18,7 @@ from numpy.linalg import LinAlgError
 from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotrf, dtrtri
+from scipy.optimize import minimize
 from sklearn.metrics.pairwise import euclidean_distances
 from sklearn.utils import gen_batches
 from sklearn.utils.validation import check_is_fitted
@@ -37,10 +38,8 @@ from ._touch_classifier import (
 # Temperature and bend of the posterior are fitted to at most so many touches, and so
 # many of their answers, one for each label.
 _SHAPED_BY, _SHAPED_ANSWERS = 10_000, 500_000
-# Touches whose answers shape it at once, little enough for a processor's cache; the
-# least and greatest logarithm of temperature and bend, and lean.
-_SHAPED_AT_ONCE = 512
-_SHAPE_LIMITS = (-3.0, -8.0, 0.0), (6.0, 6.0, 6.0)
+# Touches that shape it at once: their answers stay in a processor's cache.
+_SHAPED_AT_ONCE = 256
 # Touches whose kernel with the landmarks is in memory at once.
 _TOUCHES_AT_ONCE = 2000
 # From so many touches to so many, learning a few more costs a few columns; in memory 4
@@ -273,7 +272,8 @@ class KernelRidgeClassifier(BayesRule):
 
     def scores(self, X: ArrayLike) -> Floats:
         """Return the regression scores, shape (n_touches, n_classes); 1 is sure."""
-        check_is_fitted(self)
+        if not hasattr(self, "coefficients_"):  # the check itself takes a while
+            check_is_fitted(self)
         centred = check_squarable("X", as_touches(self, X)) - self.mean_
         # One pass over the training touches: their own norms are known.
         squared = (-2 * centred) @ self.touches_.T
@@ -382,75 +382,47 @@ def _best_shape(scores: Floats, codes: Array, bent: bool = True) -> tuple[Shape,
     Without `bent` the temperature alone is free. The lean counts where labels have
     unequal numbers of touches, and is 1 elsewhere.
     """
-    log_counts, shares = _log_counts(codes, scores.shape[1]), fair_shares(codes)
-    free = np.array([True, bent, bent and bool(np.ptp(log_counts) > 0)])
-    raw = np.array([np.log(_USUAL_TEMPERATURE), np.log(0.5) if bent else -np.inf, 1])
-    low, high = (np.where(free, ends, raw) for ends in _SHAPE_LIMITS)
+    log_counts = _log_counts(codes, scores.shape[1])
+    shares, size = fair_shares(codes), np.abs(scores)
 
-    def loss(raw: Floats) -> tuple[float, Floats, Floats]:
-        values, slopes, curvatures = zip(
-            *(
-                _shape_loss(raw, scores[some], codes[some], shares[some], log_counts)
-                for some in gen_batches(len(codes), _SHAPED_AT_ONCE)
-            ),
-            strict=True,
-        )
-        return sum(values), np.sum(slopes, axis=0), np.sum(curvatures, axis=0)
+    def loss(raw: Floats) -> tuple[float, Floats]:
+        temperature, bend = np.exp(raw[:2])
+        value, slopes = 0.0, np.zeros(3)
+        for first in range(0, len(codes), _SHAPED_AT_ONCE):
+            some = slice(first, first + _SHAPED_AT_ONCE)
+            damping = 1 + bend * size[some] if bent else 1.0
+            by_temperature = temperature * scores[some] / damping
+            logits = by_temperature - raw[2] * log_counts
+            part, pull = log_loss(logits, codes[some], shares[some])
+            value += part
+            slopes[0] += np.vdot(pull, by_temperature)
+            slopes[2] -= pull.sum(axis=0) @ log_counts
+            if bent:
+                by_temperature /= damping
+                by_temperature *= size[some]
+                slopes[1] -= bend * np.vdot(pull, by_temperature)
+        return value, slopes
 
-    value, slope, curvature = loss(raw)
-    for _ in range(100):
-        held = (raw <= low) & (slope > 0) | (raw >= high) & (slope < 0)
-        some = np.flatnonzero(free & ~held)
-        if not np.abs(slope[some]).max(initial=0) > 1e-9:
-            break
-        # Newton's step, downhill where the loss bends the other way.
-        bends, axes = np.linalg.eigh(curvature[np.ix_(some, some)])
-        step = axes @ (axes.T @ slope[some] / np.maximum(np.abs(bends), 1e-12))
-        step /= max(1, np.abs(step).max() / 2)
-        for share in 0.25 ** np.arange(10):
-            other = raw.copy()
-            other[some] -= share * step
-            found = loss(np.clip(other, low, high))
-            if found[0] <= value:
-                break
-        else:
-            break
-        gain, raw = value - found[0], np.clip(other, low, high)
-        value, slope, curvature = found
-        if gain <= 1e-13 * max(value, 1):
-            break
-    return (*np.exp(raw[:2]).tolist(), float(raw[2])), float(value)
+    free = [True, bent, bent and bool(np.ptp(log_counts) > 0)]
+    start = np.array([np.log(_USUAL_TEMPERATURE), np.log(0.5) if bent else -np.inf, 1])
+    limits = [(-3.0, 6.0), (-8.0, 6.0), (0.0, 6.0)]
 
+    def of_free(some: Floats) -> tuple[float, Floats]:
+        raw = start.copy()
+        raw[free] = some
+        value, slope = loss(raw)
+        return value, slope[free]
 
-def _shape_loss(
-    raw: Floats, scores: Floats, codes: Array, shares: Floats, log_counts: Floats
-) -> tuple[float, Floats, Floats]:
-    """Return the log loss, its slopes and their slopes, by the shape's logarithms.
-
-    By log temperature, log bend and the lean itself.
-    """
-    temperature, bend = np.exp(raw[:2])
-    part = bend * np.abs(scores)
-    part /= 1 + part
-    # How logits change with temperature and bend.
-    first = temperature * scores * (1 - part)
-    second = -part * first
-    value, pull = log_loss(first - raw[2] * log_counts, codes, shares)
-    slope = np.array([np.vdot(pull, first), np.vdot(pull, second), 0])
-    slope[2] = -pull.sum(axis=0) @ log_counts
-    curvature = np.zeros((3, 3))
-    curvature[0, :2] = curvature[:2, 0] = slope[:2]
-    curvature[1, 1] = np.vdot(pull, second * (1 - 2 * part))
-    # The same from the spread under the posterior of what they change.
-    pull[np.arange(len(codes)), codes] += shares
-    weighed = pull * first, pull * second, pull * -log_counts
-    for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        curvature[i, j] += np.vdot(weighed[i], (first, second)[j])
-    with_lean = np.array([one.sum(axis=0) for one in weighed]) @ -log_counts
-    curvature[2, :2] = with_lean[:2]
-    curvature[:, 2] = with_lean
-    means = np.array([one.sum(axis=1) for one in weighed])
-    return value, slope, curvature - means / shares @ means.T
+    found = minimize(
+        of_free,
+        start[free],
+        jac=True,
+        bounds=[limit for limit, one in zip(limits, free, strict=True) if one],
+        method="L-BFGS-B",
+        options={"ftol": 1e-13, "gtol": 1e-9},
+    )
+    start[free] = found.x
+    return (*np.exp(start[:2]).tolist(), float(start[2])), float(found.fun)
 
 
 def _learn_from_landmarks(

@@ -164,15 +164,13 @@ def _episodes_of(
     rows = rows[np.argsort(group[rows], kind="stable")]
     first = [0, *(np.flatnonzero(np.diff(group[rows])) + 1).tolist(), len(rows)]
     around = np.concatenate([rows, rows])
-    sizes = np.diff(first)
-    enough = np.minimum(-(-n_touches // sizes) * sizes, len(rows)).tolist()
-    n_blocks, episodes = len(sizes), []
-    for _ in range(n_episodes):
-        start = rng.integers(n_blocks)
-        episode = around[first[start] : first[start] + enough[start]].copy()
-        rng.shuffle(episode)
-        episodes.append(episode[:n_touches])
-    return np.stack(episodes)
+    episodes = np.empty((n_episodes, n_touches), dtype=np.intp)
+    for episode in episodes:
+        start = rng.integers(len(first) - 1)
+        begin, n_own = first[start], first[start + 1] - first[start]
+        enough = min(-(-n_touches // n_own) * n_own, len(rows))
+        episode[:] = rng.permutation(around[begin : begin + enough])[:n_touches]
+    return episodes
 
 
 def draw_all(objects: Array, group: Array, seed: int) -> dict[int, Array]:

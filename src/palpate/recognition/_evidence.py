@@ -177,17 +177,6 @@ def beliefs_after(
     return log_softmax(total, axis=-1), count
 
 
-def log_posterior(
-    total: Floats,
-    n_touches: Floats | int,
-    log_prior: Floats,
-    calibration: SequenceCalibration,
-) -> Floats:
-    """Return the log posterior from the sum of `n_touches` log-likelihoods."""
-    weighed = total * calibration.weight(n_touches)
-    return np.asarray(log_softmax(weighed + log_prior, axis=-1))
-
-
 def n_informative(floored: Floats) -> Floats:
     """Return how many touches so far said anything, shape (..., n_touches).
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from itertools import repeat
 from typing import Any, Self
 
 import numpy as np
@@ -16,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import pdist
 from sklearn.metrics.pairwise import euclidean_distances
-from sklearn.utils import gen_batches
 
 from .._checks import check_label_kinds
 from .._types import Array, Bools, Floats, Indices
@@ -106,14 +106,6 @@ class Memory:
             return len(met[0]), "these objects in other sessions"
         return n_objects, "these objects, recorded as when they were learnt"
 
-    def begins(self, other: Memory) -> bool:
-        """Whether the touches begin with the other's, of the same labels and blocks."""
-        rows = len(other)
-        return all(
-            np.array_equal(getattr(self, name)[:rows], getattr(other, name))
-            for name in ("labels", "blocks", "features")
-        )
-
     def plus(self, other: Self) -> Self:
         """Return both, the other one last, its blocks numbered after these.
 
@@ -179,23 +171,26 @@ class Nearest:
         Those that were asked for `before` more touches came are not sought again.
         """
         memory = self._memory
-        if (
-            before is None
-            or before._told is None
-            or before._step != self._step
-            or not memory.begins(before._memory)
-        ):
-            self._told = self.log_distances(memory.features, memory.blocks)
-            return self._told
-        known, new = slice(len(before._told)), slice(len(before._told), None)
-        told = self.log_distances(
-            memory.features[known], memory.blocks[known], since=new.start
+        told = before._told if before is not None and self._goes_on(before) else None
+        n_told = 0 if told is None else len(told)
+        found = self.log_distances(memory.features[n_told:], memory.blocks[n_told:])
+        if before is not None and told is not None:
+            again = memory.features[:n_told], memory.blocks[:n_told]
+            nearer = self.log_distances(*again, since=n_told)
+            columns = np.searchsorted(memory.classes, before._memory.classes)
+            nearer[:, columns] = np.fmin(nearer[:, columns], told)
+            found = np.concatenate([nearer, found])
+        self._told = found
+        return found
+
+    def _goes_on(self, before: Nearest) -> bool:
+        """Whether more touches come after those of another, with the same marks."""
+        mine, theirs = self._memory, before._memory
+        alike = self._step == before._step and len(mine) > len(theirs)
+        return alike and all(
+            np.array_equal(getattr(mine, name)[: len(theirs)], getattr(theirs, name))
+            for name in ("labels", "blocks", "features")
         )
-        columns = np.searchsorted(memory.classes, before._memory.classes)
-        told[:, columns] = np.fmin(told[:, columns], before._told)
-        later = self.log_distances(memory.features[new], memory.blocks[new])
-        self._told = np.concatenate([told, later])
-        return self._told
 
     def log_distances(
         self, features: Floats, blocks: Indices | None = None, since: int = 0
@@ -206,14 +201,10 @@ class Nearest:
         they are compared with; NaN where an object has nothing else, or nothing `since`
         a row of the memory.
         """
-        return np.concatenate(
-            [
-                self._least(
-                    features[rows], None if blocks is None else blocks[rows], since
-                )
-                for rows in gen_batches(len(features), AT_ONCE)
-            ]
-        )
+        cuts = [slice(k, k + AT_ONCE) for k in range(0, len(features), AT_ONCE)]
+        whose = [None if blocks is None else blocks[cut] for cut in cuts]
+        rows = (features[cut] for cut in cuts)
+        return np.concatenate([*map(self._least, rows, whose, repeat(since))])
 
     def _least(self, features: Floats, blocks: Indices | None, since: int) -> Floats:
         marks = self._rows >= since if since else slice(None)
