@@ -186,7 +186,7 @@ def check_levels(images: NDArray[Any]) -> NDArray[Any]:
 
 def check_squarable(name: str, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return `values` if sums of their squares are finite, or explain."""
-    largest = float(np.abs(values).max(initial=0))
+    largest = float(max(values.max(initial=0), -values.min(initial=0)))
     if largest > LARGEST_TO_SQUARE:
         raise ValueError(
             f"{name} must be at most {LARGEST_TO_SQUARE:g} in size, since distances "

@@ -15,6 +15,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
+from sklearn import config_context
 from sklearn.base import clone
 from sklearn.utils.validation import check_is_fitted
 
@@ -135,10 +136,11 @@ class EncodingPool(BayesRule):
         check_is_fitted(self)
         touches, labels = labelled_touches(self, X, y, reset=False)
         check_squarable("X", touches)
-        self.machines_ = {
-            name: copy(self.machines_[name]).refit(part, labels, groups=groups)
-            for name, part in self._parts(touches).items()
-        }
+        with config_context(assume_finite=True):  # as was just found
+            self.machines_ = {
+                name: copy(self.machines_[name]).refit(part, labels, groups=groups)
+                for name, part in self._parts(touches).items()
+            }
         self.classes_ = np.unique(labels)
         self.left_out_ = self.pooled(self._left_out_of_each())
         return self
@@ -155,7 +157,8 @@ class EncodingPool(BayesRule):
 
         In the order of `machines_`; zeros for those that weigh nothing.
         """
-        check_is_fitted(self)
+        if not hasattr(self, "machines_"):
+            check_is_fitted(self)
         parts = self._parts(_touch_classifier.as_touches(self, X))
         return np.stack([self._said(name, part) for name, part in parts.items()])
 

@@ -8,7 +8,7 @@ as it is, and each touch added costs as much as one column of it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from copy import copy
 from itertools import pairwise
 from typing import Any, Self
@@ -112,30 +112,24 @@ class GrowingInverse:
         first = np.zeros((self.n_first, n_classes))
         first[:, np.searchsorted(classes, self._classes)] = self._coefficients
         first -= first.sum(axis=1, keepdims=True) / n_classes
-        frame = self._frame(np.arange(len(self.touches)))
-        result: Floats = frame @ self._through(frame.T @ target)
+        frame = self._frame()
+        result: Floats = frame @ cho_solve(self._factor, frame.T @ target)
         result[: self.n_first] += first
         return result
 
-    def block(self, rows: Indices) -> Floats:
-        """Return the inverse at some rows, sorted, and the same columns."""
-        first = rows[: np.searchsorted(rows, self.n_first)]
-        frame = self._frame(rows)
-        block: Floats = frame @ self._through(frame.T)
-        block[: len(first), : len(first)] += self._first_block(first)
-        return block
+    def blocks(self, groups: Iterable[Indices]) -> Iterator[tuple[Indices, Floats]]:
+        """Yield rows of groups, each sorted, (1, size), and the inverse at them."""
+        frame = self._frame()
+        through = np.ascontiguousarray(cho_solve(self._factor, frame.T).T)
+        for rows in groups:
+            first = rows[: np.searchsorted(rows, self.n_first)]
+            block = frame[rows] @ through[rows].T
+            block[: len(first), : len(first)] += self._first_block(first)
+            yield rows[np.newaxis], block[np.newaxis]
 
-    def _through(self, values: Floats) -> Floats:
-        return np.asarray(cho_solve(self._factor, values))
-
-    def _frame(self, rows: Indices) -> Floats:
-        """Return rows of Z."""
-        n_first = np.searchsorted(rows, self.n_first)
-        frame = np.zeros((len(rows), self._solved.shape[1]))
-        frame[:n_first] = self._solved[rows[:n_first]]
-        later = np.arange(n_first, len(rows))
-        frame[later, rows[n_first:] - self.n_first] = -1
-        return frame
+    def _frame(self) -> Floats:
+        """Return Z."""
+        return np.vstack([self._solved, -np.eye(self._solved.shape[1])])
 
     def _first_block(self, rows: Indices) -> Floats:
         known = self._blocks.get(rows.tobytes())

@@ -38,6 +38,8 @@ from ._touch_classifier import (
 # Temperature and bend of the posterior are fitted to at most so many touches, and so
 # many of their answers, one for each label.
 _SHAPED_BY, _SHAPED_ANSWERS = 10_000, 500_000
+# Touches that shape it at once: their answers stay in a processor's cache.
+_SHAPED_AT_ONCE = 256
 # Touches whose kernel with the landmarks is in memory at once.
 _TOUCHES_AT_ONCE = 2000
 # From so many touches to so many, learning a few more costs a few columns; in memory 4
@@ -209,7 +211,7 @@ class KernelRidgeClassifier(BayesRule):
         blocks: Blocks
         if grown is not None:
             self.coefficients_ = grown.coefficients(target, self.classes_)
-            blocks = ((rows[None], grown.block(rows)[None]) for rows in _members(group))
+            blocks = grown.blocks(_members(group))
             left_out = _left_out(blocks, self.coefficients_, target)
             self.touches_ = centred
         elif len(centred) <= n_touches:
@@ -270,7 +272,8 @@ class KernelRidgeClassifier(BayesRule):
 
     def scores(self, X: ArrayLike) -> Floats:
         """Return the regression scores, shape (n_touches, n_classes); 1 is sure."""
-        check_is_fitted(self)
+        if not hasattr(self, "coefficients_"):  # the check itself takes a while
+            check_is_fitted(self)
         centred = check_squarable("X", as_touches(self, X)) - self.mean_
         # One pass over the training touches: their own norms are known.
         squared = (-2 * centred) @ self.touches_.T
@@ -384,14 +387,20 @@ def _best_shape(scores: Floats, codes: Array, bent: bool = True) -> tuple[Shape,
 
     def loss(raw: Floats) -> tuple[float, Floats]:
         temperature, bend = np.exp(raw[:2])
-        damping = 1 + bend * size if bent else 1.0
-        by_temperature = temperature * scores / damping
-        value, pull = log_loss(by_temperature - raw[2] * log_counts, codes, shares)
-        slopes = np.array([np.vdot(pull, by_temperature), 0, -pull.sum(0) @ log_counts])
-        if bent:
-            by_temperature /= damping
-            by_temperature *= size
-            slopes[1] = -bend * np.vdot(pull, by_temperature)
+        value, slopes = 0.0, np.zeros(3)
+        for first in range(0, len(codes), _SHAPED_AT_ONCE):
+            some = slice(first, first + _SHAPED_AT_ONCE)
+            damping = 1 + bend * size[some] if bent else 1.0
+            by_temperature = temperature * scores[some] / damping
+            logits = by_temperature - raw[2] * log_counts
+            part, pull = log_loss(logits, codes[some], shares[some])
+            value += part
+            slopes[0] += np.vdot(pull, by_temperature)
+            slopes[2] -= pull.sum(axis=0) @ log_counts
+            if bent:
+                by_temperature /= damping
+                by_temperature *= size[some]
+                slopes[1] -= bend * np.vdot(pull, by_temperature)
         return value, slopes
 
     free = [True, bent, bent and bool(np.ptp(log_counts) > 0)]

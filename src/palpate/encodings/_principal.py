@@ -220,7 +220,8 @@ class PrincipalShare(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEsti
 
     def transform(self, X: ArrayLike) -> Floats:
         """Return the scores, shape (n_touches, n_kept)."""
-        check_is_fitted(self)
+        if not hasattr(self, "components_"):
+            check_is_fitted(self)
         if are_plain_vectors(X, len(self.mean_)):
             features = np.asarray(X)
         else:

@@ -16,7 +16,7 @@ from .._types import Array, Floats
 from ..touches import Touches
 from . import _evidence, _unknown
 from ._calibration import Modality
-from ._evidence import Evidence, log_posterior
+from ._evidence import Evidence
 from ._memory import UNKNOWN, Memory, nearest_touches
 
 Costs = Mapping[str, Mapping[str, float]]
@@ -211,8 +211,8 @@ class Belief:
     def _weigh(self) -> None:
         total = self._prior_and_senses()
         if self._floored:
-            calibration = self._judge.sequence_calibration
-            total = log_posterior(self._total, self._n_informative, total, calibration)
+            weight = self._judge.sequence_calibration.weight(self._n_informative)
+            total = self._total * weight + total
         self._touch_log_posterior = log_softmax(total)
         self._unknown = None
 
@@ -241,7 +241,7 @@ class Belief:
 
     def _shares(self, logs: Floats) -> list[float]:
         """Return probabilities by their logarithms; never 0 unless the floor is."""
-        least = _LEAST_LOG if self._judge.floor else -np.inf
+        least = _unknown.LEAST_LOG if self._judge.floor else -np.inf
         return list(np.exp(np.maximum(logs, least)).tolist())
 
     @property
@@ -528,8 +528,6 @@ class Belief:
         return f"<table><caption>{head}</caption>{rows}{more}</table>"
 
 
-# Of a smaller one the probability would be 0.
-_LEAST_LOG = -700.0
 # Objects and letters that a picture of a belief shows.
 _BARS, _LETTERS = 10, 24
 

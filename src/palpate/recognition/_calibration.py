@@ -17,6 +17,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
+from scipy.sparse import csr_array
 from sklearn.base import BaseEstimator
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils import check_array
@@ -206,8 +207,11 @@ def fit_sequence_calibration(
     """Return the calibration of least log loss over episodes of all lengths."""
     drawn = episodes.values()
     used = is_informative(floored)
-    total = np.concatenate([floored[rows].sum(axis=1) for rows in drawn])
-    count = np.concatenate([used[rows].sum(axis=1) for rows in drawn])
+    # A row for each episode, with a one for each of its touches.
+    touches = np.concatenate([rows.ravel() for rows in drawn])
+    ends = np.cumsum([0, *(len(one) for rows in drawn for one in rows)])
+    sums = csr_array((np.ones(len(touches)), touches, ends), (len(ends) - 1, len(used)))
+    total, count = sums @ floored, sums @ used.astype(float)
     others = np.maximum(count - 1, 0)
     truth = np.concatenate([codes[rows[:, 0]] for rows in drawn])
     # Every length counts the same.

@@ -131,30 +131,40 @@ class TouchEncoder(BaseEstimator):
         return self.clean(touches)
 
     def fit_encode(
-        self, cleaned: Array, groups: Array | None = None
+        self,
+        cleaned: Array,
+        groups: Array | None = None,
+        made: dict[str, list[tuple[Any, Array]]] | None = None,
     ) -> tuple[Floats, Floats]:
         """Learn the encodings of cleaned images; return features and `unexplained`.
 
         What is unexplained (n_touches, n_encodings) is so with the touches of the same
         group left out of the components (NaN without groups): new touches are never as
-        close to them as those they were learnt from.
+        close to them as those they were learnt from. Steps that `made` holds by the
+        encoding's name, and what they make of these images, are not learnt again.
         """
+        made = {} if made is None else made
         self.encodings_, self.parts_, self.scales_ = {}, {}, {}
         self.weighing_, self.offset_ = None, None
         parts, every = [], np.full((len(cleaned), len(self.encodings)), np.nan)
         for column, (name, steps) in enumerate(self.encodings.items()):
-            self.encodings_[name] = learnt = [clone(step) for step in steps]
-            values = cleaned
-            for step in learnt:
+            values, done = cleaned, made.setdefault(name, [])
+            for number, given in enumerate(steps):
+                step = clone(given)
                 if hasattr(step, "left_out_unexplained") and groups is not None:
                     every[:, column] = step.left_out_unexplained(values, groups)
-                # Of touches that are all alike shares of the variance are 0 / 0.
-                with np.errstate(invalid="ignore"):
-                    if isinstance(step, EncodingUnion):
-                        # Learning encodes all at once; nothing is done again.
-                        values = step.fit_transform(values)
-                    else:
-                        values = _transformed(step.fit(values), values, checked=True)
+                if number == len(done):
+                    # Of touches that are all alike shares of the variance are 0 / 0.
+                    with np.errstate(invalid="ignore"):
+                        if isinstance(step, EncodingUnion):
+                            # Learning encodes all at once; nothing is done again.
+                            after = step.fit_transform(values)
+                        else:
+                            step.fit(values)
+                            after = _transformed(step, values, checked=True)
+                    done.append((step, after))
+                values = done[number][1]
+            self.encodings_[name] = [step for step, _ in done]
             part = np.asarray(values, dtype=np.float64)
             self.parts_[name], self.scales_[name] = part.shape[1], 1.0
             if len(self.encodings) > 1:

@@ -140,14 +140,13 @@ def with_floor(log_likelihood: Floats, floor: float) -> Floats:
     (..., n_objects), natural logarithms; with `floor=0` only the scale of each
     touch changes.
     """
-    log_posterior: Floats = log_softmax(log_likelihood, axis=-1)
     if floor == 0:
         # Finite, so that touches that rule out all objects in turn leave a belief.
-        return np.maximum(log_posterior, _RULED_OUT)
-    n_objects = log_likelihood.shape[-1]
-    mixed = np.exp(log_posterior, out=log_posterior)
-    mixed *= 1 - floor
-    mixed += floor / n_objects
+        return np.maximum(log_softmax(log_likelihood, axis=-1), _RULED_OUT)
+    mixed: Floats = log_likelihood - log_likelihood.max(axis=-1, keepdims=True)
+    np.exp(mixed, out=mixed)
+    mixed *= (1 - floor) / mixed.sum(axis=-1, keepdims=True)
+    mixed += floor / mixed.shape[-1]
     return np.log(mixed, out=mixed)
 
 
@@ -170,21 +169,12 @@ def beliefs_after(
     `used` (..., n_touches); `floored` has objects last, perhaps encodings before.
     """
     wide = used.reshape(used.shape + (1,) * (floored.ndim - used.ndim))
-    total = np.where(wide, floored, 0.0).cumsum(axis=used.ndim - 1)
+    total = np.where(wide, floored, 0.0)
+    np.add.accumulate(total, axis=used.ndim - 1, out=total)
     count = used.cumsum(axis=-1)
-    weight = calibration.weight(count).reshape(wide.shape)
-    return log_softmax(total * weight + log_prior, axis=-1), count
-
-
-def log_posterior(
-    total: Floats,
-    n_touches: Floats | int,
-    log_prior: Floats,
-    calibration: SequenceCalibration,
-) -> Floats:
-    """Return the log posterior from the sum of `n_touches` log-likelihoods."""
-    weighed = total * calibration.weight(n_touches)
-    return np.asarray(log_softmax(weighed + log_prior, axis=-1))
+    total *= calibration.weight(count).reshape(wide.shape)
+    total += log_prior
+    return log_softmax(total, axis=-1), count
 
 
 def n_informative(floored: Floats) -> Floats:

@@ -83,8 +83,9 @@ def learn_encoding(
     asked = labels[rows], group[rows]
     encoder, chosen = choose_encoder(preset, shown, *asked, presentation)
     cleaned = encoder.fit_clean(shown)
+    made: dict[str, Any] = {}
     if len(encoder.encodings) > 1:
-        encoder, found = choose_encodings(encoder, cleaned, *asked)
+        encoder, found = choose_encodings(encoder, cleaned, *asked, made)
         found["encoding"] = f"{chosen['encoding']}: {found['encoding']}"
         chosen |= found
     blind = [encoder.blind_to(name) for name in encoder.encodings]
@@ -92,7 +93,7 @@ def learn_encoding(
     if unmet:
         sentence = f"no encoding for this sensor is blind to {unmet}"
         chosen["found"] = [sentence, *chosen.get("found", ())]
-    features, every = encoder.fit_encode(cleaned, group[rows])
+    features, every = encoder.fit_encode(cleaned, group[rows], made)
     contact = ContactCheck().fit(shown, encoder)
     contact.learn_poses(encoder, every)
     if isinstance(touches, Touches):
@@ -193,16 +194,22 @@ def choose_encoder(
 
 
 def choose_encodings(
-    encoder: TouchEncoder, cleaned: Array, labels: Array, group: Indices
+    encoder: TouchEncoder,
+    cleaned: Array,
+    labels: Array,
+    group: Indices,
+    made: dict[str, Any],
 ) -> tuple[TouchEncoder, dict[str, Any]]:
     """Return the encoder with the encodings that a pool of them needs, and the reasons.
 
     Each is learnt from about `AT_MOST` of the touches, evenly spread over each label,
     and asked about them as they are, each left out with its group; those that weigh
-    little in the pool of least log loss (nats) are dropped.
+    little in the pool of least log loss (nats) are dropped. What all the touches are
+    `made` into is kept there, by the encoding's name.
     """
     some = shown_rows(labels, AT_MOST)
-    features, _ = encoder.fit_encode(cleaned[some])
+    of_all = made if len(some) == len(cleaned) else None
+    features, _ = encoder.fit_encode(cleaned[some], made=of_all)
     pool = EncodingPool(encoder.parts_, together=False)
     pool.fit(features, labels[some], groups=group[some])
     codes = np.searchsorted(pool.classes_, labels[some])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from itertools import repeat
 from typing import Any, Self
 
 import numpy as np
@@ -16,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import pdist
 from sklearn.metrics.pairwise import euclidean_distances
-from sklearn.utils import gen_batches
 
 from .._checks import check_label_kinds
 from .._types import Array, Bools, Floats, Indices
@@ -157,38 +157,73 @@ class Nearest:
     def __init__(self, memory: Memory) -> None:
         step = -(-len(memory) // MOST_MARKS)
         rows = [np.flatnonzero(memory.labels == c)[::step] for c in memory.classes]
-        every = np.concatenate(rows)
-        self._first = np.cumsum([0, *map(len, rows[:-1])])
+        self._memory, self._step = memory, step
+        self._rows = np.concatenate(rows)
+        self._owner = np.repeat(np.arange(len(rows)), [*map(len, rows)])
         self._middle = memory.features.mean(axis=0)
-        self._marks = memory.features[every] - self._middle
+        self._marks = memory.features[self._rows] - self._middle
         self._squares = (self._marks**2).sum(axis=1)
-        self._blocks = memory.blocks[every]
+        self._told: Floats | None = None
 
-    def log_distances(self, features: Floats, blocks: Indices | None = None) -> Floats:
+    def left_out(self, before: Nearest | None) -> Floats:
+        """Return `log_distances` of the training touches, their blocks left out.
+
+        Those that were asked for `before` more touches came are not sought again.
+        """
+        memory = self._memory
+        told = before._told if before is not None and self._goes_on(before) else None
+        n_told = 0 if told is None else len(told)
+        found = self.log_distances(memory.features[n_told:], memory.blocks[n_told:])
+        if before is not None and told is not None:
+            again = memory.features[:n_told], memory.blocks[:n_told]
+            nearer = self.log_distances(*again, since=n_told)
+            columns = np.searchsorted(memory.classes, before._memory.classes)
+            nearer[:, columns] = np.fmin(nearer[:, columns], told)
+            found = np.concatenate([nearer, found])
+        self._told = found
+        return found
+
+    def _goes_on(self, before: Nearest) -> bool:
+        """Whether more touches come after those of another, with the same marks."""
+        mine, theirs = self._memory, before._memory
+        alike = self._step == before._step and len(mine) > len(theirs)
+        return alike and all(
+            np.array_equal(getattr(mine, name)[: len(theirs)], getattr(theirs, name))
+            for name in ("labels", "blocks", "features")
+        )
+
+    def log_distances(
+        self, features: Floats, blocks: Indices | None = None, since: int = 0
+    ) -> Floats:
         """Return the logarithms of the distances, shape (n_touches, n_objects).
 
         `blocks` (n_touches,) are those of training touches, which are left out of what
-        they are compared with; NaN where an object has nothing else.
+        they are compared with; NaN where an object has nothing else, or nothing `since`
+        a row of the memory.
         """
-        return np.concatenate(
-            [
-                self._least(features[rows], None if blocks is None else blocks[rows])
-                for rows in gen_batches(len(features), AT_ONCE)
-            ]
-        )
+        cuts = [slice(k, k + AT_ONCE) for k in range(0, len(features), AT_ONCE)]
+        whose = [None if blocks is None else blocks[cut] for cut in cuts]
+        rows = (features[cut] for cut in cuts)
+        return np.concatenate([*map(self._least, rows, whose, repeat(since))])
 
-    def _least(self, features: Floats, blocks: Indices | None) -> Floats:
+    def _least(self, features: Floats, blocks: Indices | None, since: int) -> Floats:
+        marks = self._rows >= since if since else slice(None)
         centred = features - self._middle
         own = (centred**2).sum(axis=1)
-        squared = (-2 * centred) @ self._marks.T
-        squared += self._squares
+        squared = (-2 * centred) @ self._marks[marks].T
+        squared += self._squares[marks]
         if blocks is not None:
-            order = np.argsort(self._blocks, kind="stable")
-            ends = np.cumsum(np.bincount(self._blocks, minlength=blocks.max() + 1))
+            theirs = self._memory.blocks[self._rows[marks]]
+            order = np.argsort(theirs, kind="stable")
+            ends = np.cumsum(np.bincount(theirs, minlength=blocks.max() + 1))
             for block in np.unique(blocks):
                 same = order[ends[block - 1] if block else 0 : ends[block]]
                 squared[np.ix_(blocks == block, same)] = np.inf
-        least = np.minimum.reduceat(squared, self._first, axis=1) + own[:, np.newaxis]
+        owner = self._owner[marks]
+        first = np.flatnonzero(np.diff(owner, prepend=-1))
+        least = np.full((len(features), self._owner[-1] + 1), np.inf)
+        least[:, owner[first]] = np.minimum.reduceat(squared, first, axis=1)
+        least += own[:, np.newaxis]
         # Below this the difference of squares is rounding.
         least = np.maximum(least, 2e-12 * own[:, np.newaxis] + 1e-300)
         return np.where(np.isfinite(least), 0.5 * np.log(least), np.nan)

@@ -644,10 +644,11 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             weights = np.array([*self.classifier_.weights_.values()])
             each = np.stack(every, axis=1)
             said = self._used(weights @ each, memory.nothing)
+        before: tuple[Memory, Nearest] | None = getattr(self, "_nearest_to", None)
         left_out = LeftOut(
             log_likelihood=said,
             each=each,
-            log_distances=self._nearest().log_distances(memory.features, memory.blocks),
+            log_distances=self._nearest().left_out(before and before[1]),
             codes=np.searchsorted(self.classes_, memory.labels),
             log_prior=self._log_prior(memory),
             floor=self.floor_,

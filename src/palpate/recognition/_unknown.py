@@ -33,6 +33,8 @@ from ._evidence import (
     with_floor,
 )
 
+# Of a smaller logarithm the probability would be 0.
+LEAST_LOG = -700.0
 # Shares of wrong decisions for which limits are learnt.
 LEVELS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 # Touches after which someone who asks after every one has stopped asking.
@@ -338,14 +340,17 @@ def _tracks(
     if never:
         columns = columns[columns != own]
     mine, local = np.unique(rows, return_inverse=True)
-    floored = with_floor(left_out.log_likelihood[mine][:, columns], left_out.floor)
-    each = with_floor(left_out.each[mine][:, :, columns], left_out.floor)
+    # `take` keeps objects next to each other, as sums over them want it.
+    said_of = left_out.log_likelihood, left_out.each, left_out.log_distances
+    some, every, apart = (values[mine].take(columns, axis=-1) for values in said_of)
+    floored = with_floor(some, left_out.floor)
+    each = with_floor(every, left_out.floor)
     local = local.reshape(rows.shape)
     used = is_informative(floored)[local] & ~over
     prior = log_softmax(left_out.log_prior[columns])
     belief, count = beliefs_after(used, floored[local], prior, left_out.calibration)
     said, _ = beliefs_after(used, each[local], prior, left_out.calibration)
-    mean = _mean_so_far(left_out.log_distances[mine][:, columns][local], used)
+    mean = _mean_so_far(apart[local], used)
     apart = replace(scale, usual=scale.usual[columns]).apart(said, mean)
 
     def ended(belief: Floats, said: Floats, names: Array, own: int) -> _Tracks:
@@ -443,10 +448,6 @@ def summed_by_category(log_posterior: Floats, codes: Array, present: Array) -> F
 
     `present` are all the codes (n_objects,) there are, sorted.
     """
-    order = np.argsort(codes, kind="stable")
-    first = np.searchsorted(codes[order], present)
-    together = log_posterior[..., order]
-    largest = np.maximum.reduceat(together, first, axis=-1)
-    together -= np.repeat(largest, np.diff([*first, len(codes)]), axis=-1)
-    total = np.add.reduceat(np.exp(together, out=together), first, axis=-1)
-    return np.asarray(largest + np.log(total))
+    shares = np.exp(np.maximum(log_posterior, LEAST_LOG))
+    mine = codes[:, np.newaxis] == present
+    return np.asarray(np.log(shares @ mine.astype(np.float64)))
