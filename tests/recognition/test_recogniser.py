@@ -278,6 +278,31 @@ def test_limits_follow_added_objects(rng):
     )
 
 
+@pytest.mark.parametrize("marks", [2000, 20], ids=["all", "some"])
+def test_what_is_known_of_distances_is_used_for_added_touches(
+    rng, tmp_path, monkeypatch, marks
+):
+    """A model that was read knows none of them, and comes to the same limits."""
+    monkeypatch.setattr("palpate.recognition._memory.MOST_MARKS", marks)
+    everything = drawn(rng, names=("ball", "lid", "mug", "pen"), noise=3)
+    order = np.arange(len(everything)) % 24
+    lids = everything.object == "lid"
+    known = ObjectRecogniser().fit(everything[~lids & (order < 16)])
+    steps = [("mug", everything.object == "mug"), ("lid", lids)]
+    for added, rows in [*steps, ("ball", everything.object == "ball")]:
+        more = everything[rows & (order > 15)]
+        read = ObjectRecogniser.load(known.save(tmp_path / "model.palpate"))
+        for one in (known, read):
+            add = one.extend_object if added in one.classes_ else one.add_object
+            add(added, more)
+        for name in ("usual", "far", "quantiles"):
+            found, anew = (getattr(one.limits_, name) for one in (known, read))
+            assert_allclose(found, anew, rtol=1e-7, atol=1e-9)
+    shown = everything[(everything.object == "pen") & (order > 15)]
+    beliefs = [one.start().update(shown) for one in (known, read)]
+    assert beliefs[0].unknown == pytest.approx(beliefs[1].unknown, rel=1e-9)
+
+
 def test_rarely_touched_objects_are_not_neglected():
     """Ten touches of one object against sixty of another, in heavy noise."""
     rng = np.random.default_rng(1)
