@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.exceptions import NotFittedError
 from sklearn.utils import Tags
+from threadpoolctl import threadpool_limits
 
 from .._checks import check_count, check_number, check_option
 from .._numbers import log_softmax
@@ -171,19 +172,20 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             blocks = _memory.left_out_groups(touches, labels, objects, self.label)
         else:
             blocks = as_groups(groups, len(labels))
-        encoder, contact, chosen, encoding = learn_encoding(
-            preset, touches, labels, blocks, self.presentation
-        )
-        if groups is None:
-            blocks = _memory.without_copies(encoding.features, objects, blocks)
-        memory = memory_of(touches, encoding, labels, objects, blocks)
-        self.encoder_, self.contact_, self.chosen_ = encoder, contact, chosen
-        self.classifier_ = preset.classifier(encoder).fit(
-            memory.features, memory.labels, groups=memory.blocks
-        )
-        if isinstance(self.classifier_, EncodingPool):
-            chosen["weights"] = self.classifier_.weights_
-        self._calibrate(memory)
+        with threadpool_limits(limits=1):  # more threads wait for each other
+            encoder, contact, chosen, encoding = learn_encoding(
+                preset, touches, labels, blocks, self.presentation
+            )
+            if groups is None:
+                blocks = _memory.without_copies(encoding.features, objects, blocks)
+            memory = memory_of(touches, encoding, labels, objects, blocks)
+            self.encoder_, self.contact_, self.chosen_ = encoder, contact, chosen
+            self.classifier_ = preset.classifier(encoder).fit(
+                memory.features, memory.labels, groups=memory.blocks
+            )
+            if isinstance(self.classifier_, EncodingPool):
+                chosen["weights"] = self.classifier_.weights_
+            self._calibrate(memory)
         self.pose_: PressPose | None = None
         self.modalities_: dict[str, Modality] = {}
         return self
@@ -597,10 +599,11 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
                 "At least two objects must remain, got only "
                 f"{memory.classes.tolist()}. Add another object first."
             )
-        self.classifier_ = copy(self.classifier_).refit(
-            memory.features, memory.labels, groups=memory.blocks
-        )
-        self._calibrate(memory)
+        with threadpool_limits(limits=1):
+            self.classifier_ = copy(self.classifier_).refit(
+                memory.features, memory.labels, groups=memory.blocks
+            )
+            self._calibrate(memory)
         return self
 
     def _calibrate(self, memory: Memory) -> None:
