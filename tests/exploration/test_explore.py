@@ -18,6 +18,9 @@ from palpate.exploration import (
 )
 from palpate.recognition import ObjectRecogniser
 
+# Which width and ridge a machine has is no matter here.
+pytestmark = pytest.mark.usefixtures("few_settings")
+
 
 class SlowlySure:
     """A recogniser and its belief: sure of "ball" after a number of touches."""

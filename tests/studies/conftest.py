@@ -19,6 +19,16 @@ TINY = {
     "svm_costs": (10.0,),
     "mkl_costs": (1e3,),
 }
+# Nothing to choose from, where only the rows matter.
+LEAST = {
+    "runs": 1,
+    "counts": (5,),
+    "partitions": (2,),
+    "loads_kgf": (),
+    "covers_mm": (),
+    "components": (6,),
+    "svm_widths": (1.0,),
+}
 
 
 @pytest.fixture(scope="session")
@@ -27,5 +37,15 @@ def tiny_plan():
 
     def make(**changes):
         return Liu2014Plan(**{**TINY, **changes})
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def least_plan(tiny_plan):
+    """Make the tiny plan with one run and one setting of each method, with changes."""
+
+    def make(**changes):
+        return tiny_plan(**{**LEAST, **changes})
 
     return make

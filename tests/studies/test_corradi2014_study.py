@@ -38,7 +38,7 @@ from palpate.studies.corradi2014.plan import (
 
 STUDY = STUDIES["corradi2014"]
 TINY = Corradi2014Plan.quick(
-    n_touches=10, encodings=("hu", "zernike-pca"), choice_step=8
+    n_touches=10, encodings=("hu", "zernike-pca"), choice_step=8, runs=1
 )
 
 

@@ -25,6 +25,7 @@ TINY = {
     "orders": 2,
     "clusters": (4, 8),
     "components": (1, 2),
+    "timed": (60,),
     "later": False,
 }
 

@@ -43,13 +43,13 @@ def result(tiny_plan):
 
 
 @pytest.fixture(scope="module")
-def small_result(tiny_plan):
-    return run_without_data(tiny_plan(**SMALL))
+def nested_result(tiny_plan):
+    return run_without_data(tiny_plan(protocol="nested", **SMALL))
 
 
 @pytest.fixture(scope="module")
-def nested_result(tiny_plan):
-    return run_without_data(tiny_plan(seed=1, protocol="nested", **SMALL))
+def paper_result(least_plan):
+    return run_without_data(least_plan(protocol="paper"))
 
 
 def named_pictures(page):
@@ -185,26 +185,26 @@ def test_the_papers_choice_is_made_on_the_runs_it_reports(result):
 
 
 @pytest.mark.slow
-def test_figures_do_not_depend_on_the_workers(small_result, tiny_plan):
-    again = run_without_data(tiny_plan(**SMALL), workers=2)
-    assert again["rows"] == small_result["rows"]
+def test_figures_do_not_depend_on_the_workers(nested_result, tiny_plan):
+    again = run_without_data(tiny_plan(protocol="nested", **SMALL), workers=2)
+    assert again["rows"] == nested_result["rows"]
 
 
-def test_the_seed_changes_the_figures(small_result, nested_result):
-    figures = [r["ours"] for r in held(small_result, protocol="nested")]
-    assert figures != [r["ours"] for r in nested_result["rows"]]
+def test_the_seed_changes_the_figures(paper_result, least_plan):
+    other = run_without_data(least_plan(protocol="paper", seed=1))
+    figures = [row["ours"] for row in paper_result["rows"]]
+    assert figures != [row["ours"] for row in other["rows"]]
 
 
-def test_a_row_does_not_depend_on_what_else_is_measured(result, small_result):
+def test_a_row_does_not_depend_on_what_else_is_measured(result, nested_result):
     for name in TABLE_2:
         known = {"name": name, "features": "raw", "protocol": "nested"}
-        (row,), (same,) = held(result, **known), held(small_result, **known)
+        (row,), (same,) = held(result, **known), held(nested_result, **known)
         assert same["ours"] == row["ours"]
 
 
-def test_one_protocol_alone(nested_result, tiny_plan):
-    paper = run_without_data(tiny_plan(protocol="paper", runs=1, **SMALL))
-    assert {row["protocol"] for row in paper["rows"]} == {"paper"}
+def test_one_protocol_alone(nested_result, paper_result):
+    assert {row["protocol"] for row in paper_result["rows"]} == {"paper"}
     assert {row["protocol"] for row in nested_result["rows"]} == {"nested"}
 
 

@@ -12,18 +12,11 @@ from palpate.studies.liu2014 import Liu2014Plan
 
 
 @pytest.fixture
-def tiny_quick(tiny_plan, monkeypatch):
-    """Let --quick mean the tiny plan, without real presses."""
+def tiny_quick(least_plan, monkeypatch):
+    """Let --quick mean the least plan, without real presses."""
 
     def quick(**changes):
-        small = {
-            "counts": (5,),
-            "partitions": (2,),
-            "loads_kgf": (),
-            "covers_mm": (0.9,),
-            "runs": 1,
-        }
-        return tiny_plan(**small, **changes)
+        return least_plan(covers_mm=(0.9,), **changes)
 
     monkeypatch.setattr(Liu2014Plan, "quick", quick)
     monkeypatch.delenv("PALPATE_DATA", raising=False)
@@ -43,7 +36,26 @@ def test_json_is_one_object_and_what_is_missing_is_said(tiny_quick):
         assert isinstance(row["ours"], float)
 
 
-def test_tables_and_report_for_people(tiny_quick, tmp_path):
+PICTURES = [
+    "load_and_cover",
+    "conditions",
+    "parts",
+    "stages",
+    "boundaries",
+    "class_sets",
+]
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Leave the six pictures of a report empty: `test_liu2014_study` has them drawn."""
+    figure = pytest.importorskip("matplotlib.figure").Figure
+    for name in PICTURES:
+        place = f"palpate.studies.liu2014.drawing.{name}"
+        monkeypatch.setattr(place, lambda _: figure())
+
+
+def test_tables_and_report_for_people(tiny_quick, undrawn, tmp_path):
     report = tmp_path / "liu.html"
     arguments = ["study", "liu2014", "--quick", "--workers", "1"]
     arguments += ["--protocol", "nested", "--report", str(report)]
@@ -51,7 +63,9 @@ def test_tables_and_report_for_people(tiny_quick, tmp_path):
     assert done.exit_code == 0, done.output
     assert "Table 2" in done.stdout
     assert done.stdout.rstrip().endswith("liu.html")
-    assert report.read_text("utf-8").startswith("<!doctype html>")
+    page = report.read_text("utf-8")
+    assert page.startswith("<!doctype html>")
+    assert page.count('role="img"') == len(PICTURES)
 
 
 def test_studies_are_listed():

@@ -18,6 +18,11 @@ pytest.importorskip("uvicorn", reason='pip install "palpate[web]"')
 SIDE = 12
 
 
+@pytest.fixture(scope="module", autouse=True)
+def learning_is_quick(few_settings):
+    """What sessions do with a model matters here, not how it is chosen."""
+
+
 def drawn_touches(name, count, rng):
     """Presses of a drawn object: its shape at a random place, over noise."""
     row, col = np.mgrid[:SIDE, :SIDE]
@@ -109,7 +114,7 @@ def hand():
 
 
 @contextmanager
-def serving(session, token=None, port=0, **limits):
+def serving(session, token=None, port=0, keep_alive_s=5, **limits):
     """Run the application of a session, on a free port; give address and token."""
     from palpate.web import open_socket, server_of
 
@@ -118,6 +123,7 @@ def serving(session, token=None, port=0, **limits):
     app = create_app(session, token, **limits)
     server = server_of(app, log_level="error")
     server.install_signal_handlers = lambda: None
+    server.config.timeout_keep_alive = keep_alive_s
     thread = threading.Thread(target=server.run, args=([opened],), daemon=True)
     thread.start()
     while not server.started:

@@ -135,6 +135,12 @@ def test_colour_is_refused_where_grey_was_learnt(make_session, connected, drawn)
         np.testing.assert_array_equal(stored, image)
 
 
+def strongest(events):
+    """Return the shown frame with most of a pattern; a colour alone is none."""
+    frames = [seen(event.picture) for event in [*events] if event.kind == "frame"]
+    return max(frames, key=lambda frame: np.ptp(frame, axis=(0, 1)).max())
+
+
 @pytest.mark.parametrize("names", ["rgb", "xyz", "abcdef"])
 def test_a_replay_with_channels_is_taught_and_shown(tmp_path, rng, names, connected):
     parts = np.concatenate([*hues(rng, 6)])
@@ -151,6 +157,8 @@ def test_a_replay_with_channels_is_taught_and_shown(tmp_path, rng, names, connec
         session.place("rose")
         waited(lambda: session.teacher.lesson is None)
         waited(lambda: session.episode.touches)
+        # Only some frames are shown: until one of them is a press.
+        waited(lambda: np.ptp(strongest(events), axis=(0, 1)).max() > 50)
         session.place(None)
         (key, *_) = session.teacher.ids("rose", 3)
         shown = seen(client.get(f"/api/touches/{key}/picture").content)
@@ -158,8 +166,7 @@ def test_a_replay_with_channels_is_taught_and_shown(tmp_path, rng, names, connec
         assert session.teacher.touches("rose").channels == tuple(names)
         assert session.episode.as_touches().channels == tuple(names)
     assert session.trouble == ""
-    frames = [seen(event.picture) for event in events if event.kind == "frame"]
-    for picture in (max(frames, key=np.ptp), shown):
+    for picture in (strongest(events), shown):
         _, green, red = np.ptp(picture, axis=(0, 1))
         assert red > 50
         # Other channels are shown as one, in false colour.

@@ -273,6 +273,7 @@ def test_a_driver_that_lies_about_its_shape_is_told():
 
 def test_a_driver_that_blocks_is_told_and_not_started_twice():
     sensor = Lying(wait_s=7.0)
+    sensor.patience_s = 0.5  # with the read that does not end
     with sensor, pytest.raises(SensorError, match=r"gave no frame in 0\.1 s"):
         sensor.read_next(0.1)
     with pytest.raises(SensorError, match="has not ended its last read"):

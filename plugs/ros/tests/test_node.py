@@ -3,8 +3,10 @@
 The messages are those of rosbags, with the fields of ROS; nothing here needs ROS.
 """
 
+import shutil
 import sys
 import types
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -133,15 +135,21 @@ def message(image, number):
     return STORE.types["sensor_msgs/msg/Image"](header, *size, image.ravel())
 
 
-@pytest.fixture
-def model(tmp_path):
+@pytest.fixture(scope="module")
+def learnt(tmp_path_factory):
     rng = np.random.default_rng(0)
     kinds = ["rows"] * 16 + ["columns"] * 16
     images = np.stack([pressed(rng, kind) for kind in kinds])
     touches = Touches(images, object=kinds, no_contact=np.full((12, 12), 60, np.uint8))
-    path = tmp_path / "two.palpate"
+    path = tmp_path_factory.mktemp("model") / "two.palpate"
     ObjectRecogniser().fit(touches).save(path)
     return path
+
+
+@pytest.fixture
+def model(learnt, tmp_path):
+    """A model of one's own, since a node writes over it when it learns."""
+    return Path(shutil.copy(learnt, tmp_path))
 
 
 @pytest.fixture
