@@ -1,19 +1,11 @@
-"""What is skipped where an extra is missing, and where tests write: doctests' too."""
+"""What is skipped where an extra is missing: in the tests and in the doctests."""
 
 import os
 import re
-import shutil
 from collections.abc import Generator
-from pathlib import Path
 from typing import Any
 
 import pytest
-
-# Tests that make sure of what they wrote wait for the disk, and in memory do not; a run
-# writes about 0.1 GB, and what passed is removed.
-MEMORY = Path("/dev/shm")
-if MEMORY.is_dir() and shutil.disk_usage(MEMORY).free > 2 << 30:
-    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
 
 # `make test-bare` runs without any extra and sets PALPATE_BARE: what then fails for
 # want of one is skipped, with the extra as the reason. Elsewhere it is a failure.

@@ -114,9 +114,10 @@ def draw_study(name: str, wanted: list[str], quick: bool, of: Path | None) -> No
         result = study.run(data=os.environ.get("PALPATE_DATA"), quick=quick, seed=0)
     with tempfile.TemporaryDirectory() as place:
         for path in study.write_pictures(place, result):
-            if not wanted or path.name in wanted:
-                (IMAGES / path.name).write_bytes(path.read_bytes())
-                print(IMAGES / path.name)
+            shown = path.name.replace(f"{name}-{name}", name)
+            if not wanted or shown in wanted:
+                (IMAGES / shown).write_bytes(path.read_bytes())
+                print(IMAGES / shown)
     if not wanted and not quick:
         page = ROOT / "docs" / "explanation" / f"{name}.md"
         tables = study.tables(result)

@@ -7,9 +7,6 @@ from sklearn.linear_model import LogisticRegression, RidgeClassifier
 from palpate import Touches
 from palpate.recognition import ModelFileError, ObjectRecogniser
 
-# Which width and ridge a machine has is no matter here.
-pytestmark = pytest.mark.usefixtures("few_settings")
-
 NAMES = ("ball", "mug", "pen")
 
 

@@ -7,9 +7,6 @@ from numpy.testing import assert_array_equal
 from palpate import Touches
 from palpate.recognition import ObjectRecogniser
 
-# Which width and ridge a machine has is no matter here.
-pytestmark = pytest.mark.usefixtures("few_settings")
-
 
 def pictures(seed, n_touches, side=40, frequency=2):
     """Stripes through noise on a common shading: a plane sensor with no rim."""

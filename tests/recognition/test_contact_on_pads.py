@@ -6,9 +6,6 @@ import pytest
 from palpate import Touches
 from palpate.recognition import ObjectRecogniser, _contact, correlation
 
-# Which width and ridge a machine has is no matter here.
-pytestmark = pytest.mark.usefixtures("few_settings")
-
 NAMES = ["block"] * 12 + ["bar"] * 12
 PADS = [[0, 0, 9, 9], [0, 11, 9, 9]]
 

@@ -17,9 +17,6 @@ from palpate.recognition import (
     left_out_groups,
 )
 
-# Which width and ridge a machine has is no matter here.
-pytestmark = pytest.mark.usefixtures("few_settings")
-
 NAMES = ("ball", "mug", "pen")
 
 

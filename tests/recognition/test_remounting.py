@@ -17,9 +17,6 @@ from palpate.recognition import (
 )
 from palpate.simulation import DomeCamera, simulate_touches
 
-# Which width and ridge a machine has is no matter here.
-pytestmark = pytest.mark.usefixtures("few_settings")
-
 NAMES = ("ball", "mug", "pen")
 CAMERA = DomeCamera(image_shape=(64, 64), n_nodes=24)
 OTHER = DomeCamera(
