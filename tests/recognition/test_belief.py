@@ -388,7 +388,7 @@ def test_explanations_weigh_each_touch_between_the_two_best(start, model):
 
 def test_a_belief_shows_the_three_most_probable(start):
     belief = posed(start(), 0.05, 0.6, 0.21, 0.04, 0.1)
-    expected = "<Belief after 1 touches: cup 0.60, mug 0.21, rod 0.10>"
+    expected = "<Belief after 1 touch: cup 0.60, mug 0.21, rod 0.10>"
     assert repr(belief) == expected
 
 
@@ -396,13 +396,13 @@ def test_names_are_shown_up_to_24_letters(start):
     judged = {"classes": np.array(["a" * 24, "b" * 25, "c", "d", "e"])}
     belief = posed(start(judged=judged), 0.6, 0.3, 0.08, 0.01, 0.01)
     listed = f"{'a' * 24} 0.60, {'b' * 21}... 0.30, c 0.08"
-    assert repr(belief) == f"<Belief after 1 touches: {listed}>"
+    assert repr(belief) == f"<Belief after 1 touch: {listed}>"
 
 
 def test_bars_are_as_long_as_their_shares(start):
     page = posed(start(), 0.05, 0.6, 0.2499, 0.1, 0.0001)._repr_html_()
     assert page.startswith(
-        "<table><caption>After 1 touches; unknown score 0.40</caption>"
+        "<table><caption>After 1 touch; unknown score 0.40</caption>"
     )
     widths = [part.split("em")[0] for part in page.split("width:")[1:]]
     # Twelve em are all of it; the least is a line of 0.02 that can be seen.

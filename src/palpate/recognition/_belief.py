@@ -512,7 +512,11 @@ class Belief:
         some = [n if len(n) <= _LETTERS else f"{n[: _LETTERS - 3]}..." for n in names]
         shares = np.exp(self.log_posterior[order])
         listed = ", ".join(f"{n} {p:.2f}" for n, p in zip(some, shares, strict=True))
-        return f"<{type(self).__name__} after {self.touches_used} touches: {listed}>"
+        return f"<{type(self).__name__} after {self._made}: {listed}>"
+
+    @property
+    def _made(self) -> str:
+        return f"{self.touches_used} touch{'es' * (self.touches_used != 1)}"
 
     def _repr_html_(self) -> str:
         """Return bars of the ten most probable objects, for notebooks."""
@@ -524,7 +528,7 @@ class Belief:
         )
         n_more = len(self._judge.classes) - len(order)
         more = f"<tr><td colspan=2>and {n_more} more</td></tr>" if n_more else ""
-        head = f"After {self.touches_used} touches; unknown score {self.unknown:.2f}"
+        head = f"After {self._made}; unknown score {self.unknown:.2f}"
         return f"<table><caption>{head}</caption>{rows}{more}</table>"
 
 

@@ -428,5 +428,6 @@ def _rim_moved(recogniser: ObjectRecogniser, touches: Touches) -> list[str]:
     larger = there.rim_radius_ / crop.rim_radius_ - 1
     if max(away / crop.rim_radius_, abs(larger)) <= RIM_MOVED:
         return []
-    moved = f"{away:.0f} pixels from where it was learnt, and is {larger:+.0%} larger"
-    return [f"The rim lies {moved}."]
+    size = f"{abs(larger):.0%} {'larger' if larger > 0 else 'smaller'}"
+    where = f"{away:.0f} pixels from where it was learnt"
+    return [f"The rim lies {where}, and is {size}."]
