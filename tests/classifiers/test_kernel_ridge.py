@@ -1,5 +1,6 @@
 """Kernel ridge classification: left-out scores against refitting, and refusals."""
 
+import itertools
 import pickle
 import tracemalloc
 from copy import copy
@@ -7,6 +8,8 @@ from copy import copy
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.optimize import minimize_scalar
+from scipy.special import log_softmax
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from palpate.classifiers import KernelRidgeClassifier
@@ -40,10 +43,28 @@ def test_left_out_scores_are_those_of_a_machine_that_never_met_the_group(problem
         assert_allclose(machine.left_out_scores_[out], slow, atol=1e-10)
 
 
-def test_touches_that_tell_all_choose_the_smallest_ridge():
-    X = np.repeat(np.eye(2), 20, axis=0) + 1e-3 * np.arange(40)[:, None] / 40
-    machine = KernelRidgeClassifier().fit(X, np.repeat(["mug", "pen"], 20))
-    assert machine.ridge_ == 0.003
+@pytest.mark.parametrize("spread", [1.0, 8.0])
+def test_width_and_ridge_have_the_least_loss_of_smoothed_labels(spread):
+    # At spread 8 every setting tells all left-out touches apart, and the loss of labels
+    # that are not smoothed is 0 but for rounding.
+    rng = np.random.default_rng(0)
+    labels = np.repeat([0, 1, 2], [6, 10, 14])
+    X = spread * rng.normal(size=(3, 4))[labels] + rng.normal(size=(30, 4))
+    counts = np.bincount(labels)
+    smoothed = np.repeat([[0.5 / (n + 2)] * 3 for n in counts], counts, axis=0)
+    smoothed[np.arange(30), labels] = ((counts + 1) / (counts + 2))[labels]
+    losses = {}
+    for setting in itertools.product((0.5, 1.0, 2.0, 4.0), (0.003, 0.03, 0.3)):
+        machine = KernelRidgeClassifier([setting[0]], [setting[1]]).fit(X, labels)
+
+        def loss(temperature, scores=machine.left_out_scores_):
+            logits = temperature * scores - np.log(counts)
+            each = -(smoothed * log_softmax(logits, axis=1)).sum(axis=1)
+            return sum(each[labels == c].mean() for c in range(3)) / 3
+
+        losses[setting] = minimize_scalar(loss, bounds=(0.05, 400)).fun
+    machine = KernelRidgeClassifier(ridges=(0.003, 0.03, 0.3)).fit(X, labels)
+    assert (machine.width_, machine.ridge_) == min(losses, key=losses.get)
 
 
 def test_temperature_makes_left_out_touches_calibrated(problem):
