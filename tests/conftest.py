@@ -1,14 +1,11 @@
 """Fixtures shared by the whole suite: small drawn touches and the real ones."""
 
 import os
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-
-from palpate.classifiers import KernelRidgeClassifier
 
 # What somebody fetched on this computer is no part of a test.
 os.environ["PALPATE_DATA_HOME"] = str(Path(__file__).parent / "nothing-fetched")
@@ -21,19 +18,6 @@ def data_folder() -> Path:
     if not folder or not Path(folder).is_dir():
         pytest.skip("PALPATE_DATA does not name the folder of real touches")
     return Path(folder)
-
-
-@pytest.fixture(scope="module")
-def few_settings():
-    """Let the machines of a pool have one width and one ridge, for a whole file.
-
-    Choosing them takes most of the time of learning with few touches, and is tried by
-    the tests of the machine and of the recogniser.
-    """
-    one = partial(KernelRidgeClassifier, widths=(1.0,), ridges=(0.03,))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("palpate.classifiers._encoding_pool.KernelRidgeClassifier", one)
-        yield
 
 
 @pytest.fixture

@@ -6,9 +6,6 @@ from pathlib import Path
 
 import pytest
 
-# Which width and ridge a machine has is no matter here.
-pytestmark = pytest.mark.usefixtures("few_settings")
-
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "palpate"
 EVERYTHING = {"everything above", "everything but `cli`", "everything"}

@@ -9,11 +9,6 @@ from palpate.cli import main
 from palpate.recognition import Belief
 
 
-@pytest.fixture(scope="module", autouse=True)
-def learning_is_quick(few_settings):
-    """What commands do with a model matters here, not how it is chosen."""
-
-
 @dataclass
 class Done:
     returncode: int

@@ -9,9 +9,6 @@ import pytest
 from palpate import Touches
 from palpate.evaluation import Plan, decide_episodes, evaluate, write_report
 
-# Which width and ridge a machine has is no matter here.
-pytestmark = pytest.mark.usefixtures("few_settings")
-
 PLAN = Plan(touches=(1, 3, 6), orders=5)
 
 

@@ -17,9 +17,6 @@ from palpate.evaluation import (
 )
 from palpate.touches import png_address
 
-# Which width and ridge a machine has is no matter here.
-pytestmark = pytest.mark.usefixtures("few_settings")
-
 NAMES = ("bowl", "key", "mug", "pen")
 PLAN = Plan(touches=(1, 3), orders=6, error=0.2, seed=3)
 

@@ -6,9 +6,6 @@ import pytest
 from palpate import Touches
 from palpate.evaluation import Plan, evaluate, split_touches
 
-# Which width and ridge a machine has is no matter here.
-pytestmark = pytest.mark.usefixtures("few_settings")
-
 CENTRES = 4 * np.random.default_rng(7).normal(size=(5, 8))
 MOVES = {"mon": np.zeros(8), "tue": np.array([6.0, -5, 4, 0, 7, -3, 5, 4])}
 PLAN = Plan(touches=(1, 3), orders=4)

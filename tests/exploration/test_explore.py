@@ -18,9 +18,6 @@ from palpate.exploration import (
 )
 from palpate.recognition import ObjectRecogniser
 
-# Which width and ridge a machine has is no matter here.
-pytestmark = pytest.mark.usefixtures("few_settings")
-
 
 class SlowlySure:
     """A recogniser and its belief: sure of "ball" after a number of touches."""

@@ -29,9 +29,6 @@ from recorded_choice import (
     look_at_recorded,
 )
 
-# Which width and ridge a machine has is no matter here.
-pytestmark = pytest.mark.usefixtures("few_settings")
-
 N_TURNS = 12
 STEP = 2 * np.pi / N_TURNS
 PATTERNS = np.random.default_rng(42).normal(size=(3, 3, 3))

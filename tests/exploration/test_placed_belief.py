@@ -9,9 +9,6 @@ from palpate.exploration import TouchMap, explore_to_learn
 from palpate.recognition import ObjectRecogniser
 from palpate.simulation import DomeCamera, find_object
 
-# Which width and ridge a machine has is no matter here.
-pytestmark = pytest.mark.usefixtures("few_settings")
-
 NAMES = ("ball", "box", "pen")
 
 

@@ -13,9 +13,6 @@ from palpate.exploration import (
 )
 from palpate.simulation import DomeCamera, SimObject, find_object
 
-# Which width and ridge a machine has is no matter here.
-pytestmark = pytest.mark.usefixtures("few_settings")
-
 CAMERA = DomeCamera(image_shape=(24, 24), n_nodes=20)
 BOX, PEN = find_object("box"), find_object("pen")
 

@@ -9,9 +9,6 @@ from palpate import Touches
 from palpate.library import LibraryError, Selection, TouchLibrary
 from palpate.recognition import ObjectRecogniser
 
-# Which width and ridge a machine has is no matter here.
-pytestmark = pytest.mark.usefixtures("few_settings")
-
 NAMES = ("ball", "mug", "pen")
 
 

@@ -14,9 +14,6 @@ from numpy.testing import assert_array_equal
 from palpate import ObjectRecogniser, Touches
 from palpate.recognition import ModelFileError, SequenceCalibration
 
-# Which width and ridge a machine has is no matter here.
-pytestmark = pytest.mark.usefixtures("few_settings")
-
 HANG_S = 2.0
 MB = 2**20
 

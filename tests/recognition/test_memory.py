@@ -16,9 +16,6 @@ from palpate.recognition import (
     without_copies,
 )
 
-# Which width and ridge a machine has is no matter here.
-pytestmark = pytest.mark.usefixtures("few_settings")
-
 NAMES = ("ball", "mug", "pen")
 DATA = Path(__file__).parent / "data"
 SENSOR = {"kind": "mat", "response": np.arange(3.0)}

@@ -17,9 +17,6 @@ from sklearn.preprocessing import FunctionTransformer
 from palpate import Touches
 from palpate.recognition import ObjectRecogniser
 
-# Which width and ridge a machine has is no matter here.
-pytestmark = pytest.mark.usefixtures("few_settings")
-
 
 @pytest.fixture(scope="module")
 def images_and_labels():

@@ -21,7 +21,7 @@ TINY = {
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory, few_settings):
+def result(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recorded")
     rng = np.random.default_rng(0)
     names, days = np.tile(["a", "b", "c"], 16), np.repeat(["mon", "tue"], 24)

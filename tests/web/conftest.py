@@ -18,11 +18,6 @@ pytest.importorskip("uvicorn", reason='pip install "palpate[web]"')
 SIDE = 12
 
 
-@pytest.fixture(scope="module", autouse=True)
-def learning_is_quick(few_settings):
-    """What sessions do with a model matters here, not how it is chosen."""
-
-
 def drawn_touches(name, count, rng):
     """Presses of a drawn object: its shape at a random place, over noise."""
     row, col = np.mgrid[:SIDE, :SIDE]

@@ -380,10 +380,10 @@ def fair_shares(codes: Array) -> Floats:
 def _smoothed_loss(scores: Floats, codes: Array) -> float:
     """Return the log loss of smoothed labels at its best temperature (nats).
 
-    But for a constant. Of n touches of a label each counts as (n + 1) / (n + 2) of it and
-    shares the rest among the others: Platt, "Probabilistic outputs for support vector
-    machines", 1999. Where all touches are told apart, the plain loss falls with the
-    temperature for ever, and what is left is rounding; this one then asks for wide and
+    But for a constant. Of n touches of a label each counts as (n + 1) / (n + 2) of it
+    and shares the rest among the others: Platt, "Probabilistic outputs for support
+    vector machines", 1999. Where all touches are told apart, the plain loss falls with
+    the temperature for ever, and what is left is rounding; this one asks for wide and
     even gaps. It is convex: Newton's method.
     """
     n_touches, n_classes = scores.shape
