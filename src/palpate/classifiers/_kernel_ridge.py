@@ -401,7 +401,7 @@ def _smoothed_loss(scores: Floats, codes: Array) -> float:
         curve = np.vdot(pull, squares) - slopes @ (slopes / shares)
         low, high = (low, temperature) if slope > 0 else (temperature, high)
         if slope**2 <= 1e-12 * curve or high < (1 + 1e-9) * low:
-            return loss + temperature * drift
+            return float(loss + temperature * drift)
         temperature -= slope / curve if curve > 0 else np.inf
         if not low < temperature < high:
             temperature = float(np.sqrt(low * high))
