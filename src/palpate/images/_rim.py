@@ -205,13 +205,15 @@ def _find(image: Array, near: Circle | None) -> Circle:
     else:
         radius = check_positive("near.radius", near.radius)
         missing = Circle(near.row, near.col, radius, False, 0.0)
-    if min(shape) < SMALLEST_SIDE or image.max() == image.min():
+    if min(shape) < SMALLEST_SIDE:
         return missing
     # 8-bit as it is, anything else stretched to 0..1 in single precision.
     if image.dtype == np.uint8:
         grey = np.ascontiguousarray(image)
     else:
         low, high = image.min(), image.max()
+        if low == high:
+            return missing
         grey = ((image / 2 - low / 2) / (high / 2 - low / 2)).astype(np.float32)
     if near is not None:
         # The camera rarely moves far: looked for first where the rim was.

@@ -108,11 +108,11 @@ def vote(
 
 def sign_at(image: Array, circle: Triple) -> int:
     """Return +1 where the surround of `circle` is brighter than its inside, else -1."""
-    row, col, radius = circle
-    reach = radius * np.array([[1 - HALF_WIDTH / 2], [1 + HALF_WIDTH / 2]], np.float32)
-    y, x = np.float32(row) + _SIN * reach, np.float32(col) + _COS * reach
-    inner, outer = cv2.remap(image, x, y, cv2.INTER_NEAREST, borderMode=_EDGE)
-    return 1 if np.median(outer.astype(np.float32) - inner) > 0 else -1
+    maps = _layout(circle, image.shape).sides
+    inner, outer = cv2.remap(image, *maps, cv2.INTER_NEAREST, borderMode=_EDGE)
+    brighter = outer.astype(np.float32) - inner
+    brighter.partition((N_RAYS // 2 - 1, N_RAYS // 2))
+    return 1 if brighter[N_RAYS // 2 - 1] + brighter[N_RAYS // 2] > 0 else -1
 
 
 def refine(
@@ -182,6 +182,54 @@ def _accumulate(
     return blurred
 
 
+class _Layout(NamedTuple):
+    """Where rays across a circle lie in a frame: the same for all of a stream.
+
+    `places` and `sides` are maps for OpenCV, of all points and of two a ray, inside and
+    outside the circle; `inside` says which points lie in the frame, None that all do.
+    """
+
+    half: float
+    cell: float
+    offset: Singles
+    sin: Array
+    cos: Array
+    places: tuple[Array, Array]
+    sides: tuple[Array, Array]
+    inside: Singles | None
+    n_inside: Array
+    firsts: Array
+
+
+@lru_cache(maxsize=8)
+def _layout(circle: Triple, shape: tuple[int, int]) -> _Layout:
+    row, col, radius = circle
+    half = max(HALF_WIDTH * radius, 5.0)
+    cell = max(half / 22, 0.5)
+    n = int(np.ceil(half / cell))
+    offset = cell * np.arange(-n, n + 1, dtype=np.float32)
+    reach = np.float32(radius) + offset
+    y = np.float32(row) + _SIN[:, None] * reach
+    x = np.float32(col) + _COS[:, None] * reach
+    inside = (y >= 0) & (y <= shape[0] - 1) & (x >= 0) & (x <= shape[1] - 1)
+    which = np.flatnonzero(np.count_nonzero(inside, axis=1) > len(reach) / 4)
+    inside = inside[which]
+    sides = radius * np.array([[1 - HALF_WIDTH / 2], [1 + HALF_WIDTH / 2]], np.float32)
+    around = np.float32(col) + _COS * sides, np.float32(row) + _SIN * sides
+    return _Layout(
+        half,
+        cell,
+        offset,
+        _SIN[which].astype(np.float64),
+        _COS[which].astype(np.float64),
+        cv2.convertMaps(x[which], y[which], cv2.CV_16SC2) if len(which) else (x, y),
+        cv2.convertMaps(*around, cv2.CV_16SC2, nninterpolation=True),
+        None if inside.all() else inside.astype(np.float32),
+        np.count_nonzero(inside, axis=1),
+        len(offset) * np.arange(len(which)),
+    )
+
+
 class _Rays:
     """Slopes of the grey level along rays from the centre of a first circle."""
 
@@ -190,25 +238,16 @@ class _Rays:
         self.row, self.col, self.radius = start
         self.bottom, self.right = image.shape[0] - 1, image.shape[1] - 1
         self.sign = sign
-        self.half = max(HALF_WIDTH * self.radius, 5.0)
-        self.cell = max(self.half / 22, 0.5)
-        n = int(np.ceil(self.half / self.cell))
-        self.offset = self.cell * np.arange(-n, n + 1, dtype=np.float32)
-        reach = np.float32(self.radius) + self.offset
-        y = np.float32(self.row) + _SIN[:, None] * reach
-        x = np.float32(self.col) + _COS[:, None] * reach
-        inside = (y >= 0) & (y <= self.bottom) & (x >= 0) & (x <= self.right)
-        which = np.flatnonzero(np.count_nonzero(inside, axis=1) > len(reach) / 4)
-        self.sin = _SIN[which].astype(np.float64)
-        self.cos = _COS[which].astype(np.float64)
-        if len(which):
-            y, x, inside = y[which], x[which], inside[which]
-            grey = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=_EDGE)
-            kernel = self.sign * _slope_kernel(max(1.0, 1.2 / self.cell))
-            slope = cv2.filter2D(grey, cv2.CV_32F, kernel, borderType=_EDGE)
-            self.slope = slope * inside
-            n_inside = np.count_nonzero(inside, axis=1)
-            self.typical = np.abs(self.slope).sum(axis=1) / n_inside
+        self.layout = layout = _layout(start, image.shape)
+        self.half, self.cell, self.offset = layout.half, layout.cell, layout.offset
+        self.sin, self.cos = layout.sin, layout.cos
+        if len(self.sin):
+            grey = cv2.remap(image, *layout.places, cv2.INTER_LINEAR, borderMode=_EDGE)
+            kernel = sign * _slope_kernel(max(1.0, 1.2 / self.cell))
+            self.slope = cv2.filter2D(grey, cv2.CV_32F, kernel, borderType=_EDGE)
+            if layout.inside is not None:
+                self.slope = self.slope * layout.inside
+            self.typical = np.abs(self.slope).sum(axis=1) / layout.n_inside
 
     def predict(self, circle: Array) -> Array:
         """Where `circle` crosses each ray, as an offset from the start's radius."""
@@ -220,22 +259,30 @@ class _Rays:
     def edges(self, circle: Array, width: float) -> Array:
         """Each ray's steepest edge near `circle`: row, col, slope, usual slope, ray."""
         reach = 2.5 * max(width * self.half, 0.03 * self.radius, 1.5)
-        likely = self.offset - self.predict(circle).astype(np.float32)[:, None]
+        middle = self.predict(circle).astype(np.float32)
+        # One more on either side, where nothing is likely any more.
+        ends = float(middle.min()) - reach, float(middle.max()) + reach
+        first, last = np.searchsorted(self.offset, ends)
+        some = slice(max(first - 1, 0), last + 1)
+        likely = self.offset[some] - middle[:, None]
         likely /= np.float32(reach)
         likely *= likely
         np.subtract(1, likely, out=likely)
         np.maximum(likely, 0, out=likely)
-        likely *= self.slope
-        peak = likely.argmax(axis=1)
-        ray = np.flatnonzero((peak > 0) & (peak < len(self.offset) - 1))
-        peak = peak[ray]
-        top = self.slope[ray, peak]
-        before, after = self.slope[ray, peak - 1], self.slope[ray, peak + 1]
+        likely *= self.slope[:, some]
+        peak = likely.argmax(axis=1) + some.start
+        slope, at = self.slope.ravel(), self.layout.firsts + peak
+        top = slope[at]
+        ray = np.flatnonzero(
+            (peak > some.start) & (peak < len(self.offset) - 1) & (top > 0)
+        )
+        peak, at, top = peak[ray], at[ray], top[ray]
+        before, after = slope[at - 1], slope[at + 1]
         bend = np.minimum(before - 2 * top + after, np.float32(-1e-30))
-        part = np.clip(0.5 * (before - after) / bend, -1, 1)
+        part = (0.5 * (before - after) / bend).clip(-1, 1)
         reach = self.radius + self.offset[peak] + part * self.cell
         row, col = self.row + self.sin[ray] * reach, self.col + self.cos[ray] * reach
-        return np.stack([row, col, top, self.typical[ray], ray])[:, top > 0]
+        return np.array([row, col, top, self.typical[ray], ray])
 
     def judge(self, circle: Array, edges: Array) -> Fit:
         offset = self.predict(circle)
@@ -259,14 +306,17 @@ class _Rays:
 
 def _improved(circle: Array, edges: Array, radius: float | None) -> Array:
     """Take two reweighted Gauss-Newton steps of (row, col, radius)."""
+    strength = np.minimum(edges[2] * (edges.shape[1] / edges[3].sum()), 4.0)
+    middle = edges.shape[1] // 2
     for _ in range(2):
         residual, outward = _residuals(circle, edges)
         size = np.abs(residual)
-        middle = len(size) // 2
-        scale = max(1.4826 * float(np.partition(size, middle)[middle]), 0.15)
-        inner = np.maximum(1 - (residual / (BIWEIGHT * scale)) ** 2, 0)
+        size.partition(middle)
+        scale = max(1.4826 * float(size[middle]), 0.15)
+        inner = residual / (BIWEIGHT * scale)
+        inner = np.maximum(1 - inner * inner, 0)
         # Tukey's biweight times the edge's strength.
-        weight = inner * inner * np.minimum(edges[2] / edges[3].mean(), 4.0)
+        weight = inner * inner * strength
         total = float(weight.sum())
         weighted = outward * weight
         normal, pull = weighted @ outward.T, weighted @ residual
@@ -281,10 +331,12 @@ def _improved(circle: Array, edges: Array, radius: float | None) -> Array:
 
 def _residuals(circle: Array, edges: Array) -> tuple[Array, Array]:
     """Distance of each edge beyond `circle`, and its slopes by row, col, radius."""
-    outward = np.ones((3, edges.shape[1]))
-    y, x = edges[0] - circle[0], edges[1] - circle[1]
-    distance = np.sqrt(y * y + x * x) + 1e-9
-    outward[0], outward[1] = y / distance, x / distance
+    away = edges[:2] - circle[:2, np.newaxis]
+    distance = np.hypot(away[0], away[1])
+    distance += 1e-9
+    outward = np.empty((3, len(distance)))
+    np.divide(away, distance, out=outward[:2])
+    outward[2] = 1
     return distance - circle[2], outward
 
 
