@@ -1,6 +1,6 @@
 """JPEG and PNG pictures: their headers, whether they are whole, and their levels.
 
-Pillow reads the headers, so that the size is known before anything is decoded, and
+Headers are read first, so that the size is known before anything is decoded. Pillow
 tests a PNG's checksums; OpenCV decodes it. A JPEG has no checksum, but libjpeg
 complains of much damage and of a missing end: simplejpeg tells, where OpenCV and Pillow
 fill in grey. Most single flipped bits among its coefficients still give a wrong picture
@@ -13,17 +13,15 @@ colours are asked for; 1-, 2- and 4-bit greys are spread over 0-255; 16 bits sta
 """
 
 import os
-import re
 import stat
 import struct
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 from io import BytesIO
 from math import prod
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 
@@ -31,13 +29,13 @@ from .._progress import Progress
 from .._types import Array
 from ._columns import TouchesError
 
-if TYPE_CHECKING:
-    from PIL.JpegImagePlugin import JpegImageFile
-
 _JPEG = b"\xff\xd8\xff"
 _PNG = b"\x89PNG\r\n\x1a\n"
 _PNG_END = b"\0\0\0\0IEND\xae\x42\x60\x82"
-_HUFFMAN_FRAME = rb"\xff[\xc0-\xc2].."
+# Codes of a JPEG's markers.
+_SCAN, _END = 0xDA, 0xD9
+_HUFFMAN_FRAMES = (0xC0, 0xC1, 0xC2)
+_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 _ALPHA = (4, 6)
 _GREY = (0, 4)
 RGB = ("r", "g", "b")
@@ -313,39 +311,52 @@ def _decoded(data: bytes, header: Header) -> Array | None:
 
 
 def _jpeg_header(stream: IO[bytes]) -> Header:
-    """Read a JPEG up to its first scan, where the stream stands afterwards.
+    """Read a JPEG's segments up to its first scan, where the stream stands afterwards.
 
-    Pillow's own class is called, since `Image.open` warns of large pictures and of
-    damaged Exif. It opens frames of all kinds, so the one that it found is looked up.
+    Previews lie within segments, so that the frame found is that of the picture.
     """
-    stream.seek(0)
-    image = _jpeg_class()(stream)
-    if image.layers not in (1, 3):
-        raise PictureError(f"a JPEG of {image.layers} channels (CMYK)")
-    n_bytes = stream.tell()
-    stream.seek(0)
-    frame = struct.pack(">BHHB", image.bits, image.height, image.width, image.layers)
-    pattern = _HUFFMAN_FRAME + re.escape(frame)
-    if not re.search(pattern, stream.read(n_bytes), re.DOTALL):
-        raise PictureError("a lossless or arithmetic-coded JPEG")
-    return Header("JPEG", image.height, image.width, image.bits, image.layers > 1)
+    stream.seek(len(_JPEG) - 1)
+    header = None
+    while (code := _next_marker(stream)) != _SCAN:
+        if code == _END:
+            raise PictureError(_CUT_SHORT)
+        body = _segment(stream)
+        if code not in _FRAMES:
+            continue
+        if code not in _HUFFMAN_FRAMES:
+            raise PictureError("a lossless or arithmetic-coded JPEG")
+        if len(body) < 6 or header:
+            raise PictureError("a damaged JPEG (its frame)")
+        n_bits, n_rows, n_cols, n_channels = struct.unpack(">BHHB", body[:6])
+        if n_bits != 8:
+            raise PictureError(f"a {n_bits}-bit JPEG")
+        _refuse_empty("JPEG", n_cols, n_rows)
+        if n_channels not in (1, 3):
+            raise PictureError(f"a JPEG of {n_channels} channels (CMYK)")
+        header = Header("JPEG", n_rows, n_cols, n_bits, n_channels > 1)
+    if header is None:
+        raise PictureError("a damaged JPEG (its pixels come before its size)")
+    return header
 
 
-@cache
-def _jpeg_class() -> type["JpegImageFile"]:
-    from PIL.Image import Exif
-    from PIL.JpegImagePlugin import JpegImageFile
+def _next_marker(stream: IO[bytes]) -> int:
+    """Return the next marker's code; any number of 0xFF may stand before it."""
+    first = code = stream.read(1)
+    while code == b"\xff":
+        code = stream.read(1)
+    if not code:
+        raise PictureError(_CUT_SHORT)
+    if first != b"\xff" or code == b"\0":
+        raise PictureError("a damaged JPEG (no marker where a segment ends)")
+    return code[0]
 
-    class PlainJpeg(JpegImageFile):
-        def getexif(self) -> Exif:
-            return Exif()
 
-        def _open(self) -> None:
-            super()._open()
-            if self.layers:
-                _refuse_empty("JPEG", *self.size)
-
-    return PlainJpeg
+def _segment(stream: IO[bytes]) -> bytes:
+    size = int.from_bytes(stream.read(2), "big")
+    body = stream.read(max(size - 2, 0))
+    if len(body) != size - 2:
+        raise PictureError(_CUT_SHORT)
+    return body
 
 
 def _png_header(stream: IO[bytes]) -> Header:
