@@ -526,7 +526,8 @@ def test_how_sessions_differ_is_weighed_down_where_other_persons_say_it_helps(
     features = learnt.memory_.features
     found = learnt.remount(new.without("object", "subject")).chosen_["remount"]
     loss = found["log_loss"]
-    assert (loss["weighed"] < loss["centred"]) == weighed == found["weighed"]
+    # Without a twist all are told apart either way, and the losses are rounding.
+    assert (loss["weighed"] < loss["centred"] - 1e-6) == weighed == found["weighed"]
     assert (learnt.encoder_.weighing_ is not None) == weighed
     if weighed:
         assert found["centred"]

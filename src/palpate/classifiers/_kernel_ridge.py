@@ -381,11 +381,11 @@ def _smoothed_loss(scores: Floats, codes: Array) -> float:
     """Return the log loss of smoothed labels at its best temperature (nats).
 
     But for a constant. Of n touches each counts as (n + 1) / (n + 2) of its label and
-    shares the rest among the others, for none of n does not mean never (Laplace's rule of
-    succession; Platt, "Probabilistic outputs for support vector machines", 1999). Where
-    all touches are told apart, the plain loss falls with the temperature for ever, and
-    what is left is rounding; this one asks for wide and even gaps. It is convex: Newton's
-    method.
+    shares the rest among the others: none of n does not mean never (Laplace's rule of
+    succession; Platt, "Probabilistic outputs for support vector machines", 1999).
+    Where all touches are told apart, the plain loss falls with the temperature for
+    ever, and what is left is rounding; this one asks for wide and even gaps. It is
+    convex: Newton's method.
     """
     n_touches, n_classes = scores.shape
     log_counts, shares = _log_counts(codes, n_classes), fair_shares(codes)

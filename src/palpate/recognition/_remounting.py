@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 # Fewer differences between sessions than this do not tell a covariance.
 LEAST_PAIRS = 20
+# A loss (nats) that is smaller by no more than this is smaller by rounding.
+LEAST_GAIN = 1e-6
 # Of mountings that are as they were when it was taught, so many raise an alarm.
 FALSE_ALARMS = 0.05
 # A rim that lies this share of its radius off where it was has moved.
@@ -346,7 +348,8 @@ def _without_sessions(recogniser: ObjectRecogniser) -> dict[str, Any]:
     if worse.mean() > worse.std() / np.sqrt(len(worse)):
         return {**found, "centred": False, "weighed": False}
     recogniser.memory_ = replace(memory, features=centred)
-    weighs = may_weigh and loss["weighed"].mean() < loss["centred"].mean()
+    gain = loss["centred"] - loss["weighed"] if may_weigh else np.zeros(1)
+    weighs = gain.mean() > LEAST_GAIN
     if weighs:
         recogniser.encoder_ = copy(recogniser.encoder_)
         _weigh_down(recogniser, pairs)

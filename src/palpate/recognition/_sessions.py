@@ -256,7 +256,7 @@ def looks(images: Array, rest: Array | None) -> Floats:
     """
     import cv2
 
-    small = levels = np.asarray(images, dtype=np.float32)
+    small = levels = np.ascontiguousarray(images, dtype=np.float32)
     shrink = LOOK_SIDE / max(small.shape[1:])
     if shrink < 1:
         size = tuple(max(1, round(shrink * side)) for side in small.shape[:0:-1])
@@ -266,8 +266,8 @@ def looks(images: Array, rest: Array | None) -> Floats:
     waves = np.fft.rfft2((small - small.mean(axis=(1, 2), keepdims=True)) * window)
     sums = (np.abs(waves) ** 2).reshape(len(small), -1) @ octaves
     sums = np.maximum(sums, 1e-6 * sums.sum(axis=1, keepdims=True))
-    away = levels if rest is None else levels - rest.astype(np.float32)
-    away = np.abs(away).mean(axis=(1, 2), dtype=np.float64)
+    still = np.zeros_like(levels[0]) if rest is None else rest.astype(np.float32)
+    away = [cv2.norm(one, still, cv2.NORM_L1) / still.size for one in levels]
     return np.asarray(np.log(np.maximum(np.column_stack([sums, away]), 1e-12)))
 
 
