@@ -48,7 +48,9 @@ def test_presses_at_any_angle_are_recognised(rng):
     assert chosen["geometry"] == "array"
     assert set(chosen["candidates"]) >= {"moments about the centroid"}
     losses = {name: c["log_loss"] for name, c in chosen["candidates"].items()}
-    assert min(losses, key=losses.get) in chosen["encoding"]
+    kept = [name for name in losses if name in chosen["encoding"]]
+    # Several tell all left-out touches apart: less than this is rounding.
+    assert min(losses[name] for name in kept) < min(losses.values()) + 1e-6
     test = bars_and_discs(np.random.default_rng(5))
     best = learnt.classes_[learnt.log_likelihood(test).argmax(axis=1)]
     # A bar and a disc differ far beyond the noise.
