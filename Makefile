@@ -14,8 +14,9 @@ OLDEST_PYTHON ?= python3.11
 BIN := $(VENV)/bin
 # One thread per process: tests and benchmarks run side by side.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
-# Two processes, each with neighbouring tests, so that what a file learns is learnt once.
-IN_TWO := -n 2 --dist worksteal
+# Neighbouring tests in one process, so that what a file learns is learnt once; one more
+# than two cores have, since browsers and disks let a process wait.
+IN_THREE := -n 3 --dist worksteal
 # Compiled tests are kept, whatever the shell says: half of the time of finding them.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -27,21 +28,21 @@ demo: $(VENV)/.demo-installed
 	@$(BIN)/palpate demo $(if $(PALPATE_DATA),--real)
 
 test: check
-	$(ONE_THREAD) $(BIN)/python -m pytest $(IN_TWO) -m "not slow"
+	$(ONE_THREAD) $(BIN)/python -m pytest $(IN_THREE) -m "not slow"
 
 test-all: check
-	$(ONE_THREAD) $(BIN)/python -m pytest $(IN_TWO) --cov --cov-report=term
+	$(ONE_THREAD) $(BIN)/python -m pytest $(IN_THREE) --cov --cov-report=term
 	$(MAKE) check-lerobot check-look
 
 # The oldest versions that pyproject.toml promises; old packages beside new ones warn
 # about each other.
 test-oldest: $(OLDEST_VENV)/.installed
-	$(ONE_THREAD) $(OLDEST_VENV)/bin/python -m pytest $(IN_TWO) -m "not slow" \
+	$(ONE_THREAD) $(OLDEST_VENV)/bin/python -m pytest $(IN_THREE) -m "not slow" \
 		-W ignore::DeprecationWarning -W ignore::PendingDeprecationWarning
 
 # No extra at all: what needs one is skipped by its name, and everything else works.
 test-bare: $(BARE_VENV)/.installed
-	PALPATE_BARE=1 $(ONE_THREAD) $(BARE_VENV)/bin/python -m pytest $(IN_TWO) \
+	PALPATE_BARE=1 $(ONE_THREAD) $(BARE_VENV)/bin/python -m pytest $(IN_THREE) \
 		-m "not slow" --doctest-ignore-import-errors
 
 # Inputs changed by chance, for so long; goes on where the last run stopped.
