@@ -196,7 +196,7 @@ class RingPatterns(CanvasEncoder):
         self.n_rings, self.radii, self.n_points = n_rings, radii, n_points
         self.contrast, self.n_unsteady = contrast, n_unsteady
 
-    def _learn(self, images: Array) -> None:
+    def _learn(self, images: Array) -> Floats:
         check_count("n_rings", self.n_rings, at_most=_MOST_RINGS)
         check_number("n_points", check_count("n_points", self.n_points), low=4, high=32)
         radii = np.atleast_1d(self.radii).tolist()
@@ -206,19 +206,23 @@ class RingPatterns(CanvasEncoder):
             check_number("radii", radius, low=0, high=25)
         check_number("contrast", self.contrast, low=0)
         n_unsteady = check_count("n_unsteady", self.n_unsteady, at_least=0)
+        shares = self._shares(images)
         spread = np.linspace(0, len(images) - 1, _MOVED).astype(int)
-        some = images[np.unique(spread)].astype(np.float32)
-        still = self._shares(some)
+        rows = np.unique(spread)
+        some, still = images[rows].astype(np.float32), shares[rows]
         changes = np.concatenate(
             [self._shares(_moved(some, *step)) - still for step in _STEPS]
         )
         # Flat images change nowhere; their directions would be chance.
         strong = np.linalg.svd(changes, full_matrices=False)[2] * changes.any()
         self.unsteady_ = strong[:n_unsteady]
+        return self._steady(shares)
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
-        shares = self._shares(images)
+        return self._steady(self._shares(images))
+
+    def _steady(self, shares: Floats) -> Floats:
         return np.asarray(shares - shares @ self.unsteady_.T @ self.unsteady_)
 
     def _shares(self, images: Array) -> Floats:
@@ -228,13 +232,13 @@ class RingPatterns(CanvasEncoder):
     def _vector(self, image: Array) -> Array:
         # A flat disc has rounding alone, which is not to make patterns.
         image = image / (np.abs(image).max() or 1)
-        places = _places(image.shape, self.n_rings)
-        inside, n_codes = np.concatenate(places), self.n_points + 2
-        first = n_codes * np.repeat(np.arange(len(places)), [len(p) for p in places])
+        n_codes = self.n_points + 2
+        inside, ring = _rings(image.shape, self.n_rings)
+        first = n_codes * ring
         least = image - max(self.contrast * image.take(inside).std(), 1e-5)
         unit = min(image.shape) / _CANVAS
         radii = np.atleast_1d(self.radii).tolist()
-        counts = np.empty((len(radii), len(places), n_codes))
+        counts = np.empty((len(radii), self.n_rings, n_codes))
         for found, radius in zip(counts, radii, strict=True):
             code = _patterns(image, least, max(radius * unit, 1.0), self.n_points)
             some = np.bincount(first + code.take(inside), minlength=found.size)
@@ -300,6 +304,14 @@ def _places(shape: tuple[int, int], n_rings: int) -> list[Indices]:
     return [np.flatnonzero(np.floor(radius * n_rings) == k) for k in range(n_rings)]
 
 
+@lru_cache(maxsize=16)
+def _rings(shape: tuple[int, int], n_rings: int) -> tuple[Indices, Indices]:
+    """Which pixels lie in the inscribed disc, ring by ring, and in which ring each."""
+    places = _places(shape, n_rings)
+    ring = np.repeat(np.arange(n_rings), [len(some) for some in places])
+    return np.concatenate(places), ring
+
+
 def _patterns(
     image: Array, least: Array, radius: float, n_points: int
 ) -> NDArray[np.uint8]:
@@ -328,6 +340,8 @@ def _patterns(
 
 
 def _between(here: Array, there: Array, share: float) -> Array:
+    if share == 0:
+        return here
     return cv2.addWeighted(here, 1 - share, there, share, 0)
 
 

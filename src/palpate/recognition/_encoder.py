@@ -13,7 +13,7 @@ from sklearn.preprocessing import StandardScaler
 from .._checks import ARRAY_SIDE, check_levels, size_said
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
-from ..encodings import EncodingUnion
+from ..encodings import EncodingUnion, RingPatterns
 from ..images import fill_dead_taxels, grey, typical_rim
 from ..touches import Touches
 from ._sessions import looks
@@ -156,8 +156,8 @@ class TouchEncoder(BaseEstimator):
                 if number == len(done):
                     # Of touches that are all alike shares of the variance are 0 / 0.
                     with np.errstate(invalid="ignore"):
-                        if isinstance(step, EncodingUnion):
-                            # Learning encodes all at once; nothing is done again.
+                        if isinstance(step, (EncodingUnion, RingPatterns)):
+                            # They encode as they learn; nothing is done again.
                             after = step.fit_transform(values)
                         else:
                             step.fit(values)
