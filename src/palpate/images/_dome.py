@@ -22,7 +22,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_number, check_option, check_positive
 from .._image_estimator import ImageEstimator
-from .._types import Array, Floats, Singles
+from .._types import Array, Floats, Indices, Singles
 from ._orientation import inscribed_mask
 from ._rim import Circle, Rims, as_images, rims_near, typical_rim
 
@@ -105,10 +105,24 @@ class DomeCrop(ImageEstimator):
             The no-contact frame; the rim is learnt from it if it shows one.
         """
         images = as_images(X)
+        self._learn_rim(images, no_contact)
+        self._learn_disc(self._rims(images[_spread(len(images))]))
+        return self
+
+    def fit_transform(
+        self, X: ArrayLike, y: object = None, **known: ArrayLike | None
+    ) -> Singles:
+        """Do what `fit` and then `transform` do; each rim is looked for once."""
+        images = as_images(X)
+        self._learn_rim(images, **known)
+        rims = self._rims(images)
+        self._learn_disc(rims[_spread(len(images))])
+        return self._cut(images, rims)
+
+    def _learn_rim(self, images: Array, no_contact: ArrayLike | None = None) -> None:
         check_option("missing", self.missing, ("inscribed", "refuse"))
         check_option("output", self.output, ("standardised", "grey"))
         check_number("margin", self.margin, low=0, high=0.5)
-        limit = None if self.size is None else check_count("size", self.size)
         rim = typical_rim(images, no_contact=no_contact)
         if rim is None and self.missing == "refuse":
             raise ValueError(
@@ -120,10 +134,19 @@ class DomeCrop(ImageEstimator):
         circle = rim or Circle.inscribed(images.shape[1:])
         self.rim_row_, self.rim_col_ = circle.row, circle.col
         self.rim_radius_ = circle.radius
-        self.disc_radius_ = self._safe_radius(images) if rim else circle.radius
+
+    def _learn_disc(self, rims: Rims) -> None:
+        limit = None if self.size is None else check_count("size", self.size)
+        self.disc_radius_ = self.rim_radius_
+        if self.has_rim_:
+            rims = rims[rims.visible] if rims.visible.any() else rims
+            rows, cols = self.frame_shape_
+            sides = [rims.row, rows - 1 - rims.row, rims.col, cols - 1 - rims.col]
+            reach = np.minimum(np.min(sides, axis=0) + 0.5, rims.radius)
+            safe = float(np.quantile(reach, SAFE_SHARE))
+            self.disc_radius_ = max(safe, 0.5 * self.rim_radius_) * (1 - self.margin)
         native = max(int(2 * self.disc_radius_), 1)
         self.size_ = native if limit is None else min(native, limit)
-        return self
 
     def transform_checked(self, images: Array) -> Singles:
         """Return the discs, shape (n_touches, size_, size_), zero outside.
@@ -135,7 +158,9 @@ class DomeCrop(ImageEstimator):
         """
         if images.dtype != np.uint8:
             images = images.astype(np.float64, copy=False)
-        rims = self._rims(images)
+        return self._cut(images, self._rims(images))
+
+    def _cut(self, images: Array, rims: Rims) -> Singles:
         unseen = np.flatnonzero(~rims.visible)
         if self.missing == "refuse" and len(unseen):
             raise ValueError(
@@ -199,18 +224,6 @@ class DomeCrop(ImageEstimator):
             near = Circle(self.rim_row_, self.rim_col_, self.rim_radius_)
             return rims_near(images, near)
         return Rims.of([Circle.inscribed(self.frame_shape_)] * len(images))
-
-    def _safe_radius(self, images: Array) -> float:
-        n = len(images)
-        which = np.unique(np.linspace(0, n - 1, min(n, N_SAFE)).round().astype(int))
-        near = Circle(self.rim_row_, self.rim_col_, self.rim_radius_)
-        rims = rims_near(images[which], near)
-        rims = rims[rims.visible] if rims.visible.any() else rims
-        rows, cols = self.frame_shape_
-        sides = [rims.row, rows - 1 - rims.row, rims.col, cols - 1 - rims.col]
-        reach = np.minimum(np.min(sides, axis=0) + 0.5, rims.radius)
-        safe = float(np.quantile(reach, SAFE_SHARE))
-        return max(safe, 0.5 * self.rim_radius_) * (1 - self.margin)
 
 
 class DerivativeMagnitude(ImageEstimator):
@@ -290,6 +303,12 @@ def standardise_discs(discs: ArrayLike) -> Singles:
     if rows != cols:
         raise ValueError(f"discs must be square, got {rows} x {cols}. Crop them first.")
     return _standardise(images)
+
+
+def _spread(n_images: int) -> Indices:
+    """Which of so many images the safe radius is learnt from."""
+    some = np.linspace(0, n_images - 1, min(n_images, N_SAFE))
+    return np.unique(some.round().astype(int))
 
 
 def _crop(images: Array, rims: Rims, radius: float, size: int) -> Singles:

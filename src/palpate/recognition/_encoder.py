@@ -14,7 +14,7 @@ from .._checks import ARRAY_SIDE, check_levels, size_said
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
 from ..encodings import EncodingUnion, RingPatterns
-from ..images import fill_dead_taxels, grey, typical_rim
+from ..images import DomeCrop, fill_dead_taxels, grey, typical_rim
 from ..touches import Touches
 from ._sessions import looks
 
@@ -125,10 +125,15 @@ class TouchEncoder(BaseEstimator):
             if touches.no_contact is not None:
                 self.baseline_ = self._living(touches.no_contact[np.newaxis])[0]
         if self.clean_up is not None:
-            self.clean_up_ = clone(self.clean_up).fit(
-                grey(self._living(touches.images)), no_contact=self._idle(touches)
-            )
+            images, idle = self._living(touches.images), self._idle(touches)
+            self.clean_up_ = clone(self.clean_up)
+            if isinstance(self.clean_up_, DomeCrop) and not self._in_colour(images):
+                return self.clean_up_.fit_transform(grey(images), no_contact=idle)
+            self.clean_up_.fit(grey(images), no_contact=idle)
         return self.clean(touches)
+
+    def _in_colour(self, images: Array) -> bool:
+        return bool(self.channels) and images.ndim == 4
 
     def fit_encode(
         self,
@@ -193,7 +198,7 @@ class TouchEncoder(BaseEstimator):
             cleaned = self.gain_ * cleaned
         if self.drift_ is not None:
             cleaned = cleaned + self.drift_
-        if self.clean_up_ is not None and self.channels and cleaned.ndim == 4:
+        if self.clean_up_ is not None and self._in_colour(cleaned):
             every = in_batches(cleaned)
             cleaned = np.concatenate([self.clean_up_.by_channel(s) for s in every])
         elif self.clean_up_ is not None:
