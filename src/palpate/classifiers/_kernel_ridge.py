@@ -20,7 +20,6 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotrf, dtrtri
 from scipy.optimize import minimize
 from sklearn.metrics.pairwise import euclidean_distances
-from sklearn.utils import gen_batches
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_positive, check_squarable
@@ -190,13 +189,13 @@ class KernelRidgeClassifier(BayesRule):
         chosen = touches[some]
         squared = euclidean_distances(chosen - chosen.mean(axis=0), squared=True)
         self.unit_ = float(np.median(squared)) or 1.0
-        target = _one_hot(codes, codes.max() + 1)
+        target, by_size = _one_hot(codes, codes.max() + 1), _by_size(group[some])
         best = np.inf
         for width in widths:
             kernel = np.exp(-width / self.unit_ * squared)
             for ridge in ridges:
                 root, found = _solve(kernel.copy(), target, ridge)
-                scores = _left_out(_own_blocks(root, group[some]), found, target)
+                scores = _left_out(_own_blocks(root, by_size), found, target)
                 loss = _smoothed_loss(scores, codes)
                 if loss < best:
                     best, self.width_, self.ridge_ = loss, width, ridge
@@ -221,7 +220,7 @@ class KernelRidgeClassifier(BayesRule):
             root, columns = _solve(kernel, target + 1 / len(self.classes_), self.ridge_)
             share = columns.mean(axis=1, keepdims=True)
             self.coefficients_ = columns - share
-            blocks = _own_blocks(root, group)
+            blocks = _own_blocks(root, _by_size(group))
             if _GROWS_FROM <= len(centred) <= _GROWS_TO:
                 blocks = list(blocks)
                 self._inverse = GrowingInverse(
@@ -340,16 +339,24 @@ def _solve(kernel: Floats, target: Floats, ridge: float) -> tuple[Floats, Floats
     return root, root.T @ (root @ target)
 
 
-def _own_blocks(root: Floats, group: Array) -> Blocks:
-    """Yield groups of one size, some at a time, and the inverse's block of each."""
+def _by_size(group: Array) -> list[Indices]:
+    """Return rows of groups of one size, (n_groups, size), so many at a time."""
     by_size: dict[int, list[Indices]] = {}
     for members in _members(group):
         by_size.setdefault(len(members), []).append(members)
-    for size, groups in by_size.items():
-        for some in gen_batches(len(groups), max(1, _TOUCHES_AT_ONCE // size)):
-            rows = np.stack(groups[some])
-            mine = root.T[rows]
-            yield rows, mine @ mine.transpose(0, 2, 1)
+    return [
+        np.stack(groups[first : first + at_once])
+        for size, groups in by_size.items()
+        for at_once in [max(1, _TOUCHES_AT_ONCE // size)]
+        for first in range(0, len(groups), at_once)
+    ]
+
+
+def _own_blocks(root: Floats, by_size: list[Indices]) -> Blocks:
+    """Yield groups of one size, some at a time, and the inverse's block of each."""
+    for rows in by_size:
+        mine = root.T[rows]
+        yield rows, mine @ mine.transpose(0, 2, 1)
 
 
 def _left_out(blocks: Blocks, coefficients: Floats, target: Floats) -> Floats:
