@@ -14,6 +14,7 @@ import numpy as np
 from .._checks import check_count, check_number
 from .._image_estimator import ImageEstimator
 from .._types import Array, Complexes, Floats, Singles
+from ._canvas import lengths
 
 # Rings between these shares of the radius: nearer the centre a ring has no angles,
 # nearer the edge the smoothing reaches what lies outside.
@@ -131,7 +132,7 @@ def _channels(image: Array, sigma: float, grid: Grid) -> Singles:
     across = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1 / 8)
     down = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=1 / 8)
     curvature = cv2.Laplacian(smooth, cv2.CV_32F, ksize=3)
-    root = np.sqrt(np.hypot(across, down)) + 1e-6
+    root = np.sqrt(lengths(across, down)) + 1e-6
     across, down = across / root, down / root
     curvature = np.copysign(cv2.sqrt(np.abs(curvature)), curvature)
     tensor = [

@@ -185,7 +185,7 @@ def _accumulate(
 class _Layout(NamedTuple):
     """Where rays across a circle lie in a frame: the same for all of a stream.
 
-    `places` and `sides` are maps for OpenCV, of all points and of two a ray, inside and
+    `places` and `sides` are (col, row) of all points, and of two a ray, inside and
     outside the circle; `inside` says which points lie in the frame, None that all do.
     """
 
@@ -222,8 +222,8 @@ def _layout(circle: Triple, shape: tuple[int, int]) -> _Layout:
         offset,
         _SIN[which].astype(np.float64),
         _COS[which].astype(np.float64),
-        cv2.convertMaps(x[which], y[which], cv2.CV_16SC2) if len(which) else (x, y),
-        cv2.convertMaps(*around, cv2.CV_16SC2, nninterpolation=True),
+        (x[which], y[which]),
+        around,
         None if inside.all() else inside.astype(np.float32),
         np.count_nonzero(inside, axis=1),
         len(offset) * np.arange(len(which)),
