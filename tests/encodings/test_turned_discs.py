@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.ndimage import affine_transform
 
-from palpate.encodings import encoder_named
+from palpate.encodings import RingQuantiles, encoder_named
 from palpate.images import DomeCrop, crop_discs, standardise_discs
 
 SIZE = 300
@@ -71,3 +72,11 @@ def test_gradients_of_levels_that_single_precision_cannot_hold_are_refused(rng):
     with pytest.raises(ValueError, match="Divide all images by one number"):
         gradients.fit(images).transform(1e38 * images)
     assert np.isfinite(gradients.fit(9e36 * images).transform(9e36 * images)).all()
+
+
+def test_gradients_of_levels_whose_squares_vanish_count_like_others(rng):
+    images = rng.random((2, 40, 40))
+    quantiles = RingQuantiles()
+    expected = quantiles.fit(images).transform(images)
+    small = quantiles.transform(1e-25 * images)
+    assert_allclose(small, 1e-25 * expected, rtol=1e-5, atol=0)
