@@ -186,7 +186,8 @@ class _Layout(NamedTuple):
     """Where rays across a circle lie in a frame: the same for all of a stream.
 
     `places` and `sides` are (col, row) of all points, and of two a ray, inside and
-    outside the circle; `inside` says which points lie in the frame, None that all do.
+    outside the circle; `inside` says which points lie in the frame, None that all do;
+    `firsts` is where each ray begins in the flattened points.
     """
 
     half: float
