@@ -109,6 +109,7 @@ def test_the_choice_is_made_on_part_of_many_touches(problem):
     [
         ({"widths": [0.0]}, None, ValueError, "widths must be positive"),
         ({"ridges": ["a"]}, None, TypeError, "ridges must be a number"),
+        ({"ridges": []}, None, ValueError, "ridges must hold at least one value"),
         ({}, [1, 2], ValueError, r"one entry per training touch \(60\)"),
     ],
 )

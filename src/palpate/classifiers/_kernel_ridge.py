@@ -11,6 +11,7 @@ without a single further fit.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from functools import cache
 from typing import Any, Self
 
 import numpy as np
@@ -68,7 +69,8 @@ class KernelRidgeClassifier(BayesRule):
         Candidate kernel widths g of exp(-g d^2 / m), with m the median squared
         distance between training touches.
     ridges : sequence of float, default=(0.003, 0.01, 0.03, 0.1, 0.3)
-        Candidate ridges, added to the diagonal of the kernel matrix.
+        Candidate ridges, added to the diagonal of the kernel matrix; tried upwards and
+        downwards from the best of the width before, as long as the loss falls.
     max_choice_touches : int, default=1500
         With more training touches than this, width and ridge are chosen on an
         evenly spaced part of them; the final machine learns from all.
@@ -176,7 +178,9 @@ class KernelRidgeClassifier(BayesRule):
     def _choose(self, touches: Floats, codes: Array, group: Array) -> None:
         """Set `unit_`, `width_` and `ridge_` by the log loss of left-out groups."""
         widths = [check_positive("widths", w) for w in self.widths]
-        ridges = [check_positive("ridges", r) for r in self.ridges]
+        ridges = sorted(check_positive("ridges", r) for r in self.ridges)
+        if not widths or not ridges:
+            raise ValueError("widths and ridges must hold at least one value each.")
         at_most = check_count("max_choice_touches", self.max_choice_touches, at_least=2)
         # Touches of all labels, or of every k-th where fewer than 4 of each fit.
         step = -(-4 * (int(codes.max()) + 1) // at_most)
@@ -190,15 +194,22 @@ class KernelRidgeClassifier(BayesRule):
         squared = euclidean_distances(chosen - chosen.mean(axis=0), squared=True)
         self.unit_ = float(np.median(squared)) or 1.0
         target, by_size = _one_hot(codes, codes.max() + 1), _by_size(group[some])
-        best = np.inf
+        best, at = np.inf, len(ridges) // 2
         for width in widths:
             kernel = np.exp(-width / self.unit_ * squared)
-            for ridge in ridges:
-                root, found = _solve(kernel.copy(), target, ridge)
+
+            @cache
+            def loss(k: int, kernel: Floats = kernel) -> float:
+                root, found = _solve(kernel.copy(), target, ridges[k])
                 scores = _left_out(_own_blocks(root, by_size), found, target)
-                loss = _smoothed_loss(scores, codes)
-                if loss < best:
-                    best, self.width_, self.ridge_ = loss, width, ridge
+                return _smoothed_loss(scores, codes)
+
+            # From the ridge that was best for the width before, as long as it falls.
+            for way in (1, -1):
+                while 0 <= at + way < len(ridges) and loss(at + way) < loss(at):
+                    at += way
+            if loss(at) < best:
+                best, self.width_, self.ridge_ = loss(at), width, ridges[at]
 
     def _learn(self, touches: Floats, codes: Array, group: Array) -> None:
         target = _one_hot(codes, len(self.classes_))
