@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.ndimage import affine_transform
 
 from palpate.encodings import RingQuantiles, encoder_named
@@ -72,6 +72,18 @@ def test_gradients_of_levels_that_single_precision_cannot_hold_are_refused(rng):
     with pytest.raises(ValueError, match="Divide all images by one number"):
         gradients.fit(images).transform(1e38 * images)
     assert np.isfinite(gradients.fit(9e36 * images).transform(9e36 * images)).all()
+
+
+@pytest.mark.parametrize(
+    "name", ["edge-histograms", "polar-gradients", "ring-patterns", "ring-quantiles"]
+)
+def test_where_images_lie_in_memory_changes_nothing(rng, name):
+    images = rng.random((3, 40, 40))
+    encoder = encoder_named(name).fit(images)
+    expected, kept = encoder.transform(images), []
+    for size in range(1, 40):
+        kept.append(np.empty(16 * size, np.uint8))  # what comes next lies elsewhere
+        assert_array_equal(encoder.transform(images), expected)
 
 
 def test_gradients_of_levels_whose_squares_vanish_count_like_others(rng):

@@ -298,8 +298,10 @@ class RingQuantiles(CanvasEncoder):
 
 def lengths(across: Array, down: Array) -> Array:
     """Return the lengths of gradients in single precision, however large or small."""
-    found = cv2.magnitude(across, down)
-    # It squares; of what that leaves too large or too small, ten times slower.
+    # OpenCV's own function rounds by where an image lies in memory.
+    with np.errstate(over="ignore", under="ignore"):
+        found: Array = np.sqrt(across * across + down * down)
+    # Of what squares leave too large or too small, ten times slower.
     return found if 1e-12 < found.max() < np.inf else np.hypot(across, down)
 
 
