@@ -1,9 +1,48 @@
-"""Many tasks at once, with a bar on standard error when they take long."""
+"""Many tasks at once, with a bar on standard error; one thread where more only wait."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from threading import Lock
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 from ._progress import Progress
+
+_lock = Lock()
+# How many now keep OpenCV on one thread, and how many threads it had before.
+_keepers, _usual = 0, 1
+
+
+@contextmanager
+def opencv_on_one_thread() -> Iterator[None]:
+    """Keep OpenCV, in the whole process, on one thread meanwhile.
+
+    On pictures of a sensor's size two threads take as long as one, and twice its time
+    of a processor.
+    """
+    global _keepers, _usual
+    import cv2
+
+    with _lock:
+        if not _keepers:
+            _usual = cv2.getNumThreads()
+            cv2.setNumThreads(1)
+        _keepers += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _keepers -= 1
+            if not _keepers:
+                cv2.setNumThreads(_usual)
+
+
+@contextmanager
+def on_one_thread() -> Iterator[None]:
+    """Keep linear algebra and OpenCV on one thread: small fits wait for the others."""
+    with threadpool_limits(limits=1), opencv_on_one_thread():
+        yield
 
 
 def in_parallel(

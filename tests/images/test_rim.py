@@ -1,6 +1,7 @@
 """Finding the rim: drawn domes of known place, symmetries, images without a rim."""
 
 import re
+from threading import Thread
 
 import cv2
 import numpy as np
@@ -372,3 +373,27 @@ def test_sensors_without_a_rim_show_none(data_folder, name):
     with np.load(data_folder / name) as archive:
         images = archive["images"][::8]
     assert not find_rims(images).visible.any()
+
+
+def test_rims_are_found_on_one_thread_and_opencv_gets_its_own_back(monkeypatch):
+    before, seen, remap = cv2.getNumThreads(), [], cv2.remap
+
+    def noted(*arguments, **named):
+        seen.append(cv2.getNumThreads())
+        return remap(*arguments, **named)
+
+    monkeypatch.setattr(cv2, "remap", noted)
+    cv2.setNumThreads(2)
+    try:
+        images = np.stack([draw((90, 120), 45, 60, 30)] * 8)
+        threads = [Thread(target=find_rims, args=(images,)) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        with pytest.raises(ValueError, match=r"near\.radius must be positive"):
+            find_rims(images, near=Circle(45, 60, -1))
+        assert set(seen) == {1}
+        assert cv2.getNumThreads() == 2
+    finally:
+        cv2.setNumThreads(before)

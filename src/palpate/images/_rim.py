@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_finite, check_image_shape, check_levels, check_positive
+from .._parallel import opencv_on_one_thread
 from .._types import Array, Bools, Floats
 from . import _rim_fit
 from ._rim_fit import Fit
@@ -154,7 +155,8 @@ def find_rims(
 
 def rims_near(images: Array, near: Circle | None) -> Rims:
     """Find the rim of every image, near one of the same device; without checks."""
-    return Rims.of([_find(image, near) for image in images])
+    with opencv_on_one_thread():
+        return Rims.of([_find(image, near) for image in images])
 
 
 def typical_rim(

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.exceptions import NotFittedError
 from sklearn.utils import Tags
-from threadpoolctl import threadpool_limits
 
 from .._checks import check_count, check_number, check_option
 from .._numbers import log_softmax
+from .._parallel import on_one_thread, opencv_on_one_thread
 from .._types import Array, Bools, Floats
 from ..classifiers import EncodingPool, TouchClassifier, as_groups
 from ..images import Poses, PressPose
@@ -172,7 +172,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             blocks = _memory.left_out_groups(touches, labels, objects, self.label)
         else:
             blocks = as_groups(groups, len(labels))
-        with threadpool_limits(limits=1):  # more threads wait for each other
+        with on_one_thread():
             encoder, contact, chosen, encoding = learn_encoding(
                 preset, touches, labels, blocks, self.presentation
             )
@@ -599,7 +599,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
                 "At least two objects must remain, got only "
                 f"{memory.classes.tolist()}. Add another object first."
             )
-        with threadpool_limits(limits=1):
+        with on_one_thread():
             self.classifier_ = copy(self.classifier_).refit(
                 memory.features, memory.labels, groups=memory.blocks
             )
@@ -680,7 +680,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         return made[1]
 
     def _evidence_of(self, touches: Touches) -> Evidence:
-        features, flags = encoded_and_flagged(self.encoder_, self.contact_, touches)
+        with opencv_on_one_thread():
+            features, flags = encoded_and_flagged(self.encoder_, self.contact_, touches)
+            looks = self.encoder_.look(touches)
         if isinstance(self.classifier_, EncodingPool):
             parts = self.classifier_.log_likelihood_by_part(features)
             said, each = self.classifier_.pooled(parts), np.swapaxes(parts, 0, 1)
@@ -689,7 +691,6 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             each = said[:, np.newaxis]
         used = self._used(said, np.array(flags) == NO_CONTACT)
         distances = self._nearest().log_distances(features)
-        looks = self.encoder_.look(touches)
         return Evidence(features, used, flags, each, distances, looks)
 
     def _used(self, log_likelihood: Floats, nothing: Bools) -> Floats:
