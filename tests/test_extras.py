@@ -57,14 +57,27 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.fixture
+def imported_anew():
+    """Let palpate be imported anew; afterwards the modules of before are back."""
+
+    def taken():
+        mine = [name for name in sys.modules if name.partition(".")[0] == "palpate"]
+        return {name: sys.modules.pop(name) for name in mine}
+
+    before = taken()
+    yield
+    taken()
+    sys.modules.update(before)
+
+
+@pytest.mark.usefixtures("imported_anew")
 @pytest.mark.parametrize(("package", "extra", "command"), COMMANDS)
 def test_the_refusal_names_package_and_extra(
     folder, package, extra, command, monkeypatch, capsys
 ):
     for name in [*sys.modules]:
-        if name.partition(".")[0] == "palpate":  # imported anew, without the package
-            monkeypatch.delitem(sys.modules, name)
-        elif name.partition(".")[0] == package:
+        if name.partition(".")[0] == package:
             monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")  # no process that would find it
