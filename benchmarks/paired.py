@@ -46,6 +46,8 @@ def main() -> None:
         for root in (before, after):
             check_where(root)
         roots = {"before": before, "after": after}
+        if {"latency", "files"} & {*names}:
+            draw(Path(folder))
         if "latency" in names:
             prepared(roots, Path(folder))
         rows = {name: paired(name, roots, Path(folder), given.rounds) for name in names}
@@ -55,8 +57,7 @@ def main() -> None:
 
 
 def prepared(roots: dict[str, Path], folder: Path) -> None:
-    """Draw the pictures, and learn 50 objects with each revision."""
-    draw(folder)
+    """Learn 50 drawn objects with each revision."""
     for name, root in roots.items():
         print(f"learning 50 objects ({name})...", file=sys.stderr, flush=True)
         command = ["learn", "drawn.npz", "-o", f"{name}.palpate", "--json"]
