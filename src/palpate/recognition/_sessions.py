@@ -266,7 +266,9 @@ def looks(images: Array, rest: Array | None) -> Floats:
     waves = np.fft.rfft2((small - small.mean(axis=(1, 2), keepdims=True)) * window)
     sums = (np.abs(waves) ** 2).reshape(len(small), -1) @ octaves
     sums = np.maximum(sums, 1e-6 * sums.sum(axis=1, keepdims=True))
-    still = np.zeros_like(levels[0]) if rest is None else rest.astype(np.float32)
+    still = np.zeros_like(levels[0])
+    if rest is not None:
+        still[:] = rest
     away = [cv2.norm(one, still, cv2.NORM_L1) / still.size for one in levels]
     return np.asarray(np.log(np.maximum(np.column_stack([sums, away]), 1e-12)))
 
