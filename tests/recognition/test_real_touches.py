@@ -35,7 +35,8 @@ def test_few_touches_of_three_objects_by_default(ten_objects):
     some = ten_objects[np.isin(ten_objects.object, np.unique(ten_objects.object)[:3])]
     plan = Plan(touches=(1, 5), orders=5)
     figures, _ = evaluate(some[::2], split="last", plan=plan)
-    assert figures["accuracy"]["5"] > figures["controls"]["brightness"]["5"]
+    # After one touch: of three objects brightness alone is often right after five.
+    assert figures["accuracy"]["1"] > figures["controls"]["brightness"]["1"]
     assert "rim" in figures["chosen"]["encoding"]
 
 
