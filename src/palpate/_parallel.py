@@ -18,8 +18,8 @@ _keepers, _usual = 0, 1
 def opencv_on_one_thread() -> Iterator[None]:
     """Keep OpenCV, in the whole process, on one thread meanwhile.
 
-    On pictures of a sensor's size two threads take as long as one, and twice its time
-    of a processor.
+    On pictures of a sensor's size two threads take as long as one, and twice the
+    processor's time.
     """
     global _keepers, _usual
     import cv2

@@ -171,6 +171,13 @@ def refused_kinds():
         (patched(patched(jpeg, frame + 5, 0), frame + 6, 0), r"JPEG of \d+ x 0 pixels"),
         (jpeg[:-2] + jpeg[frame : frame + 13] + b"\xff\xd9", r"a damaged or .*two SOF"),
         (jpeg[: jpeg.index(b"\xff\xda")] + b"\xff\xd9", "cut short"),
+        (
+            jpeg[:frame] + jpeg[frame : frame + 13] + jpeg[frame:],
+            "its size comes twice",
+        ),
+        (jpeg[:frame] + b"\0" + jpeg[frame:], "no marker where a segment ends"),
+        (jpeg[:2] + b"\xff\xfe\0\0" + jpeg[2:], "cut short"),
+        (jpeg[:2] + b"\xff" * (2**25 + 9) + jpeg[2:], "32 MiB before its pixels"),
         (coded(image, save_all=True, append_images=[other]), "an animated PNG"),
         (coded(clear), "transparent parts"),
         (coded(clear.convert("LA")), "transparent parts"),

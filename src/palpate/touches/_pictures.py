@@ -326,7 +326,7 @@ def _jpeg_header(stream: IO[bytes]) -> Header:
         if code not in _HUFFMAN_FRAMES:
             raise PictureError("a lossless or arithmetic-coded JPEG")
         if len(body) < 6 or header:
-            raise PictureError("a damaged JPEG (its frame)")
+            raise PictureError("a damaged JPEG (its size comes twice, or cut)")
         n_bits, n_rows, n_cols, n_channels = struct.unpack(">BHHB", body[:6])
         if n_bits != 8:
             raise PictureError(f"a {n_bits}-bit JPEG")
@@ -340,10 +340,12 @@ def _jpeg_header(stream: IO[bytes]) -> Header:
 
 
 def _next_marker(stream: IO[bytes]) -> int:
-    """Return the next marker's code; any number of 0xFF may stand before it."""
+    """Return the next marker's code; several 0xFF may stand before it."""
     first = code = stream.read(1)
     while code == b"\xff":
         code = stream.read(1)
+        if stream.tell() > _MORE_BYTES:
+            raise PictureError("a JPEG with more than 32 MiB before its pixels")
     if not code:
         raise PictureError(_CUT_SHORT)
     if first != b"\xff" or code == b"\0":
