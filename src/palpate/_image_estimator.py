@@ -12,7 +12,7 @@ from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
-from ._checks import check_images, check_levels
+from ._checks import check_finite, check_image_shape, check_levels
 from ._types import Array
 
 
@@ -118,7 +118,8 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
 
     def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
         """Return `X` as images that this takes, of `shape` if given, or explain."""
-        images = check_images(X, shape=shape, allow_nan=self._allow_nan, channels=True)
+        images = check_image_shape(X, shape=shape, channels=True)
+        check_finite(images, allow_nan=self._allow_nan)
         return check_levels(images) if self._bounded else images
 
     def _images(self, X: ArrayLike) -> Array:

@@ -15,6 +15,7 @@ from palpate.encodings import (
     ZernikePCA,
     encoder_named,
 )
+from palpate.images import inscribed_mask
 
 NAMES = [
     "hu",
@@ -59,13 +60,49 @@ def test_hu_moments_of_two_squares():
     assert_allclose(HuMoments(levels="raw").fit_transform(image)[0], known, atol=5e-9)
 
 
-def test_hu_moments_are_opencvs(rng):
-    cv2 = pytest.importorskip("cv2")
-    image = rng.uniform(size=(15, 22))
-    ours = HuMoments(levels="raw", region="frame").fit_transform(image[np.newaxis])
-    theirs = cv2.HuMoments(cv2.moments(image)).ravel()
+def by_definition(image):
+    """Hu's seven of an image, from sums over its taxels about its centroid."""
+    row, col = np.indices(image.shape)
+    mass = image.sum()
+    y, x = (row * image).sum() / mass, (col * image).sum() / mass
+
+    def eta(p, q):
+        mu = ((col - x) ** p * (row - y) ** q * image).sum()
+        return mu / mass ** (1 + (p + q) / 2)
+
+    a = complex(eta(2, 0) - eta(0, 2), 2 * eta(1, 1))
+    b = complex(eta(3, 0) - 3 * eta(1, 2), 3 * eta(2, 1) - eta(0, 3))
+    c = complex(eta(3, 0) + eta(1, 2), eta(2, 1) + eta(0, 3))
+    fourth = b * c.conjugate() ** 3
+    squares = [eta(2, 0) + eta(0, 2), abs(a) ** 2, abs(b) ** 2, abs(c) ** 2]
+    return [*squares, fourth.real, (a * c.conjugate() ** 2).real, fourth.imag]
+
+
+@pytest.mark.parametrize("gain", [1.0, 1e-30, 1e30])
+@pytest.mark.parametrize("region", ["disc", "frame"])
+@pytest.mark.parametrize("shape", [(15, 22), (22, 15), (16, 16)])
+def test_hu_moments_are_those_of_the_definition(rng, shape, region, gain):
+    image = rng.uniform(1, 9, size=shape)
+    mask = inscribed_mask(*shape) if region == "disc" else np.ones(shape, bool)
+    above = np.where(mask, image - image[mask].min(), 0)
+    relative = above / above.sum() * mask.sum()
+    ours = HuMoments(region=region).fit_transform(gain * image[np.newaxis])[0]
     # Rounding of central moments, relative to the largest of equal degree.
-    assert_allclose(ours[0], theirs, rtol=1e-7, atol=1e-18)
+    assert_allclose(ours, by_definition(relative), rtol=1e-6, atol=1e-18)
+    raw = HuMoments(region=region, levels="raw").fit_transform(gain * image[None])[0]
+    degree = np.array([1.0, 2, 3, 3, 6, 4, 6])
+    assert_allclose(
+        raw * gain**degree, by_definition(image * mask), rtol=1e-6, atol=1e-18
+    )
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.float32, np.int16, bool])
+def test_hu_moments_are_the_same_for_every_type_of_levels(rng, kind):
+    image = rng.integers(0, 2, size=(1, 14, 20)).astype(kind)
+    hu = HuMoments()
+    assert_allclose(
+        hu.fit_transform(image), hu.transform(image.astype(float)), rtol=1e-6
+    )
 
 
 def test_hu_moments_stay_when_the_image_turns_and_the_last_sees_mirrors(rng):

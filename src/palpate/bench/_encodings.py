@@ -26,12 +26,13 @@ from .._extras import missing
 from .._types import Array, Bools, Floats, Singles
 from ..encodings import (
     ENCODINGS,
+    HuMoments,
     ZernikeMoments,
     encoder_named,
     zernike_degrees,
     zernike_values,
 )
-from ..images import DomeCrop, crop_discs, standardise_discs
+from ..images import DomeCrop, crop_discs, inscribed_mask, standardise_discs
 from . import _timing
 from ._timing import N_COLS, Picture, Row, coded, cpu_ms, drawn_dome, one_thread, row
 
@@ -126,6 +127,8 @@ def bench_encodings(
             row(f"640 x 480 {kind} {name}", ms, reason="a stage of ours")
             for name, ms in stages.items()
         ]
+        if "hu" in names:
+            rows.append(_hu_row(pictures, kind, seconds))
         known = (kind, discs, stages, seconds)
         return rows + [_encoding_row(name, *known) for name in names]
 
@@ -202,6 +205,18 @@ def _encoding_row(
     shares = {f"share_{p}": 100 * ms / sum(parts.values()) for p, ms in parts.items()}
     facts = {**_peer(name, discs, seconds), "touch_ms": crop + encode, **shares}
     return row(f"640 x 480 {kind} encoding {name}", encode, **facts)
+
+
+def _hu_row(pictures: list[Picture], kind: str, seconds: float) -> Row:
+    """Hu's moments of the disc of a whole picture; OpenCV takes no least level off."""
+    images = np.stack([_decoded(one) for one in pictures])
+    encoder = HuMoments().fit(images[:1])
+    disc = np.where(inscribed_mask(*images.shape[1:]), 255, 0).astype(np.uint8)
+    ours = _each(lambda i: encoder.transform(images[i : i + 1]), seconds)
+    peer = _each(
+        lambda i: cv2.HuMoments(cv2.moments(cv2.bitwise_and(images[i], disc))), seconds
+    )
+    return row(f"640 x 480 {kind} disc of a picture hu", ours, "OpenCV", peer)
 
 
 def _peer(name: str, discs: Singles, seconds: float) -> dict[str, Any]:

@@ -18,7 +18,6 @@ from ._orientation import above_least as above_least
 from ._orientation import central_moments as central_moments
 from ._orientation import inscribed_mask as inscribed_mask
 from ._orientation import orientations as orientations
-from ._orientation import relative_moments as relative_moments
 from ._press_pose import Poses, PressPose
 from ._press_pose import press_pose as press_pose
 from ._rim import Circle, Rims, find_rims

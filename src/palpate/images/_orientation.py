@@ -8,11 +8,10 @@ turns from the column axis towards the row axis: clockwise as displayed.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import pascal
@@ -22,6 +21,7 @@ from .._image_estimator import ImageEstimator
 from .._types import Array, Bools, Floats, Indices
 
 ORDER = 3
+_BINOMIAL = pascal(ORDER + 1, kind="lower").astype(float)
 MIN_ANISOTROPY = 0.02
 # Rounding of the second moments, as a share of their sum.
 _ROUNDING = 1e-9
@@ -46,43 +46,6 @@ class CentralMoments:
 def central_moments(images: ArrayLike) -> CentralMoments:
     """Return the central moments of images to order 3 along x and y."""
     return _about_centroid(_about_middle(check_images(images)))
-
-
-def relative_moments(images: Array, mask: Bools) -> CentralMoments:
-    """Return those of levels above the least one in the mask, divided by their mean.
-
-    Zeros where an image is blank there. `images` (n_touches, n_rows, n_cols) are
-    finite, of any real type.
-    """
-    kind = images.dtype if images.dtype in (np.uint8, np.float32) else np.float64
-    inside, whole = mask.view(np.uint8), mask.astype(kind)
-    of_mask = _about_corner(whole)
-    raw = np.zeros((len(images), ORDER + 1, ORDER + 1))
-    for moments, image in zip(raw, images, strict=True):
-        plane = np.ascontiguousarray(image, kind)
-        least, largest, *_ = cv2.minMaxLoc(plane, inside)
-        # Moments are linear: those of the least level are taken off in the end.
-        moments[:] = _about_corner(cv2.multiply(plane, whole)) - least * of_mask
-        mean = moments[0, 0] / of_mask[0, 0]
-        blank = mean <= 1e-9 * max(abs(least), abs(largest))
-        moments /= np.inf if blank else mean
-    found = _about_centroid(raw)
-    middle = [(n - 1) / 2 * (found.mass != 0) for n in mask.shape]
-    return replace(found, y=found.y - middle[0], x=found.x - middle[1])
-
-
-def _about_corner(plane: Array) -> Floats:
-    """Moments about the first pixel to order 3 in all, (4, 4) along rows and columns.
-
-    Those beyond, which no central moment of that order needs, are 0.
-    """
-    found = cv2.moments(plane)
-    return np.array(
-        [
-            [found.get(f"m{p}{q}", 0.0) for p in range(ORDER + 1)]
-            for q in range(ORDER + 1)
-        ]
-    )
 
 
 def _about_middle(images: Floats) -> Floats:
@@ -129,9 +92,8 @@ def _shift(centre: Floats) -> Floats:
     """Matrices that turn moments about the middle into moments about `centre`."""
     order = np.arange(ORDER + 1)
     gap = order[:, None] - order
-    binomial = pascal(ORDER + 1, kind="lower").astype(float)
     powers = (-centre[:, None, None]) ** np.maximum(gap, 0)
-    return np.where(gap >= 0, binomial * powers, 0.0)
+    return np.where(gap >= 0, _BINOMIAL * powers, 0.0)
 
 
 @dataclass(frozen=True)
