@@ -191,7 +191,7 @@ class KernelRidgeClassifier(BayesRule):
             some = mine[_thin(codes[mine], at_most)]
         codes = np.unique(codes[some], return_inverse=True)[1]
         chosen = touches[some]
-        squared = euclidean_distances(chosen - chosen.mean(axis=0), squared=True)
+        squared = _squared_distances(chosen - chosen.mean(axis=0))
         self.unit_ = float(np.median(squared)) or 1.0
         target, by_size = _one_hot(codes, codes.max() + 1), _by_size(group[some])
         best, at = np.inf, len(ridges) // 2
@@ -226,7 +226,7 @@ class KernelRidgeClassifier(BayesRule):
             left_out = _left_out(blocks, self.coefficients_, target)
             self.touches_ = centred
         elif len(centred) <= n_touches:
-            kernel = self._kernel(euclidean_distances(centred, squared=True))
+            kernel = self._kernel(_squared_distances(centred))
             # The columns of the labels as they are, of which later classes need others.
             root, columns = _solve(kernel, target + 1 / len(self.classes_), self.ridge_)
             share = columns.mean(axis=1, keepdims=True)
@@ -335,6 +335,18 @@ def _thin(codes: Array, at_most: int) -> Array:
 def _one_hot(codes: Array, n_classes: int) -> Floats:
     """Targets minus their fixed mean of 1 / n_classes."""
     return np.eye(n_classes)[codes] - 1 / n_classes
+
+
+def _squared_distances(touches: Floats) -> Floats:
+    """Return those between touches, made in one piece of memory."""
+    squared = touches @ touches.T
+    norms = squared.diagonal().copy()
+    squared *= -2
+    squared += norms
+    squared += norms[:, np.newaxis]
+    np.maximum(squared, 0, out=squared)
+    np.fill_diagonal(squared, 0)
+    return np.asarray(squared)
 
 
 def _solve(kernel: Floats, target: Floats, ridge: float) -> tuple[Floats, Floats]:

@@ -231,11 +231,12 @@ class RingPatterns(CanvasEncoder):
 
     def _vector(self, image: Array) -> Array:
         # A flat disc has rounding alone, which is not to make patterns.
-        image = image / (np.abs(image).max() or 1)
+        image = image / (cv2.norm(image, cv2.NORM_INF) or 1)
         n_codes = self.n_points + 2
         inside, ring = _rings(image.shape, self.n_rings)
         first = n_codes * ring
-        least = image - max(self.contrast * image.take(inside).std(), 1e-5)
+        spread = cv2.meanStdDev(image.take(inside))[1].item()
+        least = image - np.float32(max(self.contrast * spread, 1e-5))
         unit = min(image.shape) / _CANVAS
         radii = np.atleast_1d(self.radii).tolist()
         counts = np.empty((len(radii), self.n_rings, n_codes))
@@ -330,39 +331,54 @@ def _patterns(
     wide = cv2.copyMakeBorder(
         image, margin, margin, margin, margin, cv2.BORDER_REPLICATE
     )
+    blended = [
+        _between(
+            wide[:, left : left + cols], wide[:, left + 1 : left + 1 + cols], share
+        )
+        for left, share in _circle(radius, n_points, margin)[0]
+    ]
     high = np.empty((n_points, rows, cols), dtype=bool)
-    blended: dict[tuple[int, float], Array] = {}
-    for bits, (row, down, col, across) in zip(
-        high, _circle(radius, n_points), strict=True
-    ):
-        if (col, across) not in blended:
-            part = wide[:, col + margin : col + margin + cols + 1]
-            blended[col, across] = _between(part[:, :-1], part[:, 1:], across)
-        part = blended[col, across][row + margin : row + margin + rows + 1]
-        near = _between(part[:-1], part[1:], down)
-        np.greater_equal(near, least, out=bits)
+    places = _circle(radius, n_points, margin)[1]
+    for bits, (column, top, share) in zip(high, places, strict=True):
+        part = blended[column][top : top + rows + 1]
+        np.greater_equal(_between(part[:-1], part[1:], share), least, out=bits)
     bits = high.view(np.uint8)
     ones = np.add.reduce(bits, axis=0, dtype=np.uint8)
     turns = np.add.reduce(bits[1:] ^ bits[:-1], axis=0, dtype=np.uint8)
     turns += bits[0] ^ bits[-1]
-    return np.where(turns <= 2, ones, np.uint8(n_points + 1))
+    # No pattern has as many ones as stand for all that turn more than twice.
+    pattern: NDArray[np.uint8] = np.maximum(ones, (turns > 2) * np.uint8(n_points + 1))
+    return pattern
 
 
 def _between(here: Array, there: Array, share: float) -> Array:
-    if share == 0:
-        return here
-    return cv2.addWeighted(here, 1 - share, there, share, 0)
+    return cv2.addWeighted(here, 1 - share, there, share, 0) if share else here
 
 
 @lru_cache(maxsize=64)
-def _circle(radius: float, n_points: int) -> list[tuple[int, float, int, float]]:
-    """Of each place on a circle: row and share of a row, column and its share."""
-    found = []
-    for angle in 2 * np.pi * np.arange(n_points) / n_points:
-        row, col = round(radius * np.sin(angle), 6), round(radius * np.cos(angle), 6)
-        top, left = int(np.floor(row)), int(np.floor(col))
-        found.append((top, row - top, left, col - left))
-    return found
+def _circle(
+    radius: float, n_points: int, margin: int
+) -> tuple[list[tuple[int, float]], list[tuple[int, int, float]]]:
+    """Where places on a circle lie in an image with a margin.
+
+    Of each column between pixels the left one and the share of the right one; of each
+    place which of these, the upper row and the share of the lower one.
+    """
+    angle = 2 * np.pi * np.arange(n_points) / n_points
+    row, col = ((radius * f(angle)).round(6) for f in (np.sin, np.cos))
+    columns, which = np.unique(col, return_inverse=True)
+    tops, lefts = (np.floor(v).astype(int) for v in (row, columns))
+    return (
+        list(zip((lefts + margin).tolist(), (columns - lefts).tolist(), strict=True)),
+        list(
+            zip(
+                which.tolist(),
+                (tops + margin).tolist(),
+                (row - tops).tolist(),
+                strict=True,
+            )
+        ),
+    )
 
 
 def _moved(images: Array, row: float, col: float) -> Array:

@@ -301,8 +301,13 @@ class RootScaler(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
 
     def scale(self, features: Floats) -> Floats:
         """Do what `transform` does, without its checks."""
-        return np.asarray((_root(features) - self.mean_) / self.scale_)
+        roots = _root(features)
+        roots -= self.mean_
+        roots /= self.scale_
+        return roots
 
 
 def _root(features: Floats) -> Floats:
-    return np.sign(features) * np.sqrt(np.abs(features))
+    roots: Floats = np.abs(features)
+    np.sqrt(roots, out=roots)
+    return np.copysign(roots, features, out=roots)

@@ -6,6 +6,7 @@ and by its curvature. Turning the image shifts each ring of such values along it
 so the sizes of their Fourier coefficients along the ring stay as they are.
 """
 
+from collections.abc import Iterator
 from functools import lru_cache
 
 import cv2
@@ -21,7 +22,9 @@ from ._canvas import lengths
 _INNER, _OUTER = 0.06, 0.93
 _SURROUNDINGS = 1.5
 _LEAST_STRENGTH = 1e-2
-_PLACES = 48
+_PLACES, _N_CHANNELS = 48, 6
+# Images and what is made of them stay in the cache.
+_AT_ONCE = 16
 _ANGLES = 2 * np.pi * np.arange(_PLACES) / _PLACES
 _COS, _SIN = np.cos(_ANGLES), np.sin(_ANGLES)
 Grid = tuple[Singles, Singles]
@@ -88,9 +91,11 @@ class PolarGradients(ImageEstimator):
         check_number("n_harmonics", self.n_harmonics, high=_PLACES // 2 - 1)
         check_number("smoothing", self.smoothing, low=1e-3, high=0.5)
         raw = self._harmonics(images)
-        spread = raw.copy()
-        spread[..., 0] -= raw[..., 0].mean(axis=0)
-        power = (np.abs(spread) ** 2).sum(axis=(2, 3)).mean(axis=0)
+        means, power = raw[..., 0].mean(axis=0), np.zeros(raw.shape[1])
+        for some in _few(raw):
+            spread = some.copy()
+            spread[..., 0] -= means
+            power += (np.abs(spread) ** 2).sum(axis=(0, 2, 3)) / len(raw)
         self.scale_ = np.where(power > 1e-24, np.sqrt(power), 1.0)
         return self._sizes(raw)
 
@@ -105,16 +110,26 @@ class PolarGradients(ImageEstimator):
 
     def _harmonics(self, images: Array) -> Complexes:
         """Fourier coefficients, (n_touches, 6, n_rings, n_harmonics + 1)."""
-        shape = images.shape[1:]
+        size = images.shape[1:]
         rings = np.linspace(_INNER, _OUTER, self.n_rings)
-        grid = _grid(self.n_rings, shape)
-        sigma = max(self.smoothing * min(shape) / 2, 0.5)
-        values = np.stack([_channels(image, sigma, grid) for image in images])
-        found = np.fft.rfft(values, axis=-1)[..., : self.n_harmonics + 1] / _PLACES
+        grid = _grid(self.n_rings, size)
+        sigma = max(self.smoothing * min(size) / 2, 0.5)
+        shape = len(images), _N_CHANNELS, self.n_rings, self.n_harmonics + 1
+        found = np.empty(shape, dtype=np.complex128)
+        for some, into in zip(_few(images), _few(found), strict=True):
+            values = np.stack([_channels(image, sigma, grid) for image in some])
+            into[:] = np.fft.rfft(values, axis=-1)[..., : shape[-1]]
+            into /= _PLACES
         found *= np.sqrt(rings)[:, np.newaxis]
         # A coefficient stands for itself and its conjugate; the mean has none.
         found[..., 0] /= np.sqrt(2)
         return found
+
+
+def _few(images: Array) -> Iterator[Array]:
+    """Yield some at a time."""
+    for start in range(0, len(images), _AT_ONCE):
+        yield images[start : start + _AT_ONCE]
 
 
 @lru_cache(maxsize=16)

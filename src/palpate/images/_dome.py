@@ -169,7 +169,7 @@ class DomeCrop(ImageEstimator):
                 "missing='inscribed'."
             )
         discs = _crop(images, rims, self.disc_radius_, self.size_)
-        return _standardise(discs) if self.output == "standardised" else discs
+        return _standardise(discs, discs) if self.output == "standardised" else discs
 
     def by_channel(self, images: Array) -> Singles:
         """Return the disc of each channel, (n_touches, size_, size_, n_channels).
@@ -302,7 +302,7 @@ def standardise_discs(discs: ArrayLike) -> Singles:
     rows, cols = images.shape[1:]
     if rows != cols:
         raise ValueError(f"discs must be square, got {rows} x {cols}. Crop them first.")
-    return _standardise(images)
+    return _standardise(images, np.zeros(images.shape, np.float32))
 
 
 def _spread(n_images: int) -> Indices:
@@ -319,18 +319,17 @@ def _crop(images: Array, rims: Rims, radius: float, size: int) -> Singles:
     return discs
 
 
-def _standardise(images: Array) -> Singles:
+def _standardise(images: Array, out: Singles) -> Singles:
+    """Write into `out`, zero outside the discs; `images` themselves may be that."""
     mask = inscribed_mask(*images.shape[1:])
-    standard = np.zeros(images.shape, np.float32)
-    for result, image in zip(standard, images, strict=True):
+    for result, image in zip(out, images, strict=True):
         levels = image[mask].astype(np.float64)
         largest = np.abs(levels).max()
         levels = levels / (largest or 1.0)
         levels -= levels.mean()
         deviation = np.sqrt((levels**2).mean())
-        if deviation > FLAT:
-            result[mask] = levels / deviation
-    return standard
+        result[mask] = levels / deviation if deviation > FLAT else 0
+    return out
 
 
 def _mean_over_cells(
@@ -351,11 +350,12 @@ def _mean_over_cells(
     total = np.asarray(cv2.integral(part, sdepth=depth))
     i = np.minimum(row.astype(int), part.shape[0] - 1)
     j = np.minimum(col.astype(int), part.shape[1] - 1)
-    upper, lower = total[i], total[i + 1]
-    upper = upper[:, j] + (upper[:, j + 1] - upper[:, j]) * (col - j)
-    lower = lower[:, j] + (lower[:, j + 1] - lower[:, j]) * (col - j)
-    corner = upper + (lower - upper) * (row - i)[:, np.newaxis]
-    sums: Floats = np.diff(np.diff(corner, axis=0), axis=1)
+    upper = total.take(i, axis=0)
+    share = (row - i)[:, np.newaxis]
+    rows = np.diff(upper + (total.take(i + 1, axis=0) - upper) * share, axis=0)
+    before = rows.take(j, axis=1)
+    before += (rows.take(j + 1, axis=1) - before) * (col - j)
+    sums: Floats = np.diff(before, axis=1)
     return sums / (2 * radius / size) ** 2 + level
 
 

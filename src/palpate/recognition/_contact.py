@@ -226,12 +226,15 @@ def consists_of_nothing(labels: Array, no_contact: Array) -> bool:
 
 def correlation(images: Array, idle: Array) -> Floats:
     """Return the correlation of each image with one, 0 for even ones, (n_touches,)."""
-    flat = images.reshape(len(images), -1).astype(np.float64)
     one = idle.ravel().astype(np.float64)
-    flat -= flat.mean(axis=1, keepdims=True)
     one -= one.mean()
-    norms = np.sqrt(np.einsum("tp,tp->t", flat, flat)) * np.linalg.norm(one)
-    return np.asarray(flat @ one / np.where(norms > 0, norms, 1))
+    found = np.zeros(len(images))
+    for number, image in enumerate(images):  # one at a time, it stays in the cache
+        flat = image.ravel().astype(np.float64)
+        flat -= flat.mean()
+        norm = np.linalg.norm(flat) * np.linalg.norm(one)
+        found[number] = flat @ one / norm if norm > 0 else 0.0
+    return found
 
 
 def _boxes(images: Array, pads: Array | None) -> list[Array]:
