@@ -141,8 +141,8 @@ def test_models_of_format_3_are_read_and_answer_the_same(preset, tmp_path):
     for touch, (posterior, _) in zip(test, expected["each"], strict=True):
         belief = model.start().update(touch)
         assert belief.posterior == pytest.approx(posterior, abs=1e-9)
-        # One encoding: what it leaves to other names.
-        assert belief.unknown == pytest.approx(belief.doubt, abs=1e-9)
+        # One encoding: what it leaves to other names, more of touches that are far.
+        assert belief.unknown >= belief.doubt - 1e-9
     assert model.limits_.promise(0.01).n_units == 3
     again = ObjectRecogniser.load(model.save(tmp_path / "again.palpate"))
     assert_array_equal(again.log_likelihood(test), model.log_likelihood(test))

@@ -162,14 +162,15 @@ def _episodes_of(
     rows: Array, group: Array, n_touches: int, n_episodes: int, rng: np.random.Generator
 ) -> Indices:
     rows = rows[np.argsort(group[rows], kind="stable")]
-    first = [0, *(np.flatnonzero(np.diff(group[rows])) + 1).tolist(), len(rows)]
-    around = np.concatenate([rows, rows])
-    episodes = np.empty((n_episodes, n_touches), dtype=np.intp)
-    for episode in episodes:
-        start = rng.integers(len(first) - 1)
-        begin, n_own = first[start], first[start + 1] - first[start]
-        enough = min(-(-n_touches // n_own) * n_own, len(rows))
-        episode[:] = rng.permutation(around[begin : begin + enough])[:n_touches]
+    first = np.array([0, *(np.flatnonzero(np.diff(group[rows])) + 1), len(rows)])
+    start = rng.integers(len(first) - 1, size=n_episodes)
+    n_own = np.diff(first)[start]
+    enough = np.minimum(-(-n_touches // n_own) * n_own, len(rows))
+    # Touches of the blocks in the order of random numbers, those beyond them last.
+    order = rng.random((n_episodes, enough.max()))
+    order[np.arange(enough.max()) >= enough[:, np.newaxis]] = np.inf
+    chosen = np.argsort(order, axis=1)[:, :n_touches]
+    episodes: Indices = rows[(first[start, np.newaxis] + chosen) % len(rows)]
     return episodes
 
 
