@@ -117,15 +117,16 @@ class GrowingInverse:
         result[: self.n_first] += first
         return result
 
-    def blocks(self, groups: Iterable[Indices]) -> Iterator[tuple[Indices, Floats]]:
-        """Yield rows of groups, each sorted, (1, size), and the inverse at them."""
+    def blocks(self, by_size: Iterable[Indices]) -> Iterator[tuple[Indices, Floats]]:
+        """Yield rows of groups of one size, each sorted, and the inverse at them."""
         frame = self._frame()
         through = np.ascontiguousarray(cho_solve(self._factor, frame.T).T)
-        for rows in groups:
-            first = rows[: np.searchsorted(rows, self.n_first)]
-            block = frame[rows] @ through[rows].T
-            block[: len(first), : len(first)] += self._first_block(first)
-            yield rows[np.newaxis], block[np.newaxis]
+        for rows in by_size:
+            blocks = frame[rows] @ through[rows].transpose(0, 2, 1)
+            for mine, block in zip(rows, blocks, strict=True):
+                first = mine[: np.searchsorted(mine, self.n_first)]
+                block[: len(first), : len(first)] += self._first_block(first)
+            yield rows, blocks
 
     def _frame(self) -> Floats:
         """Return Z."""

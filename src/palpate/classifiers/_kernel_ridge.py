@@ -37,7 +37,7 @@ from ._touch_classifier import (
 
 # Temperature and bend of the posterior are fitted to at most so many touches, and so
 # many of their answers, one for each label.
-_SHAPED_BY, _SHAPED_ANSWERS = 10_000, 500_000
+_SHAPED_BY, _SHAPED_ANSWERS = 2000, 500_000
 # Touches that shape it at once: their answers stay in a processor's cache.
 _SHAPED_AT_ONCE = 256
 # Touches whose kernel with the landmarks is in memory at once.
@@ -51,8 +51,9 @@ _JITTER = 1e-8
 # Where the search for a temperature begins, and where it stays.
 _USUAL_TEMPERATURE = 8.0
 _TEMPERATURES = float(np.exp(-3)), float(np.exp(6))
-# Temperature, bend and lean of a posterior.
+# Temperature, bend and lean of a posterior, and from where the best ones are sought.
 Shape = tuple[float, float, float]
+_USUAL_SHAPE = _USUAL_TEMPERATURE, 0.5, 1.0
 
 # Rows of touches, some of them -> their kernel with the landmarks.
 KernelOf = Callable[[Indices], Floats]
@@ -93,10 +94,11 @@ class KernelRidgeClassifier(BayesRule):
     temperature_, bend_ : float
         Scores s enter the softmax as temperature s / (1 + bend |s|): regression
         scores of sure touches are too large for a factor alone.
+    lean_ : float
+        How much the scores lean towards labels of many training touches.
     log_counts_ : ndarray of shape (n_classes,)
-        Logarithms of the numbers of training touches, times what the scores lean
-        towards frequent labels; subtracted, so that posteriors are those under equal
-        priors.
+        Logarithms of the numbers of training touches, times `lean_`; subtracted, so
+        that posteriors are those under equal priors.
     left_out_scores_ : ndarray of shape (n_touches, n_classes)
         Regression scores of each training touch with its group left out.
     mean_ : ndarray of shape (n_features,)
@@ -222,7 +224,7 @@ class KernelRidgeClassifier(BayesRule):
         blocks: Blocks
         if grown is not None:
             self.coefficients_ = grown.coefficients(target, self.classes_)
-            blocks = grown.blocks(_members(group))
+            blocks = grown.blocks(_by_size(group))
             left_out = _left_out(blocks, self.coefficients_, target)
             self.touches_ = centred
         elif len(centred) <= n_touches:
@@ -256,9 +258,12 @@ class KernelRidgeClassifier(BayesRule):
         self.squared_norms_ = np.einsum("ij,ij->i", self.touches_, self.touches_)
         self.left_out_scores_ = left_out
         some = _thin(codes, min(_SHAPED_BY, _SHAPED_ANSWERS // target.shape[1] + 1))
-        shape, self.log_loss_ = _best_shape(left_out[some], codes[some])
-        self.temperature_, self.bend_, lean = shape
-        self.log_counts_ = lean * _log_counts(codes, target.shape[1])
+        start = _USUAL_SHAPE
+        if grown is not None:
+            start = self.temperature_, self.bend_, self.lean_
+        shape, self.log_loss_ = _best_shape(left_out[some], codes[some], start)
+        self.temperature_, self.bend_, self.lean_ = shape
+        self.log_counts_ = self.lean_ * _log_counts(codes, target.shape[1])
 
     def _grown(self, touches: Floats, codes: Array) -> GrowingInverse | None:
         """Return the inverse with a few touches more than it has, None of others."""
@@ -438,7 +443,9 @@ def _smoothed_loss(scores: Floats, codes: Array) -> float:
             temperature = float(np.sqrt(low * high))
 
 
-def _best_shape(scores: Floats, codes: Array) -> tuple[Shape, float]:
+def _best_shape(
+    scores: Floats, codes: Array, start: Shape = _USUAL_SHAPE
+) -> tuple[Shape, float]:
     """Return (temperature, bend, lean) with the least log loss, and that loss (nats).
 
     The lean counts where labels have unequal numbers of touches, and is 1 elsewhere.
@@ -467,7 +474,7 @@ def _best_shape(scores: Floats, codes: Array) -> tuple[Shape, float]:
 
     found = minimize(
         loss,
-        [np.log(_USUAL_TEMPERATURE), np.log(0.5), 1.0][:n_free],
+        [*np.log(start[:2]), start[2]][:n_free],
         jac=True,
         bounds=[tuple(np.log(_TEMPERATURES)), (-8.0, 6.0), (0.0, 6.0)][:n_free],
         method="L-BFGS-B",

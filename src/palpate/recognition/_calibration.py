@@ -30,7 +30,7 @@ from ._evidence import SequenceCalibration, is_informative, with_floor
 from ._unknown import MOST_ASKED
 
 EPISODES_PER_OBJECT = 40
-# Long episodes in all, of all objects together.
+# Episodes of one length in all, of all objects together.
 IN_ALL = 1000
 LENGTHS = (1, 2, 3, 5, 8, 12, 20, 30)
 _LEAST_CORRELATION = 6e-6
@@ -149,13 +149,18 @@ def draw_episodes(
     ones as hold them: a visit to an object is rarely spread over a whole
     recording. Objects with fewer touches are left out.
     """
-    of_each = (np.flatnonzero(episode_of == name) for name in np.unique(episode_of))
+    names = np.unique(episode_of)
+    of_each = (np.flatnonzero(episode_of == name) for name in names)
     episodes = [
-        _episodes_of(rows, group, n_touches, EPISODES_PER_OBJECT, rng)
+        _episodes_of(rows, group, n_touches, _n_each(len(names)), rng)
         for rows in of_each
         if len(rows) >= n_touches
     ]
     return np.concatenate([np.empty((0, n_touches), dtype=np.intp), *episodes])
+
+
+def _n_each(n_objects: int) -> int:
+    return min(EPISODES_PER_OBJECT, max(1, IN_ALL // n_objects))
 
 
 def _episodes_of(
@@ -177,6 +182,7 @@ def _episodes_of(
 def draw_all(objects: Array, group: Array, seed: int) -> dict[int, Array]:
     """Draw episodes of all lengths for which some object has the touches."""
     rng = np.random.default_rng(seed)
+    objects = np.unique(objects, return_inverse=True)[1]  # numbers are soon compared
     drawn = {k: draw_episodes(objects, group, k, rng) for k in LENGTHS}
     return {k: rows for k, rows in drawn.items() if len(rows)}
 
@@ -191,12 +197,11 @@ def draw_asked(objects: Array, group: Array, seed: int) -> list[Indices]:
     names, counts = np.unique(objects, return_counts=True)
     some = np.unique(np.linspace(0, len(names) - 1, IN_ALL).astype(int))
     longest = min(MOST_ASKED, int(counts[some].max()))
-    n_each = min(EPISODES_PER_OBJECT, max(1, IN_ALL // len(some)))
     drawn = []
     for k in some:
         n_touches = min(longest, int(counts[k]))
         mine = np.flatnonzero(objects == names[k])
-        rows = _episodes_of(mine, group, n_touches, n_each, rng)
+        rows = _episodes_of(mine, group, n_touches, _n_each(len(some)), rng)
         over = ((0, 0), (0, longest - n_touches))
         drawn.append(np.pad(rows, over, constant_values=-1))
     return drawn
@@ -210,7 +215,8 @@ def fit_sequence_calibration(
     used = is_informative(floored)
     # A row for each episode, with a one for each of its touches.
     touches = np.concatenate([rows.ravel() for rows in drawn])
-    ends = np.cumsum([0, *(len(one) for rows in drawn for one in rows)])
+    lengths = np.repeat([rows.shape[1] for rows in drawn], [len(r) for r in drawn])
+    ends = np.concatenate([[0], np.cumsum(lengths)])
     sums = csr_array((np.ones(len(touches)), touches, ends), (len(ends) - 1, len(used)))
     total, count = sums @ floored, sums @ used.astype(float)
     others = np.maximum(count - 1, 0)
