@@ -1,8 +1,25 @@
 """Sums of exponentials, for the millions of small ones between a touch and a belief."""
 
+import cv2
 import numpy as np
 
 from ._types import Array, Floats
+
+# OpenCV counts the elements of a row in 32 bits.
+_MOST = 2**31 - 1
+
+
+def exp(values: Array, out: Array | None = None) -> Array:
+    """Return e to the power of values, in `out` if given, which may be `values`.
+
+    `np.exp` but for the last bit. OpenCV's takes a fifth of the time where numpy has
+    no vector code for double precision (processors without AVX-512).
+    """
+    plain = values.flags.c_contiguous and (out is None or out.flags.c_contiguous)
+    if not (plain and 0 < values.size <= _MOST and values.dtype.kind == "f"):
+        return np.asarray(np.exp(values, out=out))
+    into = None if out is None else out.reshape(1, -1)
+    return cv2.exp(values.reshape(1, -1), dst=into).reshape(values.shape)
 
 
 def log_softmax(values: Array, axis: int = -1) -> Floats:
@@ -14,7 +31,7 @@ def log_softmax(values: Array, axis: int = -1) -> Floats:
     if not np.isfinite(largest).all():
         largest = np.where(np.isfinite(largest), largest, 0)
     result: Floats = values - largest
-    total = np.exp(result).sum(axis=axis, keepdims=True)
+    total = exp(result).sum(axis=axis, keepdims=True)
     with np.errstate(divide="ignore"):
         result -= np.log(total)
     return result
@@ -30,7 +47,7 @@ def log_loss(logits: Floats, codes: Array, shares: Floats) -> tuple[float, Float
     own = logits[each, codes]
     largest = logits.max(axis=1)
     logits -= largest[:, np.newaxis]
-    np.exp(logits, out=logits)
+    exp(logits, out=logits)
     total = logits.sum(axis=1)
     loss = (largest + np.log(total) - own) @ shares
     logits *= (shares / total)[:, np.newaxis]

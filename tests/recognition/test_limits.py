@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import log_softmax
 from scipy.stats import beta
 
 from palpate import ObjectRecogniser, Touches, simulate_presses
+from palpate._numbers import exp
 from palpate.recognition import SequenceCalibration, episode_scores, with_floor
 from palpate.recognition._calibration import draw_asked
 from palpate.recognition._unknown import (
@@ -59,6 +60,25 @@ def scores_of(given, limits, floored, each):
 def limits_of(given, n_units=None):
     episodes = draw_asked(given.codes, np.zeros(len(given.codes), int), 0)
     return fit_limits(given, episodes, n_units or len(episodes), "these")
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32])
+def test_exponentials_are_numpys_but_for_the_last_bit(rng, kind):
+    values = rng.uniform(-80, 80, size=(5, 7, 31)).astype(kind)
+    # Two steps of the type, of numbers around 1.
+    near = 4 * np.finfo(kind).eps
+    known = np.exp(values.astype(np.float64))
+    assert_allclose(exp(values), known, rtol=near)
+    assert exp(values).dtype == kind
+    # Wherever they lie, the same; those of another layout too.
+    assert_array_equal(exp(values[2, 3, 5:8].copy()), exp(values)[2, 3, 5:8])
+    assert_allclose(exp(values[:, ::2].T), known[:, ::2].T, rtol=near)
+    assert exp(values[:0]).shape == (0, 7, 31)
+    assert exp(kind(0) * values[0, 0, 0]) == 1
+    limits = np.array([-np.inf, -1e30, -1.0, 0.0, np.inf, np.nan], kind)
+    assert_allclose(exp(limits), [0, 0, np.exp(-1), 1, np.inf, np.nan], rtol=near)
+    assert exp(values, out=values) is not None
+    assert_allclose(values, known, rtol=near)
 
 
 def test_the_score_is_how_little_encodings_give_to_one_name():

@@ -20,6 +20,7 @@ from sklearn.svm import SVC
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_option, check_positive, check_squarable
+from .._numbers import exp
 from .._types import Array, Floats
 from ._kernel_sums import blocks_of, learn_whitening, whiten
 from ._touch_classifier import BayesRule, as_touches, labelled_touches
@@ -154,7 +155,7 @@ class KernelDensityNaiveBayes(BayesRule):
         exponents /= -2
         largest = np.maximum.reduceat(exponents, starts, axis=0)
         exponents -= np.repeat(largest, self.counts_, axis=0)
-        np.exp(exponents, out=exponents)
+        exp(exponents, out=exponents)
         sums: Floats = np.add.reduceat(exponents, starts, axis=0)
         return (largest + np.log(sums)).T
 

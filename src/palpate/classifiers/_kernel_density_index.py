@@ -18,6 +18,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count
 from .._extras import needed
+from .._numbers import exp
 from .._types import Array, Floats, Indices, Singles
 from . import _kernel_sums
 from ._kernel_density import KernelDensityBayes
@@ -151,7 +152,7 @@ class KernelDensityIndex:
             # The log of the sum over the cells of each object.
             top = np.maximum.reduceat(cells, self.starts_, axis=1)
             counts = np.diff(np.append(self.starts_, cells.shape[1]))
-            relative = np.exp(cells - np.repeat(top, counts, axis=1))
+            relative = exp(cells - np.repeat(top, counts, axis=1))
             totals = np.add.reduceat(relative, self.starts_, axis=1)
             sums = top.astype(np.float64) + np.log(totals) + model.log_norms_
             kept = np.argpartition(-sums, self.n_exact - 1, axis=1)[:, : self.n_exact]

@@ -24,7 +24,7 @@ from sklearn.metrics.pairwise import euclidean_distances
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_positive, check_squarable
-from .._numbers import log_loss, log_softmax
+from .._numbers import exp, log_loss, log_softmax
 from .._types import Array, Floats, Indices
 from ._growing_inverse import GrowingInverse
 from ._touch_classifier import (
@@ -130,6 +130,9 @@ class KernelRidgeClassifier(BayesRule):
     """
 
     classes_: Array
+    temperature_: float
+    bend_: float
+    lean_: float
 
     def __init__(
         self,
@@ -198,7 +201,8 @@ class KernelRidgeClassifier(BayesRule):
         target, by_size = _one_hot(codes, codes.max() + 1), _by_size(group[some])
         best, at = np.inf, len(ridges) // 2
         for width in widths:
-            kernel = np.exp(-width / self.unit_ * squared)
+            kernel = -width / self.unit_ * squared
+            exp(kernel, out=kernel)
 
             @cache
             def loss(k: int, kernel: Floats = kernel) -> float:
@@ -284,7 +288,7 @@ class KernelRidgeClassifier(BayesRule):
     def _kernel(self, squared: Floats) -> Floats:
         """Turn squared distances into the kernel, in place."""
         squared *= -self.width_ / self.unit_
-        return np.asarray(np.exp(squared, out=squared))
+        return exp(squared, out=squared)
 
     def scores(self, X: ArrayLike) -> Floats:
         """Return the regression scores, shape (n_touches, n_classes); 1 is sure."""

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 from sklearn.utils import gen_batches
 
+from .._numbers import exp
 from .._types import Array, Bools, Floats, Indices
 
 Tiles = NDArray[np.floating]
@@ -81,7 +82,7 @@ def tile_log_sums(x: Floats, tiles: Tiles, tile_counts: Indices) -> Floats:
     ]
     largest, sums = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
     top = np.maximum.reduceat(largest, starts, axis=0)
-    sums *= np.exp(largest - top[owner])
+    sums *= exp(largest - top[owner])
     totals = np.add.reduceat(sums, starts, axis=0, dtype=np.float64)
     return np.asarray((top + np.log(totals)).T)
 
@@ -151,14 +152,14 @@ def _sums_of_tiles(extended: Tiles, tiles: Tiles) -> tuple[Tiles, Tiles]:
         exponents: Tiles = extended @ tiles.transpose(0, 2, 1)
         largest = exponents.max(axis=2)
         exponents -= largest[:, :, np.newaxis]
-        np.exp(exponents, out=exponents)
+        exp(exponents, out=exponents)
         return largest, exponents @ ones
     exponents = tiles @ np.ascontiguousarray(extended.T)
     # One half against the other runs over long rows, which numpy does faster.
     halves = np.maximum(exponents[:, : TILE // 2], exponents[:, TILE // 2 :])
     largest = halves.max(axis=1)
     exponents -= largest[:, np.newaxis]
-    np.exp(exponents, out=exponents)
+    exp(exponents, out=exponents)
     return largest, ones @ exponents
 
 

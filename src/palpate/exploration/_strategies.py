@@ -36,6 +36,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
 from .._checks import check_count, check_number, check_positive
+from .._numbers import exp
 from .._types import Floats
 from ..simulation import SensorPose
 from ._record import History, TouchRecord, as_touches
@@ -225,10 +226,10 @@ class Stations:
 
     def expected_gain(self, log_joint: Floats, n_touches: int) -> Floats:
         """Return gains (nats), (n_rings * n_turns,), by belief (n_objects, n_turns)."""
-        joint = np.exp(log_joint).astype(np.float32)
+        joint = exp(log_joint).astype(np.float32)
         turned = joint[:, self._back]
         weight = np.float32(self._map.sequence_calibration.weight(n_touches + 1))
-        given = turned[:, np.newaxis] @ np.exp(weight * self._evidence)
+        given = turned[:, np.newaxis] @ exp(weight * self._evidence)
         everything = np.maximum(given.sum(axis=0), _LEAST)
         total = np.zeros(everything.shape[:2])
         for code, rows in enumerate(self._map.rows_of_object):

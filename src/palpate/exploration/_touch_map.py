@@ -29,6 +29,7 @@ from scipy.optimize import minimize
 from scipy.special import log_softmax, logsumexp
 
 from .._checks import check_count
+from .._numbers import exp
 from .._types import Array, Floats, Indices
 from ..recognition import (
     Belief,
@@ -236,7 +237,7 @@ class TouchMap:
     def closeness(self, stations: Floats) -> Floats:
         """Return K of training touches about stations, (n_stations, n_touches)."""
         squared = squared_distances(stations, self.places_)
-        kernel = np.exp(squared / (-2 * self.width_**2)) + _ELSEWHERE
+        kernel = exp(squared / (-2 * self.width_**2)) + _ELSEWHERE
         for rows in self.rows_of_object:
             kernel[:, rows] /= kernel[:, rows].sum(axis=1, keepdims=True)
         return kernel
@@ -427,4 +428,4 @@ def freshness(candidates: Floats, touched: Floats, width: float) -> Floats:
     if not len(touched):
         return np.ones(len(candidates))
     squared = squared_distances(candidates, touched)
-    return np.asarray((1 - np.exp(squared / (-2 * width**2))).prod(axis=1))
+    return np.asarray((1 - exp(squared / (-2 * width**2))).prod(axis=1))

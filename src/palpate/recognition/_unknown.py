@@ -23,13 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta
 
-from .._numbers import log_softmax
+from .._numbers import exp, log_softmax
 from .._types import Array, Bools, Floats, Indices
 from ._evidence import (
     SequenceCalibration,
     beliefs_after,
     doubts,
     is_informative,
+    summed_up,
     with_floor,
 )
 
@@ -197,7 +198,7 @@ def episode_scores(
 def _mean_so_far(values: Floats, used: Bools) -> Floats:
     """Return the mean of (..., n_touches, n_objects) over the touches so far in use."""
     wide = used[..., np.newaxis]
-    total = np.where(wide, values, 0.0).cumsum(axis=-2)
+    total = summed_up(np.where(wide, values, 0.0), values.ndim - 2)
     return np.asarray(total / np.maximum(wide.cumsum(axis=-2), 1))
 
 
@@ -448,8 +449,8 @@ def summed_by_category(log_posterior: Floats, codes: Array, present: Array) -> F
 
     `present` are all the codes (n_objects,) there are, sorted.
     """
-    shares = np.exp(np.maximum(log_posterior, LEAST_LOG))
+    shares = exp(np.maximum(log_posterior, LEAST_LOG))
     mine = (codes[:, np.newaxis] == present).astype(np.float64)
     # As one matrix: products of many small ones take several times as long.
-    summed = shares.reshape(-1, len(codes)) @ mine
-    return np.log(summed).reshape(*shares.shape[:-1], len(present))
+    summed: Floats = np.log(shares.reshape(-1, len(codes)) @ mine)
+    return summed.reshape(*shares.shape[:-1], len(present))

@@ -18,6 +18,7 @@ from scipy.linalg.lapack import dpotrf
 from sklearn.utils import check_array
 
 from ..._checks import check_count, check_number, check_width
+from ..._numbers import exp
 from ..._types import Array, Floats
 from ._dense import DenseKernels
 from ._problem import BLOCK_BYTES, Solution, row_blocks
@@ -176,7 +177,7 @@ def _fill_gaussians(
             known[sigma] = place, steps + 1
         else:
             np.multiply(squared, -0.5 / sigma**2, out=place)
-            np.exp(place, out=place)
+            exp(place, out=place)
             known[sigma] = place, 0
 
 
