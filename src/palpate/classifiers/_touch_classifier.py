@@ -200,8 +200,15 @@ def labelled_touches(
     """
     check_label_kinds(y)
     touches, labels = validate_data(estimator, X, y, dtype=np.float64, reset=reset)
-    check_classification_targets(labels)
+    check_targets(labels)
     return touches, labels
+
+
+def check_targets(labels: Array) -> None:
+    """Refuse labels (n_touches,) that are no classes, as scikit-learn does."""
+    # Of text and whole numbers it would find nothing, in a millisecond or two.
+    if labels.dtype.kind not in "biuSU":
+        check_classification_targets(labels)
 
 
 def as_touches(estimator: BaseEstimator, X: ArrayLike) -> Floats:

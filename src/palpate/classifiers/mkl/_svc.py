@@ -12,7 +12,6 @@ from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import Tags, check_random_state
 from sklearn.utils.metaestimators import available_if
-from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import (
     check_consistent_length,
     check_is_fitted,
@@ -23,6 +22,7 @@ from sklearn.utils.validation import (
 from ... import _checks
 from ..._checks import check_count, check_option, check_positive, check_squarable
 from ..._types import Array, Floats
+from .._touch_classifier import check_targets
 from . import _kernels, _pairs
 from ._kernels import FeatureBank, GivenBank, Kernel, check_given, check_kernels
 from ._landmarks import LandmarkFeatures, NystroemBank
@@ -331,7 +331,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         else:
             touches, labels = validate_data(self, X, y, dtype=np.float64)
             check_squarable("X", touches)
-        check_classification_targets(labels)
+        check_targets(labels)
         return touches, labels
 
     def _store(self, bank: Bank, machines: PairMachines) -> None:
