@@ -34,6 +34,8 @@ EPISODES_PER_OBJECT = 40
 IN_ALL = 1000
 LENGTHS = (1, 2, 3, 5, 8, 12, 20, 30)
 _LEAST_CORRELATION = 6e-6
+# Of each object the touches, block by block, and where blocks begin and the last ends.
+InBlocks = list[tuple[Indices, Indices]]
 
 
 class Modality(BaseEstimator):
@@ -149,41 +151,46 @@ def draw_episodes(
     ones as hold them: a visit to an object is rarely spread over a whole
     recording. Objects with fewer touches are left out.
     """
-    names = np.unique(episode_of)
-    of_each = (np.flatnonzero(episode_of == name) for name in names)
-    episodes = [
-        _episodes_of(rows, group, n_touches, _n_each(len(names)), rng)
-        for rows in of_each
-        if len(rows) >= n_touches
+    each = _in_order(episode_of, group)
+    return _drawn(each, n_touches, _n_each(each), rng)
+
+
+def _in_order(objects: Array, group: Array) -> InBlocks:
+    """Return each object's touches block by block, and where blocks begin and end."""
+    order = np.lexsort((group, np.unique(objects, return_inverse=True)[1]))
+    ends = np.flatnonzero(objects[order][1:] != objects[order][:-1]) + 1
+    return [
+        (rows, np.array([0, *(np.flatnonzero(np.diff(group[rows])) + 1), len(rows)]))
+        for rows in np.split(order, ends)
     ]
-    return np.concatenate([np.empty((0, n_touches), dtype=np.intp), *episodes])
 
 
-def _n_each(n_objects: int) -> int:
-    return min(EPISODES_PER_OBJECT, max(1, IN_ALL // n_objects))
+def _n_each(objects: InBlocks) -> int:
+    return min(EPISODES_PER_OBJECT, max(1, IN_ALL // len(objects)))
 
 
-def _episodes_of(
-    rows: Array, group: Array, n_touches: int, n_episodes: int, rng: np.random.Generator
+def _drawn(
+    objects: InBlocks, n_touches: int, n_each: int, rng: np.random.Generator
 ) -> Indices:
-    rows = rows[np.argsort(group[rows], kind="stable")]
-    first = np.array([0, *(np.flatnonzero(np.diff(group[rows])) + 1), len(rows)])
-    start = rng.integers(len(first) - 1, size=n_episodes)
-    n_own = np.diff(first)[start]
-    enough = np.minimum(-(-n_touches // n_own) * n_own, len(rows))
-    # Touches of the blocks in the order of random numbers, those beyond them last.
-    order = rng.random((n_episodes, enough.max()))
-    order[np.arange(enough.max()) >= enough[:, np.newaxis]] = np.inf
-    chosen = np.argsort(order, axis=1)[:, :n_touches]
-    episodes: Indices = rows[(first[start, np.newaxis] + chosen) % len(rows)]
-    return episodes
+    episodes = [np.empty((0, n_touches), dtype=np.intp)]
+    for rows, ends in objects:
+        if len(rows) < n_touches:
+            continue
+        start = rng.integers(len(ends) - 1, size=n_each)
+        n_own = np.diff(ends)[start]
+        enough = np.minimum(-(-n_touches // n_own) * n_own, len(rows))
+        # Touches of the blocks in the order of random numbers, those beyond them last.
+        order = rng.random((n_each, enough.max()))
+        order[np.arange(enough.max()) >= enough[:, np.newaxis]] = np.inf
+        chosen = np.argsort(order, axis=1)[:, :n_touches]
+        episodes.append(rows[(ends[start, np.newaxis] + chosen) % len(rows)])
+    return np.concatenate(episodes)
 
 
 def draw_all(objects: Array, group: Array, seed: int) -> dict[int, Array]:
     """Draw episodes of all lengths for which some object has the touches."""
-    rng = np.random.default_rng(seed)
-    objects = np.unique(objects, return_inverse=True)[1]  # numbers are soon compared
-    drawn = {k: draw_episodes(objects, group, k, rng) for k in LENGTHS}
+    rng, each = np.random.default_rng(seed), _in_order(objects, group)
+    drawn = {k: _drawn(each, k, _n_each(each), rng) for k in LENGTHS}
     return {k: rows for k, rows in drawn.items() if len(rows)}
 
 
@@ -193,15 +200,14 @@ def draw_asked(objects: Array, group: Array, seed: int) -> list[Indices]:
     Like those of `draw_episodes`, each as long as its object has touches, up to
     `MOST_ASKED`; of very many objects, of some.
     """
-    rng = np.random.default_rng(seed)
-    names, counts = np.unique(objects, return_counts=True)
-    some = np.unique(np.linspace(0, len(names) - 1, IN_ALL).astype(int))
-    longest = min(MOST_ASKED, int(counts[some].max()))
+    rng, each = np.random.default_rng(seed), _in_order(objects, group)
+    some = np.unique(np.linspace(0, len(each) - 1, IN_ALL).astype(int))
+    each = [each[k] for k in some]
+    longest = min(MOST_ASKED, max(len(rows) for rows, _ in each))
     drawn = []
-    for k in some:
-        n_touches = min(longest, int(counts[k]))
-        mine = np.flatnonzero(objects == names[k])
-        rows = _episodes_of(mine, group, n_touches, _n_each(len(some)), rng)
+    for one in each:
+        n_touches = min(longest, len(one[0]))
+        rows = _drawn([one], n_touches, _n_each(each), rng)
         over = ((0, 0), (0, longest - n_touches))
         drawn.append(np.pad(rows, over, constant_values=-1))
     return drawn

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._checks import check_positive
-from .._numbers import exp, log_softmax
+from .._numbers import exp, log, log_softmax
 from .._types import Array, Bools, Floats, Indices
 from ..touches import Touches
 
@@ -147,7 +147,7 @@ def with_floor(log_likelihood: Floats, floor: float) -> Floats:
     exp(mixed, out=mixed)
     mixed *= (1 - floor) / mixed.sum(axis=-1, keepdims=True)
     mixed += floor / mixed.shape[-1]
-    return np.log(mixed, out=mixed)
+    return log(mixed, out=mixed)
 
 
 def log_posteriors(
@@ -168,12 +168,20 @@ def beliefs_after(
 
     `used` (..., n_touches); `floored` has objects last, perhaps encodings before.
     """
+    total, count = sums_after(used, floored, log_prior, calibration)
+    return log_softmax(total, axis=-1), count
+
+
+def sums_after(
+    used: Bools, floored: Floats, log_prior: Floats, calibration: SequenceCalibration
+) -> tuple[Floats, Indices]:
+    """Return those of `beliefs_after` but for a constant of each touch."""
     wide = used.reshape(used.shape + (1,) * (floored.ndim - used.ndim))
     total = summed_up(np.where(wide, floored, 0.0), used.ndim - 1)
     count = used.cumsum(axis=-1)
     total *= calibration.weight(count).reshape(wide.shape)
     total += log_prior
-    return log_softmax(total, axis=-1), count
+    return total, count
 
 
 def summed_up(values: Floats, axis: int) -> Floats:
@@ -206,7 +214,11 @@ def doubts(log_posterior: Floats) -> Floats:
 
     Summed over the other objects, so that it stays exact near 0.
     """
-    others = exp(log_posterior)
-    best = log_posterior.argmax(axis=-1)
-    np.put_along_axis(others, best[..., np.newaxis], 0, axis=-1)
-    return np.asarray(others.sum(axis=-1))
+    return besides_the_best(exp(log_posterior))
+
+
+def besides_the_best(shares: Floats) -> Floats:
+    """Return the sum of shares (..., n_objects) without the largest, which is lost."""
+    best = shares.argmax(axis=-1)
+    np.put_along_axis(shares, best[..., np.newaxis], 0, axis=-1)
+    return np.asarray(shares.sum(axis=-1))

@@ -23,14 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta
 
-from .._numbers import exp, log_softmax
+from .._numbers import exp, log, log_softmax, softmaxes
 from .._types import Array, Bools, Floats, Indices
 from ._evidence import (
     SequenceCalibration,
     beliefs_after,
-    doubts,
+    besides_the_best,
     is_informative,
     summed_up,
+    sums_after,
     with_floor,
 )
 
@@ -344,26 +345,29 @@ def _tracks(
     # `take` keeps objects next to each other, as sums over them want it.
     said_of = left_out.log_likelihood, left_out.each, left_out.log_distances
     some, every, apart = (values[mine].take(columns, axis=-1) for values in said_of)
-    floored = with_floor(some, left_out.floor)
-    each = with_floor(every, left_out.floor)
+    # What they all say together, then what each encoding says.
+    together = np.concatenate([some[:, np.newaxis], every], axis=1)
+    floored = with_floor(together, left_out.floor)
     local = local.reshape(rows.shape)
-    used = is_informative(floored)[local] & ~over
+    used = is_informative(floored[:, 0])[local] & ~over
     prior = log_softmax(left_out.log_prior[columns])
-    belief, count = beliefs_after(used, floored[local], prior, left_out.calibration)
-    said, _ = beliefs_after(used, each[local], prior, left_out.calibration)
+    sums, count = sums_after(used, floored[local], prior, left_out.calibration)
+    said, shares, total = softmaxes(sums)
     mean = _mean_so_far(apart[local], used)
-    apart = replace(scale, usual=scale.usual[columns]).apart(said, mean)
+    apart = replace(scale, usual=scale.usual[columns]).apart(said[..., 1:, :], mean)
 
-    def ended(belief: Floats, said: Floats, names: Array, own: int) -> _Tracks:
-        right = names[belief.argmax(axis=-1)] == own
-        return _Tracks(scale.score(said, apart, count), doubts(belief), right)
+    def ended(said: Floats, shares: Floats, names: Array, own: int) -> _Tracks:
+        right = names[said[..., 0, :].argmax(axis=-1)] == own
+        doubt = besides_the_best(shares[..., 0, :] / total[..., 0, :])
+        return _Tracks(scale.score(said[..., 1:, :], apart, count), doubt, right)
 
-    result = ended(belief, said, columns, own)
+    result = ended(said, shares, columns, own)
     if groups is not None:
         present, names = np.unique(groups[columns]), groups[columns]
-        belief = summed_by_category(belief, names, present)
-        said = summed_by_category(said, names, present)
-        result.category = ended(belief, said, present, int(groups[own]))
+        shares = _by_category(shares, names, present)
+        # A category that rounding leaves nothing has the least logarithm.
+        said = np.maximum(log(shares / total), LEAST_LOG)
+        result.category = ended(said, shares, present, int(groups[own]))
     return result
 
 
@@ -450,7 +454,11 @@ def summed_by_category(log_posterior: Floats, codes: Array, present: Array) -> F
     `present` are all the codes (n_objects,) there are, sorted.
     """
     shares = exp(np.maximum(log_posterior, LEAST_LOG))
+    return log(_by_category(shares, codes, present))
+
+
+def _by_category(shares: Floats, codes: Array, present: Array) -> Floats:
     mine = (codes[:, np.newaxis] == present).astype(np.float64)
     # As one matrix: products of many small ones take several times as long.
-    summed: Floats = np.log(shares.reshape(-1, len(codes)) @ mine)
+    summed: Floats = shares.reshape(-1, len(codes)) @ mine
     return summed.reshape(*shares.shape[:-1], len(present))
