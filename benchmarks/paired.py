@@ -132,10 +132,10 @@ def learning_50(_: str) -> dict[str, float]:
 
 
 def adding(_: str) -> dict[str, float]:
-    """Add ten touches to one of 50 objects of up to 40 touches each."""
+    """Add ten touches to one of 50 objects of 3,900 touches in all."""
     from palpate.recognition import ObjectRecogniser
 
-    touches = recorded(n_objects=50, n_each=50)
+    touches = recorded(n_objects=50, n_each=100)
     mine = np.flatnonzero(touches.object == touches.object[0])
     others = np.delete(np.arange(len(touches)), mine[-10:])
     recogniser = ObjectRecogniser("default").fit(touches[others])

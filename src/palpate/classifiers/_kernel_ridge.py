@@ -223,7 +223,7 @@ class KernelRidgeClassifier(BayesRule):
         grown = self._grown(touches, codes) if len(touches) <= n_touches else None
         if grown is None:
             self.mean_ = touches.mean(axis=0)
-        centred = touches - self.mean_
+        centred = touches - self.mean_ if grown is None else grown.touches
         self._inverse = grown
         blocks: Blocks
         if grown is not None:
