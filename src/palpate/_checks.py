@@ -112,15 +112,13 @@ def check_images(
     *,
     shape: tuple[int, ...] | None = None,
     allow_nan: bool = False,
-    channels: bool = False,
 ) -> NDArray[np.float64]:
     """Return `X` as float images (n_touches, n_rows, n_cols), or explain.
 
     With `shape`, also insist on the image size the encoder was fitted on; NaN
-    marks a dead taxel and is refused unless `allow_nan`; a last axis of channels is
-    refused unless `channels`.
+    marks a dead taxel and is refused unless `allow_nan`.
     """
-    images = check_image_shape(X, shape=shape, channels=channels)
+    images = check_image_shape(X, shape=shape)
     return check_finite(images.astype(np.float64, copy=False), allow_nan=allow_nan)
 
 
