@@ -27,8 +27,10 @@ def log(values: Array, out: Array | None = None) -> Array:
 
 
 def _each(quick: Any, plain: Any, values: Array, out: Array | None) -> Array:
-    fits = values.flags.c_contiguous and (out is None or out.flags.c_contiguous)
-    if not (fits and 0 < values.size <= _MOST and values.dtype.kind == "f"):
+    arrays = [values] if out is None else [values, out]
+    fits = all(a.flags.c_contiguous and a.dtype == values.dtype for a in arrays)
+    known = values.dtype in (np.float64, np.float32)
+    if not (fits and known and 0 < values.size <= _MOST):
         return np.asarray(plain(values, out=out))
     into = None if out is None else out.reshape(1, -1)
     return np.asarray(quick(values.reshape(1, -1), dst=into)).reshape(values.shape)

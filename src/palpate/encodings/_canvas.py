@@ -368,17 +368,11 @@ def _circle(
     row, col = ((radius * f(angle)).round(6) for f in (np.sin, np.cos))
     columns, which = np.unique(col, return_inverse=True)
     tops, lefts = (np.floor(v).astype(int) for v in (row, columns))
-    return (
-        list(zip((lefts + margin).tolist(), (columns - lefts).tolist(), strict=True)),
-        list(
-            zip(
-                which.tolist(),
-                (tops + margin).tolist(),
-                (row - tops).tolist(),
-                strict=True,
-            )
-        ),
-    )
+    between = zip((lefts + margin).tolist(), (columns - lefts).tolist(), strict=True)
+    down = zip((tops + margin).tolist(), (row - tops).tolist(), strict=True)
+    return list(between), [
+        (k, *one) for k, one in zip(which.tolist(), down, strict=True)
+    ]
 
 
 def _moved(images: Array, row: float, col: float) -> Array:
