@@ -27,12 +27,13 @@ def log(values: Array, out: Array | None = None) -> Array:
 
 
 def _each(quick: Any, plain: Any, values: Array, out: Array | None) -> Array:
-    arrays = [values] if out is None else [values, out]
-    fits = all(a.flags.c_contiguous and a.dtype == values.dtype for a in arrays)
-    known = values.dtype in (np.float64, np.float32)
-    if not (fits and known and 0 < values.size <= _MOST):
+    fits = values.flags.c_contiguous and values.dtype in (np.float64, np.float32)
+    into = None
+    if out is not None:
+        fits = fits and out.flags.c_contiguous and out.dtype == values.dtype
+        into = out.reshape(1, -1)
+    if not (fits and 0 < values.size <= _MOST):
         return np.asarray(plain(values, out=out))
-    into = None if out is None else out.reshape(1, -1)
     return np.asarray(quick(values.reshape(1, -1), dst=into)).reshape(values.shape)
 
 
