@@ -14,8 +14,8 @@ _MOST = 2**31 - 1
 def exp(values: Array, out: Array | None = None) -> Array:
     """Return e to the power of values, in `out` if given, which may be `values`.
 
-    `np.exp` but for the last bit. OpenCV's takes a fifth of the time where numpy has
-    no vector code for double precision (processors without AVX-512).
+    `np.exp` within two units in the last place. OpenCV's takes a fifth of the time
+    where numpy has no vector code for it (processors without AVX-512).
     """
     return _each(cv2.exp, np.exp, values, out)
 

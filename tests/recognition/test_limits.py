@@ -634,7 +634,8 @@ def test_a_thing_that_was_never_learnt_is_called_unknown_or_waits():
     assert "unknown" not in [ends[str(name)] for name in names[:12]]
     new = [ends[str(name)] for name in names[12:]]
     assert set(new) <= {"unknown", None}
-    assert "unknown" in new
+    # Four, whatever is drawn to learn the limits; one is left to rounding.
+    assert new.count("unknown") >= 3
 
 
 def test_left_out_objects_score_as_those_that_were_never_learnt(monkeypatch):

@@ -1,7 +1,8 @@
 """What is kept of the training touches: it stays with its touches, whatever changes."""
 
 import json
-from copy import deepcopy
+from copy import copy, deepcopy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -136,13 +137,16 @@ def test_sessions_are_remembered():
 def test_models_of_format_3_are_read_and_answer_the_same(preset, tmp_path):
     model = ObjectRecogniser.load(DATA / f"format3_{preset}.palpate")
     expected = json.loads((DATA / "format3_expected.json").read_text())[preset]
-    test = Touches.load(DATA / "format3_test.npz")
+    test, near = Touches.load(DATA / "format3_test.npz"), copy(model)
     # Written on another day, maybe by another BLAS: rounding, not more.
     for touch, (posterior, _) in zip(test, expected["each"], strict=True):
         belief = model.start().update(touch)
         assert belief.posterior == pytest.approx(posterior, abs=1e-9)
-        # One encoding: what it leaves to other names, more of touches that are far.
+        # One encoding: what it leaves to other names, but for how far a touch is.
         assert belief.unknown >= belief.doubt - 1e-9
+        near.limits_ = replace(model.limits_, far=np.add(model.limits_.far, [0, 1e9]))
+        belief = near.start().update(touch)
+        assert belief.unknown == pytest.approx(belief.doubt, abs=1e-9)
     assert model.limits_.promise(0.01).n_units == 3
     again = ObjectRecogniser.load(model.save(tmp_path / "again.palpate"))
     assert_array_equal(again.log_likelihood(test), model.log_likelihood(test))
