@@ -4,7 +4,8 @@ The unknowns besides the multipliers a are eliminated by hand: bounds are diagon
 shares and their level leave a matrix of rank below the number of kernels.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from typing import Self, cast
 
 import numpy as np
@@ -15,7 +16,7 @@ from . import _problem
 from ._problem import Point, Solution, Step, Task, View, balanced, weighted
 
 # From this size on one matrix at a time is as fast as all at once.
-_LARGE = 192
+_LARGE = 50
 
 Solver = Callable[[Floats], Floats]
 
@@ -34,6 +35,7 @@ class DenseKernels:
     ) -> None:
         self.kernels, self.labels, self.means = kernels, labels, means
         self.n_kernels = int(kernels.shape[1])
+        self._signs = labels[:, :, None] * labels[:, None, :]
 
     @classmethod
     def centred(cls, kernels: Floats, labels: Floats) -> Self:
@@ -99,54 +101,48 @@ class DenseKernels:
         return (stacked @ signed[:, :, None]).reshape(n_problems, n_kernels, n)
 
     def factorise(self, diagonal: Floats, weights: Floats, root: Floats) -> Solver:
-        """Return a solver of diagonal + sum_k d_k Y K_k Y + root' root."""
+        """Return a solver of diagonal + sum_k d_k Y K_k Y + root' root.
+
+        It overwrites what it is given, (n_problems, n_right_sides, n_touches).
+        """
         n_problems, n_kernels, n, _ = self.kernels.shape
         flat = self.kernels.reshape(n_problems, n_kernels, n * n)
         matrix = (weights[:, None, :] @ flat).reshape(n_problems, n, n)
-        matrix *= self.labels[:, :, None]
-        matrix *= self.labels[:, None, :]
+        matrix *= self._signs
         matrix += root.transpose(0, 2, 1) @ root
-        matrix[:, np.arange(n), np.arange(n)] += diagonal
-        if n < _LARGE:
+        matrix.reshape(n_problems, -1)[:, :: n + 1] += diagonal
+        factors = _factors(matrix)
 
-            def solve(right: Floats) -> Floats:
-                try:
-                    return cast(Floats, np.linalg.solve(matrix, right))
-                except np.linalg.LinAlgError:
-                    size = np.abs(matrix).max(axis=(1, 2))[:, None, None]
-                    lift = 1e-14 * np.maximum(size, 1e-300) * np.eye(n)
-                    return cast(Floats, np.linalg.solve(matrix + lift, right))
+        def solve(right: Floats) -> Floats:
+            for factor, one in zip(factors, right, strict=True):
+                dpotrs(factor, one.T, lower=0, overwrite_b=1)
+            return right
 
-            return solve
-        solvers = [cholesky_solver(one) for one in matrix]
-        return lambda right: np.stack(
-            [one(r) for one, r in zip(solvers, right, strict=True)]
-        )
+        return solve
 
 
 def cholesky_solver(matrix: Floats) -> Solver:
     """Factorise one symmetric matrix, its diagonal raised where rounding spoils it."""
-    factor, failed = dpotrf(matrix.T, lower=1, clean=0)
+    factor = _factor(matrix)
+    return lambda right: cast(Floats, dpotrs(factor, right, lower=0)[0])
+
+
+def _factors(matrices: Floats) -> Iterable[Floats]:
+    if matrices.shape[1] < _LARGE:
+        with suppress(np.linalg.LinAlgError):
+            return np.linalg.cholesky(matrices).transpose(0, 2, 1)
+    return [_factor(one) for one in matrices]
+
+
+def _factor(matrix: Floats) -> Floats:
+    """Return the Cholesky factor in the upper half, all NaN where there is none."""
+    factor, failed = dpotrf(matrix.T, lower=0, clean=0)
     for share in (1e-15, 1e-13, 1e-11):
         if not failed:
-            break
+            return cast(Floats, factor)
         raised = matrix + np.diag(share * matrix.diagonal())
-        factor, failed = dpotrf(raised.T, lower=1, clean=0)
-    if failed:
-        return lambda right: np.full_like(right, np.nan)
-    return lambda right: cast(Floats, dpotrs(factor, right, lower=1)[0])
-
-
-def _pull_root(forces: Floats, gain: Floats) -> Floats:
-    """R' F of the low-rank part F' R R' F of Newton's matrix: what moving shares does.
-
-    R R' = W - W 1 1' W / 1'W1 with W = diag(`gain`), and F are the `forces`.
-    """
-    root = np.sqrt(gain)
-    unit = root / np.sqrt(gain.sum(axis=1, keepdims=True))
-    scaled = root[:, :, None] * forces
-    scaled -= unit[:, :, None] * (unit[:, None, :] @ scaled)
-    return scaled
+        factor, failed = dpotrf(raised.T, lower=0, clean=0)
+    return np.full_like(factor, np.nan) if failed else cast(Floats, factor)
 
 
 class DualNewton:
@@ -173,7 +169,9 @@ class DualNewton:
         self._excess = point.level - pulls - point.slack
         self._surplus = point.shares.sum(axis=1, keepdims=True) - 1
         diagonal = self._ratio[:, :n] + self._ratio[:, n : 2 * n]
-        root = _pull_root(self._forces, self._gain)
+        # Moving shares adds F' W F - F' W 1 1' W F / 1' W 1: W gain, F forces.
+        root = self._forces - self._lean[:, None, :]
+        root *= np.sqrt(self._gain)[:, :, None]
         self._solve = system.factorise(diagonal, task.weights(point), root)
         self._towards_bias: Floats | None = None
 
@@ -188,11 +186,11 @@ class DualNewton:
         # The multipliers, and the bias that keeps them in balance.
         labels = self._labels
         if self._towards_bias is None:
-            both = self._solve(np.stack([right, labels], axis=2))
-            alpha, self._towards_bias = both[:, :, 0], both[:, :, 1]
+            both = self._solve(np.stack([right, labels], axis=1))
+            alpha, self._towards_bias = both[:, 0], both[:, 1]
             self._stiff = (labels * self._towards_bias).sum(axis=1, keepdims=True)
         else:
-            alpha = self._solve(right[:, :, None])[:, :, 0]
+            alpha = self._solve(right[:, None])[:, 0]
         pull = (labels * alpha).sum(axis=1, keepdims=True) + self._imbalance
         bias = pull / self._stiff
         alpha = alpha - bias * self._towards_bias

@@ -13,6 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from scipy.linalg.lapack import dpotrf
 from sklearn.utils import check_array
@@ -176,8 +177,8 @@ def _fill_gaussians(
             np.multiply(place, place, out=place)
             known[sigma] = place, steps + 1
         else:
-            np.multiply(squared, -0.5 / sigma**2, out=place)
-            exp(place, out=place)
+            power = squared * (-0.5 / sigma**2)
+            place[...] = exp(power, out=power)
             known[sigma] = place, 0
 
 
@@ -260,11 +261,15 @@ class GivenBank(DenseBank):
         self.scales = kernel_scales(diagonals, mean, normalize)
 
     def blocks(self, index: Array) -> Floats:
-        n_rows, n = index.shape
-        blocks = np.empty((n_rows, len(self.scales), n, n))
+        (n_rows, n), n_kernels = index.shape, len(self.scales)
+        pairs = self._values.reshape(-1, n_kernels)
+        blocks = np.empty((n_rows, n_kernels, n, n))
         for block, row in zip(blocks, index, strict=True):
-            chosen = self._values[row[:, None], row]
-            np.multiply(chosen.transpose(2, 0, 1), self.scales[:, None, None], block)
+            places = np.add.outer(row * self.n_touches, row)
+            chosen = pairs.take(places.ravel(), axis=0)
+            # OpenCV takes a third of the time of numpy's copy.
+            cv2.transpose(chosen, dst=block.reshape(n_kernels, -1))
+            block *= self.scales[:, None, None]
         return blocks
 
 
