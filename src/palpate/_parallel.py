@@ -2,10 +2,11 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from threading import Lock
 from typing import Any
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from ._progress import Progress
 
@@ -41,8 +42,14 @@ def opencv_on_one_thread() -> Iterator[None]:
 @contextmanager
 def on_one_thread() -> Iterator[None]:
     """Keep linear algebra and OpenCV on one thread: small fits wait for the others."""
-    with threadpool_limits(limits=1), opencv_on_one_thread():
+    with _libraries().limit(limits=1), opencv_on_one_thread():
         yield
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """Return what is loaded that has threads; looking for it takes 3 ms."""
+    return ThreadpoolController()
 
 
 def in_parallel(

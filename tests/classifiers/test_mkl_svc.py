@@ -14,6 +14,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC
 from sklearn.utils.estimator_checks import parametrize_with_checks
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from palpate.classifiers import MKLSVC, GaussianKernel, LinearKernel, PolynomialKernel
 
@@ -48,6 +49,28 @@ def kernels_of(left, right, kernels=SOME):
         LinearKernel: lambda k: product,
     }
     return np.stack([by_kind[type(k)](k) for k in kernels], axis=2)
+
+
+def test_small_pairs_are_learnt_on_one_thread(problem, monkeypatch):
+    seen, cholesky = [], np.linalg.cholesky
+
+    def threads():
+        return {
+            pool["num_threads"]
+            for pool in threadpool_info()
+            if pool["user_api"] == "blas"
+        }
+
+    def noted(matrices):
+        seen.append(threads())
+        return cholesky(matrices)
+
+    monkeypatch.setattr(np.linalg, "cholesky", noted)
+    with threadpool_limits(limits=2, user_api="blas"):
+        MKLSVC(probability=False).fit(*problem)
+        assert threads() == {2}
+    assert seen
+    assert all(number == {1} for number in seen)
 
 
 def test_each_pair_is_solved_to_its_gap_with_weights_that_sum_to_one(problem):

@@ -26,9 +26,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from threadpoolctl import threadpool_limits
 
 from .._checks import check_count, check_number, check_positive
+from .._parallel import on_one_thread
 from .._types import Bools, Floats
 from ._parts import Part, find_parts
 
@@ -396,7 +396,7 @@ def window_weights(
     away = distinct * step / 2
     kernel = step**2 * window_influence(away[:, np.newaxis], away, sensing_mm, depth_mm)
     # One thread: the last digits, and so the touches, must not hang on the number.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with on_one_thread():
         values, vectors = np.linalg.eigh(kernel)
     kept = np.abs(values) > _RANK_TOLERANCE * np.abs(values).max()
     factors = vectors[:, kept].T[:, place.reshape(halves.shape)]

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 from numpy.random import Generator, SeedSequence
-from threadpoolctl import threadpool_limits
 
 from .._checks import check_count, check_number, check_option, check_positive
-from .._parallel import in_parallel
+from .._parallel import in_parallel, on_one_thread
 from .._types import Indices
 from ..touches import Touches
 from ._array import Press, PressureArray
@@ -427,7 +426,7 @@ def _press_all(
     """Press each part once, on one thread so that sums round alike everywhere."""
     loads, shift, turn, tilt_sd, roughness = draw
     pressed = []
-    with threadpool_limits(limits=1, user_api="blas"):
+    with on_one_thread():
         for part, seed in zip(parts, seeds, strict=True):
             rng = np.random.default_rng(seed)
             x, y = (shift * rng.uniform(-1, 1, size=2)).tolist()

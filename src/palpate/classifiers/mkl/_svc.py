@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Self
 
 import numpy as np
@@ -21,6 +22,7 @@ from sklearn.utils.validation import (
 
 from ... import _checks
 from ..._checks import check_count, check_option, check_positive, check_squarable
+from ..._parallel import on_one_thread
 from ..._types import Array, Floats
 from .._touch_classifier import check_targets
 from . import _kernels, _pairs
@@ -211,7 +213,9 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
                 f"{self.classes_[0]}. Add touches of another."
             )
         bank = self._make_bank(touches, codes)
-        machines = _pairs.learn_pairs(bank, codes, settings)
+        small = not isinstance(bank, NystroemBank)
+        with on_one_thread() if small else nullcontext():
+            machines = _pairs.learn_pairs(bank, codes, settings)
         self._store(bank, machines)
         self.temperature_ = 1.0
         if settings.calibrate and len(self.classes_) > 2:
