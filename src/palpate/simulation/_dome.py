@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import check_count, check_number, check_positive
+from .._parallel import opencv_on_one_thread
 from .._types import Floats
 from ._membrane import Contact, Membrane, solve_contact
 from ._optics import SURROUND_GREY, Lighting, Optics, Plane, View
@@ -289,7 +290,8 @@ class DomeCamera(DomeSensor):
         """
         flat = np.zeros((self.n_nodes, self.n_nodes), np.float32)
         dent = flat if press is None else press.contact.displacement_mm
-        grey = self._grey(_optics(self).light(dent))
+        with opencv_on_one_thread():
+            grey = self._grey(_optics(self).light(dent))
         if rng is not None and self.noise_sd > 0:
             grey += self._noise(rng)
         grey += np.float32(0.5)

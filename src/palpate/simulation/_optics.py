@@ -25,6 +25,7 @@ _SHADED_ROWS = 128
 _MARCH_STEPS = 11
 _STEEPEST = 0.9995
 _RIM_SHARE = 0.975
+_LINE = 128
 
 
 @dataclass(frozen=True)
@@ -97,13 +98,18 @@ class Optics:
         near = max(rim - deepest_mm / 2, rim / 2)
         steps = np.linspace(near, view.distance_mm, _MARCH_STEPS, dtype=np.float32)
         self._depths = steps
-        x, y = self._at(self._depths[:, None, None])
-        self._steps = [cells.ravel() for cells in _cells(x, y, membrane)]
-        self._undented, self._at_rim = self._met_undented()
-        self._ahead = (self._sphere(x, y) - self._depths[:, None, None]).ravel()
-        # Where each ray can first meet dents up to a limit, counted through all steps.
+        # Rays are followed through all steps, one after the other; some see the rim.
+        self._undented, at_rim = self._met_undented()
+        self._rays = np.flatnonzero(~at_rim)
+        slopes = np.broadcast_arrays(self._slope_x, self._slope_y)
+        self._slopes = tuple(slope.take(self._rays) for slope in slopes)
+        x, y = self._at(steps[:, None], self._slopes)
+        self._cells = _cells(x, y, membrane).ravel()
+        ahead = self._sphere(x, y) - steps[:, None]
+        self._ahead = ahead.ravel()
+        # Where each ray can first meet dents up to a limit.
         self._limits = np.append(np.linspace(0, deepest_mm, _MARCH_STEPS), np.inf)
-        least = np.minimum.accumulate(self._ahead.reshape(_MARCH_STEPS, -1))[:-1]
+        least = np.minimum.accumulate(ahead)[:-1]
         first = [np.maximum((least > mm).sum(axis=0), 1) for mm in self._limits]
         self._starts = [one * one.size + np.arange(one.size) for one in first]
 
@@ -114,7 +120,7 @@ class Optics:
         pitch = np.float32(self._membrane.pitch_mm)
         cells = _cells(x, y, self._membrane)
         slopes = np.gradient(displacement_mm, pitch)
-        dent_y, dent_x = (_remapped(slope, *cells) for slope in slopes)
+        dent_y, dent_x = (_remapped(slope, cells) for slope in slopes)
         radius = np.float32(self._membrane.radius_mm)
         least = radius * np.float32(np.sqrt(1 - _STEEPEST**2))
         height = np.sqrt(np.maximum(radius**2 - x * x - y * y, least**2))
@@ -155,10 +161,11 @@ class Optics:
         at_rim = np.hypot(x, y) > _RIM_SHARE * radius
         return depth.astype(np.float32), at_rim
 
-    def _at(self, z: Any) -> tuple[Plane, Plane]:
-        """Where the grid's rays are at depth z, about the dome's axis."""
+    def _at(self, z: Any, slopes: Sequence[Plane] = ()) -> tuple[Plane, Plane]:
+        """Where rays, by default the grid's, are at depth z, about the dome's axis."""
+        slope_x, slope_y = slopes or (self._slope_x, self._slope_y)
         shift_x, shift_y = map(np.float32, self._view.offset_mm)
-        return self._slope_x * z + shift_x, self._slope_y * z + shift_y
+        return slope_x * z + shift_x, slope_y * z + shift_y
 
     def _sphere(self, x: Plane, y: Plane) -> Plane:
         """Depth of the undented dome; beyond the rim, of the rim."""
@@ -169,29 +176,31 @@ class Optics:
     def _first_met(self, displacement_mm: Plane) -> Plane:
         """Depth at which each ray first meets the surface: steps, then one secant."""
         limit = np.searchsorted(self._limits, displacement_mm.max(), "right")
-        place = self._starts[limit].reshape(self.grid_shape).copy()
-        ahead = self._left(place, displacement_mm)
-        at, left, last = place.ravel(), ahead.ravel(), self._ahead.size - place.size
-        going = np.flatnonzero(~self._at_rim)
-        while (going := going[(left[going] > 0) & (at[going] < last)]).size:
-            at[going] += place.size
-            left[going] = self._left(at[going], displacement_mm)
-        before = self._left(place - place.size, displacement_mm)
+        at = self._starts[limit].copy()
+        left = self._left(at, displacement_mm)
+        n_rays, last = at.size, self._ahead.size - at.size
+        going = np.flatnonzero((left > 0) & (at < last))
+        while going.size:
+            there = at[going] + n_rays
+            at[going] = there
+            left[going] = nearer = self._left(there, displacement_mm)
+            going = going[(nearer > 0) & (there < last)]
+        before = self._left(at - n_rays, displacement_mm)
         step = self._depths[1] - self._depths[0]
-        fall = np.maximum(before - ahead, np.float32(0.1) * step)
-        start = self._depths[place // place.size - 1]
+        fall = np.maximum(before - left, np.float32(0.1) * step)
+        start = self._depths.take(at // n_rays - 1)
         z = start + np.clip(before / fall, 0, 1) * step
-        x, y = self._at(z)
+        x, y = self._at(z, self._slopes)
         rest = self._sphere(x, y) - z
-        rest -= sampled(displacement_mm, x, y, self._membrane)
-        z = np.clip(z + rest * (step / fall), start, start + step)
-        return np.where(self._at_rim, self._undented, z)
+        rest -= _along(displacement_mm, _cells(x, y, self._membrane))
+        met = self._undented.copy()
+        met.put(self._rays, np.clip(z + rest * (step / fall), start, start + step))
+        return met
 
     def _left(self, places: Array, displacement_mm: Plane) -> Plane:
-        """Way from places on rays to the surface; OpenCV wants short lines of them."""
-        wide = np.resize(places, (places.size // 128 + 1, 128))
-        dent = _remapped(displacement_mm, *(axis.take(wide) for axis in self._steps))
-        return np.asarray(self._ahead.take(places) - np.resize(dent, places.shape))
+        """Way from places on rays to the surface."""
+        dents = _along(displacement_mm, self._cells.take(places))
+        return np.asarray(self._ahead.take(places) - dents)
 
 
 def shade(
@@ -216,17 +225,19 @@ def shade(
     nx, ny = slope[0] * scale, slope[1] * scale
     outward = nx * x + ny * y - scale * z
     view = -outward * to_camera
-    twice, light = 2 * away, np.zeros_like(z)
+    twice, diffuse, glossy = 2 * away, np.zeros_like(z), np.zeros_like(z)
     for led_x, led_y, _ in lighting.led_mm:  # level with the lens
         along = (2 * led_x) * x + (2 * led_y) * y
-        near = 1 / np.sqrt(away + (led_x**2 + led_y**2) - along)
+        square = 1 / (away + (led_x**2 + led_y**2) - along)
+        near = np.sqrt(square)
         facing = (led_x * nx + led_y * ny - outward) * near
         half = np.maximum(facing + view, 0)
         # Its length: twice the half vector's, whose square is 2 + 2 cos(angle).
         half *= half / (2 + (twice - along) * near * to_camera)
         gloss = np.asarray(cv2.pow(half, 0.5 * lighting.shininess)).reshape(z.shape)
-        answer = lighting.diffuse * np.maximum(facing, 0) + lighting.specular * gloss
-        light += answer * (near * near)
+        diffuse += np.maximum(facing, 0) * square
+        glossy += gloss * square
+    light = lighting.diffuse * diffuse + lighting.specular * glossy
     light = light * (distance_mm**2 / lighting.n_leds) + lighting.ambient
     cosine = z * to_camera
     return np.asarray(light * (cosine * cosine) ** 2)
@@ -234,20 +245,29 @@ def shade(
 
 def sampled(values: Plane, x: Any, y: Any, membrane: Membrane) -> Plane:
     """Return grid values at places x, y about the axis, linear, edges repeated."""
-    return np.asarray(_remapped(values, *_cells(x, y, membrane)).reshape(x.shape))
+    return _along(values, _cells(x, y, membrane).ravel()).reshape(x.shape)
 
 
-def _cells(x: Any, y: Any, membrane: Membrane) -> tuple[Plane, Plane]:
-    """Columns and rows, counted in nodes, of places about the axis."""
+def _cells(x: Any, y: Any, membrane: Membrane) -> Array:
+    """Column + i row, counted in nodes, of places about the axis."""
     per_mm = np.float32(1 / membrane.pitch_mm)
     zero = np.float32(membrane.n_nodes / 2 - 0.5)
-    x, y = np.broadcast_arrays(x, y)
-    columns, rows = x * per_mm + zero, y * per_mm + zero
-    return columns.reshape(-1, x.shape[-1]), rows.reshape(-1, x.shape[-1])
+    cells = np.empty(x.shape, np.complex64)
+    cells.real, cells.imag = x * per_mm + zero, y * per_mm + zero
+    return cells
 
 
-def _remapped(values: Plane, columns: Plane, rows: Plane) -> Plane:
+def _along(values: Plane, cells: Array) -> Plane:
+    """Grid values at a line of cells; OpenCV wants many short lines of them."""
+    lines = np.zeros((cells.size // _LINE + 1, _LINE), np.complex64)
+    lines.ravel()[: cells.size] = cells
+    return _remapped(values, lines).ravel()[: cells.size]
+
+
+def _remapped(values: Plane, cells: Array) -> Plane:
     import cv2
 
     linear, border = cv2.INTER_LINEAR, cv2.BORDER_REPLICATE
-    return np.asarray(cv2.remap(values, columns, rows, linear, borderMode=border))
+    remap: Any = cv2.remap  # whose types know no pairs
+    pairs = cells.view(np.float32).reshape(*cells.shape, 2)
+    return np.asarray(remap(values, pairs, None, linear, borderMode=border))
