@@ -109,6 +109,13 @@ class Membrane:
         height = np.sqrt(np.maximum(self.radius_mm**2 - squared, 0))
         return np.where(inside, self.radius_mm - height, np.inf)
 
+    @cached_property
+    def used_mm(self) -> tuple[Floats, Floats, Floats]:
+        """Places x and y, and drop, of the nodes within the dome, (n_used,) each."""
+        inside = np.isfinite(self.drop_mm)
+        x, y = np.meshgrid(self.node_mm, self.node_mm)
+        return x[inside], y[inside], self.drop_mm[inside]
+
     def displaced(self, node_force_n: Grid, *, whole: bool = False) -> Grid:
         """Return w (mm) of the shell under forces at the nodes (N).
 
@@ -261,27 +268,27 @@ class _Problem:
             touching = force > 0
             misfit = indented + self.gap
             inside = touching.astype(_FLOAT)
-            n_inside = inside.sum()
+            n_inside = _FLOAT(np.count_nonzero(touching))
             depth = depth_mm or np.vdot(misfit, inside) / n_inside
             misfit -= _FLOAT(depth)
             pierced = (misfit < -tolerance) & (self.reachable > touching)
-            any_pierced = pierced.any()
-            if any_pierced:
+            n_pierced = np.count_nonzero(pierced)
+            if n_pierced:
                 inside += pierced
-                n_inside = inside.sum()
+                n_inside += n_pierced
             held = misfit * inside
-            if total is not None and any_pierced:
+            if total is not None and n_pierced:
                 held -= inside * (held.sum() / n_inside)
             norm = np.vdot(held, held)
-            if norm <= n_inside * tolerance**2 and not any_pierced:
+            if norm <= n_inside * tolerance**2 and not n_pierced:
                 break
-            steady = steady and not any_pierced
+            steady = steady and not n_pierced
             search = held + (norm / before) * (search * inside) if steady else held
             before = norm
             answer = membrane._indented(search)
             step = np.vdot(held, search) / max(np.vdot(answer, search), _TINY)
             force = force - step * search
-            steady = bool(force.min() >= 0)
+            steady = not np.count_nonzero(force < 0)
             if not steady:
                 np.maximum(force, 0, out=force)
             scale = _FLOAT(1 if total is None else total / force.sum())

@@ -233,12 +233,10 @@ def gap_map(placed: PlacedObject, pose: SensorPose, membrane: Membrane) -> Float
     Infinity where nothing is ahead, negative in the dome. One ray per node, from the
     level of the rim, to the first surface: subtract the least to press.
     """
-    x, y = np.meshgrid(membrane.node_mm, membrane.node_mm)
-    inside = np.isfinite(membrane.drop_mm)
-    drop = membrane.drop_mm[inside]
+    x, y, drop = membrane.used_mm
     back = membrane.radius_mm
-    gap = np.full(inside.shape, np.inf)
-    gap[inside] = _ahead(placed, pose, x[inside], y[inside], back) + drop - back
+    gap = np.full(membrane.drop_mm.shape, np.inf)
+    gap[np.isfinite(membrane.drop_mm)] = _ahead(placed, pose, x, y, back) + drop - back
     return gap
 
 
