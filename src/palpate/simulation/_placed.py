@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -244,10 +244,16 @@ def sleeve_gap(
     placed: PlacedObject, pose: SensorPose, rim_radius_mm: float, sleeve_mm: float
 ) -> float:
     """How far (mm) until the ring, `sleeve_mm` wide, around the rim touches, or inf."""
+    x, y = _ring_mm(rim_radius_mm, sleeve_mm)
+    return float(_ahead(placed, pose, x, y, rim_radius_mm).min())
+
+
+@lru_cache(maxsize=4)
+def _ring_mm(rim_radius_mm: float, sleeve_mm: float) -> tuple[Floats, Floats]:
+    """Places x and y on three circles within the ring."""
     angle = np.arange(_SLEEVE_RAYS) * (2 * np.pi / _SLEEVE_RAYS)
     radius = rim_radius_mm + sleeve_mm * np.linspace(0.05, 1, 3)[:, None]
-    x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
-    return float(_ahead(placed, pose, x, y, rim_radius_mm).min())
+    return (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
 
 
 def _ahead(
