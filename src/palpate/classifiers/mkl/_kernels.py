@@ -251,12 +251,12 @@ class GivenBank(DenseBank):
     def __init__(self, stack: Floats, normalize: str | None) -> None:
         self._values = np.ascontiguousarray(stack, dtype=np.float64)
         rounding = _ROUNDING if stack.dtype == np.float64 else _COARSE_ROUNDING
+        diagonals = np.einsum("iik->ki", self._values)
         # One at a time: copies of the whole stack would cost more than the checks.
-        for k in range(stack.shape[2]):
-            _refuse_not_a_kernel(self._values[:, :, k].copy("F"), k, rounding)
+        for k, trace in enumerate(np.abs(diagonals).sum(axis=1)):
+            _refuse_not_a_kernel(self._values[:, :, k], k, rounding, trace)
         self.n_touches = self.n_columns = len(stack)
         self.normalize = normalize
-        diagonals = np.einsum("iik->ki", self._values)
         mean = self._values.mean(axis=(0, 1)) if normalize == "variance" else None
         self.scales = kernel_scales(diagonals, mean, normalize)
 
@@ -264,9 +264,9 @@ class GivenBank(DenseBank):
         (n_rows, n), n_kernels = index.shape, len(self.scales)
         pairs = self._values.reshape(-1, n_kernels)
         blocks = np.empty((n_rows, n_kernels, n, n))
-        for block, row in zip(blocks, index, strict=True):
-            places = np.add.outer(row * self.n_touches, row)
-            chosen = pairs.take(places.ravel(), axis=0)
+        places = index[:, :, None] * self.n_touches + index[:, None, :]
+        for block, there in zip(blocks, places.reshape(n_rows, -1), strict=True):
+            chosen = pairs.take(there, axis=0)
             # OpenCV takes a third of the time of numpy's copy.
             cv2.transpose(chosen, dst=block.reshape(n_kernels, -1))
             block *= self.scales[:, None, None]
@@ -336,7 +336,8 @@ def centre(kernels: Sequence[Kernel], touches: Floats) -> tuple[Floats, Floats, 
     return touches - mean, mean, diagonals
 
 
-def _refuse_not_a_kernel(matrix: Floats, k: int, rounding: float) -> None:
+def _refuse_not_a_kernel(values: Floats, k: int, rounding: float, trace: float) -> None:
+    matrix = values.copy("F")
     if not (matrix == matrix.T).all():
         skew = np.abs(matrix - matrix.T).max()
         if skew > rounding * np.abs(matrix).max():
@@ -344,13 +345,11 @@ def _refuse_not_a_kernel(matrix: Floats, k: int, rounding: float) -> None:
                 "Precomputed kernels must be symmetric, got a difference of "
                 f"{skew:.3g} across the diagonal of kernel {k}. Pass (K + K.T) / 2."
             )
-    trace = np.abs(matrix.diagonal()).sum()
-    lifted = matrix.copy("F")
     # A matrix of zeros has no trace, and is a kernel all the same.
-    lifted.ravel("F")[:: len(matrix) + 1] += rounding * trace if trace else 1.0
-    _, failed = dpotrf(lifted, lower=1, clean=0, overwrite_a=1)
+    matrix.ravel("F")[:: len(matrix) + 1] += rounding * trace if trace else 1.0
+    _, failed = dpotrf(matrix, lower=1, clean=0, overwrite_a=1)
     if failed:
-        lowest = np.linalg.eigvalsh(matrix)[0]
+        lowest = np.linalg.eigvalsh(values)[0]
         raise ValueError(
             "Precomputed kernels must be positive semi-definite, got an eigenvalue "
             f"of {lowest:.3g} in kernel {k}. Clip its eigenvalues at zero."
