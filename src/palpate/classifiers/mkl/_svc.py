@@ -145,8 +145,9 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
 
     **Size.** The interior point needs memory for n_kernels * n^2 numbers and time of
     the order of n_kernels * n^2 + n^3 per iteration, n the touches of one pair;
-    with 22 kernels a pair of 1500 takes about a second on one core. It is exact up
-    to the 3000 of "auto"; how many touches there are in all matters little.
+    with 22 kernels a pair of 1500 takes about a second on one core, to which it
+    keeps. It is exact up to the 3000 of "auto"; how many touches there are in all
+    matters little.
 
     References
     ----------
