@@ -1,17 +1,21 @@
 """Many tasks at once, with a bar on standard error; one thread where more only wait."""
 
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 from threading import Lock
 from typing import Any
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from ._progress import Progress
 
 _lock = Lock()
 # How many now keep OpenCV on one thread, and how many threads it had before.
 _keepers, _usual = 0, 1
+# Finding the libraries that have threads takes 4 ms: again only after an import.
+_libraries = lru_cache(maxsize=1)(lambda n_modules: ThreadpoolController())
 
 
 @contextmanager
@@ -41,7 +45,7 @@ def opencv_on_one_thread() -> Iterator[None]:
 @contextmanager
 def on_one_thread() -> Iterator[None]:
     """Keep linear algebra and OpenCV on one thread: small fits wait for the others."""
-    with threadpool_limits(limits=1), opencv_on_one_thread():
+    with _libraries(len(sys.modules)).limit(limits=1), opencv_on_one_thread():
         yield
 
 
