@@ -33,6 +33,7 @@ from palpate.studies.corradi2014.plan import (
     Shapes,
     near_duplicates,
     recorded_shapes,
+    simulated_shapes,
     variants,
 )
 
@@ -43,7 +44,21 @@ TINY = Corradi2014Plan.quick(
 
 
 @pytest.fixture(scope="module")
-def result():
+def pressed_once():
+    """Press the seven shapes once: the picture of a study shows the same touches."""
+    drawn = list(simulated_shapes(TINY))
+
+    def shapes(plan):
+        assert (plan.n_touches, plan.seed) == (TINY.n_touches, TINY.seed)
+        return iter(drawn)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("palpate.studies.corradi2014.plan.simulated_shapes", shapes)
+        yield
+
+
+@pytest.fixture(scope="module")
+def result(pressed_once):
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv("PALPATE_DATA", raising=False)
         return run_study("corradi2014", plan=TINY, workers=1)
