@@ -22,8 +22,7 @@ _libraries = lru_cache(maxsize=1)(lambda n_modules: ThreadpoolController())
 def opencv_on_one_thread() -> Iterator[None]:
     """Keep OpenCV, in the whole process, on one thread meanwhile.
 
-    On pictures of a sensor's size two threads take as long as one, and twice the
-    processor's time.
+    On pictures of a sensor's size two threads take as long, and twice the CPU time.
     """
     global _keepers, _usual
     import cv2

@@ -176,16 +176,14 @@ class TouchMap:
         def loss(raw: Array) -> float:
             return self._loss(ratio, episodes, weights(raw))
 
-        start = np.array([-0.3, -1.0, -1.0])
-        simplex = start + np.vstack([np.zeros(3), np.eye(3)])
+        simplex = np.array([-0.3, -1.0, -1.0]) + np.eye(4, 3, -1)
         options: Any = {"initial_simplex": simplex, "maxfev": 60, "xatol": 0.02}
-        found = minimize(loss, start, method="Nelder-Mead", options=options)
+        found = minimize(loss, simplex[0], method="Nelder-Mead", options=options)
         return float(found.fun), weights(found.x)
 
     def _loss(self, ratio: Floats, episodes: Episodes, weights: Weights) -> float:
         """Return the mean log loss (nats) of the object after drawn episodes."""
-        evidence = self.weighed(self.left_out_, ratio, weights[:2])
-        flat = evidence.reshape(len(evidence), -1)
+        flat = self.weighed(self.left_out_, ratio, weights[:2]).reshape(len(ratio), -1)
         prior = np.repeat(self.recogniser.log_prior(), self.n_turns)
         losses, shape = [], (-1, self.n_objects, self.n_turns)
         for rows in episodes:

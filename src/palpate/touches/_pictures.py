@@ -346,8 +346,7 @@ def _next_marker(stream: IO[bytes]) -> int:
         some = stream.read(64)
         rest = some.lstrip(b"\xff")
         code = rest[:1] or some[-1:]
-        stream.seek(min(0, 1 - len(rest)), SEEK_CUR)
-        if stream.tell() > _MORE_BYTES:
+        if stream.seek(min(0, 1 - len(rest)), SEEK_CUR) > _MORE_BYTES:
             raise PictureError("a JPEG with more than 32 MiB before its pixels")
     if not code:
         raise PictureError(_CUT_SHORT)
