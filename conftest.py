@@ -1,5 +1,9 @@
-"""What is skipped where an extra is missing: in the tests and in the doctests."""
+"""What is skipped where an extra is missing: in the tests and in the doctests.
 
+And what is imported to find the tests is no garbage: Python need not look for it.
+"""
+
+import gc
 import os
 import re
 from collections.abc import Generator
@@ -65,3 +69,13 @@ def pytest_make_collect_report() -> Generator[None, Any, Any]:
     report = yield
     skip_without_extra(report)
     return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, Any, Any]:
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.freeze()

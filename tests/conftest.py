@@ -1,14 +1,25 @@
 """Fixtures shared by the whole suite: small drawn touches and the real ones."""
 
 import os
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+import typer.main
 from numpy.typing import NDArray
 
 # What somebody fetched on this computer is no part of a test.
 os.environ["PALPATE_DATA_HOME"] = str(Path(__file__).parent / "nothing-fetched")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _made_once() -> Iterator[None]:
+    """Make the command line once in a process, as a process of its own does."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(typer.main, "get_command", cache(typer.main.get_command))
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -1,8 +1,9 @@
 """Many tasks at once, with a bar on standard error; one thread where more only wait."""
 
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache
+from functools import lru_cache
 from threading import Lock
 from typing import Any
 
@@ -13,14 +14,15 @@ from ._progress import Progress
 _lock = Lock()
 # How many now keep OpenCV on one thread, and how many threads it had before.
 _keepers, _usual = 0, 1
+# Finding the libraries that have threads takes 4 ms: again only after an import.
+_libraries = lru_cache(maxsize=1)(lambda n_modules: ThreadpoolController())
 
 
 @contextmanager
 def opencv_on_one_thread() -> Iterator[None]:
     """Keep OpenCV, in the whole process, on one thread meanwhile.
 
-    On pictures of a sensor's size two threads take as long as one, and twice the
-    processor's time.
+    On pictures of a sensor's size two threads take as long, and twice the CPU time.
     """
     global _keepers, _usual
     import cv2
@@ -42,14 +44,8 @@ def opencv_on_one_thread() -> Iterator[None]:
 @contextmanager
 def on_one_thread() -> Iterator[None]:
     """Keep linear algebra and OpenCV on one thread: small fits wait for the others."""
-    with _libraries().limit(limits=1), opencv_on_one_thread():
+    with _libraries(len(sys.modules)).limit(limits=1), opencv_on_one_thread():
         yield
-
-
-@cache
-def _libraries() -> ThreadpoolController:
-    """Return what is loaded that has threads; looking for it takes 3 ms."""
-    return ThreadpoolController()
 
 
 def in_parallel(

@@ -19,7 +19,7 @@ def stored():
     labels = np.repeat(np.arange(6), 1500)
     which = rng.integers(0, 5, len(labels))
     touches = places[labels, which] + 0.3 * rng.normal(size=(len(labels), 8))
-    new = places[labels[::50], which[::50]] + 0.3 * rng.normal(size=(180, 8))
+    new = places[labels[::100], which[::100]] + 0.3 * rng.normal(size=(90, 8))
     return touches, labels, new
 
 
@@ -48,7 +48,7 @@ def test_with_all_objects_exact_it_is_the_model(stored):
     assert_allclose(index.log_likelihood(far), model.log_likelihood(far), atol=2e-3)
     quality = index.quality(new)
     assert quality.error_nats < 2e-3
-    assert quality.n_touches == 180
+    assert quality.n_touches == 90
 
 
 def test_pairs_that_float32_cannot_tell_are_summed_exactly(stored):

@@ -19,9 +19,9 @@ def small(monkeypatch):
     monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")  # No processes to wait for.
     monkeypatch.setattr(demo, "SHOWN", ("mug", "pen"))
     monkeypatch.setattr(demo, "UNLIKE", ("plastic card",))
-    monkeypatch.setattr(demo, "TRAIN_TOUCHES", 12)
-    monkeypatch.setattr(demo, "TEST_TOUCHES", 10)
-    monkeypatch.setattr(demo, "UNKNOWN_TOUCHES", 10)
+    monkeypatch.setattr(demo, "TRAIN_TOUCHES", 8)
+    monkeypatch.setattr(demo, "TEST_TOUCHES", 6)
+    monkeypatch.setattr(demo, "UNKNOWN_TOUCHES", 6)
     monkeypatch.setattr(demo, "SIDE", 40)
     monkeypatch.setattr(demo, "KNOWN_SHOWN", ("mug",))
     monkeypatch.setattr(demo, "MOST_ATTEMPTS", 3)

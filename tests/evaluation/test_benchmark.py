@@ -313,8 +313,8 @@ def test_default_sees_the_place_where_only_the_place_tells():
 
 def test_who_is_blind_to_turns_is_behind_where_only_turns_tell():
     # Three places on one ring of a dome, which is never looked at upright.
-    touches = marked([[10, 20], [20, 10], [30, 20]], 41, "dome")
-    entry = entry_of(touches, "blocks", ("default", "taxels SVM"))
+    touches = marked([[5, 10], [10, 5], [15, 10]], 21, "dome")
+    entry = entry_of(touches, "halves", ("default", "taxels SVM"))
     default, taxels = (row["accuracy"] for row in entry["rows"])
     assert taxels > 0.95
     assert default < 0.7

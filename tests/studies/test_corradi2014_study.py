@@ -12,6 +12,7 @@ from sklearn.decomposition import PCA
 from palpate import Touches
 from palpate.encodings import OrientedPCA, ZernikePCA
 from palpate.evaluation import davies_bouldin
+from palpate.simulation import DomeCamera, simulate_touches
 from palpate.studies import STUDIES, run_study
 from palpate.studies.corradi2014 import Corradi2014Plan, pictures
 from palpate.studies.corradi2014.judging import (
@@ -33,6 +34,7 @@ from palpate.studies.corradi2014.plan import (
     Shapes,
     near_duplicates,
     recorded_shapes,
+    simulated_shapes,
     variants,
 )
 
@@ -43,7 +45,28 @@ TINY = Corradi2014Plan.quick(
 
 
 @pytest.fixture(scope="module")
-def result():
+def pressed_once():
+    """Press the seven shapes once, in few pixels: a study's picture shows the same."""
+    camera = DomeCamera(image_shape=(64, 64))
+
+    def small(objects, n_touches, sensor, *more, **others):
+        return simulate_touches(objects, n_touches, sensor or camera, *more, **others)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("palpate.studies.corradi2014.plan.simulate_touches", small)
+        drawn = list(simulated_shapes(TINY))
+
+    def shapes(plan):
+        assert (plan.n_touches, plan.seed) == (TINY.n_touches, TINY.seed)
+        return iter(drawn)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("palpate.studies.corradi2014.plan.simulated_shapes", shapes)
+        yield
+
+
+@pytest.fixture(scope="module")
+def result(pressed_once):
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv("PALPATE_DATA", raising=False)
         return run_study("corradi2014", plan=TINY, workers=1)

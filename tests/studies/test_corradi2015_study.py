@@ -2,14 +2,16 @@
 
 import json
 import re
+from functools import partial
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from palpate.cli import app
+from palpate.simulation import DomeCamera, simulate_touches
 from palpate.studies import STUDIES, run_study
-from palpate.studies.corradi2015 import Corradi2015Plan
+from palpate.studies.corradi2015 import Corradi2015Plan, pictures
 from palpate.studies.corradi2015.episodes import worst_pairs
 
 STUDY = STUDIES["corradi2015"]
@@ -31,7 +33,15 @@ TINY = {
 
 
 @pytest.fixture(scope="module")
-def result():
+def small_camera():
+    small = partial(simulate_touches, camera=DomeCamera(image_shape=(64, 64)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("palpate.studies.corradi2015.plan.simulate_touches", small)
+        yield
+
+
+@pytest.fixture(scope="module")
+def result(small_camera):
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv("PALPATE_DATA", raising=False)
         plan = Corradi2015Plan(**TINY)
@@ -117,7 +127,9 @@ def test_the_same_seed_gives_the_same_figures(result, monkeypatch):
     assert again["unseen"] == result["unseen"]
 
 
-def test_tables_pictures_and_report(result, tmp_path):
+def test_tables_pictures_and_report(result, tmp_path, monkeypatch):
+    drawn = pictures(result)
+    monkeypatch.setattr("palpate.studies.corradi2015.pictures", lambda _: drawn)
     titles = [table[0] for table in STUDY.tables(result)]
     assert titles[0].startswith("Ten objects, simulated")
     assert "Milliseconds, one thread" in titles

@@ -238,8 +238,9 @@ def usual_means(
     run = taught.blocks - first[taught.codes]
     found, of = [], []
     for _ in range(N_DRAWS):
-        whose = rng.permutation(len(first))[:n_objects]
-        mine = np.flatnonzero(np.isin(taught.codes, whose))
+        chosen = np.zeros(len(first), dtype=bool)
+        chosen[rng.permutation(len(first))[:n_objects]] = True
+        mine = np.flatnonzero(chosen[taught.codes])
         of.append(rng.choice(run[mine]))
         mine = mine[run[mine] == of[-1]]
         rows = rng.choice(mine, min(n_touches, len(mine)), replace=False)

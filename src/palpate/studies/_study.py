@@ -20,11 +20,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
+from .. import _parallel
 from .._checks import check_count
 from .._durable import replacing, write_text
-from .._parallel import in_parallel
 from .._types import Indices
 from ..datasets import where
 from ..touches import Touches
@@ -72,7 +71,7 @@ class Work:
     ) -> list[Any]:
         """Return `function(*task)` of each, on one thread so that sums round alike."""
         alone = [(function, *task) for task in tasks]
-        return in_parallel(
+        return _parallel.in_parallel(
             on_one_thread, alone, what, n_jobs=self.workers, show=self.progress
         )
 
@@ -88,7 +87,7 @@ def fitted(model: Any, *known: Any) -> Any:
 
 def on_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
     """Return `function(*arguments)`, its linear algebra on one thread."""
-    with threadpool_limits(limits=1):
+    with _parallel.on_one_thread():
         return function(*arguments)
 
 

@@ -18,7 +18,7 @@ import struct
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from io import BytesIO
+from io import SEEK_CUR, BytesIO
 from math import prod
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -343,8 +343,10 @@ def _next_marker(stream: IO[bytes]) -> int:
     """Return the next marker's code; several 0xFF may stand before it."""
     first = code = stream.read(1)
     while code == b"\xff":
-        code = stream.read(1)
-        if stream.tell() > _MORE_BYTES:
+        some = stream.read(64)
+        rest = some.lstrip(b"\xff")
+        code = rest[:1] or some[-1:]
+        if stream.seek(min(0, 1 - len(rest)), SEEK_CUR) > _MORE_BYTES:
             raise PictureError("a JPEG with more than 32 MiB before its pixels")
     if not code:
         raise PictureError(_CUT_SHORT)
