@@ -307,6 +307,16 @@ def test_too_little_is_no_model(drawn, tmp_path, learn_job):
     assert not (tmp_path / "o.palpate").exists()
 
 
+def test_no_process_is_started_where_nothing_can_be_taught(monkeypatch):
+    started = []
+    monkeypatch.setattr(
+        "palpate.web._session.start_learning", lambda: started.append("learning")
+    )
+    with pytest.raises(ValueError, match="without a library"):
+        LiveSession().teach("cup", 3)
+    assert started == []
+
+
 def test_one_learns_at_a_time(make_session):
     session = make_session(sensor=False)
     with session:
@@ -329,7 +339,7 @@ def test_what_changes_while_it_learns_is_learnt_afterwards(make_session, model):
     assert orders == [[], ["disc"]]
 
 
-def test_frames_go_on_while_it_learns(make_session, drawn):
+def test_frames_go_on_while_it_learns(make_session, drawn, learning_apart):
     session = make_session()
     session.watch.sensor.rate_hz = 25.0
     with session:
@@ -350,7 +360,7 @@ def learning_processes():
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs Linux's /proc")
 def test_the_process_that_learns_stays_and_is_replaced_when_it_ends(
-    make_session, drawn
+    make_session, drawn, learning_apart
 ):
     with make_session(sensor=False) as session:
         session.teacher.library.add(drawn[drawn.object != "both"][::4])
