@@ -150,7 +150,7 @@ def waited(condition, seconds=20.0):
 
 
 def test_a_lesson_in_one_place_is_told_and_one_elsewhere_is_not(
-    make_session, hand, tmp_path, learning_here, drawn
+    make_session, hand, tmp_path, drawn
 ):
     with LiveSession(hand, library=tmp_path / "library") as session:
         session.take_baseline()
