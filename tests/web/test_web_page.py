@@ -1,6 +1,7 @@
 """The page in a real Chromium: taught, asked, reloaded, cut off, and looked at."""
 
 import re
+import shutil
 import socket
 import threading
 import time
@@ -12,8 +13,9 @@ import numpy as np
 import pytest
 
 from palpate import Touches
+from palpate.library import TouchLibrary
 from palpate.sensors import ReplaySensor
-from palpate.web import LiveSession
+from palpate.web import LiveSession, learn_job
 
 playwright = pytest.importorskip(
     "playwright.sync_api", reason="playwright is not installed"
@@ -398,13 +400,22 @@ def test_what_the_camera_changes_by_itself_is_said(page, hand, serving):
             assert fits(page)
 
 
+@pytest.fixture(scope="module")
+def taught_library(tmp_path_factory, drawn):
+    """The library of a session that has learnt the disc and the bar."""
+    folder = tmp_path_factory.mktemp("taught") / "library"
+    with TouchLibrary.open(folder, create=True) as library:
+        library.add(drawn[drawn.object != "both"])
+    learn_job(folder, folder / "model.palpate")
+    return folder
+
+
 @pytest.fixture
-def taught(make_session, drawn):
+def taught(make_session, taught_library, tmp_path):
     """A session that has learnt the disc and the bar."""
-    session = make_session()
-    session.teacher.library.add(drawn[drawn.object != "both"])
+    folder = shutil.copytree(taught_library, tmp_path / "taught")
+    session = make_session(library=folder)
     session.watch.sensor.rate_hz = 60.0
-    session.learn(wait=True)
     return session
 
 
