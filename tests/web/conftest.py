@@ -94,6 +94,17 @@ class HandSensor(LiveSensor):
         super().__init__("hand", "count", (SIDE, SIDE), np.uint8, geometry)
         self.pressed = False
 
+    def show(self, session, pressed):
+        """Be pressed, or not, until a session has followed some frames of it.
+
+        A press of a single frame is none, and three may be on their way.
+        """
+        self.pressed = pressed
+        enough = session.health.to_dict()["n_frames"] + 6
+        end = time.monotonic() + 20
+        while session.health.to_dict()["n_frames"] < enough and time.monotonic() < end:
+            time.sleep(0.005)
+
     def _open(self):
         pass
 

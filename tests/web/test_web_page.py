@@ -346,11 +346,10 @@ def _cookie_port(page):
     return int(cookie["name"].rsplit("_", 1)[1])
 
 
-def press(page, hand):
-    hand.pressed = True
+def press(page, hand, session):
+    hand.show(session, pressed=True)
     expect(page.locator("#contact")).to_have_text("touching")
-    time.sleep(0.2)  # a press of a single frame is none
-    hand.pressed = False
+    hand.show(session, pressed=False)
     expect(page.locator("#contact")).to_have_text("no contact")
 
 
@@ -367,26 +366,24 @@ def test_the_first_baseline_is_tried_by_a_press(page, hand, serving, tmp_path):
         expect(button).to_have_text("Take baseline anyway")
         button.click()  # it insists, wrongly
         expect(page.locator("#press-text")).to_contain_text("Now press the sensor")
-        hand.pressed = False
+        hand.show(session, pressed=False)
         expect(page.locator("#contact")).to_have_text("touching")
-        time.sleep(0.2)
-        hand.pressed = True
+        hand.show(session, pressed=True)
         expect(page.locator("#press-text")).to_contain_text("reads lower")
         expect(page.locator("#press-keep")).to_be_hidden()
         page.click("#press-undo")
         expect(page.locator("#press")).to_be_hidden()
-        hand.pressed = False
-        time.sleep(0.1)
+        hand.show(session, pressed=False)
         expect(button).to_have_text("Nothing touches it: take baseline")
         button.click()
         expect(page.locator("#press-text")).to_contain_text("Now press the sensor")
-        press(page, hand)
+        press(page, hand, session)
         expect(page.locator("#press-text")).to_contain_text("look like your press")
         expect(page.locator("#press-picture")).to_have_js_property("naturalWidth", 96)
         assert session.episode.touches == []
         page.click("#press-keep")
         expect(page.locator("#press")).to_be_hidden()
-        press(page, hand)
+        press(page, hand, session)
         expect(page.locator("#strip li")).to_have_count(1)
 
 

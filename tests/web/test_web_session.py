@@ -88,10 +88,9 @@ def test_the_baseline_is_refused_while_touching(make_session, drawn):
 
 
 def press_once(sensor, session):
-    sensor.pressed = True
+    sensor.show(session, pressed=True)
     assert waited(lambda: session.watch.detector.touching)
-    time.sleep(0.1)  # a press of a single frame is none
-    sensor.pressed = False
+    sensor.show(session, pressed=False)
     assert waited(lambda: not session.watch.detector.touching)
 
 
@@ -122,16 +121,14 @@ def test_a_first_baseline_of_a_pressed_array_is_refused(hand):
             session.take_baseline()
         assert session.baseline is None
         session.take_baseline(force=True, ask_press=True)  # somebody insists
-        hand.pressed = False
+        hand.show(session, pressed=False)
         assert waited(lambda: session.watch.detector.touching)
-        hand.pressed = True
+        hand.show(session, pressed=True)
         assert waited(lambda: session.watch.press is not None)
         assert session.to_dict()["sensor"]["press"]["lower"]
         session.end_press(undo=True)
         assert session.baseline is None
-        seen = session.health.to_dict()["n_frames"]
-        hand.pressed = False
-        assert waited(lambda: session.health.to_dict()["n_frames"] > seen + 3)
+        hand.show(session, pressed=False)
         session.take_baseline()
         assert (session.baseline == 20).all()
 
