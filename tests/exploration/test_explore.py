@@ -232,31 +232,33 @@ def test_interrupted_while_the_belief_is_updated_no_touch_is_lost(
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, "size"])
-def test_after_bad_frames_an_episode_goes_on(world, tmp_path, bad):
-    def run(sensor, recogniser):
+def test_after_bad_frames_an_episode_goes_on(world, tmp_path, knows_the_ball, bad):
+    def run(sensor):
         strategy = RandomHemisphere(NEAR, 1)
-        return explore(sensor.arm, sensor, recogniser, strategy, tmp_path)
+        return explore(sensor.arm, sensor, knows_the_ball, strategy, tmp_path)
 
-    recogniser, sensor = _knows_the_ball(world), world.BallSensor(world.BallArm())
+    sensor = world.BallSensor(world.BallArm())
     if bad == "size":
         sensor.image_shape, sensor.read = (5, 4), lambda: np.ones((5, 4))
     else:
         sensor.read = lambda: np.full((3, 3), bad)
-    end = run(sensor, recogniser)
+    end = run(sensor)
     assert (end.ended_by, end.n_touches) == ("faults", 0)
     outcomes = [record.outcome for record in read_episode(tmp_path)]
     assert outcomes == ["no frame"] * 3
-    end = run(world.BallSensor(world.BallArm()), recogniser)
+    end = run(world.BallSensor(world.BallArm()))
     assert end.decision == "ball"
     assert len(end.history) == 3 + end.n_touches == 3 + end.belief.touches_used
 
 
-def test_touches_recorded_for_another_recogniser_do_not_stop_it(world, tmp_path):
+def test_touches_recorded_for_another_recogniser_do_not_stop_it(
+    world, tmp_path, knows_the_ball
+):
     sensor = world.BallSensor(world.BallArm())
     sensor.image_shape, sensor.read = (5, 4), lambda: np.ones((5, 4))
     explore(sensor.arm, sensor, SlowlySure(2), STRATEGY, tmp_path)
     sensor = world.BallSensor(world.BallArm())
-    end = explore(sensor.arm, sensor, _knows_the_ball(world), STRATEGY, tmp_path)
+    end = explore(sensor.arm, sensor, knows_the_ball, STRATEGY, tmp_path)
     assert end.decision == "ball"
     assert [record.outcome for record in end.history[:2]] == ["no frame"] * 2
     assert "5 x 4" in end.history[0].message
@@ -279,7 +281,9 @@ def test_each_attempt_is_told(arm, sensor):
     assert [record for record, _ in told] == end.history
 
 
-def _knows_the_ball(world):
+@pytest.fixture(scope="module")
+def knows_the_ball(world):
+    """A recogniser of the ball and a cube that differs everywhere."""
     sensor = world.BallSensor(world.BallArm())
     way = RandomHemisphere(NEAR, 2)
     taught = gather(sensor.arm, sensor, way, n_touches=40)
@@ -289,10 +293,9 @@ def _knows_the_ball(world):
     return ObjectRecogniser().fit(Touches(images, object=names, geometry="none"))
 
 
-def test_a_real_recogniser_decides(world):
+def test_a_real_recogniser_decides(world, knows_the_ball):
     sensor = world.BallSensor(world.BallArm())
-    recogniser = _knows_the_ball(world)
-    end = explore(sensor.arm, sensor, recogniser, STRATEGY, max_attempts=20)
+    end = explore(sensor.arm, sensor, knows_the_ball, STRATEGY, max_attempts=20)
     assert end.decision == "ball"
     assert end.belief.touches_used == end.n_touches
     assert end.belief.best == "ball"

@@ -16,7 +16,7 @@ NAMES = ("ball", "box", "pen")
 def taught():
     camera = DomeCamera(image_shape=(48, 48), n_nodes=24)
     things = [find_object(name) for name in NAMES]
-    return explore_to_learn(things, 14, camera, n_sessions=2)
+    return explore_to_learn(things, 10, camera, n_sessions=2)
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,7 @@
 """Every fault of the simulated arm in a real episode: it retracts, nothing is lost."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -51,15 +53,21 @@ class Undecided:
         return "Undecided."
 
 
+@cache
+def resting(name):
+    """The object on the ground; nothing changes it, so that all meet the same."""
+    return PlacedObject.resting(find_object(name))
+
+
 class Setup:
     """A ball or another object before the simulated arm and sensor."""
 
     def __init__(self, name="ball", place=None, **settings):
-        target = PlacedObject.resting(find_object(name))
+        target = resting(name)
         if place is not None:
             target = PlacedObject(target.thing, position_mm=place)
         self.bench = SimulatedBench(target, CAMERA)
-        centre = PlacedObject.resting(find_object(name)).centre_mm
+        centre = resting(name).centre_mm
         self.hemisphere = Hemisphere(tuple(centre), radius_mm=100)
         home = self.hemisphere.pose(0.0, 1.5)
         self.robot = SimulatedRobot(self.bench, home, **settings)

@@ -70,7 +70,13 @@ def test_the_contract_is_kept(sensor):
         ({"geometry": "ball"}, "geometry must be one of"),
         ({"connect": lambda self: None}, "must return the sensor"),
         ({"disconnect": lambda self: None}, "connected must be False"),
-        ({"_put": lambda self, image: None}, "gave no frame"),
+        (
+            {
+                "_put": lambda self, image: None,
+                "read_next": lambda self, t=0.1: LiveSensor.read_next(self, t),
+            },
+            "gave no frame in 0.1 s",
+        ),
         ({"read_next": lambda self, t=2.0: self.read_latest(t)}, "numbers must rise"),
     ],
 )

@@ -186,7 +186,10 @@ def test_numbers_that_are_just_printed_are_read_but_for_a_cut_first_line(termina
         (lambda image, number: bytes(range(128, 250)) * 9, {}, "check --baud"),
     ],
 )
-def test_bytes_that_are_no_frames_say_why(terminal, write, options, message):
+def test_bytes_that_are_no_frames_say_why(
+    terminal, monkeypatch, write, options, message
+):
+    monkeypatch.setattr("palpate.sensors._serial._SILENT_S", 0.2)
     terminal.play(endless((8, 16), write), 50)
     with SerialArraySensor(
         terminal.port, **{"image_shape": (8, 16), **options}

@@ -85,9 +85,7 @@ def posted(client, path, body):
 
 
 @pytest.mark.parametrize("coded", [as_png, as_npy])
-def test_colour_comes_through_the_api(
-    tmp_path, make_session, connected, learning_here, rng, coded
-):
+def test_colour_comes_through_the_api(tmp_path, make_session, connected, rng, coded):
     library, model = tmp_path / "library", tmp_path / "library" / "model.palpate"
     session = make_session(sensor=False, library=library)
     taught = dict(zip(("rose", "leaf"), hues(rng, 7), strict=True))
@@ -266,7 +264,7 @@ def taught(session, gel):
 
 
 def test_a_colour_camera_teaches_what_differs_in_hue_alone(
-    tmp_path, gel, camera, connected, learning_here
+    tmp_path, gel, camera, connected
 ):
     library, events = tmp_path / "library", []
     session = LiveSession(camera(colour=True), library=library)
@@ -305,7 +303,7 @@ def test_a_colour_camera_teaches_what_differs_in_hue_alone(
 
 @pytest.mark.parametrize("colour", [False, True], ids=["grey", "colour"])
 def test_a_model_of_the_other_kind_is_refused_with_the_fix(
-    tmp_path, gel, camera, learning_here, colour
+    tmp_path, gel, camera, colour
 ):
     library, model = tmp_path / "library", tmp_path / "library" / "model.palpate"
     with LiveSession(camera(colour=colour), library=library) as session:

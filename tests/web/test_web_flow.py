@@ -38,7 +38,7 @@ def test_shares_are_of_episodes():
 
 @pytest.mark.realdata
 def test_three_recorded_things_are_recognised_where_they_were_not_taught(
-    data_folder, tmp_path, learning_here
+    data_folder, tmp_path
 ):
     touches = Touches.load(data_folder / "bathtip" / "bathtip50.npz")
     names = ["ball_greenfootball", "can_largeyellow", "stapler_greyred"]

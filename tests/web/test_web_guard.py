@@ -1,5 +1,6 @@
 """Nobody comes in without the token, and nobody brings too much."""
 
+import asyncio
 import json
 import socket
 
@@ -10,7 +11,14 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from palpate.library import TouchLibrary
-from palpate.web import checked_token, create_app, kept_token, new_token, qr_code
+from palpate.web import (
+    checked_token,
+    create_app,
+    kept_token,
+    new_token,
+    open_socket,
+    qr_code,
+)
 
 TOKEN = "right-token"
 BEARER = {"Authorization": f"Bearer {TOKEN}"}
@@ -30,6 +38,7 @@ def socket_address(client, query=""):
     return f"{client.base_url}/ws{query}".replace("http", "ws")
 
 
+@pytest.fixture(scope="module")
 def every_address(client):
     """Every path the application answers, API, page and files alike."""
     described = create_app(client.session, TOKEN).openapi()["paths"]
@@ -38,11 +47,10 @@ def every_address(client):
     return [*paths, *(("get", path) for path in more)]
 
 
-def test_without_the_token_everything_is_refused(client):
+def test_without_the_token_everything_is_refused(client, every_address):
     client.cookies.clear()
-    addresses = every_address(client)
-    assert len(addresses) > 20
-    for method, path in addresses:
+    assert len(every_address) > 20
+    for method, path in every_address:
         answer = client.request(method, path)
         assert answer.status_code == 401, path
         assert "token is missing" in answer.json()["detail"]
@@ -51,9 +59,9 @@ def test_without_the_token_everything_is_refused(client):
 @pytest.mark.parametrize(
     "wrong", ["wrong", TOKEN[:-1], TOKEN + "x", "é", TOKEN.upper()]
 )
-def test_with_a_wrong_token_everything_is_refused(client, wrong):
+def test_with_a_wrong_token_everything_is_refused(client, every_address, wrong):
     client.cookies.clear()
-    for method, path in every_address(client):
+    for method, path in every_address:
         answer = client.request(method, path, params={"token": wrong})
         assert answer.status_code == 403, path
     header = {"Authorization": b"Bearer " + wrong.encode()}
@@ -213,6 +221,28 @@ def test_a_body_that_is_too_large_is_refused(client):
         answer = client.post("/api/touch", content=pieces(), headers=BEARER)
         assert answer.status_code == 413
         assert "at most 10000 bytes" in answer.json()["detail"]
+
+
+def test_no_answer_is_held_back_until_the_one_before_is_acknowledged():
+    """Nagle's algorithm would add 40 ms to every answer but the first."""
+
+    async def asked():
+        loop = asyncio.get_running_loop()
+        taken = loop.create_future()
+
+        class Taking(asyncio.Protocol):
+            def connection_made(self, transport):
+                accepted = transport.get_extra_info("socket")
+                option = socket.IPPROTO_TCP, socket.TCP_NODELAY
+                taken.set_result(accepted.getsockopt(*option))
+                transport.close()
+
+        opened = open_socket("127.0.0.1", 0)
+        async with await loop.create_server(Taking, sock=opened):
+            with socket.create_connection(opened.getsockname()):
+                return await asyncio.wait_for(taken, 20)
+
+    assert asyncio.run(asked())
 
 
 def test_too_many_requests_are_slowed_down(make_session, connected):

@@ -1,7 +1,9 @@
 """Objects of a library on the page: undone, renamed, exported, of several sizes."""
 
 import io
+import shutil
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,9 +21,6 @@ def small_touches(name, count, start=0):
     """Touches of 8 x 8 taxels, as another sensor than the drawn one gives them."""
     images = np.stack([np.roll(SMALL, start + n) for n in range(count)])
     return Touches(images, object=[name] * count, time_s=np.arange(count) + start)
-
-
-pytestmark = pytest.mark.usefixtures("learning_here")
 
 
 @pytest.fixture
@@ -56,20 +55,30 @@ def test_undo_leaves_out_what_was_taught_here_and_nothing_else(folder, drawn):
         assert session.teacher.library.count() == 26
 
 
-def model_of_elsewhere(drawn, path):
-    """A model as other programs write it: of names alone, no ids of touches."""
-    return ObjectRecogniser().fit(drawn[drawn.object != "both"][::2]).save(path)
+@pytest.fixture(scope="module")
+def model_of_elsewhere(drawn, tmp_path_factory):
+    """Return what puts a model where it is told, as other programs write it.
+
+    It is of names alone, no ids of touches.
+    """
+    learnt = tmp_path_factory.mktemp("elsewhere") / "m.palpate"
+    ObjectRecogniser().fit(drawn[drawn.object != "both"][::2]).save(learnt)
+    return lambda path: Path(shutil.copy(learnt, path))
 
 
-def test_a_renamed_object_leaves_no_ghost_in_a_model_from_elsewhere(folder, drawn):
-    model_of_elsewhere(drawn, folder / "model.palpate")
+def test_a_renamed_object_leaves_no_ghost_in_a_model_from_elsewhere(
+    folder, model_of_elsewhere
+):
+    model_of_elsewhere(folder / "model.palpate")
     with LiveSession(library=folder) as session:
         session.rename("disc", "coin")
         assert settled(session) == ["bar", "coin"]
 
 
-def test_a_rename_that_would_lose_what_the_model_knows_is_refused(tmp_path, drawn):
-    model = model_of_elsewhere(drawn, tmp_path / "m.palpate")
+def test_a_rename_that_would_lose_what_the_model_knows_is_refused(
+    tmp_path, drawn, model_of_elsewhere
+):
+    model = model_of_elsewhere(tmp_path / "m.palpate")
     with LiveSession(library=tmp_path / "library", model=model) as session:
         session.post_lesson("disc", drawn.images[0])
         with pytest.raises(
@@ -123,9 +132,9 @@ def test_a_model_is_not_given_up_for_a_sensor_without_touches(folder, drawn):
 
 
 def test_objects_of_another_size_that_are_nowhere_else_are_kept(
-    tmp_path, drawn, learn_job
+    tmp_path, learn_job, model_of_elsewhere
 ):
-    model = model_of_elsewhere(drawn, tmp_path / "m.palpate")
+    model = model_of_elsewhere(tmp_path / "m.palpate")
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
         library.add(small_touches("ball", 4))
         library.add(small_touches("cube", 4, start=9))
@@ -184,8 +193,10 @@ def test_learning_reads_images_piece_by_piece(folder, tmp_path, monkeypatch, lea
     assert learn_job(folder, tmp_path / "m.palpate")["n_touches"] == 16
 
 
-def test_kept_objects_leave_the_others_their_touches(tmp_path, drawn, learn_job):
-    base = model_of_elsewhere(drawn, tmp_path / "m.palpate")
+def test_kept_objects_leave_the_others_their_touches(
+    tmp_path, drawn, learn_job, model_of_elsewhere
+):
+    base = model_of_elsewhere(tmp_path / "m.palpate")
     taught = drawn[drawn.object == "both"][:6]
     with TouchLibrary.open(tmp_path / "library", create=True) as library:
         ids = library.add(taught)

@@ -1,6 +1,7 @@
 """The page in a real Chromium: taught, asked, reloaded, cut off, and looked at."""
 
 import re
+import shutil
 import socket
 import threading
 import time
@@ -12,8 +13,9 @@ import numpy as np
 import pytest
 
 from palpate import Touches
+from palpate.library import TouchLibrary
 from palpate.sensors import ReplaySensor
-from palpate.web import LiveSession
+from palpate.web import LiveSession, learn_job
 
 playwright = pytest.importorskip(
     "playwright.sync_api", reason="playwright is not installed"
@@ -81,28 +83,35 @@ class Relay:
 
 
 @pytest.fixture(scope="module")
-def browser():
+def window():
+    """One window of a browser: opening one takes a second of two processors' time."""
     with playwright.sync_playwright() as driver:
         started = driver.chromium.launch(
             executable_path=str(CHROMIUM), args=["--no-sandbox"]
         )
-        yield started
+        context = started.new_context(viewport={"width": 1280, "height": 900})
+        context.new_page()  # the window stays open while it has a tab
+        yield context
         started.close()
 
 
 @pytest.fixture
-def page(browser):
-    context = browser.new_context(viewport={"width": 1280, "height": 900})
-    opened = context.new_page()
+def page(window):
+    """A new tab, without what others were told to keep."""
+    opened = window.new_page()
     opened.errors = []
     opened.on("pageerror", lambda error: opened.errors.append(str(error)))
     yield opened
-    context.close()
+    for tab in window.pages[1:]:
+        tab.close()
+    window.clear_cookies()
     assert opened.errors == []
 
 
 def clear(page):
     """Take what lies on the desk away; wait until its last touch has come through."""
+    if page.input_value("#placed") == "":
+        return  # and it has
     page.select_option("#placed", "")
     count = -1
     while count != (count := page.locator("#strip li").count()):
@@ -192,7 +201,7 @@ def _forget(page, name):
     )
 
 
-def test_the_whole_way_with_drawn_touches(page, make_session, serving, learning_here):
+def test_the_whole_way_with_drawn_touches(page, make_session, serving):
     session = make_session()
     session.watch.sensor.rate_hz = 60.0
     walk(page, serving, session, ("disc", "bar", "both"), 8)
@@ -263,13 +272,27 @@ def test_it_can_be_used_by_keyboard_and_read_aloud(page, make_session, serving):
         assert page.evaluate("document.documentElement.lang") == "en"
 
 
-@pytest.mark.parametrize("width", [320, 390, 768])
-def test_it_fits_a_phone(page, make_session, serving, width):
+def resize(page, width, height):
+    """Make the window larger or smaller; the page is laid out anew before the next."""
+    page.set_viewport_size({"width": width, "height": height})
+    page.wait_for_function("width => window.innerWidth === width", arg=width)
+
+
+def fits(page):
+    """Whether nothing is wider than the window."""
+    width = page.viewport_size["width"]
+    return page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_it_fits_a_phone(page, make_session, serving):
     with serving(make_session()) as (address, token):
-        page.set_viewport_size({"width": width, "height": 844})
+        resize(page, 320, 844)
         page.goto(f"{address}/?token={token}")
         expect(page.locator("#rate")).to_contain_text("Hz", timeout=PATIENT)
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert fits(page)
+        for width in (390, 768):
+            resize(page, width, 844)
+            assert fits(page)
 
 
 def test_without_the_token_there_is_no_page(page, make_session, serving):
@@ -323,11 +346,10 @@ def _cookie_port(page):
     return int(cookie["name"].rsplit("_", 1)[1])
 
 
-def press(page, hand):
-    hand.pressed = True
+def press(page, hand, session):
+    hand.show(session, pressed=True)
     expect(page.locator("#contact")).to_have_text("touching")
-    time.sleep(0.2)  # a press of a single frame is none
-    hand.pressed = False
+    hand.show(session, pressed=False)
     expect(page.locator("#contact")).to_have_text("no contact")
 
 
@@ -344,47 +366,53 @@ def test_the_first_baseline_is_tried_by_a_press(page, hand, serving, tmp_path):
         expect(button).to_have_text("Take baseline anyway")
         button.click()  # it insists, wrongly
         expect(page.locator("#press-text")).to_contain_text("Now press the sensor")
-        hand.pressed = False
+        hand.show(session, pressed=False)
         expect(page.locator("#contact")).to_have_text("touching")
-        time.sleep(0.2)
-        hand.pressed = True
+        hand.show(session, pressed=True)
         expect(page.locator("#press-text")).to_contain_text("reads lower")
         expect(page.locator("#press-keep")).to_be_hidden()
         page.click("#press-undo")
         expect(page.locator("#press")).to_be_hidden()
-        hand.pressed = False
-        time.sleep(0.1)
+        hand.show(session, pressed=False)
         expect(button).to_have_text("Nothing touches it: take baseline")
         button.click()
         expect(page.locator("#press-text")).to_contain_text("Now press the sensor")
-        press(page, hand)
+        press(page, hand, session)
         expect(page.locator("#press-text")).to_contain_text("look like your press")
         expect(page.locator("#press-picture")).to_have_js_property("naturalWidth", 96)
         assert session.episode.touches == []
         page.click("#press-keep")
         expect(page.locator("#press")).to_be_hidden()
-        press(page, hand)
+        press(page, hand, session)
         expect(page.locator("#strip li")).to_have_count(1)
 
 
-@pytest.mark.parametrize("width", [1280, 390])
-def test_what_the_camera_changes_by_itself_is_said(page, hand, serving, width):
+def test_what_the_camera_changes_by_itself_is_said(page, hand, serving):
     hand.unfixed = "The driver of camera 'dome' does not keep exposure fixed."
-    page.set_viewport_size({"width": width, "height": 800})
     with serving(LiveSession(hand)) as (address, token):
         page.goto(f"{address}/?token={token}")
-        expect(page.locator("#warnings li")).to_have_text(hand.unfixed)
-        wide = page.evaluate("document.documentElement.scrollWidth")
-        assert wide <= width
+        for width in (390, 1280):
+            resize(page, width, 800)
+            expect(page.locator("#warnings li")).to_have_text(hand.unfixed)
+            assert fits(page)
+
+
+@pytest.fixture(scope="module")
+def taught_library(tmp_path_factory, drawn):
+    """The library of a session that has learnt the disc and the bar."""
+    folder = tmp_path_factory.mktemp("taught") / "library"
+    with TouchLibrary.open(folder, create=True) as library:
+        library.add(drawn[drawn.object != "both"])
+    learn_job(folder, folder / "model.palpate")
+    return folder
 
 
 @pytest.fixture
-def taught(make_session, drawn, learning_here):
+def taught(make_session, taught_library, tmp_path):
     """A session that has learnt the disc and the bar."""
-    session = make_session()
-    session.teacher.library.add(drawn[drawn.object != "both"])
+    folder = shutil.copytree(taught_library, tmp_path / "taught")
+    session = make_session(library=folder)
     session.watch.sensor.rate_hz = 60.0
-    session.learn(wait=True)
     return session
 
 
@@ -395,9 +423,11 @@ def seen(page, selector):
     return box["y"] >= 0 and box["y"] + box["height"] <= size["height"]
 
 
-@pytest.mark.parametrize("size", [(1280, 800), (390, 844)], ids=["desk", "phone"])
-def test_the_steps_and_the_next_button_are_always_in_sight(page, taught, serving, size):
-    page.set_viewport_size({"width": size[0], "height": size[1]})
+DESK, PHONE = (1280, 800), (390, 844)
+
+
+def test_the_steps_and_the_next_button_are_always_in_sight(page, taught, serving):
+    resize(page, *DESK)
     with serving(taught) as (address, token):
         page.goto(f"{address}/?token={token}")
         expect(page.locator("#step-1")).to_contain_text("taken")
@@ -406,19 +436,24 @@ def test_the_steps_and_the_next_button_are_always_in_sight(page, taught, serving
         page.press("#wanted", "Enter")
         expect(page.locator("#step-2")).to_contain_text("coin: 0 of 12")
         expect(page.locator("#belief")).to_be_hidden()  # the lesson is in its place
-        expect(page.locator("#stop")).to_be_focused()
-        for place in (0, 10_000):
-            page.evaluate(f"window.scrollTo(0, {place})")
-            assert all(seen(page, one) for one in ("#steps", "#stop"))
-        page.evaluate("window.scrollTo(0, 0)")
-        assert size[0] < 1000 or seen(page, "#progress-text")
+        for size in (DESK, PHONE):
+            resize(page, *size)
+            expect(page.locator("#stop")).to_be_focused()
+            for place in (0, 10_000):
+                page.evaluate(f"window.scrollTo(0, {place})")
+                assert all(seen(page, one) for one in ("#steps", "#stop"))
+            page.evaluate("window.scrollTo(0, 0)")
+            assert size == PHONE or seen(page, "#progress-text")
         page.select_option("#placed", "disc")
         expect(page.locator("#lesson-strip li")).not_to_have_count(0)
         expect(page.locator("#belief")).to_be_visible(timeout=PATIENT)  # it is over
         page.select_option("#placed", "")
-        page.locator("#learn").scroll_into_view_if_needed()
-        assert seen(page, "#learn")
-        assert seen(page, "#fresh")
+        for size in (PHONE, DESK):
+            resize(page, *size)
+            page.evaluate("window.scrollTo(0, 0)")
+            page.locator("#learn").scroll_into_view_if_needed()
+            assert seen(page, "#learn")
+            assert seen(page, "#fresh")
 
 
 def test_an_unknown_object_is_taught_with_the_touches_just_made(
@@ -544,9 +579,8 @@ def test_a_button_that_cannot_be_pressed_says_why(page, hand, serving, tmp_path)
             expect(page.locator("#why-not")).to_contain_text(reason)
 
 
-@pytest.mark.parametrize("size", [(1280, 800), (390, 844)], ids=["desk", "phone"])
 def test_touches_that_are_alike_are_told_while_teaching_and_after_learning(
-    page, serving, drawn, tmp_path, learning_here, size
+    page, serving, drawn, tmp_path
 ):
     """A disc touched twelve times in one place, and a bar that has two names."""
     images = np.concatenate([drawn.images[:1].repeat(12, 0), drawn.images[30:60]])
@@ -555,7 +589,7 @@ def test_touches_that_are_alike_are_told_while_teaching_and_after_learning(
     sensor = ReplaySensor(touches, rate_hz=25, hold=3, gap=3)
     sensor.place(None)
     session = LiveSession(sensor, library=tmp_path / "library")
-    page.set_viewport_size({"width": size[0], "height": size[1]})
+    resize(page, *DESK)
     with serving(session) as (address, token):
         page.goto(f"{address}/?token={token}")
         expect(page.locator("#rate")).to_contain_text("Hz", timeout=PATIENT)
@@ -564,11 +598,17 @@ def test_touches_that_are_alike_are_told_while_teaching_and_after_learning(
         expect(page.locator("#elsewhere")).to_be_hidden()
         page.select_option("#placed", "disc")
         expect(page.locator("#elsewhere")).to_contain_text("touch it elsewhere")
-        assert size[0] < 1000 or seen(page, "#elsewhere")
-        expect(page.locator("#variety figcaption")).to_contain_text("1 of ")
-        expect(page.locator("#variety circle")).to_have_count(1)
-        expect(page.locator("#lesson-strip li").nth(1)).to_have_text("2 ≈ 1")
-        assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+        page.select_option("#placed", "")  # a rest, to look at it
+        for size in (PHONE, DESK):
+            resize(page, *size)
+            expect(page.locator("#elsewhere")).to_contain_text("touch it elsewhere")
+            assert size == PHONE or seen(page, "#elsewhere")
+            expect(page.locator("#variety figcaption")).to_contain_text("1 of ")
+            expect(page.locator("#variety circle")).to_have_count(1)
+            expect(page.locator("#lesson-strip li").nth(1)).to_have_text("2 ≈ 1")
+            assert fits(page)
+        sensor.rate_hz = 100.0
+        page.select_option("#placed", "disc")
         advice = page.locator("#advice li")
         expect(advice).to_have_text(re.compile("Of 12 touches of disc 11 are like"))
         clear(page)
@@ -576,25 +616,27 @@ def test_touches_that_are_alike_are_told_while_teaching_and_after_learning(
         session.learn(wait=True)
         expect(page.locator("#status")).to_contain_text("What to teach next")
         said = [one for one in session.advice if "taken for" in one]
-        expect(advice).to_have_count(len(session.advice))
         assert said
-        expect(page.locator("#advice")).to_contain_text(said[0])
-        for one in session.to_dict()["quality"]:
-            heading = page.get_by_role("heading", name=one["name"], exact=True)
-            words = page.locator("li.object", has=heading).locator(".quality")
-            right = round(one["after_one"] * one["n_touches"])
-            expect(words).to_contain_text(
-                f"{right} of {one['n_touches']} touches right"
-            )
-        expect(page.locator("#left-out")).to_be_visible()
-        assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+        for size in (DESK, PHONE):
+            resize(page, *size)
+            expect(advice).to_have_count(len(session.advice))
+            expect(page.locator("#advice")).to_contain_text(said[0])
+            for one in session.to_dict()["quality"]:
+                heading = page.get_by_role("heading", name=one["name"], exact=True)
+                words = page.locator("li.object", has=heading).locator(".quality")
+                right = round(one["after_one"] * one["n_touches"])
+                expect(words).to_contain_text(
+                    f"{right} of {one['n_touches']} touches right"
+                )
+            expect(page.locator("#left-out")).to_be_visible()
+            assert fits(page)
 
 
 LONG = "a_very_long_recording_of_things_that_were_touched_again_and_again_and_again"
 
 
 def test_long_names_and_many_pictures_fit_a_narrow_phone(
-    page, serving, drawn, tmp_path, learning_here
+    page, serving, drawn, tmp_path
 ):
     """Names of 80 characters without a blank, in the page and in the report."""
     names = np.where(drawn.object == "disc", f"{LONG}_disc", drawn.object)

@@ -150,15 +150,14 @@ def waited(condition, seconds=20.0):
 
 
 def test_a_lesson_in_one_place_is_told_and_one_elsewhere_is_not(
-    make_session, hand, tmp_path, learning_here, drawn
+    make_session, hand, tmp_path, drawn
 ):
     with LiveSession(hand, library=tmp_path / "library") as session:
         session.take_baseline()
         session.teach("cup", 5)
         for number in range(1, 6):
-            hand.pressed = True
-            time.sleep(0.1)
-            hand.pressed = False
+            hand.show(session, pressed=True)
+            hand.show(session, pressed=False)
             waited(lambda n=number: session.teacher.library.count() == n)
             if number < 5:
                 lesson = session.to_dict()["lesson"]

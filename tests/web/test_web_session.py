@@ -88,10 +88,9 @@ def test_the_baseline_is_refused_while_touching(make_session, drawn):
 
 
 def press_once(sensor, session):
-    sensor.pressed = True
+    sensor.show(session, pressed=True)
     assert waited(lambda: session.watch.detector.touching)
-    time.sleep(0.1)  # a press of a single frame is none
-    sensor.pressed = False
+    sensor.show(session, pressed=False)
     assert waited(lambda: not session.watch.detector.touching)
 
 
@@ -122,16 +121,14 @@ def test_a_first_baseline_of_a_pressed_array_is_refused(hand):
             session.take_baseline()
         assert session.baseline is None
         session.take_baseline(force=True, ask_press=True)  # somebody insists
-        hand.pressed = False
+        hand.show(session, pressed=False)
         assert waited(lambda: session.watch.detector.touching)
-        hand.pressed = True
+        hand.show(session, pressed=True)
         assert waited(lambda: session.watch.press is not None)
         assert session.to_dict()["sensor"]["press"]["lower"]
         session.end_press(undo=True)
         assert session.baseline is None
-        seen = session.health.to_dict()["n_frames"]
-        hand.pressed = False
-        assert waited(lambda: session.health.to_dict()["n_frames"] > seen + 3)
+        hand.show(session, pressed=False)
         session.take_baseline()
         assert (session.baseline == 20).all()
 
@@ -307,6 +304,16 @@ def test_too_little_is_no_model(drawn, tmp_path, learn_job):
     assert not (tmp_path / "o.palpate").exists()
 
 
+def test_no_process_is_started_where_nothing_can_be_taught(monkeypatch):
+    started = []
+    monkeypatch.setattr(
+        "palpate.web._session.start_learning", lambda: started.append("learning")
+    )
+    with pytest.raises(ValueError, match="without a library"):
+        LiveSession().teach("cup", 3)
+    assert started == []
+
+
 def test_one_learns_at_a_time(make_session):
     session = make_session(sensor=False)
     with session:
@@ -329,7 +336,7 @@ def test_what_changes_while_it_learns_is_learnt_afterwards(make_session, model):
     assert orders == [[], ["disc"]]
 
 
-def test_frames_go_on_while_it_learns(make_session, drawn):
+def test_frames_go_on_while_it_learns(make_session, drawn, learning_apart):
     session = make_session()
     session.watch.sensor.rate_hz = 25.0
     with session:
@@ -350,7 +357,7 @@ def learning_processes():
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs Linux's /proc")
 def test_the_process_that_learns_stays_and_is_replaced_when_it_ends(
-    make_session, drawn
+    make_session, drawn, learning_apart
 ):
     with make_session(sensor=False) as session:
         session.teacher.library.add(drawn[drawn.object != "both"][::4])

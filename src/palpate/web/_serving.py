@@ -129,7 +129,8 @@ def open_socket(host: str, port: int) -> socket.socket:
             f"--port must be 0 to {LAST_PORT}, got {port}. 0 takes a free one."
         )
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    opened = socket.socket(family, socket.SOCK_STREAM)
+    # The protocol is named: asyncio holds answers back unless it is known to be TCP.
+    opened = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         opened.bind((host, port))

@@ -199,9 +199,9 @@ class LiveSession:
 
         With `keep_episode` those of the episode become its first, up to `wanted`.
         """
+        teacher = self._teacher()
         start_learning()
         with self._changing():
-            teacher = self._teacher()
             teacher.begin(name, wanted)
             self._watched().end_press()
             self.message = self.trouble = ""
