@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.linalg.lapack import dpotrf
 from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.model_selection import GridSearchCV, cross_val_score
@@ -51,8 +52,8 @@ def kernels_of(left, right, kernels=SOME):
     return np.stack([by_kind[type(k)](k) for k in kernels], axis=2)
 
 
-def test_small_pairs_are_learnt_on_one_thread(problem, monkeypatch):
-    seen, cholesky = [], np.linalg.cholesky
+def test_pairs_of_whole_kernels_are_learnt_on_one_thread(rng, monkeypatch):
+    seen = []
 
     def threads():
         return {
@@ -61,14 +62,16 @@ def test_small_pairs_are_learnt_on_one_thread(problem, monkeypatch):
             if pool["user_api"] == "blas"
         }
 
-    def noted(matrices):
+    def noted(*matrices, **how):
         seen.append(threads())
-        return cholesky(matrices)
+        return dpotrf(*matrices, **how)
 
-    monkeypatch.setattr(np.linalg, "cholesky", noted)
+    monkeypatch.setattr("palpate.classifiers.mkl._dense.dpotrf", noted)
+    labels = np.arange(120) % 2
+    touches = rng.normal(size=(120, 3)) + labels[:, np.newaxis]
     with threadpool_limits(limits=2, user_api="blas"):
         before = threads()
-        MKLSVC(probability=False).fit(*problem)
+        MKLSVC(kernels=SOME, probability=False).fit(touches, labels)
         assert threads() == before
     assert 2 in before
     assert seen

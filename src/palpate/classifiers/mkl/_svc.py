@@ -26,7 +26,14 @@ from ..._parallel import on_one_thread
 from ..._types import Array, Floats
 from .._touch_classifier import check_targets
 from . import _kernels, _pairs
-from ._kernels import FeatureBank, GivenBank, Kernel, check_given, check_kernels
+from ._kernels import (
+    DenseBank,
+    FeatureBank,
+    GivenBank,
+    Kernel,
+    check_given,
+    check_kernels,
+)
 from ._landmarks import LandmarkFeatures, NystroemBank
 from ._pairs import Bank, PairMachines, Settings, couple, fit_temperature, sharpen, vote
 from ._problem import row_blocks
@@ -35,7 +42,14 @@ from ._problem import row_blocks
 _ROUNDING = 1e-9
 # Pairs of more touches than this are learnt through landmarks by default.
 _MOST_TOUCHES = 3000
+# Steps of a pair so large would be shared among threads, which wait for each other.
+_SHARED_FROM = 100
 _TOLERANCES = {"interior": 1e-6, "simplemkl": 1e-2}
+
+
+def _largest_pair(codes: Array) -> int:
+    """Return how many touches the two classes have that have most."""
+    return int(np.sort(np.bincount(codes))[-2:].sum())
 
 
 def _has_probability(estimator: MKLSVC) -> bool:
@@ -214,8 +228,8 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
                 f"{self.classes_[0]}. Add touches of another."
             )
         bank = self._make_bank(touches, codes)
-        small = not isinstance(bank, NystroemBank)
-        with on_one_thread() if small else nullcontext():
+        waits = isinstance(bank, DenseBank) and _largest_pair(codes) >= _SHARED_FROM
+        with on_one_thread() if waits else nullcontext():
             machines = _pairs.learn_pairs(bank, codes, settings)
         self._store(bank, machines)
         self.temperature_ = 1.0
@@ -319,8 +333,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
             return GivenBank(touches, self.normalize)
         kernels = check_kernels(self.kernels)
         if self.approximation == "auto" and self.solver == "interior":
-            largest = int(np.sort(np.bincount(codes))[-2:].sum())
-            through_landmarks = largest > _MOST_TOUCHES
+            through_landmarks = _largest_pair(codes) > _MOST_TOUCHES
         if through_landmarks:
             random = check_random_state(self.random_state)
             return NystroemBank(kernels, touches, self.normalize, n_landmarks, random)
