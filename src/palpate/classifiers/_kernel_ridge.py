@@ -199,16 +199,18 @@ class KernelRidgeClassifier(BayesRule):
         squared = _squared_distances(chosen - chosen.mean(axis=0))
         self.unit_ = float(np.median(squared)) or 1.0
         target, by_size = _one_hot(codes, codes.max() + 1), _by_size(group[some])
-        best, at = np.inf, len(ridges) // 2
+        best, at, temperature = np.inf, len(ridges) // 2, _USUAL_TEMPERATURE
         for width in widths:
             kernel = -width / self.unit_ * squared
             exp(kernel, out=kernel)
 
             @cache
             def loss(k: int, kernel: Floats = kernel) -> float:
+                nonlocal temperature  # near that of the last ridge
                 root, found = _solve(kernel.copy(), target, ridges[k])
                 scores = _left_out(_own_blocks(root, by_size), found, target)
-                return _smoothed_loss(scores, codes)
+                value, temperature = _smoothed_loss(scores, codes, temperature)
+                return value
 
             # From the ridge that was best for the width before, as long as it falls.
             for way in (1, -1):
@@ -416,12 +418,15 @@ def fair_shares(codes: Array) -> Floats:
     return 1 / (counts[codes] * np.count_nonzero(counts))
 
 
-def _smoothed_loss(scores: Floats, codes: Array) -> float:
-    """Return the log loss of smoothed labels at its best temperature (nats).
+def _smoothed_loss(
+    scores: Floats, codes: Array, temperature: float
+) -> tuple[float, float]:
+    """Return the log loss of smoothed labels (nats) and its best temperature.
 
-    But for a constant. Of n touches each counts as (n + 1) / (n + 2) of its label and
-    shares the rest among the others: none of n does not mean never (Laplace's rule of
-    succession; Platt, "Probabilistic outputs for support vector machines", 1999).
+    But for a constant. `temperature` is where to begin. Of n touches each counts as
+    (n + 1) / (n + 2) of its label and shares the rest among the others: none of n does
+    not mean never (Laplace's rule of succession; Platt, "Probabilistic outputs for
+    support vector machines", 1999).
     Where all touches are told apart, the plain loss falls with the temperature for
     ever, and what is left is rounding; this one asks for wide and even gaps. It is
     convex: Newton's method.
@@ -433,7 +438,6 @@ def _smoothed_loss(scores: Floats, codes: Array) -> float:
     squares = gaps**2
     drift = -others * (shares @ gaps.sum(axis=1))
     low, high = _TEMPERATURES
-    temperature = _USUAL_TEMPERATURE
     while True:
         loss, pull = log_loss(temperature * gaps - log_counts, codes, shares)
         slopes = np.einsum("ij,ij->i", pull, gaps)
@@ -441,7 +445,7 @@ def _smoothed_loss(scores: Floats, codes: Array) -> float:
         curve = np.vdot(pull, squares) - slopes @ (slopes / shares)
         low, high = (low, temperature) if slope > 0 else (temperature, high)
         if slope**2 <= 1e-12 * curve or high < (1 + 1e-9) * low:
-            return float(loss + temperature * drift)
+            return float(loss + temperature * drift), temperature
         temperature -= slope / curve if curve > 0 else np.inf
         if not low < temperature < high:
             temperature = float(np.sqrt(low * high))
