@@ -103,7 +103,7 @@ class DenseKernels:
     def factorise(self, diagonal: Floats, weights: Floats, root: Floats) -> Solver:
         """Return a solver of diagonal + sum_k d_k Y K_k Y + root' root.
 
-        It overwrites what it is given, (n_problems, n_right_sides, n_touches).
+        It overwrites what it is given, contiguous, (n_problems, n_right_sides, n).
         """
         n_problems, n_kernels, n, _ = self.kernels.shape
         flat = self.kernels.reshape(n_problems, n_kernels, n * n)
