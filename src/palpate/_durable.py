@@ -22,11 +22,12 @@ def replacing(target: Path, slot: Path | None = None) -> Iterator[BinaryIO]:
     """Open a file that takes the place of `target` once the block ends well.
 
     A file that is there is replaced in one step, and a link is followed. With a `slot`,
-    one of `make_slots`, that is renamed, and the folder is not flushed: should a power
-    cut undo the renaming, the file stands whole in the slot. An `OSError` names
-    `target`; nothing is left behind then, nor where the block itself raises.
+    one of `make_slots`, that is renamed, no link is followed, and the folder is not
+    flushed: should a power cut undo the renaming, the file stands whole in the slot. An
+    `OSError` names `target`; nothing is left behind then, nor where the block itself
+    raises.
     """
-    place = target.resolve()
+    place = target if slot else target.resolve()
     partial = slot or place.with_name(f"{PARTIAL}{secrets.token_hex(8)}")
     try:
         with partial.open("r+b" if slot else "xb") as file:
@@ -44,6 +45,17 @@ def replacing(target: Path, slot: Path | None = None) -> Iterator[BinaryIO]:
             partial.unlink()
     if slot is None:
         flush_folder(place.parent)
+
+
+def start_of_machine() -> str | None:
+    """Return what names the present start of this machine; None where that is unknown.
+
+    What a program has written, flushed or not, is there until the next one.
+    """
+    with suppress(OSError, ValueError):
+        known = Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
+        return known if re.fullmatch("[0-9a-f-]{36}", known) else None
+    return None
 
 
 def make_slots(folder: Path, n_slots: int) -> list[Path]:

@@ -129,6 +129,16 @@ class LibraryMachine(RuleBasedStateMachine):
         self.unseen |= set(self._added(label, n_touches))
         self._database.write_bytes(before)
 
+    @rule(label=names, n_touches=st.integers(1, 3))
+    def cut_power_after_adding(self, label, n_touches):
+        """Rows are gone, files and the mark of an earlier start are there."""
+        before = self._database.read_bytes()
+        self._added(label, n_touches)
+        self._database.write_bytes(before)
+        (self.folder / "images" / f".adding-{'0' * 36}-1").touch()
+        TouchLibrary.open(self.folder).close()
+        self.unseen = set()
+
     @rule(data=st.data())
     def change(self, data):
         what = self._chosen(data)

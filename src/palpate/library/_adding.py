@@ -24,7 +24,16 @@ from .._progress import Progress
 from ..touches import GEOMETRIES, Touches
 from . import _rows
 from ._changes import Names, find_object, next_time
-from ._files import IDENTITY, Sheet, file_path, identity, packed, publish, sheet_of
+from ._files import (
+    IDENTITY,
+    Sheet,
+    file_path,
+    identity,
+    is_marked,
+    packed,
+    publish,
+    sheet_of,
+)
 from ._rows import FROM, SET_ASIDE, Numbers, layouts, shape_of, without_damaged
 from ._store import ARRAYS, FEATURES, FILE_NAME, IMAGES, LibraryError, Store
 from ._where import COLUMNS, Condition, parse_where
@@ -32,6 +41,7 @@ from ._where import COLUMNS, Condition, parse_where
 _TOUCHES_PER_FILE = 256
 _BYTES_PER_FILE = 32 * 2**20
 _TOGETHER = 32
+_KNOWN = "SELECT count(*) FROM files WHERE name = ?"
 
 
 class SensorDescription(NamedTuple):
@@ -220,7 +230,9 @@ def add_touches(
     group = dict(islice(alike.items(), _TOGETHER))
     try:
         with suppress(*[Exception] * (len(group) > 1)):
-            together = Touches.concatenate(group.values())
+            together = (
+                Touches.concatenate(group.values()) if len(group) > 1 else touches
+            )
             keys = iter(_add_all(store, together, sensor, False))
             for future, some in group.items():
                 future.set_result(list(islice(keys, len(some))))
@@ -306,10 +318,13 @@ def _store_sheet(store: Store, sheet: Sheet) -> None:
     new = {key: row for row, key in enumerate(sheet.ids) if key not in sound}
     if not new:
         return
-    kept = sheet.picked(sorted(new.values()))
+    kept = sheet.picked(sorted(new.values())) if len(new) < len(sheet.ids) else sheet
+    # What a file alone would not tell after a power cut is flushed with the row.
+    flushed = bool(lost) or not is_marked(store)
     name = publish(images, kept.packed(), store.slots)
-    with store.writing():
-        if (now := next_time(store)) > kept.added_s:  # another changed names since
+    with store.writing(flushed=flushed):
+        late = (now := next_time(store)) > kept.added_s  # another changed names since
+        if late and not store.count(_KNOWN, [bytes.fromhex(name)]):
             kept = replace(kept, added_s=now)
             file_path(images, name).unlink()  # a rebuild would believe the first
             name = publish(images, kept.packed(), store.slots)

@@ -9,13 +9,13 @@ from .._durable import PARTIAL
 from .._progress import Progress
 from . import _changes, _rows, _store
 from ._changes import Names, change_files, file_fault, known_changes, read_change
-from ._files import CELLS, Sheet, adopt, file_path, read_file, read_sheet
+from ._entering import sheet_in, spare_files, take_up
+from ._files import CELLS, adopt, file_path, read_file
 from ._reading import is_whole
 from ._rows import FROM, SET_ASIDE, StoredTouch, damaged_touches, layouts, recordings
 from ._store import CHANGES, FILE_NAME, IMAGES, LibraryError, NewerLibrary, Store
 
 _SHOWN = 20
-NO_SHEET = (LibraryError, ValueError, KeyError, TypeError, AttributeError)
 _KEPT = "t.retraction IS NULL"
 _RETRACTED = f"t.retraction IS NOT NULL AND t.retraction NOT IN ({SET_ASIDE})"
 
@@ -80,6 +80,7 @@ def check_library(folder: str | Path, *, progress: bool | None = None) -> CheckR
     adopt(Path(folder) / IMAGES)
     try:
         with closing(Store(Path(folder))) as store:
+            take_up(store)
             return _checked(store, progress)
     except LibraryError as error:
         kinds = {NewerLibrary: "version", _store.DatabaseUnavailable: "disk"}
@@ -168,13 +169,6 @@ def row_problems(store: Store) -> list[Problem]:
             )
             problems.append(Problem("database", FILE_NAME, what, wrong))
     return problems
-
-
-def sheet_in(store: Store, name: str) -> Sheet | None:
-    """Return the touches in a file, or None where it is not what it should be."""
-    with suppress(*NO_SHEET):
-        return read_sheet(read_file(store.folder / IMAGES, name))
-    return None
 
 
 def _as_stored(cells: list[Any]) -> Iterator[Any]:
@@ -278,13 +272,6 @@ def _change_problems(store: Store) -> Iterator[Problem]:
         except (OSError, ValueError) as error:
             what = f"It must be a change, got: {error}. --repair sets it aside."
         yield Problem("change", f"{CHANGES}/{name}.json", what, [])
-
-
-def spare_files(store: Store) -> list[Path]:
-    """Return files of images that the database does not know (any more, or yet)."""
-    known = {row[0].hex() for row in store.rows("SELECT name FROM files")}
-    paths = sorted((store.folder / IMAGES).glob("*/*.npy"))
-    return [path for path in paths if path.stem not in known]
 
 
 def _leftovers(store: Store) -> Iterator[Problem]:

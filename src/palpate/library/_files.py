@@ -16,6 +16,7 @@ import io
 import json
 import os
 import re
+import secrets
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -26,16 +27,23 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.lib import format as npy
 
-from .._durable import PARTIAL, flush_folder, make_slots, write_bytes
+from .._durable import (
+    PARTIAL,
+    flush_folder,
+    make_slots,
+    start_of_machine,
+    write_bytes,
+)
 from .._types import Array
 from ..touches import Touches
-from ._store import LibraryError
+from ._store import IMAGES, LibraryError, Store
 
 _MAX_HEADER = 2**14
 _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 _NAME = re.compile("[0-9a-f]{64}")
 _PLAIN_KINDS = "biufcSUMm"
 _SLOTS = 16
+_MARK = ".adding-"
 _END = 66  # the digits of a SHA-256, a quote and a bracket
 _flushed: set[tuple[str, int, int]] = set()
 WIDE = 16
@@ -57,7 +65,7 @@ def file_path(folder: Path, name: str) -> Path:
         raise LibraryError(
             f"Files must be named by 64 hexadecimal digits, got {name!r}."
         )
-    return folder / name[:2] / f"{name}.npy"
+    return folder.joinpath(name[:2], f"{name}.npy")
 
 
 def packed(arrays: Sequence[Array]) -> bytes:
@@ -65,6 +73,13 @@ def packed(arrays: Sequence[Array]) -> bytes:
     for array in arrays:
         npy.write_array(stream, np.asarray(array, order="C"), allow_pickle=False)
     return stream.getvalue()
+
+
+def header_length(array: Array) -> int:
+    """Return the number of bytes before the values of a packed array."""
+    stream = io.BytesIO()
+    npy.write_array_header_1_0(stream, npy.header_data_from_array_1_0(array))
+    return stream.tell()
 
 
 def publish(folder: Path, content: bytes, slots: list[Path] | None = None) -> str:
@@ -85,7 +100,8 @@ def publish(folder: Path, content: bytes, slots: list[Path] | None = None) -> st
     if slots is not None:
         slots += [] if slots else make_slots(folder, _SLOTS)
         with suppress(FileNotFoundError, IndexError):  # taken by another meanwhile
-            target.parent.mkdir(exist_ok=True)
+            if not target.parent.is_dir():
+                target.parent.mkdir(exist_ok=True)
             write_bytes(target, content, slots.pop())
             return name
     if not target.parent.is_dir():
@@ -103,6 +119,31 @@ def adopt(folder: Path) -> None:
             if content[-_END:] == _end(content[:-_END]):
                 publish(folder, content)
                 slot.unlink()
+
+
+def is_marked(store: Store) -> bool:
+    """Tell whether a power cut from now on would be noticed; leave a mark for that.
+
+    It bears the name of the machine's present start, and stays until the store is
+    closed with all rows on the disk. Where that name is unknown, or the database keeps
+    no log, there is none.
+    """
+    if not store.marks and store.logs and (start := start_of_machine()):
+        folder = store.folder / IMAGES
+        folder.mkdir(exist_ok=True)
+        mark = folder / f"{_MARK}{start}-{secrets.token_hex(8)}"
+        mark.open("xb").close()
+        flush_folder(folder)
+        flush_folder(folder.parent)
+        store.marks.append(mark)
+    return bool(store.marks)
+
+
+def left_marks(folder: Path) -> list[Path]:
+    """Return marks of programs that added touches in an earlier start of a machine."""
+    marks = [*folder.glob(f"{_MARK}*")]
+    now = f"{_MARK}{start_of_machine()}-" if marks else ""
+    return [mark for mark in marks if not mark.name.startswith(now)]
 
 
 def _end(start: bytes) -> bytes:

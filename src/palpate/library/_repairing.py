@@ -2,22 +2,20 @@
 
 import secrets
 import time
-from collections.abc import Callable
 from contextlib import closing, suppress
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from .._durable import PARTIAL, flush_folder
 from . import _changes as changes
 from . import _checking as checking
 from . import _rows, _store
-from ._files import Sheet, adopt, file_path, publish
+from ._entering import enter_all, set_aside, sheet_in
+from ._files import Sheet, adopt, file_path, left_marks, publish
 from ._reading import is_whole, read_images
 from ._rows import MISSING, SET_ASIDE, StoredTouch, layouts, move_rows, recordings
 from ._store import IMAGES, SEALED, DatabaseDamaged, DatabaseUnavailable, Store
 
-DAMAGED = "damaged"
 _STALE_S = 86_400.0
 _LOGS = ("-wal", "-shm", "-journal")
 _KEYS = ("object", "layout", "recording", "file", "retraction")
@@ -94,9 +92,10 @@ def repair_library(folder: str | Path, *, progress: bool | None = None) -> Repai
     """
     folder = Path(folder)
     adopt(folder / IMAGES)
+    marks = left_marks(folder / IMAGES)
     gained = _make_anew(folder) if _is_damaged(folder) else None
     with closing(Store(folder)) as store:
-        n_recovered, n_changes = gained or _enter_all(store, anew=False)
+        n_recovered, n_changes = gained or enter_all(store, anew=False)
         n_mended, n_aside = _mend_changes(store)
         n_changes += n_mended
         lost, found = _lost_and_found(store, progress)
@@ -105,6 +104,9 @@ def repair_library(folder: str | Path, *, progress: bool | None = None) -> Repai
         if found:
             changes.make_change(store, action="restore", ids=found)
         n_left_out = _leave_out_arrays(store)
+        for mark in marks:
+            with suppress(OSError):
+                mark.unlink()
         # Partial files that no living writer can be writing.
         for path in folder.rglob(f"{PARTIAL}*"):
             with suppress(OSError):
@@ -134,10 +136,10 @@ def _make_anew(folder: Path) -> tuple[int, int]:
     partial = folder / f"{PARTIAL}{secrets.token_hex(8)}.sqlite"
     try:
         with closing(Store(folder, create=True, name=partial.name)) as store:
-            gained = _enter_all(store, anew=True)
+            gained = enter_all(store, anew=True)
             _carry_over(store, path)
             store.rows("PRAGMA main.wal_checkpoint(TRUNCATE)")
-        _set_aside(folder, *_with_logs(path))
+        set_aside(folder, *_with_logs(path))
         partial.replace(path)
         flush_folder(folder)
     except (OSError, DatabaseUnavailable) as error:
@@ -155,14 +157,6 @@ def _make_anew(folder: Path) -> tuple[int, int]:
 def _with_logs(path: Path) -> list[Path]:
     """Return the files of a database, its logs first: none may meet another one."""
     return [*(path.with_name(f"{path.name}{log}") for log in _LOGS), path]
-
-
-def _set_aside(folder: Path, *paths: Path) -> None:
-    """Move files to a new folder in `damaged/`."""
-    away = folder / DAMAGED / f"{int(time.time() * 1e6)}"
-    for path in (path for path in paths if path.exists()):
-        away.mkdir(parents=True, exist_ok=True)
-        path.replace(away / path.name)
 
 
 def _carry_over(store: Store, path: Path) -> None:
@@ -185,67 +179,6 @@ def _carry_over(store: Store, path: Path) -> None:
         return
 
 
-def _enter_all(store: Store, *, anew: bool) -> tuple[int, int]:
-    """Enter unknown files by time; return how many touches and changes were gained.
-
-    A change that the database does not know is carried out unless somebody was told
-    of a later one, but not of it: then it stays where it is.
-    """
-    known = changes.known_changes(store)
-    found = changes.readable_changes(changes.change_files(store))
-    told = changes.told_changes(found | known) - set(known)
-    before = store.count("SELECT count(*) FROM touches")
-    steps: list[tuple[float, str, str]] = []
-    for path in checking.spare_files(store):
-        if sheet := checking.sheet_in(store, path.stem):
-            steps.append((sheet.added_s, "touches", path.stem))
-    steps += ((found[name]["time_s"], "change", name) for name in told)
-    n_changes = 0
-    for _, kind, name in sorted(steps):
-        if kind == "change":
-            n_changes += _carried_out(store, name, found[name], anew=anew)
-        elif sheet := checking.sheet_in(store, name):
-            if not anew and "object" in sheet.values:  # they enter late
-                names = changes.Names(store)
-                labels = sheet.values["object"]
-                now = [names.now(label, sheet.added_s) for label in labels]
-                sheet = replace(sheet, values={**sheet.values, "object": now})
-            _entered(store, _rows.write_rows, sheet, name)
-    changes.retract_again(store, before)
-    return store.count("SELECT count(*) FROM touches") - before, n_changes
-
-
-def _carried_out(
-    store: Store, name: str, content: dict[str, Any], *, anew: bool
-) -> bool:
-    """Carry out a change: in its place among all others, or as one made now."""
-    if anew:
-        touches_alone = content["action"] in ("retract", "restore")
-        enter = changes.enter_change if touches_alone else changes.apply_change
-        return _entered(store, enter, name, content)
-    again = {n: v for n, v in content.items() if n not in ("time_s", "digest")}
-    try:
-        n_changed = changes.make_change(store, **again)
-    except (DatabaseUnavailable, DatabaseDamaged):
-        raise
-    except checking.NO_SHEET:
-        return False
-    _set_aside(store.folder, changes.change_files(store)[name])
-    return bool(n_changed)
-
-
-def _entered(store: Store, enter: Callable[..., Any], *what: Any) -> bool:
-    """Enter touches or a change; return False where it says nothing (any more)."""
-    try:
-        with store.writing():
-            enter(store, *what)
-    except (DatabaseUnavailable, DatabaseDamaged):
-        raise
-    except checking.NO_SHEET:
-        return False
-    return True
-
-
 def _mend_changes(store: Store) -> tuple[int, int]:
     """Write damaged files of changes anew, set aside those that are not known.
 
@@ -253,7 +186,7 @@ def _mend_changes(store: Store) -> tuple[int, int]:
     """
     known, files = changes.known_changes(store), changes.change_files(store)
     bad = [name for name in known if changes.file_fault(store, name, known[name])]
-    _set_aside(store.folder, *(files[n] for n in bad if n in files))
+    set_aside(store.folder, *(files[n] for n in bad if n in files))
     for name in bad:
         changes.write_again(store, name)
     unknown = [path for name, path in files.items() if name not in known]
@@ -261,7 +194,7 @@ def _mend_changes(store: Store) -> tuple[int, int]:
     for path in unknown:
         with suppress(OSError, ValueError):
             n_changes += bool(changes.read_change(path))
-    _set_aside(store.folder, *unknown)
+    set_aside(store.folder, *unknown)
     return len(bad), n_changes
 
 
@@ -274,7 +207,7 @@ def _lost_and_found(store: Store, progress: bool | None) -> tuple[list[str], lis
             lost += problem.touches
             _write_sheets_again(store, key, name)
         rows = checking.touches_in(store, key, f"t.retraction IN ({SET_ASIDE})")
-        if rows and checking.sheet_in(store, name) is not None:
+        if rows and sheet_in(store, name) is not None:
             found += [row.key.hex() for row in rows]
     return lost, found
 
@@ -313,13 +246,13 @@ def _write_sheets_again(store: Store, file: int, name: str) -> None:
             move_rows(store, sheet, new)
         mended = mended or new == name
     if not mended:
-        _set_aside(store.folder, file_path(store.folder / IMAGES, name))
+        set_aside(store.folder, file_path(store.folder / IMAGES, name))
 
 
 def _leave_out_arrays(store: Store) -> int:
     """Set altered arrays aside and note them, so that the rest is read without them."""
     bad = checking.array_problems(store)
-    _set_aside(store.folder, *(store.folder / problem.path for problem in bad))
+    set_aside(store.folder, *(store.folder / problem.path for problem in bad))
     known = checking.left_out(store)
     names = [n for problem in bad if (n := Path(problem.path).stem) not in known]
     if names:

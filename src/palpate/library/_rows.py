@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import check_option
-from ._files import CELLS, Column, Sheet, canonical, packed
+from ._files import CELLS, Column, Sheet, canonical, header_length
 from ._store import AT_ONCE, SEALED, LibraryError, Store, from_json, holders
 from ._where import COLUMNS
 
@@ -211,7 +211,8 @@ def write_rows(
     """Enter touches of the file `name`: new ones, and `healed`, which lost theirs."""
     rows = list(_rows(store, sheet, name))
     store.run_many(_INSERT + "NOTHING", [r for r in rows if r[0] not in healed])
-    store.run_many(_INSERT + _HEAL, [r for r in rows if r[0] in healed])
+    if healed:
+        store.run_many(_INSERT + _HEAL, [r for r in rows if r[0] in healed])
 
 
 def _rows(store: Store, sheet: Sheet, name: str) -> Iterator[tuple[Any, ...]]:
@@ -277,7 +278,7 @@ def _file_key(store: Store, sheet: Sheet, name: str) -> int:
     file = {
         "name": bytes.fromhex(name),
         "n_touches": len(sheet.ids),
-        "offset": len(packed([sheet.images])) - sheet.images.nbytes,
+        "offset": header_length(sheet.images),
     }
     return _key(store, "files", file, "name")
 
@@ -285,10 +286,11 @@ def _file_key(store: Store, sheet: Sheet, name: str) -> int:
 def _object_key(store: Store, name: str, category: str | None) -> int:
     """Return the key of an object; the first category given for it is kept."""
     key = _key(store, "objects", {"name": name, "category": category}, "name")
-    store.run(
-        "UPDATE objects SET category = ? WHERE id = ? AND category IS NULL",
-        [category, key],
-    )
+    if category is not None:
+        store.run(
+            "UPDATE objects SET category = ? WHERE id = ? AND category IS NULL",
+            [category, key],
+        )
     return key
 
 

@@ -1,7 +1,8 @@
 """A library's folder and its database: tables, safe transactions, seals and errors.
 
 Write-ahead logging with `synchronous=FULL`: once a transaction has ended, it is on
-the disk. Readers never wait for writers; writers wait for one another.
+the disk, but for rows of touches whose files are (`_entering.py`). Readers never wait
+for writers; writers wait for one another.
 
 Every row has a seal, a digest of all its values, kept beside them. Triggers of each
 connection seal a row when it is written, and refuse to change one whose seal is broken,
@@ -17,7 +18,7 @@ import os
 import sqlite3
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -150,11 +151,14 @@ class Store:
         self.folder, self.path = folder, folder / name
         self._lock = threading.RLock()
         self._seen: dict[str, tuple[int, list[int]]] = {}
-        self._process = os.getpid()
+        self._explained = _Explained(self.path)
         # Of threads that add touches: files to write to, who waits, is one at work?
         self.slots: list[Path] = []
         self.turn, self.leads = threading.Condition(), False
         self.waiting: dict[Any, Any] = {}
+        # Files that tell of rows which may not be flushed, and whether there are any.
+        self.marks: list[Path] = []
+        self._flushes, self._unflushed = True, False
         if not create and not self.path.is_file():
             start = f"{folder} must be a library of touches, got "
             if not holds_files(folder):
@@ -175,12 +179,19 @@ class Store:
     def close(self) -> None:
         """Close the connection; closing twice does nothing."""
         with self._lock:
+            with suppress(LibraryError, OSError):  # marks stay then, as they must
+                if self._unflushed:  # any transaction flushes those before it
+                    with self.writing():
+                        self.run(f"PRAGMA user_version = {VERSION}")
+                if os.getpid() == self._explained.process:
+                    while self.marks:
+                        self.marks.pop().unlink(missing_ok=True)
             self._connection.close()
             while self.slots:
                 self.slots.pop().unlink(missing_ok=True)
 
     def rows(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
-        with self._lock, self._explained():
+        with self._lock, self._explained:
             return self._connection.execute(sql, values).fetchall()
 
     def one(self, sql: str, values: Sequence[Any] = ()) -> tuple[Any, ...] | None:
@@ -261,19 +272,27 @@ class Store:
         return int(self._connection.execute(sql, [*values.values()]).lastrowid or 0)
 
     @contextmanager
-    def writing(self) -> Iterator[None]:
-        """Run a transaction: when the block has ended, all of it is on the disk."""
+    def writing(self, *, flushed: bool = True) -> Iterator[None]:
+        """Run a transaction: when the block has ended, all of it is on the disk.
+
+        If not `flushed`, it is there with the next one that is, or when the store is
+        closed; the caller sees to it that a power cut before that takes nothing.
+        """
         with self._lock:
             if not self.sealed:
                 with self._transaction():
                     self._seal_rows()
                 self._watch()
+            if flushed != self._flushes:
+                self.rows(f"PRAGMA synchronous = {'FULL' if flushed else 'NORMAL'}")
+                self._flushes = flushed
             with self._transaction():
                 yield
+            self._unflushed = not flushed
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
-        with self._explained():
+        with self._explained:
             self._connection.execute("BEGIN IMMEDIATE")
             try:
                 yield
@@ -283,33 +302,11 @@ class Store:
                     self._connection.execute("ROLLBACK")
                 raise
 
-    @contextmanager
-    def _explained(self) -> Iterator[None]:
-        """Turn what SQLite stumbles over into one sentence with the fix."""
-        if os.getpid() != self._process:
-            raise LibraryError(
-                f"{self.path} was opened by another process, which has been forked. "
-                "Open the library again in this one: TouchLibrary.open(folder)."
-            )
-        try:
-            yield
-        except sqlite3.Error as error:
-            raise _explained(self.path, error) from error
-        except UnicodeDecodeError as error:  # in what SQLite quotes of the database
-            raise DatabaseDamaged(
-                f"{self.path} must be a sound database, got: {error}. {_REBUILD}"
-            ) from error
-        except UnicodeEncodeError as error:
-            raise LibraryError(
-                f"Texts must be such as UTF-8 can hold, got {error.object[:80]!r}. "
-                "Leave out what no program can print."
-            ) from error
-
     def _open(
         self, create: bool, *, mode: str = "rwc", locking: str = "NORMAL"
     ) -> None:
         place = f"{self.path.absolute().as_uri()}?mode={mode}"
-        with self._explained():
+        with self._explained:
             self._connection = sqlite3.connect(
                 place,
                 uri=True,
@@ -342,7 +339,7 @@ class Store:
                 raise error from None
 
     def _prepare(self, create: bool, locking: str) -> None:
-        with self._explained():
+        with self._explained:
             run = self._connection.execute
             run(f"PRAGMA busy_timeout = {int(PATIENCE_S * 1000)}")
             run(f"PRAGMA locking_mode = {locking}")
@@ -363,6 +360,7 @@ class Store:
                         self._seal_rows()
             version = self.count("PRAGMA user_version")
             application = self.count("PRAGMA application_id")
+            self.logs = self.rows("PRAGMA journal_mode") == [("wal",)]
         if version > VERSION:
             raise NewerLibrary(
                 f"{self.path} has library format {version}, this palpate reads up to "
@@ -379,7 +377,7 @@ class Store:
 
     def _watch(self) -> None:
         """Seal rows that are written; texts that are none break their seal alone."""
-        with self._explained():
+        with self._explained:
             for statement in triggers():
                 self._connection.execute(statement)
         self._connection.text_factory = lambda text: text.decode(
@@ -449,7 +447,34 @@ _WAIT = "Another program has been writing for a minute; wait, or end it."
 _CHECK = "Check that the folder may be written to, and run `palpate library check`."
 
 
-def _explained(path: Path, error: sqlite3.Error) -> LibraryError:
+class _Explained:
+    """Turns what SQLite stumbles over inside it into one sentence with the fix."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.process = path, os.getpid()
+
+    def __enter__(self) -> None:
+        if os.getpid() != self.process:
+            raise LibraryError(
+                f"{self.path} was opened by another process, which has been forked. "
+                "Open the library again in this one: TouchLibrary.open(folder)."
+            )
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        if isinstance(error, sqlite3.Error):
+            raise _told(self.path, error) from error
+        if isinstance(error, UnicodeDecodeError):  # in what SQLite quotes
+            raise DatabaseDamaged(
+                f"{self.path} must be a sound database, got: {error}. {_REBUILD}"
+            ) from error
+        if isinstance(error, UnicodeEncodeError):
+            raise LibraryError(
+                f"Texts must be such as UTF-8 can hold, got {error.object[:80]!r}. "
+                "Leave out what no program can print."
+            ) from error
+
+
+def _told(path: Path, error: sqlite3.Error) -> LibraryError:
     """Return what SQLite stumbled over as one sentence with the fix."""
     full_name = getattr(error, "sqlite_errorname", "")
     name = "_".join(full_name.split("_")[:2])

@@ -1,0 +1,286 @@
+"""One flush a touch: rows that a power cut takes are entered again from their files.
+
+A touch is acknowledged when its file is on the disk. Its row is committed but flushed
+later, so a power cut may take it, with all rows after it. That is played by putting the
+database back as it was flushed last, in a machine that has started anew.
+"""
+
+import os
+import shutil
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from palpate import Touches
+from palpate.library import LibraryError, TouchLibrary, check_library, repair_library
+from palpate.library import _files as files
+
+FULL, NORMAL = 2, 1
+
+
+def _press(seed, n_touches=1, **columns):
+    rng = np.random.default_rng(seed)
+    images = rng.integers(0, 255, (n_touches, 5, 4), dtype=np.uint8)
+    known = {"object": ["mug"] * n_touches, "press": [seed] * n_touches}
+    return Touches(images, **(known | columns))
+
+
+@pytest.fixture
+def start_anew(monkeypatch):
+    """Let the machine start again, as far as a library can tell."""
+    return lambda: monkeypatch.setattr(files, "start_of_machine", lambda: "0" * 36)
+
+
+def _database(folder):
+    return [p for p in Path(folder).glob("library.sqlite*") if "-shm" not in p.name]
+
+
+def _marks(folder):
+    return list((Path(folder) / "images").glob(".adding-*"))
+
+
+class _PowerCut:
+    """Keeps what was flushed, and a copy of the library as a power cut leaves it."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.flush()
+
+    def flush(self):
+        self.kept = {path.name: path.read_bytes() for path in _database(self.folder)}
+
+    def __call__(self, to, *, names_too=False):
+        shutil.copytree(self.folder, to)
+        for path in to.glob("library.sqlite*"):
+            path.unlink()
+        for name, content in self.kept.items():
+            (to / name).write_bytes(content)
+        if names_too:
+            for number, path in enumerate(sorted((to / "images").glob("*/*.npy"))):
+                path.rename(to / "images" / f".partial-{number:016x}")
+        return to
+
+
+def _everything(folder):
+    with TouchLibrary.open(folder) as library:
+        rows = [row._replace(id=row.id) for row in library.list(limit=None)]
+        touches = library.touches()
+        return rows, library.objects(), touches
+
+
+def _assert_equal(got, expected):
+    assert got[:2] == expected[:2]
+    assert_array_equal(got[2].images, expected[2].images)
+    assert got[2].columns.keys() == expected[2].columns.keys()
+    for name, column in expected[2].columns.items():
+        assert_array_equal(got[2].columns[name], column)
+    assert got[2].whole.keys() == expected[2].whole.keys()
+
+
+@pytest.mark.parametrize("names_too", [False, True], ids=["rows", "rows and names"])
+@pytest.mark.parametrize("first", [TouchLibrary, check_library, repair_library])
+def test_acknowledged_touches_come_back(tmp_path, start_anew, first, names_too):
+    """With categories, wide columns, no-contact images and a name from before."""
+    folder = tmp_path / "lab"
+    with TouchLibrary.open(folder, create=True) as library:
+        library.add(_press(1, 3))
+        library.rename_object("mug", "cup")  # a change is flushed, with all before it
+        cut = _PowerCut(folder)
+        library.add(_press(2))
+        library.add(_press(3, 300, session=np.arange(300) // 100))
+        no_contact = np.ones((5, 4), np.uint8)
+        loads = np.arange(40.0).reshape(2, 20)
+        library.add(_press(4, 2, category=["cups"] * 2, loads=loads))
+        library.add(_press(5, no_contact=no_contact), episode="e")
+        [aside] = library.add(_press(1))
+        lost = cut(tmp_path / "lost", names_too=names_too)
+    expected = _everything(folder)
+    assert len(expected[0]) == 3 + 1 + 300 + 2 + 1
+    assert aside in [row.id for row in expected[0]]
+    start_anew()
+    first(lost)
+    if first is not TouchLibrary:
+        assert not _marks(lost)
+    assert check_library(lost).problems == []
+    _assert_equal(_everything(lost), expected)
+    assert repair_library(lost).n_recovered == 0
+
+
+def test_nothing_is_taken_up_while_the_machine_runs(tmp_path):
+    """A file without a row is then one of a killed writer, or of one at work."""
+    folder = tmp_path / "lab"
+    with TouchLibrary.open(folder, create=True) as library:
+        library.add(_press(1))
+        cut = _PowerCut(folder)
+        library.add(_press(2))
+        lost = cut(tmp_path / "lost")
+    assert len(_marks(lost)) == 1
+    with TouchLibrary.open(lost) as library:
+        assert len(library) == 1
+        assert [p.kind for p in library.check().problems] == ["file without touches"]
+    assert len(_marks(lost)) == 1
+
+
+def test_rows_before_a_retraction_are_flushed_with_it(tmp_path, start_anew):
+    """What a change concerns is on the disk before it; it is not undone either."""
+    folder = tmp_path / "lab"
+    with TouchLibrary.open(folder, create=True) as library:
+        ids = library.add(_press(1, 2))
+        library.retract(ids[:1], reason="wet")
+        cut = _PowerCut(folder)
+        library.add(_press(2))
+        lost = cut(tmp_path / "lost")
+    start_anew()
+    with TouchLibrary.open(lost) as library:
+        assert len(library) == 2
+        assert [row.reason for row in library.list(retracted=True)].count("wet") == 1
+
+
+class _Watched(sqlite3.Connection):
+    """Notes at each commit how it is flushed."""
+
+    events = None
+
+    def execute(self, sql, *values):
+        if sql == "COMMIT":
+            [level] = super().execute("PRAGMA synchronous").fetchone()
+            self.events.append(level)
+        return super().execute(sql, *values)
+
+
+@pytest.fixture
+def events(monkeypatch):
+    """Commits by how they are flushed, and flushes of folders and files."""
+    connect, fsync = sqlite3.connect, os.fsync
+    _Watched.events = []
+
+    def noted(handle):
+        _Watched.events.append(Path(f"/proc/self/fd/{handle}").readlink().name)
+        fsync(handle)
+
+    monkeypatch.setattr(
+        sqlite3, "connect", lambda *a, **k: connect(*a, factory=_Watched, **k)
+    )
+    monkeypatch.setattr(os, "fsync", noted)
+    return _Watched.events
+
+
+def test_a_touch_takes_one_flush_and_a_change_flushes_its_row(tmp_path, events):
+    with TouchLibrary.open(tmp_path, create=True) as library:
+        library.add(_press(1))
+        for n_flushed in (1, 2):
+            events.clear()
+            library.add(_press(1 + n_flushed))
+            assert len(events) == 2
+            assert str(events[0]).startswith(".partial-")
+            assert events[1] == NORMAL
+        events.clear()
+        library.rename_object("mug", "cup")
+        assert events[-1] == FULL
+        events.clear()
+        library.add(_press(9))
+        assert events[-1] == NORMAL
+        events.clear()
+    assert events == [FULL]  # closing flushes what is left
+    assert not _marks(tmp_path)
+
+
+def test_the_mark_is_on_the_disk_before_any_row_needs_it(tmp_path, events):
+    with TouchLibrary.open(tmp_path / "lab", create=True) as library:
+        events.clear()
+        library.add(_press(1))
+        [mark] = _marks(tmp_path / "lab")
+        assert mark.stat().st_size == 0
+        assert events[:2] == ["images", "lab"]
+        assert events.index(NORMAL) > 2
+        events.clear()
+        library.add(_press(2, 300))
+        assert _marks(tmp_path / "lab") == [mark]
+    TouchLibrary.open(tmp_path / "lab").close()  # nothing was added
+    assert events[-1] == FULL
+
+
+def test_where_a_start_cannot_be_told_every_row_is_flushed(
+    tmp_path, events, monkeypatch
+):
+    monkeypatch.setattr(files, "start_of_machine", lambda: None)
+    with TouchLibrary.open(tmp_path, create=True) as library:
+        library.add(_press(1))
+        events.clear()
+        library.add(_press(2))
+        assert events[-1] == FULL
+        assert not _marks(tmp_path)
+
+
+def test_touches_that_come_back_are_flushed_with_their_rows(tmp_path, events):
+    """Their files alone would not tell that they are no longer set aside."""
+    with TouchLibrary.open(tmp_path, create=True) as library:
+        library.add(_press(1))
+        next((tmp_path / "images").glob("*/*.npy")).unlink()
+        assert library.repair().n_set_aside == 1
+        events.clear()
+        library.add(_press(1))
+        assert events[-1] == FULL
+        assert len(library) == 1
+
+
+def test_a_library_that_cannot_be_written_to_says_what_it_leaves_out(
+    tmp_path, start_anew, monkeypatch
+):
+    folder = tmp_path / "lab"
+    with TouchLibrary.open(folder, create=True) as library:
+        library.add(_press(1))
+        cut = _PowerCut(folder)
+        library.add(_press(2))
+        lost = cut(tmp_path / "lost")
+    start_anew()
+    connect = sqlite3.connect
+
+    class Locked(sqlite3.Connection):
+        def execute(self, sql, *values):
+            if sql == "BEGIN IMMEDIATE":
+                super().execute("PRAGMA query_only = ON")
+            return super().execute(sql, *values)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            sqlite3, "connect", lambda *a, **k: connect(*a, factory=Locked, **k)
+        )
+        with pytest.warns(UserWarning, match="just before the machine stopped"):
+            library = TouchLibrary.open(lost)
+        assert len(library) == 1
+        library.close()
+    assert _marks(lost)
+    with TouchLibrary.open(lost) as library:
+        assert len(library) == 2
+    assert not _marks(lost)
+
+
+def test_a_forked_child_leaves_the_mark_to_its_parent(tmp_path):
+    with TouchLibrary.open(tmp_path, create=True) as library:
+        library.add(_press(1))
+        child = os.fork()
+        if not child:
+            library.close()
+            os._exit(0)
+        assert os.waitpid(child, 0)[1] == 0
+        assert len(_marks(tmp_path)) == 1
+        library.add(_press(2))
+        assert len(library) == 2
+    assert not _marks(tmp_path)
+
+
+def test_closing_waits_for_no_disk_that_is_full(tmp_path, monkeypatch):
+    """The mark stays: after a power cut the rows are entered from their files."""
+    library = TouchLibrary.open(tmp_path, create=True)
+    library.add(_press(1))
+
+    def full(sql, values=()):
+        raise LibraryError("The disk is full.")
+
+    monkeypatch.setattr(library._store, "run", full)
+    library.close()
+    assert len(_marks(tmp_path)) == 1
