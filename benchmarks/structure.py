@@ -117,14 +117,20 @@ def imported(nodes: Iterable[ast.AST]) -> Iterator[str]:
 def import_circles(source: Path, *, deferred: bool = False) -> list[list[str]]:
     """Return the groups of modules that import each other, each group in order.
 
-    Imports under `if TYPE_CHECKING:` do not count; those inside functions only if
-    `deferred`. `from . import x` is an import of x where x is a module.
+    Imports under `if TYPE_CHECKING:` do not count; those inside functions, and those
+    that a stub has made when a name is first used, only if `deferred`; the stub of the
+    root, which offers what imports it, never. `from . import x` is an import of x where
+    x is a module.
     """
     modules = {module_name(path, source): path for path in source.rglob("*.py")}
     graph = {
         name: {
             target
-            for node in running(ast.parse(path.read_text()), deferred)
+            for part in (path, path.with_suffix(".pyi"))[
+                : 1 + (deferred and "." in name)
+            ]
+            if part.is_file()
+            for node in running(ast.parse(part.read_text()), deferred)
             for target in targets_of(node, name, path, modules)
             if target != name
         }
