@@ -47,17 +47,6 @@ def replacing(target: Path, slot: Path | None = None) -> Iterator[BinaryIO]:
         flush_folder(place.parent)
 
 
-def start_of_machine() -> str | None:
-    """Return what names the present start of this machine; None where that is unknown.
-
-    What a program has written, flushed or not, is there until the next one.
-    """
-    with suppress(OSError, ValueError):
-        known = Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
-        return known if re.fullmatch("[0-9a-f-]{36}", known) else None
-    return None
-
-
 def make_slots(folder: Path, n_slots: int) -> list[Path]:
     """Make empty files whose names are on the disk before they are needed."""
     folder.mkdir(exist_ok=True)

@@ -131,11 +131,11 @@ class LibraryMachine(RuleBasedStateMachine):
 
     @rule(label=names, n_touches=st.integers(1, 3))
     def cut_power_after_adding(self, label, n_touches):
-        """Rows are gone, files and the mark of an earlier start are there."""
+        """Rows are gone, files and a mark that nobody locks are there."""
         before = self._database.read_bytes()
         self._added(label, n_touches)
         self._database.write_bytes(before)
-        (self.folder / "images" / f".adding-{'0' * 36}-1").touch()
+        (self.folder / "images" / ".adding-left").touch()
         TouchLibrary.open(self.folder).close()
         self.unseen = set()
 

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._checks import check_option, check_positive
+from .._durable import flush_folder
 from .._progress import Progress
 from ..touches import GEOMETRIES, Touches
 from . import _rows
@@ -327,6 +328,8 @@ def _store_sheet(store: Store, sheet: Sheet) -> None:
         if late and not store.count(_KNOWN, [bytes.fromhex(name)]):
             kept = replace(kept, added_s=now)
             file_path(images, name).unlink()  # a rebuild would believe the first
+            flush_folder(images)
+            flush_folder(file_path(images, name).parent)
             name = publish(images, kept.packed(), store.slots)
         _rows.write_rows(store, kept, name, lost)
 

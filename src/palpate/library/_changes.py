@@ -153,9 +153,16 @@ class Names:
             for c in [from_json(text)]
         ]
 
-    def now(self, label: str | None, since_s: float) -> str | None:
-        """Return what an object is called that had this name at a time."""
+    def now(
+        self, label: str | None, since_s: float, *, merged: bool = True
+    ) -> str | None:
+        """Return what an object is called that had this name at a time.
+
+        If not `merged`, what it is called itself, wherever its touches belong.
+        """
         for time_s, action, old, new in self.known:
+            if not merged and action == "merge":
+                continue
             if old == label and (time_s > since_s or action == "merge"):
                 label, since_s = new, time_s  # a merged name stays with its object
         return label
@@ -171,13 +178,16 @@ class Names:
 def retract_again(store: Store, after: int) -> None:
     """Leave out touches with numbers `after` this one as known changes say."""
     rows = store.rows("SELECT lower(hex(id)) FROM touches WHERE number > ?", [after])
-    new = {row[0] for row in rows}
+    if not (new := {row[0] for row in rows}):
+        return
     for key, name, action in store.rows(
         "SELECT id, name, action FROM changes WHERE action IN ('retract', 'restore') "
         "ORDER BY id"
     ):
+        ids = []
         with suppress(OSError, ValueError):
             ids = [i for i in read_change(_path(store, name))["ids"] if i in new]
+        if ids:
             with store.writing():
                 _leave_out(store, key if action == "retract" else None, ids)
 

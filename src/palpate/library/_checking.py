@@ -77,10 +77,10 @@ def check_library(folder: str | Path, *, progress: bool | None = None) -> CheckR
         Show a bar on standard error when it takes over two seconds; by default
         where that is a terminal.
     """
-    adopt(Path(folder) / IMAGES)
+    adopted = adopt(Path(folder) / IMAGES)
     try:
         with closing(Store(Path(folder))) as store:
-            take_up(store)
+            take_up(store, adopted)
             return _checked(store, progress)
     except LibraryError as error:
         kinds = {NewerLibrary: "version", _store.DatabaseUnavailable: "disk"}

@@ -1,9 +1,9 @@
 """Touches and changes that files hold and the database lacks, entered into it.
 
-A touch added by itself is acknowledged when its file is on the disk, which carries its
-labels too; its row is committed, but flushed with the next ones. A power cut may take
-such rows. Whoever adds so leaves a mark with the start of the machine it was made in,
-and whoever finds a mark of another start enters the files without a row.
+A touch is acknowledged when its file is on the disk, which carries its labels too; its
+row is committed, but flushed with the next ones. A power cut may take such rows. So
+who adds keeps a mark locked meanwhile, and who finds one that nobody locks enters the
+files without a row.
 """
 
 import time
@@ -23,10 +23,14 @@ from ._store import (
     DatabaseUnavailable,
     LibraryError,
     Store,
+    Unreadable,
 )
 
 DAMAGED = "damaged"
-NO_SHEET = (LibraryError, ValueError, KeyError, TypeError, AttributeError)
+NO_SHEET = (
+    *(LibraryError, ValueError, KeyError, TypeError, AttributeError),
+    *(OverflowError, RecursionError),
+)
 
 
 def sheet_in(store: Store, name: str) -> Sheet | None:
@@ -40,62 +44,97 @@ def spare_files(store: Store) -> list[Path]:
     """Return files of images that the database does not know (any more, or yet)."""
     known = {row[0].hex() for row in store.rows("SELECT name FROM files")}
     paths = sorted((store.folder / IMAGES).glob("*/*.npy"))
-    return [path for path in paths if path.stem not in known]
+    return [path for path in paths if path.stem not in known and path.is_file()]
 
 
-def take_up(store: Store) -> None:
-    """Enter touches whose rows a power cut has taken; their files are named again.
+def take_up(store: Store, adopted: bool) -> None:
+    """Enter touches whose rows a power cut has taken, before anything is read.
 
-    Where the library cannot be written to, a warning tells so.
+    Their files have been named again, all of them if `adopted`. What cannot be entered
+    for the moment is told by a warning, and looked for again next time.
     """
-    if not (marks := left_marks(store.folder / IMAGES)):
-        return
-    try:
-        enter_all(store, anew=False, with_changes=False)
-    except LibraryError as error:
-        warnings.warn(
-            f"Touches that were added to {store.folder} just before the machine "
-            f"stopped are left out until they can be entered: {error}",
-            stacklevel=4,
-        )
-        return
-    for mark in marks:
-        with suppress(OSError):
-            mark.unlink()
+    with left_marks(store.folder / IMAGES) as marks:
+        if not marks:
+            return
+        try:
+            n_unread = enter_files(store)
+            reason = "files cannot be read or named" if n_unread or not adopted else ""
+        except LibraryError as error:
+            reason = str(error)
+        if reason:
+            warnings.warn(
+                f"{store.folder} may lack touches that were added to it just before "
+                f"the machine or a program stopped: {reason}",
+                stacklevel=4,
+            )
+            return
+        for mark in marks:
+            with suppress(OSError):
+                mark.unlink()
 
 
-def enter_all(
-    store: Store, *, anew: bool, with_changes: bool = True
-) -> tuple[int, int]:
-    """Enter unknown files by time; return how many touches and changes were gained.
+def enter_files(store: Store) -> int:
+    """Enter touches of unknown files by time; return how many cannot be read."""
+    n_unread, sheets = _spare_sheets(store)
+    for key in sorted(sheets):
+        _enter_sheet(store, key[1], sheets[key], late=True)
+    return n_unread
+
+
+def _spare_sheets(store: Store) -> tuple[int, dict[tuple[float, str], set[bytes]]]:
+    """Return how many unknown files cannot be read, and what stands in the others.
+
+    Of each, by time and name, these are the touches that stand in a later one too. Of
+    two files with a touch, nobody was told of the first one.
+    """
+    n_unread, ids = 0, {}
+    for path in spare_files(store):
+        try:
+            sheet = read_sheet(read_file(store.folder / IMAGES, path.stem))
+            ids[sheet.added_s, path.stem] = set(sheet.ids)
+        except Unreadable:
+            n_unread += 1
+        except NO_SHEET:
+            continue
+    later: set[bytes] = set()
+    for key in sorted(ids, reverse=True):
+        ids[key], later = ids[key] & later, later | ids[key]
+    return n_unread, ids
+
+
+def enter_all(store: Store, *, anew: bool) -> tuple[int, int]:
+    """Enter unknown files and changes by time; return how many touches and changes.
 
     A change that the database does not know is carried out unless somebody was told
     of a later one, but not of it: then it stays where it is.
     """
     known = changes.known_changes(store)
-    found = changes.readable_changes(
-        changes.change_files(store) if with_changes else {}
-    )
+    found = changes.readable_changes(changes.change_files(store))
     told = changes.told_changes(found | known) - set(known)
     before = store.count("SELECT count(*) FROM touches")
-    steps: list[tuple[float, str, str]] = []
-    for path in spare_files(store):
-        if sheet := sheet_in(store, path.stem):
-            steps.append((sheet.added_s, "touches", path.stem))
+    _, sheets = _spare_sheets(store)
+    steps = [(added_s, "touches", name) for added_s, name in sheets]
     steps += ((found[name]["time_s"], "change", name) for name in told)
     n_changes = 0
-    for _, kind, name in sorted(steps):
+    for time_s, kind, name in sorted(steps):
         if kind == "change":
             n_changes += _carried_out(store, name, found[name], anew=anew)
-        elif sheet := sheet_in(store, name):
-            if not anew and "object" in sheet.values:  # they enter late
-                names = changes.Names(store)
-                labels = sheet.values["object"]
-                now = [names.now(label, sheet.added_s) for label in labels]
-                sheet = replace(sheet, values={**sheet.values, "object": now})
-            _entered(store, _rows.write_rows, sheet, name)
+        else:
+            _enter_sheet(store, name, sheets[time_s, name], late=not anew)
     changes.retract_again(store, before)
     return store.count("SELECT count(*) FROM touches") - before, n_changes
+
+
+def _enter_sheet(store: Store, name: str, elsewhere: set[bytes], *, late: bool) -> None:
+    """Enter the touches of a file, those `late` under the present names of objects."""
+    sheet = sheet_in(store, name)
+    if sheet is None:
+        return
+    if late and "object" in sheet.values:
+        names, labels = changes.Names(store), sheet.values["object"]
+        now = [names.now(label, sheet.added_s, merged=False) for label in labels]
+        sheet = replace(sheet, values={**sheet.values, "object": now})
+    _entered(store, _rows.write_rows, sheet, name, (), elsewhere)
 
 
 def _carried_out(

@@ -18,31 +18,31 @@ import os
 import re
 import secrets
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
-from math import prod
+from math import isfinite, prod
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib import format as npy
 
-from .._durable import (
-    PARTIAL,
-    flush_folder,
-    make_slots,
-    start_of_machine,
-    write_bytes,
-)
+from .._durable import PARTIAL, flush_folder, make_slots, write_bytes
 from .._types import Array
 from ..touches import Touches
-from ._store import IMAGES, LibraryError, Store
+from ._store import IMAGES, LibraryError, Store, Unreadable
+
+try:
+    import fcntl
+except ImportError:  # not on Windows
+    fcntl = None  # type: ignore[assignment]
 
 _MAX_HEADER = 2**14
 _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 _NAME = re.compile("[0-9a-f]{64}")
 _PLAIN_KINDS = "biufcSUMm"
 _SLOTS = 16
+_ID_BYTES = 16
 _MARK = ".adding-"
 _END = 66  # the digits of a SHA-256, a quote and a bracket
 _flushed: set[tuple[str, int, int]] = set()
@@ -111,39 +111,64 @@ def publish(folder: Path, content: bytes, slots: list[Path] | None = None) -> st
     return name
 
 
-def adopt(folder: Path) -> None:
-    """Name files that stand whole in slots, where a power cut has undone that."""
+def adopt(folder: Path) -> bool:
+    """Name files that stand whole in slots, where a power cut has undone that.
+
+    Return whether none had to stay there, since the disk is full or fails.
+    """
+    done = True
     for slot in folder.glob(f"{PARTIAL}*"):
-        with suppress(OSError):
-            content = slot.read_bytes()
+        try:
+            content = slot.read_bytes() if slot.is_file() else b""
             if content[-_END:] == _end(content[:-_END]):
                 publish(folder, content)
                 slot.unlink()
+        except FileNotFoundError:  # another program was faster
+            continue
+        except OSError:
+            done = False
+    return done
 
 
 def is_marked(store: Store) -> bool:
-    """Tell whether a power cut from now on would be noticed; leave a mark for that.
+    """Leave a mark that rows may not be flushed, and tell whether there is one.
 
-    It bears the name of the machine's present start, and stays until the store is
-    closed with all rows on the disk. Where that name is unknown, or the database keeps
-    no log, there is none.
+    It stays, locked, until the store is closed with all rows on the disk; a power cut,
+    or the end of a killed program, takes the lock alone. Where files cannot be locked,
+    or the database keeps no log, there is none.
     """
-    if not store.marks and store.logs and (start := start_of_machine()):
+    if not store.marks and store.logs and fcntl is not None:
         folder = store.folder / IMAGES
         folder.mkdir(exist_ok=True)
-        mark = folder / f"{_MARK}{start}-{secrets.token_hex(8)}"
-        mark.open("xb").close()
+        begun = folder / f"{PARTIAL}{secrets.token_hex(8)}"
+        mark = begun.with_name(f"{_MARK}{secrets.token_hex(8)}")
+        file = begun.open("xb")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX)
+        except OSError:
+            begun.unlink()
+            file.close()
+            return False
+        begun.rename(mark)
         flush_folder(folder)
         flush_folder(folder.parent)
-        store.marks.append(mark)
+        store.marks[mark] = file
     return bool(store.marks)
 
 
-def left_marks(folder: Path) -> list[Path]:
-    """Return marks of programs that added touches in an earlier start of a machine."""
-    marks = [*folder.glob(f"{_MARK}*")]
-    now = f"{_MARK}{start_of_machine()}-" if marks else ""
-    return [mark for mark in marks if not mark.name.startswith(now)]
+@contextmanager
+def left_marks(folder: Path) -> Iterator[list[Path]]:
+    """Hold the marks of programs that are no more; there is nobody to lock them."""
+    with ExitStack() as held:
+        found = []
+        for mark in folder.glob(f"{_MARK}*"):
+            with suppress(OSError):
+                file = held.enter_context(mark.open("rb"))
+                if fcntl is not None:
+                    # Several programs may look after one mark at once.
+                    fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+                found.append(mark)
+        yield found
 
 
 def _end(start: bytes) -> bytes:
@@ -197,7 +222,7 @@ def _readable(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         reason = error.strerror or error
-        raise LibraryError(f"{path} must be readable, got: {reason}.") from error
+        raise Unreadable(f"{path} must be readable, got: {reason}.") from error
 
 
 def _no_array(path: Path, got: str) -> LibraryError:
@@ -297,11 +322,17 @@ def read_sheet(arrays: Sequence[Array]) -> Sheet:
     names = [column.name for column in layout if column.wide]
     wide = dict(zip(names, blocks, strict=True))
     ids = [bytes.fromhex(key) for key in sheet["ids"]]
+    if {*map(len, ids)} - {_ID_BYTES}:
+        raise ValueError("ids of another length")
     lengths = {len(ids), len(images), *map(len, sheet["values"].values())}
     if lengths | {len(array) for array in wide.values()} != {len(images)}:
         raise ValueError("columns of unequal length")
     digests = [image_digest(image) for image in images]
     same = sheet["recording"], float(sheet["added_s"])
+    if not all(map(_NAME.fullmatch, same[0]["whole"].values())):
+        raise ValueError("arrays without a name")
+    if not isfinite(same[1]):
+        raise ValueError("no time")
     return Sheet(layout, sheet["values"], wide, images, *same, ids, digests)
 
 
@@ -370,7 +401,7 @@ def identity(
     whole = {n: _whole_numbers(cell) for n, cell in known.items() if cell is not None}
     parts = [digest, canonical(whole).encode()]
     parts += [n.encode() + wide[n][row].tobytes() for n in IDENTITY if n in wide]
-    return hashlib.sha256(b"\0".join(parts)).digest()[:16]
+    return hashlib.sha256(b"\0".join(parts)).digest()[:_ID_BYTES]
 
 
 def _whole_numbers(cell: Any) -> Any:

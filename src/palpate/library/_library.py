@@ -55,9 +55,13 @@ class TouchLibrary:
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
-        adopt(self.folder / IMAGES)
+        adopted = adopt(self.folder / IMAGES)
         self._store = Store(self.folder)
-        take_up(self._store)
+        try:
+            take_up(self._store, adopted)
+        except BaseException:
+            self._store.close()
+            raise
 
     @classmethod
     def open(cls, folder: str | Path, create: bool = False) -> Self:

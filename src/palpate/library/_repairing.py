@@ -10,8 +10,8 @@ from .._durable import PARTIAL, flush_folder
 from . import _changes as changes
 from . import _checking as checking
 from . import _rows, _store
-from ._entering import enter_all, set_aside, sheet_in
-from ._files import Sheet, adopt, file_path, left_marks, publish
+from ._entering import enter_all, set_aside, sheet_in, take_up
+from ._files import Sheet, adopt, file_path, publish
 from ._reading import is_whole, read_images
 from ._rows import MISSING, SET_ASIDE, StoredTouch, layouts, move_rows, recordings
 from ._store import IMAGES, SEALED, DatabaseDamaged, DatabaseUnavailable, Store
@@ -91,8 +91,7 @@ def repair_library(folder: str | Path, *, progress: bool | None = None) -> Repai
         to be read: then the library is left as it was.
     """
     folder = Path(folder)
-    adopt(folder / IMAGES)
-    marks = left_marks(folder / IMAGES)
+    adopted = adopt(folder / IMAGES)
     gained = _make_anew(folder) if _is_damaged(folder) else None
     with closing(Store(folder)) as store:
         n_recovered, n_changes = gained or enter_all(store, anew=False)
@@ -104,9 +103,7 @@ def repair_library(folder: str | Path, *, progress: bool | None = None) -> Repai
         if found:
             changes.make_change(store, action="restore", ids=found)
         n_left_out = _leave_out_arrays(store)
-        for mark in marks:
-            with suppress(OSError):
-                mark.unlink()
+        take_up(store, adopted)
         # Partial files that no living writer can be writing.
         for path in folder.rglob(f"{PARTIAL}*"):
             with suppress(OSError):

@@ -206,17 +206,26 @@ def id_bytes(key: str) -> bytes:
 
 
 def write_rows(
-    store: Store, sheet: Sheet, name: str, healed: Collection[bytes] = ()
+    store: Store,
+    sheet: Sheet,
+    name: str,
+    healed: Collection[bytes] = (),
+    elsewhere: Collection[bytes] = (),
 ) -> None:
-    """Enter touches of the file `name`: new ones, and `healed`, which lost theirs."""
-    rows = list(_rows(store, sheet, name))
+    """Enter touches of the file `name`: new ones, and `healed`, which lost theirs.
+
+    Those that stand `elsewhere` are left out.
+    """
+    rows = list(_rows(store, sheet, name, elsewhere))
     store.run_many(_INSERT + "NOTHING", [r for r in rows if r[0] not in healed])
     if healed:
         store.run_many(_INSERT + _HEAL, [r for r in rows if r[0] in healed])
 
 
-def _rows(store: Store, sheet: Sheet, name: str) -> Iterator[tuple[Any, ...]]:
-    """Return what `_INSERT` names of each touch."""
+def _rows(
+    store: Store, sheet: Sheet, name: str, elsewhere: Collection[bytes]
+) -> Iterator[tuple[Any, ...]]:
+    """Return what `_INSERT` names of each touch that does not stand `elsewhere`."""
     layout = {"columns": json.dumps([list(column) for column in sheet.layout])}
     recording = {name: sheet.recording[name] for name in _RECORDED}
     recording["whole"] = canonical(sheet.recording["whole"])
@@ -227,12 +236,14 @@ def _rows(store: Store, sheet: Sheet, name: str) -> Iterator[tuple[Any, ...]]:
         _file_key(store, sheet, name),
     )
     cells, extras = plain_cells(sheet)
+    here = [row for row, key in enumerate(sheet.ids) if key not in elsewhere]
     objects = {
         label: _object_key(store, label, category)
-        for label, category in dict(zip(*cells[:2], strict=True)).items()
+        for label, category in {cells[0][row]: cells[1][row] for row in here}.items()
         if label is not None
     }
-    for row, (key, label) in enumerate(zip(sheet.ids, cells[0], strict=True)):
+    for row in here:
+        key, label = sheet.ids[row], cells[0][row]
         yield (
             key,
             objects.get(label),

@@ -20,7 +20,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 SEALED = {
     "objects": ("id", "name", "category", "merged_into"),
@@ -123,6 +123,10 @@ class DatabaseDamaged(LibraryError):
     """The database is lost, empty, cut or overwritten: a repair makes it anew."""
 
 
+class Unreadable(LibraryError):
+    """A file of images or arrays is gone, or the disk fails."""
+
+
 class DatabaseUnavailable(LibraryError):
     """The disk is full, fails or is read-only; the library itself may be sound."""
 
@@ -156,8 +160,8 @@ class Store:
         self.slots: list[Path] = []
         self.turn, self.leads = threading.Condition(), False
         self.waiting: dict[Any, Any] = {}
-        # Files that tell of rows which may not be flushed, and whether there are any.
-        self.marks: list[Path] = []
+        # Locked files that tell of rows which may not be flushed; are there any?
+        self.marks: dict[Path, BinaryIO] = {}
         self._flushes, self._unflushed = True, False
         if not create and not self.path.is_file():
             start = f"{folder} must be a library of touches, got "
@@ -184,9 +188,11 @@ class Store:
                     with self.writing():
                         self.run(f"PRAGMA user_version = {VERSION}")
                 if os.getpid() == self._explained.process:
-                    while self.marks:
-                        self.marks.pop().unlink(missing_ok=True)
+                    for mark in self.marks:
+                        mark.unlink(missing_ok=True)
             self._connection.close()
+            while self.marks:
+                self.marks.popitem()[1].close()
             while self.slots:
                 self.slots.pop().unlink(missing_ok=True)
 
@@ -483,7 +489,7 @@ def _told(path: Path, error: sqlite3.Error) -> LibraryError:
     broken_seal = full_name == "SQLITE_CONSTRAINT_TRIGGER"
     if broken_seal or name in ("SQLITE_CORRUPT", "SQLITE_NOTADB"):
         return DatabaseDamaged(start + _REBUILD)
-    if name in ("SQLITE_BUSY", "SQLITE_LOCKED"):
+    if name in ("SQLITE_BUSY", "SQLITE_LOCKED", "SQLITE_PROTOCOL"):
         return DatabaseBusy(unusable + _WAIT)
     if name in _FIXES:
         return DatabaseUnavailable(unusable + _FIXES[name])
