@@ -23,5 +23,7 @@ def test_names_are_loaded_when_they_are_used():
     for name in palpate.__all__:
         assert getattr(palpate, name) is not None
     assert palpate.recognition.ObjectRecogniser is palpate.ObjectRecogniser
-    with pytest.raises(AttributeError, match="no attribute 'nothing_of_that_name'"):
+    with pytest.raises(
+        AttributeError, match="No palpate attribute nothing_of_that_name"
+    ):
         _ = palpate.nothing_of_that_name

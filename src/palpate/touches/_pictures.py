@@ -150,14 +150,15 @@ def picture_header(path: Path, *, max_pixels: int, colour: bool) -> Header:
     return header
 
 
-def decode_picture(path: Path, header: Header) -> Array:
+def decode_picture(path: Path, header: Header, out: Array | None = None) -> Array:
+    """Return the levels of a picture that has this header; `out` gets them if given."""
     try:
         with _opened(path, header.n_rows * header.n_cols) as file:
             data = file.read()
         found = _read_header(BytesIO(data)).checked(header.colour)
         if found != header:
             raise PictureError(f"{found} after {header}: the file changed meanwhile")
-        return _levels(data, header)
+        return _levels(data, header, out)
     except (OSError, PictureError) as error:
         raise refusal(path, error) from error
 
@@ -181,7 +182,7 @@ def decode_pictures(
     def fill(start: int) -> int:
         stop = min(start + _AT_ONCE, len(paths))
         for touch in range(start, stop):
-            images[touch] = decode_picture(paths[touch], header)
+            decode_picture(paths[touch], header, images[touch])
         return stop - start
 
     pool = ThreadPoolExecutor(n_cores())
@@ -257,40 +258,50 @@ def _damage(kind: str, stream: IO[bytes], error: Exception) -> PictureError:
     return PictureError(f"a damaged {kind} ({error})" if stream.read(1) else _CUT_SHORT)
 
 
-def _levels(data: bytes, header: Header) -> Array:
-    """Decode a whole picture to the shape and type that its `header` gives."""
-    if header.format == "PNG":
-        from PIL.PngImagePlugin import ChunkStream
+def _levels(data: bytes, header: Header, out: Array | None = None) -> Array:
+    """Decode a whole picture, into `out`, to the shape and type of its `header`."""
+    if header.format == "JPEG":
+        return _jpeg_levels(data, header, out)
+    from PIL.PngImagePlugin import ChunkStream
 
-        # Every checksum, and that of the end itself, which Pillow leaves out.
-        chunks = BytesIO(data)
-        chunks.seek(len(_PNG))
-        try:
-            ChunkStream(chunks).verify(b"IEND")
-        except Exception as error:
-            raise _damage("PNG", chunks, error) from error
-        if not data.startswith(_PNG_END, chunks.tell() - 8):
-            raise PictureError(_CUT_SHORT)
-        if data[25] == 3:  # a palette
-            _refuse_missing_colours(data)
-    levels = _decoded(data, header)
+    # Every checksum, and that of the end itself, which Pillow leaves out.
+    chunks = BytesIO(data)
+    chunks.seek(len(_PNG))
+    try:
+        ChunkStream(chunks).verify(b"IEND")
+    except Exception as error:
+        raise _damage("PNG", chunks, error) from error
+    if not data.startswith(_PNG_END, chunks.tell() - 8):
+        raise PictureError(_CUT_SHORT)
+    if data[25] == 3:  # a palette
+        _refuse_missing_colours(data)
+    levels = _png_levels(data, header)
     if levels is None or levels.shape != header.shape or levels.dtype != header.dtype:
         raise PictureError("a picture that cannot be decoded")
-    return levels
+    if out is None:
+        return levels
+    out[...] = levels
+    return out
 
 
-def _decoded(data: bytes, header: Header) -> Array | None:
-    import cv2
+def _jpeg_levels(data: bytes, header: Header, out: Array | None) -> Array:
     import simplejpeg
 
-    colour = header.colour
-    if header.format == "JPEG":
-        try:
-            levels = simplejpeg.decode_jpeg(data, "RGB" if colour else "GRAY")
-            return np.asarray(levels).reshape(header.shape)
-        except ValueError as error:
-            raise PictureError(f"a damaged or unusual JPEG ({error})") from error
-    see_through = data[25] in _ALPHA
+    out = np.empty(header.shape, header.dtype) if out is None else out
+    space = "RGB" if header.colour else "GRAY"
+    try:
+        levels = simplejpeg.decode_jpeg(data, space, buffer=out)
+    except ValueError as error:
+        raise PictureError(f"a damaged or unusual JPEG ({error})") from error
+    if levels.shape[: out.ndim] != out.shape:
+        raise PictureError("a picture that cannot be decoded")
+    return out
+
+
+def _png_levels(data: bytes, header: Header) -> Array | None:
+    import cv2
+
+    colour, see_through = header.colour, data[25] in _ALPHA
     kind = cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE
     kind = cv2.IMREAD_UNCHANGED if see_through else kind | cv2.IMREAD_ANYDEPTH
     coded = np.frombuffer(data, np.uint8)
