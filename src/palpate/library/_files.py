@@ -20,6 +20,7 @@ import secrets
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import isfinite, prod
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -75,10 +76,12 @@ def packed(arrays: Sequence[Array]) -> bytes:
     return stream.getvalue()
 
 
-def header_length(array: Array) -> int:
+@lru_cache
+def header_length(shape: tuple[int, ...], dtype: np.dtype[Any]) -> int:
     """Return the number of bytes before the values of a packed array."""
+    empty = np.broadcast_to(np.zeros((), dtype), shape)
     stream = io.BytesIO()
-    npy.write_array_header_1_0(stream, npy.header_data_from_array_1_0(array))
+    npy.write_array_header_1_0(stream, npy.header_data_from_array_1_0(empty))
     return stream.tell()
 
 

@@ -289,7 +289,7 @@ def _file_key(store: Store, sheet: Sheet, name: str) -> int:
     file = {
         "name": bytes.fromhex(name),
         "n_touches": len(sheet.ids),
-        "offset": header_length(sheet.images),
+        "offset": header_length(sheet.images.shape, sheet.images.dtype),
     }
     return _key(store, "files", file, "name")
 
