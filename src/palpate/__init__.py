@@ -2,9 +2,9 @@
 
 What people reach for first can be imported from here; the rest lives in rooms:
 `palpate.touches`, `images`, `encodings`, `classifiers`, `library`, `recognition`,
-`evaluation`, `simulation`, `sensors`, `exploration`. Every name stands in
-`__init__.pyi` with its room, which is loaded when the name is first used, so that
-`import palpate` is cheap.
+`evaluation`, `simulation`, `sensors`, `exploration`. `__init__.pyi` lists every name
+with its room, which is loaded when the name is first used, so that `import palpate` is
+cheap.
 """
 
 import lazy_loader

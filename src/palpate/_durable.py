@@ -22,10 +22,10 @@ def replacing(target: Path, slot: Path | None = None) -> Iterator[BinaryIO]:
     """Open a file that takes the place of `target` once the block ends well.
 
     A file that is there is replaced in one step, and a link is followed. With a `slot`,
-    one of `make_slots`, that is renamed, no link is followed, and the folder is not
-    flushed: should a power cut undo the renaming, the file stands whole in the slot. An
-    `OSError` names `target`; nothing is left behind then, nor where the block itself
-    raises.
+    one of `make_slots`, the content is written there and renamed; no link is followed,
+    and the folder is not flushed. If a power cut undoes the renaming, the file stands
+    whole in the slot. An `OSError` names `target`; nothing is left behind then, nor
+    where the block itself raises.
     """
     place = target if slot else target.resolve()
     partial = slot or place.with_name(f"{PARTIAL}{secrets.token_hex(8)}")

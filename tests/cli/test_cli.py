@@ -183,17 +183,6 @@ def test_help_loads_nothing_heavy():
     assert done.returncode == 0, done.stderr
 
 
-def test_names_of_recognition_are_loaded_when_they_are_used():
-    code = (
-        "import sys, palpate.recognition as room\n"
-        "heavy = {'numpy', 'sklearn', 'cv2', 'scipy'}\n"
-        "assert not heavy & {*sys.modules}, heavy & {*sys.modules}\n"
-        "assert room.__all__ and room.Belief.__name__ == 'Belief'\n"
-        "assert 'numpy' in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
 def test_the_version_stands_in_one_place(palpate):
     assert palpate("--version").stdout == f"palpate {package.__version__}\n"
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())

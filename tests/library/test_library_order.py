@@ -106,8 +106,8 @@ def test_a_change_is_on_the_disk_before_the_database_knows_it(traced):
     assert events == ["file", "rename", "folder", "commit"]
 
 
-def test_a_commit_waits_for_the_disk(traced):
-    """SQLite flushes its log at each commit at 2 (FULL); at 1 a power cut loses it."""
+def test_a_change_waits_for_the_disk(traced):
+    """A change was made last: SQLite flushes its log at each commit at 2 (FULL)."""
     connection = traced[0]._store._connection
     assert connection.execute("PRAGMA synchronous").fetchone() == (2,)
     assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)

@@ -17,7 +17,6 @@ from numpy.testing import assert_array_equal
 
 from palpate import Touches
 from palpate.library import (
-    LibraryError,
     TouchLibrary,
     _adding,
     check_library,
@@ -204,7 +203,7 @@ def test_a_touch_takes_one_flush_and_a_change_flushes_its_row(tmp_path, events):
         library.add(_press(9))
         assert events[-1] == NORMAL
         events.clear()
-    assert events == [FULL]  # closing flushes what is left
+    assert events == ["library.sqlite-wal"]  # closing flushes what is left
     assert not _marks(tmp_path)
 
 
@@ -219,8 +218,10 @@ def test_the_mark_is_on_the_disk_before_any_row_needs_it(tmp_path, events):
         events.clear()
         library.add(_press(2, 300))
         assert _marks(tmp_path / "lab") == [mark]
+    assert events[-1] == "library.sqlite-wal"
+    events.clear()
     TouchLibrary.open(tmp_path / "lab").close()  # nothing was added
-    assert events[-1] == FULL
+    assert not events
 
 
 @pytest.mark.parametrize("locks", ["none", "refused"])
@@ -285,9 +286,12 @@ def test_a_library_that_cannot_be_written_to_says_what_it_leaves_out(
     assert not _marks(lost)
 
 
-def test_a_forked_child_leaves_the_mark_to_its_parent(tmp_path):
+@pytest.mark.parametrize("flushed", [False, True])
+def test_a_forked_child_leaves_the_mark_to_its_parent(tmp_path, flushed):
     with TouchLibrary.open(tmp_path, create=True) as library:
         library.add(_press(1))
+        if flushed:
+            library.rename_object("mug", "cup")
         child = os.fork()
         if not child:
             library.close()
@@ -299,16 +303,69 @@ def test_a_forked_child_leaves_the_mark_to_its_parent(tmp_path):
     assert not _marks(tmp_path)
 
 
-def test_closing_waits_for_no_disk_that_is_full(tmp_path, monkeypatch):
-    """The mark stays: after a power cut the rows are entered from their files."""
+def test_rows_of_a_killed_program_are_flushed_before_its_mark_goes(tmp_path, events):
+    child = os.fork()
+    if not child:
+        TouchLibrary.open(tmp_path, create=True).add(_press(1))
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0
+    assert len(_marks(tmp_path)) == 1
+    events.clear()
+    with TouchLibrary.open(tmp_path) as library:
+        assert events == ["library.sqlite-wal"]
+        assert not _marks(tmp_path)
+        assert len(library) == 1
+
+
+def test_two_programs_may_enter_rows_at_once(lost):
+    """None of them reads before all are there."""
+    with files.left_marks(lost / "images"), TouchLibrary.open(lost) as library:
+        assert len(library) == 2
+
+
+def test_a_file_without_a_row_is_entered_under_the_present_name(tmp_path):
+    folder = tmp_path / "lab"
+    with TouchLibrary.open(folder, create=True) as library:
+        library.add(_press(1))
+        _spare(folder, _press(2))
+        library.rename_object("mug", "cup")
+    _leave_a_mark(folder)
+    with TouchLibrary.open(folder) as library:
+        assert [row.object for row in library.list()] == ["cup", "cup"]
+
+
+def test_without_a_log_every_row_is_flushed(tmp_path, events):
+    TouchLibrary.open(tmp_path, create=True).close()
+    database = sqlite3.connect(tmp_path / "library.sqlite")
+    database.execute("PRAGMA journal_mode = DELETE")
+    database.close()
+    with TouchLibrary.open(tmp_path) as library:
+        library.add(_press(1))
+        assert events[-1] == FULL
+        assert not _marks(tmp_path)
+
+
+def test_a_folder_named_like_a_file_is_passed_over(tmp_path):
+    with TouchLibrary.open(tmp_path, create=True) as library:
+        library.add(_press(1))
+    (tmp_path / "images" / "ab" / f"{'ab' * 32}.npy").mkdir(parents=True)
+    _leave_a_mark(tmp_path)
+    with TouchLibrary.open(tmp_path) as library:
+        assert len(library) == 1
+    assert not _marks(tmp_path)
+
+
+def test_the_mark_stays_where_closing_cannot_flush(tmp_path, monkeypatch):
+    """After a power cut the rows are entered from their files."""
     library = TouchLibrary.open(tmp_path, create=True)
     library.add(_press(1))
 
-    def full(sql, values=()):
-        raise LibraryError("The disk is full.")
+    def full(handle):
+        raise OSError(28, os.strerror(28))
 
-    monkeypatch.setattr(library._store, "run", full)
-    library.close()
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        library.close()
     assert len(_marks(tmp_path)) == 1
 
 
@@ -381,9 +438,10 @@ def test_a_file_that_is_written_again_does_not_come_back(tmp_path, monkeypatch):
         other.add(_press(1))
         monkeypatch.setattr(_adding, "publish", renamed_meanwhile)
         cut = _PowerCut(folder)
-        library.add(_press(2))
+        library.add(_press(2, category=["tools"]))
         cut.flush()
         lost = cut(tmp_path / "lost")
+    assert len(list((folder / "images").glob("*/*.npy"))) == 2
     (lost / "images" / ".partial-0").write_bytes(first[0])
     _assert_equal(_everything(lost), _everything(folder))
 

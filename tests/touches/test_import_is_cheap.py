@@ -27,3 +27,15 @@ def test_names_are_loaded_when_they_are_used():
         AttributeError, match="No palpate attribute nothing_of_that_name"
     ):
         _ = palpate.nothing_of_that_name
+
+
+def test_names_of_recognition_are_loaded_when_they_are_used():
+    code = (
+        "import sys, palpate.recognition as room\n"
+        "heavy = {'numpy', 'sklearn', 'cv2', 'scipy'}\n"
+        "assert not heavy & {*sys.modules}, heavy & {*sys.modules}\n"
+        "assert {*room.__all__} <= {*dir(room)}\n"
+        "for name in dir(room): assert getattr(room, name) is not None, name\n"
+        "assert 'sklearn' in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

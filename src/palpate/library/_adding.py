@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._checks import check_option, check_positive
-from .._durable import flush_folder
 from .._progress import Progress
 from ..touches import GEOMETRIES, Touches
 from . import _rows
@@ -30,7 +29,7 @@ from ._files import (
     Sheet,
     file_path,
     identity,
-    is_marked,
+    leave_mark,
     packed,
     publish,
     sheet_of,
@@ -321,15 +320,13 @@ def _store_sheet(store: Store, sheet: Sheet) -> None:
         return
     kept = sheet.picked(sorted(new.values())) if len(new) < len(sheet.ids) else sheet
     # What a file alone would not tell after a power cut is flushed with the row.
-    flushed = bool(lost) or not is_marked(store)
+    flushed = bool(lost) or not leave_mark(store)
     name = publish(images, kept.packed(), store.slots)
     with store.writing(flushed=flushed):
         late = (now := next_time(store)) > kept.added_s  # another changed names since
         if late and not store.count(_KNOWN, [bytes.fromhex(name)]):
             kept = replace(kept, added_s=now)
-            file_path(images, name).unlink()  # a rebuild would believe the first
-            flush_folder(images)
-            flush_folder(file_path(images, name).parent)
+            file_path(images, name).unlink()  # no row will name it
             name = publish(images, kept.packed(), store.slots)
         _rows.write_rows(store, kept, name, lost)
 

@@ -158,7 +158,8 @@ class Names:
     ) -> str | None:
         """Return what an object is called that had this name at a time.
 
-        If not `merged`, what it is called itself, wherever its touches belong.
+        With `merged=False` merges are not followed: the name of the object itself, even
+        if it was merged into another.
         """
         for time_s, action, old, new in self.known:
             if not merged and action == "merge":

@@ -9,7 +9,7 @@ from .._durable import PARTIAL
 from .._progress import Progress
 from . import _changes, _rows, _store
 from ._changes import Names, change_files, file_fault, known_changes, read_change
-from ._entering import sheet_in, spare_files, take_up
+from ._entering import enter_lost_rows, sheet_in, spare_files
 from ._files import CELLS, adopt, file_path, read_file
 from ._reading import is_whole
 from ._rows import FROM, SET_ASIDE, StoredTouch, damaged_touches, layouts, recordings
@@ -80,7 +80,7 @@ def check_library(folder: str | Path, *, progress: bool | None = None) -> CheckR
     adopted = adopt(Path(folder) / IMAGES)
     try:
         with closing(Store(Path(folder))) as store:
-            take_up(store, adopted)
+            enter_lost_rows(store, adopted)
             return _checked(store, progress)
     except LibraryError as error:
         kinds = {NewerLibrary: "version", _store.DatabaseUnavailable: "disk"}

@@ -47,11 +47,11 @@ def spare_files(store: Store) -> list[Path]:
     return [path for path in paths if path.stem not in known and path.is_file()]
 
 
-def take_up(store: Store, adopted: bool) -> None:
+def enter_lost_rows(store: Store, adopted: bool) -> None:
     """Enter touches whose rows a power cut has taken, before anything is read.
 
-    Their files have been named again, all of them if `adopted`. What cannot be entered
-    for the moment is told by a warning, and looked for again next time.
+    `adopted` tells whether every whole file has its name again. If something cannot be
+    entered now, a warning says so, the marks stay, and the next opening tries again.
     """
     with left_marks(store.folder / IMAGES) as marks:
         if not marks:
@@ -59,7 +59,9 @@ def take_up(store: Store, adopted: bool) -> None:
         try:
             n_unread = enter_files(store)
             reason = "files cannot be read or named" if n_unread or not adopted else ""
-        except LibraryError as error:
+            # Rows of a killed program are known, but may not be on the disk yet.
+            store.flush_log()
+        except (LibraryError, OSError) as error:
             reason = str(error)
         if reason:
             warnings.warn(
@@ -82,10 +84,11 @@ def enter_files(store: Store) -> int:
 
 
 def _spare_sheets(store: Store) -> tuple[int, dict[tuple[float, str], set[bytes]]]:
-    """Return how many unknown files cannot be read, and what stands in the others.
+    """Return how many unknown files cannot be read, and what to skip in the others.
 
-    Of each, by time and name, these are the touches that stand in a later one too. Of
-    two files with a touch, nobody was told of the first one.
+    Each is given, by time and name, with the ids of touches that a later file holds
+    too: of two files with one touch, the later one counts, as nobody was told of the
+    first one.
     """
     n_unread, ids = 0, {}
     for path in spare_files(store):
@@ -125,8 +128,11 @@ def enter_all(store: Store, *, anew: bool) -> tuple[int, int]:
     return store.count("SELECT count(*) FROM touches") - before, n_changes
 
 
-def _enter_sheet(store: Store, name: str, elsewhere: set[bytes], *, late: bool) -> None:
-    """Enter the touches of a file, those `late` under the present names of objects."""
+def _enter_sheet(store: Store, name: str, skipped: set[bytes], *, late: bool) -> None:
+    """Enter unknown touches of a file, but for those `skipped`.
+
+    With `late`, under the names that their objects have now.
+    """
     sheet = sheet_in(store, name)
     if sheet is None:
         return
@@ -134,7 +140,9 @@ def _enter_sheet(store: Store, name: str, elsewhere: set[bytes], *, late: bool) 
         names, labels = changes.Names(store), sheet.values["object"]
         now = [names.now(label, sheet.added_s, merged=False) for label in labels]
         sheet = replace(sheet, values={**sheet.values, "object": now})
-    _entered(store, _rows.write_rows, sheet, name, (), elsewhere)
+    known = store.among("SELECT id FROM touches WHERE id IN (?)", sheet.ids)
+    skipped = skipped | {row[0] for row in known}
+    _entered(store, _rows.write_rows, sheet, name, (), skipped)
 
 
 def _carried_out(

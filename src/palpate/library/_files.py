@@ -133,14 +133,14 @@ def adopt(folder: Path) -> bool:
     return done
 
 
-def is_marked(store: Store) -> bool:
-    """Leave a mark that rows may not be flushed, and tell whether there is one.
+def leave_mark(store: Store) -> bool:
+    """Leave a locked mark: rows may not be flushed. Return whether there is one.
 
-    It stays, locked, until the store is closed with all rows on the disk; a power cut,
-    or the end of a killed program, takes the lock alone. Where files cannot be locked,
-    or the database keeps no log, there is none.
+    It stays until the store is closed with all rows on the disk. A power cut, or the
+    end of a killed program, removes the lock but not the mark. No mark is made where
+    files cannot be locked, or where the database has no write-ahead log.
     """
-    if not store.marks and store.logs and fcntl is not None:
+    if not store.marks and store.has_log and fcntl is not None:
         folder = store.folder / IMAGES
         folder.mkdir(exist_ok=True)
         begun = folder / f"{PARTIAL}{secrets.token_hex(8)}"
@@ -161,7 +161,7 @@ def is_marked(store: Store) -> bool:
 
 @contextmanager
 def left_marks(folder: Path) -> Iterator[list[Path]]:
-    """Hold the marks of programs that are no more; there is nobody to lock them."""
+    """Hold the marks that no running program locks; their rows may be missing."""
     with ExitStack() as held:
         found = []
         for mark in folder.glob(f"{_MARK}*"):

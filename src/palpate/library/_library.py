@@ -13,7 +13,7 @@ from . import _adding, _reading
 from ._adding import ObjectRow, SensorDescription, TouchRow, condition, numbers_of
 from ._changes import checked_name, chosen_ids, known_object, make_change
 from ._checking import CheckReport, check_library
-from ._entering import take_up
+from ._entering import enter_lost_rows
 from ._exchange import export_touches
 from ._files import adopt
 from ._reading import IN_MEMORY, Selection, read_array, read_images, read_touches
@@ -58,7 +58,7 @@ class TouchLibrary:
         adopted = adopt(self.folder / IMAGES)
         self._store = Store(self.folder)
         try:
-            take_up(self._store, adopted)
+            enter_lost_rows(self._store, adopted)
         except BaseException:
             self._store.close()
             raise

@@ -10,7 +10,7 @@ from .._durable import PARTIAL, flush_folder
 from . import _changes as changes
 from . import _checking as checking
 from . import _rows, _store
-from ._entering import enter_all, set_aside, sheet_in, take_up
+from ._entering import enter_all, enter_lost_rows, set_aside, sheet_in
 from ._files import Sheet, adopt, file_path, publish
 from ._reading import is_whole, read_images
 from ._rows import MISSING, SET_ASIDE, StoredTouch, layouts, move_rows, recordings
@@ -103,7 +103,7 @@ def repair_library(folder: str | Path, *, progress: bool | None = None) -> Repai
         if found:
             changes.make_change(store, action="restore", ids=found)
         n_left_out = _leave_out_arrays(store)
-        take_up(store, adopted)
+        enter_lost_rows(store, adopted)
         # Partial files that no living writer can be writing.
         for path in folder.rglob(f"{PARTIAL}*"):
             with suppress(OSError):

@@ -210,22 +210,22 @@ def write_rows(
     sheet: Sheet,
     name: str,
     healed: Collection[bytes] = (),
-    elsewhere: Collection[bytes] = (),
+    skipped: Collection[bytes] = (),
 ) -> None:
     """Enter touches of the file `name`: new ones, and `healed`, which lost theirs.
 
-    Those that stand `elsewhere` are left out.
+    Those in `skipped` are left out.
     """
-    rows = list(_rows(store, sheet, name, elsewhere))
+    rows = list(_rows(store, sheet, name, skipped))
     store.run_many(_INSERT + "NOTHING", [r for r in rows if r[0] not in healed])
     if healed:
         store.run_many(_INSERT + _HEAL, [r for r in rows if r[0] in healed])
 
 
 def _rows(
-    store: Store, sheet: Sheet, name: str, elsewhere: Collection[bytes]
+    store: Store, sheet: Sheet, name: str, skipped: Collection[bytes]
 ) -> Iterator[tuple[Any, ...]]:
-    """Return what `_INSERT` names of each touch that does not stand `elsewhere`."""
+    """Return what `_INSERT` names of each touch that is not `skipped`."""
     layout = {"columns": json.dumps([list(column) for column in sheet.layout])}
     recording = {name: sheet.recording[name] for name in _RECORDED}
     recording["whole"] = canonical(sheet.recording["whole"])
@@ -236,7 +236,7 @@ def _rows(
         _file_key(store, sheet, name),
     )
     cells, extras = plain_cells(sheet)
-    here = [row for row, key in enumerate(sheet.ids) if key not in elsewhere]
+    here = [row for row, key in enumerate(sheet.ids) if key not in skipped]
     objects = {
         label: _object_key(store, label, category)
         for label, category in {cells[0][row]: cells[1][row] for row in here}.items()

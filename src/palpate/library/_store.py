@@ -1,8 +1,8 @@
 """A library's folder and its database: tables, safe transactions, seals and errors.
 
 Write-ahead logging with `synchronous=FULL`: once a transaction has ended, it is on
-the disk, but for rows of touches whose files are (`_entering.py`). Readers never wait
-for writers; writers wait for one another.
+the disk. The exception is rows of added touches, whose files are on the disk before
+(`_entering.py`). Readers never wait for writers; writers wait for one another.
 
 Every row has a seal, a digest of all its values, kept beside them. Triggers of each
 connection seal a row when it is written, and refuse to change one whose seal is broken,
@@ -21,6 +21,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
+
+from .._durable import flush_all
 
 SEALED = {
     "objects": ("id", "name", "category", "merged_into"),
@@ -144,7 +146,7 @@ class Store:
 
     One thread uses the connection at a time. `create` makes the tables where there
     are none; `name` is another database while a repair makes it anew. `sealed` tells
-    whether its rows have seals.
+    whether its rows have seals, `has_log` whether it keeps a write-ahead log.
     """
 
     sealed = False
@@ -160,7 +162,7 @@ class Store:
         self.slots: list[Path] = []
         self.turn, self.leads = threading.Condition(), False
         self.waiting: dict[Any, Any] = {}
-        # Locked files that tell of rows which may not be flushed; are there any?
+        # Marks, kept locked; is each commit flushed; was the last one not?
         self.marks: dict[Path, BinaryIO] = {}
         self._flushes, self._unflushed = True, False
         if not create and not self.path.is_file():
@@ -184,9 +186,8 @@ class Store:
         """Close the connection; closing twice does nothing."""
         with self._lock:
             with suppress(LibraryError, OSError):  # marks stay then, as they must
-                if self._unflushed:  # any transaction flushes those before it
-                    with self.writing():
-                        self.run(f"PRAGMA user_version = {VERSION}")
+                if self._unflushed:
+                    self.flush_log()
                 if os.getpid() == self._explained.process:
                     for mark in self.marks:
                         mark.unlink(missing_ok=True)
@@ -195,6 +196,11 @@ class Store:
                 self.marks.popitem()[1].close()
             while self.slots:
                 self.slots.pop().unlink(missing_ok=True)
+
+    def flush_log(self) -> None:
+        """Put all rows that any program has committed on the disk."""
+        with suppress(FileNotFoundError):  # its rows have gone to the database
+            flush_all(self.path.with_name(f"{self.path.name}-wal"))
 
     def rows(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
         with self._lock, self._explained:
@@ -279,10 +285,11 @@ class Store:
 
     @contextmanager
     def writing(self, *, flushed: bool = True) -> Iterator[None]:
-        """Run a transaction: when the block has ended, all of it is on the disk.
+        """Run a transaction; when the block has ended, all of it is on the disk.
 
-        If not `flushed`, it is there with the next one that is, or when the store is
-        closed; the caller sees to it that a power cut before that takes nothing.
+        With `flushed=False` it is committed, and reaches the disk with the next flushed
+        one or when the store is closed. The caller must be able to enter its rows again
+        after a power cut.
         """
         with self._lock:
             if not self.sealed:
@@ -366,7 +373,7 @@ class Store:
                         self._seal_rows()
             version = self.count("PRAGMA user_version")
             application = self.count("PRAGMA application_id")
-            self.logs = self.rows("PRAGMA journal_mode") == [("wal",)]
+            self.has_log = self.rows("PRAGMA journal_mode") == [("wal",)]
         if version > VERSION:
             raise NewerLibrary(
                 f"{self.path} has library format {version}, this palpate reads up to "

@@ -1,7 +1,7 @@
 """Touches -> object: recogniser, belief, presets and model files.
 
-`Touches -> encode -> Evidence -> Belief`, a file for each. Every name stands in
-`__init__.pyi` with its file, which is loaded when the name is first used.
+`Touches -> encode -> Evidence -> Belief`, a file for each. `__init__.pyi` lists every
+name with its file, which is loaded when the name is first used.
 """
 
 import lazy_loader

@@ -259,7 +259,7 @@ def _damage(kind: str, stream: IO[bytes], error: Exception) -> PictureError:
 
 
 def _levels(data: bytes, header: Header, out: Array | None = None) -> Array:
-    """Decode a whole picture, into `out`, to the shape and type of its `header`."""
+    """Return the levels of a whole picture, as its `header` says; `out` gets them."""
     if header.format == "JPEG":
         return _jpeg_levels(data, header, out)
     from PIL.PngImagePlugin import ChunkStream
