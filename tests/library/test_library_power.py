@@ -17,6 +17,7 @@ from numpy.testing import assert_array_equal
 
 from palpate import Touches
 from palpate.library import (
+    LibraryError,
     TouchLibrary,
     _adding,
     check_library,
@@ -241,6 +242,22 @@ def test_where_files_cannot_be_locked_every_row_is_flushed(
         library.add(_press(2))
         assert events[-1] == FULL
         assert not _marks(tmp_path)
+
+
+def test_a_mark_that_cannot_be_flushed_is_none(tmp_path, events, monkeypatch):
+    with TouchLibrary.open(tmp_path, create=True) as library:
+
+        def full(handle):
+            raise OSError(28, os.strerror(28))
+
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "fsync", full)
+            with pytest.raises(LibraryError, match="0 of 1 are stored; free space"):
+                library.add(_press(1))
+        assert not _marks(tmp_path)
+        library.add(_press(1))
+        assert events.index("images") < events.index(NORMAL)
+        assert len(_marks(tmp_path)) == 1
 
 
 def test_touches_that_come_back_are_flushed_with_their_rows(tmp_path, events):

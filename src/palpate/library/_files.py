@@ -148,13 +148,13 @@ def leave_mark(store: Store) -> bool:
         file = begun.open("xb")
         try:
             fcntl.flock(file, fcntl.LOCK_EX)
-        except OSError:
-            begun.unlink()
+            begun.rename(mark)
+            store.slots += make_slots(folder, _SLOTS)  # the mark is flushed with them
+        except OSError:  # no locks, or no room: that is told when a file is written
             file.close()
+            begun.unlink(missing_ok=True)
+            mark.unlink(missing_ok=True)
             return False
-        begun.rename(mark)
-        flush_folder(folder)
-        flush_folder(folder.parent)
         store.marks[mark] = file
     return bool(store.marks)
 
