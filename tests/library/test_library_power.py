@@ -35,6 +35,10 @@ def _press(seed, n_touches=1, **columns):
     return Touches(images, **(known | columns))
 
 
+def _no_room(handle):
+    raise OSError(28, os.strerror(28))
+
+
 def _database(folder):
     return [p for p in Path(folder).glob("library.sqlite*") if "-shm" not in p.name]
 
@@ -246,12 +250,8 @@ def test_where_files_cannot_be_locked_every_row_is_flushed(
 
 def test_a_mark_that_cannot_be_flushed_is_none(tmp_path, events, monkeypatch):
     with TouchLibrary.open(tmp_path, create=True) as library:
-
-        def full(handle):
-            raise OSError(28, os.strerror(28))
-
         with monkeypatch.context() as patch:
-            patch.setattr(os, "fsync", full)
+            patch.setattr(os, "fsync", _no_room)
             with pytest.raises(LibraryError, match="0 of 1 are stored; free space"):
                 library.add(_press(1))
         assert not _marks(tmp_path)
@@ -376,12 +376,8 @@ def test_the_mark_stays_where_closing_cannot_flush(tmp_path, monkeypatch):
     """After a power cut the rows are entered from their files."""
     library = TouchLibrary.open(tmp_path, create=True)
     library.add(_press(1))
-
-    def full(handle):
-        raise OSError(28, os.strerror(28))
-
     with monkeypatch.context() as patch:
-        patch.setattr(os, "fsync", full)
+        patch.setattr(os, "fsync", _no_room)
         library.close()
     assert len(_marks(tmp_path)) == 1
 
