@@ -8,7 +8,10 @@ database back as it was flushed last, in a copy of the library: nobody locks its
 import json
 import os
 import shutil
+import signal
 import sqlite3
+import subprocess
+import time
 from pathlib import Path
 
 import numpy as np
@@ -439,8 +442,8 @@ def test_a_file_that_is_written_again_does_not_come_back(tmp_path, monkeypatch):
     folder, first = tmp_path / "lab", []
     publish = _adding.publish
 
-    def renamed_meanwhile(images, content, slots=None):
-        name = publish(images, content, slots)
+    def renamed_meanwhile(images, content, *known):
+        name = publish(images, content, *known)
         if not first:
             first.append(content)
             other.rename_object("mug", "cup")
@@ -533,3 +536,55 @@ def test_a_damaged_row_is_told_by_a_check_whatever_mark_is_left(tmp_path):
     TouchLibrary.open(tmp_path).close()
     _leave_a_mark(tmp_path)
     assert {p.kind for p in check_library(tmp_path).problems} == {"database"}
+
+
+def _mounted(disk, folder):
+    folder.mkdir(exist_ok=True)
+    subprocess.run(["mount", "-o", "loop", disk, folder], check=True)
+    return folder / "lab"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    os.geteuid() != 0 or not shutil.which("mkfs.ext4"), reason="needs root and ext4"
+)
+@pytest.mark.parametrize("seed", range(4))
+def test_a_real_file_system_after_a_power_cut(tmp_path, seed):
+    """What a stopped writer's disk holds at a moment, its caches gone, is mounted."""
+    disk, copy, there = tmp_path / "disk", tmp_path / "copy", tmp_path / "mounted"
+    with disk.open("wb") as file:
+        file.truncate(96 * 2**20)
+    subprocess.run(["mkfs.ext4", "-q", "-F", disk], check=True)
+    try:
+        folder = _mounted(disk, there)
+    except subprocess.CalledProcessError:
+        pytest.skip("needs a loop device")
+    reading, writing = os.pipe()
+    try:
+        if not (child := os.fork()):
+            library = TouchLibrary.open(folder, create=True)
+            for number in range(100_000):
+                [key] = library.add(_press(number))
+                os.write(writing, f"{number} {key}\n".encode())
+        os.close(writing)
+        time.sleep(np.random.default_rng(seed).uniform(0.5, 2))
+        os.kill(child, signal.SIGSTOP)
+        shutil.copyfile(disk, copy)
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+    finally:
+        subprocess.run(["umount", there], check=True)
+    with os.fdopen(reading) as stream:
+        lines = [line for line in stream if line.endswith("\n")]
+    told = dict(line.split() for line in lines)
+    assert told
+    folder = _mounted(copy, there)
+    try:
+        with TouchLibrary.open(folder) as library:
+            assert len(told) <= len(library) <= len(told) + 1
+            for number, key in told.items():
+                expected = _press(int(number)).images[0]
+                assert_array_equal(library.image(key), expected)
+            assert library.check().problems == []
+    finally:
+        subprocess.run(["umount", there], check=True)

@@ -321,13 +321,13 @@ def _store_sheet(store: Store, sheet: Sheet) -> None:
     kept = sheet.picked(sorted(new.values())) if len(new) < len(sheet.ids) else sheet
     # What a file alone would not tell after a power cut is flushed with the row.
     flushed = bool(lost) or not leave_mark(store)
-    name = publish(images, kept.packed(), store.slots)
+    name = publish(images, *kept.packed(), store.slots)
     with store.writing(flushed=flushed):
         late = (now := next_time(store)) > kept.added_s  # another changed names since
         if late and not store.count(_KNOWN, [bytes.fromhex(name)]):
             kept = replace(kept, added_s=now)
             file_path(images, name).unlink()  # no row will name it
-            name = publish(images, kept.packed(), store.slots)
+            name = publish(images, *kept.packed(), store.slots)
         _rows.write_rows(store, kept, name, lost)
 
 

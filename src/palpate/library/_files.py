@@ -85,13 +85,16 @@ def header_length(shape: tuple[int, ...], dtype: np.dtype[Any]) -> int:
     return stream.tell()
 
 
-def publish(folder: Path, content: bytes, slots: list[Path] | None = None) -> str:
+def publish(
+    folder: Path, content: bytes, name: str = "", slots: list[Path] | None = None
+) -> str:
     """Put a file in place and return its name; afterwards it is on the disk.
 
-    With `slots`, which are filled when they are used up, that takes one flush; after a
-    power cut `adopt` gives it its name again.
+    `name` is its SHA-256 where that is known. With `slots`, which are filled when they
+    are used up, that takes one flush; after a power cut `adopt` gives it its name
+    again.
     """
-    name = hashlib.sha256(content).hexdigest()
+    name = name or hashlib.sha256(content).hexdigest()
     target = file_path(folder, name)
     if target.is_file() and target.read_bytes() == content:
         about = target.stat()
@@ -123,7 +126,7 @@ def adopt(folder: Path) -> bool:
     for slot in folder.glob(f"{PARTIAL}*"):
         try:
             content = slot.read_bytes() if slot.is_file() else b""
-            if content[-_END:] == _end(content[:-_END]):
+            if content[-_END:] == _end(hashlib.sha256(content[:-_END])):
                 publish(folder, content)
                 slot.unlink()
         except FileNotFoundError:  # another program was faster
@@ -174,9 +177,9 @@ def left_marks(folder: Path) -> Iterator[list[Path]]:
         yield found
 
 
-def _end(start: bytes) -> bytes:
-    """Return what ends a file that starts so: the last value of its sheet."""
-    return hashlib.sha256(start).hexdigest().encode() + b'"}'
+def _end(start: "hashlib._Hash") -> bytes:
+    """Return what ends a file of this digest so far: the last value of its sheet."""
+    return start.hexdigest().encode() + b'"}'
 
 
 def read_values(
@@ -267,8 +270,11 @@ class Sheet:
     ids: list[bytes]
     digests: list[bytes]
 
-    def packed(self) -> bytes:
-        """Return the file: images, wide columns, the rest, the SHA-256 of all that."""
+    def packed(self) -> tuple[bytes, str]:
+        """Return the file and its name, the SHA-256 of all of it.
+
+        It holds images, wide columns, the rest, and the SHA-256 of all that.
+        """
         sheet = {
             "format": 1,
             "layout": [list(column) for column in self.layout],
@@ -280,7 +286,10 @@ class Sheet:
         }
         text = np.frombuffer(canonical(sheet).encode(), dtype=np.uint8)
         start = packed([self.images, *self.wide.values(), text])[:-_END]
-        return start + _end(start)
+        digest = hashlib.sha256(start)
+        end = _end(digest)
+        digest.update(end)
+        return start + end, digest.hexdigest()
 
     def picked(self, rows: Sequence[int]) -> "Sheet":
         return replace(
@@ -361,8 +370,9 @@ def column_array(columns: Sequence[Column], cells: Sequence[Any]) -> Array:
 
 def image_digest(image: Array) -> bytes:
     """Return the SHA-256 of an image: its type, its shape and its values."""
-    start = f"{image.dtype.str} {image.shape}".encode()
-    return hashlib.sha256(start + image.tobytes()).digest()
+    digest = hashlib.sha256(f"{image.dtype.str} {image.shape}".encode())
+    digest.update(np.ascontiguousarray(image).data)
+    return digest.digest()
 
 
 def canonical(value: Any) -> str:

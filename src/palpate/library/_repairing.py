@@ -238,7 +238,7 @@ def _write_sheets_again(store: Store, file: int, name: str) -> None:
             [row.digest for row in touches],
         )
         with _store.room_for("touches", store.folder, "Free space and repair again."):
-            new = publish(store.folder / IMAGES, sheet.packed())
+            new = publish(store.folder / IMAGES, *sheet.packed())
         with store.writing():
             move_rows(store, sheet, new)
         mended = mended or new == name
