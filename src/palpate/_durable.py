@@ -35,14 +35,13 @@ def replacing(target: Path, slot: Path | None = None) -> Iterator[BinaryIO]:
             file.flush()
             os.fsync(file.fileno())
         partial.replace(place)
-    except Exception as error:
+    except BaseException as error:
+        with suppress(OSError):
+            partial.unlink()
         number = _disk_error(error, partial)
         if number is None:
             raise
         raise OSError(number, os.strerror(number), str(target)) from error
-    finally:
-        with suppress(OSError):
-            partial.unlink()
     if slot is None:
         flush_folder(place.parent)
 
@@ -58,7 +57,7 @@ def make_slots(folder: Path, n_slots: int) -> list[Path]:
     return slots
 
 
-def _disk_error(error: Exception, partial: Path) -> int | None:
+def _disk_error(error: BaseException, partial: Path) -> int | None:
     """Return the number of what the disk said, to Python or to a library in Rust."""
     if isinstance(error, OSError):
         return error.errno if error.filename in (None, str(partial)) else None

@@ -173,3 +173,23 @@ def test_touches_that_only_the_database_knows_survive_its_repair(folder):
     path.write_bytes(content)
     assert repair_library(folder).n_restored == 2
     assert check_library(folder).ok
+
+
+def test_a_row_that_was_taken_back_is_not_remembered(folder):
+    with TouchLibrary.open(folder) as library:
+        store = library._store
+        known = []
+
+        def entered_and_taken_back():
+            with store.writing():
+                known.append(store.insert("layouts", {"columns": "[]"}))
+                known.append(store.key_of("layouts", "columns", "[]"))
+                raise RuntimeError
+
+        with pytest.raises(RuntimeError):
+            entered_and_taken_back()
+        assert known == [2, 2]
+        assert store.key_of("layouts", "columns", "[]") is None
+        images = np.full((1, 2, 2), 7, dtype=np.uint8)
+        library.add(Touches(images, weight=[2.5]))  # another layout takes that key
+        assert library.touches("weight = 2.5").columns["weight"].tolist() == [2.5]

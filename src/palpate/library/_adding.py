@@ -35,7 +35,7 @@ from ._files import (
     sheet_of,
 )
 from ._rows import FROM, SET_ASIDE, Numbers, layouts, shape_of, without_damaged
-from ._store import ARRAYS, FEATURES, FILE_NAME, IMAGES, LibraryError, Store
+from ._store import FEATURES, FILE_NAME, LibraryError, Store
 from ._where import COLUMNS, Condition, parse_where
 
 _TOUCHES_PER_FILE = 256
@@ -191,7 +191,7 @@ def stats_of(store: Store) -> Stats:
         n_sessions,
         n_files,
         sum(p.stat().st_size for p in store.folder.glob(f"{FILE_NAME}*")),
-        _bytes_below(store.folder / IMAGES) + _bytes_below(store.folder / ARRAYS),
+        _bytes_below(store.images) + _bytes_below(store.arrays),
         _bytes_below(store.folder / FEATURES),
     )
 
@@ -291,7 +291,7 @@ def _recording(
             f"library, got {got}. Convert them, give the sensor another name, or use "
             "another library."
         )
-    arrays = store.folder / ARRAYS
+    arrays = store.arrays
     whole = {n: array for n, array in touches.whole.items() if n != "geometry"}
     return {
         "sensor": described.pop("name") or None,
@@ -310,7 +310,7 @@ def _store_sheet(store: Store, sheet: Sheet) -> None:
         "FROM touches t JOIN files f ON f.id = t.file WHERE t.id IN (?)",
         sheet.ids,
     )
-    images = store.folder / IMAGES
+    images = store.images
     names = {name for _, name, _ in found}
     gone = {n for n in names if not file_path(images, n.hex()).is_file()}
     lost = {key for key, name, aside in found if aside or name in gone}

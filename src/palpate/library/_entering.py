@@ -18,7 +18,6 @@ from . import _changes as changes
 from . import _rows
 from ._files import Sheet, left_marks, read_file, read_sheet
 from ._store import (
-    IMAGES,
     DatabaseDamaged,
     DatabaseUnavailable,
     LibraryError,
@@ -36,14 +35,14 @@ NO_SHEET = (
 def sheet_in(store: Store, name: str) -> Sheet | None:
     """Return the touches in a file, or None where it is not what it should be."""
     with suppress(*NO_SHEET):
-        return read_sheet(read_file(store.folder / IMAGES, name))
+        return read_sheet(read_file(store.images, name))
     return None
 
 
 def spare_files(store: Store) -> list[Path]:
     """Return files of images that the database does not know (any more, or yet)."""
     known = {row[0].hex() for row in store.rows("SELECT name FROM files")}
-    paths = sorted((store.folder / IMAGES).glob("*/*.npy"))
+    paths = sorted(store.images.glob("*/*.npy"))
     return [path for path in paths if path.stem not in known and path.is_file()]
 
 
@@ -53,7 +52,7 @@ def enter_lost_rows(store: Store, adopted: bool) -> None:
     `adopted` tells whether every whole file has its name again. If something cannot be
     entered now, a warning says so, the marks stay, and the next opening tries again.
     """
-    with left_marks(store.folder / IMAGES) as marks:
+    with left_marks(store.images) as marks:
         if not marks:
             return
         try:
@@ -93,7 +92,7 @@ def _spare_sheets(store: Store) -> tuple[int, dict[tuple[float, str], set[bytes]
     n_unread, ids = 0, {}
     for path in spare_files(store):
         try:
-            sheet = read_sheet(read_file(store.folder / IMAGES, path.stem))
+            sheet = read_sheet(read_file(store.images, path.stem))
             ids[sheet.added_s, path.stem] = set(sheet.ids)
         except Unreadable:
             n_unread += 1

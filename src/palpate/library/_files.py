@@ -21,6 +21,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import chain
 from math import isfinite, prod
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,7 +32,7 @@ from numpy.lib import format as npy
 from .._durable import PARTIAL, flush_folder, make_slots, write_bytes
 from .._types import Array
 from ..touches import Touches
-from ._store import IMAGES, LibraryError, Store, Unreadable
+from ._store import LibraryError, Store, Unreadable
 
 try:
     import fcntl
@@ -70,19 +71,19 @@ def file_path(folder: Path, name: str) -> Path:
 
 
 def packed(arrays: Sequence[Array]) -> bytes:
-    stream = io.BytesIO()
-    for array in arrays:
-        npy.write_array(stream, np.asarray(array, order="C"), allow_pickle=False)
-    return stream.getvalue()
+    parts = ((header(array.shape, array.dtype), array.tobytes()) for array in arrays)
+    return b"".join(chain.from_iterable(parts))
 
 
 @lru_cache
-def header_length(shape: tuple[int, ...], dtype: np.dtype[Any]) -> int:
-    """Return the number of bytes before the values of a packed array."""
-    empty = np.broadcast_to(np.zeros((), dtype), shape)
+def header(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bytes:
+    """Return what `numpy.save` writes before the values of an array."""
+    if dtype.hasobject:
+        raise ValueError(f"dtype must be of plain values, got {dtype}.")
+    described = {"descr": npy.dtype_to_descr(dtype), "fortran_order": False}
     stream = io.BytesIO()
-    npy.write_array_header_1_0(stream, npy.header_data_from_array_1_0(empty))
-    return stream.tell()
+    npy.write_array_header_1_0(stream, {**described, "shape": shape})
+    return stream.getvalue()
 
 
 def publish(
@@ -144,7 +145,7 @@ def leave_mark(store: Store) -> bool:
     files cannot be locked, or where the database has no write-ahead log.
     """
     if not store.marks and store.has_log and fcntl is not None:
-        folder = store.folder / IMAGES
+        folder = store.images
         folder.mkdir(exist_ok=True)
         begun = folder / f"{PARTIAL}{secrets.token_hex(8)}"
         mark = begun.with_name(f"{_MARK}{secrets.token_hex(8)}")
@@ -381,7 +382,7 @@ def canonical(value: Any) -> str:
 
 
 def _fits_cells(array: Array) -> bool:
-    kind, n_numbers = array.dtype.kind, int(np.prod(array.shape[1:]))
+    kind, n_numbers = array.dtype.kind, prod(array.shape[1:])
     if n_numbers > WIDE or not n_numbers or kind not in "biufU":
         return False
     if kind == "f":

@@ -25,7 +25,7 @@ from ..touches import FORMER, Labelled, Touches
 from . import _files, _rows
 from ._files import Column, column_array, file_path, image_digest, packed, read_file
 from ._rows import DTYPE, Numbers, StoredTouch, distinct, layouts, plain_values, rows_at
-from ._store import ARRAYS, FEATURES, IMAGES, LibraryError, Store, from_json, room_for
+from ._store import FEATURES, IMAGES, LibraryError, Store, from_json, room_for
 from ._where import COLUMNS
 
 IN_MEMORY = 256 * 2**20
@@ -113,7 +113,7 @@ def is_whole(store: Store, row: StoredTouch) -> bool:
     try:
         read_images(store.folder, [row])
         if any(column.wide for column in layouts(store)[row.layout]):
-            read_file(store.folder / IMAGES, row.file.hex())
+            read_file(store.images, row.file.hex())
     except LibraryError:
         return False
     return True
@@ -142,7 +142,7 @@ def read_columns(
         sheets: dict[bytes, dict[str, Array]] = {}
         for row, value in zip(rows, values, strict=True):
             if wide[row.layout] and row.file not in sheets:
-                arrays = read_file(store.folder / IMAGES, row.file.hex())
+                arrays = read_file(store.images, row.file.hex())
                 sheets[row.file] = _files.read_sheet(arrays).wide
             value |= {n: sheets[row.file][n][row.number] for n in wide[row.layout]}
         for name, alike in columns.items():
@@ -176,7 +176,7 @@ def _entries(whole: str) -> dict[str, str]:
 
 def read_array(store: Store, entry: str, name: str) -> Array | None:
     """Return an array of whole recordings, or warn and return None where it is lost."""
-    folder = store.folder / ARRAYS
+    folder = store.arrays
     path = file_path(folder, name)
     try:
         return read_file(folder, name)[0]

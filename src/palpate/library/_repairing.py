@@ -238,12 +238,12 @@ def _write_sheets_again(store: Store, file: int, name: str) -> None:
             [row.digest for row in touches],
         )
         with _store.room_for("touches", store.folder, "Free space and repair again."):
-            new = publish(store.folder / IMAGES, *sheet.packed())
+            new = publish(store.images, *sheet.packed())
         with store.writing():
             move_rows(store, sheet, new)
         mended = mended or new == name
     if not mended:
-        set_aside(store.folder, file_path(store.folder / IMAGES, name))
+        set_aside(store.folder, file_path(store.images, name))
 
 
 def _leave_out_arrays(store: Store) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import check_option
-from ._files import CELLS, Column, Sheet, canonical, header_length
+from ._files import CELLS, Column, Sheet, canonical, header
 from ._store import AT_ONCE, SEALED, LibraryError, Store, from_json, holders
 from ._where import COLUMNS
 
@@ -289,7 +289,7 @@ def _file_key(store: Store, sheet: Sheet, name: str) -> int:
     file = {
         "name": bytes.fromhex(name),
         "n_touches": len(sheet.ids),
-        "offset": header_length(sheet.images.shape, sheet.images.dtype),
+        "offset": len(header(sheet.images.shape, sheet.images.dtype)),
     }
     return _key(store, "files", file, "name")
 

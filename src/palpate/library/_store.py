@@ -39,6 +39,7 @@ SEALED = {
         *("layout", "recording", "file", "place", "image", "added_s", "retraction"),
     ),
 }
+_LASTING = ("recordings", "layouts")  # their rows are never changed
 FILE_NAME = "library.sqlite"
 IMAGES, ARRAYS, CHANGES, FEATURES = "images", "arrays", "changes", "features"
 VERSION = 2  # from 2 on, rows have seals
@@ -155,8 +156,10 @@ class Store:
         self, folder: Path, *, create: bool = False, name: str = FILE_NAME
     ) -> None:
         self.folder, self.path = folder, folder / name
+        self.images, self.arrays = folder / IMAGES, folder / ARRAYS
         self._lock = threading.RLock()
         self._seen: dict[str, tuple[int, list[int]]] = {}
+        self._lasting: dict[tuple[str, Any], int] = {}
         self._explained = _Explained(self.path)
         # Of threads that add touches: files to write to, who waits, is one at work?
         self.slots: list[Path] = []
@@ -223,13 +226,21 @@ class Store:
 
     def key_of(self, table: str, column: str, value: Any) -> int | None:
         """Return the key of the row with a unique value; its index may be damaged."""
+        if (table, value) in self._lasting:
+            return self._lasting[table, value]
         key = SEALED[table][0]
-        found = self.one(f"SELECT {key} FROM {table} WHERE {column} = ?", [value])
+        found = self.one(
+            f"SELECT {key}, (SELECT {column} FROM {table} AS there NOT INDEXED "
+            f"WHERE there.{key} = listed.{key}) FROM {table} AS listed "
+            f"WHERE {column} = ?",
+            [value],
+        )
         if found is None:
             return None
-        sql = f"SELECT {column} FROM {table} NOT INDEXED WHERE {key} = ?"
-        if self.one(sql, found) != (value,):
+        if found[1] != value:
             raise self._rows_missing(table)
+        if table in _LASTING:
+            self._lasting[table, value] = int(found[0])
         return int(found[0])
 
     def broken(self, table: str, last: int | None = None, first: int = 1) -> list[int]:
@@ -311,6 +322,7 @@ class Store:
                 yield
                 self._connection.execute("COMMIT")
             except BaseException:
+                self._lasting.clear()  # it may know rows that are taken back
                 if self._connection.in_transaction:
                     self._connection.execute("ROLLBACK")
                 raise
