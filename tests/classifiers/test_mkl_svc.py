@@ -18,6 +18,7 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from palpate.classifiers import MKLSVC, GaussianKernel, LinearKernel, PolynomialKernel
+from palpate.classifiers.mkl import _problem
 
 SOME = [GaussianKernel(1.0), GaussianKernel(4.0), PolynomialKernel(2), LinearKernel()]
 
@@ -373,6 +374,21 @@ def bad(matrix_change):
 def test_precomputed_arrays_that_are_no_kernels_are_refused(stack, message):
     with pytest.raises(ValueError, match=message):
         MKLSVC(kernels="precomputed").fit(stack, ["a", "a", "b", "b"])
+
+
+def test_many_precomputed_kernels_are_looked_at_a_few_at_a_time(monkeypatch, rng):
+    monkeypatch.setattr(_problem, "BLOCK_BYTES", 2 * 8 * 30**2)
+    roots = rng.normal(size=(7, 30, 40))
+    stack = (roots @ roots.transpose(0, 2, 1)).transpose(1, 2, 0)
+    codes = np.arange(30) % 2
+    MKLSVC(kernels="precomputed", probability=False).fit(stack, codes)
+    for number in range(7):
+        indefinite, skew = stack.copy(), stack.copy()
+        indefinite[..., number] -= 50 * np.eye(30)
+        skew[3, 4, number] += 1
+        for wrong, what in ((indefinite, "semi-definite"), (skew, "symmetric")):
+            with pytest.raises(ValueError, match=f"{what}.* kernel {number}"):
+                MKLSVC(kernels="precomputed").fit(wrong, codes)
 
 
 def test_precomputed_kernels_cannot_be_approximated(problem):

@@ -6,6 +6,7 @@ shares and their level leave a matrix of rank below the number of kernels.
 
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from itertools import repeat
 from typing import Self, cast
 
 import numpy as np
@@ -17,6 +18,9 @@ from ._problem import Point, Solution, Step, Task, View, balanced, weighted
 
 # From this size on one matrix at a time is as fast as all at once.
 _LARGE = 50
+
+# What `dpotrs` is told each time.
+_UPPER, _IN_PLACE = repeat(0), repeat(1)
 
 Solver = Callable[[Floats], Floats]
 
@@ -60,7 +64,7 @@ class DenseKernels:
         forces *= self.labels[:, None, :]
         energies = 0.5 * (forces @ point.alpha[:, :, None])[:, :, 0]
         weights = task.weights(point)
-        square = (weights * energies).sum(axis=1)
+        square = np.vecdot(weights, energies)
         missing = task.real - weighted(weights, forces) - task.labels * point.bias
         return View(energies, missing, square, forces)
 
@@ -114,8 +118,9 @@ class DenseKernels:
         factors = _factors(matrix)
 
         def solve(right: Floats) -> Floats:
-            for factor, one in zip(factors, right, strict=True):
-                dpotrs(factor, one.T, lower=0, overwrite_b=1)
+            # Names of options would take as long as the solution.
+            for _ in map(dpotrs, factors, right.transpose(0, 2, 1), _UPPER, _IN_PLACE):
+                pass
             return right
 
         return solve
@@ -151,8 +156,7 @@ class DualNewton:
     def __init__(
         self, system: DenseKernels, task: Task, point: Point, view: View
     ) -> None:
-        self._point, self._labels = point, task.labels
-        n = point.n_touches
+        n, self._labels = point.n_touches, task.labels
         self._ratio = point.right / point.left
         self._forces, pulls = view.pull, view.energies
         stiffness = self._ratio[:, 2 * n :]
@@ -162,40 +166,38 @@ class DualNewton:
             stiffness = stiffness - bend * view.energies
         self._gain = 1 / stiffness
         self._total = self._gain.sum(axis=1, keepdims=True)
-        self._lean = weighted(self._gain / self._total, self._forces)
+        lean = weighted(self._gain / self._total, self._forces)
         # What the optimality conditions lack, besides the products.
-        self._missing = view.missing - point.errors + point.right[:, :n]
-        self._imbalance = (self._labels * point.alpha).sum(axis=1, keepdims=True)
+        self._imbalance = np.vecdot(self._labels, point.alpha)[:, None]
         self._excess = point.level - pulls - point.slack
         self._surplus = point.shares.sum(axis=1, keepdims=True) - 1
+        self._missing = view.missing - point.errors + point.right[:, :n]
+        self._missing += lean * self._surplus
         diagonal = self._ratio[:, :n] + self._ratio[:, n : 2 * n]
         # Moving shares adds F' W F - F' W 1 1' W F / 1' W 1: W gain, F forces.
-        root = self._forces - self._lean[:, None, :]
-        root *= np.sqrt(self._gain)[:, :, None]
-        self._solve = system.factorise(diagonal, task.weights(point), root)
+        self._pace = np.sqrt(self._gain)
+        self._root = self._forces - lean[:, None, :]
+        self._root *= self._pace[:, :, None]
+        self._solve = system.factorise(diagonal, task.weights(point), self._root)
         self._towards_bias: Floats | None = None
 
-    def direction(self, target: Floats) -> Point:
-        """Return the step that changes the products of left and right by `target`."""
-        forces, n = self._forces, self._point.n_touches
-        wanted = target / self._point.left
+    def direction(self, wanted: Floats) -> Point:
+        """Return the step by which products over the left change by `wanted`."""
+        forces, labels, n = self._forces, self._labels, self._labels.shape[1]
         push = wanted[:, 2 * n :] - self._excess
-        ahead = (self._gain * push).sum(axis=1, keepdims=True) + self._surplus
         right = self._missing + wanted[:, :n] - wanted[:, n : 2 * n]
-        right += self._lean * ahead - weighted(self._gain * push, forces)
+        right -= weighted(self._pace * push, self._root)
         # The multipliers, and the bias that keeps them in balance.
-        labels = self._labels
         if self._towards_bias is None:
             both = self._solve(np.stack([right, labels], axis=1))
             alpha, self._towards_bias = both[:, 0], both[:, 1]
-            self._stiff = (labels * self._towards_bias).sum(axis=1, keepdims=True)
+            self._stiff = np.vecdot(labels, self._towards_bias)[:, None]
         else:
             alpha = self._solve(right[:, None])[:, 0]
-        pull = (labels * alpha).sum(axis=1, keepdims=True) + self._imbalance
-        bias = pull / self._stiff
+        bias = (np.vecdot(labels, alpha)[:, None] + self._imbalance) / self._stiff
         alpha = alpha - bias * self._towards_bias
         push += (forces @ alpha[:, :, None])[:, :, 0]
-        level = (self._gain * push).sum(axis=1, keepdims=True) + self._surplus
+        level = np.vecdot(self._gain, push)[:, None] + self._surplus
         level /= self._total
         left = np.concatenate([alpha, -alpha, self._gain * (push - level)], axis=1)
         free = np.concatenate([bias, level], axis=1)

@@ -339,10 +339,9 @@ class PrimalNewton:
     def _per_column(self, per_kernel: Floats) -> Floats:
         return np.repeat(per_kernel, self._system.ranks)
 
-    def direction(self, target: Floats) -> Point:
-        """Return the step that changes the products of left and right by `target`."""
-        point, n, system = self._point, self._point.n_touches, self._system
-        wanted = target / point.left
+    def direction(self, wanted: Floats) -> Point:
+        """Return the step by which products over the left change by `wanted`."""
+        n, system = self._point.n_touches, self._system
         push = wanted[0, 2 * n :] - self._excess
         short = self._missing + wanted[0, :n] - wanted[0, n : 2 * n]
         eased = self._labels * self._ease * short

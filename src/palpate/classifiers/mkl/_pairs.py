@@ -77,12 +77,10 @@ def learn_pairs(bank: Bank, codes: Array, settings: Settings) -> PairMachines:
     machines = PairMachines(n_classes, n_kernels, bank.n_columns, n_touches)
     # Each class is cut into five blocks, since neighbours are alike; the only touch of
     # a class is in no part: -1.
+    by_class, counts, starts = _classes(codes)
     folds = np.empty(len(codes), dtype=np.int64)
-    for code in np.unique(codes):
-        members = np.flatnonzero(codes == code)
-        folds[members] = _N_PARTS * np.arange(len(members)) // len(members)
-        if len(members) == 1:
-            folds[members] = -1
+    folds[by_class] = np.arange(len(codes)) - starts[codes[by_class]]
+    folds = np.where(counts[codes] == 1, -1, _N_PARTS * folds // counts[codes])
     for rows, index, labels in _batches(bank, codes, machines.pairs):
         system: Any = bank.system(index, labels)
         solution = settings.solve(system)
@@ -103,12 +101,17 @@ def learn_pairs(bank: Bank, codes: Array, settings: Settings) -> PairMachines:
     return machines
 
 
+def _classes(codes: Array) -> tuple[Array, Array, Array]:
+    """Return touches class by class, how many each has, and where it begins."""
+    counts = np.bincount(codes)
+    return np.argsort(codes, kind="stable"), counts, np.cumsum(counts) - counts
+
+
 def _batches(
     bank: Bank, codes: Array, pairs: Array
 ) -> Iterator[tuple[Array, Array, Floats]]:
     """Yield rows of `pairs`, touches of each row, and their labels (0 pads)."""
-    members = [np.flatnonzero(codes == c) for c in range(pairs.max() + 1)]
-    counts = np.array([len(m) for m in members])
+    by_class, counts, starts = _classes(codes)
     sizes = counts[pairs].sum(axis=1)
     order = np.argsort(-sizes, kind="stable")
     start = 0
@@ -117,14 +120,12 @@ def _batches(
         rows = order[start : start + bank.batch_size(largest)]
         rows = rows[sizes[rows] >= _ALIKE * largest]
         start += len(rows)
-        index = np.zeros((len(rows), largest), dtype=np.int64)
-        labels = np.zeros((len(rows), largest))
-        for row, (first, second) in enumerate(pairs[rows]):
-            n_first, n_both = counts[first], counts[first] + counts[second]
-            index[row, :n_first] = members[first]
-            index[row, n_first:n_both] = members[second]
-            labels[row, :n_first], labels[row, n_first:n_both] = -1, 1
-        yield rows, index, labels
+        first, second = pairs[rows].T[:, :, None]
+        place = np.arange(largest)
+        n_first, real = counts[first], place < sizes[rows, None]
+        offset = np.where(place < n_first, starts[first], starts[second] - n_first)
+        index = np.where(real, by_class[np.where(real, offset + place, 0)], 0)
+        yield rows, index, np.where(place < n_first, -1.0, real)
 
 
 def _left_out_scores(

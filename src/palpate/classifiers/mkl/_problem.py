@@ -62,12 +62,33 @@ class Point:
     free: Floats  # bias, multiplier of the sum of the shares, pulls features' Y a
     n_touches: int
 
-    def __post_init__(self) -> None:
-        n = self.n_touches
-        self.alpha, self.shares = self.left[:, :n], self.left[:, 2 * n :]
-        self.errors, self.slack = self.right[:, n : 2 * n], self.right[:, 2 * n :]
-        self.bias, self.level = self.free[:, :1], self.free[:, 1:2]
-        self.pulls = self.free[:, 2:]
+    @property
+    def alpha(self) -> Floats:
+        return self.left[:, : self.n_touches]
+
+    @property
+    def shares(self) -> Floats:
+        return self.left[:, 2 * self.n_touches :]
+
+    @property
+    def errors(self) -> Floats:
+        return self.right[:, self.n_touches : 2 * self.n_touches]
+
+    @property
+    def slack(self) -> Floats:
+        return self.right[:, 2 * self.n_touches :]
+
+    @property
+    def bias(self) -> Floats:
+        return self.free[:, :1]
+
+    @property
+    def level(self) -> Floats:
+        return self.free[:, 1:2]
+
+    @property
+    def pulls(self) -> Floats:
+        return self.free[:, 2:]
 
     def take(self, keep: Array) -> "Point":
         parts = self.left[keep], self.right[keep], self.free[keep]
@@ -100,7 +121,7 @@ class View:
         return View(*(part[keep] for part in vars(self).values()))
 
 
-# From what the products of left and right change by, to first order.
+# From what the products of left and right change by, to first order, over the left.
 Step = Callable[[Floats], Point]
 
 
@@ -122,7 +143,7 @@ class KernelSystem(Protocol):
         """Return what `point` sees."""
 
     def newton(self, task: "Task", point: Point, view: View) -> Step:
-        """Linearise at `point`: from a change of the products to the step for it."""
+        """Linearise at `point`; see `Step`."""
 
     def settled(self, task: "Task", point: Point, share: float) -> Point:
         """Return a feasible copy, without weights below `share` of the largest."""
@@ -237,9 +258,10 @@ def solve_interior(
         best = Best(point, tol)
         for remaining in range(max_iter, -1, -1):
             going = best.improve(task, point, view, last=not remaining)
-            if not (remaining and going.any()):
+            n_going = np.count_nonzero(going)
+            if not (remaining and n_going):
                 break
-            if 2 * going.sum() <= len(going):
+            if 2 * n_going <= len(going):
                 best.rows = best.rows[going]
                 task, point = task.take(going), point.take(going)
                 view = view.take(going)
@@ -295,13 +317,17 @@ def _advanced(task: Task, point: Point, view: View, going: Array) -> Point:
     """Return the next point: predictor, then corrector, for problems in `going`."""
     step_to = task.system.newton(task, point, view)
     products = point.left * point.right
-    mean = products.mean(axis=1, keepdims=True)
-    ahead = step_to(-products)
-    reach = np.minimum(1, _reach(point, ahead))
-    bent = ahead.left * ahead.right
-    left = (1 - reach) * mean + reach**2 * bent.mean(axis=1, keepdims=True)
-    centre = mean * np.clip(left / mean, 0, 1) ** 3
-    move = step_to(centre - products - bent)
+    total = products.sum(axis=1, keepdims=True)
+    # All products to 0: left ones change by this share, right ones by -1 less it.
+    share = step_to(-point.right).left / point.left
+    lowest = np.minimum(share.min(axis=1), -1 - share.max(axis=1))[:, None]
+    reach = 1 / np.maximum(-lowest, 1)
+    bent = share * (1 + share)
+    products *= bent
+    remains = 1 - reach - reach**2 * products.sum(axis=1, keepdims=True) / total
+    centre = total / products.shape[1] * np.minimum(np.maximum(remains, 0), 1) ** 3
+    bent -= 1
+    move = step_to(centre / point.left + bent * point.right)
     step = np.minimum(1, _SHARE_OF_WAY * _reach(point, move))
     moved = point.moved(step, move)
     # What is not finite shows in the step, or in the bias and the level.
@@ -325,14 +351,14 @@ def relative_gap(task: Task, point: Point, view: View) -> Floats:
     as_it_is = square + task.C * np.maximum(missing, 0).sum(axis=1)
     short = np.maximum((missing - point.errors).max(axis=1), 0)
     wider = 1 / (1 - np.minimum(short, 0.5))
-    errors = (task.real * point.errors).sum(axis=1)
+    errors = np.vecdot(task.real, point.errors)
     widened = square * wider**2 + task.C * errors * wider
     upper = np.asarray(np.where(short < 0.5, np.minimum(as_it_is, widened), as_it_is))
     # The dual value, of the dual norm (1/p + 1/q = 1); multipliers out of balance by
     # rounding pay for it.
     power = np.inf if task.norm == 1 else task.norm / (task.norm - 1)
-    imbalance = np.abs((task.labels * point.alpha).sum(axis=1))
-    total = (task.real * point.alpha).sum(axis=1)
+    imbalance = np.abs(np.vecdot(task.labels, point.alpha))
+    total = np.vecdot(task.real, point.alpha)
     lower = total - norms(view.energies, power) - np.abs(point.free[:, 0]) * imbalance
     gap = (upper - lower) / upper
     gap[~np.isfinite(gap)] = np.inf
@@ -359,8 +385,8 @@ class Best:
         """
         rows = self.rows
         # Whether the products of any problem are about as small as its gap should be.
-        products = np.einsum("ij,ij->i", point.left, point.right)
-        scale = np.einsum("ij,ij->i", task.real, point.alpha) - point.free[:, 1]
+        products = np.vecdot(point.left, point.right)
+        scale = np.vecdot(task.real, point.alpha) - point.free[:, 1]
         if not last and (products > _NEAR * self._tol * scale).all():
             self.n_iter[rows] += 1
             self._found_at[rows] = self.n_iter[rows]
@@ -404,7 +430,7 @@ class Best:
             bias=point.free[:, 0],
             weights=weights,
             normal=task.system.normal(task, point),
-            objective=point.alpha.sum(axis=1) - (weights * energies).sum(axis=1),
+            objective=point.alpha.sum(axis=1) - np.vecdot(weights, energies),
             gap=gap,
             n_iter=np.maximum(self.n_iter, 1),
         )
