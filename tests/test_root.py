@@ -7,7 +7,7 @@ from contextlib import nullcontext
 
 import pytest
 
-from palpate._durable import PARTIAL, replacing, write_bytes, write_text
+from palpate._durable import PARTIAL, make_slots, replacing, write_bytes, write_text
 from palpate._extras import install, needed
 from palpate._parallel import in_parallel
 
@@ -30,6 +30,21 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
         file.write("half, and no bytes")
     assert target.read_text() == "old"
     assert not list(tmp_path.glob(f"{PARTIAL}*"))
+
+
+@pytest.mark.parametrize("into_slot", [False, True])
+def test_an_interrupted_write_leaves_nothing(tmp_path, into_slot):
+    target = tmp_path / "kept"
+    slot = make_slots(tmp_path, 1)[0] if into_slot else None
+
+    def interrupted():
+        with replacing(target, slot) as file:
+            file.write(b"half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert not list(tmp_path.iterdir())
 
 
 def test_file_and_folder_are_flushed_in_this_order(tmp_path, monkeypatch):

@@ -18,7 +18,7 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from palpate.classifiers import MKLSVC, GaussianKernel, LinearKernel, PolynomialKernel
-from palpate.classifiers.mkl import _problem
+from palpate.classifiers.mkl import _pairs, _problem
 
 SOME = [GaussianKernel(1.0), GaussianKernel(4.0), PolynomialKernel(2), LinearKernel()]
 
@@ -193,10 +193,11 @@ def test_any_labels(rng, labels):
     assert_array_equal(predicted == machine.classes_[1], positive)
 
 
-def test_classes_of_unequal_size(rng):
-    counts = [3, 17, 40]
-    labels = np.repeat([0, 1, 2], counts)
-    X = rng.normal(size=(60, 4)) + 3 * np.eye(3, 4)[labels]
+# Pairs of the latter are solved together, padded.
+@pytest.mark.parametrize("counts", [[3, 17, 40], [10, 12, 11]])
+def test_classes_of_unequal_size(rng, counts):
+    labels = rng.permutation(np.repeat([0, 1, 2], counts))
+    X = rng.normal(size=(len(labels), 4)) + 3 * np.eye(3, 4)[labels]
     together = MKLSVC(kernels=SOME, probability=False).fit(X, labels)
     scales = together.kernel_scales_
     for (first, second), objective in zip(
@@ -208,6 +209,16 @@ def test_classes_of_unequal_size(rng):
         alone.fit(stack, labels[chosen])
         # Either within its gap of 1e-6.
         assert_allclose(objective, alone.objective_[0], rtol=2e-6)
+
+
+def test_each_class_is_cut_into_five_blocks(rng):
+    codes = rng.permutation(np.repeat([0, 1, 2, 3], [7, 1, 12, 2]))
+    expected = np.empty(len(codes), dtype=int)
+    for code in range(4):
+        members = np.flatnonzero(codes == code)
+        blocks = [5 * place // len(members) for place in range(len(members))]
+        expected[members] = blocks if len(members) > 1 else -1
+    assert_array_equal(_pairs.folds_of(codes), expected)
 
 
 def test_in_a_pipeline_under_grid_search(problem):

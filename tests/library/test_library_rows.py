@@ -1,5 +1,6 @@
 """Rows that another program altered: refused or left out, found, and restored."""
 
+import io
 import shutil
 import sqlite3
 from contextlib import closing
@@ -9,6 +10,7 @@ import pytest
 
 from palpate import Touches
 from palpate.library import LibraryError, TouchLibrary, check_library, repair_library
+from palpate.library._files import packed
 
 
 @pytest.fixture
@@ -112,6 +114,22 @@ def test_rows_that_vanished_are_noticed(folder):
     assert len(_state(folder)[0]) == 6
 
 
+def test_a_row_that_only_its_index_knows_is_missing(folder):
+    with closing(sqlite3.connect(folder / "library.sqlite")) as database:
+        sql = "SELECT rootpage FROM sqlite_master WHERE name = 'objects'"
+        [page] = database.execute(sql).fetchone()
+        [size] = database.execute("PRAGMA page_size").fetchone()
+    whole = bytearray((folder / "library.sqlite").read_bytes())
+    here = slice((page - 1) * size, page * size)
+    assert whole[here].count(b"mug") == 1
+    whole[here] = whole[here].replace(b"mug", b"jug")
+    (folder / "library.sqlite").write_bytes(whole)
+    with TouchLibrary.open(folder) as library:
+        new = Touches(np.full((1, 2, 2), 99, dtype=np.uint8), object=["mug"])
+        with pytest.raises(LibraryError, match="got missing rows of objects"):
+            library.add(new)
+
+
 def test_images_that_are_gone_are_left_out_and_told(folder):
     with TouchLibrary.open(folder) as library:
         [path] = (folder / "images").rglob("*.npy")
@@ -193,3 +211,28 @@ def test_a_row_that_was_taken_back_is_not_remembered(folder):
         images = np.full((1, 2, 2), 7, dtype=np.uint8)
         library.add(Touches(images, weight=[2.5]))  # another layout takes that key
         assert library.touches("weight = 2.5").columns["weight"].tolist() == [2.5]
+
+
+PACKED = {
+    "no axis": np.array(3.5),
+    "empty": np.zeros((0, 4), np.float32),
+    "columns first": np.asfortranarray(np.arange(12.0).reshape(3, 4)),
+    "every other": np.arange(24, dtype=">i4").reshape(4, 6)[::2, ::-1],
+    "big": np.arange(4, dtype=">f8"),
+    "days": np.array(["2026-01-02", "2026-03-04"], dtype="M8[D]"),
+    "text": np.array(["mug", "", "\u00fcber"]),
+    "bytes": np.array([b"a", b"bc"]),
+}
+
+
+@pytest.mark.parametrize("array", PACKED.values(), ids=PACKED)
+def test_arrays_are_written_as_numpy_does(array):
+    stream = io.BytesIO()
+    np.save(stream, np.asarray(array, order="C"), allow_pickle=False)
+    assert packed([array, array]) == 2 * stream.getvalue()
+
+
+@pytest.mark.parametrize("dtype", [object, [("a", "i4"), ("b", object)], [("a", "i4")]])
+def test_arrays_that_are_no_plain_values_are_not_written(dtype):
+    with pytest.raises(ValueError, match="dtype must be of plain values, got"):
+        packed([np.zeros(2, dtype=dtype)])

@@ -78,7 +78,7 @@ def packed(arrays: Sequence[Array]) -> bytes:
 @lru_cache
 def header(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bytes:
     """Return what `numpy.save` writes before the values of an array."""
-    if dtype.hasobject:
+    if dtype.kind not in _PLAIN_KINDS:
         raise ValueError(f"dtype must be of plain values, got {dtype}.")
     described = {"descr": npy.dtype_to_descr(dtype), "fortran_order": False}
     stream = io.BytesIO()

@@ -39,7 +39,7 @@ SEALED = {
         *("layout", "recording", "file", "place", "image", "added_s", "retraction"),
     ),
 }
-_LASTING = ("recordings", "layouts")  # their rows are never changed
+_LASTING = ("recordings", "layouts")  # their rows never change: keys are kept
 FILE_NAME = "library.sqlite"
 IMAGES, ARRAYS, CHANGES, FEATURES = "images", "arrays", "changes", "features"
 VERSION = 2  # from 2 on, rows have seals
@@ -226,8 +226,9 @@ class Store:
 
     def key_of(self, table: str, column: str, value: Any) -> int | None:
         """Return the key of the row with a unique value; its index may be damaged."""
-        if (table, value) in self._lasting:
-            return self._lasting[table, value]
+        known = self._lasting.get((table, value))
+        if known is not None:
+            return known
         key = SEALED[table][0]
         found = self.one(
             f"SELECT {key}, (SELECT {column} FROM {table} AS there NOT INDEXED "

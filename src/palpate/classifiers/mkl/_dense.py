@@ -118,7 +118,7 @@ class DenseKernels:
         factors = _factors(matrix)
 
         def solve(right: Floats) -> Floats:
-            # Names of options would take as long as the solution.
+            # With few touches named options and a loop take as long as the solution.
             for _ in map(dpotrs, factors, right.transpose(0, 2, 1), _UPPER, _IN_PLACE):
                 pass
             return right
@@ -182,7 +182,7 @@ class DualNewton:
         self._towards_bias: Floats | None = None
 
     def direction(self, wanted: Floats) -> Point:
-        """Return the step by which products over the left change by `wanted`."""
+        """Return the step by which left * right changes by left * `wanted`."""
         forces, labels, n = self._forces, self._labels, self._labels.shape[1]
         push = wanted[:, 2 * n :] - self._excess
         right = self._missing + wanted[:, :n] - wanted[:, n : 2 * n]

@@ -253,16 +253,15 @@ class GivenBank(DenseBank):
         self.n_touches = self.n_columns = len(stack)
         diagonals = np.einsum("iik->ki", self._values)
         rounding = _ROUNDING if stack.dtype == np.float64 else _COARSE_ROUNDING
-        self._refuse_others(rounding, np.abs(diagonals).sum(axis=1))
+        self._refuse_no_kernels(rounding, np.abs(diagonals).sum(axis=1))
         self.normalize = normalize
         mean = self._values.mean(axis=(0, 1)) if normalize == "variance" else None
         self.scales = kernel_scales(diagonals, mean, normalize)
 
-    def _refuse_others(self, rounding: float, traces: Floats) -> None:
-        """Explain which matrix is not symmetric or not positive semi-definite."""
+    def _refuse_no_kernels(self, rounding: float, traces: Floats) -> None:
+        """Refuse matrices that are not symmetric or not positive semi-definite."""
         n = self.n_touches
         for some in row_blocks(len(traces), n**2):
-            # OpenCV takes a third of the time of numpy's copy.
             turned = cv2.transpose(self._values.reshape(n**2, -1)[:, some])
             matrices = np.asarray(turned, dtype=np.float64).reshape(-1, n, n)
             for k, matrix in enumerate(matrices, some.start):
@@ -292,6 +291,7 @@ class GivenBank(DenseBank):
         )
         scales = np.repeat(self.scales[:, None], n * n, axis=1)
         for block, there in zip(blocks, places, strict=True):
+            # OpenCV takes a third of the time of numpy's copy.
             cv2.transpose(pairs.take(there, axis=0), dst=block)
             block *= scales
         return blocks.reshape(n_rows, n_kernels, n, n)

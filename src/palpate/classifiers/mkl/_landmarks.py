@@ -340,7 +340,7 @@ class PrimalNewton:
         return np.repeat(per_kernel, self._system.ranks)
 
     def direction(self, wanted: Floats) -> Point:
-        """Return the step by which products over the left change by `wanted`."""
+        """Return the step by which left * right changes by left * `wanted`."""
         n, system = self._point.n_touches, self._system
         push = wanted[0, 2 * n :] - self._excess
         short = self._missing + wanted[0, :n] - wanted[0, n : 2 * n]

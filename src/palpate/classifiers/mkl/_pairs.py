@@ -75,12 +75,7 @@ def learn_pairs(bank: Bank, codes: Array, settings: Settings) -> PairMachines:
     n_classes = int(codes.max()) + 1
     n_kernels, n_touches = len(bank.scales), len(codes)
     machines = PairMachines(n_classes, n_kernels, bank.n_columns, n_touches)
-    # Each class is cut into five blocks, since neighbours are alike; the only touch of
-    # a class is in no part: -1.
-    by_class, counts, starts = _classes(codes)
-    folds = np.empty(len(codes), dtype=np.int64)
-    folds[by_class] = np.arange(len(codes)) - starts[codes[by_class]]
-    folds = np.where(counts[codes] == 1, -1, _N_PARTS * folds // counts[codes])
+    folds = folds_of(codes)
     for rows, index, labels in _batches(bank, codes, machines.pairs):
         system: Any = bank.system(index, labels)
         solution = settings.solve(system)
@@ -99,6 +94,17 @@ def learn_pairs(bank: Bank, codes: Array, settings: Settings) -> PairMachines:
             columns = machines.pairs[rows[row], other]
             machines.left_out[index[row, place], columns] = scores[row, place]
     return machines
+
+
+def folds_of(codes: Array) -> Array:
+    """Cut each class into five blocks, since neighbours are alike.
+
+    The only touch of a class is in none: -1.
+    """
+    by_class, counts, starts = _classes(codes)
+    place = np.empty(len(codes), dtype=np.int64)
+    place[by_class] = np.arange(len(codes)) - starts[codes[by_class]]
+    return np.where(counts[codes] == 1, -1, _N_PARTS * place // counts[codes])
 
 
 def _classes(codes: Array) -> tuple[Array, Array, Array]:

@@ -121,7 +121,7 @@ class View:
         return View(*(part[keep] for part in vars(self).values()))
 
 
-# From what the products of left and right change by, to first order, over the left.
+# From w to the step by which left * right changes by left * w, to first order.
 Step = Callable[[Floats], Point]
 
 
@@ -318,11 +318,11 @@ def _advanced(task: Task, point: Point, view: View, going: Array) -> Point:
     step_to = task.system.newton(task, point, view)
     products = point.left * point.right
     total = products.sum(axis=1, keepdims=True)
-    # All products to 0: left ones change by this share, right ones by -1 less it.
-    share = step_to(-point.right).left / point.left
-    lowest = np.minimum(share.min(axis=1), -1 - share.max(axis=1))[:, None]
+    # All products to 0: left changes by this part of itself, right by -1 minus it.
+    change = step_to(-point.right).left / point.left
+    lowest = np.minimum(change.min(axis=1), -1 - change.max(axis=1))[:, None]
     reach = 1 / np.maximum(-lowest, 1)
-    bent = share * (1 + share)
+    bent = change * (1 + change)
     products *= bent
     remains = 1 - reach - reach**2 * products.sum(axis=1, keepdims=True) / total
     centre = total / products.shape[1] * np.minimum(np.maximum(remains, 0), 1) ** 3
