@@ -7,10 +7,12 @@ import unicodedata
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from numbers import Integral, Number, Real
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from ._types import Floats
 
 # Squares of larger numbers, and sums of them, leave double precision; sums of a few
 # larger levels leave single precision.
@@ -85,20 +87,24 @@ def did_you_mean(name: object, known: Iterable[object]) -> str:
     return f" Did you mean {named[near[0]]!r}?" if near else ""
 
 
-def are_plain_vectors(X: object, n_features: int) -> bool:
-    """Whether `X` is a finite float64 array (n_touches, n_features) and nothing else.
+def is_plain(X: object, n_axes: int) -> TypeGuard[Floats]:
+    """Whether `X` is a finite float64 array of so many axes, with something in it.
 
     Told in a tenth of the time that scikit-learn's checks take, which counts for single
-    touches.
+    touches and small problems.
     """
     return (
         type(X) is np.ndarray
         and X.dtype == np.float64
-        and X.ndim == 2
-        and X.shape[0] > 0
-        and X.shape[1] == n_features
+        and X.ndim == n_axes
+        and X.size > 0
         and bool(np.isfinite(X).all())
     )
+
+
+def are_plain_vectors(X: object, n_features: int) -> TypeGuard[Floats]:
+    """Whether `X` is plain and has the shape (n_touches, n_features)."""
+    return is_plain(X, n_axes=2) and X.shape[1] == n_features
 
 
 def size_said(shape: Sequence[int]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, ClassifierMixin, clone
 from sklearn.utils.multiclass import check_classification_targets
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted, column_or_1d, validate_data
 
 from .._checks import are_plain_vectors, check_label_kinds
 from .._numbers import log_softmax
@@ -21,6 +21,8 @@ from .._types import Array, Floats, Indices
 Groups = ArrayLike | None
 _N_FOLDS = 5
 _LEAST_PROBABILITY = 1e-12
+# Text and whole numbers: scikit-learn would find nothing, in a millisecond or two.
+_CLASSES = "biuSU"
 
 
 @runtime_checkable
@@ -204,10 +206,16 @@ def labelled_touches(
     return touches, labels
 
 
+def as_labels(y: ArrayLike) -> Array:
+    """Return labels (n_touches,), or raise as scikit-learn does."""
+    if type(y) is np.ndarray and y.ndim == 1 and y.dtype.kind in _CLASSES:
+        return np.asarray(y)
+    return np.asarray(column_or_1d(y, warn=True))
+
+
 def check_targets(labels: Array) -> None:
     """Refuse labels (n_touches,) that are no classes, as scikit-learn does."""
-    # Of text and whole numbers it would find nothing, in a millisecond or two.
-    if labels.dtype.kind not in "biuSU":
+    if labels.dtype.kind not in _CLASSES:
         check_classification_targets(labels)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf
 from sklearn.utils import check_array
 
-from ..._checks import check_count, check_number, check_width
+from ..._checks import check_count, check_number, check_width, is_plain
 from ..._numbers import exp
 from ..._types import Array, Floats
 from ._dense import DenseKernels
@@ -322,8 +322,11 @@ def check_given(X: object, wanted: tuple[int, int] | None = None) -> Floats:
 
     With `wanted`, the latter two are insisted on; without, a square of touches.
     """
-    stack: Floats = check_array(
-        X, dtype=[np.float64, np.float32], allow_nd=True, input_name="X"
+    types = [np.float64, np.float32]
+    stack: Floats = (
+        X
+        if is_plain(X, n_axes=3)
+        else check_array(X, dtype=types, allow_nd=True, input_name="X")
     )
     if stack.ndim == 2:
         stack = stack[:, :, None]

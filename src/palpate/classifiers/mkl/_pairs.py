@@ -75,7 +75,6 @@ def learn_pairs(bank: Bank, codes: Array, settings: Settings) -> PairMachines:
     n_classes = int(codes.max()) + 1
     n_kernels, n_touches = len(bank.scales), len(codes)
     machines = PairMachines(n_classes, n_kernels, bank.n_columns, n_touches)
-    folds = folds_of(codes)
     for rows, index, labels in _batches(bank, codes, machines.pairs):
         system: Any = bank.system(index, labels)
         solution = settings.solve(system)
@@ -85,8 +84,9 @@ def learn_pairs(bank: Bank, codes: Array, settings: Settings) -> PairMachines:
         machines.gap[rows], machines.objective[rows] = solution.gap, solution.objective
         machines.n_iter[rows] = solution.n_iter
         if settings.calibrate:
+            folds = folds_of(codes)[index]
             scores, known = _left_out_scores(
-                system, solution, folds[index], bank.n_folds, settings
+                system, solution, folds, bank.n_folds, settings
             )
             machines.sigmoids[rows] = fit_sigmoids(scores, known)
             row, place = np.nonzero(known)
