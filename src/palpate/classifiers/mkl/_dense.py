@@ -135,7 +135,7 @@ def cholesky_solver(matrix: Floats) -> Solver:
 def _factors(matrices: Floats) -> Iterable[Floats]:
     if matrices.shape[1] < _LARGE:
         with suppress(np.linalg.LinAlgError):
-            return np.linalg.cholesky(matrices).transpose(0, 2, 1)
+            return [*np.linalg.cholesky(matrices).transpose(0, 2, 1)]
     return [_factor(one) for one in matrices]
 
 
@@ -189,8 +189,9 @@ class DualNewton:
         right -= weighted(self._pace * push, self._root)
         # The multipliers, and the bias that keeps them in balance.
         if self._towards_bias is None:
-            both = self._solve(np.stack([right, labels], axis=1))
-            alpha, self._towards_bias = both[:, 0], both[:, 1]
+            both = np.empty((len(right), 2, n))
+            both[:, 0], both[:, 1] = right, labels
+            alpha, self._towards_bias = self._solve(both).transpose(1, 0, 2)
             self._stiff = np.vecdot(labels, self._towards_bias)[:, None]
         else:
             alpha = self._solve(right[:, None])[:, 0]

@@ -7,6 +7,7 @@ left out, and the pairs are coupled into one distribution.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -156,7 +157,7 @@ def _left_out_scores(
 
 def all_pairs(n_classes: int) -> Array:
     """Return the pairs of classes (first, second), shape (n_pairs, 2)."""
-    return np.stack(np.triu_indices(n_classes, 1), axis=1)
+    return np.array([*combinations(range(n_classes), 2)])
 
 
 def vote(decisions: Floats, pairs: Array, n_classes: int) -> Floats:

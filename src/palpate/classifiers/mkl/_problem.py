@@ -366,12 +366,15 @@ def relative_gap(task: Task, point: Point, view: View) -> Floats:
 
 
 class Best:
-    """The point with the smallest gap met so far of each problem."""
+    """The point with the smallest gap met so far of each problem.
+
+    Points that have been met are its own: it may write to all but the latest.
+    """
 
     def __init__(self, point: Point, tol: float) -> None:
         n_problems = len(point.free)
         everywhere = np.arange(n_problems)
-        self.point = point.take(everywhere)
+        self.point = point
         self.gap = np.full(n_problems, np.inf)
         self.n_iter = np.zeros(n_problems, dtype=np.int64)
         self._tol = tol
@@ -393,7 +396,10 @@ class Best:
             return np.ones(len(rows), dtype=bool)
         gap = relative_gap(task, point, view)
         better = gap < self.gap[rows]
-        self.point.overwrite(rows[better], point.take(better))
+        if np.count_nonzero(better) == len(self.gap):
+            self.point = point
+        else:
+            self.point.overwrite(rows[better], point.take(better))
         self.gap[rows[better]] = gap[better]
         self._found_at[rows[better]] = self.n_iter[rows[better]]
         waited = self.n_iter[rows] - self._found_at[rows]
