@@ -274,7 +274,7 @@ class GivenBank(DenseBank):
                     )
                 # A matrix of zeros has no trace, and is a kernel all the same.
                 matrix.ravel()[:: n + 1] += rounding * traces[k] if traces[k] else 1.0
-                if dpotrf(matrix.T, 0, 0, 1)[1]:
+                if dpotrf(matrix.T, 1, 0, 1)[1]:
                     lowest = np.linalg.eigvalsh(self._values[:, :, k])[0]
                     raise ValueError(
                         "Precomputed kernels must be positive semi-definite, got an "
