@@ -29,17 +29,25 @@ class DenseKernels:
     """Kernels (n_problems, n_kernels, n_touches, n_touches) of a batch, contiguous.
 
     `labels` (n_problems, n_touches) are +1, -1, or 0 for no part; `means` (n_problems,
-    n_kernels, n_touches) are those of the rows that `centred` took out.
+    n_kernels, n_touches) are those of the rows that `centred` took out. Values may be
+    given times the `sides`, +1 or -1, of both touches; where these are the labels, no
+    step has to multiply by labels.
     """
 
     crowded = False
 
     def __init__(
-        self, kernels: Floats, labels: Floats, means: Floats | None = None
+        self,
+        kernels: Floats,
+        labels: Floats,
+        means: Floats | None = None,
+        sides: Floats | None = None,
     ) -> None:
         self.kernels, self.labels, self.means = kernels, labels, means
+        self.sides = np.ones_like(labels) if sides is None else sides
         self.n_kernels = int(kernels.shape[1])
-        self._signs = labels[:, :, None] * labels[:, None, :]
+        self.signs = self.sides * labels
+        self._signed = bool((self.signs == 1).all())
 
     @classmethod
     def centred(cls, kernels: Floats, labels: Floats) -> Self:
@@ -60,8 +68,9 @@ class DenseKernels:
         return np.zeros((len(point.alpha), 0))
 
     def view(self, task: Task, point: Point) -> View:
-        forces = self._times(self.labels * point.alpha)
-        forces *= self.labels[:, None, :]
+        forces = self._times(point.alpha)
+        if not self._signed:
+            forces *= self.signs[:, None, :]
         energies = 0.5 * (forces @ point.alpha[:, :, None])[:, :, 0]
         weights = task.weights(point)
         square = np.vecdot(weights, energies)
@@ -79,7 +88,7 @@ class DenseKernels:
 
     def decisions(self, solution: Solution) -> Floats:
         """Return the decisions about all touches, also where the label is 0."""
-        pulled = self._times(self.labels * solution.alpha)
+        pulled = self._times(solution.alpha) * self.sides[:, None, :]
         return weighted(solution.weights, pulled) + solution.bias[:, None]
 
     def true_bias(self, solution: Solution) -> Floats:
@@ -92,14 +101,16 @@ class DenseKernels:
 
     def with_labels(self, labels: Floats) -> Self:
         """Return the same kernels with some labels set to 0."""
-        return type(self)(self.kernels, labels, self.means)
+        return type(self)(self.kernels, labels, self.means, self.sides)
 
     def take(self, keep: Array) -> Self:
         means = None if self.means is None else self.means[keep]
-        return type(self)(self.kernels[keep], self.labels[keep], means)
+        labels, sides = self.labels[keep], self.sides[keep]
+        return type(self)(self.kernels[keep], labels, means, sides)
 
-    def _times(self, signed: Floats) -> Floats:
-        """Return K_k v for each kernel, shape (n_problems, n_kernels, n_touches)."""
+    def _times(self, alpha: Floats) -> Floats:
+        """Return K_k Y a times the sides, (n_problems, n_kernels, n_touches)."""
+        signed = alpha if self._signed else self.signs * alpha
         n_problems, n_kernels, n, _ = self.kernels.shape
         stacked = self.kernels.reshape(n_problems, n_kernels * n, n)
         return (stacked @ signed[:, :, None]).reshape(n_problems, n_kernels, n)
@@ -112,7 +123,8 @@ class DenseKernels:
         n_problems, n_kernels, n, _ = self.kernels.shape
         flat = self.kernels.reshape(n_problems, n_kernels, n * n)
         matrix = (weights[:, None, :] @ flat).reshape(n_problems, n, n)
-        matrix *= self._signs
+        if not self._signed:
+            matrix *= self.signs[:, :, None] * self.signs[:, None, :]
         matrix += root.transpose(0, 2, 1) @ root
         matrix.reshape(n_problems, -1)[:, :: n + 1] += diagonal
         factors = _factors(matrix)
