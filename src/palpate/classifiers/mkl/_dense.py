@@ -212,6 +212,9 @@ class DualNewton:
         push += (forces @ alpha[:, :, None])[:, :, 0]
         level = np.vecdot(self._gain, push)[:, None] + self._surplus
         level /= self._total
-        left = np.concatenate([alpha, -alpha, self._gain * (push - level)], axis=1)
+        left = np.empty_like(wanted)
+        left[:, :n] = alpha
+        np.negative(alpha, out=left[:, n : 2 * n])
+        np.multiply(self._gain, push - level, out=left[:, 2 * n :])
         free = np.concatenate([bias, level], axis=1)
         return Point(left, wanted - self._ratio * left, free, n)

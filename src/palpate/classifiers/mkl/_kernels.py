@@ -279,7 +279,7 @@ class GivenBank(DenseBank):
             matrices = np.asarray(turned, dtype=np.float64).reshape(-1, n, n)
             for k, matrix in enumerate(matrices, some.start):
                 skew = cv2.norm(matrix, cv2.transpose(matrix), cv2.NORM_INF)
-                if skew > rounding * cv2.norm(matrix, cv2.NORM_INF):
+                if skew and skew > rounding * cv2.norm(matrix, cv2.NORM_INF):
                     raise ValueError(
                         "Precomputed kernels must be symmetric, got a difference of "
                         f"{skew:.3g} across the diagonal of kernel {k}. Pass (K + K.T) "
@@ -303,9 +303,11 @@ class GivenBank(DenseBank):
             n_rows, n * n
         )
         factors = self._factors(sides).reshape(n_kernels, -1)
+        taken = np.empty((n * n, n_kernels))
         for block, there in zip(blocks, places, strict=True):
             # OpenCV takes a third of the time of numpy's copy.
-            cv2.transpose(pairs.take(there, axis=0), dst=block)
+            pairs.take(there, axis=0, out=taken, mode="clip")
+            cv2.transpose(taken, dst=block)
             block *= factors
         return blocks.reshape(n_rows, n_kernels, n, n)
 
