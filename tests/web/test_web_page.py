@@ -275,7 +275,8 @@ def test_it_can_be_used_by_keyboard_and_read_aloud(page, make_session, serving):
 def resize(page, width, height):
     """Make the window larger or smaller; the page is laid out anew before the next."""
     page.set_viewport_size({"width": width, "height": height})
-    page.wait_for_function("width => window.innerWidth === width", arg=width)
+    while page.evaluate("window.innerWidth") != width:
+        page.wait_for_timeout(10)
 
 
 def fits(page):
@@ -492,7 +493,7 @@ def test_an_answer_that_is_late_does_not_take_newer_touches_away(
     with serving(taught) as (address, token):
         page.goto(f"{address}/?token={token}")
         expect(page.locator("#bars")).to_be_attached()
-        page.wait_for_function("document.body.dataset.online === 'true'")
+        expect(page.locator("body")).to_have_attribute("data-online", "true")
         taught.post_touch(drawn.images[0])
         expect(page.locator("#strip li")).to_have_count(1)
         late = taught.episode.to_dict()
