@@ -275,8 +275,11 @@ def test_it_can_be_used_by_keyboard_and_read_aloud(page, make_session, serving):
 def resize(page, width, height):
     """Make the window larger or smaller; the page is laid out anew before the next."""
     page.set_viewport_size({"width": width, "height": height})
-    while page.evaluate("window.innerWidth") != width:
+    for _ in range(1000):  # ten seconds
+        if page.evaluate("window.innerWidth") == width:
+            return
         page.wait_for_timeout(10)
+    raise AssertionError(f"the window is not {width} pixels wide")
 
 
 def fits(page):
