@@ -9,7 +9,14 @@ from numpy.testing import assert_allclose
 from scipy.special import log_softmax, softmax
 
 from palpate import Touches
-from palpate.recognition import Belief, Evidence, ObjectRecogniser, SequenceCalibration
+from palpate.recognition import (
+    Belief,
+    Evidence,
+    Named,
+    ObjectRecogniser,
+    SequenceCalibration,
+)
+from palpate.recognition._strangers import Curve
 
 NAMES = ("ball", "cup", "mug", "pen", "rod")
 KINDS = ("", "vessel", "vessel", "tool", "tool")
@@ -37,26 +44,47 @@ def model():
 
 @pytest.fixture
 def start(model):
-    """Begin a belief whose limits, calibration, floor and prior are given."""
-    alike = {
-        "weights": np.array([0.7, 0.3]),
-        "naming": np.ones(9),
-        "naming_category": np.ones(9),
-        "refusing": np.ones(9),
-    }
+    """Begin a belief whose parts are given, in a closed world unless one is asked for.
 
-    def begin(prior=None, *, floor=0.0, calibration=(1.0, 0.0), judged=None, **limits):
+    Its score is evidence for a stranger as `stranger_model` says.
+    """
+
+    def begin(
+        prior=None,
+        *,
+        floor=0.0,
+        calibration=(1.0, 0.0),
+        judged=None,
+        strangers=0.0,
+        **parts,
+    ):
         judge = replace(
             model.judge(),
-            limits=replace(model.limits_, **(alike | limits)),
+            strangers=replace(stranger_model(model), **parts),
             floor=floor,
             sequence_calibration=SequenceCalibration(*calibration),
             **({"categories": np.array(KINDS)} | (judged or {})),
         )
         logs = None if prior is None else np.log(prior)
-        return Belief(judge, model.evidence, logs)
+        return Belief(judge, model.evidence, logs, strangers)
 
     return begin
+
+
+def stranger_model(model):
+    """Evidence for a stranger of log(score / 0.1), and of one nat a deviation above 1.
+
+    The score's logarithm in nats is compared with 0, its deviation being 1.
+    """
+    falling = Curve(np.log([1e-9, 1.0]), np.log([1e-8, 10.0]))
+    return replace(
+        model.strangers_,
+        weights=np.array([0.7, 0.3]),
+        high=np.array([[0.0, 1.0]]),
+        low_curve=falling,
+        low_category_curve=falling,
+        high_curve=Curve(np.array([1.0, 9.0]), np.array([0.0, 8.0])),
+    )
 
 
 def posed(belief, *shares, **more):
@@ -77,9 +105,9 @@ def test_a_belief_is_what_its_touches_come_to(start, floor, calibration):
     each, distances = rng.normal(size=(5, 2, 5)), 3 + rng.normal(size=(5, 5))
     prior = np.array([0.1, 0.2, 0.3, 0.3, 0.1])
     usual, far = rng.normal(size=5), np.array([[0.1, 1.0], [0.2, 0.5], [-0.3, 0.4]])
-    limits = {"usual": usual, "far": far}
-    belief = start(prior, floor=floor, calibration=calibration, **limits)
-    assert belief.unknown == 0
+    parts = {"usual": usual, "far": far, "strangers": 0.2}
+    belief = start(prior, floor=floor, calibration=calibration, **parts)
+    assert belief.unknown == pytest.approx(0.2)
     for k in range(5):
         belief.update_from_log_likelihood(
             rows[k],
@@ -97,21 +125,27 @@ def test_a_belief_is_what_its_touches_come_to(start, floor, calibration):
 
         logs = summed(rows)
         assert_allclose(belief.log_posterior, logs, atol=1e-12)
-        assert belief.posterior == pytest.approx(
-            dict(zip(NAMES, np.exp(logs), strict=True))
-        )
         assert belief.best == NAMES[logs.argmax()]
-        assert belief.doubt == pytest.approx(1 - np.exp(logs.max()))
         agreed = np.array([0.7, 0.3]) @ summed(each)
         apart = (distances[used].mean(axis=0) - usual)[agreed.argmax()]
         mean, spread = far[min(n, 3) - 1]
         nats = max(0, (apart - mean) / spread - 1.645) - agreed.max()
-        assert belief.unknown == pytest.approx(1 - np.exp(-nats))
-        shares = belief.categories
+        level = max(1 - np.exp(-nats), 1 - np.exp(logs.max()))
+        above = np.log(nats + 1e-6)
+        odds = 0.25 * level / 0.1 * np.exp(max(above - 1, 0) + 1e-3 * above)
+        unknown = odds / (1 + odds)
+        assert belief.unknown_evidence == pytest.approx(np.log(odds / 0.25))
+        assert belief.unknown == pytest.approx(unknown)
+        shares = (1 - unknown) * np.exp(logs)
+        assert belief.posterior == pytest.approx(dict(zip(NAMES, shares, strict=True)))
+        assert sum(belief.posterior.values()) + belief.unknown == pytest.approx(1)
+        assert belief.doubt == pytest.approx(1 - shares.max())
         kinds = np.exp(logs) @ np.eye(3)[[0, 1, 1, 2, 2]]
-        assert shares == pytest.approx(
-            {"ball": kinds[0], "vessel": kinds[1], "tool": kinds[2]}
-        )
+        named = [belief.categories[name] for name in ("ball", "vessel", "tool")]
+        ratios = np.array(named) / kinds
+        # All alike, less the probability of none of them.
+        assert ratios == pytest.approx(np.full(3, ratios[0]))
+        assert ratios[0] < 1
         assert belief.touches_used == k + 1
         assert belief.flags == [""] * (k + 1)
 
@@ -119,8 +153,8 @@ def test_a_belief_is_what_its_touches_come_to(start, floor, calibration):
 def test_touches_come_one_by_one_or_together(start, model):
     touches = drawn(3)[::4]
     given = model.evidence(touches)
-    weights = model.limits_.weights
-    beliefs = [start(floor=0.01, weights=weights) for _ in range(4)]
+    weights = model.strangers_.weights
+    beliefs = [start(floor=0.01, weights=weights, strangers=0.1) for _ in "1234"]
     beliefs[0].update(touches)
     beliefs[1].update(given)
     for k in range(len(touches)):
@@ -149,13 +183,9 @@ def test_before_the_first_touch_nothing_is_decided_however_sure_the_prior(start)
 def test_a_decision_is_for_an_error_of_one_in_a_hundred_unless_another_is_given(start):
     assert posed(start(), 0.9905, *[0.0095 / 4] * 4).decide() == "ball"
     belief = posed(start(), 0.9895, *[0.0105 / 4] * 4)
-    assert belief.promise.level == 0.01
+    assert belief.promise().level == 0.01
     assert belief.decide() is None
-    assert "less than 0.99." in belief.reason()
-    # So is a refusal, of the errors that were learnt the fourth.
-    refusing = np.array([0.9, 0.9, 0.9, 0.3, 0.1, 0.1, 0.1, 0.1, 0.1])
-    belief = posed(start(refusing=refusing), *SURE)
-    assert belief.unknown_limit() == belief.unknown_limit(0.01) == 0.3
+    assert belief.reason() == "probably ball (99 %): touch again"
 
 
 @pytest.mark.parametrize("asked", [{}, {"costs": {}}, {"level": "category"}])
@@ -166,39 +196,48 @@ def test_shares_and_scores_at_their_limit_are_accepted(start, asked):
         doubt = float((np.exp(belief.log_posterior) @ (1 - np.eye(5))).min())
     if "level" in asked:
         shares = belief.categories
-        doubt = sum(shares.values()) - shares["vessel"]
+        doubt = 1 - shares["vessel"]
     assert belief.decide(doubt, **asked) is not None
     assert belief.decide(np.nextafter(doubt, 0), **asked) is None
 
 
-def test_scores_at_their_limit_are_named_and_not_refused(start):
-    score = posed(start(), *SURE).unknown
-    less = np.nextafter(score, 0)
-
-    def decided(**limits):
-        every = {name: np.full(9, limit) for name, limit in limits.items()}
-        return posed(start(**every), *SURE).decide(0.1)
-
-    assert decided(naming=score) == "cup"
-    assert decided(naming=less) is None
-    assert decided(refusing=score) == "cup"
-    assert decided(refusing=less) == "unknown"
+@pytest.mark.parametrize("strangers", [0.0, 0.05, 0.3])
+def test_an_object_is_named_when_its_own_probability_reaches_it(start, strangers):
+    for share in (0.6, 0.9, 0.99, 0.9999):
+        belief = posed(start(strangers=strangers), share, *[(1 - share) / 4] * 4)
+        doubt = 1 - belief.posterior["ball"]
+        assert doubt == pytest.approx(belief.doubt)
+        if doubt < 0.5:
+            assert belief.decide(np.nextafter(belief.doubt, 1)) == "ball"
+            assert belief.decide(belief.doubt * 0.999) is None
 
 
-def test_a_category_has_a_limit_of_its_own(start):
+def test_a_stranger_is_named_when_its_probability_reaches_it(start):
+    torn = np.log([[(0.96, 0.01, 0.01, 0.01, 0.01), (0.01, 0.01, 0.01, 0.96, 0.01)]])
+    belief = posed(start(strangers=0.3), *SURE, by_encoding=torn)
+    assert belief.unknown > 0.7
+    missing = 1 - belief.unknown
+    assert belief.decide(missing * 1.001) == "unknown"
+    assert belief.decide(missing * 0.999) is None
+    assert belief.decide(1e-6, refusal=missing * 1.001) == "unknown"
+    assert belief.decide(missing * 1.001, refusal=1e-6) is None
+    assert belief.named(0.4) == Named("unknown", "unknown")
+    # The same touches in a closed world are of the object that they favour.
+    closed = posed(start(), *SURE, by_encoding=torn)
+    assert (closed.unknown, closed.decide(0.1)) == (0, "cup")
+
+
+def test_a_category_has_a_probability_of_its_own(start):
     # Of vessels the two encodings give 0.97 and 0.92, of cups 0.5 and 0.3.
     each = np.log([[TORN, (0.04, 0.3, 0.62, 0.02, 0.02)]])
+    belief = posed(start(strangers=0.1), *TORN, by_encoding=each)
     score = 1 - 0.97**0.7 * 0.92**0.3
-
-    def named(limit, level):
-        every = {"naming": np.zeros(9), "naming_category": np.full(9, limit)}
-        belief = posed(start(**every), *TORN, by_encoding=each)
-        return belief.decide(0.1, level=level)
-
-    assert named(score + 1e-9, "category") == "vessel"
-    assert named(score + 1e-9, "any") == ("category", "vessel")
-    assert named(score - 1e-9, "category") is None
-    assert named(score + 1e-9, "object") is None
+    share = 0.97 / (1 + 0.1 / 0.9 * score / 0.1)
+    assert belief.categories["vessel"] == pytest.approx(share)
+    assert belief.decide(1.001 * (1 - share), level="category") == "vessel"
+    assert belief.decide(0.999 * (1 - share), level="category") is None
+    assert belief.decide(1.001 * (1 - share), level="any") == ("category", "vessel")
+    assert belief.decide(1.001 * (1 - share), level="object") is None
     # An object is named first where it may be; never where categories are asked for.
     sure = posed(start(), *SURE)
     assert sure.decide(0.1, level="any") == ("object", "cup")
@@ -206,12 +245,12 @@ def test_a_category_has_a_limit_of_its_own(start):
     assert posed(start(), *TORN).decide(0.02, level="category") is None
 
 
-def test_what_is_unlike_all_is_unknown_unless_its_category_is_sure(start):
-    unlike = {"refusing": np.full(9, 0.04)}
-    belief = posed(start(**unlike), *SURE)
-    assert belief.decide(0.1) == "unknown"
-    assert belief.decide(0.1, level="any") == ("category", "vessel")
-    assert belief.decide(0.01, level="any") == ("unknown", "unknown")
+@pytest.mark.parametrize("strangers", [-0.1, 1.0, 1.5, np.nan])
+def test_a_share_of_strangers_is_at_least_0_and_below_1(model, strangers):
+    with pytest.raises(ValueError, match="strangers must be"):
+        model.start(strangers=strangers)
+    with pytest.raises(TypeError, match="strangers must be a number"):
+        model.start(strangers="few")
 
 
 def test_the_object_of_least_expected_cost_is_named(start):
@@ -231,7 +270,12 @@ def test_the_object_of_least_expected_cost_is_named(start):
     assert least < 0.5
     assert belief.decide(least + 1e-6, costs) == NAMES[expected.argmin()]
     assert belief.decide(least - 1e-6, costs) is None
-    assert f"cost is {least:.4f} after 1 touch" in belief.reason(0.5, costs)
+    # Naming what was never learnt costs 1, whatever it is called.
+    open_world = posed(start(strangers=0.1), *shares)
+    cost = (1 - open_world.unknown) * least + open_world.unknown
+    if cost < 0.49:
+        assert open_world.decide(cost + 1e-6, costs) == NAMES[expected.argmin()]
+        assert open_world.decide(cost - 1e-6, costs) is None
 
 
 def test_shares_asked_for_are_between_a_millionth_and_a_half(start):
@@ -246,78 +290,46 @@ def test_shares_asked_for_are_between_a_millionth_and_a_half(start):
             belief.decide(refusal=share)
 
 
-CUP = "cup has probability 0.9500 after 1 touch"
-NOT_AGREED = (
-    f"Undecided: {CUP}, but the encodings do not agree enough (unknown score 0.05, "
-    "above 0). Touch again."
-)
-UNLIKE = (
-    "Unknown: after 1 touch the unknown score (nearest: cup) is 0.050, above 0.040: "
-    "what was learnt is hardly ever so."
-)
-VESSEL = (
-    "Decided for the category vessel: it has probability 0.9700 after 1 touch; which "
-    "one is not sure."
-)
-
-
 @pytest.mark.parametrize(
-    ("shares", "limits", "asked", "said"),
+    ("shares", "strangers", "asked", "sentence"),
     [
-        (SURE, {}, {"error": 0.06}, f"Decided for cup: {CUP}, at least 0.94."),
-        (SURE, {}, {"error": 0.02}, f"Undecided: {CUP}, less than 0.98."),
-        (
-            SURE,
-            {"naming": 0},
-            {"error": 0.06},
-            NOT_AGREED,
-        ),
-        (
-            SURE,
-            {"refusing": 0.04},
-            {"error": 0.06},
-            UNLIKE,
-        ),
+        (SURE, 0.0, {"error": 0.06}, "cup, 95 % after 1 touch"),
+        (SURE, 0.0, {"error": 0.02}, "probably cup (95 %): touch again"),
+        (SURE, 0.1, {"error": 0.02}, "probably cup (90 %): touch again"),
+        (TORN, 0.0, {"error": 0.06}, "cup or mug: touch again"),
+        (TORN, 0.3, {"error": 0.06}, "nothing I know, cup or mug: touch again"),
+        ((0.2,) * 5, 0.0, {}, "perhaps ball (20 %): touch again"),
         (
             TORN,
-            {},
+            0.0,
             {"error": 0.06, "level": "any"},
-            VESSEL,
+            "a vessel, 97 % after 1 touch; which one I cannot tell",
         ),
         (
-            SURE,
+            (1 - 4e-6, *[1e-6] * 4),
+            0.0,
             {},
-            {"error": 0.06, "costs": {}},
-            "Decided for cup: its expected cost is 0.0500 after 1 touch.",
-        ),
-        (
-            SURE,
-            {},
-            {"error": 0.02, "costs": {}},
-            "Undecided: the least expected cost is 0.0500 after 1 touch, over 0.02.",
-        ),
-        (
-            SURE,
-            {"naming": 0},
-            {"error": 0.06, "costs": {}},
-            NOT_AGREED,
+            "ball, over 99.9 % after 1 touch",
         ),
     ],
 )
-def test_a_reason_says_what_decided(start, shares, limits, asked, said):
-    every = {name: np.full(9, limit) for name, limit in limits.items()}
-    belief = posed(start(**every), *shares)
-    assert belief.reason(**asked) == said
+def test_a_reason_is_one_sentence(start, shares, strangers, asked, sentence):
+    belief = posed(start(strangers=strangers), *shares)
+    assert belief.reason(**asked) == sentence
     # A touch that says nothing is counted, and changes nothing else.
     belief.update_from_log_likelihood(np.zeros(5))
-    assert belief.reason(**asked) == said.replace("1 touch", "2 touches")
+    assert belief.reason(**asked) == sentence.replace("1 touch", "2 touches")
+    assert "said nothing." in belief.why()[-1]
 
 
-def test_a_refusal_is_explained_by_its_own_share(start):
-    refusing = np.array([0.9, 0.9, 0.9, 0.3, 0.3, 0.04, 0.03, 0.02, 0.01])
-    belief = posed(start(refusing=refusing), *SURE)
-    assert "above 0.040" in belief.reason(0.01, refusal=0.05)
-    assert "above 0.040" in belief.reason(0.05)
+def test_why_tells_the_figures_behind_a_sentence(start):
+    belief = posed(start(strangers=0.1), *SURE)
+    known, none, promise = belief.why(0.02)
+    assert known.startswith("cup has probability 90 %, ball 2 %; 98 % was asked for.")
+    assert "A share of 0.1 strangers was expected" in none
+    assert "against one by 0.7 nats" in none
+    assert promise == str(belief.promise(0.02))
+    assert "closed world" in posed(start(), *SURE).why()[1]
 
 
 def test_another_sense_adds_its_examples_by_its_own_calibration(start, model):
@@ -336,8 +348,11 @@ def test_another_sense_adds_its_examples_by_its_own_calibration(start, model):
     posed(together, *SURE)
     both = softmax(np.log(SURE) + np.log(list(belief.posterior.values())))
     assert list(together.posterior.values()) == pytest.approx(list(both))
-    # The score is of what all senses say: each encoding counts with the others.
-    assert together.unknown == pytest.approx(1 - both.max())
+    # The score is of what all senses tell: each encoding counts with the others.
+    score = 1 - both.max()
+    above = np.log(-np.log1p(-score) + 1e-6)
+    nats = np.log(score / 0.1) + max(above - 1, 0) + 1e-3 * above
+    assert together.unknown_evidence == pytest.approx(nats)
 
 
 def test_a_copy_goes_on_by_itself_with_every_sense(start):
@@ -388,25 +403,25 @@ def test_explanations_weigh_each_touch_between_the_two_best(start, model):
 
 def test_a_belief_shows_the_three_most_probable(start):
     belief = posed(start(), 0.05, 0.6, 0.21, 0.04, 0.1)
-    expected = "<Belief after 1 touch: cup 0.60, mug 0.21, rod 0.10>"
+    expected = "<Belief after 1 touch: cup 0.60, mug 0.21, rod 0.10, unknown 0.00>"
     assert repr(belief) == expected
 
 
 def test_names_are_shown_up_to_24_letters(start):
     judged = {"classes": np.array(["a" * 24, "b" * 25, "c", "d", "e"])}
     belief = posed(start(judged=judged), 0.6, 0.3, 0.08, 0.01, 0.01)
-    listed = f"{'a' * 24} 0.60, {'b' * 21}... 0.30, c 0.08"
+    listed = f"{'a' * 24} 0.60, {'b' * 21}... 0.30, c 0.08, unknown 0.00"
     assert repr(belief) == f"<Belief after 1 touch: {listed}>"
 
 
 def test_bars_are_as_long_as_their_shares(start):
     page = posed(start(), 0.05, 0.6, 0.2499, 0.1, 0.0001)._repr_html_()
-    assert page.startswith(
-        "<table><caption>After 1 touch; unknown score 0.40</caption>"
-    )
+    head = "<table><caption>cup, mug or pen: touch again</caption>"
+    assert page.startswith(head)
     widths = [part.split("em")[0] for part in page.split("width:")[1:]]
     # Twelve em are all of it; the least is a line of 0.02 that can be seen.
-    assert widths == ["7.20", "3.00", "1.20", "0.60", "0.02"]
+    assert widths == ["7.20", "3.00", "1.20", "0.60", "0.02", "0.02"]
+    assert page.index("nothing learnt") > page.index(">rod<")
     assert [
         page.index(f">{name}<") for name in ("cup", "mug", "pen", "ball", "rod")
     ] == (sorted(page.index(f">{name}<") for name in NAMES))

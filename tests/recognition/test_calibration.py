@@ -47,12 +47,12 @@ def test_long_episodes_are_as_long_as_their_object_has_touches():
     objects = np.repeat(["a", "b", "c"], [40, 6, 2])
     drawn = draw_asked(objects, blocks_in_order(objects), seed=0)
     assert [(rows >= 0).sum(axis=1).tolist() for rows in drawn] == [
-        [20] * 40,
-        [6] * 40,
-        [2] * 40,
+        [20] * 333,
+        [6] * 333,
+        [2] * 333,
     ]
     for name, rows in zip("abc", drawn, strict=True):
-        assert rows.shape == (40, 20)
+        assert rows.shape == (333, 20)
         for episode in rows:
             used = episode[episode >= 0]
             assert len(set(used)) == len(used)
@@ -120,7 +120,7 @@ def test_episodes_of_all_lengths_that_some_object_has():
 
 
 @pytest.mark.parametrize(
-    ("n_objects", "n_each"), [(2, 40), (25, 40), (26, 38), (700, 1), (1500, 1)]
+    ("n_objects", "n_each"), [(2, 500), (25, 40), (26, 38), (700, 1), (1500, 1)]
 )
 def test_a_thousand_long_episodes_at_most_are_drawn(n_objects, n_each):
     objects = np.repeat(np.arange(n_objects), 3)

@@ -76,5 +76,5 @@ def test_same_seed_same_choice(rng):
 def test_constant_images_give_a_belief(side):
     flat = np.zeros((8, side, side))
     touches = Touches(flat, object=["a", "b"] * 4)
-    belief = ObjectRecogniser().fit(touches).start().update(touches[0])
+    belief = ObjectRecogniser().fit(touches).start(strangers=0).update(touches[0])
     assert belief.posterior == pytest.approx({"a": 0.5, "b": 0.5})

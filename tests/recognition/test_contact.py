@@ -48,7 +48,8 @@ def test_no_contact_leaves_the_belief_and_counts_as_a_touch(camera):
 
 def test_only_no_contact_leaves_the_prior(camera):
     recogniser, touches = camera
-    belief = recogniser.start().update(idle(touches)).update(idle(touches, seed=4))
+    belief = recogniser.start(strangers=0).update(idle(touches))
+    belief.update(idle(touches, seed=4))
     assert list(belief.posterior.values()) == pytest.approx([0.5, 0.5])
     assert belief.decide() is None
 
@@ -110,7 +111,7 @@ def test_an_array_without_load_says_nothing(array):
     recogniser, _ = array
     faint = np.zeros((10, 10), np.uint8)
     faint[2, 2] = 2
-    belief = recogniser.start().update(faint)
+    belief = recogniser.start(strangers=0).update(faint)
     assert belief.flags == ["no contact"]
     assert list(belief.posterior.values()) == pytest.approx([0.5, 0.5])
 

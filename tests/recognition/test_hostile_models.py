@@ -13,6 +13,7 @@ from numpy.testing import assert_array_equal
 
 from palpate import ObjectRecogniser, Touches
 from palpate.recognition import ModelFileError, SequenceCalibration
+from palpate.recognition._strangers import Curve
 
 HANG_S = 2.0
 MB = 2**20
@@ -214,24 +215,28 @@ def with_nan(values):
     [
         ("weights", lambda v: v[:0], "no such table"),
         ("weights", lambda v: v[None], "no such table"),
-        ("weights", lambda v: 1.01 + 0 * v, "not between 0 and 1"),
+        ("weights", lambda v: -0.01 + 0 * v, "below 0"),
         ("usual", lambda v: v[:1], "no such table"),
         ("usual", with_nan, "NaN or infinity"),
         ("far", lambda v: np.c_[v, v], "no such table"),
         ("far", lambda v: 0 * v, "no spread"),
-        ("quantiles", lambda v: v[:, 1:], "no such table"),
-        ("quantiles", lambda v: v - 2, "not between 0 and 1"),
-        ("naming", lambda v: v[1:], "no such table"),
-        ("refusing", with_nan, "NaN or infinity"),
-        ("wrong", lambda v: v + 2, "not between 0 and 1"),
+        ("high", lambda v: v[:, :1], "no such table"),
+        ("high", lambda v: 0 * v, "no spread"),
+        ("exceeded", with_nan, "NaN or infinity"),
+        ("exceeded", lambda v: v[:0], "no such table"),
+        ("low_curve", lambda v: Curve(v.levels[::-1], v.log_ratios), "falls"),
+        ("low_curve", lambda v: Curve(v.levels, v.log_ratios[1:]), "no such table"),
+        ("high_curve", lambda v: Curve(v.levels, -v.log_ratios), "falls"),
+        ("high_curve", lambda v: Curve(with_nan(v.levels), v.levels), "NaN"),
+        ("low_category_curve", lambda v: v.levels, "a curve of its strangers_ is a"),
         ("n_units", lambda v: 0, "n_units must be at least 1"),
         ("population", lambda v: 5, "no text"),
     ],
 )
-def test_limits_that_decide_nothing_are_refused(tmp_path, name, change, message):
+def test_what_tells_no_stranger_is_refused(tmp_path, name, change, message):
     model = deepcopy(models()[0])
-    changed = change(getattr(model.limits_, name))
-    model.limits_ = replace(model.limits_, **{name: changed})
+    changed = change(getattr(model.strangers_, name))
+    model.strangers_ = replace(model.strangers_, **{name: changed})
     with pytest.raises(ModelFileError, match=message):
         ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
 
@@ -565,16 +570,16 @@ def with_calibration(sense, calibration):
     ("name", "change"),
     [
         ("weights", lambda v: np.ones_like(v) / len(v)),
-        ("naming", lambda v: 0 * v),
-        ("refusing", lambda v: 0 * v + 1),
+        ("low_curve", lambda v: Curve(v.levels, 0 * v.log_ratios)),
+        ("high", lambda v: np.c_[v[:, 0], 0 * v[:, 0] + 1e-6]),
         ("usual", lambda v: v - 1e6),
         ("far", lambda v: np.c_[v[:, 0] - 1e6, v[:, 1]]),
-        ("quantiles", lambda v: v[:1]),
+        ("exceeded", lambda v: v[:1]),
         ("n_units", lambda v: 1),
     ],
 )
-def test_limits_at_their_bounds_are_read(tmp_path, name, change):
+def test_what_tells_strangers_is_read_at_its_bounds(tmp_path, name, change):
     model = deepcopy(models()[0])
-    changed = change(getattr(model.limits_, name))
-    model.limits_ = replace(model.limits_, **{name: changed})
+    changed = change(getattr(model.strangers_, name))
+    model.strangers_ = replace(model.strangers_, **{name: changed})
     assert refusal_of(model.save(tmp_path / "m.palpate")) == ""

@@ -43,10 +43,11 @@ def test_touches(rng):
 def test_recognises_what_it_learnt(recogniser, test_touches):
     for name, _, rows in test_touches.episodes():
         belief = recogniser.start()
-        assert belief.posterior == pytest.approx(dict.fromkeys(NAMES, 1 / 3))
+        assert belief.posterior == pytest.approx(dict.fromkeys(NAMES, 0.95 / 3))
+        assert belief.unknown == pytest.approx(0.05)
         assert belief.update(test_touches[rows]).best == name
         assert belief.touches_used == 6
-        assert sum(belief.posterior.values()) == pytest.approx(1)
+        assert sum(belief.posterior.values()) + belief.unknown == pytest.approx(1)
 
 
 def domes(rng, n_each=6):
@@ -120,7 +121,7 @@ def test_decides_nothing_before_the_first_touch_and_the_object_when_sure(
     for row in range(6):
         belief.update(test_touches[row])
     assert belief.decide(0.05) == "ball"
-    assert "Decided for ball" in belief.reason(0.05)
+    assert belief.reason(0.05).startswith("ball, ")
     with pytest.raises(ValueError, match="error must be finite and between"):
         belief.decide(0.9)
 
@@ -131,10 +132,14 @@ def test_touches_that_point_everywhere_are_never_named(recogniser):
         row = np.full(3, -5.0)
         row[column] = 0
         belief.update_from_log_likelihood(row)
-    assert belief.unknown == pytest.approx(2 / 3, abs=0.01)
-    assert belief.decide(0.5, refusal=0.01) is None
+    assert belief.unknown > 0.5
+    assert belief.decide(0.5, refusal=1e-6) is None
     assert belief.decide(0.05, refusal=0.5) == "unknown"
-    assert belief.reason(0.05, refusal=0.5).startswith("Unknown")
+    assert belief.reason(0.05, refusal=0.5).startswith("nothing I know (")
+    # In a closed world all three are as probable as before.
+    closed = recogniser.start(strangers=0)
+    closed.update_from_log_likelihood(np.array([[0, -5, -5], [-5, 0, -5], [-5, -5, 0]]))
+    assert closed.posterior == pytest.approx(dict.fromkeys(NAMES, 1 / 3))
 
 
 def test_same_seed_same_bits(test_touches):
@@ -144,7 +149,7 @@ def test_same_seed_same_bits(test_touches):
         first.log_likelihood(test_touches), second.log_likelihood(test_touches)
     )
     assert first.sequence_calibration_ == second.sequence_calibration_
-    assert_array_equal(first.limits_.quantiles, second.limits_.quantiles)
+    assert_array_equal(first.strangers_.exceeded, second.strangers_.exceeded)
 
 
 def test_add_and_forget_an_object(rng):
@@ -175,7 +180,7 @@ def test_category_is_learnt_over_objects(rng):
 def test_prior_by_counts(rng):
     touches = drawn(rng)
     fewer = touches[np.r_[0:24, 24:36, 48:60]]
-    start = ObjectRecogniser(prior="counts").fit(fewer).start()
+    start = ObjectRecogniser(prior="counts").fit(fewer).start(strangers=0)
     assert start.posterior == pytest.approx({"ball": 0.5, "mug": 0.25, "pen": 0.25})
 
 
@@ -264,17 +269,18 @@ def test_a_sure_object_is_not_called_unknown(recogniser):
     assert belief.decide(0.01) == "ball"
 
 
-def test_limits_follow_added_objects(rng):
+def test_what_tells_strangers_follows_added_objects(rng):
     everything = drawn(rng, noise=3)
     pens = everything.object == "pen"
     grown = ObjectRecogniser().fit(everything[~pens])
-    before = grown.limits_.quantiles
+    before = grown.strangers_.exceeded
     grown.add_object("pen", everything[pens])
-    assert not np.array_equal(grown.limits_.quantiles, before)
+    assert not np.array_equal(grown.strangers_.exceeded, before)
     whole = ObjectRecogniser().fit(everything)
     # Width and ridge were chosen without the third object, so not to the digit.
-    assert grown.limits_.threshold(1, 0.05) == pytest.approx(
-        whole.limits_.threshold(1, 0.05), abs=0.2
+    # Nats of evidence for a stranger.
+    assert grown.strangers_.threshold(1) == pytest.approx(
+        whole.strangers_.threshold(1), abs=1.0
     )
 
 
@@ -295,9 +301,9 @@ def test_what_is_known_of_distances_is_used_for_added_touches(
         for one in (known, read):
             add = one.extend_object if added in one.classes_ else one.add_object
             add(added, more)
-        for name in ("usual", "far", "quantiles"):
-            found, anew = (getattr(one.limits_, name) for one in (known, read))
-            assert_allclose(found, anew, rtol=1e-7, atol=1e-9)
+        for name in ("usual", "far", "exceeded"):
+            kept, anew = (getattr(one.strangers_, name) for one in (known, read))
+            assert_allclose(kept, anew, rtol=1e-7, atol=1e-7)
     shown = everything[(everything.object == "pen") & (order > 15)]
     beliefs = [one.start().update(shown) for one in (known, read)]
     assert beliefs[0].unknown == pytest.approx(beliefs[1].unknown, rel=1e-9)
@@ -341,13 +347,13 @@ def test_likelihoods_that_are_none_are_refused(recogniser, rows, message):
 
 def test_touches_that_rule_out_every_object_in_turn_leave_a_belief(test_touches):
     strict = ObjectRecogniser(floor=0).fit(test_touches)
-    belief = strict.start()
+    belief = strict.start(strangers=0)
     for out in range(3):
         row = np.zeros(3)
         row[out] = -np.inf
         belief.update_from_log_likelihood(row)
     assert belief.posterior == pytest.approx(dict.fromkeys(NAMES, 1 / 3))
-    assert 0 <= belief.unknown <= 1
+    assert belief.unknown == 0
 
 
 @pytest.mark.parametrize(
@@ -386,7 +392,7 @@ def test_probabilities_are_never_zero_unless_the_floor_is(rng, floor, least):
     assert belief.log_posterior.min() < -1000
     assert (min(belief.posterior.values()) > least) == (floor is None)
     assert min(belief.categories.values()) >= least
-    assert sum(belief.posterior.values()) == pytest.approx(1)
+    assert sum(belief.posterior.values()) + belief.unknown == pytest.approx(1)
 
 
 def test_a_copy_of_a_belief_goes_on_by_itself(recogniser, test_touches):
@@ -441,10 +447,9 @@ HOSTILE = {
     ),
     "features": lambda model: model.memory_.features.fill(np.nan),
     "modalities": lambda model: setattr(model, "modalities_", [1]),
-    "limits that are no numbers": lambda model: model.limits_.naming.fill(np.nan),
-    "limits above 1": lambda model: model.limits_.refusing.fill(2.0),
-    "limits of other encodings": lambda model: setattr(
-        model, "limits_", replace(model.limits_, weights=np.ones(9) / 9)
+    "strangers that are no numbers": lambda model: model.strangers_.high.fill(np.nan),
+    "strangers of other encodings": lambda model: setattr(
+        model, "strangers_", replace(model.strangers_, weights=np.ones(9) / 9)
     ),
     "categories": lambda model: setattr(
         model, "memory_", replace(model.memory_, categories=np.array(["a"]))
@@ -498,8 +503,8 @@ def test_a_belief_shows_itself_in_one_line_and_as_bars():
     page = belief._repr_html_()
     assert "&lt;b&gt;ball&lt;/b&gt;" in page
     assert "<b>" not in page
-    assert page.count("<tr>") == 3
-    assert "After 2 touches; unknown score" in page
+    assert page.count("<tr>") == 4
+    assert "after 2 touches</caption>" in page
 
 
 def test_a_belief_of_many_objects_shows_the_first_ten():
@@ -509,5 +514,5 @@ def test_a_belief_of_many_objects_shows_the_first_ten():
         Touches(rng.random((48, 64, 64)), object=np.repeat(names, 4))
     )
     page = learnt.start()._repr_html_()
-    assert page.count("<tr>") == 11
+    assert page.count("<tr>") == 12
     assert "and 2 more" in page

@@ -40,7 +40,7 @@ def test_single_touches_are_what_a_belief_says_after_one(images_and_labels):
     proba = learnt.predict_proba(images[:5])
     assert_allclose(proba.sum(axis=1), 1)
     for image, row in zip(images, proba, strict=False):
-        posterior = learnt.start().update(image).posterior
+        posterior = learnt.start(strangers=0).update(image).posterior
         assert_allclose(row, list(posterior.values()), rtol=1e-9)
     assert_allclose(learnt.predict_log_proba(images[:5]), np.log(proba))
     assert learnt.score(images, labels) == (learnt.predict(images) == labels).mean()

@@ -33,8 +33,8 @@ class Log(ABC):
     Notes
     -----
     Times are in seconds since 1970. A belief has the keys `episode`, `touch`,
-    `posterior` (one share per object), `unknown`, `limit` (above which the object
-    counts as unknown), `best`, `decision` (an object, "unknown", or None) and `reason`.
+    `posterior` (probability of each object), `unknown` (of none of them), `best`,
+    `decision` (an object, "unknown", or None) and `reason`, a sentence.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -87,7 +87,7 @@ class Log(ABC):
             elif event.kind == "touch":
                 episode = event.values["episode"]
                 (touch,) = episode["touches"]
-                kept = {key: touch[key] for key in ("posterior", "unknown", "limit")}
+                kept = {key: touch[key] for key in ("posterior", "unknown")}
                 kept |= {key: episode[key] for key in ("best", "decision", "reason")}
                 about = {"episode": episode["number"], "touch": touch["number"]}
                 self.touch(event.image, touch["time_s"], about | kept, event.channels)
@@ -168,21 +168,20 @@ def log_episodes(
     number = 0
     with open_log(path) as log:
         for number, (label, _, rows) in enumerate(touches.episodes(), start=1):
-            belief = recogniser.start()
+            episode = recogniser.episode(error=error)
             for count, row in enumerate(rows, start=1):
-                belief.update(evidence.one(row))
-                said = {
+                episode.add(evidence.one(row))
+                belief = {
                     "episode": number,
                     "touch": count,
                     "object": label,
-                    "posterior": belief.posterior,
-                    "unknown": belief.unknown,
-                    "limit": belief.unknown_limit(error),
-                    "best": belief.best,
-                    "decision": belief.decide(error=error),
-                    "reason": belief.reason(error=error),
+                    "posterior": episode.belief.posterior,
+                    "unknown": episode.belief.unknown,
+                    "best": episode.belief.best,
+                    "decision": episode.decision,
+                    "reason": episode.sentence,
                 }
                 log.touch(
-                    touches.images[row], float(times[row]), said, touches.channels
+                    touches.images[row], float(times[row]), belief, touches.channels
                 )
     return number

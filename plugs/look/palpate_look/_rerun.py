@@ -17,7 +17,7 @@ class RerunLog(Log):
     """A recording of Rerun, `.rrd`; `Log` explains the rest.
 
     Entities: `tactile` and `touch` (an image; with channels other than r, g and b a
-    tensor), `belief/OBJECT`, `unknown/score` and `unknown/limit` (numbers), `decision`
+    tensor), `belief/OBJECT`, `unknown/probability` (numbers), `decision`
     (text). Values have the type that they have in the sensor. Timelines: `time`, and
     `touch`, counted through all episodes.
 
@@ -59,9 +59,8 @@ class RerunLog(Log):
         path, number = self._rerun.new_entity_path, self._rerun.Scalars
         for label, share in belief["posterior"].items():
             self._to.log(path(["belief", label]), number(share))
-        for key, name in (("unknown", "score"), ("limit", "limit")):
-            if belief[key] is not None:
-                self._to.log(f"unknown/{name}", number(belief[key]))
+        if belief["unknown"] is not None:
+            self._to.log("unknown/probability", number(belief["unknown"]))
 
     def _said(self, words: str, time_s: float) -> None:
         self._at(time_s)

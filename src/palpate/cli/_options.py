@@ -106,11 +106,18 @@ Seed = Annotated[
 Preset = Annotated[str, option("--preset", '"default", "corradi2015" or "liu2014".')]
 Label = Annotated[str, option('What to recognise: "object" or "category".')]
 ErrorRate = Annotated[float, option("--error", "Accepted share of wrong names.")]
+Strangers = Annotated[
+    float,
+    option(
+        "--strangers",
+        "Share of episodes with something never learnt; 0: it is always one of those.",
+    ),
+]
 Refusal = Annotated[
     float | None,
     option(
         "--refusal",
-        "Accepted share of known objects called unknown; that of --error if not given.",
+        "Unknown is said when its probability reaches 1 less this; as --error if none.",
     ),
 ]
 Report = Annotated[Path | None, option("--report", "Write one self-contained .html.")]

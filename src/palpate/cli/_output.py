@@ -34,9 +34,13 @@ def printable(text: str) -> str:
     return "".join(kept)
 
 
-def belief_line(touch: int, posterior: dict[str, float]) -> str:
-    """Return one line that shows a belief: a bar for the best, figures for the next."""
-    ranked = sorted(posterior.items(), key=lambda item: -item[1])
+def belief_line(touch: int, posterior: dict[str, float], unknown: float) -> str:
+    """Return one line that shows a belief: a bar for the best, figures for the next.
+
+    Of the probabilities of the learnt objects and of none of them.
+    """
+    shares = {**posterior, "unknown": unknown}
+    ranked = sorted(shares.items(), key=lambda item: -item[1])
     name, share = ranked[0]
     bar = ("█" * round(share * BAR_WIDTH)).ljust(BAR_WIDTH, "·")
     others = "  ".join(f"{n} {p:.2f}" for n, p in ranked[1:SHOWN])

@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from ._options import AsJson, RecordedData, Seed, option
+from ._options import AsJson, RecordedData, Seed, Strangers, option
 from ._output import print_json, stages
 from .evaluate import print_figures
 from .explore import exploration_to_dict, print_attempt
@@ -30,6 +30,8 @@ UNKNOWN_RECORDED = 2
 SIDE = 120
 KNOWN_SHOWN = ("mug", "pen", "toothbrush")
 ERROR = 0.05
+# One in four of the things that it touches was never learnt.
+STRANGERS = 0.25
 MOST_ATTEMPTS = 16
 
 Sets = tuple["Touches", "Touches", "Touches"]
@@ -39,6 +41,7 @@ def demo(
     real: Annotated[bool, option("--real", "Recorded ones: see --data.")] = False,
     data: RecordedData = None,
     folder: Annotated[Path, option("--output", "For model and report.")] = Path("demo"),
+    strangers: Strangers = STRANGERS,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
@@ -56,7 +59,7 @@ def demo(
     with stages() as stage:
         sets = _read(pictures, seed, stage) if pictures else _explored(seed)
         train, test, unknown = sets
-        plan = Plan(touches=(1, 3, 5, 10), seed=seed)
+        plan = Plan(touches=(1, 3, 5, 10), seed=seed, strangers=strangers)
         figures, trials = evaluate(
             train, test, unknown=unknown, plan=plan, progress=stage
         )
@@ -67,9 +70,11 @@ def demo(
             f"({len(train) // len(recogniser.classes_)} each).\n"
         )
     if pictures:
-        episodes = _recognise_recorded(recogniser, test, unknown, quiet=as_json)
+        episodes = _recognise_recorded(
+            recogniser, test, unknown, strangers, quiet=as_json
+        )
     else:
-        episodes = _recognise_by_exploring(recogniser, seed, quiet=as_json)
+        episodes = _recognise_by_exploring(recogniser, seed, strangers, quiet=as_json)
     name = "recorded-objects" if pictures else "six-objects"
     model = recogniser.save(folder / f"{name}.palpate")
     write_report(report, figures, trials)
@@ -108,7 +113,7 @@ def _explored(seed: int) -> Sets:
 
 
 def _recognise_by_exploring(
-    recogniser: "ObjectRecogniser", seed: int, *, quiet: bool
+    recogniser: "ObjectRecogniser", seed: int, strangers: float, *, quiet: bool
 ) -> list[dict[str, Any]]:
     import numpy as np
 
@@ -135,20 +140,28 @@ def _recognise_by_exploring(
             guard=QUICK_GUARD,
             max_attempts=MOST_ATTEMPTS,
             error=ERROR,
+            strangers=strangers,
             clock=stand.robot.clock,
             on_attempt=None if quiet else print_attempt,
         )
         if not quiet:
             print(f"  {end.reason}\n")
-        episodes.append({"object": name, **exploration_to_dict(recogniser, end)})
+        ended = exploration_to_dict(recogniser, end, strangers)
+        episodes.append({"object": name, **ended})
     return episodes
 
 
 def _recognise_recorded(
-    recogniser: "ObjectRecogniser", test: "Touches", unknown: "Touches", *, quiet: bool
+    recogniser: "ObjectRecogniser",
+    test: "Touches",
+    unknown: "Touches",
+    strangers: float,
+    *,
+    quiet: bool,
 ) -> list[dict[str, Any]]:
-    known = recognise_episodes(recogniser, test, error=ERROR)
-    others = recognise_episodes(recogniser, unknown, error=ERROR)
+    how = {"error": ERROR, "strangers": strangers}
+    known = recognise_episodes(recogniser, test, how)
+    others = recognise_episodes(recogniser, unknown, how)
     names = " and ".join(str(episode["object"]) for episode in others)
     shown = {
         f"Recognising the other {len(test)} touches, one by one:": known,

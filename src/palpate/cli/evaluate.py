@@ -36,6 +36,7 @@ def evaluate(
     unknown_where: Annotated[str | None, option("The same for --unknown.")] = None,
     error: _options.ErrorRate = 0.01,
     refusal: _options.Refusal = None,
+    strangers: _options.Strangers = 0.05,
     report: _options.Report = None,
     how: _options.Learning,
     reading: _options.Reading,
@@ -53,6 +54,7 @@ def evaluate(
         train_touches=train_touches,
         error=error,
         refusal=refusal,
+        strangers=strangers,
         remount=remount,
     )
     if report is not None:

@@ -102,6 +102,7 @@ def recognise(
     most: Annotated[int, option("--max-touches", "Budget of attempts.")] = 30,
     error: _options.ErrorRate = 0.01,
     refusal: _options.Refusal = None,
+    strangers: _options.Strangers = 0.05,
     folder: Folder = None,
     yaw: Annotated[float | None, option("Turn, degrees. Default: drawn.")] = None,
     face: Annotated[int, option("Which face it rests on; 0 is the usual one.")] = 0,
@@ -158,11 +159,16 @@ def recognise(
         max_attempts=most,
         error=error,
         refusal=refusal,
+        strangers=strangers,
         clock=stand.robot.clock,
         on_attempt=None if as_json else print_attempt,
     )
     about = {"object": found.name, "strategy": strategy}
-    answer(as_json, {**about, **exploration_to_dict(knower, end)}, f"  {end.reason}")
+    answer(
+        as_json,
+        {**about, **exploration_to_dict(knower, end, strangers)},
+        f"  {end.reason}",
+    )
 
 
 def _one_object(name: str, unit: str) -> "SimObject":
@@ -176,19 +182,24 @@ def _one_object(name: str, unit: str) -> "SimObject":
 
 
 def print_attempt(record: "TouchRecord", belief: Any) -> None:
+    from ..recognition import touch_note
+
     if record.touched:
-        print(belief_line(belief.touches_used, belief.posterior))
+        flag = belief.flags[-1]
+        note = touch_note(belief.touches_used, flag)
+        shown = belief_line(belief.touches_used, belief.posterior, belief.unknown)
+        print(f"  {note}" if note else shown)
     else:
         print(f"  {record.outcome}. {record.message}".rstrip())
 
 
 def exploration_to_dict(
-    knower: "ObjectRecogniser | TouchMap", end: "Exploration"
+    knower: "ObjectRecogniser | TouchMap", end: "Exploration", strangers: float
 ) -> dict[str, Any]:
     """Return an exploration as plain values, with the belief after every attempt."""
     from ..exploration import as_touches
 
-    belief = knower.start()
+    belief = knower.start(strangers=strangers)
     attempts: list[dict[str, Any]] = []
     touched = []  # the number of the attempt of each touch
     for number, record in enumerate(end.history):

@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import _sensor
-from ._options import AsJson, ErrorRate, MaxModelMb, ModelPath, Refusal, grouped, option
+from ._options import (
+    AsJson,
+    ErrorRate,
+    MaxModelMb,
+    ModelPath,
+    Refusal,
+    Strangers,
+    grouped,
+    option,
+)
 from ._output import belief_line, print_json
 
 if TYPE_CHECKING:
@@ -27,6 +36,7 @@ def live(
     timeout: _sensor.Patience = 120.0,
     error: ErrorRate = 0.01,
     refusal: Refusal = None,
+    strangers: Strangers = 0.05,
     summary: _sensor.Summary = "peak",
     log: _sensor.LogFile = None,
     options: _sensor.SensorOptions,
@@ -38,7 +48,8 @@ def live(
 
     done: list[Episode] = []
     chosen = options.open(sensor)
-    how: Any = {"error": error, "refusal": refusal, "summary": summary}
+    how: Any = {"error": error, "refusal": refusal, "strangers": strangers}
+    how |= {"summary": summary}
     session = LiveSession(chosen, model=model, **how)
     found: queue.Queue[dict[str, Any]] = queue.Queue()
 
@@ -83,7 +94,9 @@ def _episode(
             continue
         touch = episode["touches"][-1]
         if not quiet:
-            print(belief_line(touch["number"], touch["posterior"]), flush=True)
+            shares = touch["posterior"], touch["unknown"]
+            line = belief_line(touch["number"], *shares)
+            print(f"  {touch['note']}" if touch["note"] else line, flush=True)
         if episode["decision"] is not None or touch["number"] >= most:
             if not quiet:
                 print(f"  {episode['reason']}\n", flush=True)

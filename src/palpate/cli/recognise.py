@@ -4,7 +4,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any
 
 from . import _options
-from ._output import belief_line, percent, print_json, stages
+from ._output import belief_line, print_json, stages
 
 if TYPE_CHECKING:
     from ..recognition import Evidence, ObjectRecogniser
@@ -24,9 +24,13 @@ def recognise(
     *,
     error: _options.ErrorRate = 0.01,
     refusal: _options.Refusal = None,
+    strangers: _options.Strangers = 0.05,
     level: Annotated[
         str, _options.option("What may be named: object, category or any.")
     ] = "object",
+    explain: Annotated[
+        bool, _options.option("--explain", "Print the figures behind each answer.")
+    ] = False,
     reading: _options.Reading,
     calibration: _options.Calibration = None,
     working: _options.Working,
@@ -43,8 +47,10 @@ def recognise(
         tested = _options.calibrated(reading.touches(touches), calibration)
         stage(f"recognising {len(tested)} touches")
         evidence = recogniser.evidence(tested)
-        asked = tested, error, refusal, level, evidence
-        episodes = recognise_episodes(recogniser, *asked)
+        how = {"error": error, "refusal": refusal, "strangers": strangers}
+        episodes = recognise_episodes(
+            recogniser, tested, {**how, "level": level}, evidence
+        )
         check = recogniser.check_mounting(evidence)
     if as_json:
         mounting = {"changed": check.changed, "reasons": check.reasons}
@@ -53,80 +59,85 @@ def recognise(
     if check.changed:
         print(OTHER_MOUNTING.format("; see palpate remount"))
     for episode in episodes:
-        print_episode(episode)
-    promise = episodes[0]["promise"] if episodes else None
-    if promise:
-        print(
-            f"An accepted error of {promise['level']:g}: at most "
-            f"{percent(promise['bound'])} % wrong names can be shown from "
-            f"{promise['n_units']} objects (population: {promise['population']})."
-        )
+        print_episode(episode, explain=explain)
 
 
 def recognise_episodes(
     recogniser: "ObjectRecogniser",
     touches: "Touches",
-    error: float,
-    refusal: float | None = None,
-    level: str = "object",
+    how: dict[str, Any],
     evidence: "Evidence | None" = None,
 ) -> list[dict[str, Any]]:
-    """Return the beliefs, the decision and its reasons for every episode."""
+    """Return the beliefs, the decision and its reasons for every episode.
+
+    `how` holds what `ObjectRecogniser.episode` takes.
+    """
     evidence = recogniser.evidence(touches) if evidence is None else evidence
-    how: dict[str, Any] = {"error": error, "refusal": refusal, "level": level}
     result = []
     for label, _, rows in touches.episodes():
-        belief = recogniser.start()
-        beliefs: list[dict[str, Any]] = []
-        decision, used, reasons = None, len(rows), []
-        for number, row in enumerate(rows, start=1):
-            belief.update(evidence.one(row))
-            beliefs.append(
-                {
-                    "touch": number,
-                    "posterior": belief.posterior,
-                    "unknown": belief.unknown,
-                    "categories": belief.categories,
-                    "flag": belief.flags[-1],
-                }
-            )
+        episode, poses = recogniser.episode(**how), []
+        ended: dict[str, Any] = {}
+        for row in rows:
+            episode.add(evidence.one(row))
             if recogniser.pose_ is not None:
-                beliefs[-1]["pose"] = None  # added after poses were learnt
-                if belief.best in recogniser.pose_.labels_:
-                    poses = recogniser.pose(touches[int(row)], [belief.best])
-                    pose = {name: getattr(poses, name)[0].item() for name in _POSE}
-                    beliefs[-1]["pose"] = pose
-            if decision is None and (decision := belief.decide(**how)) is not None:
-                used, reasons = number, [belief.reason(**how)]
-        name = getattr(decision, "name", decision)
+                poses.append(_pose(recogniser, touches[int(row)], episode.belief.best))
+            if episode.decision is not None and not ended:
+                ended = episode.to_dict()
+        # What was decided first is the decision; later touches are listed with it.
+        ended = {
+            **(ended or episode.to_dict()),
+            "beliefs": episode.to_dict()["beliefs"],
+        }
+        for belief, pose in zip(ended["beliefs"], poses, strict=False):
+            belief["pose"] = pose
+        promise = episode.belief.promise(episode.error)._asdict()
         result.append(
             {
                 "object": label,
-                "beliefs": beliefs,
-                "decision": name,
-                "level": None
-                if name in (None, "unknown")
-                else getattr(decision, "level", level),
-                "touches_used": used,
-                "reasons": reasons or [belief.reason(**how)],
-                "promise": belief.promise._asdict(),
-                "explanation": belief.explain(),
+                **ended,
+                "withdrawn": episode.withdrawn,
+                "promise": promise,
+                "why": episode.belief.why(episode.error),
+                "explanation": episode.belief.explain(),
             }
         )
     return result
 
 
-def print_episode(episode: dict[str, Any]) -> None:
+def _pose(
+    recogniser: "ObjectRecogniser", touch: "Touches", best: str
+) -> dict[str, Any] | None:
+    """Return where a press lies, None of an object added after poses were learnt."""
+    if recogniser.pose_ is None or best not in recogniser.pose_.labels_:
+        return None
+    poses = recogniser.pose(touch, [best])
+    return {name: getattr(poses, name)[0].item() for name in _POSE}
+
+
+def print_episode(episode: dict[str, Any], *, explain: bool = False) -> None:
     """Print how the belief moved until the decision: each early touch, fewer later."""
+    from ..recognition import touch_note
+
     name = episode["object"]
     print(f"{'Touches of ' + name if name is not None else 'Touches'}:")
-    used = episode["touches_used"]
+    used, last = episode["touches_used"], 0
     for belief in episode["beliefs"][:used]:
-        if belief["touch"] <= SHOWN_ALL or belief["touch"] in (*SHOWN_LATER, used):
-            print(belief_line(belief["touch"], belief["posterior"]))
-            if belief.get("pose"):
-                print(f"             {_pose_line(belief['pose'])}")
-    print(f"  {episode['reasons'][-1]}\n")
+        number = belief["touch"]
+        if number > SHOWN_ALL and number not in (*SHOWN_LATER, used):
+            continue
+        if number > last + 1:
+            print("         ...")
+        last = number
+        if note := touch_note(number, belief["flag"]):
+            print(f"  {note}")
+            continue
+        print(belief_line(number, belief["posterior"], belief["unknown"]))
+        if belief.get("pose"):
+            print(f"             {_pose_line(belief['pose'])}")
+    print(f"  {episode['reasons'][-1]}")
+    for sentence in (*episode["withdrawn"], *(episode["why"] if explain else ())):
+        print(f"    {sentence}")
+    print()
 
 
 def _pose_line(pose: dict[str, Any]) -> str:

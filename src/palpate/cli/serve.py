@@ -6,7 +6,15 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated, Any
 
-from ._options import AsJson, ErrorRate, MaxModelMb, Refusal, grouped, option
+from ._options import (
+    AsJson,
+    ErrorRate,
+    MaxModelMb,
+    Refusal,
+    Strangers,
+    grouped,
+    option,
+)
 from ._output import print_json
 from ._sensor import ADDRESS, LogFile, SensorOptions, Summary, logged
 
@@ -51,6 +59,7 @@ def serve(
     ] = None,
     error: ErrorRate = 0.01,
     refusal: Refusal = None,
+    strangers: Strangers = 0.05,
     summary: Summary = "peak",
     log: LogFile = None,
     options: SensorOptions,
@@ -62,7 +71,8 @@ def serve(
     from ..web import LiveSession, checked_token, create_app, kept_token
 
     web.require_web()
-    how: Any = {"error": error, "refusal": refusal, "summary": summary}
+    how: Any = {"error": error, "refusal": refusal, "strangers": strangers}
+    how |= {"summary": summary}
     given = sensor or []
     chosen: list[Any] = [options.open(one) for one in given] or [None]
     folders = [library] if len(given) < 2 else _folders(given, library, model)

@@ -25,7 +25,7 @@ class Episodes:
     rows: list[Array]  # (n_orders, n_touches): numbers of the touches
     beliefs: list[Floats]  # (n_orders, n_touches, n_labels): log posteriors
     n_informative: list[Array]  # (n_orders, n_touches): those with contact so far
-    unknown: list[Floats]  # (n_orders, n_touches): unknown scores
+    unknown: list[Floats]  # (n_orders, n_touches): evidence for a stranger (nats)
     singles: Episodes | None = None
 
     def after(self, k: int) -> tuple[list[int], list[Floats]]:
@@ -40,7 +40,7 @@ class Episodes:
         return [t for t, _ in enough], [b for _, b in enough]
 
     def unknown_after(self, k: int) -> Floats:
-        """Return the unknown scores after `k` touches, of all objects together."""
+        """Return the evidence for strangers after `k` touches, of all objects."""
         if k == 1 and self.singles is not None:
             return self.singles.unknown_after(k)
         scores = [u[:, k - 1] for u in self.unknown if u.shape[1] >= k]
@@ -105,23 +105,24 @@ def run_episodes(
 ) -> Episodes:
     """Recognise each object's touches in `n_orders` random orders, and singly.
 
-    Of `evidence` comes what tells unknown objects; without it all encodings agree.
+    Of `evidence` comes what tells strangers; without it all encodings agree.
     """
     rng = np.random.default_rng(seed)
     floored = recognition.with_floor(log_likelihood, recogniser.floor_)
     classes = recogniser.classes_.tolist()
     prior, calibration = recogniser.log_prior(), recogniser.sequence_calibration_
-    limits = recogniser.limits_
-    each = log_likelihood[:, np.newaxis].repeat(len(limits.weights), axis=1)
+    model = recogniser.strangers_
+    each = log_likelihood[:, np.newaxis].repeat(len(model.weights), axis=1)
     distances = np.full(log_likelihood.shape, np.nan)
     if evidence is not None:
         each, distances = evidence.by_encoding, evidence.log_distances
     each = recognition.with_floor(each, recogniser.floor_)
 
     def after_each(rows: Array) -> tuple[Floats, Array, Floats]:
-        beliefs = recognition.log_posteriors(floored[rows], prior, calibration)
-        said = floored[rows], each[rows], distances[rows]
-        unknown = recognition.episode_scores(*said, prior, calibration, limits)
+        tables = floored[rows], each[rows], distances[rows]
+        beliefs, unknown = recognition.episode_evidence(
+            *tables, prior, calibration, model
+        )
         return beliefs, recognition.n_informative(floored[rows]), unknown
 
     of_each = [np.flatnonzero(objects == name) for name in np.unique(objects)]
@@ -167,7 +168,7 @@ class Decisions:
         columns = zip(*(vars(part).values() for part in parts), strict=True)
         return cls(*map(np.concatenate, columns))
 
-    def to_dict(self, error: float, refusal: float) -> dict[str, Any]:
+    def to_dict(self, error: float, refusal: float, strangers: float) -> dict[str, Any]:
         """Return plain values; `accuracy` is over decided episodes.
 
         `wrong` counts episodes in which another object was named, `refused` those that
@@ -188,6 +189,7 @@ class Decisions:
         return {
             "error": error,
             "refusal": refusal,
+            "strangers": strangers,
             "accuracy": float(self.right[decided].mean()) if decided.any() else None,
             "mean_touches": float(self.touches.mean()),
             "undecided": float((~decided).mean()),
@@ -203,24 +205,23 @@ class Decisions:
 
 
 def decide_episodes(
-    recogniser: recognition.ObjectRecogniser,
     episodes: Episodes,
     error: float,
     refusal: float | None = None,
+    strangers: float = recognition.STRANGERS,
 ) -> Decisions:
     """Stop each episode where `Belief.decide` would."""
-    parts, limits = [], recogniser.limits_
+    parts = []
     refusal = error if refusal is None else refusal
-    naming, refusing = limits.naming_limit(error), limits.refusing_limit(refusal)
     of_each = zip(episodes.objects, episodes.truth, episodes.beliefs, strict=True)
     for i, (name, truth, log_posterior) in enumerate(of_each):
-        unknown, counts = episodes.unknown[i], episodes.n_informative[i]
         n_orders, n_touches, _ = log_posterior.shape
-        # Before any touch said something there is no limit to exceed.
-        refuse = (unknown > refusing) & (counts > 0)
-        stop = refuse | (
-            (unknown <= naming) & (recognition.doubts(log_posterior) <= error)
+        log_known, log_unknown = recognition.stranger_log_shares(
+            episodes.unknown[i], strangers
         )
+        doubt = np.exp(log_known) * recognition.doubts(log_posterior)
+        refuse = 1 - np.exp(log_unknown) <= refusal
+        stop = refuse | (doubt + np.exp(log_unknown) <= error)
         decided = np.asarray(stop.any(axis=1))
         last = np.where(decided, stop.argmax(axis=1), n_touches - 1)
         rows = np.arange(n_orders)

@@ -6,6 +6,7 @@ stand the training touches that it resembles.
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from html import escape
+from math import ceil, log, log1p
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from .._durable import write_text
 from .._types import Bools, Indices
-from ..recognition import said_of_sessions
+from ..recognition import about, said_of_sessions
 from ..touches import Touches, as_shown, png_address
 from . import plots
 from ._controls import as_good_alone
@@ -177,11 +178,18 @@ def decision_table(
 
 def bound_said(decision: dict[str, Any]) -> str:
     """Return what the episodes that ended say of new objects, as a sentence."""
-    short = "" if decision["can_be_verified"] else ": too few to show the error asked"
+    n_named = decision["right"] + decision["wrong"]
+    told = f"{decision['wrong']} of {n_named} names were wrong"
+    error, n_objects = decision["error"], decision["n_objects"]
+    if decision["can_be_verified"]:
+        return (
+            f"{told}; of new objects like these {n_objects} at most "
+            f"{as_text(decision['bound'], 100)} % would be (95 % confidence)."
+        )
+    n_needed = ceil(log(0.05) / log1p(-error))
     return (
-        f"At most {as_text(decision['bound'], 100)} % of new objects that are named "
-        f"would be named wrong, at 95 % confidence from {decision['n_objects']} "
-        f"objects{short}."
+        f"{told}; {n_objects} objects cannot prove {100 * error:g} %, about "
+        f"{about(n_needed)} would."
     )
 
 
@@ -194,8 +202,8 @@ def explained_episodes(
     figures: dict[str, Any], trials: Sequence[Trial]
 ) -> list[Explained]:
     """Return at most six decided episodes: up to four wrong, the others right."""
-    accepted = figures["decision"]["error"], figures["decision"]["refusal"]
-    ends = [decide_episodes(t.recogniser, t.episodes, *accepted) for t in trials]
+    accepted = [figures["decision"][k] for k in ("error", "refusal", "strangers")]
+    ends = [decide_episodes(t.episodes, *accepted) for t in trials]
     wrong = _one_each(ends, lambda end: end.decided & ~end.right)
     right = _one_each(ends, lambda end: end.right)
     few = wrong[: max(WRONG, EPISODES - len(right))][:EPISODES]

@@ -9,12 +9,16 @@ import numpy as np
 
 from .._checks import check_count, check_number, check_option
 from .._types import Floats
-from ..recognition import PRESETS, ObjectRecogniser, across_sessions
+from ..recognition import (
+    PRESETS,
+    STRANGERS,
+    ObjectRecogniser,
+    across_sessions,
+    check_strangers,
+)
 from ._episodes import Decisions, Episodes, Scores, decide_episodes
 from ._metrics import calibration_error, roc_area, spread
 from ._splits import Fold
-
-REFUSED = 0.05
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,9 @@ class Plan:
     error, refusal : float
         Accepted shares of wrong names and of known objects called unknown, for the
         stopping rule; `refusal` is `error` unless given.
+    strangers : float
+        The share of episodes with something never learnt that the stopping rule
+        expects.
     floor, presentation
         As for `ObjectRecogniser`.
     remount : str
@@ -52,6 +59,7 @@ class Plan:
     train_touches: int | None = None
     error: float = 0.01
     refusal: float | None = None
+    strangers: float = STRANGERS
     floor: float | None = None
     presentation: str = "auto"
     seed: int = 0
@@ -62,6 +70,7 @@ class Plan:
         check_option("label", self.label, ("object", "category"))
         for name, share in zip(("error", "refusal"), self.accepted, strict=True):
             check_number(name, share, low=1e-6, high=0.5)
+        check_strangers(self.strangers)
         check_count("orders", self.orders)
         check_count("seed", self.seed, at_least=0)
         for k in self.touches:
@@ -153,8 +162,9 @@ def figures_of(
         figures["category_accuracy"] = right
     if trials[0].unknown_episodes is not None:
         figures["unknown_auroc"], figures["unknown_refused"] = _unknown(trials, plan)
-    ends = [decide_episodes(t.recogniser, t.episodes, *plan.accepted) for t in trials]
-    figures["decision"] = Decisions.pooled(ends).to_dict(*plan.accepted)
+    asked = *plan.accepted, plan.strangers
+    ends = [decide_episodes(t.episodes, *asked) for t in trials]
+    figures["decision"] = Decisions.pooled(ends).to_dict(*asked)
     figures["controls"] = _mean_controls(trials)
     seen = dict.fromkeys(flag for t in trials for flag in t.flags)
     shares = {f: [t.flags.get(f, 0.0) for t in trials] for f in seen}
@@ -217,7 +227,7 @@ def _unknown(
             below = trial.episodes.unknown_after(k)
             above = trial.unknown_episodes.unknown_after(k)
             if len(below) and len(above):
-                limit = trial.recogniser.limits_.threshold(k, REFUSED)
+                limit = trial.recogniser.strangers_.threshold(k)
                 ends.append((roc_area(below, above), (above > limit).mean()))
         if ends:
             means = [float(np.mean(each)) for each in zip(*ends, strict=True)]

@@ -68,6 +68,7 @@ def explore(
     max_attempts: int = 30,
     error: float = 0.01,
     refusal: float | None = None,
+    strangers: float | None = None,
     max_faults: int = MAX_FAULTS,
     clock: Clock = time.monotonic,
     on_attempt: Callable[[TouchRecord, Belief], None] | None = None,
@@ -92,9 +93,12 @@ def explore(
     max_attempts : int, default=30
         Budget, touches and attempts that found nothing or failed alike.
     error : float, default=0.01
-        Accepted share of wrong decisions, see `Belief.decide`.
+        Accepted share of wrong names, see `Belief.decide`.
     refusal : float, optional
-        Accepted share of known objects called unknown; `error` unless given.
+        As for `Belief.decide`; `error` unless given.
+    strangers : float, optional
+        The share of episodes with something never learnt, see
+        `ObjectRecogniser.start`; its default unless given.
     max_faults : int, default=3
         Give up after so many faults in a row.
     clock : callable, default=time.monotonic
@@ -120,6 +124,8 @@ def explore(
     accepted: dict[str, Any] = {"error": error, "refusal": refusal}
     with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
         n_before, belief = len(log.history), recogniser.start()
+        if strangers is not None:
+            belief = recogniser.start(strangers=strangers)
         log.history = [_taken_in(belief, record) for record in log.history]
 
         def ended(gave_up: str) -> tuple[str | None, str, str] | None:

@@ -32,6 +32,7 @@ from .._checks import check_count
 from .._numbers import exp, log_softmax
 from .._types import Array, Floats, Indices
 from ..recognition import (
+    STRANGERS,
     Belief,
     Evidence,
     ObjectRecogniser,
@@ -200,16 +201,23 @@ class TouchMap:
         """Number of known objects."""
         return len(self.rows_of_object)
 
-    def start(self, prior: Mapping[str, float] | None = None) -> PlacedBelief:
+    def start(
+        self,
+        prior: Mapping[str, float] | None = None,
+        strangers: float = STRANGERS,
+    ) -> PlacedBelief:
         """Return the belief before the first touch of an episode.
 
         Parameters
         ----------
         prior : mapping of str to float, optional
             How probable each object is, see `ObjectRecogniser.start`.
+        strangers : float, default=0.05
+            The share of episodes with something never learnt, likewise.
         """
         known = self.recogniser.classes_
-        return PlacedBelief(self, None if prior is None else given_prior(prior, known))
+        log_prior = None if prior is None else given_prior(prior, known)
+        return PlacedBelief(self, log_prior, strangers)
 
     @property
     def sequence_calibration(self) -> SequenceCalibration:
@@ -296,9 +304,8 @@ class PlacedBelief(Belief):
     """A posterior over objects that also knows from where each touch was made.
 
     Made by `TouchMap.start`, and used as a `Belief` is. How the object is turned is
-    believed along with what it is, and summed out. What is unknown is decided by the
-    touches without their places. A touch without contact moves nothing, nor does its
-    place.
+    believed along with what it is, and summed out. A touch without contact moves
+    nothing, nor does its place.
 
     Attributes
     ----------
@@ -306,11 +313,11 @@ class PlacedBelief(Belief):
         Log posterior of each object and turn (nats).
     """
 
-    _basis = " and their places"
-
-    def __init__(self, touch_map: TouchMap, log_prior: Floats | None) -> None:
+    def __init__(
+        self, touch_map: TouchMap, log_prior: Floats | None, strangers: float
+    ) -> None:
         recogniser = touch_map.recogniser
-        super().__init__(recogniser.judge(), recogniser.evidence, log_prior)
+        super().__init__(recogniser.judge(), recogniser.evidence, log_prior, strangers)
         self._map = touch_map
         self._placed = np.zeros((touch_map.n_objects, touch_map.n_turns))
         self._weigh()
@@ -346,7 +353,7 @@ class PlacedBelief(Belief):
 
     @property
     def log_posterior(self) -> Floats:
-        """Log posterior of each known object (nats), shape (n_objects,)."""
+        """Log probability of each object, were it one of them (nats), (n_objects,)."""
         return np.asarray(logsumexp(self.log_joint, axis=1))
 
     @property
@@ -354,10 +361,9 @@ class PlacedBelief(Belief):
         """The object that is most probable by the touches alone."""
         return str(self._judge.classes[self._touch_log_posterior.argmax()])
 
-    def _is_agreed(self) -> bool:
+    def _by_encoding(self) -> Floats:
         by_place = self.log_posterior - self._touch_log_posterior
-        said = log_softmax(self._said() + by_place, axis=-1)
-        return self._score(said) <= self._judge.limits.naming_limit(self._error)
+        return log_softmax(super()._by_encoding() + by_place, axis=-1)
 
     def _weigh(self) -> None:
         super()._weigh()

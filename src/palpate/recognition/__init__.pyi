@@ -1,8 +1,14 @@
+from ._belief import STRANGERS as STRANGERS
 from ._belief import Belief as Belief
 from ._belief import Judge as Judge
+from ._belief import Level as Level
+from ._belief import Named as Named
+from ._belief import check_strangers as check_strangers
 from ._calibration import Modality as Modality
 from ._contact import correlation as correlation
 from ._encoder import find_geometry as find_geometry
+from ._episode import Episode as Episode
+from ._episode import EpisodeTouch as EpisodeTouch
 from ._evidence import Evidence as Evidence
 from ._evidence import SequenceCalibration as SequenceCalibration
 from ._evidence import as_touches as as_touches
@@ -14,6 +20,7 @@ from ._evidence import with_floor as with_floor
 from ._learning import what_matters as what_matters
 from ._memory import Memory as Memory
 from ._memory import left_out_groups as left_out_groups
+from ._memory import nearest_touches as nearest_touches
 from ._memory import without_copies as without_copies
 from ._model_file import ModelFileError as ModelFileError
 from ._model_file import check_model_path as check_model_path
@@ -26,5 +33,9 @@ from ._remounting import MountingCheck as MountingCheck
 from ._remounting import across_sessions as across_sessions
 from ._remounting import adapt as adapt
 from ._remounting import said_of_sessions as said_of_sessions
-from ._unknown import episode_scores as episode_scores
-from ._unknown import upper_bound as upper_bound
+from ._sentences import share_of as share_of
+from ._sentences import touch_note as touch_note
+from ._strangers import about as about
+from ._strangers import episode_evidence as episode_evidence
+from ._strangers import stranger_log_shares as stranger_log_shares
+from ._strangers import upper_bound as upper_bound

@@ -1,30 +1,38 @@
-"""The current belief over objects, and what to make of it."""
+"""The current belief: each learnt object, or none of them, and what to make of it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from html import escape
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import check_number, check_option
+from .._extras import needed
 from .._numbers import log_softmax
 from .._types import Array, Floats
 from ..touches import Touches
-from . import _evidence, _unknown
+from . import _evidence, _strangers
 from ._calibration import Modality
 from ._evidence import Evidence
 from ._memory import UNKNOWN, Memory, nearest_touches
+from ._sentences import n_touches_of, sentence_of, share_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Costs = Mapping[str, Mapping[str, float]]
+Level = Literal["object", "category", "any"]
 LEVELS = ("object", "category", "any")
+# The share of episodes with something that was never learnt, unless the user says.
+STRANGERS = 0.05
 
 
 class Named(NamedTuple):
-    """What was decided: a `name`, at the `level` "object", "category" or "unknown"."""
+    """A decision: a `name`, at the `level` "object", "category" or "unknown"."""
 
     level: str
     name: str
@@ -36,23 +44,23 @@ class Judge:
 
     The `classes` (n_objects,) by name, their `log_prior` (n_objects,) before the first
     touch (nats), the `floor` that one touch leaves to all of them together, how the
-    evidence of an episode adds up, what may be decided (`limits`), other senses, the
-    category of each object, "" where none is known (`categories`, (n_objects,)), and
-    the training touches (`memory`), for `Belief.explain`.
+    evidence of an episode adds up, what tells `strangers`, other senses, the category
+    of each object, "" where none is known (`categories`, (n_objects,)), and the
+    training touches (`memory`), for `Belief.explain`.
     """
 
     classes: NDArray[np.str_]
     log_prior: Floats
     floor: float
     sequence_calibration: _evidence.SequenceCalibration
-    limits: _unknown.DecisionLimits
+    strangers: _strangers.StrangerModel
     senses: Mapping[str, Modality]
     categories: NDArray[np.str_]
     memory: Memory
 
 
 class Belief:
-    """A posterior over objects that moves with every touch.
+    """The probability of each learnt object, and of none of them, touch by touch.
 
     Made by `ObjectRecogniser.start`. The touches of one belief are one episode:
     touches of one object, in any order.
@@ -60,16 +68,14 @@ class Belief:
     Attributes
     ----------
     posterior : dict of str to float
-        Probability of each known object; sums to one.
-    best : str
-        The most probable object.
-    doubt : float
-        Probability outside `best`.
+        Probability of each learnt object; they and `unknown` sum to one.
     unknown : float
-        How little the encodings agree on any object, between 0 and 1: 1 less the
-        geometric mean of the probabilities that each alone gives to the object on
-        which they agree best, and more where the touches are far from its training
-        touches. It falls as touches of a known object come in.
+        Probability that it is none of them. Before the first touch the share of
+        strangers that is expected; 0 in a closed world.
+    best : str
+        The most probable learnt object.
+    doubt : float
+        Probability outside `best`, `unknown` with it.
     touches_used : int
         Number of touches that entered so far, those without contact among them.
     flags : list of str
@@ -80,18 +86,17 @@ class Belief:
     It is not safe in threads: one thread at a time may update it.
     """
 
-    # What the touches are weighed with, in sentences.
-    _basis = ""
-
     def __init__(
         self,
         judge: Judge,
         evidence_of: Callable[[Touches | Array], Evidence],
         log_prior: Floats | None = None,
+        strangers: float = STRANGERS,
     ) -> None:
         self._judge = judge
         self._evidence_of = evidence_of
         self._log_prior = judge.log_prior if log_prior is None else log_prior
+        self.strangers = check_strangers(strangers)
         self.flags: list[str] = []
         self._floored: list[Floats] = []
         self._features: list[Floats] = []
@@ -100,17 +105,16 @@ class Belief:
         # encoding alone, of log distances.
         self._n_informative = 0
         self._total = np.zeros(len(judge.classes))
-        self._each = np.zeros((len(judge.limits.weights), len(judge.classes)))
+        self._each = np.zeros((len(judge.strangers.weights), len(judge.classes)))
         self._distance = np.zeros(len(judge.classes))
         self._touch_log_posterior = self._log_prior
-        self._unknown: float | None = None
-        self._error = 0.01
+        self._log_shares: tuple[float, float] | None = None
 
     def __copy__(self) -> Self:
         """Return a belief that goes on by itself; what was learnt is shared."""
         other = type(self).__new__(type(self))
-        mine = vars(self).items()
-        other.__dict__ = {n: [*v] if isinstance(v, list) else v for n, v in mine}
+        for name, value in vars(self).items():
+            setattr(other, name, [*value] if isinstance(value, list) else value)
         other._senses = {name: [*rows] for name, rows in self._senses.items()}
         return other
 
@@ -130,13 +134,13 @@ class Belief:
             NaN or infinity where the recogniser cannot take it; the belief is
             then unchanged.
         """
-        given = touch if isinstance(touch, Evidence) else self._evidence_of(touch)
+        evidence = touch if isinstance(touch, Evidence) else self._evidence_of(touch)
         return self.update_from_log_likelihood(
-            given.log_likelihood,
-            features=given.features,
-            flags=given.flags,
-            by_encoding=given.by_encoding,
-            log_distances=given.log_distances,
+            evidence.log_likelihood,
+            features=evidence.features,
+            flags=evidence.flags,
+            by_encoding=evidence.by_encoding,
+            log_distances=evidence.log_distances,
         )
 
     def update_from_log_likelihood(
@@ -164,8 +168,8 @@ class Belief:
                 f"flags must be one for each of {n_touches} touches, got {len(flags)}."
             )
         n_features = judge.memory.features.shape[1]
-        seen = _checked_part("features", features, (n_touches, n_features))
-        apart = _checked_part("log_distances", log_distances, rows.shape)
+        kept = _checked_part("features", features, (n_touches, n_features))
+        distances = _checked_part("log_distances", log_distances, rows.shape)
         each = rows[:, np.newaxis]
         if by_encoding is not None:
             shape = n_touches, *self._each.shape
@@ -175,13 +179,13 @@ class Belief:
             _evidence.with_floor(each, judge.floor),
         )
         self.flags += flags
-        self._features += list(seen)
+        self._features += list(kept)
         self._floored += list(floored)
         informative = _evidence.is_informative(floored)
         self._n_informative += int(informative.sum())
         self._total = self._total + floored[informative].sum(axis=0)
         self._each = self._each + each[informative].sum(axis=0)
-        self._distance = self._distance + apart[informative].sum(axis=0)
+        self._distance = self._distance + distances[informative].sum(axis=0)
         self._weigh()
         return self
 
@@ -214,7 +218,7 @@ class Belief:
             weight = self._judge.sequence_calibration.weight(self._n_informative)
             total = self._total * weight + total
         self._touch_log_posterior = log_softmax(total)
-        self._unknown = None
+        self._log_shares = None
 
     def _prior_and_senses(self) -> Floats:
         total = self._log_prior
@@ -225,7 +229,10 @@ class Belief:
 
     @property
     def log_posterior(self) -> Floats:
-        """Log posterior of each known object (nats), shape (n_objects,)."""
+        """Log probability of each learnt object, were it one of them, (n_objects,).
+
+        In nats. `posterior` holds these probabilities times 1 - `unknown`.
+        """
         return self._touch_log_posterior
 
     @property
@@ -235,13 +242,14 @@ class Belief:
 
     @property
     def posterior(self) -> dict[str, float]:
-        """Probability of each known object."""
+        """Probability of each learnt object; 1 - `unknown` in all."""
         names = self._judge.classes.tolist()
-        return dict(zip(names, self._shares(self.log_posterior), strict=True))
+        logs = self.log_posterior + self._log_known_and_unknown()[0]
+        return dict(zip(names, self._shares(logs), strict=True))
 
     def _shares(self, logs: Floats) -> list[float]:
         """Return probabilities by their logarithms; never 0 unless the floor is."""
-        least = _unknown.LEAST_LOG if self._judge.floor else -np.inf
+        least = _strangers.LEAST_LOG if self._judge.floor else -np.inf
         return list(np.exp(np.maximum(logs, least)).tolist())
 
     @property
@@ -251,53 +259,102 @@ class Belief:
 
     @property
     def doubt(self) -> float:
-        """Probability outside `best`."""
-        return float(_evidence.doubts(self.log_posterior))
+        """Probability outside `best`; exact near 0."""
+        log_known, log_unknown = self._log_known_and_unknown()
+        return float(np.exp(log_known) * self._known_doubt() + np.exp(log_unknown))
 
     @property
     def unknown(self) -> float:
-        """How little the encodings agree; 0 before any touch said something."""
+        """Probability that it is none of the learnt objects."""
+        return float(np.exp(self._log_known_and_unknown()[1]))
+
+    @property
+    def unknown_evidence(self) -> float:
+        """What the touches say for a stranger and against all learnt objects (nats).
+
+        The logarithm of how much oftener strangers come to such touches; it does not
+        depend on the share of strangers that is expected. 0 before any touch said
+        something.
+        """
         if not self._n_informative:
             return 0.0
-        if self._unknown is None:
-            self._unknown = self._score(self._said())
-        return self._unknown
+        model, count = self._judge.strangers, np.asarray(self._n_informative)
+        score = self._score(self._by_encoding())
+        return float(model.evidence(score, np.asarray(self._known_doubt()), count))
 
-    def _said(self) -> Floats:
+    def _known_doubt(self) -> float:
+        """Return the probability outside `best`, were it one of the learnt objects."""
+        return float(_evidence.doubts(self.log_posterior))
+
+    def _log_known_and_unknown(self) -> tuple[float, float]:
+        """Return the log probabilities of any learnt object, and of none."""
+        if self._log_shares is None:
+            evidence = np.asarray(self.unknown_evidence)
+            logs = _strangers.stranger_log_shares(evidence, self.strangers)
+            self._log_shares = float(logs[0]), float(logs[1])
+        return self._log_shares
+
+    def _by_encoding(self) -> Floats:
         """Return the log posterior that each encoding alone would have."""
         weight = self._judge.sequence_calibration.weight(self._n_informative)
-        return np.asarray(
-            log_softmax(self._each * weight + self._prior_and_senses(), axis=-1)
-        )
+        logs = self._each * weight + self._prior_and_senses()
+        return np.asarray(log_softmax(logs, axis=-1))
 
-    def _score(self, said: Floats) -> float:
-        """Return the unknown score of objects, or of categories."""
-        limits, count = self._judge.limits, np.asarray(self._n_informative)
+    def _score(self, names: Floats) -> Floats:
+        """Return the score of disagreement of (n_encodings, n_names), or categories."""
+        model, count = self._judge.strangers, np.asarray(self._n_informative)
         mean = self._distance / max(self._n_informative, 1)
-        return float(limits.score(said, limits.apart(self._said(), mean), count))
+        return model.score(names, model.farther(self._by_encoding(), mean), count)
 
     @property
     def categories(self) -> dict[str, float]:
         """Probability of each category; empty where the objects have none.
 
-        Objects without a category count as one each.
+        Objects without a category count as one each. What is missing to 1 is the
+        probability of none of these categories.
         """
-        codes = _unknown.category_codes(self._judge.categories)
+        codes = _strangers.category_codes(self._judge.categories)
         if codes is None:
             return {}
         names = np.where(
             self._judge.categories == "", self._judge.classes, self._judge.categories
         )
         present, first = np.unique(codes, return_index=True)
-        shares = self._shares(
-            _unknown.summed_by_category(self.log_posterior, codes, present)
-        )
+        logs = _strangers.summed_by_category(self.log_posterior, codes, present)
+        evidence = np.zeros(())
+        if self._n_informative:
+            by_encoding = _strangers.summed_by_category(
+                self._by_encoding(), codes, present
+            )
+            score, doubt = self._score(by_encoding), _evidence.doubts(logs)
+            evidence = self._judge.strangers.category_evidence(score, doubt)
+        log_known, _ = _strangers.stranger_log_shares(evidence, self.strangers)
+        shares = self._shares(logs + log_known)
         return dict(zip(names[first].tolist(), shares, strict=True))
 
-    @property
-    def promise(self) -> _unknown.Promise:
-        """What is known of the share of wrong names at the error last asked for."""
-        return self._judge.limits.promise(self._error)
+    def promise(self, error: float = 0.01) -> _strangers.Promise:
+        """Return what so many objects can show about an accepted error."""
+        return self._judge.strangers.promise(_check_share("error", error))
+
+    @overload
+    def decide(
+        self,
+        error: float = ...,
+        costs: Costs | None = ...,
+        *,
+        refusal: float | None = ...,
+        level: Literal["object", "category"] = ...,
+    ) -> str | None: ...
+
+    @overload
+    def decide(
+        self,
+        error: float = ...,
+        costs: Costs | None = ...,
+        *,
+        refusal: float | None = ...,
+        level: Literal["any"],
+    ) -> Named | None: ...
 
     def decide(
         self,
@@ -305,24 +362,22 @@ class Belief:
         costs: Costs | None = None,
         *,
         refusal: float | None = None,
-        level: str = "object",
-    ) -> Any:
+        level: Level = "object",
+    ) -> str | Named | None:
         """Return the object, "unknown", or None while more touches are needed.
 
         Parameters
         ----------
         error : float, default=0.01
-            Accepted share of episodes in which another object is named. One is named
-            when its probability is at least 1 - error and the encodings agree on it as
-            on few left-out touches of objects that were never learnt; see `promise`
-            for what that is worth.
+            Accepted share of wrong names. An object is named when its probability
+            (`posterior`) is at least 1 - error.
         costs : mapping of str to mapping of str to float, optional
             `costs[truth][named]`, at least 0: what it costs to take one object for
-            another; 1 where not given. The object of least expected cost is named,
-            once that cost is at most `error`.
+            another; 1 where not given, and for naming what was never learnt. The
+            object of least expected cost is named, once that cost is at most `error`.
         refusal : float, optional
-            Accepted share of episodes of known objects that are called unknown, asked
-            after every touch; `error` unless given.
+            "unknown" is said when its probability is at least 1 - refusal; `error`
+            unless given.
         level : {"object", "category", "any"}, default="object"
             What may be named. "any" names the object, or its category where only that
             is sure, and returns a value with `level` and `name`.
@@ -338,65 +393,54 @@ class Belief:
             If a share is not between 1e-6 and 0.5, or a category is asked for and
             none is known.
         """
-        self._error = check_number("error", error, low=1e-6, high=0.5)
-        asked = refusal if refusal is not None else error
-        asked = check_number("refusal", asked, low=1e-6, high=0.5)
+        named = self.named(error, costs, refusal=refusal, level=level)
+        return named if named is None or level == "any" else named.name
+
+    def named(
+        self,
+        error: float = 0.01,
+        costs: Costs | None = None,
+        *,
+        refusal: float | None = None,
+        level: Level = "object",
+    ) -> Named | None:
+        """Return what `decide` does, always with its level; parameters as there."""
+        error = _check_share("error", error)
+        refusal = error if refusal is None else _check_share("refusal", refusal)
         check_option("level", level, LEVELS)
         if level == "category" and not self.categories:
             raise ValueError(
                 "level must be 'object' or 'any', got 'category' and the objects have "
                 "none. Learn from touches with a column 'category'."
             )
-        found = self._decide(asked, costs, level)
-        return found if found is None or level == "any" else found.name
-
-    def _decide(self, refusal: float, costs: Costs | None, level: str) -> Named | None:
         if self.touches_used == 0 and not self._senses:
             return None
-        limit = self.unknown_limit(refusal)
-        unlike = limit is not None and self.unknown > limit
-        if level != "category" and not unlike and (name := self._object(costs)):
+        if level != "category" and (name := self._object(error, costs)):
             return Named("object", name)
-        if level != "object" and (name := self._category()):
+        if level != "object" and (name := self._category(error)):
             return Named("category", name)
-        return Named(UNKNOWN, UNKNOWN) if unlike else None
+        is_unknown = 1 - self.unknown <= refusal
+        return Named(UNKNOWN, UNKNOWN) if is_unknown else None
 
-    def _object(self, costs: Costs | None) -> str | None:
-        """Return the object that may be named at the error asked for, or None."""
-        table = None if costs is None else self._cost_table(costs)
-        if not self._is_agreed():
-            return None
-        if table is None:
-            return self.best if self.doubt <= self._error else None
-        expected = np.exp(self.log_posterior) @ table
-        affordable = expected.min() <= self._error
+    def _object(self, error: float, costs: Costs | None) -> str | None:
+        """Return the object that may be named at an error, or None."""
+        if costs is None:
+            return self.best if self.doubt <= error else None
+        expected = self._expected_costs(costs)
+        affordable = expected.min() <= error
         return str(self._judge.classes[expected.argmin()]) if affordable else None
 
-    def _category(self) -> str | None:
-        """Return the category that may be named at the error asked for, or None."""
+    def _category(self, error: float) -> str | None:
+        """Return the category that may be named at an error, or None."""
         shares = self.categories
-        if not shares:
-            return None
-        best = max(shares, key=lambda name: shares[name])
-        if sum(shares.values()) - shares[best] > self._error:
-            return None
-        codes = _unknown.category_codes(self._judge.categories)
-        assert codes is not None
-        said = _unknown.summed_by_category(self._said(), codes, np.unique(codes))
-        limit = self._judge.limits.naming_limit(self._error, category=True)
-        return best if self._score(said) <= limit else None
+        best = max(shares, key=lambda name: shares[name], default=None)
+        return best if best is not None and 1 - shares[best] <= error else None
 
-    def _is_agreed(self) -> bool:
-        return self.unknown <= self._judge.limits.naming_limit(self._error)
-
-    def unknown_limit(self, refusal: float = 0.01) -> float | None:
-        """Return the unknown score above which `decide` says "unknown".
-
-        None before any touch said something.
-        """
-        if not self._n_informative:
-            return None
-        return self._judge.limits.refusing_limit(refusal)
+    def _expected_costs(self, costs: Costs) -> Floats:
+        """Return what naming each object is expected to cost, (n_objects,)."""
+        log_known, log_unknown = self._log_known_and_unknown()
+        known = np.exp(self.log_posterior + log_known) @ self._cost_table(costs)
+        return np.asarray(known + np.exp(log_unknown))
 
     def _cost_table(self, costs: Costs) -> Floats:
         names = self._judge.classes.tolist()
@@ -430,42 +474,49 @@ class Belief:
         costs: Costs | None = None,
         *,
         refusal: float | None = None,
-        level: str = "object",
+        level: Level = "object",
     ) -> str:
-        """Return one sentence that says why `decide` answers as it does."""
-        decision = self.decide(error, costs, refusal=refusal, level=level)
-        name = decision.name if isinstance(decision, Named) else decision
-        touches = f"{self.touches_used} touch{'es' * (self.touches_used != 1)}"
-        chance = f"{self.best} has probability {1 - self.doubt:.4f}"
-        sure = f"{chance} after {touches}{self._basis}"
-        if name == UNKNOWN:
-            limit = self.unknown_limit(error if refusal is None else refusal)
-            return (
-                f"Unknown: after {touches} the unknown score (nearest: {self.best}) is "
-                f"{self.unknown:.3f}, above {limit:.3f}: what was learnt is hardly "
-                "ever so."
-            )
-        if name is not None and name in self.categories and name != self.best:
-            return (
-                f"Decided for the category {name}: it has probability "
-                f"{self.categories[name]:.4f} after {touches}{self._basis}; which one "
-                "is not sure."
-            )
-        if costs is not None and (name is not None or self._is_agreed()):
-            expected = np.exp(self.log_posterior) @ self._cost_table(costs)
-            least = f"{expected.min():.4f} after {touches}"
-            if name is None:
-                return f"Undecided: the least expected cost is {least}, over {error:g}."
-            return f"Decided for {name}: its expected cost is {least}."
-        if name is not None:
-            return f"Decided for {name}: {sure}, at least {1 - error:g}."
-        if self.doubt > error:
-            return f"Undecided: {sure}, less than {1 - error:g}."
-        limit = self._judge.limits.naming_limit(error)
-        return (
-            f"Undecided: {sure}, but the encodings do not agree enough (unknown score "
-            f"{self.unknown:.3g}, above {limit:.3g}). Touch again."
+        """Return one sentence: what `decide` answers, or what it may be.
+
+        The same words stand on the page, in reports and in the terminal.
+        """
+        decision = self.named(error, costs, refusal=refusal, level=level)
+        probability = 0.0 if decision is None else self.probability(decision)
+        named = None if decision is None else (*decision, probability)
+        return sentence_of(self.posterior, self.unknown, self.touches_used, named)
+
+    def probability(self, decision: Named) -> float:
+        """Return the probability of what was decided."""
+        if decision.level == UNKNOWN:
+            return self.unknown
+        shares = self.posterior if decision.level == "object" else self.categories
+        return shares[decision.name]
+
+    def why(self, error: float = 0.01) -> list[str]:
+        """Return the figures behind `reason`, a sentence each."""
+        nats, expected = self.unknown_evidence, self.strangers
+        best, rival = self._two_best()
+        known = (
+            f"{best} has probability {share_of(self.posterior[best])}, {rival} "
+            f"{share_of(self.posterior[rival])}; {share_of(1 - error)} was asked for."
         )
+        none = (
+            f"Nothing that was learnt: {share_of(self.unknown)}. A share of "
+            f"{expected:g} strangers was expected, and the touches speak "
+            f"{'for' if nats > 0 else 'against'} one by {abs(nats):.1f} nats."
+        )
+        if not expected:
+            none = "A closed world was asked for: it is one of those learnt."
+        sentences = [known, none, str(self.promise(error))]
+        n_silent = self.touches_used - self._n_informative
+        if n_silent:
+            sentences.append(f"{n_touches_of(n_silent)} said nothing.")
+        return sentences
+
+    def _two_best(self) -> tuple[str, str]:
+        order = np.argsort(-self.log_posterior, kind="stable")[:2]
+        best, rival = self._judge.classes[order]
+        return str(best), str(rival)
 
     def explain(self, n_touches: int = 3, n_nearest: int = 3) -> list[dict[str, Any]]:
         """Return the touches that moved the belief most, and what they resemble.
@@ -506,30 +557,59 @@ class Belief:
             for k, near in zip(moved, nearest, strict=True)
         ]
 
-    def __repr__(self) -> str:
-        order = np.argsort(self.log_posterior)[::-1][:3]
-        names = [str(name) for name in self._judge.classes[order]]
-        some = [n if len(n) <= _LETTERS else f"{n[: _LETTERS - 3]}..." for n in names]
-        shares = np.exp(self.log_posterior[order])
-        listed = ", ".join(f"{n} {p:.2f}" for n, p in zip(some, shares, strict=True))
-        return f"<{type(self).__name__} after {self._made}: {listed}>"
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw a bar for each of the ten most probable objects and one for none.
 
-    @property
-    def _made(self) -> str:
-        return f"{self.touches_used} touch{'es' * (self.touches_used != 1)}"
+        Returns matplotlib's axes (extra `plot`), `ax` or new ones.
+        """
+        pyplot = needed("matplotlib.pyplot", "plot", "A picture of a belief")
+        axes = pyplot.subplots(figsize=(5, 3))[1] if ax is None else ax
+        shares = {**self._most_probable(), "nothing learnt": self.unknown}
+        names = [*shares][::-1]
+        colours = ["#888888", *["#4c78a8"] * (len(names) - 1)]
+        axes.barh(names, [shares[name] for name in names], color=colours)
+        axes.set(xlim=(0, 1), xlabel="probability", title=self.reason())
+        return axes
+
+    def _most_probable(self) -> dict[str, float]:
+        shares = self.posterior
+        ranked = sorted(shares, key=lambda name: -shares[name])[:_BARS]
+        return {name: shares[name] for name in ranked}
+
+    def __repr__(self) -> str:
+        named = [
+            f"{n if len(n) <= _LETTERS else f'{n[: _LETTERS - 3]}...'} {p:.2f}"
+            for n, p in [*self._most_probable().items()][:3]
+        ]
+        listed = ", ".join([*named, f"unknown {self.unknown:.2f}"])
+        after = n_touches_of(self.touches_used)
+        return f"<{type(self).__name__} after {after}: {listed}>"
 
     def _repr_html_(self) -> str:
-        """Return bars of the ten most probable objects, for notebooks."""
-        order = np.argsort(-self.log_posterior, kind="stable")[:_BARS]
-        shares = np.exp(self.log_posterior[order])
-        rows = "".join(
-            _bar(str(self._judge.classes[k]), float(share))
-            for k, share in zip(order, shares, strict=True)
+        """Return bars of the ten most probable objects and of none, for notebooks."""
+        shares = self._most_probable()
+        bars = [_bar(name, share) for name, share in shares.items()]
+        n_more = len(self._judge.classes) - len(shares)
+        if n_more:
+            bars.append(f"<tr><td colspan=2>and {n_more} more</td></tr>")
+        bars.append(_bar("nothing learnt", self.unknown))
+        head = escape(self.reason())
+        return f"<table><caption>{head}</caption>{''.join(bars)}</table>"
+
+
+def check_strangers(strangers: object) -> float:
+    """Return the share of strangers, at least 0 and below 1, or explain."""
+    share = check_number("strangers", strangers, low=0, high=1)
+    if share == 1:
+        raise ValueError(
+            "strangers must be below 1, got 1: then nothing could ever be named. Give "
+            "the share of episodes with something that was never learnt."
         )
-        n_more = len(self._judge.classes) - len(order)
-        more = f"<tr><td colspan=2>and {n_more} more</td></tr>" if n_more else ""
-        head = f"After {self._made}; unknown score {self.unknown:.2f}"
-        return f"<table><caption>{head}</caption>{rows}{more}</table>"
+    return share
+
+
+def _check_share(name: str, share: object) -> float:
+    return check_number(name, share, low=1e-6, high=0.5)
 
 
 # Objects and letters that a picture of a belief shows.

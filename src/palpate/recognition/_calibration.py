@@ -27,7 +27,7 @@ from .._numbers import log_loss
 from .._types import Array, Floats, Indices
 from ..classifiers import FromProbabilities, KernelRidgeClassifier, TouchClassifier
 from ._evidence import SequenceCalibration, is_informative, with_floor
-from ._unknown import MOST_ASKED
+from ._strangers import LONGEST
 
 EPISODES_PER_OBJECT = 40
 # Episodes of one length in all, of all objects together.
@@ -198,16 +198,16 @@ def draw_asked(objects: Array, group: Array, seed: int) -> list[Indices]:
     """Draw long episodes of each object, (n_episodes, n_touches), -1 after their end.
 
     Like those of `draw_episodes`, each as long as its object has touches, up to
-    `MOST_ASKED`; of very many objects, of some.
+    `LONGEST`; `IN_ALL` of all objects together, and of very many objects, of some.
     """
-    rng, each = np.random.default_rng(seed), _in_order(objects, group)
-    some = np.unique(np.linspace(0, len(each) - 1, IN_ALL).astype(int))
-    each = [each[k] for k in some]
-    longest = min(MOST_ASKED, max(len(rows) for rows, _ in each))
+    rng, blocks = np.random.default_rng(seed), _in_order(objects, group)
+    spread = np.unique(np.linspace(0, len(blocks) - 1, IN_ALL).astype(int))
+    blocks = [blocks[k] for k in spread]
+    longest = min(LONGEST, max(len(rows) for rows, _ in blocks))
     drawn = []
-    for one in each:
-        n_touches = min(longest, len(one[0]))
-        rows = _drawn([one], n_touches, _n_each(each), rng)
+    for one_object in blocks:
+        n_touches = min(longest, len(one_object[0]))
+        rows = _drawn([one_object], n_touches, IN_ALL // len(blocks), rng)
         over = ((0, 0), (0, longest - n_touches))
         drawn.append(np.pad(rows, over, constant_values=-1))
     return drawn

@@ -22,7 +22,7 @@ from ._encoder import TouchEncoder
 from ._evidence import Evidence, SequenceCalibration
 from ._memory import Memory
 from ._sessions import N_LOOKS
-from ._unknown import LEVELS, DecisionLimits
+from ._strangers import Curve, StrangerModel
 
 MB = 2**20
 MAX_PIXELS = 50_000_000
@@ -114,7 +114,7 @@ def check_parts(judge: Judge, encoder: TouchEncoder, pose: object) -> None:
     if not np.array_equal(judge.classes, judge.memory.classes.astype(str)):
         raise ValueError("its objects are not those of its touches")
     _check_calibration(judge.sequence_calibration)
-    _check_limits(judge.limits, len(judge.classes))
+    _check_strangers(judge.strangers, len(judge.classes))
     check_number("floor_", judge.floor, low=0, high=0.5)
     if not isinstance(pose, PressPose | None):
         raise TypeError(f"pose_ is a {type(pose).__name__}")
@@ -135,7 +135,7 @@ def try_one_touch(belief: Belief, blank: Evidence, log_likelihood: Floats) -> No
     for _ in range(2):
         belief.update(blank._replace(log_likelihood=log_likelihood))
     if not 0 <= belief.unknown <= 1:
-        raise ValueError("its unknown score is no number")
+        raise ValueError("its probability of a stranger is no number")
     belief.decide()
     belief.explain()
 
@@ -147,28 +147,37 @@ def _check_calibration(calibration: object) -> None:
     check_number("correlation", calibration.correlation, low=0, high=1)
 
 
-def _check_limits(limits: object, n_objects: int) -> None:
-    if not isinstance(limits, DecisionLimits):
-        raise TypeError(f"limits_ is a {type(limits).__name__}")
-    n_levels, n_lengths = len(LEVELS), len(limits.quantiles)
+def _check_strangers(model: object, n_objects: int) -> None:
+    if not isinstance(model, StrangerModel):
+        raise TypeError(f"strangers_ is a {type(model).__name__}")
     shapes = {
-        "weights": limits.weights.shape[:1],
+        "weights": model.weights.shape[:1],
         "usual": (n_objects,),
-        "far": (*limits.far.shape[:1], 2),
-        "quantiles": (n_lengths, n_levels),
+        "far": (*model.far.shape[:1], 2),
+        "high": (*model.high.shape[:1], 2),
+        "exceeded": model.exceeded.shape[:1],
     }
-    tables = "naming", "naming_category", "refusing", "wrong"
-    shapes |= dict.fromkeys(tables, (n_levels,))
     for name, shape in shapes.items():
-        values = getattr(limits, name)
-        if values.shape != shape or not values.size:
-            raise ValueError(f"{name} of its limits is no such table")
-        if not np.isfinite(values).all():
-            raise ValueError(f"{name} of its limits holds NaN or infinity")
-        if name not in ("usual", "far") and not ((values >= 0) & (values <= 1)).all():
-            raise ValueError(f"{name} of its limits is not between 0 and 1")
-    if not (limits.far[:, 1] > 0).all():
-        raise ValueError("far of its limits has no spread")
-    check_count("n_units", limits.n_units)
-    if not isinstance(limits.population, str):
-        raise TypeError("population of its limits is no text")
+        _check_table(f"{name} of its strangers_", getattr(model, name), shape)
+    if not (model.weights >= 0).all():
+        raise ValueError("weights of its strangers_ are below 0")
+    if not ((model.far[:, 1] > 0).all() and (model.high[:, 1] > 0).all()):
+        raise ValueError("far and high of its strangers_ have no spread")
+    for curve in (model.low_curve, model.low_category_curve, model.high_curve):
+        if not isinstance(curve, Curve):
+            raise TypeError(f"a curve of its strangers_ is a {type(curve).__name__}")
+        for values in (curve.levels, curve.log_ratios):
+            _check_table("a curve of its strangers_", values, curve.levels.shape[:1])
+            if (np.diff(values) < 0).any():
+                raise ValueError("a curve of its strangers_ falls")
+    check_count("n_units", model.n_units)
+    if not isinstance(model.population, str):
+        raise TypeError("population of its strangers_ is no text")
+
+
+def _check_table(name: str, values: Array, shape: tuple[int, ...]) -> None:
+    """Refuse what is no table of finite numbers of a shape."""
+    if values.shape != shape or not values.size:
+        raise ValueError(f"{name} is no such table")
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name} holds NaN or infinity")

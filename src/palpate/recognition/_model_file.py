@@ -4,9 +4,8 @@ Reading one executes nothing: classes are looked up in a fixed table, their
 attributes are set from arrays and plain values, and a checksum covers all of it.
 A file is a safetensors container whose metadata hold one JSON document.
 
-In format 3, written by palpate 0.1, what was kept of the training touches lay on the
-recogniser itself, and some classes and attributes had other names. Its document is
-brought to today's shape; what decides is learnt anew from the touches that were kept.
+A file of format 4, written by palpate 0.2, is read too: what tells strangers is learnt
+anew from the training touches that it keeps.
 """
 
 import hashlib
@@ -32,31 +31,24 @@ from ._encoder import TouchEncoder
 from ._evidence import SequenceCalibration
 from ._memory import Memory
 from ._model_checks import MB, Budget
-from ._unknown import DecisionLimits
+from ._strangers import Curve, StrangerModel
 
-FORMAT = 4
+FORMAT = 5
 
 Tensors = dict[str, Array]
 
-_OWN = ContactCheck, DecisionLimits, Memory, Modality, SequenceCalibration, TouchEncoder
+_OWN = (
+    ContactCheck,
+    Curve,
+    Memory,
+    Modality,
+    SequenceCalibration,
+    StrangerModel,
+    TouchEncoder,
+)
 _ROOMS = (classifiers, encodings, images)
 # Made anew from a stored model; making one computes, which reading a file must not.
 _NEVER_STORED = ("IndexQuality", "KernelDensityIndex", "TouchClassifier")
-# Attributes of format 3 by what they are called today, and those kept in `Memory`.
-_RENAMED = {
-    "trust_": "sequence_calibration_",
-    "hears_nothing_": "uses_no_contact_",
-}
-_KEPT = {
-    "features_": "features",
-    "labels_": "labels",
-    "objects_": "objects",
-    "stretches_": "blocks",
-    "nothing_": "nothing",
-    "touch_ids_": "touch_ids",
-    "sensor_": "sensor",
-}
-
 
 _PUBLIC = {name: getattr(room, name) for room in _ROOMS for name in room.__all__}
 # The classes that a model file may name: ours, and two of scikit-learn.
@@ -123,7 +115,7 @@ def check_model_path(path: str | Path) -> Path:
 def read_model(path: str | Path, also: type) -> Any:
     """Return the model that `write_model` wrote, or say what is wrong with it.
 
-    Of this format or of format 3, of at most PALPATE_MAX_MODEL_MB (2000); `also` is the
+    Of this format or of format 4, of at most PALPATE_MAX_MODEL_MB (2000); `also` is the
     class of the model itself, beside `KNOWN_CLASSES`. Raises `ModelFileError`.
     """
     source = Path(path)
@@ -144,13 +136,13 @@ def read_model(path: str | Path, also: type) -> Any:
         budget.check_document(document)
         content = json.loads(document)
         version, model = content["format"], content["model"]
-        if version not in (3, FORMAT):
+        if version not in (4, FORMAT):
             raise ModelFileError(
-                f"{source} has model format {version!r}, this palpate reads 3 and "
+                f"{source} has model format {version!r}, this palpate reads 4 and "
                 f"{FORMAT}. Learn again, or use the palpate that wrote it."
             )
-        if version == 3:
-            model = _from_format_3(model)
+        if version == 4 and isinstance(model, dict):
+            model["learnt"].pop("limits_", None)
         return _unpack(model, budget)
     except ModelFileError:
         raise
@@ -298,61 +290,3 @@ def _unpack_object(node: dict[str, Any], budget: Budget) -> Any:
     for attribute, value in learnt.items():
         setattr(built, attribute, value)
     return built
-
-
-def _from_format_3(node: Any) -> Any:
-    if isinstance(node, list):
-        return [_from_format_3(item) for item in node]
-    if not isinstance(node, dict):
-        return node
-    renewed = {key: _from_format_3(item) for key, item in node.items()}
-    if "class" not in renewed:
-        return renewed
-    if renewed["class"] == "Trust":
-        renewed["class"] = "SequenceCalibration"
-    learnt = renewed["learnt"]
-    renewed["learnt"] = {_RENAMED.get(k, k): v for k, v in learnt.items()}
-    return _with_memory(renewed) if "stretches_" in learnt else renewed
-
-
-def _with_memory(node: dict[str, Any]) -> dict[str, Any]:
-    """Gather what is kept of the training touches into a `Memory`."""
-    learnt = node["learnt"]
-    kept = {new: learnt.pop(old) for old, new in _KEPT.items() if old in learnt}
-    for gone in ("taught_", "unexplained_", "unknown_scale_"):
-        learnt.pop(gone, None)
-    shape = kept["labels"]["shape"]
-    unknown = {"text": [""] * shape[0], "shape": shape}
-    if kept.get("touch_ids", unknown)["shape"] != shape:
-        kept["touch_ids"] = unknown
-    told = dict.fromkeys(("touch_ids", "sessions", "subjects", "categories"), unknown)
-    params = {"sensor": None, **told, **kept}
-    learnt["memory_"] = {"class": "Memory", "params": params, "learnt": {}}
-    encoder = learnt["encoder_"]
-    n_features = kept["features"]["shape"][not kept["features"].get("turned")]
-    for where, old in (("params", "steps"), ("learnt", "steps_")):
-        steps = encoder[where].pop(old)
-        encoder[where][old.replace("steps", "encodings")] = {"dict": [["", steps]]}
-    encoder["learnt"] |= {
-        "parts_": {"dict": [["", n_features]]},
-        "scales_": {"dict": [["", {"float": "1.0"}]]},
-        "pads_": None,
-        "channels_": None,
-    }
-    machine = learnt["classifier_"]
-    if machine["class"] == "KernelDensityBayes":
-        machine["learnt"]["groups_"] = kept["blocks"]
-    elif machine["class"] == "MKLSVC":
-        own = {
-            "classifier_": machine,
-            "touches_": kept["features"],
-            "labels_": kept["labels"],
-            "groups_": kept["blocks"],
-            **{
-                name: machine["learnt"][name] for name in ("classes_", "n_features_in_")
-            },
-        }
-        params = {"classifier": {**machine, "learnt": {}}}
-        found = {"class": "FromProbabilities", "params": params, "learnt": own}
-        learnt["classifier_"] = found
-    return node

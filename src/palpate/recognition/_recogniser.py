@@ -23,7 +23,7 @@ from ..classifiers import EncodingPool, TouchClassifier, as_groups
 from ..images import Poses, PressPose
 from ..touches import Touches, TouchSource
 from . import _evidence, _memory
-from ._belief import Belief, Judge
+from ._belief import STRANGERS, Belief, Judge, Level
 from ._calibration import (
     Modality,
     draw_all,
@@ -33,6 +33,7 @@ from ._calibration import (
 )
 from ._contact import NO_CONTACT, consists_of_nothing, encoded_and_flagged
 from ._encoder import BATCH
+from ._episode import Episode
 from ._evidence import Evidence, as_touches
 from ._learning import encoded, learn_encoding, memory_of, refuse_too_large
 from ._memory import Memory, Nearest
@@ -40,7 +41,7 @@ from ._model_checks import MOST_TRIED, check_parts, try_one_touch
 from ._model_file import ModelFileError, read_model, write_model
 from ._presets import PRESENTATIONS, Preset, find_preset
 from ._remounting import MountingCheck, check_mounting, learn_nuisance, remounted
-from ._unknown import DecisionLimits, LeftOut, fit_limits
+from ._strangers import LeftOut, StrangerModel, fit_strangers
 
 # Touches of one task; a multiple of the encoder's batches, for the same results.
 SHARD = 4 * BATCH
@@ -89,8 +90,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         Whether touches without contact count: where a label consists of them.
     sequence_calibration_ : SequenceCalibration
         How touches of one episode add up.
-    limits_ : DecisionLimits
-        What may be decided.
+    strangers_ : StrangerModel
+        What tells a thing that was never learnt.
     floor_ : float
         The floor in use.
     chosen_ : dict
@@ -400,7 +401,11 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         self._check_fitted()
         return self._log_prior(self.memory_)
 
-    def start(self, prior: Mapping[str, float] | None = None) -> Belief:
+    def start(
+        self,
+        prior: Mapping[str, float] | None = None,
+        strangers: float = STRANGERS,
+    ) -> Belief:
         """Return the belief before the first touch of an episode.
 
         Parameters
@@ -408,12 +413,37 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         prior : mapping of str to float, optional
             How probable each object is, all of them, positive; brought to sum 1. By
             default as the parameter `prior` says.
+        strangers : float, default=0.05
+            The share of episodes with something that was never learnt, at least 0 and
+            below 1. 0 is a closed world, such as the parts of one line or the tools of
+            a drawer: it is always one of the learnt objects.
         """
         judge = self.judge()
         log_prior = (
             None if prior is None else _evidence.given_prior(prior, judge.classes)
         )
-        return Belief(judge, self.evidence, log_prior)
+        return Belief(judge, self.evidence, log_prior, strangers)
+
+    def episode(
+        self,
+        *,
+        error: float = 0.01,
+        refusal: float | None = None,
+        level: Level = "object",
+        strangers: float = STRANGERS,
+        prior: Mapping[str, float] | None = None,
+    ) -> Episode:
+        """Return an episode that takes touches, decides and keeps what each told.
+
+        Parameters
+        ----------
+        error, refusal, level
+            As for `Belief.decide`.
+        strangers, prior
+            As for `start`.
+        """
+        belief = self.start(prior, strangers)
+        return Episode(belief, error=error, refusal=refusal, level=level)
 
     def judge(self) -> Judge:
         """Return what beliefs are made by."""
@@ -423,7 +453,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             log_prior=self.log_prior(),
             floor=self.floor_,
             sequence_calibration=self.sequence_calibration_,
-            limits=self.limits_,
+            strangers=self.strangers_,
             senses=self.modalities_,
             categories=self._category_of(self.memory_),
             memory=self.memory_,
@@ -552,8 +582,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             raise ModelFileError(f"{path} holds no object recogniser.")
         try:
             model._check_parameters()
-            if not hasattr(model, "limits_"):
-                model.limits_ = model._learnt_limits()
+            if not hasattr(model, "strangers_"):  # written by palpate 0.2 or older
+                model.strangers_ = model._learnt_strangers()
             check_parts(model.judge(), model.encoder_, model.pose_)
             if prod(model.encoder_.image_shape_) <= MOST_TRIED:
                 with np.errstate(all="ignore"):
@@ -621,7 +651,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
                 self._drawn(memory),
                 self._log_prior(memory),
             )
-        self.limits_ = self._learnt_limits()
+        self.strangers_ = self._learnt_strangers()
 
     def _drawn(self, memory: Memory) -> dict[int, Array]:
         """Draw episodes; of very many objects, of some, spread over all."""
@@ -636,7 +666,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         said = left_out_log_likelihood(self.classifier_)
         return self._used(said, self.memory_.nothing)
 
-    def _learnt_limits(self) -> DecisionLimits:
+    def _learnt_strangers(self) -> StrangerModel:
         memory, said = self.memory_, self._left_out()
         each, weights = said[:, np.newaxis], np.ones(1)
         if isinstance(self.classifier_, EncodingPool):
@@ -660,7 +690,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             categories=self._category_of(memory),
         )
         asked = draw_asked(memory.objects, memory.blocks, self.random_state)
-        return fit_limits(left_out, asked, *memory.units)
+        return fit_strangers(left_out, asked, *memory.units)
 
     def _nearest(self) -> Nearest:
         """Return what tells distances to the training touches, made when needed."""

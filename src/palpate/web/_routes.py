@@ -103,13 +103,26 @@ class EpisodeState(BaseModel):
 
     number: int
     open: bool
-    error: Annotated[float, Field(description="Accepted share of wrong decisions.")]
-    refusal: Annotated[float, Field(description="And of known objects refused.")]
+    error: Annotated[float, Field(description="Accepted share of wrong names.")]
+    refusal: Annotated[
+        float, Field(description="Unknown is said at a probability of 1 less this.")
+    ]
+    strangers: Annotated[
+        float, Field(description="Expected share of episodes with something unlearnt.")
+    ]
     decision: Annotated[
         str | None, Field(description='An object, "unknown", or null: undecided.')
     ]
+    category: Annotated[
+        str | None, Field(description="The category, where only that is sure.")
+    ]
     best: str | None
-    reason: str
+    sentence: Annotated[str, Field(description="What is decided, or what it may be.")]
+    reason: Annotated[str, Field(description="As `sentence`.")]
+    withdrawn: Annotated[
+        list[str], Field(description="A sentence for each decision withdrawn.")
+    ]
+    why: Annotated[list[str], Field(description="The figures behind the sentence.")]
     touches: list[LiveTouch]
 
 

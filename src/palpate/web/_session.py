@@ -11,9 +11,15 @@ import numpy as np
 
 from .._checks import check_number
 from .._types import Array
-from ..recognition import OTHER_MOUNTING, Evidence, ObjectRecogniser
+from ..recognition import (
+    OTHER_MOUNTING,
+    STRANGERS,
+    Evidence,
+    ObjectRecogniser,
+    check_strangers,
+)
 from ..sensors import LiveSensor, SensorError, channels_of, desk_of
-from ._episode import LiveEpisode, Neighbours
+from ._episode import LiveEpisode
 from ._images import ImageKind, Names, check_image
 from ._learning import LearningError, learn_apart, start_learning
 from ._sensor_watch import Event, Health, Listeners, SensorWatch
@@ -89,12 +95,14 @@ class LiveSession:
         library: str | Path | None = None,
         error: float = 0.01,
         refusal: float | None = None,
+        strangers: float = STRANGERS,
         summary: str = "peak",
     ) -> None:
         refusal = error if refusal is None else refusal
-        self.accepted: dict[str, Any] = {"error": error, "refusal": refusal}
-        for name, share in self.accepted.items():
+        self.asked: dict[str, Any] = {"error": error, "refusal": refusal}
+        for name, share in self.asked.items():
             check_number(name, share, low=1e-6, high=0.5)
+        self.asked["strangers"] = check_strangers(strangers)
         self.listeners, self.health = Listeners(), Health(sensor)
         self.watch: SensorWatch | None = None
         if sensor is not None:
@@ -103,9 +111,9 @@ class LiveSession:
         self.teacher = None if library is None else Teacher(library, sensor)
         self._stopped = False
         self.recogniser: ObjectRecogniser | None = None
-        self._neighbours: Neighbours | None = None
+        self._stored_ids: set[str] = set()
         self._quality: list[dict[str, Any]] = []
-        self.episode = LiveEpisode(1, None, self.accepted)
+        self.episode = LiveEpisode(1, None, self.asked)
         self.learning, self.learn_error = False, ""
         self.message = self.trouble = self.alarm = ""
         self._met: list[Evidence] = []
@@ -381,10 +389,9 @@ class LiveSession:
     def _use(self, recogniser: ObjectRecogniser | None) -> None:
         """Recognise with another model from the next touch on."""
         ids = set() if self.teacher is None else self.teacher.known_ids()
-        neighbours = None if recogniser is None else Neighbours(recogniser, ids)
         quality = [] if recogniser is None else object_quality(recogniser)
         with self._lock:
-            self.recogniser, self._neighbours = recogniser, neighbours
+            self.recogniser, self._stored_ids = recogniser, ids
             self._met, self._n_met, self.alarm = [], 0, ""
             self._quality = quality
             if self.watch is not None:
@@ -393,8 +400,9 @@ class LiveSession:
 
     def _new_episode(self) -> None:
         number = self.episode.number + bool(self.episode.touches)
-        known = self.recogniser, self.accepted, self._neighbours
-        self.episode = LiveEpisode(number, *known)
+        self.episode = LiveEpisode(
+            number, self.recogniser, self.asked, self._stored_ids
+        )
 
     def _take(self, image: Array) -> str:
         """Take a touch into the lesson; return what to say."""

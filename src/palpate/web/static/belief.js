@@ -1,4 +1,4 @@
-// The belief: bars, unknown score, its history over the episode, and the decision.
+// The belief: a bar for each object and one for none, its history, the decision.
 
 import { get, post, url } from "./api.js";
 import { drawn, find, make, percent, pictures, say, show, step, text } from "./dom.js";
@@ -6,7 +6,6 @@ import { teachThese } from "./teach.js";
 
 const SHOWN = 6;
 const HUES = 7;
-const FEW = 4;
 const OTHERS = "var(--c7)";
 const WINDOW = 12;
 const RESTED_MS = 20000;
@@ -66,32 +65,26 @@ function draw() {
   if (n && episode.open) resting = setTimeout(() => show(find("rested"), true), RESTED_MS);
   const unknown = episode.decision === "unknown";
   show(find("stranger"), unknown && !find("teaching").hidden && !find("lesson").hidden);
-  show(find("if-one"), unknown);
-  find("bars").classList.toggle("doubtful", unknown);
   step(3, unknown ? "unknown" : episode.decision ?? (n ? `${n} touch${n === 1 ? "" : "es"}` : ""), episode.decision !== null);
   text(find("count"), n === 0 ? "no touch yet" : `${n} touch${n === 1 ? "" : "es"}${episode.open ? "" : ", ended"}`);
   drawDecision(n);
   drawBars(last?.posterior ?? {});
-  drawUnknownScore(last);
+  drawUnknown(last);
   drawHistory();
 }
 
+// The sentence is the library's: the terminal, reports and Python show the same.
 function drawDecision(n) {
   const place = find("decision");
-  const { decision, best, reason, category, promise } = episode;
-  const words = category && (decision === null || decision === "unknown") ? `A ${category}; which one I cannot tell`
-    : decision === "unknown" ? "I do not know this one"
-    : decision ?? (best ? `${best}?` : n ? "Not learnt yet" : "Touch something");
-  text(place, words);
-  place.className = decision === "unknown" ? "unknown" : decision ? "decided" : "undecided";
-  const worth = decision && decision !== "unknown" && promise ? ` From ${promise.n_units} things taught no more can be shown` +
-    ` than that at most ${percent(promise.bound)} of such names are wrong.` : "";
-  text(find("reason"), reason + worth);
-  const now = `${episode.number} ${decision}`;
-  if (decision && now !== announced) {
-    say(decision === "unknown" ? "Unknown: I do not know this one." : `Decided: ${decision}. ` +
-      `At most ${percent(episode.error)} of such decisions should be wrong.`);
-  }
+  const { decision, category, sentence, why, withdrawn } = episode;
+  text(place, n ? sentence[0].toUpperCase() + sentence.slice(1) : "Touch something");
+  place.className = decision === "unknown" ? "unknown" : decision ?? category ? "decided" : "undecided";
+  const note = episode.touches.at(-1)?.note;
+  text(find("reason"), [note, withdrawn.at(-1)].filter(Boolean).join(". "));
+  show(find("why"), n > 0 && why.length > 0);
+  find("why").querySelector("ul").replaceChildren(...why.map((words) => make("li", {}, words)));
+  const now = `${episode.number} ${decision ?? category}`;
+  if ((decision ?? category) && now !== announced) say(`${sentence}.`);
   announced = now;
 }
 
@@ -136,22 +129,15 @@ function bar() {
   return make("li", {}, make("span", { class: "name" }), track, make("span", { class: "value" }));
 }
 
-function drawUnknownScore(last) {
+function drawUnknown(last) {
   const known = last !== undefined && last.unknown !== null;
   show(find("unknown"), known);
-  show(find("unknown-hint"), known);
   if (!known) return;
-  const few = Object.keys(last.posterior).length < FEW;
-  text(find("unknown-hint"), "Right of the red line: none of the learnt objects." +
-    (few ? " With so few objects learnt, a new one is easily taken for one of them." : ""));
-  const row = find("unknown");
   const meter = find("unknown-meter");
-  row.classList.toggle("over", last.unknown > last.limit);
   meter.firstElementChild.style.width = `${100 * last.unknown}%`;
-  meter.lastElementChild.style.left = `${100 * Math.min(0.995, last.limit)}%`;
-  meter.setAttribute("aria-valuenow", last.unknown.toFixed(3));
-  meter.setAttribute("aria-valuetext", `${percent(last.unknown)}, unknown above ${percent(last.limit)}`);
-  text(row.querySelector(".value"), percent(last.unknown));
+  meter.setAttribute("aria-valuenow", last.unknown.toFixed(4));
+  meter.setAttribute("aria-valuetext", percent(last.unknown));
+  text(find("unknown").querySelector(".value"), percent(last.unknown));
 }
 
 function drawHistory() {
@@ -171,25 +157,23 @@ function drawColumns(chart, touches) {
   chart.setAttribute("viewBox", `0 0 ${WINDOW} 1`);
   chart.replaceChildren(...touches.flatMap((touch, at) => column(touch, at, top)));
   const described = touches.map((touch) => {
-    const [[name, share]] = ranked(touch.posterior);
-    return `touch ${touch.number}: ${strange(touch) ? "unknown, else " : ""}${name} ${percent(share)}`;
+    const [[name, share]] = ranked({ ...touch.posterior, "nothing learnt": touch.unknown });
+    return `touch ${touch.number}: ${name} ${percent(share)}`;
   });
   chart.setAttribute("aria-label", `Belief after each touch. ${described.slice(-20).join("; ")}.`);
 }
 
-const strange = (touch) => touch.unknown > touch.limit;
-
-// What is like none of the objects stands in grey, under a mark.
+// Objects in their colours, the others together, and nothing learnt on top in grey.
 function column(touch, at, top) {
   let above = 0;
   const parts = top.map((name) => [hue(name), touch.posterior[name] ?? 0]);
-  parts.push([OTHERS, 1 - parts.reduce((sum, [, share]) => sum + share, 0)]);
+  const others = 1 - touch.unknown - parts.reduce((sum, [, share]) => sum + share, 0);
+  parts.push([OTHERS, others], ["var(--soft)", touch.unknown]);
   return parts.filter(([, share]) => share > 0.002).map(([fill, share]) => {
     const block = band(at, above, share, fill);
-    if (strange(touch)) block.style.opacity = "0.25";
     above += share;
     return block;
-  }).concat(strange(touch) ? [band(at, 0, 0.12, "var(--warn)")] : []);
+  });
 }
 
 function band(at, y, height, fill) {

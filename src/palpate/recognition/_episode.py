@@ -1,0 +1,244 @@
+"""One episode: the touches of one object, what each told, and what is decided."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from .._types import Array
+from ..touches import Touches
+from ._belief import Belief, Level, Named
+from ._evidence import Evidence
+from ._memory import UNKNOWN
+from ._sentences import sentence_of, touch_note
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True)
+class EpisodeTouch:
+    """A touch of an episode and the belief after it.
+
+    Attributes
+    ----------
+    touch : int
+        Its number, from 1.
+    posterior : dict of str to float
+        Probability of each learnt object after it.
+    unknown : float
+        Probability of none of them; 1 in all.
+    categories : dict of str to float
+        Probability of each category, empty where the objects have none.
+    flag : str
+        What is wrong with it, such as "no contact"; "" for most.
+    """
+
+    touch: int
+    posterior: dict[str, float]
+    unknown: float
+    categories: dict[str, float]
+    flag: str
+
+    @property
+    def note(self) -> str:
+        """The sentence about what is wrong with it, "" for most."""
+        return touch_note(self.touch, self.flag)
+
+
+class Episode:
+    """The touches of one object, from the first to the decision and beyond.
+
+    A decision stays: touches after it are taken in, and it is withdrawn only when
+    something else has become more probable than what was named.
+
+    Parameters
+    ----------
+    belief : Belief
+        Before its first touch, from `ObjectRecogniser.start` or `TouchMap.start`.
+    error, refusal, level
+        As for `Belief.decide`, asked after every touch.
+
+    Attributes
+    ----------
+    belief : Belief
+        After the touches so far.
+    touches : list of EpisodeTouch
+        All of them, in order.
+    decision : str or None
+        The object or category, "unknown", or None.
+    level : str or None
+        What was named: "object", "category" or "unknown".
+    decided_at : int or None
+        Number of the touch after which that was decided.
+    withdrawn : list of str
+        A sentence for each decision that was withdrawn.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from palpate import ObjectRecogniser, Touches
+    >>> images = np.random.default_rng(0).random((40, 3, 24))
+    >>> images[:20] += 1
+    >>> touches = Touches(images, object=["pen"] * 20 + ["mug"] * 20, geometry="none")
+    >>> episode = ObjectRecogniser().fit(touches).episode(strangers=0)
+    >>> episode.add(touches[:2])
+    'pen, over 99.9 % after 1 touch'
+    """
+
+    def __init__(
+        self,
+        belief: Belief,
+        *,
+        error: float = 0.01,
+        refusal: float | None = None,
+        level: Level = "object",
+    ) -> None:
+        self.belief, self.error, self.refusal = belief, error, refusal
+        self.asked_level: Level = level
+        self.touches: list[EpisodeTouch] = []
+        self.withdrawn: list[str] = []
+        self.decided_at: int | None = None
+        self._named: Named | None = None
+        belief.decide(error, refusal=refusal, level=level)  # refuses wrong shares now
+
+    def add(self, touch: Touches | Array | Evidence) -> str:
+        """Take in one touch, or several in order, and return the sentence now.
+
+        Raises
+        ------
+        ValueError
+            As `Belief.update` does; the episode is then as it was before that touch.
+        """
+        if isinstance(touch, Evidence):
+            for number in range(len(touch.flags)):
+                self._add(touch.one(number))
+        elif isinstance(touch, Touches):
+            for number in range(len(touch)):
+                self._add(touch[number : number + 1])
+        else:
+            self._add(touch)
+        return self.sentence
+
+    def _add(self, touch: Touches | Array | Evidence) -> None:
+        n_before = self.belief.touches_used
+        self.belief.update(touch)
+        belief = self.belief
+        flags = belief.flags[n_before:]
+        self.touches.append(
+            EpisodeTouch(
+                touch=len(self.touches) + 1,
+                posterior=belief.posterior,
+                unknown=belief.unknown,
+                categories=belief.categories,
+                flag=", ".join(filter(None, flags)),
+            )
+        )
+        self._decide()
+
+    def _decide(self) -> None:
+        """Keep, take or withdraw a decision after a touch."""
+        before = self._named
+        now = self.belief.named(
+            self.error, refusal=self.refusal, level=self.asked_level
+        )
+        if before is not None and self._still_leads(before):
+            # A category may become one object of it; anything else stays as it is.
+            if not (before.level == "category" and now and now.level == "object"):
+                return
+        elif before is not None:
+            leader = "nothing I know" if self._leads_unknown() else self._leader(before)
+            self.withdrawn.append(
+                f"{before.name} is withdrawn after touch {len(self.touches)}: "
+                f"{leader} is more probable now"
+            )
+        self._named = now
+        self.decided_at = len(self.touches) if now is not None else None
+
+    def _still_leads(self, named: Named) -> bool:
+        if named.level == UNKNOWN:
+            return self._leads_unknown()
+        return not self._leads_unknown() and self._leader(named) == named.name
+
+    def _leads_unknown(self) -> bool:
+        shares = self.belief.posterior
+        return self.belief.unknown > max(shares.values())
+
+    def _leader(self, named: Named) -> str:
+        """Return the most probable object, or category where one was named."""
+        belief = self.belief
+        if named.level != "category":
+            return belief.best
+        shares = belief.categories
+        return max(shares, key=lambda name: shares[name])
+
+    @property
+    def decision(self) -> str | None:
+        """The object or category, "unknown", or None."""
+        return None if self._named is None else self._named.name
+
+    @property
+    def level(self) -> str | None:
+        """What was named: "object", "category", "unknown", or None."""
+        return None if self._named is None else self._named.level
+
+    @property
+    def touches_used(self) -> int:
+        """Touches until the decision; all of them where there is none."""
+        return len(self.touches) if self.decided_at is None else self.decided_at
+
+    @property
+    def sentence(self) -> str:
+        """What is decided, or what it may be, as it is now."""
+        named = None
+        if self._named is not None:
+            named = *self._named, self.belief.probability(self._named)
+        belief, n_touches = self.belief, self.touches_used
+        words = sentence_of(belief.posterior, belief.unknown, n_touches, named)
+        if self.touches and all(touch.flag == "no contact" for touch in self.touches):
+            return "no contact yet: touch again"
+        return words
+
+    def explain(self) -> dict[str, Any]:
+        """Return the figures behind the sentence, and the touches that moved it most.
+
+        `why` are sentences (`Belief.why`), `touches` as of `Belief.explain`.
+        """
+        return {"why": self.belief.why(self.error), "touches": self.belief.explain()}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all of it as plain values, ready for JSON."""
+        return {
+            "beliefs": [asdict(touch) for touch in self.touches],
+            "decision": self.decision,
+            "level": self.level,
+            "touches_used": self.touches_used,
+            "sentence": self.sentence,
+            "reasons": [self.sentence],
+            "withdrawn": list(self.withdrawn),
+            "error": self.error,
+            "refusal": self.error if self.refusal is None else self.refusal,
+            "strangers": self.belief.strangers,
+        }
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the probability of the leading objects and of none, touch by touch.
+
+        Returns matplotlib's axes (extra `plot`), `ax` or new ones.
+        """
+        from .._extras import needed
+
+        pyplot = needed("matplotlib.pyplot", "plot", "A picture of an episode")
+        axes = pyplot.subplots(figsize=(6, 3))[1] if ax is None else ax
+        numbers = [touch.touch for touch in self.touches]
+        last = self.touches[-1].posterior if self.touches else self.belief.posterior
+        for name in sorted(last, key=lambda name: -last[name])[:5]:
+            shares = [touch.posterior[name] for touch in self.touches]
+            axes.plot(numbers, shares, marker="o", label=name)
+        unknown = [touch.unknown for touch in self.touches]
+        axes.plot(numbers, unknown, "--", color="#888888", label="nothing learnt")
+        axes.axhline(1 - self.error, color="#cccccc", linewidth=1)
+        axes.set(ylim=(0, 1.02), xlabel="touch", ylabel="probability")
+        axes.set_title(self.sentence)
+        axes.legend()
+        return axes

@@ -1,0 +1,482 @@
+"""What tells a stranger: the score, its two curves, and the probability they give."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.special import expit, log_softmax
+from scipy.stats import beta
+
+from palpate import ObjectRecogniser, Touches
+from palpate.recognition import (
+    SequenceCalibration,
+    about,
+    episode_evidence,
+    stranger_log_shares,
+    upper_bound,
+    with_floor,
+)
+from palpate.recognition._calibration import draw_asked
+from palpate.recognition._strangers import (
+    Curve,
+    LeftOut,
+    disagreement,
+    fit_strangers,
+)
+from palpate.simulation import DomeCamera, simulate_touches
+
+N_EACH = 30
+
+
+def left_out(n_objects, rng, gain=3.0, categories=None, alike=0.0):
+    """Return what two encodings tell of touches, whose noise is their own.
+
+    The first two objects are more or less `alike`.
+    """
+    codes = np.repeat(np.arange(n_objects), N_EACH)
+    logits = rng.normal(size=(len(codes), 2, n_objects))
+    logits[np.arange(len(codes)), :, codes] += gain
+    for code, other in ((0, 1), (1, 0)):
+        logits[codes == code, :, other] += alike * gain
+    each = log_softmax(logits, axis=-1)
+    return LeftOut(
+        log_likelihood=log_softmax(each.sum(axis=1), axis=-1),
+        each=each,
+        log_distances=np.zeros((len(codes), n_objects)),
+        codes=codes,
+        log_prior=np.full(n_objects, -np.log(n_objects)),
+        floor=0.01,
+        calibration=SequenceCalibration(1.0, 0.1),
+        weights=np.array([0.5, 0.5]),
+        categories=np.full(n_objects, "") if categories is None else categories,
+    )
+
+
+def model_of(table, n_units=None):
+    """Learn from episodes of twenty touches of each object."""
+    codes = table.codes
+    episodes = draw_asked(codes.astype(str), np.arange(len(codes)), 0)
+    return fit_strangers(table, episodes, n_units or len(episodes), "these")
+
+
+def test_the_score_is_how_little_encodings_give_to_one_name():
+    agreed = np.log([[0.9, 0.1], [0.8, 0.2]])
+    torn = np.log([[0.99, 0.01], [0.01, 0.99]])
+    half = np.array([0.5, 0.5])
+    nats = -np.log([np.sqrt(0.9 * 0.8), np.sqrt(0.99 * 0.01), 0.99, 0.25])
+    assert disagreement(agreed, half) == pytest.approx(nats[0])
+    assert disagreement(torn, half) == pytest.approx(nats[1])
+    # An encoding that weighs nothing is not asked.
+    assert disagreement(torn, np.array([1.0, 0.0])) == pytest.approx(nats[2])
+    assert disagreement(np.log([[0.25] * 4]), np.ones(1)) == pytest.approx(nats[3])
+
+
+def test_touches_far_from_what_was_learnt_raise_the_score(rng):
+    table = left_out(4, rng)
+    table.log_distances[:] = 0.5 + 0.3 * rng.normal(size=table.log_distances.shape)
+    model = model_of(table)
+    assert_allclose(model.usual, 0.5, atol=0.2)
+    assert_allclose(model.far[:, 0], 0, atol=0.1)
+    # Means of more touches spread less, but never count for less than a tenth.
+    assert model.far[0, 1] == pytest.approx(0.3, abs=0.05)
+    assert model.far[8, 1] == pytest.approx(0.1, abs=0.02)
+    sure = np.log([[0.97, 0.01, 0.01, 0.01]] * 2)
+    near, some, away = (model.far[0, 0] + step * model.far[0, 1] for step in (0, 1, 5))
+    one = np.asarray(1)
+    scores = [float(model.score(sure, np.asarray(x), one)) for x in (near, some, away)]
+    assert scores[:2] == pytest.approx([0.03, 0.03])
+    assert scores[2] == pytest.approx(1 - 0.97 * np.exp(-(5 - 1.645)))
+    assert float(model.score(sure, np.asarray(np.nan), one)) == pytest.approx(0.03)
+    assert float(model.score(sure, np.asarray(away), np.asarray(0))) == 0
+    # Farther than usual from the object that is agreed on, whatever the others.
+    distances = np.array([9.0, 0.0, 0.0, 0.0])
+    assert model.farther(sure, distances) == pytest.approx(9.0 - model.usual[0])
+
+
+def test_of_an_object_left_out_whole_the_usual_distance_is_that_of_all(rng):
+    table = left_out(4, rng)
+    table.log_distances[:] = rng.normal(size=table.log_distances.shape)
+    table.log_distances[table.codes == 1, 1] = np.nan
+    own = table.log_distances[np.arange(4 * N_EACH), table.codes].reshape(4, N_EACH)
+    means = own.mean(axis=1)
+    means[1] = means[[0, 2, 3]].mean()
+    assert_allclose(model_of(table).usual, means)
+    table.log_distances[:] = np.nan
+    assert_allclose(model_of(table).usual, 0)
+
+
+def test_evidence_is_that_of_each_touch_so_far(rng):
+    table = left_out(4, rng)
+    floored, each = (
+        with_floor(values, 0.01)[:6] for values in (table.log_likelihood, table.each)
+    )
+    floored[2] = -np.log(4)  # no contact
+    model = model_of(table)
+    near = np.broadcast_to(model.usual, floored.shape)
+    rest = table.log_prior, table.calibration, model
+    posterior, evidence = episode_evidence(floored, each, near, *rest)
+    used, weight = [0, 1, 3, 4, 5], table.calibration.weight(5)
+    nats = disagreement(log_softmax(each[used].sum(axis=0) * weight, -1), model.weights)
+    score, logs = 1 - np.exp(-nats), log_softmax(floored[used].sum(axis=0) * weight)
+    assert_allclose(posterior[-1], logs)
+    mean, spread = model.high[4]
+    above = (np.log(nats + 1e-6) - mean) / spread
+    level = np.log(max(score, 1 - np.exp(logs.max())))
+    low, high = model.low_curve, model.high_curve
+    assert evidence[-1] == pytest.approx(
+        np.interp(level, low.levels, low.log_ratios)
+        + np.interp(above, high.levels, high.log_ratios)
+        + 1e-3 * above,
+        abs=1e-9,
+    )
+    assert evidence[1] == evidence[2]
+    silent = np.full((3, 4), -np.log(4))
+    assert_allclose(episode_evidence(silent, each[:3], near[:3], *rest)[1], 0)
+
+
+@pytest.mark.parametrize("n_objects", [2, 3, 8])
+def test_low_scores_speak_against_a_stranger_and_high_ones_for_it(rng, n_objects):
+    model = model_of(left_out(n_objects, rng))
+    low, high = model.low_curve, model.high_curve
+    for curve in (low, high):
+        assert (np.diff(curve.levels) >= 0).all()
+        assert (np.diff(curve.log_ratios) >= 0).all()
+    assert (low.log_ratios <= 0).all()
+    assert (high.log_ratios >= 0).all()
+    # Some level is reached by many known episodes and few others.
+    assert low.log_ratios[0] < -1
+    assert high.log_ratios[-1] > 1
+    count, far = np.asarray(12), np.log(0.5)
+    least, most = (
+        model.evidence(np.asarray(s), np.asarray(0.0), count) for s in (1e-6, 0.95)
+    )
+    assert least < 0 < most
+    assert low.at(np.asarray(far)) >= low.at(np.asarray(far - 1))
+
+
+def test_the_curves_are_shares_of_episodes_that_ever_get_there(rng):
+    """Counted episode by episode, by the belief after each touch."""
+    table = left_out(4, rng, gain=2.0)
+    model = model_of(table)
+    episodes = draw_asked(table.codes.astype(str), np.arange(len(table.codes)), 0)
+
+    def lowest(rows, columns):
+        prior = log_softmax(table.log_prior[columns])
+        floored = with_floor(table.log_likelihood[:, columns], 0.01)[rows]
+        each = with_floor(table.each[:, :, columns], 0.01)[rows]
+        weight = table.calibration.weight(np.arange(1, len(rows) + 1))
+        total = np.cumsum(floored, axis=0) * weight[:, None] + prior
+        single = np.cumsum(each, axis=0) * weight[:, None, None] + prior
+        nats = -(log_softmax(single, -1).mean(axis=1)).max(axis=-1)
+        doubt = 1 - np.exp(log_softmax(total, -1).max(axis=-1))
+        return np.maximum(1 - np.exp(-nats), doubt).min()
+
+    known = [lowest(rows[k], np.arange(4)) for rows in episodes for k in range(20)]
+    strangers = [
+        lowest(rows[k], np.delete(np.arange(4), table.codes[rows[0, 0]]))
+        for rows in episodes
+        for k in range(20)
+    ]
+    for share in (0.3, 0.6, 0.9):
+        level = np.quantile(strangers, share)
+        ratio = share / np.mean(np.array(known) <= level)
+        # Eighty of a thousand episodes, and a curve that is made to rise.
+        at_level = model.low_curve.at(np.asarray(np.log(level)))
+        assert at_level == pytest.approx(np.log(ratio), abs=0.35)
+
+
+def test_the_probability_is_that_of_the_odds(rng):
+    evidence = rng.normal(size=7)
+    for share in (0.02, 0.3):
+        known, unknown = np.exp(stranger_log_shares(evidence, share))
+        odds = share / (1 - share) * np.exp(evidence)
+        assert_allclose(unknown, odds / (1 + odds))
+        assert_allclose(known + unknown, 1)
+    known, unknown = stranger_log_shares(evidence, 0.0)
+    assert (known == 0).all()
+    assert (unknown == -np.inf).all()
+    assert np.exp(stranger_log_shares(np.zeros(()), 0.05)[1]) == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("strangers", [0.05, 0.2])
+def test_stopped_at_an_error_names_are_wrong_as_rarely(rng, strangers):
+    """On new touches of the same kind, with as many strangers as were expected."""
+    error, n_objects = 0.05, 8
+    model = model_of(left_out(n_objects, rng))
+    table = left_out(n_objects, rng)
+    wrong = {False: [], True: []}
+    for rows in draw_asked(table.codes.astype(str), np.arange(len(table.codes)), 7):
+        own = int(table.codes[rows[0, 0]])
+        for never in (False, True):
+            columns = np.arange(n_objects)
+            columns = np.delete(columns, own) if never else columns
+            tables = (
+                with_floor(values[rows].take(columns, axis=-1), 0.01)
+                for values in (table.log_likelihood, table.each)
+            )
+            distances = table.log_distances[rows].take(columns, axis=-1)
+            prior = log_softmax(table.log_prior[columns])
+            logs, nats = episode_evidence(
+                *tables,
+                distances,
+                prior,
+                table.calibration,
+                replace(model, usual=model.usual[columns]),
+            )
+            doubt = 1 - np.exp(logs.max(axis=-1))
+            unknown = expit(nats + np.log(strangers / (1 - strangers)))
+            named = (1 - unknown) * (1 - doubt) >= 1 - error
+            first = named.argmax(axis=1)
+            at = np.arange(len(first)), first
+            right = columns[logs[at].argmax(axis=-1)] == own
+            wrong[never] += (named[at] & ~right).tolist()
+    share = (1 - strangers) * np.mean(wrong[False]) + strangers * np.mean(wrong[True])
+    assert share <= error
+    # Something is named, and strangers seldom.
+    assert np.mean(wrong[True]) < 0.6
+
+
+def test_one_known_episode_in_twenty_exceeds_the_threshold(rng):
+    table = left_out(6, rng)
+    model = model_of(table)
+    rows = np.concatenate(draw_asked(table.codes.astype(str), np.arange(180), 0))
+    tables = (with_floor(v, 0.01)[rows] for v in (table.log_likelihood, table.each))
+    rest = table.log_prior, table.calibration, model
+    _, nats = episode_evidence(*tables, table.log_distances[rows], *rest)
+    for k in (1, 5, 20):
+        share = (nats[:, k - 1] > model.threshold(k)).mean()
+        assert share == pytest.approx(0.05, abs=0.005)
+    assert model.threshold(50) == model.threshold(20)
+
+
+def test_of_two_objects_a_stranger_is_what_goes_beyond_both(rng):
+    model = model_of(left_out(2, rng))
+    # A level is reached by strangers as often as its value: a score of 0.01 in 100.
+    assert model.low_curve.at(np.log(0.01)) == pytest.approx(np.log(0.01), abs=0.5)
+    # What no known episode came near is a stranger.
+    beyond = model.high_curve.levels[-1]
+    assert model.high_curve.at(beyond) > np.log(1000)
+
+
+def test_a_promise_says_what_so_few_objects_can_show(rng):
+    promise = model_of(left_out(6, rng)).promise(0.01)
+    assert (promise.level, promise.n_units, promise.n_needed) == (0.01, 6, 299)
+    assert promise.bound == pytest.approx(1 - 0.05 ** (1 / 6))
+    assert str(promise) == ("6 objects cannot prove an error of 1 %, about 300 would.")
+    enough = model_of(left_out(6, rng), 59).promise(0.05)
+    assert enough.bound < 0.05
+    assert str(enough) == "59 objects left out can show an error of 0.05."
+    assert upper_bound(2, 10) == pytest.approx(beta.ppf(0.95, 3, 8))
+    assert upper_bound(3, 3) == 1
+    assert [about(number) for number in (7, 59, 299, 2995)] == [7, 59, 300, 3000]
+
+
+def test_a_category_is_surer_than_its_objects_where_these_are_alike(rng):
+    kinds = np.array(["bowl", "bowl", "mug", "mug", ""])
+    codes = np.repeat(np.arange(5), N_EACH)
+    logits = 0.3 * rng.normal(size=(len(codes), 2, 5))
+    logits[:, :, :2][codes < 2] += 4  # bowls are not told apart
+    logits[:, :, 2:4][(codes == 2) | (codes == 3)] += 4
+    logits[:, :, 4][codes == 4] += 4
+    each = log_softmax(logits, axis=-1)
+    table = replace(
+        left_out(5, rng),
+        each=each,
+        log_likelihood=log_softmax(each.sum(axis=1), axis=-1),
+        categories=kinds,
+    )
+    model, sure = model_of(table), np.asarray(0.01)
+    assert model.category_evidence(sure, sure) < -1
+    without = model_of(replace(table, categories=np.full(5, "")))
+    assert without.category_evidence(sure, sure) == 0
+    assert len(without.low_category_curve.levels) == 1
+
+
+def test_a_curve_goes_on_level_beyond_what_was_learnt():
+    curve = Curve(np.array([0.0, 1.0]), np.array([-2.0, 0.0]))
+    assert_allclose(curve.at(np.array([-9.0, 0.5, 9.0])), [-2.0, -1.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def kinds():
+    """Six things of three kinds; the two bowls differ in nothing but noise."""
+    rng = np.random.default_rng(3)
+    middles = 4 * rng.normal(size=(6, 24))
+    middles[1] = middles[0]
+    names = ["bowl 1", "bowl 2", "can 1", "can 2", "mug 1", "mug 2"]
+
+    def touches(n_each):
+        images = np.repeat(middles, n_each, axis=0) + rng.normal(size=(6 * n_each, 24))
+        return Touches(
+            images.reshape(-1, 3, 8),
+            object=np.repeat(names, n_each),
+            category=np.repeat([name.split()[0] for name in names], n_each),
+            geometry="none",
+        )
+
+    return ObjectRecogniser().fit(touches(20)), touches(10)
+
+
+def test_the_belief_answers_at_the_level_it_can(kinds):
+    recogniser, touches = kinds
+    bowl = recogniser.start().update(touches[touches.object == "bowl 1"][:6])
+    assert set(bowl.categories) == {"bowl", "can", "mug"}
+    assert sum(bowl.categories.values()) <= 1
+    assert bowl.categories["bowl"] > 0.95
+    assert bowl.decide(0.1) is None
+    assert bowl.decide(0.1, level="category") == "bowl"
+    assert bowl.decide(0.1, level="any") == ("category", "bowl")
+    assert bowl.reason(0.1, level="any").startswith("a bowl, ")
+    assert "which one I cannot tell" in bowl.reason(0.1, level="any")
+    can = recogniser.start().update(touches[touches.object == "can 1"][:6])
+    assert can.decide(0.1, level="any") == ("object", "can 1")
+    assert can.decide(0.1) == "can 1"
+
+
+def test_levels_that_do_not_exist_are_refused(kinds):
+    recogniser, touches = kinds
+    belief = recogniser.start().update(touches[:2])
+    with pytest.raises(ValueError, match="level must be one of"):
+        belief.decide(level="kind")
+    with pytest.raises(ValueError, match="refusal must be"):
+        belief.decide(refusal=0)
+    bare = Touches(touches.images, object=touches.object, geometry="none")
+    without = ObjectRecogniser().fit(bare).start().update(bare[:2])
+    assert without.categories == {}
+    with pytest.raises(ValueError, match=r"the objects have none\. Learn from touches"):
+        without.decide(level="category")
+    assert without.decide(level="any") in (None, ("object", "bowl 1"))
+
+
+def test_categories_travel_with_the_model_and_with_new_objects(kinds, tmp_path):
+    recogniser, touches = kinds
+    path = recogniser.save(tmp_path / "m.palpate")
+    again = ObjectRecogniser.load(path)
+    some = touches[touches.object == "bowl 2"][:4]
+    assert again.start().update(some).categories == pytest.approx(
+        recogniser.start().update(some).categories
+    )
+    mug = touches[touches.object == "mug 2"]
+    again.add_object("mug 3", Touches(mug.images + 5, category=["mug"] * 10))
+    assert again.judge().categories.tolist()[-1] == "mug"
+
+
+def test_what_encodings_say_of_no_contact_is_not_heeded(kinds):
+    recogniser, touches = kinds
+    belief = recogniser.start().update(touches[:2])
+    before, n_objects = belief.unknown, len(recogniser.classes_)
+    n_encodings = len(recogniser.strangers_.weights)
+    loud = np.zeros((1, n_encodings, n_objects))
+    loud[:, :, -1] = 20.0
+    belief.update_from_log_likelihood(np.zeros((1, n_objects)), by_encoding=loud)
+    assert belief.unknown == pytest.approx(before, abs=1e-12)
+
+
+def test_touches_without_contact_change_no_probability(kinds):
+    recogniser, touches = kinds
+    silent = np.zeros((5, len(recogniser.classes_)))
+    plain = recogniser.start().update(touches[:3])
+    padded = recogniser.start().update_from_log_likelihood(silent)
+    assert padded.unknown == pytest.approx(0.05)
+    assert padded.decide() is None
+    padded.update(touches[:3]).update_from_log_likelihood(silent)
+    assert padded.unknown == pytest.approx(plain.unknown)
+
+
+def test_a_promise_stands_for_the_touches_that_were_left_out(kinds):
+    recogniser, touches = kinds
+    promise = recogniser.start().update(touches[:3]).promise(0.2)
+    assert promise == recogniser.strangers_.promise(0.2)
+    assert promise.n_units == 6
+    assert "recorded as when they were learnt" in promise.population
+
+
+def test_sessions_are_the_units_where_they_are_left_out():
+    rng = np.random.default_rng(0)
+    names = np.repeat(["a", "b", "c"], 20)
+    images = rng.normal(size=(60, 3, 8))
+    images += 5 * np.eye(3)[np.searchsorted(["a", "b", "c"], names)][:, :, None]
+    days = np.tile(np.repeat(["one", "two"], 10), 3)
+    touches = Touches(images, object=names, session=days, geometry="none")
+    promise = ObjectRecogniser().fit(touches).strangers_.promise(0.01)
+    assert promise.n_units == 6
+    assert "other sessions" in promise.population
+
+
+def test_a_thing_that_was_never_learnt_is_called_unknown_or_waits():
+    """Patterns of noise on 24 electrodes; twenty are met for the first time."""
+    rng = np.random.default_rng(8)
+    middles = rng.normal(size=(32, 3, 8))
+    names = np.array([f"thing {k:02}" for k in range(32)])
+
+    def touches(some, n_each):
+        images = np.repeat(middles[some], n_each, axis=0)
+        images = images + 0.8 * rng.normal(size=images.shape)
+        return Touches(images, object=np.repeat(names[some], n_each), geometry="none")
+
+    recogniser = ObjectRecogniser().fit(touches(np.arange(12), 30))
+    ends = {}
+    for name, _, rows in (again := touches(np.arange(32), 20)).episodes():
+        episode = recogniser.episode(error=0.05, strangers=0.2)
+        for touch in again[rows]:
+            episode.add(touch)
+        ends[str(name)] = episode.decision
+    known = [ends[str(name)] == name for name in names[:12]]
+    assert sum(known) >= 11
+    assert "unknown" not in [ends[str(name)] for name in names[:12]]
+    new = [ends[str(name)] for name in names[12:]]
+    assert set(new) <= {"unknown", None}
+    assert new.count("unknown") >= 10
+
+
+def test_left_out_objects_score_as_those_that_were_never_learnt(monkeypatch):
+    """Patterns of noise; two of eight are left out in turn, in two ways."""
+    rng = np.random.default_rng(8)
+    names = np.repeat([f"thing {k:02}" for k in range(8)], 20)
+    images = np.repeat(rng.normal(size=(8, 3, 8)), 20, axis=0)
+    images = images + 0.8 * rng.normal(size=images.shape)
+    touches = Touches(images, object=names, geometry="none")
+    asked = []
+
+    def kept(left_out, *rest):
+        asked.append(left_out)
+        return fit_strangers(left_out, *rest)
+
+    monkeypatch.setattr("palpate.recognition._recogniser.fit_strangers", kept)
+    learnt = ObjectRecogniser().fit(touches)
+    (left_out,) = asked
+    by_column, in_earnest = [], []
+    for place, name in enumerate(learnt.classes_[:2]):
+        mine = names == name
+        others = np.delete(left_out.each[mine], place, axis=2)
+        by_column.append(disagreement(with_floor(others, 0.01), left_out.weights))
+        without = ObjectRecogniser().fit(touches[~mine])
+        said = with_floor(without.evidence(touches[mine]).by_encoding, 0.01)
+        in_earnest.append(disagreement(said, without.strangers_.weights))
+    # Scores of 40 touches each, between 0 and 1.
+    medians = [1 - np.exp(-np.median(nats)) for nats in (by_column, in_earnest)]
+    assert medians[0] == pytest.approx(medians[1], abs=0.2)
+
+
+@pytest.mark.slow
+def test_a_thing_unlike_all_that_was_learnt_is_called_unknown():
+    """A ball of spikes beside smooth household objects, on a simulated dome."""
+    camera = DomeCamera(image_shape=(96, 96), n_nodes=40)
+    names = ("ball", "box", "mug", "pen", "stapler", "toothbrush")
+    learnt = simulate_touches(names, 40, camera, drift=False, random_state=0)
+    recogniser = ObjectRecogniser().fit(learnt)
+    again = simulate_touches(
+        (*names, "massage ball"), 12, camera, drift=False, random_state=1
+    )
+    ends = {}
+    for name, _, rows in again.episodes():
+        belief = recogniser.start(strangers=0.2)
+        for touch in again[rows]:
+            if (end := belief.update(touch).decide(0.05)) is not None:
+                break
+        ends[name] = end
+    assert ends.pop("massage ball") == "unknown"
+    right = [name == end for name, end in ends.items()]
+    assert sum(right) >= 5
+    assert "unknown" not in ends.values()
