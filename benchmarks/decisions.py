@@ -11,6 +11,7 @@ objects, ten for one of fifty.
 import argparse
 import json
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from palpate import Touches
 from palpate._durable import write_text
 from palpate._types import Floats
 from palpate.evaluation import (
+    Episodes,
     Plan,
     Trial,
     calibration_error,
@@ -31,8 +33,12 @@ from palpate.evaluation import (
     split_touches,
 )
 from palpate.evaluation import draw_touches as drawn
+from palpate.recognition import stranger_log_shares
 
-ERRORS = (0.01, 0.05, 0.1)
+ERRORS = (0.01, 0.05)
+STRANGERS = (0.0, 0.05, 0.2)
+ORDERS = 20
+BINS = (0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99)
 LENGTHS = (1, 5, 10)
 N_UNKNOWN = 10
 SPARSE = 8
@@ -186,27 +192,14 @@ def figures(
     train: Touches, test: Touches, unknown: Touches | None, label: str = "object"
 ) -> object:
     """Return how episodes end, at each error, and how well unknown ones are told."""
-    plan = Plan(touches=LENGTHS, label=label)
+    plan = Plan(touches=LENGTHS, label=label, orders=ORDERS)
     result, (trial,) = evaluate(train, test, unknown=unknown, plan=plan)
     keys = ("accuracy", "ece", "category_accuracy", "unknown_auroc", "unknown_refused")
     row = {key: result[key] for key in keys if key in result}
     row["perfect_ece"] = {str(k): perfect_ece(trial, k) for k in LENGTHS}
-    for error in ERRORS:
-        ends = decide_episodes(trial.recogniser, trial.episodes, error)
-        n = len(ends.decided)
-        row[str(error)] = {
-            "wrong": float((ends.decided & ~ends.refused & ~ends.right).sum() / n),
-            "refused": float(ends.refused.mean()),
-            "undecided": float((~ends.decided).mean()),
-            "touches": float(ends.touches.mean()),
-            "promised": trial.recogniser.limits_.promise(error).bound,
-        }
-        if trial.unknown_episodes is not None:
-            new = decide_episodes(trial.recogniser, trial.unknown_episodes, error)
-            row[str(error)]["unknown named"] = float(
-                (new.decided & ~new.refused).mean()
-            )
-            row[str(error)]["unknown refused"] = float(new.refused.mean())
+    for error, share in product(ERRORS, STRANGERS):
+        row[f"{error} {share}"] = ended(trial, error, share)
+    row["calibration"] = calibration(trial, 0.05)
     areas = trial.unknown_episodes and {
         str(k): float(
             roc_area(
@@ -216,6 +209,77 @@ def figures(
         for k in LENGTHS
     }
     return row | ({"area": areas} if areas else {})
+
+
+def ended(trial: Trial, error: float, strangers: float) -> dict[str, float]:
+    """Return how the episodes of known and of unknown objects end."""
+    ends = decide_episodes(trial.episodes, error, strangers=strangers)
+    row = {
+        "wrong": float((ends.decided & ~ends.refused & ~ends.right).mean()),
+        "refused": float(ends.refused.mean()),
+        "undecided": float((~ends.decided).mean()),
+        "touches": float(ends.touches.mean()),
+        "withdrawn": withdrawn(trial, error, strangers),
+    }
+    if trial.unknown_episodes is not None:
+        new = decide_episodes(trial.unknown_episodes, error, strangers=strangers)
+        row["unknown named"] = float((new.decided & ~new.refused).mean())
+        row["unknown refused"] = float(new.refused.mean())
+    return row
+
+
+def shares_of(episodes: Episodes, strangers: float) -> list[tuple[Floats, Floats]]:
+    """Return the probabilities of learnt objects and of none, of each object."""
+    result = []
+    for logs, evidence in zip(episodes.beliefs, episodes.unknown, strict=True):
+        known, unknown = stranger_log_shares(evidence, strangers)
+        result.append((np.exp(logs + known[..., np.newaxis]), np.exp(unknown)))
+    return result
+
+
+def withdrawn(trial: Trial, error: float, strangers: float) -> float:
+    """Return the share of decisions that later touches would take back."""
+    n_named, n_back = 0, 0
+    for known, unknown in shares_of(trial.episodes, strangers):
+        every = np.concatenate([known, unknown[..., np.newaxis]], axis=-1)
+        sure = every.max(axis=-1) >= 1 - error
+        for order in np.flatnonzero(sure.any(axis=1)):
+            first = int(sure[order].argmax())
+            leaders = every[order].argmax(axis=-1)
+            n_named += 1
+            n_back += bool((leaders[first:] != leaders[first]).any())
+    return n_back / max(n_named, 1)
+
+
+def calibration(trial: Trial, strangers: float) -> list[list[float]]:
+    """Return mean probability, share right and weight of bins of the best answer.
+
+    After 1, 2, 3, 5, 8 and 12 touches, episodes of unknown objects, where there are
+    any, weighing the share of strangers; the best answer may be "unknown".
+    """
+    rows = []
+    sets = [(trial.episodes, 1 - strangers), (trial.unknown_episodes, strangers)]
+    for episodes, weight in sets:
+        if episodes is None:
+            continue
+        parts = shares_of(episodes, strangers)
+        for (known, unknown), truth in zip(parts, episodes.truth, strict=True):
+            every = np.concatenate([known, unknown[..., np.newaxis]], axis=-1)
+            places = [k for k in (0, 1, 2, 4, 7, 11) if k < every.shape[1]]
+            every = every[:, places].reshape(-1, every.shape[-1])
+            right = every.argmax(axis=1) == (truth if truth >= 0 else known.shape[-1])
+            share = np.full(len(every), weight / len(every) / len(episodes.truth))
+            rows.append(np.stack([every.max(axis=1), right, share]))
+    best, right, share = np.concatenate(rows, axis=1)
+    bins = np.digitize(best, BINS)
+    return [
+        [
+            float(np.average(v[bins == b], weights=share[bins == b]))
+            for v in (best, right)
+        ]
+        + [float(share[bins == b].sum())]
+        for b in np.unique(bins)
+    ]
 
 
 def perfect_ece(trial: Trial, k: int) -> float:

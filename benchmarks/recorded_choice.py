@@ -83,7 +83,7 @@ class InformativeRecorded:
 
     def expected_gain(self, belief: Belief) -> np.ndarray:
         """Return the expected gain of each touch (nats), (n_touches,)."""
-        shares = np.array(list(belief.posterior.values()))
+        shares = np.exp(belief.log_posterior)
         log_joint = np.log(np.maximum(shares, np.finfo(float).tiny))[:, None]
         return self._stations.expected_gain(log_joint, belief.touches_used)
 

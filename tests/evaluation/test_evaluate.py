@@ -75,7 +75,7 @@ def test_every_episode_ends_as_a_belief_asked_after_each_touch_does():
     plan = Plan(touches=(1, 3), orders=3, error=0.05, refusal=0.2)
     figures, (trial,) = evaluate(train, test, plan=plan)
     assert figures["decision"]["refusal"] == 0.2
-    ends = decide_episodes(trial.recogniser, trial.episodes, 0.05, 0.2)
+    ends = decide_episodes(trial.episodes, 0.05, 0.2)
     rows = np.concatenate(trial.episodes.rows)
     assert ends.decided.sum() > 0
     for number, touches in enumerate(rows):
@@ -94,7 +94,7 @@ def test_how_episodes_end_is_in_the_report(result, tmp_path):
     page = write_report(tmp_path / "r.html", *result).read_text()
     assert "Stopping at an error of 0.01, a refusal of 0.01" in page
     assert "<th>called unknown</th>" in page
-    assert "too few to show the error asked" in page
+    assert "objects cannot prove 1 %, about 300 would." in page
     assert "category right, %" in page
 
 

@@ -60,7 +60,7 @@ def test_wrong_decisions_come_first_and_right_ones_follow(result):
     assert 1 < len(shown) <= 6
     rights = [one.right for one in shown]
     assert rights == sorted(rights)
-    end = decide_episodes(trials[0].recogniser, trials[0].episodes, PLAN.error)
+    end = decide_episodes(trials[0].episodes, PLAN.error)
     assert (end.decided & ~end.right).any()
     assert end.right.any()
     assert set(rights) == {False, True}
@@ -74,7 +74,7 @@ def test_an_explained_episode_has_the_touches_of_the_figures(result):
     for one in explained_episodes(figures, trials):
         test = trials[0].fold.test[one.rows]
         assert set(test.object) == {one.name}
-        belief = trials[0].recogniser.start().update(test)
+        belief = trials[0].recogniser.start(strangers=0).update(test)
         after = np.exp(episodes.beliefs[episodes.objects.index(one.name)])
         same = after[:, len(one.rows) - 1]
         # One of the six orders led to this belief, up to rounding of sums.

@@ -54,18 +54,18 @@ def test_touches_count_as_in_the_plain_belief(touch_map, taught):
     evidence = _of(taught, "pen", 5)
     placed, plain = touch_map.start().update(evidence), touch_map.recogniser.start()
     plain.update(evidence)
-    assert placed.unknown == plain.unknown
-    assert placed.unknown_limit(0.1) == plain.unknown_limit(0.1)
-    assert placed.promise == plain.promise
+    assert placed.promise(0.1) == plain.promise(0.1)
+    assert placed.flags == plain.flags
     assert placed.explain(2, 1) == plain.explain(2, 1)
 
 
 def test_the_prior_is_where_it_starts(touch_map, taught):
     prior = {"ball": 0.2, "box": 0.5, "pen": 0.3}
-    belief = touch_map.start(prior)
+    belief = touch_map.start(prior, strangers=0)
     assert belief.posterior == pytest.approx(prior)
     evidence = _of(taught, "pen", 3)
-    evenly, weighed = touch_map.start().update(evidence), belief.update(evidence)
+    evenly = touch_map.start(strangers=0).update(evidence)
+    weighed = belief.update(evidence)
     odds = {name: np.log(weighed.posterior[name] / prior[name]) for name in NAMES}
     even = {name: np.log(evenly.posterior[name]) for name in NAMES}
     # Bayes: the prior's odds and the evidence's add up, whatever the touches say.
@@ -75,10 +75,9 @@ def test_the_prior_is_where_it_starts(touch_map, taught):
 
 
 def test_costs_decide_as_worked_out_by_hand(touch_map, monkeypatch):
-    belief = touch_map.start()
+    belief = touch_map.start(strangers=0)
     belief.log_joint = np.log(np.outer([0.1, 0.6, 0.3], np.full(4, 0.25)))
     monkeypatch.setattr(type(belief), "touches_used", 1)
-    monkeypatch.setattr(type(belief), "unknown", 0.0)
     assert belief.decide(0.45) == "box"
     assert belief.decide(0.35) is None
     # Naming the box costs 0.1 x 1 + 0.3 x 5, the pen 0.1 x 1 + 0.6 x 0.2, the ball

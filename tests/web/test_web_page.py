@@ -14,6 +14,7 @@ import pytest
 
 from palpate import Touches
 from palpate.library import TouchLibrary
+from palpate.recognition._strangers import Curve
 from palpate.sensors import ReplaySensor
 from palpate.web import LiveSession, learn_job
 
@@ -167,7 +168,7 @@ def walk(page, serving, session, names, n_touches):
         expect(page.locator("#strip li").nth(2)).to_be_attached(timeout=PATIENT)
         clear(page)
         # Of two things taught the page may take a third for one of them.
-        said = {"unknown": "I do not know this one"}
+        said = {"unknown": "Nothing I know"}
         decision = session.episode.decision or f"{session.episode.belief.best}?"
         expect(page.locator("#decision")).to_have_text(said.get(decision, decision))
         _forget(page, other)
@@ -241,7 +242,7 @@ def test_real_touches_are_taught_and_a_held_out_one_recognised(
             re.compile("^(decided|unknown)$"), timeout=PATIENT
         )
         clear(page)
-        words = {"unknown": "I do not know this one"}
+        words = {"unknown": "Nothing I know"}
         decision = session.episode.decision
         expect(page.locator("#decision")).to_have_text(
             words.get(decision, decision or f"{session.episode.belief.best}?")
@@ -463,18 +464,19 @@ def test_the_steps_and_the_next_button_are_always_in_sight(page, taught, serving
 def test_an_unknown_object_is_taught_with_the_touches_just_made(
     page, taught, serving, drawn
 ):
-    # Of two things taught little is called unknown: here everything is.
+    # Of two things taught little is called unknown: here every score speaks for it.
     recogniser = taught.recogniser
-    none = np.zeros_like(recogniser.limits_.refusing)
-    recogniser.limits_ = replace(recogniser.limits_, refusing=none)
+    model = recogniser.strangers_
+    always = Curve(np.zeros(1), np.full(1, 9.0))
+    recogniser.strangers_ = replace(model, low_curve=always, high_curve=always)
     taught.begin_episode()
     with serving(taught) as (address, token):
         page.goto(f"{address}/?token={token}")
         for image in drawn.images[drawn.object == "disc"][:3]:
             taught.post_touch(image.T[::-1] // 2 + 100)  # like nothing learnt
-        expect(page.locator("#decision")).to_have_text("I do not know this one")
-        expect(page.locator("#if-one")).to_be_visible()
-        expect(page.locator("#bars")).to_have_class("doubtful")
+        expect(page.locator("#decision")).to_have_text("Nothing I know")
+        expect(page.locator("#unknown")).to_contain_text("nothing learnt")
+        expect(page.locator("#unknown .value")).to_contain_text("99")
         expect(page.locator("#step-3")).to_contain_text("unknown")
         expect(page.locator("#strip li")).to_have_count(3)
         page.click("#teach-this")

@@ -175,7 +175,8 @@ def test_frames_become_beliefs(node):
     assert sorted(names) == ["columns", "rows"]
     posterior = dict(zip(names, last.data, strict=True))
     assert posterior["rows"] > 0.9
-    assert sum(last.data) == pytest.approx(1)
+    # The rest is the probability of something never learnt.
+    assert 0.9 < sum(last.data) <= 1
     evidence = [m for topic, m in node.published if topic == "~/evidence"]
     assert [one.label for one in evidence[0].layout.dim] == names
     decisions = [m.data for topic, m in node.published if topic == "~/decision"]

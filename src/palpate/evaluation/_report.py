@@ -353,7 +353,8 @@ def _explained(trial: Trial, end: Decisions, number: int) -> Explained:
 
 
 def _episode(one: Explained, asked: dict[str, Any]) -> str:
-    belief = one.trial.recogniser.start().update(one.trial.fold.test[one.rows])
+    belief = one.trial.recogniser.start(strangers=asked["strangers"])
+    belief.update(one.trial.fold.test[one.rows])
     reason = belief.reason(asked["error"], refusal=asked["refusal"])
     of_label = "" if one.name == one.truth else f" ({escape(one.truth)})"
     moved = "".join(

@@ -311,7 +311,7 @@ class InformativeTouch:
         if belief is None:
             return gain(placed.log_joint, placed.touches_used)
         turns = placed.log_joint - placed.log_posterior[:, None]
-        shares = np.array(list(belief.posterior.values()))
+        shares = np.exp(belief.log_posterior)
         objects = np.log(np.maximum(shares, np.finfo(float).tiny))
         return gain(turns + objects[:, None], belief.touches_used)
 

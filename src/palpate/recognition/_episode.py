@@ -10,7 +10,7 @@ from ..touches import Touches
 from ._belief import Belief, Level, Named
 from ._evidence import Evidence
 from ._memory import UNKNOWN
-from ._sentences import sentence_of, touch_note
+from ._sentences import NOTHING, sentence_of, touch_note
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,7 +83,7 @@ class Episode:
     >>> touches = Touches(images, object=["pen"] * 20 + ["mug"] * 20, geometry="none")
     >>> episode = ObjectRecogniser().fit(touches).episode(strangers=0)
     >>> episode.add(touches[:2])
-    'pen, over 99.9 % after 1 touch'
+    'pen, over 99.9 % after 2 touches'
     """
 
     def __init__(
@@ -138,16 +138,13 @@ class Episode:
 
     def _decide(self) -> None:
         """Keep, take or withdraw a decision after a touch."""
-        before = self._named
-        now = self.belief.named(
-            self.error, refusal=self.refusal, level=self.asked_level
-        )
-        if before is not None and self._still_leads(before):
+        before, now = self._named, self._answer()
+        if before is not None and (leader := self._leader(before)) == before.name:
             # A category may become one object of it; anything else stays as it is.
             if not (before.level == "category" and now and now.level == "object"):
                 return
         elif before is not None:
-            leader = "nothing I know" if self._leads_unknown() else self._leader(before)
+            leader = NOTHING if leader == UNKNOWN else leader
             self.withdrawn.append(
                 f"{before.name} is withdrawn after touch {len(self.touches)}: "
                 f"{leader} is more probable now"
@@ -155,21 +152,22 @@ class Episode:
         self._named = now
         self.decided_at = len(self.touches) if now is not None else None
 
-    def _still_leads(self, named: Named) -> bool:
-        if named.level == UNKNOWN:
-            return self._leads_unknown()
-        return not self._leads_unknown() and self._leader(named) == named.name
-
-    def _leads_unknown(self) -> bool:
-        shares = self.belief.posterior
-        return self.belief.unknown > max(shares.values())
+    def _answer(self) -> Named | None:
+        """Return what the belief decides now, with its level."""
+        level = self.asked_level
+        if level == "any":
+            return self.belief.decide(self.error, refusal=self.refusal, level=level)
+        name = self.belief.decide(self.error, refusal=self.refusal, level=level)
+        return (
+            None if name is None else Named(UNKNOWN if name == UNKNOWN else level, name)
+        )
 
     def _leader(self, named: Named) -> str:
-        """Return the most probable object, or category where one was named."""
+        """Return what is most probable now, of categories where one was named."""
         belief = self.belief
-        if named.level != "category":
-            return belief.best
-        shares = belief.categories
+        of_categories = named.level == "category"
+        known = belief.categories if of_categories else belief.posterior
+        shares = {**known, UNKNOWN: belief.unknown}
         return max(shares, key=lambda name: shares[name])
 
     @property
@@ -193,7 +191,7 @@ class Episode:
         named = None
         if self._named is not None:
             named = *self._named, self.belief.probability(self._named)
-        belief, n_touches = self.belief, self.touches_used
+        belief, n_touches = self.belief, len(self.touches)
         words = sentence_of(belief.posterior, belief.unknown, n_touches, named)
         if self.touches and all(touch.flag == "no contact" for touch in self.touches):
             return "no contact yet: touch again"
@@ -211,7 +209,7 @@ class Episode:
         return {
             "beliefs": [asdict(touch) for touch in self.touches],
             "decision": self.decision,
-            "level": self.level,
+            "level": None if self.level == UNKNOWN else self.level,
             "touches_used": self.touches_used,
             "sentence": self.sentence,
             "reasons": [self.sentence],

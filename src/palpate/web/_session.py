@@ -60,9 +60,11 @@ class LiveSession:
     library : path, optional
         Folder of the library that keeps what is taught; made where there is none.
     error : float, default=0.01
-        Accepted share of wrong decisions.
+        Accepted share of wrong names.
     refusal : float, optional
-        Accepted share of known objects called unknown; `error` unless given.
+        As for `Belief.decide`; `error` unless given.
+    strangers : float, default=0.05
+        The share of episodes with something never learnt.
     summary : {"peak", "mean"}, default="peak"
         What stands for a touch, see `TouchDetector`.
 

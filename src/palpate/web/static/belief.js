@@ -77,10 +77,11 @@ function draw() {
 function drawDecision(n) {
   const place = find("decision");
   const { decision, category, sentence, why, withdrawn } = episode;
-  text(place, n ? sentence[0].toUpperCase() + sentence.slice(1) : "Touch something");
+  const name = decision === "unknown" ? "Nothing I know" : decision ?? (category && `A ${category}`);
+  text(place, name ?? (n ? sentence : "Touch something"));
   place.className = decision === "unknown" ? "unknown" : decision ?? category ? "decided" : "undecided";
   const note = episode.touches.at(-1)?.note;
-  text(find("reason"), [note, withdrawn.at(-1)].filter(Boolean).join(". "));
+  text(find("reason"), [name && sentence, note, withdrawn.at(-1)].filter(Boolean).join(". "));
   show(find("why"), n > 0 && why.length > 0);
   find("why").querySelector("ul").replaceChildren(...why.map((words) => make("li", {}, words)));
   const now = `${episode.number} ${decision ?? category}`;
