@@ -53,7 +53,7 @@ class Line:
         self.since = 0
 
     def read_pose(self):
-        return START.advanced(self.at + self.ahead_mm)
+        return START if self.retracted else START.advanced(self.at + self.ahead_mm)
 
     def read_force(self):
         self.read_at.append(None if self.retracted else self.at)

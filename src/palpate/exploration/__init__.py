@@ -4,6 +4,7 @@ A strategy chooses where, `guarded_touch` goes there and comes back whatever hap
 `explore` repeats it until the object is recognised and keeps every attempt.
 """
 
+from ._check_robot import check_robot
 from ._episode import Exploration, explore
 from ._episode import gather as gather
 from ._guarded import Guard, guarded_touch
@@ -44,6 +45,7 @@ __all__ = [
     "Strategy",
     "TouchMap",
     "TouchRecord",
+    "check_robot",
     "explore",
     "explore_to_learn",
     "guarded_touch",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,11 +12,12 @@ import numpy as np
 
 from .._checks import check_count, size_said
 from ..sensors import TouchSensor
-from ..simulation import SensorPose
-from ._guarded import Clock, Guard, guarded_touch
-from ._record import EpisodeError, EpisodeLog, History, TouchRecord, as_touches, tip_mm
+from ._guarded import Clock, Guard
+from ._record import EpisodeError, EpisodeLog, History, TouchRecord, as_touches
 from ._robot import Robot, RobotError
 from ._strategies import Strategy
+from ._touching import Toucher, touch_from_hemisphere
+from ._ways import come_out
 
 if TYPE_CHECKING:  # scikit-learn is not needed to touch.
     from ..recognition import Belief, ObjectRecogniser
@@ -116,11 +116,12 @@ def explore(
     EpisodeError
         `folder` holds another episode, or is damaged.
     RobotError
-        The arm cannot be brought outside the hemisphere to begin with.
+        The arm stands inside the hemisphere and cannot be brought out of it: it does
+        not look at the object, its way out does not lead outward, or it did not move.
     """
     check_count("max_attempts", max_attempts)
     check_count("max_faults", max_faults)
-    touch_at = partial(guarded_touch, robot, sensor, guard=guard, clock=clock)
+    toucher = Toucher(robot, sensor, guard or Guard(), clock)
     accepted: dict[str, Any] = {"error": error, "refusal": refusal}
     with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
         n_before, belief = len(log.history), recogniser.start()
@@ -143,9 +144,9 @@ def explore(
 
         end = ended("")
         if end is None:
-            _come_out(robot, strategy)
+            come_out(robot, strategy.hemisphere, toucher.guard)
         while end is None:
-            touch = _attempt(robot, strategy, belief, log.history, touch_at)
+            touch = _attempt(strategy, belief, log.history, toucher)
             record = touch
             try:
                 record = _taken_in(belief, touch)
@@ -177,14 +178,14 @@ def gather(
     """
     check_count("n_touches", n_touches)
     check_count("max_faults", max_faults)
-    touch_at = partial(guarded_touch, robot, sensor, guard=guard, clock=clock)
+    toucher = Toucher(robot, sensor, guard or Guard(), clock)
     with EpisodeLog(folder, {"strategy": repr(strategy)}) as log:
         _refuse_other_size(log, sensor)
         n_before, wanted = len(log.history), n_touches - _n_touched(log.history)
         if wanted > 0:
-            _come_out(robot, strategy)
+            come_out(robot, strategy.hemisphere, toucher.guard)
         while _n_touched(log.history) < n_touches:
-            log.append(_attempt(robot, strategy, None, log.history, touch_at))
+            log.append(_attempt(strategy, None, log.history, toucher))
             made = log.history[n_before:]
             n_made, gave_up = _n_touched(made), _gave_up(made, max_faults)
             if gave_up or (len(made) >= 5 * wanted and n_made < wanted):
@@ -198,28 +199,14 @@ def gather(
 
 
 def _attempt(
-    robot: Robot,
     strategy: Strategy,
     belief: Belief | None,
     history: History,
-    touch_at: Callable[[SensorPose], TouchRecord],
+    toucher: Toucher,
 ) -> TouchRecord:
     """Choose, go there, touch; whatever goes wrong is in the record."""
     pose = strategy.next_pose(belief, history)
-    try:
-        for waypoint in strategy.hemisphere.way(robot.read_pose(), pose):
-            robot.move_to(waypoint)
-    except Exception as error:
-        message = f"On the way to the start: {type(error).__name__}: {error}"
-        return TouchRecord("robot error", pose, tip_mm(pose), message=message)
-    return touch_at(pose)
-
-
-def _come_out(robot: Robot, strategy: Strategy) -> None:
-    """Pull the arm out of the hemisphere, should a touch have been interrupted."""
-    way_mm = strategy.hemisphere.way_out_mm(robot.read_pose())
-    if way_mm > 0:
-        robot.retract(way_mm)
+    return touch_from_hemisphere(toucher, strategy.hemisphere, pose)
 
 
 def _taken_in(belief: Belief, record: TouchRecord) -> TouchRecord:

@@ -27,7 +27,8 @@ from ._record import TouchRecord, tip_mm
 from ._robot import Robot
 
 Clock = Callable[[], float]
-_LEAST_COUNTS = {"n_readings": 1, "n_tare": 1, "stuck_after": 3}
+_LEAST_COUNTS = {"n_readings": 1, "n_tare": 1, "stuck_after": 3, "lag_readings": 0}
+_OPTIONAL = "stuck_after", "frame_change", "expected_n_mm"
 # A force sensor in contact that changes by less than this, over `flat_mm`, does not
 # follow the contact; nor one that changes by less than six times its noise.
 _FLAT_N, _FLAT_NOISES = 0.01, 6.0
@@ -75,6 +76,19 @@ class Guard:
         Way into contact over which the force must change, by more than its noise.
     max_miss_mm : float, default=0.5
         How far from where it was sent the arm may say that it is.
+    way_step_mm : float, default=2.5
+        Longest step on ways between touches, where the force is read once a step: what
+        is met there may press by `limit_n` and what one such step adds.
+    lag_readings : int, default=64
+        Readings by which a late or filtered force sensor may lag. The first touches of
+        an episode wait for so many at every step, until the force has changed once and
+        its lag is known; later ones wait for that lag. 0 for a sensor that is known
+        not to lag. One that lags by more is outside what is promised.
+    expected_n_mm : float or None, default=None
+        Stiffness of the softest part between arm and object (N/mm), the rubber of the
+        sensor: by half of it at least the force must rise over `flat_mm` of contact. A
+        force sensor that reads a tenth of the force is outside what is promised
+        without it.
     frame_change : float or None, default=None
         Change of the tactile image, root mean square in the sensor's unit, that is a
         contact: found while the force reads as in the air, it is a fault. Without it a
@@ -98,12 +112,15 @@ class Guard:
     stuck_after: int | None = 12
     flat_mm: float = 2.0
     max_miss_mm: float = 0.5
+    way_step_mm: float = 2.5
+    lag_readings: int = 64
+    expected_n_mm: float | None = None
     frame_change: float | None = None
     frame_every_mm: float = 2.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if value is None and name in ("stuck_after", "frame_change"):
+            if value is None and name in _OPTIONAL:
                 continue
             if name in _LEAST_COUNTS:
                 check_count(name, value, at_least=_LEAST_COUNTS[name])
@@ -162,13 +179,28 @@ def guarded_touch(
         Only what ends a program (KeyboardInterrupt, SystemExit), after the arm
         was pulled back.
     """
-    approach = _Approach(robot, sensor, start, guard or Guard(), clock)
+    return approach_once(robot, sensor, start, guard or Guard(), clock, 0)[0]
+
+
+def approach_once(
+    robot: Robot,
+    sensor: TouchSensor,
+    start: SensorPose,
+    guard: Guard,
+    clock: Clock,
+    wait_readings: int,
+) -> tuple[TouchRecord, int | None]:
+    """Touch as `guarded_touch` does, waiting for so many readings at every step.
+
+    Returns the record, and by how many readings the force lagged where that was seen.
+    """
+    approach = _Approach(robot, sensor, start, guard, clock, wait_readings)
     try:
         approach.attempt(approach.run)
     finally:
         approach.pull_back()
     approach.attempt(approach.check_offset)
-    return approach.record()
+    return approach.record(), approach.lag_readings
 
 
 class _Fault(Exception):
@@ -187,8 +219,11 @@ class _Approach:
         start: SensorPose,
         guard: Guard,
         clock: Clock,
+        wait_readings: int,
     ) -> None:
         self.robot, self.sensor, self.start = robot, sensor, start
+        self.wait_readings = wait_readings
+        self.lag_readings: int | None = None
         self.guard, self.clock = guard, clock
         self.outcome, self.message, self.retracted = "nothing", "", True
         self.travel_mm = self.farthest_mm = self._missed_mm = 0.0
@@ -240,27 +275,73 @@ class _Approach:
         self._refuse_load()
 
     def pull_back(self) -> None:
-        """Retract as far as the arm may have come; if it will not, stop it."""
+        """Retract as far as the arm may have come; if it will not, stop it.
+
+        It is out where it says so itself. Whatever is raised meanwhile, an interrupt
+        too, it is tried twice, and stopped then; an interrupt goes on afterwards.
+        """
+        interrupt: BaseException | None = None
+        way_mm = self.farthest_mm
         for attempt in (1, 2):
             try:
-                return self.robot.retract(self.farthest_mm)
-            except Exception as error:
+                self.robot.retract(way_mm)
+                way_mm = self._still_in_mm()
+                if way_mm <= self.guard.max_miss_mm:
+                    break
+                self._note(
+                    f"Retracting did not move the arm ({attempt}): it is {way_mm:.1f} "
+                    "mm inward of where it began."
+                )
+            except BaseException as error:
                 self._note(f"Retracting failed ({attempt}): {error}")
+                if not isinstance(error, Exception):
+                    interrupt = error
+        else:
+            interrupt = self._stop() or interrupt
+        if interrupt is not None:
+            raise interrupt
+
+    def _still_in_mm(self) -> float:
+        """Return how far inward of its start the arm says that it is."""
+        here = np.asarray(self.robot.read_pose().position_mm)
+        way = here - np.asarray(self.start.position_mm)
+        return max(float(way @ np.asarray(self.start.direction)), 0.0)
+
+    def _stop(self) -> BaseException | None:
+        """Stop an arm that does not come out; return what interrupted that, if any."""
         self.retracted = False
         if self.outcome == "nothing":
             self.outcome = "robot error"
-        try:
-            self.robot.stop()
-        except Exception as error:
-            self._note(f"Stopping failed: {error}")
+        interrupt: BaseException | None = None
+        for _ in range(2):
+            try:
+                self.robot.stop()
+                return interrupt
+            except BaseException as error:
+                self._note(f"Stopping failed: {error}")
+                if not isinstance(error, Exception):
+                    interrupt = error
+        return interrupt
 
     def check_offset(self) -> None:
         """Read the air once more: an offset that moved hides a load, or feigns one."""
         if not self.retracted or self.outcome not in ("touched", "nothing"):
             return
-        n_stale = self.guard.n_readings  # They may still be of the contact.
+        # The first may still be of the contact.
+        n_stale = max(self.guard.n_readings, self.wait_readings)
         readings = [self._read() for _ in range(n_stale + self.guard.n_tare)]
         moved_n = float(np.mean(readings[n_stale:])) - self._offset_n
+        pressed_n = max(self.guard.contact_n, self.force_n / 2)
+        if self.outcome == "touched" and moved_n > pressed_n:
+            if (interrupt := self._stop()) is not None:
+                raise interrupt
+            self.outcome = "robot error"
+            raise _Fault(
+                f"{moved_n:.3f} N of {self.force_n:.3f} are still there after the arm "
+                "was pulled back: it did not come out, whatever it says, and was "
+                "stopped.",
+                "robot error",
+            )
         if abs(moved_n) > self.guard.contact_n:
             raise _Fault(
                 f"The offset moved by {moved_n:.3f} N during the touch, more than "
@@ -313,7 +394,9 @@ class _Approach:
         self._move(travel_mm)
         self._measure()
         self._refuse_miss()
-        if self.clock() - self._began > self.guard.timeout_s:
+        # Waiting for a late force sensor takes so many times as long.
+        longer = 1 + self.wait_readings / self.guard.n_readings
+        if self.clock() - self._began > self.guard.timeout_s * longer:
             raise _Fault(f"No end after {self.guard.timeout_s:g} s.", "timed out")
 
     def _take_back(self, before_mm: float) -> None:
@@ -328,6 +411,7 @@ class _Approach:
 
     def _measure(self) -> None:
         """Read the force; once a reading has reached `force_n`, wait and read again."""
+        self._wait()
         if self._most_of_readings() >= self.guard.force_n:
             self._most_of_readings()
         if self.force_n < -self.guard.contact_n:
@@ -336,24 +420,53 @@ class _Approach:
                 "positive when something pushes back; if it is, the offset drifts."
             )
 
+    def _wait(self) -> None:
+        """Wait for a force sensor that may lag, and learn by how much it does."""
+        if not self.wait_readings:
+            return
+        before_n, forces = self.force_n, self._forces(self.wait_readings)
+        rise_n, least_n = forces[-1] - before_n, 2 * self._flat_n
+        if self.lag_readings is not None or rise_n < max(self.guard.contact_n, least_n):
+            return
+        # Standing still, a force that goes on rising is of steps made before.
+        later_n = self._forces(self.wait_readings)[-1] - forces[-1]
+        if later_n > max(least_n, rise_n / 2):
+            raise _Fault(
+                f"The force sensor lags by more than {self.wait_readings} readings "
+                "behind the arm. Read it less filtered, or raise lag_readings."
+            )
+        half_n = before_n + rise_n / 2
+        self.lag_readings = next(k for k, n in enumerate(forces) if n >= half_n)
+
+    def _forces(self, n_readings: int) -> list[float]:
+        """Read the force so often (N), each reading within the limit."""
+        forces = []
+        for _ in range(n_readings):
+            forces.append(self._read() - self._offset_n)
+            self._refuse_above_limit(forces[-1])
+        return forces
+
     def _most_of_readings(self) -> float:
         """Read as often as is averaged, and return the magnitude of the largest."""
         forces: list[float] = []
-        limit = self.guard.limit_n
         for _ in range(self.guard.n_readings):
-            reading = self._read()
-            force = reading - self._offset_n
+            force = self._read() - self._offset_n
             forces.append(force)
             self.force_n = sum(forces) / len(forces)
-            self.peak_force_n = max(self.peak_force_n, abs(force))
-            if max(abs(reading), abs(force)) > limit:
-                sign = " read_force must be positive when something pushes back."
-                raise _Fault(
-                    f"{force:.3f} N ({reading:.3f} with its offset), above the limit "
-                    f"of {limit:g}.{sign if force < 0 else ''}",
-                    "limit exceeded",
-                )
+            self._refuse_above_limit(force)
         return max(map(abs, forces))
+
+    def _refuse_above_limit(self, force: float) -> None:
+        """Refuse a single reading beyond the limit, with or without its offset."""
+        reading, limit = force + self._offset_n, self.guard.limit_n
+        self.peak_force_n = max(self.peak_force_n, abs(force))
+        if max(abs(reading), abs(force)) > limit:
+            sign = " read_force must be positive when something pushes back."
+            raise _Fault(
+                f"{force:.3f} N ({reading:.3f} with its offset), above the limit "
+                f"of {limit:g}.{sign if force < 0 else ''}",
+                "limit exceeded",
+            )
 
     def _watch_contact(self) -> None:
         """Note where contact began; refuse to go on pressing without a rising force."""
@@ -371,11 +484,26 @@ class _Approach:
                 "beyond the first contact."
             )
         recent = [n for mm, n in self._in_contact if mm >= here - guard.flat_mm - 1e-9]
+        self._refuse_soft(pressed, recent)
         if pressed >= guard.flat_mm - 1e-9 and max(recent) - min(recent) < self._flat_n:
             raise _Fault(
                 f"{self.force_n:.3f} N for {guard.flat_mm:g} mm in contact, without "
                 "a change: the force sensor is stuck. If the object is that soft or "
                 "the sensor that coarse, raise flat_mm."
+            )
+
+    def _refuse_soft(self, pressed_mm: float, recent: list[float]) -> None:
+        """Refuse a force that rises by less than half of what the sensor's end does."""
+        guard = self.guard
+        if guard.expected_n_mm is None or pressed_mm < guard.flat_mm - 1e-9:
+            return
+        least_n = guard.expected_n_mm * guard.flat_mm / 2
+        if max(recent) - min(recent) < least_n:
+            raise _Fault(
+                f"The force rose by {max(recent) - min(recent):.3f} N over "
+                f"{guard.flat_mm:g} mm of contact, less than {least_n:.3f}, half of "
+                f"what expected_n_mm = {guard.expected_n_mm:g} gives: it reads too "
+                "little."
             )
 
     def _look(self) -> None:

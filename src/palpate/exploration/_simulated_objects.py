@@ -27,14 +27,15 @@ from ..simulation import (
 )
 from ..touches import Touches
 from ._episode import gather
-from ._guarded import Guard, guarded_touch
+from ._guarded import Guard
 from ._record import TouchRecord, as_touches
 from ._robot import MissingFrames, SimulatedRobot
 from ._strategies import Hemisphere, RandomHemisphere
+from ._touching import Toucher, touch_from_hemisphere
 
 # Twice the default step in the air: half the time to simulate. The rigid edge met
 # after such a step answers with 4 N (`housing_n_mm`), so the limit is above that.
-QUICK_GUARD = Guard(air_step_mm=2.0, limit_n=5.0)
+QUICK_GUARD = Guard(air_step_mm=2.0, limit_n=5.0, lag_readings=0)
 VECTORS = ("position_mm", "direction")
 
 
@@ -49,10 +50,9 @@ class Stand:
 
     def touch(self, start: SensorPose, guard: Guard | None = None) -> TouchRecord:
         """Go round the object to a pose on the hemisphere and touch from there."""
-        for waypoint in self.hemisphere.way(self.robot.read_pose(), start):
-            self.robot.move_to(waypoint)
-        clock = self.robot.clock
-        return guarded_touch(self.robot, self.sensor, start, guard, clock=clock)
+        arm = self.robot, self.sensor, guard or Guard(), self.robot.clock
+        # The simulated force sensor is known not to lag.
+        return touch_from_hemisphere(Toucher(*arm, lag=0), self.hemisphere, start)
 
 
 def put_down(
@@ -106,11 +106,12 @@ def put_down(
     bench = SimulatedBench(moved, camera, random_state=seeds[0])
     hemisphere = Hemisphere((float(x), float(y), float(z)))
     reach = float(np.linalg.norm(np.ptp(placed.bounds_mm, axis=0))) / 2
-    if reach >= hemisphere.radius_mm:  # the arm would begin inside it
+    shift = float(np.linalg.norm(aside))
+    if reach + shift >= hemisphere.radius_mm:  # the arm would begin inside it
         raise ValueError(
             f"thing must fit into a hemisphere of {hemisphere.radius_mm:g} mm, got "
-            f"{thing.name!r}, which reaches {reach:.0f} mm from its middle. Is its "
-            "unit right?"
+            f"{thing.name!r}, which reaches {reach:.0f} mm from its middle and was put "
+            f"{shift:.0f} mm aside. Is its unit right, or placement_sd_mm too large?"
         )
     home = hemisphere.pose(0.0, np.pi / 2)
     robot = SimulatedRobot(bench, home, random_state=seeds[1], faults=faults)

@@ -19,6 +19,7 @@ _SAME_LINE_MM = 1e-6
 # Forces at which contact is solved; between them it is interpolated in logarithms.
 _FORCES_N = 0.03 * 2.5 ** np.arange(7)
 _LEAST_MM = 1e-3
+_CLEAR_MM = 5.0
 
 
 class SimulatedBench:
@@ -87,6 +88,9 @@ class SimulatedBench:
 
     def move_to(self, pose: SensorPose) -> None:
         """Put the tip at a pose; the force there is known afterwards."""
+        if self._is_clear(pose):
+            self.pose, self._line, self.force_n = pose, None, 0.0
+            return
         if self._line is None or not self._line.holds(pose):
             self._line = _Line(self.camera, self.target, pose)
             can_slip = self._slide_mm > 0 or self._turn_rad > 0
@@ -97,6 +101,15 @@ class SimulatedBench:
         if self.force_n > self._slip_at_n:
             self._slip()
         self.peak_force_n = max(self.peak_force_n, self.force_n)
+
+    def _is_clear(self, pose: SensorPose) -> bool:
+        """Whether nothing of the dome can meet the object, wherever it has slid."""
+        low, high = np.asarray(self._first.bounds_mm)
+        reach = float(np.linalg.norm(high - low)) / 2 + 2 * self._slide_mm
+        camera = self.camera
+        own = float(np.hypot(camera.sleeve_mm, camera.membrane_radius_mm))
+        away = np.asarray(pose.position_mm) - (low + high) / 2
+        return bool(np.linalg.norm(away) > reach + own + _CLEAR_MM)
 
     def frame(self, rng: np.random.Generator | None = None) -> NDArray[np.uint8]:
         """Return what the camera in the dome sees now, with noise if `rng`."""

@@ -1,0 +1,179 @@
+"""Ways between touches, and the way out: guarded, in short steps, looked at.
+
+Between two touches nothing should be met. So the arm moves in steps of at most
+`Guard.way_step_mm`, and after each the force is read once. A reading beyond
+`Guard.limit_n` ends the way: the last step is taken back, and where that does not help
+the arm is stopped. One step against something of k N/mm adds k x `way_step_mm`: with
+the default of 2.5 mm it stays below 3 N up to 1.2 N/mm, and what is stiffer passes the
+limit by what that step adds, and is told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..simulation import SensorPose
+from ._guarded import Guard
+from ._robot import Robot, RobotError
+from ._strategies import Hemisphere
+
+# The way out must lead away from the centre: within 60 degrees of straight outward,
+# and the arm must look within 60 degrees of the centre.
+_LEAST_COSINE = 0.5
+_OUTSIDE_MM = 1.0
+
+
+class LoadOnWayError(RobotError):
+    """Something was met where nothing should be.
+
+    Attributes
+    ----------
+    retracted : bool
+        Whether the arm is known to be clear of it again; else it was stopped.
+    force_n : float
+        The reading that ended the way.
+    """
+
+    def __init__(self, message: str, force_n: float, *, retracted: bool) -> None:
+        super().__init__(message)
+        self.force_n, self.retracted = force_n, retracted
+
+
+class DeadForceError(RobotError):
+    """The force sensor gave no number where it was asked for one."""
+
+
+def follow(
+    robot: Robot,
+    hemisphere: Hemisphere,
+    end: SensorPose,
+    guard: Guard,
+    wait_readings: int = 0,
+) -> None:
+    """Move round the object to a pose on the hemisphere, in guarded steps.
+
+    First so many readings are passed over, which may still be of the last touch.
+
+    Raises
+    ------
+    LoadOnWayError
+        A reading beyond `guard.limit_n` on the way.
+    DeadForceError
+        A reading that is no number.
+    """
+    for _ in range(wait_readings):
+        robot.read_force()
+    _refuse_load_before(robot, guard)
+    here = robot.read_pose()
+    for waypoint in hemisphere.way(here, end):
+        for pose in _steps(here, waypoint, guard.way_step_mm):
+            robot.move_to(pose)
+            _refuse_load(robot, here, guard)
+            here = pose
+
+
+def come_out(robot: Robot, hemisphere: Hemisphere, guard: Guard) -> None:
+    """Pull an arm that stands inside the hemisphere straight out of it, and look.
+
+    Raises
+    ------
+    RobotError
+        It does not look at the object, or its way out does not lead outward: nothing
+        was moved. Or it did not come out, or met a load there, and was stopped.
+    """
+    pose = robot.read_pose()
+    way_mm = hemisphere.way_out_mm(pose)
+    if way_mm <= 0:
+        return
+    _refuse_way_inward(hemisphere, pose, way_mm)
+    robot.retract(way_mm)
+    left_mm = hemisphere.way_out_mm(robot.read_pose())
+    force_n = _reading(robot)
+    if left_mm <= 0 and abs(force_n) <= guard.limit_n:
+        return
+    robot.stop()
+    raise RobotError(
+        f"The arm was pulled out by {way_mm:.0f} mm and says that {left_mm:.0f} mm are "
+        f"left, with {force_n:.3f} N: it was stopped. Free it by hand and begin again."
+    )
+
+
+def _refuse_way_inward(hemisphere: Hemisphere, pose: SensorPose, way_mm: float) -> None:
+    """Refuse a pose whose straight way back would lead through the object."""
+    arm = np.asarray(pose.position_mm) - np.asarray(hemisphere.centre_mm)
+    out = -np.asarray(pose.direction)
+    distance = float(np.linalg.norm(arm))
+    outward = distance < _OUTSIDE_MM or float(arm @ out) >= _LEAST_COSINE * distance
+    end = arm + way_mm * out
+    least_height = hemisphere.radius_mm * math.sin(hemisphere.lowest_rad)
+    if outward and float(end[2]) >= least_height - _OUTSIDE_MM:
+        return
+    place = ", ".join(f"{v:.0f}" for v in np.asarray(pose.position_mm))
+    look = ", ".join(f"{v:.2f}" for v in np.asarray(pose.direction))
+    raise RobotError(
+        f"The arm stands at ({place}) mm inside the hemisphere of "
+        f"{hemisphere.radius_mm:g} mm and looks along ({look}): pulled straight back "
+        "it would pass by the object or below it, so it is not moved. Take it by hand "
+        "to a place outside the hemisphere, looking at its centre, and begin again."
+    )
+
+
+def _steps(
+    start: SensorPose, end: SensorPose, longest_mm: float
+) -> Iterator[SensorPose]:
+    """Yield poses on the straight line to `end`, which is the last of them."""
+    first, last = (np.asarray(pose.position_mm) for pose in (start, end))
+    n_steps = max(1, math.ceil(float(np.linalg.norm(last - first)) / longest_mm))
+    for number in range(1, n_steps):
+        place = first + (last - first) * (number / n_steps)
+        yield SensorPose(place, end.direction, end.roll_rad)
+    yield end
+
+
+def _refuse_load_before(robot: Robot, guard: Guard) -> None:
+    """Refuse to set out with a load on: the last touch is not over, whatever is said."""
+    force_n = abs(_reading(robot))
+    if math.isnan(force_n):
+        raise DeadForceError("The force sensor reads no number before the way.")
+    if force_n > guard.limit_n:
+        robot.stop()
+        raise LoadOnWayError(
+            f"{force_n:.3f} N before the arm sets out, beyond the limit of "
+            f"{guard.limit_n:g}: it has not come out, whatever it says of its pose, "
+            "and was stopped. Free it by hand.",
+            force_n,
+            retracted=False,
+        )
+
+
+def _refuse_load(robot: Robot, before: SensorPose, guard: Guard) -> None:
+    """Read the force once; beyond the limit take the last step back, and say so."""
+    force_n = _reading(robot)
+    if abs(force_n) <= guard.limit_n:
+        return
+    if math.isnan(force_n):
+        raise DeadForceError("The force sensor reads no number on the way.")
+    clear = False
+    try:
+        robot.move_to(before)
+        clear = abs(_reading(robot)) <= guard.limit_n
+    finally:
+        if not clear:
+            robot.stop()
+    where = "it went back one step" if clear else "it did not come free and was stopped"
+    raise LoadOnWayError(
+        f"{force_n:.3f} N on the way to the start, beyond the limit of "
+        f"{guard.limit_n:g}: something stands where nothing should; {where}. Is the "
+        "object where the hemisphere has its centre, and does it fit?",
+        abs(force_n),
+        retracted=clear,
+    )
+
+
+def _reading(robot: Robot) -> float:
+    """Return one reading of the force (N), NaN where it is no number."""
+    force_n = float(robot.read_force())
+    return force_n if math.isfinite(force_n) else math.nan

@@ -1,0 +1,249 @@
+"""Fifty kinds of faulty arms, two stiffnesses, every path that moves an arm.
+
+No force above what is promised goes untold, and no arm is said to be out that is not.
+"""
+
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palpate.exploration import (
+    Guard,
+    Hemisphere,
+    RandomHemisphere,
+    RobotError,
+    check_robot,
+    explore,
+    gather,
+    guarded_touch,
+    put_down,
+)
+from palpate.simulation import SensorPose, find_object
+
+_SPEC = importlib.util.spec_from_file_location(
+    "faulty_arms", Path(__file__).with_name("faulty_arms.py")
+)
+faulty_arms = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(faulty_arms)
+FaultyArm = faulty_arms.FaultyArm
+NEAR = Hemisphere(radius_mm=100)
+GUARD = Guard(expected_n_mm=0.8, frame_change=2.0, timeout_s=1e9, max_travel_mm=110.0)
+# Met lightly between touches: below the limit a way goes on.
+LIGHT = "object beside the way", "object too tall", "object too large"
+# Readings that are wrong by a factor, and by an offset: what is promised then.
+SHARE = {"reads half": 0.5, "reads a tenth": 0.1}
+
+
+class Undecided:
+    """A recogniser that goes on."""
+
+    def start(self):
+        return self
+
+    def update(self, touches):
+        pass
+
+    def decide(self, error, refusal):
+        return None
+
+    def reason(self, error, refusal):
+        return "Undecided."
+
+
+def by_exploring(arm):
+    end = explore(
+        arm, arm, Undecided(), RandomHemisphere(NEAR, 1), guard=GUARD, max_attempts=5
+    )
+    return end.history
+
+
+def by_gathering(arm):
+    return gather(arm, arm, RandomHemisphere(NEAR, 2), guard=GUARD, n_touches=4)
+
+
+def by_one_touch(arm):
+    """A guarded touch alone: the arm is brought to its start by somebody else."""
+    arm.pose = NEAR.pose(0.3, 0.9)
+    return [guarded_touch(arm, arm, arm.pose, GUARD)]
+
+
+PATHS = {"explore": by_exploring, "gather": by_gathering, "touch": by_one_touch}
+
+
+def ended(arm, path):
+    """Return the attempts and what was raised, if anything was."""
+    try:
+        return PATHS[path](arm), None
+    except (RobotError, KeyboardInterrupt, OSError) as error:
+        return [], error
+
+
+@pytest.mark.parametrize("stiffness_n_mm", [1.0, 5.0])
+@pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize("fault", faulty_arms.FAULTS)
+def test_no_force_above_the_promise_goes_untold(fault, path, stiffness_n_mm):
+    arm = FaultyArm(fault, stiffness_n_mm)
+    attempts, error = ended(arm, path)
+    told = error is not None or any(record.faulty for record in attempts)
+    # What the force to stop at, an offset of half a newton, and one step in the air
+    # add up to; more must be told.
+    quiet_n = (GUARD.force_n + 0.5) / SHARE.get(fault, 1.0)
+    quiet_n += stiffness_n_mm * GUARD.air_step_mm
+    assert arm.peak_n <= quiet_n or told
+    if path == "touch" and fault == "object too large":
+        return  # somebody else has put the arm into it
+    step_mm = max(GUARD.way_step_mm, GUARD.air_step_mm, 3.5)
+    most_n = GUARD.limit_n / SHARE.get(fault, 1.0) + stiffness_n_mm * step_mm
+    assert arm.peak_n <= most_n
+    if path == "touch" and fault == "neither retracts nor tells":
+        return  # what lies about its pose is found before the next way
+    if attempts and attempts[-1].retracted and not arm.stopped:
+        assert not arm.inside or (arm.force_n <= GUARD.limit_n and fault in LIGHT)
+
+
+@pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "retract does not move",
+        "neither retracts nor tells",
+        "retract always raises",
+        "retracts half",
+        "interrupted at every retract",
+        "interrupted in contact and when pulled back",
+        "stop raises",
+    ],
+)
+def test_an_arm_is_pulled_out_or_stopped_whatever_is_raised(fault, path):
+    arm = FaultyArm(fault)
+    attempts, _ = ended(arm, path)
+    assert arm.stopped or not arm.inside
+    for record in attempts[:-1]:
+        assert record.retracted
+    if attempts and arm.inside:
+        assert not attempts[-1].retracted
+
+
+def test_interrupted_twice_it_is_out_and_the_interrupt_goes_on():
+    arm = FaultyArm("interrupted in contact and when pulled back")
+    with pytest.raises(KeyboardInterrupt):
+        by_one_touch(arm)
+    assert not arm.inside
+    assert not arm.stopped
+
+
+@pytest.mark.parametrize(
+    ("fault", "where"),
+    [
+        ("parked looking up", r"\(0, 0, 60\) mm.*looks along \(0.00, 0.00, 1.00\)"),
+        ("parked looking sideways", r"looks along \(1.00, 0.00, 0.00\)"),
+        ("parked below", "below it, so it is not moved"),
+    ],
+)
+@pytest.mark.parametrize("path", ["explore", "gather"])
+def test_a_way_out_through_the_object_is_refused_before_any_move(fault, where, path):
+    arm = FaultyArm(fault)
+    before = arm.pose
+    with pytest.raises(RobotError, match=where):
+        PATHS[path](arm)
+    assert arm.pose is before
+    assert "Take it by hand" in str(ended(arm, path)[1])
+
+
+def test_an_arm_that_stands_in_contact_comes_out_and_goes_on():
+    arm = FaultyArm("parked in contact")
+    assert [record.outcome for record in by_gathering(arm)] == ["touched"] * 4
+
+
+@pytest.mark.parametrize("stiffness_n_mm", [1.0, 5.0])
+@pytest.mark.parametrize("lag", [0, 3, 8, 20, 40, 60])
+def test_a_late_force_sensor_is_waited_for(lag, stiffness_n_mm):
+    arm = FaultyArm(f"lags by {lag}", stiffness_n_mm)
+    # Steps below the limit divided by the stiffness, as `Guard` asks for.
+    guard = replace(GUARD, air_step_mm=0.5)
+    history = gather(arm, arm, RandomHemisphere(NEAR, 2), guard=guard, n_touches=4)
+    assert [record.outcome for record in history] == ["touched"] * 4
+    # The force to stop at, and one step in the air.
+    assert arm.peak_n <= guard.force_n + 0.5 * stiffness_n_mm + 0.1
+
+
+def test_one_that_is_later_than_is_waited_for_is_refused():
+    arm = FaultyArm("lags by 60")
+    guard = Guard(lag_readings=20, timeout_s=1e9, max_travel_mm=110.0)
+    history = explore(
+        arm, arm, Undecided(), RandomHemisphere(NEAR, 1), guard=guard, max_attempts=2
+    ).history
+    assert history[0].faulty
+
+
+def test_too_small_readings_are_told_where_the_stiffness_is_known():
+    arm = FaultyArm("reads a tenth")
+    arm.pose = NEAR.pose(0.3, 0.9)
+    guard = Guard(max_travel_mm=110.0, expected_n_mm=0.8)
+    record = guarded_touch(arm, arm, arm.pose, guard)
+    assert record.outcome == "force sensor"
+    assert "expected_n_mm = 0.8" in record.message
+    blind = FaultyArm("reads a tenth")
+    blind.pose = NEAR.pose(0.3, 0.9)
+    guarded_touch(blind, blind, blind.pose, Guard(max_travel_mm=110.0))
+    assert blind.peak_n > 1.5 * arm.peak_n
+
+
+def test_a_load_on_the_way_is_in_the_record():
+    arm = FaultyArm("object too large")
+    history = by_exploring(arm)
+    assert {record.outcome for record in history} == {"limit exceeded"}
+    assert "on the way to the start" in history[0].message
+    assert all(record.retracted for record in history)
+    assert arm.peak_n <= GUARD.limit_n + GUARD.way_step_mm
+
+
+def test_an_object_shifted_out_of_the_hemisphere_is_refused():
+    with pytest.raises(ValueError, match=r"was put \d+ mm aside"):
+        put_down(find_object("box"), placement_sd_mm=4000.0, random_state=0)
+
+
+CONTRACT = {
+    "no number": "finite in the air",
+    "offset of 2": "within 1 N of 0",
+    "undershoots": "where it was sent",
+    "pose does not change": "where it was sent",
+    "retract does not move": "where it was sent",
+    "retracts half": "where it was sent",
+}
+
+
+@pytest.mark.parametrize("fault", CONTRACT)
+def test_a_driver_that_breaks_the_contract_is_told_how(fault):
+    arm = FaultyArm(fault)
+    with pytest.raises(AssertionError, match=CONTRACT[fault]):
+        check_robot(arm)
+    assert arm.peak_n == 0
+
+
+def test_a_driver_that_keeps_the_contract_passes():
+    arm = FaultyArm()
+    before = arm.pose
+    check_robot(arm, stop=False)
+    assert np.allclose(arm.pose.position_mm, before.position_mm)
+    check_robot(arm)
+    assert arm.stopped
+
+    class Deaf(FaultyArm):
+        def stop(self):
+            pass
+
+    with pytest.raises(AssertionError, match="must not move"):
+        check_robot(Deaf())
+
+    class Quiet(FaultyArm):
+        def read_force(self):
+            return 0.25
+
+    with pytest.raises(AssertionError, match="fresh reading"):
+        check_robot(Quiet())
+    with pytest.raises(AssertionError, match="all methods"):
+        check_robot(SensorPose((0, 0, 1), (0, 0, 1)))
