@@ -134,7 +134,7 @@ def _steps(
 
 
 def _refuse_load_before(robot: Robot, guard: Guard) -> None:
-    """Refuse to set out with a load on: the last touch is not over, whatever is said."""
+    """Refuse to set out with a load on: the last touch is not over."""
     force_n = abs(_reading(robot))
     if math.isnan(force_n):
         raise DeadForceError("The force sensor reads no number before the way.")
