@@ -210,7 +210,7 @@ def learning(chance, folder):
             names.discard(name)
         elif step == "touch":
             now.update(few[: chance.randint(1, 3)])
-            assert abs(sum(now.posterior.values()) - 1) < 1e-9
+            assert abs(sum(now.posterior.values()) + now.unknown - 1) < 1e-9
             assert 0 <= now.unknown <= 1
             assert now.decide() in (*now.posterior, "unknown", None)
             continue

@@ -372,7 +372,8 @@ class BeliefMachine(RuleBasedStateMachine):
         belief = self.belief
         for shares in (belief.posterior, belief.categories):
             assert all(0 < share <= 1 + 1e-12 for share in shares.values()), shares
-            assert abs(sum(shares.values()) - 1) < 1e-9
+            assert sum(shares.values()) <= 1 + 1e-9
+        assert abs(sum(belief.posterior.values()) + belief.unknown - 1) < 1e-9
         assert np.isfinite(belief.log_posterior).all()
         assert 0 <= belief.unknown <= 1
         assert belief.posterior[belief.best] == max(belief.posterior.values())

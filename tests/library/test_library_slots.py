@@ -153,7 +153,9 @@ def test_an_undone_renaming_is_done_again(folder, first, lost):
     if lost:
         (folder / "library.sqlite").unlink()
         first = repair_library
-    first(folder)
+    opened = first(folder)
+    if isinstance(opened, TouchLibrary):
+        opened.close()
     assert len(_image_files(folder)) == 2
     assert not list(folder.rglob(".partial-*"))
     assert check_library(folder).problems == []

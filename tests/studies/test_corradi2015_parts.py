@@ -220,7 +220,7 @@ def test_densities_are_the_preset(dome_touches):
     scores = Densities().scores(values, encoded.codes, values[rows])
     recogniser = ObjectRecogniser("corradi2015").fit(dome_touches)
     for episode, belief_rows in zip(scores, rows, strict=True):
-        belief = recogniser.start()
+        belief = recogniser.start(strangers=0)
         for after, row in zip(episode, belief_rows, strict=True):
             belief.update(dome_touches[int(row)])
             posterior = [belief.posterior[name] for name in encoded.names.tolist()]

@@ -233,7 +233,7 @@ def preset_beliefs(
     log_likelihood = recogniser.log_likelihood(touches[rows])
     found = []
     for episode in places.reshape(episodes.shape):
-        belief = recogniser.start()
+        belief = recogniser.start(strangers=0)
         after = []
         for touch in episode:
             belief.update_from_log_likelihood(log_likelihood[touch])
