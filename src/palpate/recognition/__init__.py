@@ -10,6 +10,7 @@ __getattr__, __dir__, _ = lazy_loader.attach_stub(__name__, __file__)
 __all__ = [
     "PRESETS",
     "Belief",
+    "Episode",
     "Evidence",
     "Memory",
     "Modality",
@@ -18,5 +19,4 @@ __all__ = [
     "ObjectRecogniser",
     "SequenceCalibration",
     "adapt",
-    "find_geometry",
 ]

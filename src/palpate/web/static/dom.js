@@ -44,8 +44,12 @@ export function step(number, words, done) {
   item.classList.toggle("done", done);
 }
 
-export const percent = (share) =>
-  share > 0.9995 && share < 1 ? ">99.9 %" : `${(100 * share).toFixed(share < 0.0995 ? 1 : 0)} %`;
+// Never 100 % of what is not certain: from 99 % on one decimal, rounded down.
+export const percent = (share) => {
+  if (share > 0.999 && share < 1) return ">99.9 %";
+  if (share >= 0.99 && share < 1) return `${(Math.floor(1000 * share) / 10).toFixed(1)} %`;
+  return `${(100 * share).toFixed(share < 0.0995 ? 1 : 0)} %`;
+};
 
 let hiding = 0;
 
