@@ -2,8 +2,8 @@
 A thing that was never taught
 =============================
 
-The unknown score falls while a known thing is touched. For a thing that was never
-taught it stays up: the encodings do not agree on a name.
+The probability of nothing learnt falls while a known thing is touched. For a thing that
+was never taught it stays up: the encodings do not agree on a name.
 """
 
 import matplotlib.pyplot as plt
@@ -18,7 +18,7 @@ recogniser = ObjectRecogniser().fit(touches[~np.isin(touches.object, strangers)]
 figure, axes = plt.subplots()
 asked = simulate_presses(None, 8, random_state=1)
 for name, _, rows in asked.episodes():
-    belief = recogniser.start()
+    belief = recogniser.start(strangers=0.2)
     scores = [belief.update(touch).unknown for touch in asked[rows]]
     never = name in strangers
     axes.plot(
@@ -27,6 +27,6 @@ for name, _, rows in asked.episodes():
     print(f"{name:16} {belief.decide(error=0.05)}")
 axes.plot([], [], "C1", label="never taught")
 axes.plot([], [], "C0", label="known")
-axes.set(xlabel="touches", ylabel="unknown score", ylim=(0, 1))
+axes.set(xlabel="touches", ylabel="probability of nothing learnt", ylim=(0, 1))
 axes.set_title("Twelve parts on a pressure array, two of them never taught")
 axes.legend()

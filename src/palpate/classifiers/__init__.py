@@ -5,7 +5,8 @@ from ._encoding_pool import TOGETHER as TOGETHER
 from ._encoding_pool import EncodingPool
 from ._encoding_pool import pool_weights as pool_weights
 from ._kernel_density import KernelDensityBayes
-from ._kernel_density_index import IndexQuality, KernelDensityIndex
+from ._kernel_density_index import IndexQuality as IndexQuality
+from ._kernel_density_index import KernelDensityIndex
 from ._kernel_ridge import KernelRidgeClassifier
 from ._kernel_ridge import fair_shares as fair_shares
 from ._touch_classifier import FromProbabilities, TouchClassifier
@@ -17,7 +18,6 @@ __all__ = [
     "EncodingPool",
     "FromProbabilities",
     "GaussianKernel",
-    "IndexQuality",
     "KernelDensityBayes",
     "KernelDensityIndex",
     "KernelDensityNaiveBayes",

@@ -22,7 +22,7 @@ NAME_PATTERN = (
 # What touch can tell apart, and a thing like none of them (the paper's ten: `study`).
 SHOWN = ("stapler", "toothbrush", "mug", "box", "pen", "ball")
 UNLIKE = ("massage ball",)
-TRAIN_TOUCHES = 40
+TRAIN_TOUCHES = 60
 TEST_TOUCHES = 20
 UNKNOWN_TOUCHES = 20
 RECORDED_TOUCHES = 60
@@ -45,7 +45,7 @@ def demo(
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Learn six objects from 40 touches each, recognise them, and meet an unknown one.
+    """Learn six objects from 60 touches each, recognise them, and meet an unknown one.
 
     A simulated arm explores simulated objects with a dome camera. Or, with --real,
     recorded pictures of ten objects are read, 60 touches each, of which two are not

@@ -48,7 +48,7 @@ _OWN = (
 )
 _ROOMS = (classifiers, encodings, images)
 # Made anew from a stored model; making one computes, which reading a file must not.
-_NEVER_STORED = ("IndexQuality", "KernelDensityIndex", "TouchClassifier")
+_NEVER_STORED = ("KernelDensityIndex", "TouchClassifier")
 
 _PUBLIC = {name: getattr(room, name) for room in _ROOMS for name in room.__all__}
 # The classes that a model file may name: ours, and two of scikit-learn.
