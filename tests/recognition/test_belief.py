@@ -76,14 +76,14 @@ def stranger_model(model):
 
     The score's logarithm in nats is compared with 0, its deviation being 1.
     """
-    falling = Curve(np.log([1e-9, 1.0]), np.log([1e-8, 10.0]))
+    falling = Curve(np.log([1e-9, 1.0]), np.log([[1e-8, 10.0]]))
     return replace(
         model.strangers_,
         weights=np.array([0.7, 0.3]),
         high=np.array([[0.0, 1.0]]),
         low_curve=falling,
         low_category_curve=falling,
-        high_curve=Curve(np.array([1.0, 9.0]), np.array([0.0, 8.0])),
+        high_curve=Curve(np.array([1.0, 9.0]), np.array([[0.0, 8.0]])),
     )
 
 

@@ -467,7 +467,7 @@ def test_an_unknown_object_is_taught_with_the_touches_just_made(
     # Of two things taught little is called unknown: here every score speaks for it.
     recogniser = taught.recogniser
     model = recogniser.strangers_
-    always = Curve(np.zeros(1), np.full(1, 9.0))
+    always = Curve(np.zeros(1), np.full((1, 1), 9.0))
     recogniser.strangers_ = replace(model, low_curve=always, high_curve=always)
     taught.begin_episode()
     with serving(taught) as (address, token):

@@ -280,7 +280,9 @@ class Belief:
             return 0.0
         model, count = self._judge.strangers, np.asarray(self._n_informative)
         score = self._score(self._by_encoding())
-        return float(model.evidence(score, np.asarray(self._known_doubt()), count))
+        best = np.asarray(self.log_posterior.argmax())
+        doubt = np.asarray(self._known_doubt())
+        return float(model.evidence(score, doubt, best, count))
 
     def _known_doubt(self) -> float:
         """Return the probability outside `best`, were it one of the learnt objects."""

@@ -166,10 +166,15 @@ def _check_strangers(model: object, n_objects: int) -> None:
     for curve in (model.low_curve, model.low_category_curve, model.high_curve):
         if not isinstance(curve, Curve):
             raise TypeError(f"a curve of its strangers_ is a {type(curve).__name__}")
-        for values in (curve.levels, curve.log_ratios):
-            _check_table("a curve of its strangers_", values, curve.levels.shape[:1])
-            if (np.diff(values) < 0).any():
-                raise ValueError("a curve of its strangers_ falls")
+        n_levels = curve.levels.shape[:1]
+        _check_table("a curve of its strangers_", curve.levels, n_levels)
+        n_names = curve.log_ratios.shape[:1]
+        shape = (*n_names, *n_levels)
+        _check_table("a curve of its strangers_", curve.log_ratios, shape)
+        if n_names not in ((1,), (n_objects,)):
+            raise ValueError("a curve of its strangers_ is of other objects")
+        if any((np.diff(v) < 0).any() for v in (curve.levels, curve.log_ratios)):
+            raise ValueError("a curve of its strangers_ falls")
     check_count("n_units", model.n_units)
     if not isinstance(model.population, str):
         raise TypeError("population of its strangers_ is no text")

@@ -55,6 +55,8 @@ _N_LEVELS = 129
 _LEAST_SCORE = 1e-9
 # No height speaks for a stranger by more than 100,000 to one (nats).
 _MOST_EVIDENCE = 11.5
+# Lowest levels of strangers, of which two objects show nothing.
+_UNIFORM = np.linspace(_LEAST_SCORE, 1, 1000)
 # Nats for each standard deviation by which scores differ where the curves are flat, so
 # that any two episodes can be ranked.
 _RANKING = 1e-3
@@ -102,20 +104,31 @@ class Curve:
 
     Attributes
     ----------
-    levels, log_ratios : ndarray of shape (n_levels,)
-        Rising levels, and the logarithm of the ratio of shares at each.
+    levels : ndarray of shape (n_levels,)
+        Rising levels.
+    log_ratios : ndarray of shape (n_names, n_levels)
+        The logarithm of the ratio of shares at each, for each name that is best there;
+        one row for all names alike.
     """
 
     levels: Floats
     log_ratios: Floats
 
-    def at(self, level: Floats) -> Floats:
-        """Return the log ratio (nats) between the levels that were learnt."""
-        return np.asarray(np.interp(level, self.levels, self.log_ratios))
+    def at(self, level: Floats, best: Indices | int = 0) -> Floats:
+        """Return the log ratio (nats) between the levels, (...,), where a name is best.
+
+        Of levels (...,) and the rows of `log_ratios` (...,).
+        """
+        place = np.interp(level, self.levels, np.arange(len(self.levels)))
+        below = np.asarray(place, dtype=np.intp)
+        above = np.minimum(below + 1, len(self.levels) - 1)
+        rows = np.minimum(best, len(self.log_ratios) - 1)
+        share, ratios = place - below, self.log_ratios
+        return (1 - share) * ratios[rows, below] + share * ratios[rows, above]
 
 
 # Nothing tells a stranger: both kinds reach every level alike.
-_FLAT = Curve(np.zeros(1), np.zeros(1))
+_FLAT = Curve(np.zeros(1), np.zeros((1, 1)))
 
 
 @dataclass(frozen=True)
@@ -178,15 +191,17 @@ class StrangerModel:
         farther = log_distances - self.usual
         return np.take_along_axis(farther, agreed[..., np.newaxis], axis=-1)[..., 0]
 
-    def evidence(self, score: Floats, doubt: Floats, count: Indices) -> Floats:
+    def evidence(
+        self, score: Floats, doubt: Floats, best: Indices, count: Indices
+    ) -> Floats:
         """Return the evidence for a stranger (nats), shape (...,); 0 without touches.
 
-        Of the `score`, the probability outside the best learnt object (`doubt`), and
-        how many touches said something, (...,) each.
+        Of the `score`, the probability outside the best learnt object (`doubt`), the
+        column of that object, and how many touches said something, (...,) each.
         """
         mean, spread = self.high[_places(count, self.high)].T
         above = (_log_nats(score) - mean.T) / spread.T
-        low = self.low_curve.at(_log_level(score, doubt))
+        low = self.low_curve.at(_log_level(score, doubt), best)
         nats = low + self.high_curve.at(above) + _RANKING * above
         return np.where(count > 0, nats, 0.0)
 
@@ -257,8 +272,8 @@ def episode_evidence(
     by_encoding, _ = beliefs_after(used, each, log_prior, calibration)
     distances = _mean_so_far(log_distances, used)
     score = model.score(by_encoding, model.farther(by_encoding, distances), count)
-    doubt = besides_the_best(exp(log_posterior))
-    return log_posterior, model.evidence(score, doubt, count)
+    best, doubt = log_posterior.argmax(axis=-1), besides_the_best(exp(log_posterior))
+    return log_posterior, model.evidence(score, doubt, best, count)
 
 
 @dataclass(frozen=True)
@@ -319,10 +334,11 @@ def _with_curves(
     nats = _log_nats(known.score)
     high = np.stack([nats.mean(axis=0), np.maximum(nats.std(axis=0), 0)], axis=1)
     high[:, 1] += _LEAST_SPREAD
-    model = replace(model, high=high, low_curve=_low_curve(known, strangers))
+    n_objects = len(model.usual)
+    model = replace(model, high=high, low_curve=_low_curve(known, strangers, n_objects))
     if known.category is not None and strangers is not None:
         both = known.category, strangers.category
-        model = replace(model, low_category_curve=_low_curve(*both))
+        model = replace(model, low_category_curve=_low_curve(*both, 1))
     mean, spread = high.T
     highest = ((nats - mean) / spread).max(axis=1)
     # Of two objects nothing shows what a third would look like: one that goes as high
@@ -331,27 +347,60 @@ def _with_curves(
     if strangers is not None:
         others = ((_log_nats(strangers.score) - mean) / spread).max(axis=1)
     model = replace(model, high_curve=_high_curve(highest, others))
-    evidence = model.evidence(known.score, known.doubt, known.count)
+    evidence = model.evidence(known.score, known.doubt, known.best, known.count)
     return replace(model, exceeded=np.quantile(evidence, 0.95, axis=0))
 
 
-def _low_curve(known: _Tracks, strangers: _Tracks | None) -> Curve:
-    """Return the curve of the least level at which a kind is, or would be, named.
+def _low_curve(known: _Tracks, strangers: _Tracks | None, n_names: int) -> Curve:
+    """Return the curves of the least level at which a kind is, or would be, named.
 
-    A stranger counts where its best name is wrong: its category may be right. Of two
-    objects strangers are taken to reach any level as often as its value says.
+    A row for each of `n_names`: some objects attract strangers and others do not. What
+    is counted of one name weighs as much as what is counted of all. A stranger counts
+    where its best name is wrong: its category may be right. Of two objects strangers
+    are taken to reach any level as often as its value says.
     """
-    lowest = _log_level(known.score, known.doubt).min(axis=1)
-    others = np.log(np.linspace(_LEAST_SCORE, 1, len(lowest)))
-    if strangers is not None:
-        level = _log_level(strangers.score, strangers.doubt)
-        others = np.where(strangers.right, np.inf, level).min(axis=1)
-    both = np.concatenate([lowest, others])
-    shares = np.linspace(0, 1, _N_LEVELS)
-    levels = np.unique(np.quantile(both[np.isfinite(both)], shares))
-    ratios = _log_share(-others, -levels) - _log_share(-lowest, -levels)
-    # Reached by all, a level tells nothing; the lower, the less it is a stranger.
-    return Curve(levels, isotonic_regression(np.minimum(ratios, 0.0)))
+    level = _log_level(known.score, known.doubt)
+    if strangers is None:
+        lowest = level.min(axis=1)
+        levels = _spread(np.concatenate([lowest, np.log(_UNIFORM)]))
+        ratios = _log_share(-np.log(_UNIFORM), -levels) - _log_share(-lowest, -levels)
+        return Curve(levels, isotonic_regression(np.minimum(ratios, 0.0))[np.newaxis])
+    others = np.where(
+        strangers.right, np.inf, _log_level(strangers.score, strangers.doubt)
+    )
+    lows = np.concatenate([level.min(axis=1), others.min(axis=1)])
+    levels = _spread(lows[np.isfinite(lows)])
+    reached = _named_at(level, known.best, levels, n_names)
+    of_others = _named_at(others, strangers.best, levels, n_names)
+    ratios = np.log(of_others / reached)
+    return Curve(levels, np.stack([isotonic_regression(row) for row in ratios]))
+
+
+def _spread(values: Floats) -> Floats:
+    """Return levels that are spread evenly over values."""
+    return np.unique(np.quantile(values, np.linspace(0, 1, _N_LEVELS)))
+
+
+def _named_at(level: Floats, best: Indices, levels: Floats, n_names: int) -> Floats:
+    """Return how often a name is best where a level is first reached.
+
+    Shape (n_names, n_levels): times the number of names, so that it is the share of
+    all episodes where all names come alike, with that share beside it and half of one
+    episode. Of levels and best names (n_episodes, n_touches).
+    """
+    lowest = np.minimum.accumulate(level, axis=1)
+    reached = lowest[:, :, np.newaxis] <= levels
+    first = reached.argmax(axis=1)
+    names = np.take_along_axis(best, first, axis=1) if n_names > 1 else 0 * first
+    counts = np.zeros((n_names, len(levels)))
+    np.add.at(
+        counts,
+        (names, np.broadcast_to(np.arange(len(levels)), names.shape)),
+        reached[:, -1],
+    )
+    share_of_all = counts.sum(axis=0)
+    together = n_names * counts + share_of_all + 1
+    return np.asarray(together / (2 * len(level) + 1))
 
 
 def _high_curve(highest: Floats, others: Floats) -> Curve:
@@ -365,7 +414,8 @@ def _high_curve(highest: Floats, others: Floats) -> Curve:
     log_share = np.minimum(_log_share(highest, levels), tail)
     ratios = np.maximum(_log_share(others, levels) - log_share, 0.0)
     # Reached by all, a level tells nothing; the higher, the more it is a stranger.
-    return Curve(levels, np.minimum(np.maximum.accumulate(ratios), _MOST_EVIDENCE))
+    ratios = np.minimum(np.maximum.accumulate(ratios), _MOST_EVIDENCE)
+    return Curve(levels, ratios[np.newaxis])
 
 
 def _log_share(heights: Floats, levels: Floats) -> Floats:
@@ -402,12 +452,14 @@ def _far(left_out: LeftOut, usual: Floats, episodes: list[Indices]) -> Floats:
 class _Tracks:
     """What episodes come to after each touch, and whether the best name is right.
 
-    All of shape (n_episodes, n_touches): `score`, `doubt`, number of touches that said
-    something (`count`) and `right`; `category` is the same of categories.
+    All of shape (n_episodes, n_touches): `score`, `doubt`, column of the `best` name,
+    number of touches that said something (`count`) and `right`; `category` is the same
+    of categories.
     """
 
     score: Floats
     doubt: Floats
+    best: Indices
     count: Indices
     right: Bools
     category: _Tracks | None = None
@@ -431,12 +483,12 @@ class _Tracks:
     def together(cls, tracks: Iterable[_Tracks]) -> _Tracks:
         """Return the tracks of several objects as one."""
         parts = list(tracks)
-        names = "score", "doubt", "count", "right"
+        names = "score", "doubt", "best", "count", "right"
         columns = [np.concatenate([getattr(p, n) for p in parts]) for n in names]
         of_categories = [p.category for p in parts if p.category is not None]
         category = cls.together(of_categories) if of_categories else None
-        score, doubt, count, right = columns
-        return cls(score, doubt, count, right, category)
+        score, doubt, best, count, right = columns
+        return cls(score, doubt, best, count, right, category)
 
 
 def _tracks(
@@ -469,10 +521,10 @@ def _tracks(
     farther = model.farther(log_posterior[..., 1:, :], mean)
 
     def ended(log_posterior: Floats, shares: Floats, names: Array, own: int) -> _Tracks:
-        right = names[log_posterior[..., 0, :].argmax(axis=-1)] == own
+        best = names[log_posterior[..., 0, :].argmax(axis=-1)]
         doubt = besides_the_best(shares[..., 0, :] / total[..., 0, :])
         score = model.score(log_posterior[..., 1:, :], farther, count)
-        return _Tracks(score, doubt, count, right)
+        return _Tracks(score, doubt, best, count, best == own)
 
     result = ended(log_posterior, shares, columns, own)
     if groups is not None:
