@@ -354,10 +354,10 @@ def _with_curves(
 def _low_curve(known: _Tracks, strangers: _Tracks | None, n_names: int) -> Curve:
     """Return the curves of the least level at which a kind is, or would be, named.
 
-    A row for each of `n_names`: some objects attract strangers and others do not. What
-    is counted of one name weighs as much as what is counted of all. A stranger counts
-    where its best name is wrong: its category may be right. Of two objects strangers
-    are taken to reach any level as often as its value says.
+    A row for each of `n_names`: strangers get low as one object and not as another.
+    What is counted of one name weighs as much as what is counted of all. A stranger
+    counts where its best name is wrong: its category may be right. Of two objects
+    strangers are taken to reach any level as often as its value says.
     """
     level = _log_level(known.score, known.doubt)
     if strangers is None:
@@ -373,6 +373,8 @@ def _low_curve(known: _Tracks, strangers: _Tracks | None, n_names: int) -> Curve
     reached = _named_at(level, known.best, levels, n_names)
     of_others = _named_at(others, strangers.best, levels, n_names)
     ratios = np.log(of_others / reached)
+    # Reached by all, a level tells nothing, whatever the name.
+    ratios = np.minimum(ratios - ratios[:, -1:], 0.0)
     return Curve(levels, np.stack([isotonic_regression(row) for row in ratios]))
 
 
