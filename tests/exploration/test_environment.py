@@ -1,7 +1,6 @@
 """The Gymnasium environment: Gymnasium's own checker, and what its rewards mean."""
 
 import importlib
-import re
 import sys
 import warnings
 
@@ -15,13 +14,17 @@ from palpate.simulation import DomeCamera
 gymnasium = pytest.importorskip("gymnasium")
 NAME = "palpate.exploration.environment:palpate/Touch-v0"
 CAMERA = DomeCamera(image_shape=(32, 32), n_nodes=20)
+OBJECTS = ["ball", "box", "mug"]
+
+
+def _small(name=NAME, **options):
+    options = {"camera": CAMERA, "max_touches": 4, **options}
+    return gymnasium.make(name, objects=OBJECTS, **options)
 
 
 @pytest.fixture
 def env():
-    made = gymnasium.make(
-        NAME, objects=["ball", "box", "mug"], camera=CAMERA, max_touches=4
-    )
+    made = _small()
     yield made
     made.close()
 
@@ -33,15 +36,63 @@ def _act(out, logits):
     }
 
 
-def test_gymnasium_objects_to_nothing_but_logits_without_bounds(env):
+@pytest.mark.parametrize("mode", [None, "rgb_array"])
+def test_gymnasium_has_nothing_but_a_wish_for_a_normal_range(mode):
     from gymnasium.utils.env_checker import check_env
 
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        check_env(env.unwrapped)
-    about = "infinity|normalized space"  # of the prediction, as in ap_gym
-    assert all(re.search(about, str(warning.message)) for warning in told)
-    assert len(told) == 3
+        check_env(_small(render_mode=mode).unwrapped)
+    # Logits are in -20 to 20; FlatActions has them in -1 to 1.
+    assert all("normalized space" in str(warning.message) for warning in caught)
+
+
+def test_the_flat_form_is_the_same_episode_in_vectors(env):
+    flat = _small("palpate/TouchFlat-v0")
+    assert flat.action_space == gymnasium.spaces.Box(-1, 1, (6,))
+    vector, _ = flat.reset(seed=4)
+    whole, _ = env.reset(seed=4)
+    assert vector.shape == flat.observation_space.shape == (32 * 32 + 3 + 1 + 1,)
+    for _ in range(2):
+        vector, reward, *_ = flat.step(np.float32([0.3, 0, 1, 0.1, -0.05, 0]))
+        whole, expected, *_ = env.step(_act([0.3, 0, 1], [2, -1, 0]))
+        assert reward == pytest.approx(expected, rel=1e-6)  # logits as float32
+        image, rest = vector[: 32 * 32], vector[32 * 32 :]
+        assert_allclose(image * 255, whole["image"].ravel(), rtol=1e-6)
+        assert_array_equal(rest[:3], whole["place"])
+        assert_array_equal(rest[3:], [whole["touched"][0], whole["touches_left"][0]])
+    with pytest.raises(ValueError, match=r"a vector of \(6,\), got \(3,\)"):
+        flat.env.step(np.zeros(3))
+
+
+def test_what_is_rendered_is_the_last_frame():
+    env = _small(render_mode="rgb_array")
+    with pytest.raises(gymnasium.error.ResetNeeded, match="Call reset first"):
+        env.unwrapped.render()
+    env.reset(seed=1)
+    assert_array_equal(env.render()[..., 0], CAMERA.no_contact())
+    seen, *_ = env.step(_act([0, 0, 1], [0, 0, 0]))
+    assert_array_equal(env.render(), np.repeat(seen["image"], 3, axis=2))
+    with pytest.raises(ValueError, match=r"render_mode must be .*rgb_array"):
+        type(env.unwrapped)(render_mode="ansi")
+
+
+def test_ap_gym_logs_an_episode():
+    pytest.importorskip("ap_gym")
+    import ap_gym
+
+    from palpate.exploration.environment import active_perception_env
+
+    env = active_perception_env(objects=OBJECTS, camera=CAMERA, max_touches=2)
+    assert isinstance(env, ap_gym.ActiveClassificationEnv)
+    logged = ap_gym.ActiveClassificationLogWrapper(env)
+    logged.reset(seed=1, options={"object": "box"})
+    logged.step(_act([0, 0, 1], [0, 0, 0]))
+    _, reward, _, over, info = logged.step(_act([0, 0, 1], np.log([0.2, 0.7, 0.1])))
+    assert over
+    # ap_gym divides the cross-entropy by that of a guess, log(3).
+    assert reward == pytest.approx(np.log(0.7) / np.log(3), abs=1e-5)
+    assert info["stats"]["scalar"]["first_correct"] == 1
 
 
 def test_the_reward_is_the_log_probability_of_the_truth(env):

@@ -1,11 +1,18 @@
 """The episode as a Gymnasium environment, `palpate/Touch-v0`, to compare policies.
 
-    gymnasium.make("palpate.exploration.environment:palpate/Touch-v0")
+    import palpate.exploration.environment  # registers both
+
+    gymnasium.make("palpate/Touch-v0")
+    gymnasium.make("palpate/TouchFlat-v0")  # one vector in, one vector out
+
+Since its version 1.0 Gymnasium looks into no installed package by itself; where only
+a name can be given, "palpate.exploration.environment:palpate/Touch-v0" imports it.
 
 In every step the agent says where to touch and what it believes so far, and is
 rewarded for the belief: actions are {"action": where, "prediction": logits}, and
 `info["prediction"]` holds the target and the loss, as the tasks of ap_gym do [1]_. The
-prediction of a step is made before its touch.
+prediction of a step is made before its touch. Where ap_gym is installed,
+`active_perception_env` makes it one of its own tasks.
 
 References
 ----------
@@ -14,7 +21,7 @@ References
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.special import log_softmax
@@ -34,7 +41,8 @@ try:
 except ImportError as error:
     raise ImportError(missing("gymnasium", "sim", "The environment")) from error
 
-ID = "palpate/Touch-v0"
+MOST_LOGIT = 20.0
+"""Bound of the logits in `action_space`: a probability of 1 - 2e-9."""
 Observation = dict[str, Array]
 _MOST = float(np.finfo(np.float32).max)
 
@@ -57,15 +65,16 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         Whether objects are turned about the vertical.
     guard : Guard, optional
         How touches are made.
-    render_mode : None
-        Nothing is drawn.
+    render_mode : {"rgb_array"}, optional
+        `render` returns the last frame, uint8 (n_rows, n_cols, 3).
 
     Attributes
     ----------
     action_space : Dict
         "action": Box(-1, 1, (3,)), the direction from the centre in which the sensor
         stands before it moves in, of any length; what points down is mirrored up.
-        "prediction": Box(-inf, inf, (n_objects,)), logits.
+        "prediction": Box(-20, 20, (n_objects,)), logits; larger finite ones are taken
+        as they are.
     observation_space : Dict
         "image": the last frame, uint8 (n_rows, n_cols, 1), of no contact at first;
         "place": where the tip met something, from the centre, over the radius;
@@ -76,6 +85,8 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         Of this episode; a `Strategy` made with it can play.
     history : list of TouchRecord
         Attempts of this episode.
+    target : int
+        Number of the object of this episode.
 
     Notes
     -----
@@ -83,7 +94,10 @@ class TouchEnv(gymnasium.Env[Any, Any]):
     options "object" (a name) and "yaw_rad".
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  Gymnasium's own.
+    metadata: dict[str, Any] = {  # noqa: RUF012  Gymnasium's own.
+        "render_modes": ["rgb_array"],
+        "render_fps": 2,
+    }
 
     def __init__(
         self,
@@ -94,7 +108,7 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         placement_sd_mm: float = 5.0,
         random_yaw: bool = True,
         guard: Guard | None = None,
-        render_mode: None = None,
+        render_mode: str | None = None,
     ) -> None:
         names = [thing.name for thing in HOUSEHOLD] if objects is None else objects
         self._things = [find_object(name) for name in names]
@@ -104,10 +118,13 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         self._placement_mm = check_number("placement_sd_mm", placement_sd_mm, low=0.0)
         self._random_yaw = bool(random_yaw)
         self._guard = guard or Guard()
+        if render_mode is not None:
+            check_option("render_mode", render_mode, self.metadata["render_modes"])
         self.render_mode = render_mode
         n_objects = len(self._things)
         self.inner_action_space = spaces.Box(-1, 1, (3,), np.float32)
-        self.prediction_space = spaces.Box(-np.inf, np.inf, (n_objects,), np.float32)
+        bounds = -MOST_LOGIT, MOST_LOGIT
+        self.prediction_space = spaces.Box(*bounds, (n_objects,), np.float32)
         self.prediction_target_space = spaces.Discrete(n_objects)
         self.action_space = spaces.Dict(
             {"action": self.inner_action_space, "prediction": self.prediction_space}
@@ -122,7 +139,7 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         )
         self.hemisphere = Hemisphere()
         self.history: list[TouchRecord] = []
-        self._target = 0
+        self.target = 0
         self._stand: Stand | None = None
 
     def reset(
@@ -135,9 +152,9 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         drawn = int(self.np_random.integers(len(names)))
         turned = self.np_random.uniform(0, 2 * np.pi) if self._random_yaw else 0.0
         name = check_option("object", wanted.get("object", names[drawn]), names)
-        self._target = names.index(name)
+        self.target = names.index(name)
         self._stand = put_down(
-            self._things[self._target],
+            self._things[self.target],
             self.camera,
             yaw_rad=check_number("yaw_rad", float(wanted.get("yaw_rad", turned))),
             placement_sd_mm=self._placement_mm,
@@ -166,14 +183,14 @@ class TouchEnv(gymnasium.Env[Any, Any]):
             )
         logits = _numbers(action, "prediction", len(self._things))
         x, y, z = _numbers(action, "action", 3)
-        loss = float(-log_softmax(logits)[self._target])
+        loss = float(-log_softmax(logits)[self.target])
         out = np.array([x, y, abs(z)])
         if np.linalg.norm(out) < 1e-6:
             out = np.array([0.0, 0.0, 1.0])
         record = self._stand.touch(self.hemisphere.pose_towards(out), self._guard)
         self.history.append(record)
         info = {
-            "prediction": {"target": self._target, "loss": loss},
+            "prediction": {"target": self.target, "loss": loss},
             "base_reward": 0.0,
             "outcome": record.outcome,
             "message": record.message,
@@ -181,11 +198,25 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         over = len(self.history) >= self.max_touches
         return self._observation(record), -loss, False, over, info
 
+    def render(self) -> Array | None:
+        """Return the last frame in grey as three channels, or None without a mode."""
+        if self.render_mode is None:
+            return None
+        if self._stand is None:
+            raise gymnasium.error.ResetNeeded(
+                "An episode must have begun to be rendered. Call reset first."
+            )
+        return np.repeat(self._last_image()[..., np.newaxis], 3, axis=2)
+
+    def _last_image(self) -> Array:
+        if self.history and (image := self.history[-1].image) is not None:
+            return np.asarray(image)
+        return self.camera.no_contact()
+
     def _observation(self, record: TouchRecord | None) -> Observation:
         touched = record is not None and record.touched
-        image, place = self.camera.no_contact(), np.zeros(3)
+        image, place = self._last_image(), np.zeros(3)
         if record is not None and record.image is not None:
-            image = record.image
             place = np.asarray(record.position_mm) - self.hemisphere.centre_mm
         left = 1 - len(self.history) / self.max_touches
         return {
@@ -213,4 +244,97 @@ def _numbers(action: Any, name: str, count: int) -> Floats:
     return values
 
 
-gymnasium.register(ID, entry_point=f"{__name__}:TouchEnv")
+class FlatActions(gymnasium.ActionWrapper[Any, Any, Any]):
+    """Take actions as one vector in -1 to 1: direction, then logits over `MOST_LOGIT`.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        Made of a `TouchEnv`.
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
+        super().__init__(env)
+        inner = cast(spaces.Dict, env.action_space)
+        n_numbers = sum(int(np.prod(part.shape or ())) for part in inner.values())
+        self.action_space = spaces.Box(-1, 1, (n_numbers,), np.float32)
+
+    def action(self, action: Any) -> dict[str, Array]:
+        """Return the action of `TouchEnv` that a vector stands for."""
+        values = np.asarray(action, dtype=np.float32)
+        if values.shape != self.action_space.shape:
+            raise ValueError(
+                f"An action must be a vector of {self.action_space.shape}, got "
+                f"{values.shape}."
+            )
+        return {"action": values[:3], "prediction": values[3:] * MOST_LOGIT}
+
+
+def flat_touch_env(**options: Any) -> gymnasium.Env[Any, Any]:
+    """Return a `TouchEnv` of vectors alone, for agents that take no dictionaries.
+
+    An observation is image, place, touched and touches_left one after another, the
+    image over 255; an action is as `FlatActions` takes it. `options` are those of
+    `TouchEnv`.
+    """
+    env = FlatActions(TouchEnv(**options))
+    inner = cast(spaces.Dict, env.observation_space)
+    levels = cast(spaces.Box, inner["image"])
+    image = spaces.Box(0, 1, levels.shape, np.float32)
+    scaled = gymnasium.wrappers.TransformObservation(
+        env,
+        lambda whole: {**whole, "image": (whole["image"] / 255).astype(np.float32)},
+        spaces.Dict({**inner.spaces, "image": image}),
+    )
+    return gymnasium.wrappers.FlattenObservation(scaled)
+
+
+def active_perception_env(**options: Any) -> Any:
+    """Return the task as an `ActiveClassificationEnv` of ap_gym, for its wrappers.
+
+    `options` are those of `TouchEnv`. Its predictions have no bounds and its loss is
+    ap_gym's.
+
+    Raises
+    ------
+    ImportError
+        ap_gym is not installed.
+    """
+    try:
+        import ap_gym
+    except ImportError as error:
+        raise ImportError(
+            "active_perception_env needs ap_gym, which is not installed: "
+            "pip install ap_gym"
+        ) from error
+
+    class ActiveTouch(ap_gym.ActiveClassificationEnv):  # type: ignore[misc]
+        metadata = TouchEnv.metadata
+
+        def __init__(self) -> None:
+            self._touch = TouchEnv(**options)
+            n_objects = int(self._touch.prediction_target_space.n)
+            super().__init__(n_objects, self._touch.inner_action_space)
+            self.observation_space = self._touch.observation_space
+            self.render_mode = self._touch.render_mode
+
+        def _reset(self, *, options: dict[str, Any] | None = None) -> Any:
+            seed = int(self.np_random.integers(2**31))
+            observation, info = self._touch.reset(seed=seed, options=options)
+            return observation, info, self._touch.target
+
+        def _step(self, action: Any, prediction: Any) -> Any:
+            whole = {"action": action, "prediction": prediction}
+            observation, _, ended, truncated, info = self._touch.step(whole)
+            for name in ("prediction", "base_reward"):  # ap_gym has its own
+                info.pop(name)
+            return observation, 0.0, ended, truncated, info, self._touch.target
+
+        def render(self) -> Any:
+            return self._touch.render()
+
+    return ActiveTouch()
+
+
+gymnasium.register("palpate/Touch-v0", f"{__name__}:TouchEnv")
+gymnasium.register("palpate/TouchFlat-v0", f"{__name__}:flat_touch_env")
