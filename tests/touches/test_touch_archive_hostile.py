@@ -187,9 +187,9 @@ def test_files_that_are_no_archive_are_refused(tmp_path):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(TouchesError, match=rf"{name} must be a touch archive"):
             Touches.load(tmp_path / name)
-    (tmp_path / "bare.mat").write_bytes(b"hello")
+    (tmp_path / "bare.doc").write_bytes(b"hello")
     with pytest.raises(TouchesError, match="got another kind of file"):
-        Touches.load(tmp_path / "bare.mat")
+        Touches.load(tmp_path / "bare.doc")
     with pytest.raises(TouchesError, match="got nothing there"):
         Touches.load(tmp_path / "missing")
     with pytest.raises(TouchesError, match="must be a file, got none there"):

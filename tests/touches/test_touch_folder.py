@@ -100,12 +100,12 @@ def test_missing_and_empty_folders(put, tmp_path):
     with pytest.raises(TouchesError, match=r"must hold pictures .* got no files"):
         Touches.load(put())
     root = put(".hidden.png")
-    (root / "a.bmp").write_bytes(b"x")
+    (root / "a.gif").write_bytes(b"x")
     (root / "b.npz").write_bytes(b"x")
-    with pytest.raises(TouchesError, match=r"got 2 files of .bmp, .npz.*one by one"):
+    with pytest.raises(TouchesError, match=r"got 2 files of .gif, .npz.*one by one"):
         Touches.load(root)
     with pytest.raises(TouchesError, match=r"of .jpg, .jpeg, .png, .csv, .npy"):
-        Touches.load(root / "a.bmp")
+        Touches.load(root / "a.gif")
 
 
 def test_one_picture_is_one_touch(put):

@@ -112,6 +112,8 @@ def _touches_of(
         pass
     elif info["features"][name]["dtype"] == "image":
         images = _pictures(table[name], shape)
+        if about.get("grey") and images.ndim == 4:  # three channels that are the same
+            images = images[..., 0]
     else:
         images = _numbers_of(table[name], shape if len(shape) > 1 else (1, *shape))
         dtype = np.dtype(about.get("dtype") or images.dtype)

@@ -193,7 +193,16 @@ class Reading:
         option("--colour", "Read pictures of a folder in red, green and blue."),
     ] = None
     shape: Annotated[
-        str | None, option("Of a CSV file: rows x columns of its taxels, 16x16.")
+        str | None,
+        option("Of a CSV file or raw frames: rows x columns of its taxels, 16x16."),
+    ] = None
+    dtype: Annotated[
+        str | None,
+        option("Of frames without a header (.raw, .bin, .dat): uint16, <f4 ..."),
+    ] = None
+    channels: Annotated[
+        str | None,
+        option("What each taxel measures, number by number, such as x,y,z."),
     ] = None
     begin: Annotated[
         float | None,
@@ -273,6 +282,8 @@ class Reading:
             no_contact=self.no_contact,
             colour=bool(self.colour),
             shape=None if self.shape is None else _sides(self.shape),
+            dtype=self.dtype,
+            channels=None if self.channels is None else self.channels.split(","),
             max_pixels=int(self.max_megapixels * 1e6),
         )
 

@@ -318,17 +318,21 @@ def active_perception_env(**options: Any) -> Any:
             self.observation_space = self._touch.observation_space
             self.render_mode = self._touch.render_mode
 
-        def _reset(self, *, options: dict[str, Any] | None = None) -> Any:
-            seed = int(self.np_random.integers(2**31))
+        def reset(
+            self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        ) -> Any:
+            super().reset(seed=seed)
             observation, info = self._touch.reset(seed=seed, options=options)
-            return observation, info, self._touch.target
+            return observation, {
+                **info,
+                "prediction": {"target": np.int64(self._touch.target)},
+            }
 
         def _step(self, action: Any, prediction: Any) -> Any:
             whole = {"action": action, "prediction": prediction}
             observation, _, ended, truncated, info = self._touch.step(whole)
-            for name in ("prediction", "base_reward"):  # ap_gym has its own
-                info.pop(name)
-            return observation, 0.0, ended, truncated, info, self._touch.target
+            target = np.int64(self._touch.target)
+            return observation, 0.0, ended, truncated, info, target
 
         def render(self) -> Any:
             return self._touch.render()

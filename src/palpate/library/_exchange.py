@@ -172,7 +172,7 @@ class _Dataset:
         self.tasks: dict[str, int] = {}
         self.rows: list[dict[str, Any]] = []
         self.features: dict[str, Any] = {}
-        self.dtype, self.n_frames = "", 0
+        self.dtype, self.n_axes, self.n_frames = "", 0, 0
         # Count, sum and sum of squares; the most of what is below and above zero.
         self._spread: dict[str, tuple[Floats, Floats]] = {}
 
@@ -182,7 +182,7 @@ class _Dataset:
         task_index = self.tasks.setdefault(task, len(self.tasks))
         number, first = len(self.rows), self.n_frames
         frames = _lerobot_frames(touches, number, first, task_index)
-        self.dtype = touches.images.dtype.str
+        self.dtype, self.n_axes = touches.images.dtype.str, touches.images.ndim
         for name, values in frames.items():
             feature = _feature(name, values)
             self.features.setdefault(name, feature)
@@ -245,7 +245,9 @@ def _lerobot_frames(
     levels = images.dtype == np.uint8 and touches.channels in (None, RGB)
     if arranged or not levels or min(images.shape[1:3]) <= ARRAY_SIDE:
         images = images.astype("f4")
-    columns = {TACTILE: images}
+    elif images.ndim == 3:  # policies take pictures of three channels alone
+        images = np.repeat(images[..., np.newaxis], 3, axis=3)
+    columns = {TACTILE: images, **_moves(touches)}
     known = touches.columns
     for feature in _MEASURED:
         if (values := known.get(feature.removeprefix("observation."))) is not None:
@@ -260,6 +262,22 @@ def _lerobot_frames(
         "episode_index": np.full(n_touches, episode, np.int64),
         "index": first + number,
         "task_index": np.full(n_touches, task, np.int64),
+    }
+
+
+def _moves(touches: Touches) -> dict[str, Array]:
+    """Return what a policy learns from: where each touch was, and the next place.
+
+    The action of the last touch of an episode is to stay. Without places there are none.
+    """
+    places = touches.columns.get("position_mm")
+    if places is None:
+        return {}
+    force = touches.columns.get("force_n")
+    state = [places] if force is None else [places, force.reshape(len(touches), -1)]
+    return {
+        "observation.state": np.hstack(state).astype(np.float32),
+        "action": np.vstack([places[1:], places[-1:]]).astype(np.float32),
     }
 
 
@@ -297,7 +315,11 @@ def _write_meta(pa: Any, meta: Path, dataset: _Dataset) -> None:
         "video_path": None,
         "features": dataset.features,
         # What other readers pass over: of what type the touches were, and the rest.
-        "palpate": {"dtype": dataset.dtype, "whole": whole},
+        "palpate": {
+            "dtype": dataset.dtype,
+            "grey": dataset.n_axes == 3,
+            "whole": whole,
+        },
     }
     episodes = meta / "episodes" / _FILE.format(0, 0)
     episodes.parent.mkdir(parents=True)

@@ -12,10 +12,13 @@ import numpy as np
 from .._types import Array
 from . import _pictures
 from ._columns import WHOLE, Arrays, TouchesError
+from ._containers import CONTAINERS
 from ._pictures import RGB, Header, common_header, decode_picture, decode_pictures
-from ._tables import TABLES, folder_levels
+from ._tables import TABLES, folder_levels, label_columns
 
 PICTURES = (".jpg", ".jpeg", ".png")
+_OTHERS = tuple(ending for ending in CONTAINERS if ending not in (".zarr", ".mat"))
+_LABELS = "labels.csv"
 _TEXT_GROUPS = ("object", "category", "session")
 _POSITIONS = {"position_raw": ("x", "y", "z"), "position_mm": ("x_mm", "y_mm", "z_mm")}
 _NEEDED = ("object", "category", "session", "order", "n", *sum(_POSITIONS.values(), ()))
@@ -43,11 +46,13 @@ def folder_arrays(
     try:
         columns = {} if pattern is None else _from_names(names, pattern)
         if "object" not in columns:
+            columns = {**_from_table(root, names, max_bytes), **columns}
+        if "object" not in columns:
             columns = {**_from_folders(names), **columns}
     except TouchesError as error:
         raise TouchesError(f"{root}: {error}") from error
     paths = [root / name for name in names]
-    if paths[0].suffix.lower() in TABLES:
+    if paths[0].suffix.lower() in (*TABLES, *_OTHERS):
         if colour or no_contact is not None:
             raise TouchesError(
                 f"colour and no_contact must be left out for arrays, as in {root}."
@@ -97,7 +102,9 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
         )
     try:
         found = _files(root)
-        pictures = _of_kinds(found, PICTURES) or _of_kinds(found, TABLES)
+        kinds_of_files = (PICTURES, _OTHERS, TABLES)
+        pictures = next(filter(None, (_of_kinds(found, k) for k in kinds_of_files)), [])
+        pictures = [name for name in pictures if name != _LABELS]
         if no_contact and root.resolve() in no_contact.resolve(strict=True).parents:
             pictures = [n for n in pictures if not no_contact.samefile(root / n)]
     except OSError as error:
@@ -108,7 +115,7 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
         hint = " Archives are loaded one by one." if ".npz" in kinds else ""
         raise TouchesError(
             f"{root} must hold pictures ending in {', '.join(PICTURES)}, or "
-            f"{' or '.join(TABLES)} files, got {got}. "
+            f"{', '.join((*TABLES, *_OTHERS))} files, got {got}. "
             f"Convert them, or give another folder.{hint}"
         )
     return sorted(pictures, key=_natural_order)
@@ -210,6 +217,19 @@ def _from_names(names: Sequence[str], pattern: re.Pattern[str]) -> Arrays:
             columns["order"] = _numbers(group, values, names, whole=True)
         else:
             columns[group] = _numbers_or_text(values)
+    return columns
+
+
+def _from_table(root: Path, names: Sequence[str], max_bytes: int) -> Arrays:
+    """Return the columns of a `labels.csv` in the folder, none where it has none."""
+    if not (root / _LABELS).is_file():
+        return {}
+    columns = label_columns(root / _LABELS, names, max_bytes)
+    if taken := sorted({*columns} & {*_TAKEN}):
+        raise TouchesError(f"{_LABELS} must not have a column {taken[0]}. Rename it.")
+    for column, axes in _POSITIONS.items():
+        if all(axis in columns for axis in axes):
+            columns[column] = np.stack([columns.pop(a) for a in axes], axis=1)
     return columns
 
 

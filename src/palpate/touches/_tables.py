@@ -15,16 +15,28 @@ import numpy as np
 
 from .._types import Array
 from ._columns import COLUMNS, Arrays, TouchesError
+from ._containers import CONTAINERS, container_arrays
 
 TABLES = (".csv", ".npy")
+TEXTS = (".txt", ".tsv")  # by themselves; in folders they are notes
 _PLACES = ("x_mm", "y_mm", "z_mm")
 _TEXTS = ("object", "category", "session", "subject")
 _NAMED = COLUMNS | {*_PLACES, "subject"}
+_LEAST_OF_CLOCK = 5
+_FILE_NAMES = ("file", "filename", "file_name", "path", "image", "name")
+_LABELS = ("label", "class")
 _BYTES_PER_CELL = 2  # no number is shorter, with its comma
 
 
-def table_arrays(table: Mapping[str, Array], shape: tuple[int, int] | None) -> Arrays:
-    """Return what `Touches` is made of, by name, of columns of equal length."""
+def table_arrays(
+    table: Mapping[str, Array],
+    shape: tuple[int, int] | None,
+    channels: Sequence[str] | None = None,
+) -> Arrays:
+    """Return what `Touches` is made of, by name, of columns of equal length.
+
+    Of a taxel with `channels` these follow each other.
+    """
     named = {n for n, c in table.items() if n in _NAMED or c.dtype.kind not in "biuf"}
     columns = {name: table[name] for name in named}
     if not (taxels := [column for name, column in table.items() if name not in named]):
@@ -35,24 +47,41 @@ def table_arrays(table: Mapping[str, Array], shape: tuple[int, int] | None) -> A
     if all(name in columns for name in _PLACES):
         places = [columns.pop(name).astype(np.float64) for name in _PLACES]
         columns["position_mm"] = np.stack(places, axis=1)
-    n_rows, n_cols = shape or (1, len(taxels))
-    if n_rows * n_cols != len(taxels):
+    n_channels = len(channels or [""])
+    if len(taxels) % n_channels:
         raise TouchesError(
-            f"shape must have as many taxels as the table, {len(taxels)}, got "
+            f"A table of {len(taxels)} numbers a touch must have as many of each "
+            f"channel, got {', '.join(channels or ())}. Name what is no taxel."
+        )
+    n_taxels = len(taxels) // n_channels
+    n_rows, n_cols = shape or (1, n_taxels)
+    if n_rows * n_cols != n_taxels:
+        raise TouchesError(
+            f"shape must have as many taxels as the table, {n_taxels}, got "
             f"{n_rows} x {n_cols}."
         )
-    images = np.stack(taxels, axis=1).reshape(-1, n_rows, n_cols)
+    depth = [n_channels] if channels else []
+    images = np.stack(taxels, axis=1).reshape(-1, n_rows, n_cols, *depth)
+    if channels:
+        columns["channels"] = np.array(channels)
     if shape is None:  # the places of taxels in a table say nothing
         columns["geometry"] = np.array("none")
     return {"images": images, **columns}
 
 
-def csv_arrays(path: Path, shape: tuple[int, int] | None, max_bytes: int) -> Arrays:
+def csv_arrays(
+    path: Path,
+    shape: tuple[int, int] | None,
+    max_bytes: int,
+    channels: Sequence[str] | None = None,
+) -> Arrays:
     """Return what `Touches` is made of, one touch a line; the first may be names."""
     lines = _lines(path, max_bytes)
     first = lines[0]
     named = not all(map(_is_number, first))
     names = first if named else [f"taxel {n}" for n in range(len(first))]
+    if not named and _is_clock([row[0] for row in lines]):
+        names[0] = "time_s"
     if len(set(names)) < len(names) or not all(names):
         got = ", ".join(names[:8])
         raise TouchesError(f"{path}: its names must be there and differ, got {got}.")
@@ -65,12 +94,33 @@ def csv_arrays(path: Path, shape: tuple[int, int] | None, max_bytes: int) -> Arr
         text = name in _TEXTS or (named and not any(numbers) and bool(numbers))
         what = f"{path}, {name}"
         table[name] = np.array(cells) if text else _numbers(cells, what, 1 + named)
-    return table_arrays(table, shape)
+    return table_arrays(table, shape, channels)
+
+
+def _is_clock(cells: Sequence[str]) -> bool:
+    """Tell whether a first column of no name is a clock or a count, never a taxel.
+
+    It rises from each line to the next, by steps that are all within a tenth of their
+    median; five lines at least. A taxel of a sensor with noise does not.
+    """
+    if len(cells) < _LEAST_OF_CLOCK or not all(map(_is_number, cells)):
+        return False
+    steps = np.diff([float(cell or "nan") for cell in cells])
+    usual = np.median(steps)
+    return bool(usual > 0 and (np.abs(steps - usual) <= 0.1 * usual).all())
 
 
 def load_levels(path: Path, max_bytes: int) -> Array:
-    """Return the array of a `.npy` file, or of a CSV file that is one touch."""
-    if path.suffix.lower() == ".csv":
+    """Return the array of a file that is one touch."""
+    if path.suffix.lower() in CONTAINERS:
+        images: Array = container_arrays(path, max_bytes, max_bytes)["images"]
+        if len(images) > 1:
+            raise TouchesError(
+                f"{path} must be one touch in a folder of touches, got {len(images)} "
+                "of them. Give it by itself."
+            )
+        return np.asarray(images[0])
+    if path.suffix.lower() != ".npy":
         lines = enumerate(_lines(path, max_bytes), 1)
         return np.stack([_numbers(row, f"{path}, line {n}", 1) for n, row in lines])
     try:
@@ -101,16 +151,55 @@ def folder_levels(paths: Sequence[Path], max_bytes: int) -> Array:
     return np.stack(images)
 
 
+def label_columns(path: Path, names: Sequence[str], max_bytes: int) -> Arrays:
+    """Return the columns that a table beside pictures has for each of them.
+
+    Its first line names the columns; `file`, `filename`, `path`, `image` or `name`
+    holds the name of the picture, with its folders if it lies in some.
+    """
+    header, *rows = _lines(path, max_bytes)
+    place = next((i for i, n in enumerate(header) if n.lower() in _FILE_NAMES), None)
+    if place is None or len(set(header)) < len(header) or not all(header):
+        raise TouchesError(
+            f"{path} must begin with names, a different one each column, one of them "
+            f"{', '.join(_FILE_NAMES)}, got {', '.join(header[:8])}."
+        )
+    by_name = {row[place].removeprefix("./"): row for row in rows}
+    if len(by_name) < len(rows):
+        raise TouchesError(f"{path} must have one line for each picture, got two.")
+    missing = [name for name in names if name not in by_name]
+    if missing:
+        raise TouchesError(
+            f"{path} must have a line for each picture, got none for {missing[0]} "
+            f"({len(missing)} of {len(names)}). Add it, or move the picture."
+        )
+    columns: Arrays = {}
+    for number, name in enumerate(header):
+        cells = [by_name[picture][number] for picture in names]
+        if number == place or not any(cells):
+            continue
+        column = "object" if name in _LABELS else name
+        number_like = column not in _TEXTS and all(map(_is_number, cells))
+        what = f"{path}, {name}"
+        columns[column] = _numbers(cells, what, 2) if number_like else np.array(cells)
+    return columns
+
+
 def _lines(path: Path, max_bytes: int) -> list[list[str]]:
     """Return the cells of each line that is not empty; all must have as many."""
     try:
         if path.stat().st_size > max_bytes // 8 * _BYTES_PER_CELL:
             raise ValueError(f"a file of {path.stat().st_size} bytes")
         with path.open(newline="", encoding="utf-8-sig") as file:
-            comma = max(",;\t", key=file.readline().count)
+            first = next((line for line in file if line.strip()), "")
+            comma = max(",;\t", key=first.count)
             file.seek(0)
-            read = csv.reader(file, delimiter=comma, strict=True)
-            numbered = [(read.line_num, list(map(str.strip, row))) for row in read]
+            if comma in first.strip():
+                read = csv.reader(file, delimiter=comma, strict=True)
+                numbered = [(read.line_num, list(map(str.strip, row))) for row in read]
+            else:  # columns with blanks between; # begins a comment, as numpy writes it
+                bare = (line.partition("#")[0].split() for line in file)
+                numbered = [*enumerate(bare, 1)]
     except (OSError, ValueError, csv.Error) as error:
         what = f"{path} must be a CSV file of numbers in UTF-8"
         raise TouchesError(f"{what}, got: {error}. Export it again.") from error

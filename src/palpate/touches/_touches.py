@@ -6,7 +6,7 @@ the no-contact image are kept as the sensor gave them; differences are derived.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -20,8 +20,9 @@ from .._types import Array, Floats
 from . import _columns
 from ._archive import read_archive, write_archive
 from ._columns import Arrays, TouchesError, check_layout, frame_summaries, frozen
+from ._containers import CONTAINERS, RAW, container_arrays, raw_arrays
 from ._folder import PICTURES, folder_arrays, no_contact_picture
-from ._tables import TABLES, csv_arrays, load_levels, table_arrays
+from ._tables import TABLES, TEXTS, csv_arrays, load_levels, table_arrays
 
 MAX_PIXELS = 50_000_000
 MAX_BYTES = 4 * 2**30
@@ -164,6 +165,8 @@ class Touches(Labelled):
         no_contact: str | PathLike[str] | None = None,
         colour: bool = False,
         shape: tuple[int, int] | None = None,
+        dtype: str | None = None,
+        channels: Sequence[str] | None = None,
         max_pixels: int = MAX_PIXELS,
         max_bytes: int = MAX_BYTES,
         progress: bool | None = None,
@@ -175,7 +178,10 @@ class Touches(Labelled):
         path : path
             An archive (`.npz`; of plain arrays too, if one alone can be the images), a
             folder of pictures, of `.npy` or of CSV files, one touch each; a picture; an
-            array (`.npy`), one touch if it has two axes; a CSV file, one touch a line.
+            array (`.npy`), one touch if it has two axes; a CSV file or a text of
+            columns (`.txt`), one touch a line; HDF5 (`.h5`, `.hdf5`), `.zarr`, TIFF
+            (one touch a page), `.mat` of MATLAB, `.bmp`, `.webp`; frames without a
+            header (`.raw`, `.bin`, `.dat`).
         name_pattern : str, optional
             For folders: see `read_folder`.
         no_contact : path, optional
@@ -184,7 +190,13 @@ class Touches(Labelled):
         colour : bool, default=False
             For pictures: see `read_folder`.
         shape : (int, int), optional
-            Of a CSV file, the rows and columns of its taxels.
+            Of a CSV file, the rows and columns of its taxels; of frames without a
+            header, theirs.
+        dtype : str, optional
+            Of frames without a header, the type of their numbers: "uint16", "<f4".
+        channels : sequence of str, optional
+            Of a table, frames without a header and files of other programs, what each
+            taxel measures: its numbers follow each other, as ("x", "y", "z").
         max_pixels, max_bytes, progress
             As for `read_folder`; `max_bytes` counts for archives too, before anything
             is inflated.
@@ -196,19 +208,34 @@ class Touches(Labelled):
         """
         place = Path(path)
         ending = place.suffix.lower()
+        plain = name_pattern is None and not colour
+        if ending in (*CONTAINERS, *RAW) and place.exists() and plain:
+            if ending in RAW:
+                arrays = raw_arrays(place, shape, dtype, max_bytes, channels)
+            else:
+                arrays = container_arrays(place, max_bytes, max_pixels)
+                if channels:
+                    arrays["channels"] = np.array(channels)
+            read = cls(**arrays)
+            return read._with_rest(no_contact, max_pixels)
+        if dtype is not None:
+            raise TouchesError(
+                f"dtype must be left out but for {', '.join(RAW)}, got {dtype!r} with "
+                f"{place}. Other files say themselves what they hold."
+            )
         if place.is_dir() or (ending in PICTURES and place.is_file()):
             how = (name_pattern, no_contact, colour, max_pixels, max_bytes, progress)
             return cls(**folder_arrays(place, *how))
-        if ending in TABLES and place.is_file() and name_pattern is None and not colour:
-            if ending == ".csv":
-                read = cls(**csv_arrays(place, shape, max_bytes))
+        if ending in (*TABLES, *TEXTS) and place.is_file() and plain:
+            if ending != ".npy":
+                read = cls(**csv_arrays(place, shape, max_bytes, channels))
             else:
                 levels = load_levels(place, max_bytes)
                 read = cls(levels[None] if levels.ndim == 2 else levels)
             return read._with_rest(no_contact, max_pixels)
         if ending != ".npz":
             got = "another kind of file" if place.exists() else "nothing there"
-            kinds = ", ".join((*PICTURES, *TABLES))
+            kinds = ", ".join((*PICTURES, *TABLES, *TEXTS, *CONTAINERS, *RAW))
             raise TouchesError(
                 f"{place} must be a touch archive (.npz), a folder, or one of {kinds} "
                 f"without options for others, got {got}. Check the path."
@@ -352,6 +379,10 @@ class Touches(Labelled):
         rows = _columns.picked_rows(index, len(self))
         columns = {name: column[rows] for name, column in self._columns.items()}
         return self._of(self._images[rows], columns, self._whole)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
+        """Return the images, so that `np.asarray(touches)` gives them."""
+        return np.array(self._images, dtype, copy=copy)
 
     def __iter__(self) -> Iterator[Self]:
         return (self[touch] for touch in range(len(self)))
