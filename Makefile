@@ -62,10 +62,12 @@ LEROBOT_NEEDS := torch==2.13.0 torchvision==0.28.0 "datasets>=4,<5" "av>=15,<16"
 	"huggingface-hub<0.36" "accelerate<2" "deepdiff<9" "draccus==0.10.0" \
 	"einops<0.9" "gymnasium>=1.1.1" "imageio[ffmpeg]" "jsonlines>=4" \
 	"opencv-python-headless<4.13" "packaging<26" "pandas>=2.2" "rerun-sdk<0.27" \
-	"termcolor<4" pytest
+	"termcolor<4" pyserial pytest
+# Agents that learn in the environment of exploration, and the gym of its task.
+AGENTS := stable-baselines3==2.9.2 sb3-contrib==2.9.2 ap_gym==0.7.1
 check-lerobot: $(LEROBOT_VENV)/.installed
 	HF_HUB_OFFLINE=1 $(ONE_THREAD) PYTHONPATH=src:plugs/lerobot \
-		$(LEROBOT_VENV)/bin/python -m pytest -q -p no:cacheprovider plugs/lerobot
+		$(LEROBOT_VENV)/bin/python -m pytest -q -p no:cacheprovider plugs/lerobot tests/test_torch.py
 
 # Do the readers of Rerun and of MCAP read what is written for them?
 check-look: $(LOOK_VENV)/.installed
@@ -143,9 +145,9 @@ $(DOCS_VENV)/.installed: pyproject.toml constraints.txt
 
 $(LEROBOT_VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv --clear $(LEROBOT_VENV)
-	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) $(LEROBOT_NEEDS)
-	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) --no-deps $(LEROBOT)
-	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) -e ".[parquet]" -e plugs/lerobot
+	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) $(LEROBOT_NEEDS) $(AGENTS)
+	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) --no-deps $(LEROBOT) "diffusers<0.36"
+	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) -e ".[parquet,sim]" -e plugs/lerobot
 	@touch $@
 
 $(LOOK_VENV)/.installed: pyproject.toml constraints.txt plugs/look/pyproject.toml

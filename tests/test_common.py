@@ -37,6 +37,7 @@ from palpate.images import (
     DerivativeMagnitude,
     DomeCrop,
     OrientationRegulariser,
+    PressPose,
 )
 from palpate.recognition import read_model, write_model
 
@@ -226,3 +227,23 @@ def test_channels_other_than_learnt_are_refused(encoder, touches):
 def test_what_takes_grey_images_alone_says_how_to_make_them(touches):
     with pytest.raises(ValueError, match=r"one channel, X\[..., 0\], or their mean"):
         DomeCrop().fit(touches[..., np.newaxis])
+
+
+def test_scikit_learn_has_nothing_against_press_pose(touches):
+    """Its tags say images; what its checks would do for vectors follows on images."""
+    from sklearn.utils.estimator_checks import check_estimator
+
+    results = check_estimator(PressPose(), on_skip=None, on_fail=None)
+    assert [r["check_name"] for r in results if r["status"] == "failed"] == []
+    labels = np.arange(len(touches)) % 2
+    before = touches.copy()
+    pose = clone(PressPose(symmetry=2)).fit(touches, labels)
+    assert_array_equal(touches, before)
+    again = pickle.loads(pickle.dumps(pose))
+    for name in ("x_mm", "y_mm", "angle_deg", "sd_mm", "sd_deg"):
+        values = getattr(pose.estimate(touches, labels), name)
+        assert_array_equal(getattr(again.estimate(touches, labels), name), values)
+    with pytest.raises(NotFittedError):
+        PressPose().estimate(touches, labels)
+    with pytest.raises(ValueError, match=r"X\[np.newaxis\]"):
+        PressPose().fit(touches[0], labels)

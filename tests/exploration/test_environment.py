@@ -77,24 +77,6 @@ def test_what_is_rendered_is_the_last_frame():
         type(env.unwrapped)(render_mode="ansi")
 
 
-def test_ap_gym_logs_an_episode():
-    pytest.importorskip("ap_gym")
-    import ap_gym
-
-    from palpate.exploration.environment import active_perception_env
-
-    env = active_perception_env(objects=OBJECTS, camera=CAMERA, max_touches=2)
-    assert isinstance(env, ap_gym.ActiveClassificationEnv)
-    logged = ap_gym.ActiveClassificationLogWrapper(env)
-    logged.reset(seed=1, options={"object": "box"})
-    logged.step(_act([0, 0, 1], [0, 0, 0]))
-    _, reward, _, over, info = logged.step(_act([0, 0, 1], np.log([0.2, 0.7, 0.1])))
-    assert over
-    # ap_gym divides the cross-entropy by that of a guess, log(3).
-    assert reward == pytest.approx(np.log(0.7) / np.log(3), abs=1e-5)
-    assert info["stats"]["scalar"]["first_correct"] == 1
-
-
 def test_the_reward_is_the_log_probability_of_the_truth(env):
     env.reset(seed=1, options={"object": "box"})
     _, reward, _, _, info = env.step(_act([0, 0, 1], np.log([0.2, 0.7, 0.1])))

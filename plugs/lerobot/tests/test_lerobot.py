@@ -72,8 +72,8 @@ def as_read(images):
     """Return images as lerobot gives them: channels first, pictures from 0 to 1."""
     if images.dtype != np.uint8:
         return images.astype(np.float32)
-    if images.ndim == 3:
-        images = images[..., None]
+    if images.ndim == 3:  # grey three times
+        images = np.repeat(images[..., None], 3, axis=3)
     return np.moveaxis(images, 3, 1).astype(np.float32) / np.float32(255)
 
 
@@ -126,6 +126,51 @@ def test_one_step_of_training(exported, kind):
         step.step()
     assert np.isfinite(losses).all()
     assert losses[1] < losses[0]
+
+
+@pytest.mark.parametrize("kind", [grey, colour])
+def test_a_policy_trains_on_an_export(exported, kind, tmp_path, monkeypatch):
+    """`lerobot-train --policy.type=act`, three steps, nothing fetched."""
+    train = pytest.importorskip("lerobot.scripts.lerobot_train")
+    stored, folder = exported(kind)
+    dataset = datasets.LeRobotDataset("palpate/test", root=folder)
+    places = stored.columns["position_mm"].astype(np.float32)
+    following = places[[1, 1, 3, 3, 5, 6, 7, 8, 8]]  # three visits
+    frames = [dataset[i] for i in range(len(dataset))]
+    assert_array_equal(np.stack([f["action"] for f in frames]), following)
+    states = np.stack([frame["observation.state"] for frame in frames])
+    assert_array_equal(states[:, :3], places)
+    assert_allclose(states[:, 3], stored.columns["force_n"], rtol=1e-7)
+    losses = []
+    update = train.update_policy
+
+    def noted(*args, **options):
+        tracker, output = update(*args, **options)
+        losses.append(tracker.loss.val)
+        return tracker, output
+
+    monkeypatch.setattr(train, "update_policy", noted)
+    options = {
+        "policy.type": "act",
+        "policy.device": "cpu",
+        "policy.push_to_hub": "false",
+        "policy.pretrained_backbone_weights": "null",
+        "policy.chunk_size": 4,
+        "policy.n_action_steps": 4,
+        "dataset.repo_id": "palpate/test",
+        "dataset.root": folder,
+        "steps": 3,
+        "batch_size": 2,
+        "num_workers": 0,
+        "save_checkpoint": "false",
+        "wandb.enable": "false",
+        "output_dir": tmp_path / "trained",
+    }
+    words = ["lerobot-train", *(f"--{name}={value}" for name, value in options.items())]
+    monkeypatch.setattr("sys.argv", words)
+    train.main()
+    assert len(losses) == 3
+    assert np.isfinite(losses).all()
 
 
 @pytest.mark.parametrize("kind", [array, grey, colour, forces, pads])

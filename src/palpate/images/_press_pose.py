@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import binary_erosion, generate_binary_structure
 from sklearn.base import BaseEstimator
+from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_images, check_label_kinds, check_positive
@@ -252,6 +253,14 @@ class PressPose(BaseEstimator):
         self.pitch_mm = pitch_mm
         self.symmetry = symmetry
         self.max_presses = max_presses
+
+    def __sklearn_tags__(self) -> Tags:
+        tags = super().__sklearn_tags__()
+        tags.input_tags.two_d_array = False
+        tags.input_tags.three_d_array = True
+        tags.input_tags.allow_nan = True
+        tags.target_tags.required = True
+        return tags
 
     def fit(
         self, X: ArrayLike, y: ArrayLike, angle_deg: ArrayLike | None = None

@@ -268,7 +268,7 @@ def _lerobot_frames(
 def _moves(touches: Touches) -> dict[str, Array]:
     """Return what a policy learns from: where each touch was, and the next place.
 
-    The action of the last touch of an episode is to stay. Without places there are none.
+    The last touch of an episode stays where it is. Without places there are none.
     """
     places = touches.columns.get("position_mm")
     if places is None:
