@@ -266,7 +266,10 @@ class Reading:
             rest, in_colour = self.no_contact, bool(self.colour)
             still = Touches.load(rest, colour=in_colour).images[0] if rest else None
             detector = TouchDetector(still, begin=self.begin)
-            return detector.touches_in(path, colour=in_colour)
+            touches = detector.touches_in(path, colour=in_colour)
+            if detector.note:
+                typer.echo(f"{path}: {detector.note} See --begin.", err=True)
+            return touches
         if self.where is not None:
             raise ValueError(
                 f"--where must be given with a library of touches, got {self.where!r} "

@@ -14,6 +14,7 @@ kept in a model file.
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from itertools import islice
 from os import PathLike
 from pathlib import Path
@@ -40,6 +41,7 @@ _STEADY_NOISES = 3.0
 _PRESS_SPREADS, _PRESS_STEPS, _PRESS_TAXELS = 8.0, 8.0, 4
 MOST_TAXELS = 4096
 _ENOUGH_TOUCHES = 10
+_LEAST_NOISES, _N_LIMITS = 3.0, 60
 _BASELINE_TOLERANCE, _GAIN_TOLERANCE, _SURE_SD = 0.25, 2.0, 4.0
 _NAMED = 3
 _MAX_PIXELS = 50_000_000  # of a film
@@ -93,6 +95,8 @@ class TouchDetector:
     step : float
         The smallest difference that the sensor's numbers can show, where it is known
         (see `LiveSensor`); 1 for integers, else 0. May be set at any time.
+    note : str
+        After `touches_in`, which `begin` would have found more touches, or nothing.
     """
 
     _peak_image: Array | None
@@ -112,6 +116,7 @@ class TouchDetector:
         self._end = None if end is None else check_positive("end", end)
         self._min_frames = check_count("min_frames", min_frames)
         self.noise = self.step = 0.0
+        self.note = ""
         self._recent: deque[tuple[float, Array]] = deque(maxlen=_LONGEST_HOLD)
         self._before: tuple[Array | None, float] = no_contact, 0.0
         self.touching = False
@@ -242,17 +247,20 @@ class TouchDetector:
         if self.baseline is None:
             self.take_baseline([frame.image for frame in islice(frames, n_rest)])
         found: list[DetectedTouch | None] = []
+        changes: list[float] = []
         last: Frame | None = None
         for last in frames:
             found.append(self.update(last))
+            changes.append(self.change)
         if last is not None and self.touching:
             found.append(self._ended(last.time_s))
         touches = [touch for touch in found if touch is not None]
+        self.note = self._better_limit(np.array(changes), len(touches))
         if not touches:
             raise SensorError(
                 f"The stream must hold a touch, got {len(found)} frames without one: "
                 f"none changed by {self.begin:.3g} for {self._min_frames} frames. Give "
-                "its frame of no contact, or lower `begin`."
+                f"its frame of no contact, or lower `begin`. {self.note}".strip()
             )
         known = None if given is None else given.channels
         return Touches(
@@ -283,6 +291,32 @@ class TouchDetector:
         elif now_s - self._idle_since_s > _IDLE_S and self._idle_change > self.end:
             return "The sensor at rest no longer reads its baseline: take it again."
         return ""
+
+    def _better_limit(self, changes: Floats, n_touches: int) -> str:
+        """Return which `begin` finds more touches in a stream, or nothing.
+
+        Of the limits that find most it is the middle of the longest run of neighbours,
+        and noise is no touch: limits reach down to three noises and to one step.
+        """
+        least = max(_LEAST_NOISES * self.noise, 0.5 * self._least(self.baseline))
+        most = float(changes.max(initial=0.0))
+        if most <= least:
+            return ""
+        limits = np.geomspace(least, most, _N_LIMITS)
+        frames = self._min_frames
+        counts = [_n_runs(changes, x, _END_SHARE * x, frames) for x in limits]
+        if max(counts) <= n_touches:
+            return ""
+        best = np.flatnonzero(np.array(counts) == max(counts))
+        runs = np.split(best, np.flatnonzero(np.diff(best) > 1) + 1)
+        run = max(runs, key=len)
+        below = _n_runs(changes, least, self.begin, frames, below=self.begin)
+        return (
+            f"{n_touches} touches begin at a change of {self.begin:.3g}, "
+            f"{max(counts)} would at {limits[run[len(run) // 2]]:.3g} "
+            f"({limits[run[0]]:.3g} to {limits[run[-1]]:.3g}); {below} changes lay "
+            "below the limit."
+        )
 
     def _set_baseline(self, baseline: Array | None) -> None:
         self.baseline = None if baseline is None else np.array(baseline)
@@ -315,6 +349,24 @@ class TouchDetector:
         return DetectedTouch(image, self._began_s, now_s, self._peak, self._n_frames)
 
 
+def _n_runs(
+    changes: Floats, begin: float, end: float, least: int, below: float | None = None
+) -> int:
+    """Return how often changes rise above `begin` for `least` frames, then below `end`.
+
+    With `below` a rise counts only if it never reaches that, and ends at `begin`.
+    """
+    count = length = 0
+    peak = 0.0
+    for change in [*changes.tolist(), 0.0]:
+        if change > (begin if not length or below is not None else end):
+            length, peak = length + 1, max(peak, change)
+        elif length:
+            count += length >= least and (below is None or peak <= below)
+            length, peak = 0, 0.0
+    return count
+
+
 def _film(place: Path, colour: bool) -> Iterator[Frame]:
     """Yield the frames of a film one by one, in grey or in red, green and blue."""
     import cv2
@@ -322,11 +374,16 @@ def _film(place: Path, colour: bool) -> Iterator[Frame]:
     capture = cv2.VideoCapture(str(place) if place.is_file() else "")
     try:
         n_cols, n_rows, rate_hz, counted = map(capture.get, (3, 4, 5, 7))
-        if not 0 < n_cols * n_rows <= _MAX_PIXELS or not capture.grab():
+        opened = 0 < n_cols * n_rows <= _MAX_PIXELS and capture.grab()
+        if not opened and place.is_file() and find_spec("av"):
+            yield from _av_film(place, colour)
+            return
+        if not opened:
             raise SensorError(
                 f"{place} must be a film that OpenCV decodes, got "
                 f"{'another file' if place.is_file() else 'no file there'}. Convert it "
-                "(AV1 is not decoded), for example to FFV1 in .mkv, which keeps levels."
+                "(AV1 needs av: pip install av), for example to FFV1 in .mkv, which "
+                "keeps levels."
             )
         to = cv2.COLOR_BGR2RGB if colour else cv2.COLOR_BGR2GRAY
         number, more = 0, True
@@ -341,6 +398,31 @@ def _film(place: Path, colour: bool) -> Iterator[Frame]:
             )
     finally:
         capture.release()
+
+
+def _av_film(place: Path, colour: bool) -> Iterator[Frame]:
+    """Yield the frames of a film that OpenCV does not decode, such as AV1."""
+    import av
+    import cv2
+
+    try:
+        with av.open(str(place)) as film:
+            stream = film.streams.video[0]
+            if stream.width * stream.height > _MAX_PIXELS:
+                raise ValueError(f"{stream.width} x {stream.height} pixels")
+            number = 0
+            for number, picture in enumerate(film.decode(stream), 1):
+                levels: Array = picture.to_ndarray(format="rgb24")
+                if not colour:
+                    levels = np.asarray(cv2.cvtColor(levels, cv2.COLOR_RGB2GRAY))
+                yield Frame(levels, float(picture.time or 0.0), number - 1)
+            if number < stream.frames - 2:
+                raise ValueError(f"{number} of {stream.frames} frames")
+    except (av.FFmpegError, IndexError, ValueError) as error:
+        raise SensorError(
+            f"{place} must be a film that OpenCV or FFmpeg decodes to its end, got: "
+            f"{error}. Copy or record it again."
+        ) from error
 
 
 def _frames_of(touches: Touches) -> Iterator[Frame]:
