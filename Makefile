@@ -5,12 +5,14 @@ VENV ?= .venv
 BENCH_VENV ?= .venv-bench
 OLDEST_VENV ?= .venv-oldest
 BARE_VENV ?= .venv-bare
+NEWEST_VENV ?= .venv-newest
 DIST_VENV ?= .venv-dist
 LEROBOT_VENV ?= .venv-lerobot
 DOCS_VENV ?= .venv-docs
 LOOK_VENV ?= .venv-look
-# The oldest Python that pyproject.toml promises.
+# The oldest Python that pyproject.toml promises, and the newest that is there.
 OLDEST_PYTHON ?= python3.11
+NEWEST_PYTHON ?= $(firstword $(foreach minor,14 13 12,$(shell command -v python3.$(minor))) python3)
 BIN := $(VENV)/bin
 # One thread per process: tests and benchmarks run side by side.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
@@ -22,7 +24,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-all test-oldest test-bare check check-lerobot check-look format fuzz mutants bench docs linkcheck dist clean
+.PHONY: demo test test-all test-oldest test-newest test-bare test-everywhere check check-lerobot check-look format fuzz mutants bench docs linkcheck dist clean
 
 demo: $(VENV)/.demo-installed
 	@$(BIN)/palpate demo $(if $(PALPATE_DATA),--real)
@@ -39,6 +41,19 @@ test-all: check
 test-oldest: $(OLDEST_VENV)/.installed
 	$(ONE_THREAD) $(OLDEST_VENV)/bin/python -m pytest $(IN_THREE) -m "not slow" \
 		-W ignore::DeprecationWarning -W ignore::PendingDeprecationWarning
+
+# The newest Python of this machine: types and tests.
+test-newest: $(NEWEST_VENV)/.installed
+	$(NEWEST_VENV)/bin/mypy
+	$(ONE_THREAD) $(NEWEST_VENV)/bin/python -m pytest $(IN_THREE) -m "not slow"
+
+# All of these before a release; the file says with what and when it last passed.
+test-everywhere: test test-oldest test-newest test-bare
+	@echo "$$(date -u +%F) $$(git rev-parse --short HEAD): $$($(BIN)/python -V), \
+	$$($(OLDEST_VENV)/bin/python -V) with the oldest packages, \
+	$$($(NEWEST_VENV)/bin/python -V), $$($(BARE_VENV)/bin/python -V) without extras" \
+		| tr -s ' \t' ' ' > .ci/tested-everywhere.txt
+	@cat .ci/tested-everywhere.txt
 
 # No extra at all: what needs one is skipped by its name, and everything else works.
 test-bare: $(BARE_VENV)/.installed
@@ -105,7 +120,7 @@ dist: $(VENV)/.dev-installed
 	$(ONE_THREAD) $(DIST_VENV)/bin/python -I .ci/check_wheel.py dist/*.whl
 
 clean:
-	rm -rf $(VENV) $(BENCH_VENV) $(OLDEST_VENV) $(BARE_VENV) $(DIST_VENV) $(LEROBOT_VENV) $(LOOK_VENV) $(DOCS_VENV)
+	rm -rf $(VENV) $(BENCH_VENV) $(OLDEST_VENV) $(NEWEST_VENV) $(BARE_VENV) $(DIST_VENV) $(LEROBOT_VENV) $(LOOK_VENV) $(DOCS_VENV)
 	rm -rf .coverage .coverage.* .pytest_cache .mypy_cache .ruff_cache build dist
 	rm -rf docs/_build docs/gallery docs/reference/generated
 
@@ -131,6 +146,11 @@ $(OLDEST_VENV)/.installed: pyproject.toml .ci/lower_bounds.py
 	$(OLDEST_VENV)/bin/python .ci/lower_bounds.py > $(OLDEST_VENV)/requirements.txt
 	$(OLDEST_VENV)/bin/python $(PIP_INSTALL) --only-binary :all: -r $(OLDEST_VENV)/requirements.txt
 	$(OLDEST_VENV)/bin/python $(PIP_INSTALL) --no-deps -e .
+	@touch $@
+
+$(NEWEST_VENV)/.installed: pyproject.toml constraints.txt
+	$(NEWEST_PYTHON) -m venv --clear $(NEWEST_VENV)
+	$(NEWEST_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e ".[test]"
 	@touch $@
 
 $(BARE_VENV)/.installed: pyproject.toml constraints.txt
