@@ -298,6 +298,7 @@ def test_what_learn_makes_of_a_library_knows_its_touches_and_sensor(
 
 
 def test_serve_warns_when_it_listens_to_the_network(palpate, monkeypatch):
+    pytest.importorskip("fastapi", reason='needs the extra "web"')
     monkeypatch.setattr("palpate.web.run_app", lambda app, opened: opened.close())
     said = palpate("serve", "--port", "0", "--host", "0.0.0.0")
     address, code = said.stdout.split("\n", 1)
@@ -311,6 +312,7 @@ def test_serve_warns_when_it_listens_to_the_network(palpate, monkeypatch):
 
 
 def test_the_token_is_the_one_that_was_chosen_or_kept(palpate, monkeypatch, tmp_path):
+    pytest.importorskip("fastapi", reason='needs the extra "web"')
     monkeypatch.setattr("palpate.web.run_app", lambda app, opened: opened.close())
 
     def token_of(words):
