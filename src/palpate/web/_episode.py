@@ -12,7 +12,13 @@ from typing import Any
 import numpy as np
 
 from .._types import Array
-from ..recognition import Episode, Evidence, ObjectRecogniser, nearest_touches
+from ..recognition import (
+    Belief,
+    Episode,
+    Evidence,
+    ObjectRecogniser,
+    nearest_touches,
+)
 from ..touches import Touches
 from ._images import thumbnail
 
@@ -93,6 +99,11 @@ class LiveEpisode:
             }
             for key, one in zip(ids, near, strict=True)
         ]
+
+    @property
+    def belief(self) -> Belief | None:
+        """The belief after the touches so far, None without a recogniser."""
+        return None if self.episode is None else self.episode.belief
 
     @property
     def decision(self) -> str | None:

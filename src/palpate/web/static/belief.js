@@ -76,12 +76,14 @@ function draw() {
 // The sentence is the library's: the terminal, reports and Python show the same.
 function drawDecision(n) {
   const place = find("decision");
-  const { decision, category, sentence, why, withdrawn } = episode;
+  const { decision, category, best, sentence, why, withdrawn } = episode;
   const name = decision === "unknown" ? "Nothing I know" : decision ?? (category && `A ${category}`);
-  text(place, name ?? (n ? sentence : "Touch something"));
+  const { posterior = {}, unknown = 0 } = episode.touches.at(-1) ?? {};
+  const likely = unknown > Math.max(0, ...Object.values(posterior)) ? "Nothing I know" : best;
+  text(place, name ?? (likely ? `${likely}?` : n ? "Not learnt yet" : "Touch something"));
   place.className = decision === "unknown" ? "unknown" : decision ?? category ? "decided" : "undecided";
   const note = episode.touches.at(-1)?.note;
-  text(find("reason"), [name && sentence, note, withdrawn.at(-1)].filter(Boolean).join(". "));
+  text(find("reason"), [n ? sentence : "", note, withdrawn.at(-1)].filter(Boolean).join(". "));
   show(find("why"), n > 0 && why.length > 0);
   find("why").querySelector("ul").replaceChildren(...why.map((words) => make("li", {}, words)));
   const now = `${episode.number} ${decision ?? category}`;
