@@ -14,7 +14,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "exploration"))
 
-from faulty_arms import FAULTS, FaultyArm
+from faulty_arms import FAULTS, FaultyArm, Undecided
 
 from palpate.exploration import (
     Guard,
@@ -32,28 +32,10 @@ KNOWN = {field.name for field in fields(Guard)}
 GUARD = Guard(**{name: value for name, value in _ASKED.items() if name in KNOWN})
 
 
-class Undecided:
-    """A recogniser that goes on."""
-
-    def start(self) -> "Undecided":
-        """Return itself as the belief."""
-        return self
-
-    def update(self, touches: Any) -> None:
-        """Take in nothing."""
-
-    def decide(self, error: float, refusal: float | None) -> None:
-        """Decide nothing."""
-
-    def reason(self, error: float, refusal: float | None) -> str:
-        """Return a sentence."""
-        return "Undecided."
-
-
 def exploring(arm: Any) -> Any:
     """Touch five times as `explore` does."""
     strategy, asked = RandomHemisphere(NEAR, 1), {"guard": GUARD, "max_attempts": 5}
-    return explore(arm, arm, Undecided(), strategy, **asked).history  # type: ignore[arg-type]
+    return explore(arm, arm, Undecided(), strategy, **asked).history
 
 
 def gathering(arm: Any) -> Any:

@@ -128,6 +128,22 @@ class FaultyArm:
         return None
 
 
+class Undecided:
+    """A recogniser that goes on."""
+
+    def start(self):
+        return self
+
+    def update(self, touches):
+        pass
+
+    def decide(self, error, refusal):
+        return None
+
+    def reason(self, error, refusal):
+        return "Undecided."
+
+
 def _parked(place, look):
     def prepare(arm):
         arm.pose = SensorPose(place, look)

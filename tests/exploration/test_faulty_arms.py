@@ -28,29 +28,13 @@ _SPEC = importlib.util.spec_from_file_location(
 )
 faulty_arms = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(faulty_arms)
-FaultyArm = faulty_arms.FaultyArm
+FaultyArm, Undecided = faulty_arms.FaultyArm, faulty_arms.Undecided
 NEAR = Hemisphere(radius_mm=100)
 GUARD = Guard(expected_n_mm=0.8, frame_change=2.0, timeout_s=1e9, max_travel_mm=110.0)
 # Met lightly between touches: below the limit a way goes on.
 LIGHT = "object beside the way", "object too tall", "object too large"
 # Readings that are wrong by a factor, and by an offset: what is promised then.
 SHARE = {"reads half": 0.5, "reads a tenth": 0.1}
-
-
-class Undecided:
-    """A recogniser that goes on."""
-
-    def start(self):
-        return self
-
-    def update(self, touches):
-        pass
-
-    def decide(self, error, refusal):
-        return None
-
-    def reason(self, error, refusal):
-        return "Undecided."
 
 
 def by_exploring(arm):

@@ -179,16 +179,16 @@ def decision_table(
 def bound_said(decision: dict[str, Any]) -> str:
     """Return what the episodes that ended say of new objects, as a sentence."""
     n_named = decision["right"] + decision["wrong"]
-    told = f"{decision['wrong']} of {n_named} names were wrong"
+    counts = f"{decision['wrong']} of {n_named} names were wrong"
     error, n_objects = decision["error"], decision["n_objects"]
     if decision["can_be_verified"]:
         return (
-            f"{told}; of new objects like these {n_objects} at most "
+            f"{counts}; of new objects like these {n_objects} at most "
             f"{as_text(decision['bound'], 100)} % would be (95 % confidence)."
         )
     n_needed = ceil(log(0.05) / log1p(-error))
     return (
-        f"{told}; {n_objects} objects cannot prove {100 * error:g} %, about "
+        f"{counts}; {n_objects} objects cannot prove {100 * error:g} %, about "
         f"{about(n_needed)} would."
     )
 
