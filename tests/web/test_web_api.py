@@ -381,3 +381,18 @@ def test_without_a_library_nothing_is_taught(make_session, connected):
         assert answer.status_code == 422
         assert "--library FOLDER" in answer.json()["detail"]
         assert client.get("/api/objects/touches?object=cup").status_code == 409
+
+
+@pytest.mark.parametrize("shape", [(8, 8), (8, 8, 3)])
+def test_an_image_of_nothing_but_nulls_is_refused_at_the_door(client, drawn, shape):
+    image = np.full(shape, None).tolist()
+    body = {"object": "disc", "image": image}
+    for path in ("/api/teach/touch", "/api/touch"):
+        answer = client.post(path, json=body if "teach" in path else {"image": image})
+        assert answer.status_code == 422
+        if len(shape) == 2:
+            assert "only NaN (null in JSON)" in answer.text
+    # What comes after it is learnt as if it had never come.
+    for name in ("disc", "bar"):
+        teach(client, drawn, name, 12)
+    assert learnt(client)["model"]["objects"] == ["bar", "disc"]

@@ -59,7 +59,8 @@ def demo(
     with stages() as stage:
         sets = _read(pictures, seed, stage) if pictures else _explored(seed)
         train, test, unknown = sets
-        plan = Plan(touches=(1, 3, 5, 10), seed=seed, strangers=strangers)
+        asked = {"error": ERROR, "strangers": strangers}
+        plan = Plan(touches=(1, 3, 5, 10), seed=seed, **asked)
         figures, trials = evaluate(
             train, test, unknown=unknown, plan=plan, progress=stage
         )

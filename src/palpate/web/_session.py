@@ -380,6 +380,11 @@ class LiveSession:
 
     def _checked(self, image: Array) -> tuple[Array, Names]:
         """Return a posted image of the right kind, and its channels, or explain."""
+        if image.dtype.kind == "f" and np.isnan(image).all():
+            raise ValueError(
+                "image must hold at least one number, got only NaN (null in JSON), "
+                "which nothing can be learnt from. Send the frame as it was read."
+            )
         kind = self._kind()
         if kind is None:
             return image, channels_of(image.shape)
