@@ -59,8 +59,7 @@ def demo(
     with stages() as stage:
         sets = _read(pictures, seed, stage) if pictures else _explored(seed)
         train, test, unknown = sets
-        asked = {"error": ERROR, "strangers": strangers}
-        plan = Plan(touches=(1, 3, 5, 10), seed=seed, **asked)
+        plan = Plan(touches=(1, 3, 5, 10), seed=seed, error=ERROR, strangers=strangers)
         figures, trials = evaluate(
             train, test, unknown=unknown, plan=plan, progress=stage
         )
