@@ -30,7 +30,7 @@ def test_noise_weighs_nothing_beside_what_tells(problem):
     pool = EncodingPool({"telling": 2, "noise": 3}, together=False)
     pool.fit(X, labels, groups=groups)
     assert pool.weights_["telling"] > 0.8
-    said = pool.left_out_by_part()
+    said = dict(zip(pool.weights_, pool.left_out_posteriors(), strict=True))
     # What tells nothing says nothing, whatever it weighs.
     assert said["noise"].std(axis=1).mean() < 0.1 * said["telling"].std(axis=1).mean()
     assert pool.score(X, labels) > 0.9

@@ -122,7 +122,7 @@ class EncodingPool(BayesRule):
             for name, part in self._parts(touches).items()
         }
         self.classes_ = np.unique(labels)
-        every = self._left_out_of_each()
+        every = self.left_out_posteriors()
         codes = np.searchsorted(self.classes_, labels)
         step = -(-codes.size * self.classes_.size // 1_000_000)
         some = np.sort(np.argsort(codes, kind="stable")[::step])
@@ -142,7 +142,7 @@ class EncodingPool(BayesRule):
                 for name, part in self._parts(touches).items()
             }
         self.classes_ = np.unique(labels)
-        self.left_out_ = self.pooled(self._left_out_of_each())
+        self.left_out_ = self.pooled(self.left_out_posteriors())
         return self
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
@@ -167,11 +167,20 @@ class EncodingPool(BayesRule):
         check_is_fitted(self)
         return self.left_out_
 
-    def left_out_by_part(self) -> dict[str, Floats]:
-        """Return what each machine alone says of touches left out, by its name."""
+    def left_out_by_part(self) -> Floats:
+        """Return what each machine alone says of touches left out, not bounded."""
         check_is_fitted(self)
-        every = self._left_out_of_each()
-        return dict(zip(self.machines_, every, strict=True))
+        every = [m.left_out_log_likelihood() for m in self.machines_.values()]
+        return np.stack(every)
+
+    def left_out_posteriors(self) -> Floats:
+        """Return the same as log posteriors, so bounded that none decides alone."""
+        return np.stack([_bounded(one) for one in self.left_out_by_part()])
+
+    @property
+    def part_weights(self) -> Mapping[str, float]:
+        """Weight of each machine, by its name: `weights_`."""
+        return self.weights_
 
     def _parts(self, touches: Floats) -> dict[str, Floats]:
         cuts = np.cumsum(list(self.parts.values()))[:-1]
@@ -186,14 +195,10 @@ class EncodingPool(BayesRule):
             return np.zeros((len(part), len(self.classes_)))
         return _bounded(self.machines_[name].log_likelihood(part))
 
-    def _left_out_of_each(self) -> Floats:
-        every = [m.left_out_log_likelihood() for m in self.machines_.values()]
-        return np.stack([_bounded(one) for one in every])
-
-    def pooled(self, every: Floats) -> Floats:
+    def pooled(self, by_part: Floats) -> Floats:
         """Return the log posterior (n_touches, n_classes) of what each machine says."""
         weights = np.array(list(self.weights_.values()))
-        return np.asarray(log_softmax(np.tensordot(weights, every, 1), axis=1))
+        return np.asarray(log_softmax(np.tensordot(weights, by_part, 1), axis=1))
 
 
 def pool_weights(every: Floats, codes: Array) -> Floats:

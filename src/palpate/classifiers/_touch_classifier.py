@@ -5,6 +5,7 @@ Beside that, the checks that the classifiers of feature vectors share.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -19,6 +20,8 @@ from .._types import Array, Floats, Indices
 
 # What each training touch is left out with: (n_touches,), by default itself alone.
 Groups = ArrayLike | None
+# What a classifier without parts calls itself among weights.
+ONE_PART = "classifier"
 _N_FOLDS = 5
 _LEAST_PROBABILITY = 1e-12
 # Text and whole numbers: scikit-learn would find nothing, in a millisecond or two.
@@ -33,9 +36,17 @@ class TouchClassifier(Protocol):
     ----------
     classes_ : ndarray of shape (n_objects,)
         The labels, sorted; the columns of every log-likelihood.
+    part_weights : mapping of str to float
+        How much each part of the classifier weighs, at least 0. `BayesRule` brings
+        this, and what is asked by part, for a classifier that has no parts.
     """
 
     classes_: Array
+
+    @property
+    def part_weights(self) -> Mapping[str, float]:
+        """Weight of each part, by its name."""
+        ...
 
     def fit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Learn touches; those of one group are left out together.
@@ -73,21 +84,59 @@ class TouchClassifier(Protocol):
         """
         ...
 
+    def log_likelihood_by_part(self, X: ArrayLike) -> Floats:
+        """Return `log_likelihood` of each part alone, (n_parts, n_touches, n_objects).
+
+        In the order of `part_weights`.
+        """
+        ...
+
+    def left_out_by_part(self) -> Floats:
+        """Return `left_out_log_likelihood` of each part alone, with parts as above."""
+        ...
+
+    def pooled(self, by_part: Floats) -> Floats:
+        """Return `log_likelihood` from those of each part."""
+        ...
+
 
 class BayesRule(ClassifierMixin, BaseEstimator):
-    """Predictions of a classifier that has `classes_` and `log_likelihood`.
+    """A classifier that has `classes_` and `log_likelihood`, and needs no more.
 
-    With the parameter `prior="counts"` and `counts_` (n_objects,), objects are as
-    probable before the touch as they were frequent in training; else equally probable.
+    It brings the predictions, and a `TouchClassifier` of one part: with `fit`, `refit`
+    and `left_out_log_likelihood` a subclass is complete. With the parameter
+    `prior="counts"` and `counts_` (n_objects,), objects are as probable before the
+    touch as they were frequent in training; else equally probable.
     """
 
     classes_: Array
     counts_: Indices
     prior = "uniform"
 
+    @property
+    def part_weights(self) -> Mapping[str, float]:
+        """Weight of each part, by its name: of the one part there is, 1."""
+        return {ONE_PART: 1.0}
+
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return log p(touch | object) up to a constant per touch (nats)."""
         raise NotImplementedError
+
+    def left_out_log_likelihood(self) -> Floats:
+        """Return `log_likelihood` of training touches, their groups left out."""
+        raise NotImplementedError
+
+    def log_likelihood_by_part(self, X: ArrayLike) -> Floats:
+        """Return `log_likelihood` as that of one part, (1, n_touches, n_objects)."""
+        return self.log_likelihood(X)[np.newaxis]
+
+    def left_out_by_part(self) -> Floats:
+        """Return `left_out_log_likelihood` as that of one part."""
+        return self.left_out_log_likelihood()[np.newaxis]
+
+    def pooled(self, by_part: Floats) -> Floats:
+        """Return the log-likelihood of the one part."""
+        return np.asarray(by_part[0])
 
     def predict_log_proba(self, X: ArrayLike) -> Floats:
         """Return the log posterior of the objects, (n_touches, n_objects)."""

@@ -136,9 +136,13 @@ def left_out_log_likelihood(classifier: TouchClassifier) -> Floats:
     Shape (n_touches, n_classes). A label whose touches are all left out at once gets
     the least likelihood that any label got for the touch.
     """
-    log_likelihood = classifier.left_out_log_likelihood()
+    return without_gaps(classifier.left_out_log_likelihood())
+
+
+def without_gaps(log_likelihood: Floats) -> Floats:
+    """Return log-likelihoods (..., n_classes), the least in place of minus infinity."""
     known = np.isfinite(log_likelihood)
-    worst = np.where(known, log_likelihood, np.inf).min(axis=1, keepdims=True)
+    worst = np.where(known, log_likelihood, np.inf).min(axis=-1, keepdims=True)
     return np.where(known, log_likelihood, worst)
 
 

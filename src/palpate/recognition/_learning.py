@@ -213,7 +213,7 @@ def choose_encodings(
     pool = EncodingPool(encoder.parts_, together=False)
     pool.fit(features, labels[some], groups=group[some])
     codes = np.searchsorted(pool.classes_, labels[some])
-    left_out = pool.left_out_by_part()
+    left_out = dict(zip(pool.weights_, pool.left_out_posteriors(), strict=True))
     own = {name: said[np.arange(len(codes)), codes] for name, said in left_out.items()}
     figures: dict[str, dict[str, Any]] = {
         name: {

@@ -19,7 +19,7 @@ from .._checks import check_count, check_number, check_option
 from .._numbers import log_softmax
 from .._parallel import on_one_thread, opencv_on_one_thread
 from .._types import Array, Bools, Floats
-from ..classifiers import EncodingPool, TouchClassifier, as_groups
+from ..classifiers import TouchClassifier, as_groups
 from ..images import Poses, PressPose
 from ..touches import Touches, TouchSource
 from . import _evidence, _memory
@@ -30,6 +30,7 @@ from ._calibration import (
     draw_asked,
     fit_sequence_calibration,
     left_out_log_likelihood,
+    without_gaps,
 )
 from ._contact import NO_CONTACT, consists_of_nothing, encoded_and_flagged
 from ._encoder import BATCH
@@ -184,8 +185,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             self.classifier_ = preset.classifier(encoder).fit(
                 memory.features, memory.labels, groups=memory.blocks
             )
-            if isinstance(self.classifier_, EncodingPool):
-                chosen["weights"] = self.classifier_.weights_
+            if len(self.classifier_.part_weights) > 1:
+                chosen["weights"] = dict(self.classifier_.part_weights)
             self._calibrate(memory)
         self.pose_: PressPose | None = None
         self.modalities_: dict[str, Modality] = {}
@@ -667,16 +668,13 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         return self._used(said, self.memory_.nothing)
 
     def _learnt_strangers(self) -> StrangerModel:
-        memory, said = self.memory_, self._left_out()
-        each, weights = said[:, np.newaxis], np.ones(1)
-        if isinstance(self.classifier_, EncodingPool):
-            # As they are: bounded, all objects but one may tie, and then nothing is
-            # left of what a touch says without it.
-            machines = self.classifier_.machines_.values()
-            every = [log_softmax(left_out_log_likelihood(m), axis=1) for m in machines]
-            weights = np.array([*self.classifier_.weights_.values()])
-            each = np.stack(every, axis=1)
-            said = self._used(weights @ each, memory.nothing)
+        memory = self.memory_
+        # As they are: bounded, all objects but one may tie, and then nothing is left
+        # of what a touch says without it.
+        parts = without_gaps(self.classifier_.left_out_by_part())
+        each = np.swapaxes(log_softmax(parts, axis=-1), 0, 1)
+        weights = np.array([*self.classifier_.part_weights.values()])
+        said = self._used(weights @ each, memory.nothing)
         before: tuple[Memory, Nearest] | None = getattr(self, "_nearest_to", None)
         left_out = LeftOut(
             log_likelihood=said,
@@ -713,12 +711,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         with opencv_on_one_thread():
             features, flags = encoded_and_flagged(self.encoder_, self.contact_, touches)
             looks = self.encoder_.look(touches)
-        if isinstance(self.classifier_, EncodingPool):
-            parts = self.classifier_.log_likelihood_by_part(features)
-            said, each = self.classifier_.pooled(parts), np.swapaxes(parts, 0, 1)
-        else:
-            said = self.classifier_.log_likelihood(features)
-            each = said[:, np.newaxis]
+        parts = self.classifier_.log_likelihood_by_part(features)
+        said, each = self.classifier_.pooled(parts), np.swapaxes(parts, 0, 1)
         used = self._used(said, np.array(flags) == NO_CONTACT)
         distances = self._nearest().log_distances(features)
         return Evidence(features, used, flags, each, distances, looks)
