@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from ..recognition import ObjectRecogniser
+from ..recognition import ObjectRecogniser, PresetName
 from ..touches import Touches, decode_bytes
 from ._learning import drawn_touches
 from ._timing import N_COLS, N_ROWS, Row, coded, drawn_dome, one_thread, row
@@ -36,7 +36,7 @@ def bench_latency(
     n_objects: int = 50,
     n_each: int = 90,
     n_asked: int = 200,
-    presets: tuple[str, ...] = ("default", "corradi2015"),
+    presets: tuple[PresetName, ...] = ("default", "corradi2015"),
 ) -> list[Row]:
     """Measure stages of single touches: median and 99th percentile of wall time, ms."""
     train = drawn_touches(n_objects, n_each, small=False)

@@ -122,17 +122,14 @@ class BayesRule(ClassifierMixin, BaseEstimator):
         """Return log p(touch | object) up to a constant per touch (nats)."""
         raise NotImplementedError
 
-    def left_out_log_likelihood(self) -> Floats:
-        """Return `log_likelihood` of training touches, their groups left out."""
-        raise NotImplementedError
-
     def log_likelihood_by_part(self, X: ArrayLike) -> Floats:
         """Return `log_likelihood` as that of one part, (1, n_touches, n_objects)."""
         return self.log_likelihood(X)[np.newaxis]
 
     def left_out_by_part(self) -> Floats:
         """Return `left_out_log_likelihood` as that of one part."""
-        return self.left_out_log_likelihood()[np.newaxis]
+        whole: Any = self
+        return np.asarray(whole.left_out_log_likelihood())[np.newaxis]
 
     def pooled(self, by_part: Floats) -> Floats:
         """Return the log-likelihood of the one part."""
@@ -240,6 +237,20 @@ class FromProbabilities(BayesRule):
             known = _log_probability(again, self.touches_[test])
             result[np.ix_(test, columns)] = known
         return result
+
+
+def as_touch_classifier(classifier: Any) -> TouchClassifier:
+    """Return a classifier, not learnt, that a belief can be built on, or explain."""
+    asked = [name for name in vars(TouchClassifier) if not name.startswith("_")]
+    if not isinstance(classifier, type):
+        if all(hasattr(type(classifier), name) for name in asked):
+            return clone(classifier)  # type: ignore[no-any-return]
+        if hasattr(classifier, "predict_proba"):
+            return FromProbabilities(classifier)
+    raise TypeError(
+        "classifier must be a TouchClassifier or have predict_proba, got "
+        f"{classifier!r}. Give an instance, or wrap it in CalibratedClassifierCV."
+    )
 
 
 def labelled_touches(

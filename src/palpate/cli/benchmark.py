@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, cast
 
 from . import _options
 from ._options import option
@@ -50,7 +50,7 @@ def benchmark(
             archives or [datasets.where()],
             recognisers=_names(recognisers, evaluation.RECOGNISERS),
             protocols=_names(protocols, evaluation.PROTOCOLS),
-            label=label,
+            label=cast(Any, label),
             touches=_options.counts(touches),
             repeats=repeats,
             seed=seed,

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -71,7 +71,7 @@ def learn(
     )
     with stages() as stage:
         stage(f"learning from {len(taught)} touches")
-        recogniser = ObjectRecogniser(preset, random_state=seed).fit(taught)
+        recogniser = ObjectRecogniser(cast(Any, preset), random_state=seed).fit(taught)
     archive = output.with_suffix(".npz")
     taught.save(archive)
     written = recogniser.save(output)

@@ -6,6 +6,7 @@ from ._moments import CentroidMoments, HuMoments, PadShapes
 from ._moments import sorted_taxels as sorted_taxels
 from ._named import ENCODINGS as ENCODINGS
 from ._named import EncodingUnion, RootScaler, encoder_named
+from ._onnx import OnnxEncoding, OnnxError
 from ._pixels import GridLevels, PhotometricGradients, ScaledPixels, TaxelVector
 from ._polar_gradients import PolarGradients
 from ._principal import OrientedPCA, PrincipalShare, ZernikePCA
@@ -23,6 +24,8 @@ __all__ = [
     "GridLevels",
     "HuMoments",
     "KernelPCA",
+    "OnnxEncoding",
+    "OnnxError",
     "OrientedPCA",
     "PadShapes",
     "PhotometricGradients",

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from sklearn.base import clone
@@ -17,7 +17,7 @@ from .._checks import check_count, check_option
 from .._durable import write_text
 from .._parallel import in_parallel
 from .._types import Array, Bools, Floats
-from ..recognition import PRESETS, ObjectRecogniser, find_geometry
+from ..recognition import PRESETS, Label, ObjectRecogniser, PresetName, find_geometry
 from ..touches import Touches
 from ._controls import CONTROLS, without_contact
 from ._episodes import run_episodes
@@ -52,7 +52,7 @@ class Task(NamedTuple):
     """A protocol on one set, and labels of shape (n_touches,)."""
 
     protocol: str
-    label: str
+    label: Label
     labels: Array
     folds: list[RowFold]
     left_out: list[str]
@@ -63,7 +63,7 @@ def benchmark(
     *,
     recognisers: Sequence[str] = RECOGNISERS,
     protocols: Sequence[str] = tuple(PROTOCOLS),
-    label: str = "object",
+    label: Label = "object",
     touches: Sequence[int] = (1, 5, 10),
     repeats: int = 3,
     seed: int = 0,
@@ -225,7 +225,8 @@ def _said(
                 said.append(_simply(learner, values, task, encode_s))
                 continue
             _check_written_for(name, touches, task.labels)
-            recogniser = ObjectRecogniser(name, label=task.label, random_state=seed)
+            preset = cast(PresetName, name)
+            recogniser = ObjectRecogniser(preset, label=task.label, random_state=seed)
             calls = [(fold, recogniser, touches, task, counts) for fold in task.folds]
             said.append(in_parallel(_preset_answers, calls, "Folds", show=False))
         except Exception as error:

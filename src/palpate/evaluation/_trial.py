@@ -12,7 +12,10 @@ from .._types import Floats
 from ..recognition import (
     PRESETS,
     STRANGERS,
+    Label,
     ObjectRecogniser,
+    Presentation,
+    PresetName,
     across_sessions,
     check_strangers,
 )
@@ -52,8 +55,8 @@ class Plan:
         Seed of every draw.
     """
 
-    preset: str = "default"
-    label: str = "object"
+    preset: PresetName = "default"
+    label: Label = "object"
     touches: tuple[int, ...] = (1, 5, 15, 30)
     orders: int = 20
     train_touches: int | None = None
@@ -61,7 +64,7 @@ class Plan:
     refusal: float | None = None
     strangers: float = STRANGERS
     floor: float | None = None
-    presentation: str = "auto"
+    presentation: Presentation = "auto"
     seed: int = 0
     remount: str = "none"
 

@@ -27,6 +27,9 @@ from ._model_file import check_model_path as check_model_path
 from ._model_file import read_model as read_model
 from ._model_file import write_model as write_model
 from ._presets import PRESETS as PRESETS
+from ._presets import Label as Label
+from ._presets import Presentation as Presentation
+from ._presets import PresetName as PresetName
 from ._recogniser import ObjectRecogniser as ObjectRecogniser
 from ._remounting import OTHER_MOUNTING as OTHER_MOUNTING
 from ._remounting import MountingCheck as MountingCheck

@@ -17,6 +17,7 @@ from ..encodings import EncodingUnion, RingPatterns
 from ..images import DomeCrop, fill_dead_taxels, grey, typical_rim
 from ..touches import Touches
 from ._sessions import looks
+from ._user_encoding import UserEncoding
 
 # So many touches pass through all steps at a time, so that memory stays bounded.
 BATCH = 256
@@ -26,6 +27,8 @@ LOOK_AT = 50
 # A taxel that moved at least every other time and is still in so many touches is
 # stuck: one time in 500 by chance.
 STUCK_TOUCHES = 10
+# Learning and encoding at once, they do nothing twice.
+_ENCODE_AS_THEY_LEARN = EncodingUnion, RingPatterns, UserEncoding
 
 
 class TouchEncoder(BaseEstimator):
@@ -161,8 +164,7 @@ class TouchEncoder(BaseEstimator):
                 if number == len(done):
                     # Of touches that are all alike shares of the variance are 0 / 0.
                     with np.errstate(invalid="ignore"):
-                        if isinstance(step, (EncodingUnion, RingPatterns)):
-                            # They encode as they learn; nothing is done again.
+                        if isinstance(step, _ENCODE_AS_THEY_LEARN):
                             after = step.fit_transform(values)
                         else:
                             step.fit(values)

@@ -23,6 +23,7 @@ from ._evidence import Evidence, SequenceCalibration
 from ._memory import Memory
 from ._sessions import N_LOOKS
 from ._strangers import Curve, StrangerModel
+from ._user_encoding import UserEncoding
 
 MB = 2**20
 MAX_PIXELS = 50_000_000
@@ -43,6 +44,7 @@ class Budget:
     n_bytes: int
     tensors: Mapping[str, Array]
     known: Mapping[str, type]
+    foreign: Mapping[str, UserEncoding] = field(default_factory=dict)
     objects: int = 0
     text: float = 0.0
     used: Counter[str] = field(default_factory=Counter)

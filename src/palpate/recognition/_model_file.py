@@ -11,9 +11,11 @@ anew from the training touches that it keeps.
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import fields, is_dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,7 @@ from sklearn.preprocessing import StandardScaler
 from .. import __version__, classifiers, encodings, images
 from .._durable import replacing
 from .._types import Array
+from ..encodings import OnnxEncoding
 from ._calibration import Modality
 from ._contact import ContactCheck
 from ._encoder import TouchEncoder
@@ -32,6 +35,7 @@ from ._evidence import SequenceCalibration
 from ._memory import Memory
 from ._model_checks import MB, Budget
 from ._strangers import Curve, StrangerModel
+from ._user_encoding import UserEncoding
 
 FORMAT = 5
 
@@ -45,10 +49,11 @@ _OWN = (
     SequenceCalibration,
     StrangerModel,
     TouchEncoder,
+    UserEncoding,
 )
 _ROOMS = (classifiers, encodings, images)
 # Made anew from a stored model; making one computes, which reading a file must not.
-_NEVER_STORED = ("KernelDensityIndex", "TouchClassifier")
+_NEVER_STORED = ("BayesRule", "KernelDensityIndex", "OnnxError", "TouchClassifier")
 
 _PUBLIC = {name: getattr(room, name) for room in _ROOMS for name in room.__all__}
 # The classes that a model file may name: ours, and two of scikit-learn.
@@ -64,11 +69,16 @@ class ModelFileError(ValueError):
     """A model file that cannot be read or written, and why."""
 
 
-def write_model(path: str | Path, model: object) -> Path:
+def write_model(
+    path: str | Path,
+    model: object,
+    encodings: Mapping[str, UserEncoding] = MappingProxyType({}),
+) -> Path:
     """Write `model` to `path` (`.palpate`), all or nothing.
 
     Its parameters and learnt attributes must be arrays, plain values, or instances of
-    the classes in `KNOWN_CLASSES`.
+    the classes in `KNOWN_CLASSES`; of other steps of the user's own `encodings` only
+    such parts are written, for `read_model` to be given the steps again.
     """
     target = check_model_path(path)
     tensors: Tensors = {}
@@ -77,7 +87,7 @@ def write_model(path: str | Path, model: object) -> Path:
     n_bytes = len(document) + sum(array.nbytes for array in tensors.values())
     known = KNOWN_CLASSES | {type(model).__name__: type(model)}
     try:
-        _unpack(packed, Budget(n_bytes, tensors, known))
+        _unpack(packed, Budget(n_bytes, tensors, known, encodings))
     except (TypeError, ValueError) as error:
         raise ModelFileError(f"This model could not be read again: {error}.") from error
     metadata = {"palpate": document, "sha256": _checksum(document, tensors)}
@@ -112,11 +122,16 @@ def check_model_path(path: str | Path) -> Path:
     return target
 
 
-def read_model(path: str | Path, also: type) -> Any:
+def read_model(
+    path: str | Path,
+    also: type,
+    encodings: Mapping[str, UserEncoding] = MappingProxyType({}),
+) -> Any:
     """Return the model that `write_model` wrote, or say what is wrong with it.
 
     Of this format or of format 4, of at most PALPATE_MAX_MODEL_MB (2000); `also` is the
-    class of the model itself, beside `KNOWN_CLASSES`. Raises `ModelFileError`.
+    class of the model itself, beside `KNOWN_CLASSES`, and `encodings` are those of its
+    user, by name. Raises `ModelFileError`.
     """
     source = Path(path)
     if not source.is_file():
@@ -132,7 +147,8 @@ def read_model(path: str | Path, also: type) -> Any:
         )
     try:
         document, tensors = _open(source)
-        budget = Budget(n_bytes, tensors, KNOWN_CLASSES | {also.__name__: also})
+        known = KNOWN_CLASSES | {also.__name__: also}
+        budget = Budget(n_bytes, tensors, known, encodings)
         budget.check_document(document)
         content = json.loads(document)
         version, model = content["format"], content["model"]
@@ -201,12 +217,53 @@ def _pack(value: object, tensors: Tensors) -> Any:
     if isinstance(value, Mapping):
         pairs = [[str(k), _pack(v, tensors)] for k, v in value.items()]
         return {"dict": pairs}
-    if KNOWN_CLASSES.get(type(value).__name__) is not type(value):
+    if not _is_known(value):
         raise ModelFileError(
             f"A model file cannot hold a {type(value).__name__}; it may hold "
             f"{', '.join(sorted(KNOWN_CLASSES))}."
         )
+    if isinstance(value, UserEncoding):
+        return _pack_user_encoding(value.stored(), tensors)
     return _pack_object(value, tensors)
+
+
+def _is_known(value: object) -> bool:
+    return KNOWN_CLASSES.get(type(value).__name__) is type(value)
+
+
+def _pack_user_encoding(value: UserEncoding, tensors: Tensors) -> dict[str, Any]:
+    """Pack an encoding of the user's own, of foreign code only what it has learnt."""
+
+    def packed(steps: Sequence[Any]) -> dict[str, Any]:
+        every = [
+            _pack(one, tensors) if _is_known(one) else _pack_foreign(one, k)
+            for k, one in enumerate(steps)
+        ]
+        return {"list": every}
+
+    def _pack_foreign(step: Any, number: int) -> dict[str, Any]:
+        state = _state(step)
+        params, learnt = ({k: _pack_if(v) for k, v in s.items()} for s in state)
+        return {
+            "foreign": [value.name, number, type(step).__name__],
+            "params": {k: v[0] for k, v in params.items() if v},
+            "learnt": {k: v[0] for k, v in learnt.items() if v},
+        }
+
+    def _pack_if(item: object) -> list[Any]:
+        try:
+            return [_pack(item, tensors)]
+        except ModelFileError:
+            return []
+
+    params, learnt = _state(value)
+    steps = {"steps": packed(params.pop("steps"))}
+    steps_ = {"steps_": packed(learnt.pop("steps_"))} if "steps_" in learnt else {}
+    return {
+        "class": type(value).__name__,
+        "params": steps | {k: _pack(v, tensors) for k, v in params.items()},
+        "learnt": steps_ | {k: _pack(v, tensors) for k, v in learnt.items()},
+    }
 
 
 def _pack_object(value: object, tensors: Tensors) -> dict[str, Any]:
@@ -225,23 +282,29 @@ def _pack_array(array: Array, tensors: Tensors) -> dict[str, Any]:
         return {"complex": _pack_array(np.stack([array.real, array.imag]), tensors)}
     if array.dtype.kind not in "biuf":
         raise ModelFileError(f"A model file cannot hold an array of {array.dtype}.")
-    name = f"t{len(tensors)}"
     # The order in memory decides how products round, so it is kept.
     turned = array.flags.f_contiguous and not array.flags.c_contiguous
     stored = array.T if turned else array
-    tensors[name] = np.ascontiguousarray(stored)
+    stored = np.ascontiguousarray(stored)
+    # A network, which its recipe holds too, is stored once.
+    again = [n for n, one in tensors.items() if one is stored and one.dtype == np.uint8]
+    name = again[0] if again else f"t{len(tensors)}"
+    tensors[name] = stored
     return {"array": name, "shape": list(stored.shape), "turned": turned}
 
 
 def _state(value: Any) -> tuple[dict[str, Any], dict[str, Any]]:
     if is_dataclass(value):
         return {f.name: getattr(value, f.name) for f in fields(value)}, {}
+    if isinstance(value, OnnxEncoding):
+        value = value.stored()
     learnt = {
         name: item
-        for name, item in vars(value).items()
+        for name, item in getattr(value, "__dict__", {}).items()
         if name.endswith("_") and not name.startswith("_")
     }
-    return value.get_params(deep=False), learnt
+    params = value.get_params(deep=False) if hasattr(value, "get_params") else {}
+    return params, learnt
 
 
 def _unpack(node: Any, budget: Budget) -> Any:
@@ -266,7 +329,34 @@ def _unpack(node: Any, budget: Budget) -> Any:
         return kind(_unpack(item, budget) for item in items)
     if "dict" in node:
         return {str(k): _unpack(v, budget) for k, v in node["dict"]}
+    if "foreign" in node:
+        return _unpack_foreign(node, budget)
     return _unpack_object(node, budget)
+
+
+def _unpack_foreign(node: dict[str, Any], budget: Budget) -> Any:
+    """Return a step of the user's own that was given again, with what it had learnt."""
+    encoding, number, kind = node["foreign"]
+    if encoding not in budget.foreign:
+        raise ModelFileError(
+            f"The model encodes touches by {encoding!r}, which is code of its user's "
+            "own and not in the file. Give it again: ObjectRecogniser.load(path, "
+            f"encodings={{{encoding!r}: {kind}(...)}})."
+        )
+    steps = budget.foreign[encoding].steps
+    if not 0 <= number < len(steps) or type(steps[number]).__name__ != kind:
+        got = ", ".join(type(step).__name__ for step in steps)
+        raise ModelFileError(
+            f"encodings[{encoding!r}] must have a {kind} as step {number + 1}, as when "
+            f"the model was learnt, got {got}."
+        )
+    params, learnt = _unpack_state(node, budget)
+    built = deepcopy(steps[number])
+    if params:
+        built.set_params(**params)
+    for attribute, value in learnt.items():
+        setattr(built, attribute, value)
+    return built
 
 
 def _unpack_object(node: dict[str, Any], budget: Budget) -> Any:
@@ -276,6 +366,15 @@ def _unpack_object(node: dict[str, Any], budget: Budget) -> Any:
             f"The model names the class {name!r}, which this palpate does not know. "
             "Update palpate, or learn again."
         )
+    params, learnt = _unpack_state(node, budget)
+    built = budget.known[name](**params)
+    for attribute, value in learnt.items():
+        setattr(built, attribute, value)
+    return built
+
+
+def _unpack_state(node: dict[str, Any], budget: Budget) -> tuple[Any, Any]:
+    """Return parameters and learnt attributes of one object, both by name."""
     for attribute in node["learnt"]:
         if not (
             attribute.isidentifier() and attribute.endswith("_")
@@ -286,7 +385,4 @@ def _unpack_object(node: dict[str, Any], budget: Budget) -> Any:
         for part in ("params", "learnt")
     )
     budget.check_object(params | learnt)
-    built = budget.known[name](**params)
-    for attribute, value in learnt.items():
-        setattr(built, attribute, value)
-    return built
+    return params, learnt

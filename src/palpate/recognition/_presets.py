@@ -1,14 +1,16 @@
 """Presets: named recipes from image to log-likelihood, in one table."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
+from sklearn.base import clone
 from sklearn.decomposition import PCA
 from sklearn.preprocessing import StandardScaler
 
 from .. import classifiers
 from .._checks import check_option
+from ..classifiers import as_touch_classifier
 from ..encodings import (
     CentroidMoments,
     EdgeHistograms,
@@ -29,6 +31,11 @@ from ..encodings import (
 from ..images import ArrayCleanUp, ChannelMean, DomeCrop
 from ..touches import Touches
 from ._encoder import TouchEncoder, find_geometry
+from ._user_encoding import Encoding, UserEncoding, user_encodings
+
+PresetName = Literal["default", "corradi2015", "liu2014"]
+Label = Literal["object", "category"]
+Presentation = Literal["auto", "any", "turned", "shifted", "fixed"]
 
 # With fewer taxels on a side, gradients along rings have too few places.
 FINE_TAXELS = 24
@@ -64,10 +71,61 @@ class Preset:
     skips_no_contact: bool
 
 
-def find_preset(name: str) -> Preset:
-    """Return the preset called `name`; the error lists the valid names."""
+def find_preset(name: str | None) -> Preset:
+    """Return the preset called `name`; the error lists the valid names.
+
+    None has no encodings of its own, and is otherwise like "default".
+    """
+    if name is None:
+        return replace(PRESETS["default"], encoders=_no_encoders)
     check_option("preset", name, PRESETS)
     return PRESETS[name]
+
+
+def opened(
+    name: str | None, encodings: Mapping[str, Encoding] | None, classifier: Any
+) -> Preset:
+    """Return a preset with encodings of the user's own beside its, or alone.
+
+    And perhaps with another classifier, in place of its own.
+    """
+    preset, own = find_preset(name), user_encodings(encodings)
+    if name is None and not own:
+        raise ValueError(
+            "encodings must name at least one encoding with preset=None, got "
+            f"{encodings!r}. Give one, or leave preset as it is."
+        )
+    if own and name not in (None, "default"):
+        raise ValueError(
+            f"encodings must be None with the preset {name!r}, whose encoding is the "
+            f"paper's, got {', '.join(own)}. Use the preset 'default', or None."
+        )
+    if classifier is not None:
+        learns = as_touch_classifier(classifier)
+        preset = replace(preset, classifier=lambda encoder: clone(learns))
+    if not own:
+        return preset
+
+    def encoders(touches: Touches, presentation: str) -> dict[str, TouchEncoder]:
+        recipes = preset.encoders(touches, presentation)
+        return {name: _joined(recipe, own) for name, recipe in recipes.items()}
+
+    return replace(preset, encoders=encoders)
+
+
+def _joined(encoder: TouchEncoder, own: Mapping[str, UserEncoding]) -> TouchEncoder:
+    """Return a recipe with more encodings, of the same cleaned images."""
+    if taken := sorted(own.keys() & encoder.encodings.keys()):
+        raise ValueError(
+            f"encodings must have names of their own, got {taken[0]!r}, which is one "
+            "of the preset's. Choose another name."
+        )
+    every = {**encoder.encodings, **{name: [one] for name, one in own.items()}}
+    return TouchEncoder(encoder.clean_up, every, channels=encoder.channels)
+
+
+def _no_encoders(touches: Touches, presentation: str) -> dict[str, TouchEncoder]:
+    return {"images as they are": TouchEncoder(None, {})}
 
 
 def _corradi2015_encoders(

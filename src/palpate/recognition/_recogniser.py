@@ -7,19 +7,21 @@ from copy import copy
 from dataclasses import replace
 from math import prod
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.exceptions import NotFittedError
 from sklearn.utils import Tags
+from sklearn.utils.validation import validate_data
 
 from .._checks import check_count, check_number, check_option
+from .._extras import needed
 from .._numbers import log_softmax
 from .._parallel import on_one_thread, opencv_on_one_thread
-from .._types import Array, Bools, Floats
-from ..classifiers import TouchClassifier, as_groups
+from .._types import Array, Bools, Floats, Indices
+from ..classifiers import TouchClassifier, as_groups, check_targets
 from ..images import Poses, PressPose
 from ..touches import Touches, TouchSource
 from . import _evidence, _memory
@@ -40,12 +42,26 @@ from ._learning import encoded, learn_encoding, memory_of, refuse_too_large
 from ._memory import Memory, Nearest
 from ._model_checks import MOST_TRIED, check_parts, try_one_touch
 from ._model_file import ModelFileError, read_model, write_model
-from ._presets import PRESENTATIONS, Preset, find_preset
+from ._presets import (
+    PRESENTATIONS,
+    Label,
+    Presentation,
+    Preset,
+    PresetName,
+    find_preset,
+    opened,
+)
 from ._remounting import MountingCheck, check_mounting, learn_nuisance, remounted
 from ._strangers import LeftOut, StrangerModel, fit_strangers
+from ._user_encoding import Encoding, UserEncoding, user_encodings
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 # Touches of one task; a multiple of the encoder's batches, for the same results.
 SHARD = 4 * BATCH
+# Of more objects a picture has no names.
+MOST_LABELLED = 30
 
 
 class ObjectRecogniser(ClassifierMixin, BaseEstimator):
@@ -56,9 +72,19 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
 
     Parameters
     ----------
-    preset : str, default="default"
+    preset : {"default", "corradi2015", "liu2014"} or None, default="default"
         "default" (our best), or a paper as written: "corradi2015" (many touches
-        of a dome) or "liu2014" (one press on an array).
+        of a dome) or "liu2014" (one press on an array). None has no encodings but
+        `encodings`, which then get images as they are.
+    encodings : mapping of str to transformer or list of transformers, optional
+        Encodings of the user's own, by name, beside those of "default": any
+        transformers of images, such as `OnnxEncoding`; of several steps the first
+        takes images. They get images as cleaned for "default" (of a dome, the disc
+        about its rim) and are weighed, or dropped, like the others.
+    classifier : classifier, optional
+        What learns the features, in place of the preset's: a `TouchClassifier`, or any
+        classifier of scikit-learn with `predict_proba`. Model files can only hold
+        palpate's own.
     label : {"object", "category"}, default="object"
         Which column of the touches is recognised. With "category" an episode is
         still the touches of one object.
@@ -101,6 +127,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         Where parts lie on a pressure array, after `fit_pose`.
     modalities_ : dict of str to Modality
         Other senses, after `learn_modality`.
+    n_features_in_, feature_names_in_
+        As in scikit-learn, where `fit` saw feature vectors.
     max_memory_gb : float, class attribute, default=8.0
         What would take more memory to learn, by an estimate, is refused.
 
@@ -123,15 +151,19 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
 
     def __init__(
         self,
-        preset: str = "default",
+        preset: PresetName | None = "default",
         *,
-        label: str = "object",
+        encodings: Mapping[str, Encoding] | None = None,
+        classifier: Any = None,
+        label: Label = "object",
         floor: float | None = None,
-        prior: str = "uniform",
-        presentation: str = "auto",
+        prior: Literal["uniform", "counts"] = "uniform",
+        presentation: Presentation = "auto",
         random_state: int = 0,
     ) -> None:
         self.preset = preset
+        self.encodings = encodings
+        self.classifier = classifier
         self.label = label
         self.floor = floor
         self.prior = prior
@@ -149,7 +181,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         Parameters
         ----------
         X : Touches, TouchSource, or array-like of shape (n_touches, n_rows, n_cols)
-            Of a source (`TouchLibrary.select`), the encoding is learnt from some
+            Or feature vectors, (n_touches, n_features), also as a data frame: touches
+            without geometry, which everything that takes images then takes. Of a
+            source (`TouchLibrary.select`), the encoding is learnt from some
             2000 touches and the rest are encoded piece by piece, so that their
             images are never all in memory.
         y : array-like of shape (n_touches,), optional
@@ -165,6 +199,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             fewer than two touches; or it would take too much memory.
         """
         preset = self._check_parameters()
+        X, y = self._seen(X, y)
         touches = _memory.labelled(X, y, self.label)
         labels, objects = _memory.training_labels(touches, self.label)
         if y is not None and self.label == "object":
@@ -343,7 +378,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
 
     def predict_log_proba(self, X: Touches | ArrayLike) -> Floats:
         """Return the log belief after each touch alone, (n_touches, n_objects)."""
-        floored = _evidence.with_floor(self.log_likelihood(as_touches(X)), self.floor_)
+        self._check_fitted()
+        said = self.log_likelihood(self._as_touches(X))
+        floored = _evidence.with_floor(said, self.floor_)
         alone = floored[:, np.newaxis]
         return _evidence.log_posteriors(
             alone, self.log_prior(), self.sequence_calibration_
@@ -359,7 +396,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
 
         `y` (n_touches,) are the labels, by default the touches' own.
         """
-        truth = _memory.named_labels(as_touches(X), self.label) if y is None else y
+        truth = y
+        if y is None:
+            truth = _memory.named_labels(self._as_touches(X), self.label)
         return float(super().score(X, truth, sample_weight))
 
     def log_likelihood(self, touches: Touches) -> Floats:
@@ -387,7 +426,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         says.
         """
         self._check_fitted()
-        given = as_touches(touches)
+        alone = hasattr(self, "n_features_in_") and _n_axes(touches) == 1
+        given = self._as_touches(np.asarray(touches)[np.newaxis] if alone else touches)
         if len(given) <= SHARD:
             return self._evidence_of(given)
         from joblib import Parallel, delayed
@@ -564,24 +604,70 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             "chosen": self.chosen_,
         }
 
+    def plot_confusion(self, ax: Axes | None = None) -> Axes:
+        """Draw what training touches are taken for, each with its block left out.
+
+        A row for each object, whose shares (%) sum to 100: of its touches that show
+        contact, one at a time. Returns matplotlib's axes (extra `plot`), `ax` or new
+        ones.
+        """
+        self._check_fitted()
+        pyplot = needed("matplotlib.pyplot", "plot", "A picture of confusions")
+        counts = self._confusion()
+        shares = 100 * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+        side = float(np.clip(1.5 + 0.3 * len(shares), 3.5, 9))
+        axes = ax
+        if axes is None:
+            axes = pyplot.subplots(figsize=(side, side), layout="constrained")[1]
+        axes.imshow(shares, cmap="Blues", vmin=0, vmax=100)
+        right = np.trace(counts) / max(counts.sum(), 1)
+        title = f"Touches left out, one at a time: {right:.0%} right"
+        axes.set(xlabel="taken for", ylabel="object", title=title)
+        places = range(len(shares)) if len(shares) <= MOST_LABELLED else []
+        names = self._names() if places else []
+        axes.set_xticks(places, names, rotation=90)
+        axes.set_yticks(places, names)
+        for row, col in np.argwhere(shares >= 1) if places else ():
+            colour = "white" if shares[row, col] > 50 else "black"
+            label = f"{shares[row, col]:.0f}"
+            axes.text(col, row, label, ha="center", va="center", color=colour, size=7)
+        return axes
+
     def save(self, path: str | Path) -> Path:
         """Write the recogniser to a `.palpate` file, all or nothing."""
         self._check_fitted()
-        return write_model(path, self)
+        stored = copy(self)
+        stored.encodings = None  # they are in the encoder, as they were learnt
+        return write_model(path, stored, self._user_encodings())
 
     @classmethod
-    def load(cls, path: str | Path) -> Self:
+    def load(
+        cls, path: str | Path, *, encodings: Mapping[str, Encoding] | None = None
+    ) -> Self:
         """Read a recogniser from a `.palpate` file; nothing in it is executed.
+
+        Parameters
+        ----------
+        path : path
+            The file.
+        encodings : mapping of str to transformer or list of transformers, optional
+            Encodings that are code of the user's own, which a file cannot hold, as
+            they were given to learn it. What they had learnt comes from the file; what
+            could not be written there (a network of torch) they must still have.
 
         Raises
         ------
         ModelFileError
-            If the file is missing, damaged, of another version, or no recogniser.
+            If the file is missing, damaged, of another version, or no recogniser, or
+            an encoding is missing or not the one it was learnt with.
         """
-        model = read_model(path, also=cls)
+        model = read_model(path, cls, user_encodings(encodings))
         if not isinstance(model, cls):
             raise ModelFileError(f"{path} holds no object recogniser.")
         try:
+            model.encodings = model._user_encodings() or None
+            for one in model._user_encodings().values():
+                one.check_again()
             model._check_parameters()
             if not hasattr(model, "strangers_"):  # written by palpate 0.2 or older
                 model.strangers_ = model._learnt_strangers()
@@ -596,7 +682,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         return model
 
     def _learnt(self, name: str, touches: Touches | TouchSource, least: int) -> Memory:
-        given = touches if isinstance(touches, TouchSource) else as_touches(touches)
+        given = touches
+        if not isinstance(touches, TouchSource):
+            given = self._as_touches(touches)
         _memory.check_name(name)
         if len(given) < least:
             raise ValueError(
@@ -609,6 +697,40 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         blocks = _memory.blocks_in_order(labels, given.order)
         blocks = _memory.without_copies(encoding.features, labels, blocks)
         return memory_of(given, encoding, labels, objects, blocks)
+
+    def _confusion(self) -> Indices:
+        """Return how many left-out touches of each object are taken for each."""
+        counted = ~self.memory_.nothing | self.uses_no_contact_
+        best = self.left_out_log_likelihood()[counted].argmax(axis=1)
+        own = np.searchsorted(self.classes_, self.memory_.labels[counted])
+        counts = np.zeros((len(self.classes_),) * 2, dtype=np.intp)
+        np.add.at(counts, (own, best), 1)
+        return counts
+
+    def _user_encodings(self) -> dict[str, UserEncoding]:
+        """Return the encodings of the user's own that are in use, as learnt."""
+        learnt = self.encoder_.encodings_.values()
+        every = [one for steps in learnt for one in steps]
+        return {one.name: one for one in every if isinstance(one, UserEncoding)}
+
+    def _seen(self, X: Any, y: Any) -> tuple[Any, Any]:
+        """Return what `fit` is given; feature vectors as touches without geometry."""
+        for name in ("n_features_in_", "feature_names_in_"):
+            self.__dict__.pop(name, None)
+        of_touches = isinstance(X, list) and X and isinstance(X[0], Touches)
+        if isinstance(X, Touches | TouchSource) or of_touches or _n_axes(X) != 2:
+            return X, y
+        vectors, labels = validate_data(
+            self, X, y, dtype=np.float64, ensure_min_samples=2
+        )
+        check_targets(labels)
+        return _without_places(vectors), labels
+
+    def _as_touches(self, X: Any) -> Touches:
+        """Return touches, or what is like what `fit` saw, as touches."""
+        if isinstance(X, Touches) or not hasattr(self, "n_features_in_"):
+            return as_touches(X)
+        return _without_places(validate_data(self, X, reset=False, dtype=np.float64))
 
     def _as_label(self, name: str) -> Any:
         """Return a name as a label of the kind of the known ones."""
@@ -738,15 +860,37 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         check_option("presentation", self.presentation, PRESENTATIONS)
         if self.floor is not None:
             check_number("floor", self.floor, low=0, high=0.5)
-        return find_preset(self.preset)
+        return opened(self.preset, self.encodings, self.classifier)
 
     def _check_fitted(self) -> None:
         if not hasattr(self, "memory_"):
             raise NotFittedError("It has learnt nothing yet; call fit first.")
 
+    def __repr__(self, N_CHAR_MAX: int = 700) -> str:
+        """Return the parameters, and in a comment behind them what was learnt."""
+        written = str(super().__repr__(N_CHAR_MAX=N_CHAR_MAX))
+        if not hasattr(self, "strangers_"):
+            return written
+        names = self._names()
+        some = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
+        kinds = "categories" if self.label == "category" else "objects"
+        return (
+            f"{written}  # knows {len(names)} {kinds} ({some}) from "
+            f"{len(self.memory_)} touches by {self.chosen_['encoding']}"
+        )
+
     def __sklearn_tags__(self) -> Tags:
         tags = super().__sklearn_tags__()
-        tags.input_tags.two_d_array = False
         tags.input_tags.three_d_array = True
         tags.input_tags.allow_nan = True
         return tags
+
+
+def _n_axes(X: Any) -> int:
+    """Return how many axes an array-like has, sparse ones and data frames too."""
+    return int(X.ndim) if hasattr(X, "ndim") else np.asarray(X).ndim
+
+
+def _without_places(vectors: Floats) -> Touches:
+    """Return feature vectors (n_touches, n_features) as touches without geometry."""
+    return Touches(vectors[:, np.newaxis], geometry="none")

@@ -6,6 +6,8 @@ from html import escape
 
 import numpy as np
 
+from .._checks import check_count
+from .._extras import needed
 from .._types import Array
 from ._pictures import RGB
 
@@ -49,6 +51,37 @@ def touches_html(
         for image, label in zip(shown, labels[:PICTURES], strict=True)
     )
     return f"<div><table>{table}</table><div>{pictures}</div></div>"
+
+
+def touches_axes(
+    images: Array, columns: Mapping[str, Array], whole: Mapping[str, Array], most: int
+) -> Array:
+    """Draw the first `most` touches, each with its object's name.
+
+    Returns matplotlib's axes, shape (n_rows, n_cols), one a touch.
+    """
+    pyplot = needed("matplotlib.pyplot", "plot", "A picture of touches")
+    n_shown = min(check_count("most", most), len(images))
+    n_cols = max(1, min(n_shown, 6))
+    n_rows = max(1, -(-n_shown // n_cols))
+    axes = pyplot.subplots(
+        n_rows,
+        n_cols,
+        squeeze=False,
+        figsize=(1.6 * n_cols, 1.8 * n_rows),
+        layout="constrained",
+    )[1]
+    shown = as_shown(images[:n_shown], whole.get("channels")).astype(np.float64)
+    if shown.ndim == 4 and shown.size:  # colours from 0 to 1, alike in all pictures
+        low, high = np.nanmin(shown), np.nanmax(shown)
+        shown = (shown - low) / max(high - low, 1e-12)
+    labels = columns.get("object", np.full(n_shown, ""))
+    for one in axes.flat:
+        one.set_axis_off()
+    for one, image, label in zip(axes.flat, shown, labels, strict=False):
+        one.imshow(image, cmap="gray", interpolation="nearest")
+        one.set_title(_cut(label)[:16], fontsize=8)
+    return np.asarray(axes)
 
 
 def as_shown(images: Array, channels: Collection[str] | None) -> Array:

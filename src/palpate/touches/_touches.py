@@ -410,6 +410,16 @@ class Touches(Labelled):
 
         return touches_html(self._images, self._columns, self._whole)
 
+    def plot(self, most: int = 12) -> Array:
+        """Draw the first touches, at most so many.
+
+        Returns matplotlib's axes (extra `plot`), shape (n_rows, n_cols), one a touch;
+        those of the last row that stay empty are off. Dead taxels (NaN) are white.
+        """
+        from ._html import touches_axes
+
+        return touches_axes(self._images, self._columns, self._whole, most)
+
     def with_columns(self, **columns: ArrayLike) -> Self:
         """Return these touches with columns added or replaced.
 

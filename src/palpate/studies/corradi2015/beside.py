@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..._types import Bools, Floats
 from ...datasets import where
 from ...evaluation import Fold, Plan, evaluate, split_touches
-from ...recognition import ObjectRecogniser
+from ...recognition import Label, ObjectRecogniser
 from ...touches import Touches
 from .._study import Row, labels, row, spread
 from .episodes import DEFAULT, after_touches
@@ -131,11 +131,12 @@ def beside_tasks(
 ) -> tuple[list[Callable[[], list[Row]]], list[str]]:
     """Return what is to be run, and a sentence for each kind of rows left out."""
     tasks: list[Callable[[], list[Row]]] = []
+    labels: tuple[Label, ...] = "object", "category"
     skipped = []
     words = where(data) / WORDS
     if words.is_file():
         seen = read_photographs(words)
-        tasks += [partial(sight_rows, plan, touches, seen, label) for label in SIGHT]
+        tasks += [partial(sight_rows, plan, touches, seen, label) for label in labels]
     else:
         skipped.append(
             "The rows of sight beside touch are left out: the folder of recorded "
@@ -152,7 +153,7 @@ def beside_tasks(
 
 
 def sight_rows(
-    plan: Corradi2015Plan, touches: Touches, photographs: Photographs, label: str
+    plan: Corradi2015Plan, touches: Touches, photographs: Photographs, label: Label
 ) -> list[Row]:
     """Return rows of touch, a photograph and both, beside the first author's."""
     rows = []
@@ -179,7 +180,7 @@ def moved_rows(plan: Corradi2015Plan, touches: Touches) -> list[Row]:
     return rows
 
 
-def _asked(plan: Corradi2015Plan, label: str = "object") -> Plan:
+def _asked(plan: Corradi2015Plan, label: Label = "object") -> Plan:
     return Plan(label=label, touches=plan.touches, orders=plan.orders, seed=plan.seed)
 
 

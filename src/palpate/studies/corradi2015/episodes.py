@@ -5,7 +5,7 @@ become rows; so do timings.
 """
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -16,7 +16,7 @@ from sklearn.decomposition import PCA
 
 from ..._types import Bools, Floats
 from ...classifiers import KernelDensityBayes
-from ...recognition import ObjectRecogniser
+from ...recognition import Label, ObjectRecogniser, PresetName
 from ...touches import Touches
 from .._study import Codes, Row, coded, labels, mean_row, row, spread
 from . import plan as stated
@@ -24,7 +24,8 @@ from . import recognisers as known_by
 from .plan import LATER_TRAIN, PAPER_MS, Corradi2015Plan, Encoded, Encoder, Objects
 from .recognisers import BagOfTouches, ClusterBayes, Densities, Mixtures, Recogniser
 
-MAIN, DEFAULT = "corradi2015", "default"
+MAIN: PresetName = "corradi2015"
+DEFAULT: PresetName = "default"
 FLOORED, CLUSTERS = "with a floor", "k-means"
 IDLE = {name: f"idle, {name}" for name in (MAIN, DEFAULT)}
 _CONTROLS: dict[str, Recogniser] = {
@@ -71,7 +72,7 @@ class Compared:
     encoded: Encoded
     partition: Partition
     compared: dict[str, Recogniser]
-    label: str | None = None
+    label: Label | None = None
 
     def __call__(self) -> list[Answered]:
         alone = only_idle(self.partition, self.encoded.idle)
@@ -126,6 +127,7 @@ def later_tasks(plan: Corradi2015Plan, touches: Touches) -> Iterator[Compared]:
         for number in range(plan.later_partitions)
     ]
     by_category, folds = category_folds(plan, touches, encoded)
+    asked: list[tuple[str, Label, Any, Any]]
     asked = [("all objects", "object", encoded, one) for one in partitions]
     asked += [("category", "category", by_category, fold) for fold in folds]
     for experiment, label, features, partition in asked:
@@ -171,7 +173,7 @@ def category_folds(
 
 
 def unseen_beliefs(
-    plan: Corradi2015Plan, objects: Objects, preset: str
+    plan: Corradi2015Plan, objects: Objects, preset: PresetName
 ) -> dict[str, Floats]:
     """Return the mean posterior (n_touches, n_known) for each object never learnt."""
     recogniser = ObjectRecogniser(preset, random_state=plan.seed).fit(objects.known)
@@ -313,7 +315,9 @@ def worst_pairs(confusion: Floats, names: Sequence[str]) -> list[dict[str, Any]]
     ]
 
 
-def unseen_rows(beliefs: dict[str, dict[str, Floats]], objects: Objects) -> list[Row]:
+def unseen_rows(
+    beliefs: Mapping[PresetName, dict[str, Floats]], objects: Objects
+) -> list[Row]:
     """Return which known object each unseen one is taken for, after some touches."""
     known = np.unique(labels(objects.known)).tolist()
     every = [(p, *one) for p, curves in beliefs.items() for one in curves.items()]

@@ -16,7 +16,7 @@ import numpy as np
 from ...datasets import where
 from ...evaluation import Plan as Asked
 from ...evaluation import evaluate, plots, roc_area, split_by_count, split_touches
-from ...recognition import MountingCheck, ObjectRecogniser
+from ...recognition import Label, MountingCheck, ObjectRecogniser
 from ...simulation import simulate_presses, simulate_touches
 from ...touches import Touches, TouchesError
 from .. import _study as shared
@@ -184,6 +184,7 @@ def _pairs_known(asked: Asked, data: str, touches: Touches) -> list[Row]:
 def _moved(asked: Asked, data: str, touches: Touches) -> list[Row]:
     """Ask about objects on the other side of the jump, among all the others."""
     rows = []
+    asked_of: list[tuple[Label, str]]
     asked_of = [("object", "none"), ("object", "recentre"), ("category", "none")]
     for label, way in asked_of:
         found = moved(touches, replace(asked, remount=way, label=label))

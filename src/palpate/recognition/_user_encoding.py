@@ -1,0 +1,159 @@
+"""Encodings of the user's own: any transformer of images, and what it must keep to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from copy import copy
+from typing import Any, Self
+
+import numpy as np
+from sklearn.base import BaseEstimator, TransformerMixin, clone
+
+from .._types import Array, Floats
+
+# What a user may give as one encoding: a transformer, or several, one after the other.
+Encoding = Any
+MAX_FEATURES = 100_000
+# A model that is read must encode its first touch as it did, but for rounding.
+_ROUNDING = 1e-3
+
+
+class UserEncoding(TransformerMixin, BaseEstimator):
+    """Transformers of the user's own, one after the other, checked at every step out.
+
+    Parameters
+    ----------
+    name : str
+        What the user calls the encoding.
+    steps : sequence of transformers
+        The first takes images, the others what the one before makes of them.
+
+    Attributes
+    ----------
+    steps_ : list of transformers
+        As learnt.
+    width_ : int
+        Number of features.
+    first_image_, first_features_ : ndarray
+        The first image seen by `fit`, and what becomes of it: with foreign code that is
+        given again, a model must still make that of it.
+    """
+
+    def __init__(self, name: str, steps: Sequence[Any]) -> None:
+        self.name = name
+        self.steps = steps
+
+    @property
+    def blind_to(self) -> frozenset[str]:
+        """What the features do not change under, as far as steps say it."""
+        return frozenset().union(*(getattr(s, "blind_to", ()) for s in self.steps))
+
+    def fit(self, X: Array, y: object = None) -> Self:
+        """Learn each step from images."""
+        self.fit_transform(X)
+        return self
+
+    def fit_transform(self, X: Array, y: object = None, **fit_params: Any) -> Floats:
+        """Learn each step from images (n_touches, ...), and return the features."""
+        values, self.steps_ = X, []
+        for given in self.steps:
+            step = clone(given, safe=False)
+            step.fit(values)
+            self.steps_.append(step)
+            values = step.transform(values)
+        features = self._checked(values, len(X))
+        self.width_ = features.shape[1]
+        self.first_image_, self.first_features_ = X[0].copy(), features[0].copy()
+        # An encoding that learns of the touches it is asked about is found out here.
+        self._compare("alone, as it did among others", features)
+        return features
+
+    def transform(self, X: Array) -> Floats:
+        """Return the features, shape (n_touches, width_), or say what is wrong."""
+        values = X
+        for step in self.steps_:
+            values = step.transform(values)
+        features = self._checked(values, len(X))
+        if features.shape[1] != self.width_:
+            raise ValueError(
+                f"encodings[{self.name!r}] must give {self.width_} features, as when "
+                f"it was learnt, got {features.shape[1]}."
+            )
+        return features
+
+    def check_again(self) -> None:
+        """Refuse steps that do not make of the first touch what the learnt ones did."""
+        self._compare(
+            "as it did when it was learnt; give the same parameters, or itself as it "
+            "was fitted",
+            self.first_features_[np.newaxis],
+        )
+
+    def stored(self) -> Self:
+        """Return this as a model file keeps it, its recipe as it was learnt."""
+        other = copy(self)
+        if hasattr(self, "steps_"):
+            other.steps = self.steps_
+        return other
+
+    def _compare(self, how: str, features: Floats) -> None:
+        again = self.transform(self.first_image_[np.newaxis])[0]
+        reach = max(1e-12, float(np.abs(features).max()))
+        if not np.allclose(again, features[0], rtol=_ROUNDING, atol=_ROUNDING * reach):
+            raise ValueError(
+                f"encodings[{self.name!r}] must encode a touch {how}, got other "
+                "features."
+            )
+
+    def _checked(self, values: Any, n_touches: int) -> Floats:
+        """Return what the last step made as features, or explain."""
+        dense = values.toarray() if hasattr(values, "toarray") else np.asarray(values)
+        if dense.ndim != 2 or dense.dtype.kind not in "biuf" or not dense.shape[1]:
+            raise ValueError(
+                f"encodings[{self.name!r}] must give numbers (n_touches, n_features), "
+                f"got {dense.dtype} of shape {dense.shape}. Its last step must give "
+                "one vector for each touch."
+            )
+        if len(dense) != n_touches or dense.shape[1] > MAX_FEATURES:
+            raise ValueError(
+                f"encodings[{self.name!r}] must give {n_touches} rows, one for each "
+                f"touch, of at most {MAX_FEATURES} features, got shape {dense.shape}."
+            )
+        features = np.asarray(dense, dtype=np.float64)
+        if not np.isfinite(features).all():
+            row = int(np.flatnonzero(~np.isfinite(features).all(axis=1))[0])
+            raise ValueError(
+                f"encodings[{self.name!r}] must give finite features, got NaN or "
+                f"infinity for touch {row}."
+            )
+        return features
+
+
+def user_encodings(encodings: Mapping[str, Encoding] | None) -> dict[str, UserEncoding]:
+    """Return encodings of the user's own by their names, not learnt, or explain."""
+    if encodings is None:
+        return {}
+    if not isinstance(encodings, Mapping):
+        raise TypeError(
+            "encodings must map names to transformers of images, got "
+            f"{type(encodings).__name__}. Write encodings={{'mine': ...}}."
+        )
+    checked = {}
+    for name, given in encodings.items():
+        steps = list(given) if isinstance(given, list | tuple) else [given]
+        if not isinstance(name, str) or not name or not steps:
+            raise ValueError(
+                "encodings must have texts as names and a transformer each, got "
+                f"{name!r}: {given!r}."
+            )
+        for step in steps:
+            if isinstance(step, type) or not (
+                hasattr(step, "fit") and hasattr(step, "transform")
+            ):
+                raise TypeError(
+                    f"encodings[{name!r}] must be a transformer with fit and "
+                    f"transform, or a list of them, got {step!r}."
+                )
+        already = len(steps) == 1 and isinstance(steps[0], UserEncoding)
+        checked[name] = UserEncoding(name, steps[0].steps if already else steps)
+    return checked
