@@ -6,10 +6,11 @@ from ._encoding_pool import EncodingPool
 from ._encoding_pool import pool_weights as pool_weights
 from ._kernel_density import KernelDensityBayes
 from ._kernel_density_index import IndexQuality as IndexQuality
-from ._kernel_density_index import KernelDensityIndex
+from ._kernel_density_index import KernelDensityIndex as KernelDensityIndex
 from ._kernel_ridge import KernelRidgeClassifier
 from ._kernel_ridge import fair_shares as fair_shares
-from ._touch_classifier import BayesRule, FromProbabilities, TouchClassifier
+from ._touch_classifier import BayesRule as BayesRule
+from ._touch_classifier import FromProbabilities, TouchClassifier
 from ._touch_classifier import as_groups as as_groups
 from ._touch_classifier import as_touch_classifier as as_touch_classifier
 from ._touch_classifier import check_targets as check_targets
@@ -17,12 +18,10 @@ from .mkl import MKLSVC, GaussianKernel, LinearKernel, PolynomialKernel
 
 __all__ = [
     "MKLSVC",
-    "BayesRule",
     "EncodingPool",
     "FromProbabilities",
     "GaussianKernel",
     "KernelDensityBayes",
-    "KernelDensityIndex",
     "KernelDensityNaiveBayes",
     "KernelRidgeClassifier",
     "LinearKernel",

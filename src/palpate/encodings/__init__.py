@@ -6,7 +6,8 @@ from ._moments import CentroidMoments, HuMoments, PadShapes
 from ._moments import sorted_taxels as sorted_taxels
 from ._named import ENCODINGS as ENCODINGS
 from ._named import EncodingUnion, RootScaler, encoder_named
-from ._onnx import OnnxEncoding, OnnxError
+from ._onnx import OnnxEncoding
+from ._onnx import OnnxError as OnnxError
 from ._pixels import GridLevels, PhotometricGradients, ScaledPixels, TaxelVector
 from ._polar_gradients import PolarGradients
 from ._principal import OrientedPCA, PrincipalShare, ZernikePCA
@@ -25,7 +26,6 @@ __all__ = [
     "HuMoments",
     "KernelPCA",
     "OnnxEncoding",
-    "OnnxError",
     "OrientedPCA",
     "PadShapes",
     "PhotometricGradients",

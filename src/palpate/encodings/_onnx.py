@@ -230,15 +230,17 @@ def checked_network(content: bytes) -> bytes:
         )
     try:
         model = onnx.load_model_from_string(content)
+        if not model.graph.node:
+            raise OnnxError("network is no ONNX file, or damaged: it has no operators.")
+        _check_operators(model, onnx)
+        # What this reader does not know is not left for the runtime to find.
+        model.DiscardUnknownFields()
+        del model.metadata_props[:]
+        return bytes(model.SerializeToString())
+    except OnnxError:
+        raise
     except Exception as error:
         raise OnnxError(f"network is no ONNX file, or damaged: {error}.") from error
-    if not model.graph.node:
-        raise OnnxError("network is no ONNX file, or damaged: it has no operators.")
-    _check_operators(model, onnx)
-    # What this reader does not know is not left for the runtime to find.
-    model.DiscardUnknownFields()
-    del model.metadata_props[:]
-    return bytes(model.SerializeToString())
 
 
 def _check_operators(model: Any, onnx: Any) -> None:

@@ -87,6 +87,9 @@ class Budget:
         counts, n_points = values.get("counts_"), len(values.get("points_", ()))
         if counts is not None and not 0 <= counts.min() <= counts.max() <= n_points:
             raise ValueError("counts_ are more touches than there are")
+        pairs, n_classes = values.get("pairs_"), len(values.get("classes_", ()))
+        if pairs is not None and not 0 <= np.min(pairs) <= np.max(pairs) < n_classes:
+            raise ValueError("pairs_ are of more classes than there are")
 
 
 def check_parts(judge: Judge, encoder: TouchEncoder, pose: object) -> None:

@@ -53,7 +53,7 @@ _OWN = (
 )
 _ROOMS = (classifiers, encodings, images)
 # Made anew from a stored model; making one computes, which reading a file must not.
-_NEVER_STORED = ("BayesRule", "KernelDensityIndex", "OnnxError", "TouchClassifier")
+_NEVER_STORED = ("TouchClassifier",)
 
 _PUBLIC = {name: getattr(room, name) for room in _ROOMS for name in room.__all__}
 # The classes that a model file may name: ours, and two of scikit-learn.
@@ -242,11 +242,10 @@ def _pack_user_encoding(value: UserEncoding, tensors: Tensors) -> dict[str, Any]
         return {"list": every}
 
     def _pack_foreign(step: Any, number: int) -> dict[str, Any]:
-        state = _state(step)
-        params, learnt = ({k: _pack_if(v) for k, v in s.items()} for s in state)
+        learnt = {k: _pack_if(v) for k, v in _state(step)[1].items()}
         return {
             "foreign": [value.name, number, type(step).__name__],
-            "params": {k: v[0] for k, v in params.items() if v},
+            "params": {},
             "learnt": {k: v[0] for k, v in learnt.items() if v},
         }
 
@@ -284,8 +283,7 @@ def _pack_array(array: Array, tensors: Tensors) -> dict[str, Any]:
         raise ModelFileError(f"A model file cannot hold an array of {array.dtype}.")
     # The order in memory decides how products round, so it is kept.
     turned = array.flags.f_contiguous and not array.flags.c_contiguous
-    stored = array.T if turned else array
-    stored = np.ascontiguousarray(stored)
+    stored = np.asarray(array.T if turned else array, order="C")
     # A network, which its recipe holds too, is stored once.
     again = [n for n, one in tensors.items() if one is stored and one.dtype == np.uint8]
     name = again[0] if again else f"t{len(tensors)}"
@@ -350,10 +348,8 @@ def _unpack_foreign(node: dict[str, Any], budget: Budget) -> Any:
             f"encodings[{encoding!r}] must have a {kind} as step {number + 1}, as when "
             f"the model was learnt, got {got}."
         )
-    params, learnt = _unpack_state(node, budget)
+    _, learnt = _unpack_state(node, budget)
     built = deepcopy(steps[number])
-    if params:
-        built.set_params(**params)
     for attribute, value in learnt.items():
         setattr(built, attribute, value)
     return built

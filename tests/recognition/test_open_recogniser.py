@@ -1,0 +1,313 @@
+"""Encodings and classifiers of the user's own, feature vectors and data frames."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.base import BaseEstimator, TransformerMixin, clone
+from sklearn.decomposition import PCA
+from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
+from sklearn.model_selection import cross_val_score
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import FunctionTransformer, StandardScaler
+from sklearn.svm import LinearSVC
+
+from palpate import Touches
+from palpate.classifiers import BayesRule, EncodingPool, KernelRidgeClassifier
+from palpate.recognition import ModelFileError, ObjectRecogniser
+
+
+class Means(TransformerMixin, BaseEstimator):
+    """Encode images by their column means, times a factor."""
+
+    def __init__(self, factor=1.0):
+        self.factor = factor
+
+    def fit(self, X, y=None):
+        self.middle_ = np.asarray(X, float).mean()
+        return self
+
+    def transform(self, X):
+        return self.factor * (np.asarray(X, float) - self.middle_).mean(axis=1)
+
+
+class Changing(Means):
+    """An encoding that breaks a rule after it was learnt."""
+
+    def __init__(self, way):
+        super().__init__()
+        self.way = way
+
+    def transform(self, X):
+        vectors = super().transform(X)
+        self.n_asked_ = getattr(self, "n_asked_", 0) + 1
+        if self.way == "nan":
+            vectors[-1, 0] = np.nan
+        if self.way == "rows":
+            vectors = vectors[:-1]
+        if self.way == "images":
+            vectors = vectors[:, np.newaxis]
+        if self.way == "neighbours":
+            vectors = vectors - vectors.mean(axis=0)
+        if self.way == "width" and self.n_asked_ > 1:
+            vectors = vectors[:, :3]
+        return vectors
+
+
+NAMES = ["ball", "mug", "pen"]
+
+
+def drawn(n_each=14, seed=0):
+    rng = np.random.default_rng(seed)
+    patterns = np.random.default_rng(7).normal(size=(3, 5, 9))
+    images = np.repeat(patterns, n_each, axis=0)
+    images = images + 0.7 * rng.normal(size=images.shape)
+    return Touches(images, object=np.repeat(NAMES, n_each), geometry="array")
+
+
+@pytest.fixture(scope="module")
+def touches():
+    return drawn()
+
+
+@pytest.fixture(scope="module")
+def alone(touches):
+    encodings = {"means": Means(2.0), "levels": [Means(), StandardScaler(), PCA(3)]}
+    return ObjectRecogniser(None, encodings=encodings).fit(touches)
+
+
+def test_encodings_of_the_user_join_the_pool(touches):
+    plain = ObjectRecogniser().fit(touches)
+    joined = ObjectRecogniser(encodings={"means": Means()}).fit(touches)
+    own = set(joined.encoder_.encodings_) - set(plain.encoder_.encodings_)
+    assert own == {"means"}
+    assert joined.score(drawn(seed=1)) > 0.8
+
+
+def test_they_may_stand_alone(alone):
+    assert list(alone.encoder_.encodings_) == ["means", "levels"]
+    assert set(alone.chosen_["weights"]) == {"means", "levels", "all together"}
+    assert alone.memory_.features.shape[1] == 9 + 3
+    assert alone.score(drawn(seed=1)) > 0.6
+    assert alone.start().update(drawn(seed=2)[:9]).best == "ball"
+
+
+def test_another_classifier_takes_the_place_of_the_pool(touches):
+    learnt = ObjectRecogniser(classifier=LinearDiscriminantAnalysis()).fit(touches)
+    assert learnt.score(drawn(seed=1)) > 0.7
+    ours = ObjectRecogniser(classifier=KernelRidgeClassifier()).fit(touches)
+    assert isinstance(ours.classifier_, KernelRidgeClassifier)
+
+
+class NearestMean(BayesRule):
+    """A classifier of the user's own that keeps the protocol by its base."""
+
+    def fit(self, X, y, groups=None):
+        self.classes_ = np.unique(y)
+        self.means_ = np.stack([np.mean(X[y == c], axis=0) for c in self.classes_])
+        self.touches_ = np.asarray(X)
+        return self
+
+    refit = fit
+
+    def log_likelihood(self, X):
+        return -((np.asarray(X)[:, None] - self.means_) ** 2).sum(axis=2)
+
+    def left_out_log_likelihood(self):
+        return self.log_likelihood(self.touches_)
+
+
+def test_a_touch_classifier_of_the_user_gives_the_whole_belief(touches):
+    learnt = ObjectRecogniser(None, encodings={"m": Means()}, classifier=NearestMean())
+    learnt.fit(touches)
+    features = learnt.encoder_.transform(drawn(seed=1))
+    expected = learnt.classifier_.log_likelihood(features)
+    assert_allclose(learnt.log_likelihood(drawn(seed=1)), expected)
+    episode = learnt.episode(strangers=0, error=0.05)
+    for touch in drawn(seed=3)[:14]:
+        episode.add(touch)
+    assert episode.decision == "ball"
+
+
+@pytest.mark.parametrize(
+    ("parameters", "kind", "message"),
+    [
+        ({"encodings": [Means()]}, TypeError, "encodings must map names"),
+        ({"encodings": {"m": Means}}, TypeError, "must be a transformer with fit"),
+        ({"encodings": {"": Means()}}, ValueError, "must have texts as names"),
+        ({"encodings": {"m": []}}, ValueError, "a transformer each"),
+        ({"encodings": {"taxels": Means()}}, ValueError, "'taxels', which is one of"),
+        ({"preset": None}, ValueError, "at least one encoding with preset=None"),
+        (
+            {"preset": "liu2014", "encodings": {"m": Means()}},
+            ValueError,
+            "must be None with the preset 'liu2014'",
+        ),
+        ({"classifier": LinearSVC()}, TypeError, "have predict_proba"),
+        ({"classifier": EncodingPool}, TypeError, "Give an instance"),
+    ],
+)
+def test_parameters_that_cannot_be_are_refused(touches, parameters, kind, message):
+    recogniser = ObjectRecogniser(**parameters)
+    with pytest.raises(kind, match=message):
+        recogniser.fit(touches)
+    assert not hasattr(recogniser, "memory_")
+
+
+@pytest.mark.parametrize(
+    ("way", "message"),
+    [
+        ("nan", r"encodings\['m'\] must give finite features"),
+        ("rows", r"encodings\['m'\] must give 42 rows"),
+        ("images", r"must give numbers \(n_touches, n_features\)"),
+        ("neighbours", "encode a touch alone, as it did among others"),
+        ("width", "must give 9 features, as when it was learnt, got 3"),
+    ],
+)
+def test_an_encoding_that_breaks_a_rule_leaves_nothing_half_learnt(
+    touches, way, message
+):
+    recogniser = ObjectRecogniser(encodings={"m": Changing(way)})
+    with pytest.raises(ValueError, match=message):
+        recogniser.fit(touches)
+    assert not hasattr(recogniser, "memory_")
+
+
+def test_an_encoding_of_foreign_code_is_given_again(alone, tmp_path):
+    path = alone.save(tmp_path / "m.palpate")
+    with pytest.raises(ModelFileError, match="'means', which is code of its user"):
+        ObjectRecogniser.load(path)
+    given = {"means": Means(2.0), "levels": [Means(), StandardScaler(), PCA(3)]}
+    again = ObjectRecogniser.load(path, encodings=given)
+    some = drawn(seed=1)
+    assert_array_equal(again.predict_log_proba(some), alone.predict_log_proba(some))
+    clone(again).fit(drawn())
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"means": Means(3.0)}, "as it did when it was learnt"),
+        ({"means": [Means(2.0), PCA(2)]}, None),
+        ({"means": PCA(2)}, "must have a Means as step 1.* got PCA"),
+    ],
+)
+def test_another_encoding_than_the_learnt_one_is_refused(
+    alone, tmp_path, given, message
+):
+    path = alone.save(tmp_path / "m.palpate")
+    levels = {"levels": [Means(), StandardScaler(), PCA(3)]}
+    if message is None:
+        ObjectRecogniser.load(path, encodings=given | levels)
+        return
+    with pytest.raises(ModelFileError, match=message):
+        ObjectRecogniser.load(path, encodings=given | levels)
+
+
+def test_palpates_own_encodings_travel_in_the_file(touches, tmp_path):
+    from palpate.encodings import GridLevels, PrincipalShare
+
+    own = {"fine levels": [GridLevels(blur=0.5), PrincipalShare(0.9)]}
+    learnt = ObjectRecogniser(encodings=own).fit(touches)
+    again = ObjectRecogniser.load(learnt.save(tmp_path / "m.palpate"))
+    assert_array_equal(again.predict_proba(touches), learnt.predict_proba(touches))
+    assert "fine levels" in again.encoder_.encodings_
+
+
+def test_a_classifier_of_foreign_code_cannot_be_written(touches, tmp_path):
+    learnt = ObjectRecogniser(classifier=LinearDiscriminantAnalysis()).fit(touches)
+    with pytest.raises(ModelFileError, match="cannot hold a LinearDiscriminant"):
+        learnt.save(tmp_path / "m.palpate")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_network_travels_in_the_model_file(touches, tmp_path):
+    pytest.importorskip("onnxruntime")
+    onnx = pytest.importorskip("onnx")
+    from palpate.encodings import OnnxEncoding
+
+    helper, kind = onnx.helper, onnx.TensorProto.FLOAT
+    graph = helper.make_graph(
+        [helper.make_node("Flatten", ["x"], ["out"])],
+        "g",
+        [helper.make_tensor_value_info("x", kind, ("n", 1, 5, 9))],
+        [helper.make_tensor_value_info("out", kind, ("n", 45))],
+    )
+    opset = [helper.make_opsetid("", 17)]
+    file = tmp_path / "net.onnx"
+    onnx.save(helper.make_model(graph, opset_imports=opset, ir_version=8), str(file))
+    learnt = ObjectRecogniser(None, encodings={"net": OnnxEncoding(file)}).fit(touches)
+    path = learnt.save(tmp_path / "m.palpate")
+    file.unlink()
+    again = ObjectRecogniser.load(path)
+    some = drawn(seed=1)
+    assert_array_equal(again.predict_log_proba(some), learnt.predict_log_proba(some))
+    assert again.score(some) > 0.8
+    refitted = clone(again).fit(touches)
+    assert_allclose(refitted.predict_proba(some), again.predict_proba(some))
+
+
+def vectors(seed):
+    some = drawn(seed=seed)
+    return some.images.reshape(len(some), -1), some.object
+
+
+def test_feature_vectors_are_touches_without_geometry():
+    X, y = vectors(0)
+    learnt = ObjectRecogniser().fit(X, y)
+    assert learnt.n_features_in_ == 45
+    images = Touches(X[:, np.newaxis], object=y, geometry="none")
+    as_images = ObjectRecogniser().fit(images)
+    assert_array_equal(learnt.predict_proba(X), as_images.predict_proba(images))
+    belief = learnt.start()
+    for row in vectors(1)[0][:5]:
+        belief.update(row)
+    assert belief.best == "ball"
+    with pytest.raises(ValueError, match="7 features, but ObjectRecogniser is expect"):
+        learnt.predict(X[:, :7])
+
+
+def test_a_pipeline_and_a_data_frame():
+    pandas = pytest.importorskip("pandas")
+    X, y = vectors(0)
+    pipeline = make_pipeline(StandardScaler(), ObjectRecogniser())
+    assert cross_val_score(pipeline, X, y, cv=3).mean() > 0.8
+    frame = pandas.DataFrame(X, columns=[f"taxel {k}" for k in range(45)])
+    learnt = ObjectRecogniser().fit(frame, y)
+    assert learnt.feature_names_in_[2] == "taxel 2"
+    assert learnt.predict(frame).tolist() == learnt.predict(frame).tolist()
+    with pytest.raises(ValueError, match="feature names should match"):
+        learnt.predict(frame.rename(columns={"taxel 2": "other"}))
+
+
+def test_a_function_may_be_an_encoding(touches):
+    sums = FunctionTransformer(lambda images: images.sum(axis=2))
+    learnt = ObjectRecogniser(None, encodings={"sums": sums}).fit(touches)
+    assert learnt.memory_.features.shape[1] == 5
+
+
+def test_repr_says_what_it_knows(alone):
+    text = repr(alone)
+    assert "# knows 3 objects (ball, mug, pen) from 42 touches" in text
+    assert repr(clone(alone)).startswith("ObjectRecogniser(")
+    assert "knows" not in repr(clone(alone))
+
+
+def test_confusions_are_drawn(alone):
+    pytest.importorskip("matplotlib").use("Agg")
+    axes = alone.plot_confusion()
+    drawn_shares = axes.images[0].get_array()
+    assert_allclose(drawn_shares.sum(axis=1), 100)
+    left_out = alone.left_out_log_likelihood().argmax(axis=1)
+    own = np.searchsorted(alone.classes_, alone.memory_.labels)
+    right = np.mean(left_out == own)
+    assert f"{right:.0%} right" in axes.get_title()
+    assert [t.get_text() for t in axes.get_yticklabels()] == NAMES
+
+
+def test_touches_are_drawn(touches):
+    pytest.importorskip("matplotlib").use("Agg")
+    axes = touches[:5].plot()
+    shown = [one for one in axes.flat if one.images]
+    assert len(shown) == 5
+    assert_array_equal(shown[3].images[0].get_array(), touches.images[3])
+    assert len([one for one in touches.plot(most=3).flat if one.images]) == 3
