@@ -2,7 +2,8 @@
 
 A page is run from top to bottom in a folder of its own. Blocks of ```sh are commands,
 blocks of ```python share their names. `<!-- not run: REASON -->` before a block leaves
-it out; so does a page whose first lines say `<!-- blocks not run: REASON -->`.
+it out; so does a page whose first lines say `<!-- blocks not run: REASON -->`. After
+`<!-- needs PACKAGE -->` a block is run where the package is.
 """
 
 import os
@@ -11,6 +12,8 @@ import shlex
 import subprocess
 import sys
 import time
+import warnings
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -28,6 +31,7 @@ FENCE = re.compile(
     r"(?P<before>[^\n]*)\n(?P<mark>`{3,})(?P<kind>[^\n]*)\n(?P<body>.*?)^(?P=mark) *$",
     re.DOTALL | re.MULTILINE,
 )
+NEEDS = re.compile(r"<!-- needs (\w+) -->")
 NOT_RUN = re.compile(r"<!-- not run: \w.{7,} -->")
 # Shown, not run: no commands and no Python.
 SHOWN = {"text", "toml", "json", "c", "{eval-rst}"}
@@ -38,7 +42,10 @@ def blocks(page):
     text = "\n" + page.read_text("utf-8")
     found = []
     for block in FENCE.finditer(text):
-        reason = block["before"].strip() if NOT_RUN.search(block["before"]) else None
+        before = block["before"]
+        needed = NEEDS.search(before)
+        missing = needed is not None and find_spec(needed[1]) is None
+        reason = before.strip() if missing or NOT_RUN.search(before) else None
         line = text.count("\n", 0, block.start("mark"))
         found.append((line, block["kind"].strip(), block["body"], reason))
     return found
@@ -97,7 +104,10 @@ def test_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch):
         if reason is not None or kind not in {"sh", "python"}:
             continue
         if kind == "python":
-            exec(compile(body, f"{page}:{line}", "exec"), names)
+            with warnings.catch_warnings():
+                if "torch" in body:  # warns about itself
+                    warnings.simplefilter("ignore")
+                exec(compile(body, f"{page}:{line}", "exec"), names)
         else:
             done = subprocess.run(
                 ["bash", "-euo", "pipefail", "-c", body],

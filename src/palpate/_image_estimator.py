@@ -158,6 +158,8 @@ def _by_channel(transform: Callable[[Any, Array], Array]) -> Any:
 
     @wraps(transform)
     def transform_checked(self: Any, images: Array) -> Array:
+        if images.ndim == 3:
+            return transform(self, images)
         return by_channel(partial(transform, self), images)
 
     return transform_checked

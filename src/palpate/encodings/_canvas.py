@@ -331,17 +331,18 @@ def _patterns(
     wide = cv2.copyMakeBorder(
         image, margin, margin, margin, margin, cv2.BORDER_REPLICATE
     )
-    blended = [
-        _between(
-            wide[:, left : left + cols], wide[:, left + 1 : left + 1 + cols], share
-        )
-        for left, share in _circle(radius, n_points, margin)[0]
-    ]
+    columns, places = _circle(radius, n_points, margin)
+    blended = []
+    for left, share in columns:
+        here, right = wide[:, left : left + cols], wide[:, left + 1 : left + 1 + cols]
+        both = cv2.addWeighted(here, 1 - share, right, share, 0) if share else here
+        blended.append(both)
     high = np.empty((n_points, rows, cols), dtype=bool)
-    places = _circle(radius, n_points, margin)[1]
     for bits, (column, top, share) in zip(high, places, strict=True):
-        part = blended[column][top : top + rows + 1]
-        np.greater_equal(_between(part[:-1], part[1:], share), least, out=bits)
+        here = blended[column][top : top + rows]
+        below = blended[column][top + 1 : top + 1 + rows]
+        both = cv2.addWeighted(here, 1 - share, below, share, 0) if share else here
+        np.greater_equal(both, least, out=bits)
     bits = high.view(np.uint8)
     ones = np.add.reduce(bits, axis=0, dtype=np.uint8)
     turns = np.add.reduce(bits[1:] ^ bits[:-1], axis=0, dtype=np.uint8)
@@ -349,10 +350,6 @@ def _patterns(
     # No pattern has as many ones as stand for all that turn more than twice.
     pattern: NDArray[np.uint8] = np.maximum(ones, (turns > 2) * np.uint8(n_points + 1))
     return pattern
-
-
-def _between(here: Array, there: Array, share: float) -> Array:
-    return cv2.addWeighted(here, 1 - share, there, share, 0) if share else here
 
 
 @lru_cache(maxsize=64)
