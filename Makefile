@@ -168,7 +168,7 @@ $(LEROBOT_VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv --clear $(LEROBOT_VENV)
 	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) $(LEROBOT_NEEDS) $(AGENTS)
 	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) --no-deps $(LEROBOT) "diffusers<0.36"
-	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) -e ".[parquet,sim]" -e plugs/lerobot
+	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) -e ".[parquet,sim,onnx]" -e plugs/lerobot onnxscript
 	@touch $@
 
 $(LOOK_VENV)/.installed: pyproject.toml constraints.txt plugs/look/pyproject.toml
