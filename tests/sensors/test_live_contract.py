@@ -9,6 +9,7 @@ from numpy.testing import assert_array_equal
 from PIL import Image
 
 from palpate import Touches
+from palpate.cli._sensor import SensorOptions
 from palpate.sensors import (
     LiveSensor,
     ReplaySensor,
@@ -337,6 +338,41 @@ def test_an_option_of_another_kind_of_sensor_is_refused(address, options):
 def test_a_recording_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(SensorError, match="cannot be replayed"):
         open_sensor(f"replay:{tmp_path / 'none.npz'}")
+
+
+def pictures_of(n_quiet, rng):
+    """Pictures of 60 x 80, two things, bright somewhere; some of them of nothing."""
+    rest = np.full((60, 80), 90.0)
+    touches = [rest.copy() for _ in range(24)]
+    for number, image in enumerate(touches):
+        row, col = rng.integers(0, 40, 2)
+        image[row : row + 20, col : col + 20] += 80 * (number >= n_quiet)
+    order = rng.permutation(24)
+    noisy = np.stack(touches)[order] + rng.normal(scale=2, size=(24, 60, 80))
+    names = np.array(["cup", "pen"])[rng.permutation(24) % 2]
+    return Touches(np.rint(noisy).astype(np.uint8), object=names)
+
+
+@pytest.mark.parametrize("n_quiet", [8, 20])
+def test_rest_is_taken_from_quiet_pictures_of_a_recording(rng, n_quiet):
+    sensor = ReplaySensor(pictures_of(n_quiet, rng))
+    # The mean of 8 pictures with a noise of 2 has one of 0.7; rounding adds 0.3.
+    assert abs(sensor.no_contact().astype(float) - 90).mean() < 1
+
+
+def test_a_recording_of_touches_alone_asks_for_a_picture_of_nothing(tmp_path, rng):
+    touches = pictures_of(0, rng)
+    with pytest.raises(SensorError, match=r"touches alone. Give .* as no_contact.$"):
+        ReplaySensor(touches)
+    assert ReplaySensor(touches, gap=0).no_contact() is None  # as they are
+    touches.save(tmp_path / "touches.npz")
+    rest = np.full((60, 80), 90, np.uint8)
+    Image.fromarray(rest).save(tmp_path / "rest.png")
+    address = f"replay:{tmp_path}/touches.npz"
+    given = open_sensor(f"{address}?no-contact={tmp_path}/rest.png")
+    assert_array_equal(given.no_contact(), rest)
+    with pytest.raises(SensorError, match="--no-contact FILE"):
+        SensorOptions().open(address)
 
 
 @pytest.mark.realdata

@@ -138,6 +138,22 @@ def test_a_new_baseline_is_offered_when_rest_has_moved():
     assert "take it again" in detector.baseline_offer(10.0)
 
 
+def test_noise_about_a_given_baseline_is_not_another_baseline(rng):
+    """Frames of whole levels with a noise of one, as a camera gives them."""
+    rest = np.full((40, 40), 100, np.uint8)
+    noise = np.rint(rng.normal(size=(60, 40, 40)))
+    images = np.asarray(rest + noise, np.uint8)
+    detector = TouchDetector(rest)
+    for number, image in enumerate(images):
+        assert detector.update(Frame(image, number / 10, number)) is None
+    assert detector.baseline_offer(6.0) == ""
+    # Rounding to whole levels adds 1/12 to a variance of 1.
+    assert_allclose(detector.noise, np.sqrt(1 + 1 / 12), rtol=0.05)
+    taken = TouchDetector()
+    taken.take_baseline(list(images[:20]))
+    assert_allclose(detector.begin, taken.begin, rtol=0.1)
+
+
 def test_a_contact_without_end_is_questioned():
     detector = TouchDetector(REST)
     touches_of(detector, [50] * 250)

@@ -94,8 +94,27 @@ def test_the_command_refuses_what_cannot_be(tmp_path):
         assert result.exit_code
         return " ".join(f"{result.output} {result.exception}".split())
 
-    two = "--sensor", "sim:mug", "--sensor", "sim:mug?rate=10"
-    assert "--sensor must name each once, got sim:mug, sim:mug?rate=10" in said(*two)
+    two = "--sensor", "sim:mug", "--sensor", "sim:mug"
+    assert "--sensor must name each once, got sim:mug, sim:mug. Sim" in said(*two)
     (tmp_path / "library.sqlite").touch()
     several = "--sensor", "sim:mug", "--sensor", "sim:box", "--library", str(tmp_path)
     assert "name a --library that is none of one sensor" in said(*several)
+
+
+def test_two_of_one_place_have_a_folder_and_a_name_each(tmp_path, monkeypatch):
+    """The address tells them apart, in the folder of the library and on the page."""
+    served = []
+    monkeypatch.setattr("palpate.web.create_app", lambda all_, *_, **__: [*all_])
+    monkeypatch.setattr("palpate.web.run_app", lambda app, _: served.extend(app))
+    monkeypatch.setattr("palpate.web.start_all", lambda sessions: None)
+    two = "--sensor", "sim:bar10?seed=1", "--sensor", "sim:bar10?seed=2"
+    words = ["serve", "--port", "0", *two, "--library", str(tmp_path / "hand")]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    names = [session.watch.to_dict()["name"] for session in served]
+    assert [name[-18:] for name in names] == [
+        "(sim:bar10?seed=1)",
+        "(sim:bar10?seed=2)",
+    ]
+    folders = [session.teacher.folder.name for session in served]
+    assert folders == ["sim-bar10-seed-1", "sim-bar10-seed-2"]

@@ -63,12 +63,15 @@ class SensorOptions:
 
     def open(self, address: str) -> "LiveSensor":
         """Return the sensor at an address; it is not connected yet."""
-        from ..sensors import AddressError, open_sensor
+        from ..sensors import AddressError, SensorError, open_sensor
 
         try:
             return open_sensor(address, **vars(self))
         except AddressError as error:
             raise typer.BadParameter(str(error)) from error
+        except SensorError as error:
+            message = str(error).replace("as no_contact", "with --no-contact FILE")
+            raise SensorError(message) from error
 
 
 def need_baseline(session: "LiveSession") -> None:

@@ -82,6 +82,8 @@ def serve(
         for one, folder in zip(chosen, folders, strict=True):
             session = LiveSession(one, model=model, library=folder, **how)
             sessions.append(session)
+            if session.watch is not None and len(given) > 1:
+                session.watch.address = given[len(sessions) - 1]
             number = len(sessions) * (len(given) > 1)
             stack.enter_context(logged(session, log, number))
             stack.callback(session.stop)
@@ -97,9 +99,21 @@ def _folders(
     sensors: list[str], library: Path | None, model: Path | None
 ) -> list[Path | None]:
     """Return a folder within the library for each of several sensors."""
-    names = [re.sub(r"[^\w.-]+", "-", one.partition("?")[0]) for one in sensors]
-    if len({*names}) < len(names):
-        raise ValueError(f"--sensor must name each once, got {', '.join(sensors)}.")
+    if len({*sensors}) < len(sensors):
+        raise ValueError(
+            f"--sensor must name each once, got {', '.join(sensors)}. Simulated ones "
+            "may differ in an option: sim:mug?seed=1, sim:mug?seed=2."
+        )
+    places = [address.partition("?")[0] for address in sensors]
+    whole = [
+        address if places.count(place) > 1 else place
+        for address, place in zip(sensors, places, strict=True)
+    ]
+    names = [re.sub(r"[^\w.-]+", "-", one) for one in whole]
+    names = [
+        f"{name}-{number}" if names.count(name) > 1 else name
+        for number, name in enumerate(names, start=1)
+    ]
     if library and (model or (library / "library.sqlite").exists()):
         raise ValueError(
             "Several sensors have a library and a model each: leave --model out, and "

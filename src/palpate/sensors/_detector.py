@@ -45,6 +45,7 @@ _LEAST_NOISES, _N_LIMITS = 3.0, 60
 _BASELINE_TOLERANCE, _GAIN_TOLERANCE, _SURE_SD = 0.25, 2.0, 4.0
 _NAMED = 3
 _MAX_PIXELS = 50_000_000  # of a film
+_NOISE_STEPS = 8  # from frame to frame at rest, that tell the noise
 
 
 class ContactError(ValueError):
@@ -73,7 +74,8 @@ class TouchDetector:
     Parameters
     ----------
     no_contact : ndarray of shape (n_rows, n_cols), optional
-        The baseline, where the sensor knows it; else call `take_baseline`.
+        The baseline, where the sensor knows it; else call `take_baseline`. The noise
+        is then learnt from the first frames at rest.
     summary : {"peak", "mean"}, default="peak"
         What stands for a touch: the frame of greatest change, or the mean of the
         frames that change by at least 0.8 of the greatest (of the last 64).
@@ -92,6 +94,8 @@ class TouchDetector:
         Whether something touches the sensor now.
     change : float
         Change of the last frame.
+    noise : float
+        How far a frame at rest is from the baseline (sensor's unit), by chance.
     step : float
         The smallest difference that the sensor's numbers can show, where it is known
         (see `LiveSensor`); 1 for integers, else 0. May be set at any time.
@@ -188,6 +192,7 @@ class TouchDetector:
         now_s = frame.time_s
         if not self.touching:
             if self.change <= self.begin:
+                self._learn_noise(frame.image)
                 # How far rest is from the baseline, over about half a second.
                 if self._idle_since_s > now_s:
                     self._idle_since_s, self._idle_change = now_s, self.change
@@ -327,6 +332,22 @@ class TouchDetector:
         self._recent.clear()
         self._idle_since_s, self._idle_change = float("inf"), 0.0
         self._calm_since_s, self._calm_change = 0.0, 0.0
+        self._still: Floats | None = None
+        self._steps: list[float] = []
+
+    def _learn_noise(self, image: Array) -> None:
+        """Learn the noise from frames at rest, of a baseline that came without it.
+
+        Two frames differ by chance by the square root of two times their noise.
+        """
+        if self.noise or len(self._steps) >= _NOISE_STEPS:
+            return
+        still = _small(image)
+        if self._still is not None:
+            self._steps.append(_rms(still - self._still) / np.sqrt(2))
+        self._still = still
+        if len(self._steps) == _NOISE_STEPS:
+            self.noise = float(np.median(self._steps))
 
     def _least(self, image: Array | None) -> float:
         whole = image is not None and image.dtype.kind in "iu"

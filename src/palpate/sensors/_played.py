@@ -13,7 +13,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from os import PathLike
 from typing import Any
 
+import cv2
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from .. import simulation
 from .._checks import ARRAY_SIDE, check_count, check_option, check_positive
@@ -25,6 +27,10 @@ from ._contract import LiveSensor, SensorError, as_kind
 _LONGEST_WAIT_S = 0.2
 _UNLABELLED = "recording"
 _NOISE_FRAMES = 8
+# Quiet pictures differ by under a tenth of what pictures that differ much do (90 % of
+# the pairs differ less). They are of at least half of the objects; of one object a
+# third of all, since a thing may be touched in one place a few times.
+_ALIKE, _OF_PAIRS, _LEAST_QUIET, _COMPARED, _COMPARED_SIDE = 0.1, 90, 3, 300, 24
 _DOME_NOISE, _ARRAY_NOISE = 1.0, 0.5
 
 
@@ -127,9 +133,10 @@ class ReplaySensor(PlayedSensor):
         Frames that each touch is held, and frames of nothing between two; 1 and 0
         play the pictures as they are, one after the other.
     no_contact : ndarray or path, optional
-        The frame of touching nothing, where the recording has none. A pressure
-        array (at most 48 taxels a side) is taken to read 0 then; other recordings
-        are played without frames of nothing.
+        The frame of touching nothing, where the recording has none. By default a
+        pressure array (at most 48 taxels a side) is taken to read 0; of other
+        recordings it is the mean of the quiet pictures among them, of touching
+        nothing, which are all alike. Without any, `gap` must be 0.
     name_pattern : str, optional
         For folders: see `Touches.load`.
 
@@ -143,7 +150,8 @@ class ReplaySensor(PlayedSensor):
     Raises
     ------
     SensorError
-        The recording cannot be read.
+        The recording cannot be read, or nothing tells what it is like between two
+        touches.
 
     Examples
     --------
@@ -189,6 +197,13 @@ class ReplaySensor(PlayedSensor):
             self._rest = self._rest.astype(self._images.dtype)
         elif max(self._images.shape[1:3]) <= ARRAY_SIDE:
             self._rest = np.zeros_like(self._images[0])
+        elif gap:
+            self._rest = _quiet_mean(self._images, labels)
+            if self._rest is None:
+                raise SensorError(
+                    "The recording must show what touching nothing looks like, got "
+                    "touches alone. Give the picture of it as no_contact."
+                )
         super().__init__(
             f"replay of {source}",
             "grey level" if recorded.images.dtype.kind == "u" else "as recorded",
@@ -207,6 +222,31 @@ class ReplaySensor(PlayedSensor):
         touch: Array = self._images[rows[self._at[name] % len(rows)]]
         self._at[name] += 1
         return touch
+
+
+def _quiet_mean(images: Array, labels: Array) -> Array | None:
+    """Return the mean of the pictures of touching nothing, None where none seem so.
+
+    Touches of things differ; pictures of nothing are alike, whatever is named.
+    """
+    rows = np.unique(np.linspace(0, len(images) - 1, _COMPARED).astype(int))
+    n_rows, n_cols = images.shape[1:3]
+    scale = min(1.0, _COMPARED_SIDE / max(n_rows, n_cols))
+    size = max(1, round(n_cols * scale)), max(1, round(n_rows * scale))
+    levels = (np.nan_to_num(images[row].astype(np.float64)) for row in rows)
+    small = [
+        np.ravel(cv2.resize(x, size, interpolation=cv2.INTER_AREA)) for x in levels
+    ]
+    distances = cdist(small, small)
+    alike = distances < _ALIKE * np.percentile(distances, _OF_PAIRS)
+    quiet = alike[alike.sum(axis=1).argmax()]
+    n_objects, n_quiet = len({*labels.tolist()}), int(quiet.sum())
+    of_objects = len({*labels[rows][quiet].tolist()})
+    enough = 3 * n_quiet >= len(rows) if n_objects == 1 else 2 * of_objects >= n_objects
+    if n_quiet < _LEAST_QUIET or not enough:
+        return None
+    mean = images[rows[quiet]].mean(axis=0, dtype=np.float64)
+    return as_kind(mean, images.dtype)
 
 
 class SimulatedStream(PlayedSensor):

@@ -136,7 +136,8 @@ class SensorWatch:
     `take` is called with the image of each touch and the time its last frame was
     taken (`time.monotonic`), in a thread of its own; `listeners` are sent frames
     ("frame") and what the sensor is like ("contact"). `misfit` says why the model
-    cannot recognise touches of this sensor; it is empty where it can.
+    cannot recognise touches of this sensor; it is empty where it can. `address` tells
+    it from others of the same name, where there are several.
     """
 
     def __init__(
@@ -153,7 +154,7 @@ class SensorWatch:
         of_array = sensor.geometry == "array"
         self._painter = FramePainter(sensor.image_shape, sensor.channels, of_array)
         self._memory: SensorMemory | None = None
-        self.misfit = self.failed = ""
+        self.misfit = self.failed = self.address = ""
         self._recent: list[Array] = []
         self._warnings: list[str] = []
         self._resting: list[Array] | None = None
@@ -232,7 +233,7 @@ class SensorWatch:
         sensor, desk = self.sensor, sensors.desk_of(self.sensor)
         has_baseline = self.detector.baseline is not None
         return {
-            "name": sensor.name,
+            "name": f"{sensor.name} ({self.address})" if self.address else sensor.name,
             "unit": sensor.unit,
             "shape": list(sensor.image_shape),
             "lost": self.failed or sensor.lost,
