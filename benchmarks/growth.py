@@ -2,6 +2,12 @@
 
     python benchmarks/growth.py                # measures, writes growth.json, draws
     python benchmarks/growth.py --picture DIR  # draws what was measured
+    python benchmarks/growth.py --shop [N]     # N of the rows of very many, into it
+
+Of very many objects, each has two faces, a recorded touch and noise of its own each;
+half of the touches met are of either. Asked are 1,000 touches of them, beside a
+nearest-mean classifier of scaled features; one object more is learnt and one forgotten,
+and the model is written and read.
 
 Each size is learnt in a process of its own, on one thread, until one takes longer than
 `LONGEST_S` of CPU time. Objects and touches are those of `default` on vectors of 71
@@ -18,7 +24,9 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -27,6 +35,8 @@ HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "growth.json"
 N_FEATURES, LONGEST_S, N_ASKED = 71, 240, 20
 KERNELS = 10_000
+# Objects and touches of each, of a shop and of a fleet.
+SHOP = [(10_000, 5), (10_000, 20), (100, 10_000)]
 FIGURES = {
     "learning_s": "learning (s of CPU)",
     "memory_mb": "memory of learning (MB)",
@@ -49,7 +59,18 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="the three smallest sizes")
     parser.add_argument("--picture", type=Path, metavar="FOLDER")
     parser.add_argument("--one", nargs=3, type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--shop", nargs="?", type=int, const=len(SHOP))
+    parser.add_argument("--one-shop", nargs=2, type=int, help=argparse.SUPPRESS)
     asked = parser.parse_args()
+    if asked.one_shop:
+        print(json.dumps(shop(*asked.one_shop)))
+        return
+    if asked.shop:
+        rows = [in_a_process("--one-shop", size) for size in SHOP[: asked.shop]]
+        known = json.loads(RESULTS.read_text(encoding="utf-8"))
+        text = json.dumps(known | {"shop": {"rows": rows}}, indent=1) + "\n"
+        RESULTS.write_text(text, encoding="utf-8")
+        return
     if asked.one:
         print(json.dumps(learnt(*asked.one)))
         return
@@ -62,22 +83,26 @@ def main() -> None:
 def measured(way: str, most: int | None) -> dict[str, Any]:
     """Learn each size of one way in turn, and fit how cost grows."""
     sizes, of_size = WAYS[way]
-    rows = []
+    rows: list[dict[str, Any]] = []
     for size in sizes[:most]:
-        command = [sys.executable, __file__, "--one", *map(str, of_size(size))]
-        environment = os.environ | dict.fromkeys(
-            ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
-        )
-        done = subprocess.run(command, capture_output=True, text=True, env=environment)
-        if done.returncode:
-            refused = (done.stderr.strip().splitlines() or ["killed"])[-1]
-            rows.append({"size": size, "refused": refused})
-        else:
-            rows.append({"size": size, **json.loads(done.stdout)})
-        print(way, rows[-1], flush=True)
-        if done.returncode or rows[-1]["learning_s"] > LONGEST_S:
+        rows.append({"size": size, **in_a_process("--one", of_size(size))})
+        if "refused" in rows[-1] or rows[-1]["learning_s"] > LONGEST_S:
             break
     return {"rows": rows}
+
+
+def in_a_process(option: str, size: Sequence[int]) -> dict[str, Any]:
+    """Return what a process of its own measures, or how it was `refused`."""
+    command = [sys.executable, __file__, option, *map(str, size)]
+    environment = os.environ | dict.fromkeys(
+        ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
+    )
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    row = {"refused": (done.stderr.strip().splitlines() or ["killed"])[-1]}
+    if not done.returncode:
+        row = json.loads(done.stdout)
+    print(option, size, row, flush=True)
+    return row
 
 
 def exponent(rows: list[dict[str, Any]], key: str) -> float:
@@ -114,6 +139,68 @@ def learnt(n_objects: int, n_each: int, side: int) -> dict[str, float]:
         "memory_mb": max(_peak_mb() - before, 1.0),
         "belief_ms": 1e3 * (time.process_time() - cpu) / len(some),
     }
+
+
+def shop(n_objects: int, n_each: int) -> dict[str, float]:
+    """Learn very many touches; return CPU times, memory, and shares right."""
+    from palpate.recognition import ObjectRecogniser
+
+    touches, asked = with_faces(n_objects, n_each)
+    recogniser, clock = ObjectRecogniser(), time.process_time
+    Path("/proc/self/clear_refs").write_text("5")
+    before, begun = _peak_mb(), clock()
+    recogniser.fit(touches)
+    row = {"objects": n_objects, "each": n_each, "learning_s": clock() - begun}
+    row["memory_mb"] = _peak_mb() - before
+    belief, begun = recogniser.start(), clock()
+    for k in range(N_ASKED):
+        belief.update(asked[[k]])
+        belief.decide()
+    row["belief_ms"] = 1e3 * (clock() - begun) / N_ASKED
+    row["right"] = float((recogniser.predict(asked) == asked.object).mean())
+    row["nearest_mean"] = right_by_means(touches, asked)
+    begun = clock()
+    recogniser.add_object("one more", asked[:n_each])
+    row["adding_s"], begun = clock() - begun, clock()
+    recogniser.forget_object("one more")
+    row["forgetting_s"] = clock() - begun
+    with TemporaryDirectory() as folder:
+        path = recogniser.save(Path(folder) / "shop.palpate")
+        row["file_mb"], begun = path.stat().st_size / 1e6, clock()
+        ObjectRecogniser.load(path)
+        row["loading_s"] = clock() - begun
+    return row
+
+
+def with_faces(n_objects: int, n_each: int) -> tuple[Any, Any]:
+    """Draw touches of objects of two faces to learn, and 1,000 to ask about."""
+    from palpate import Touches
+
+    rng = np.random.default_rng(0)
+    known = recorded_features(rng)
+    spread = known.std(axis=0)
+    faces = known[rng.integers(len(known), size=(n_objects, 2))]
+    faces = faces + 0.3 * spread * rng.normal(size=faces.shape)
+
+    def met(objects: Any) -> Any:
+        drawn = faces[objects, rng.integers(2, size=len(objects))]
+        drawn = drawn + 0.4 * spread * rng.normal(size=drawn.shape)
+        names = np.array([f"object {k:05d}" for k in objects])
+        return Touches(drawn[:, np.newaxis], object=names, geometry="none")
+
+    objects = np.repeat(np.arange(n_objects), n_each)
+    return met(objects), met(rng.integers(n_objects, size=1000))
+
+
+def right_by_means(touches: Any, asked: Any) -> float:
+    """Return the share right of the nearest mean of scaled features."""
+    from sklearn.neighbors import NearestCentroid
+    from sklearn.pipeline import make_pipeline
+    from sklearn.preprocessing import StandardScaler
+
+    means = make_pipeline(StandardScaler(), NearestCentroid())
+    means.fit(touches.images[:, 0], touches.object)
+    return float(means.score(asked.images[:, 0], asked.object))
 
 
 def vectors(n_objects: int, n_each: int) -> Any:
@@ -169,6 +256,7 @@ def draw(folder: Path) -> None:
 
     plt.style.use(str(HERE.parent / "docs" / "palpate.mplstyle"))
     kept = json.loads(RESULTS.read_text(encoding="utf-8"))
+    kept.pop("shop", None)
     figure, axes = plt.subplots(1, 3, figsize=(10.8, 3.6), layout="constrained")
     for axis, (key, label) in zip(axes, FIGURES.items(), strict=True):
         for (way, found), marker in zip(kept.items(), "os^", strict=True):

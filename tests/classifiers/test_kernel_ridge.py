@@ -204,7 +204,7 @@ def test_left_out_scores_through_landmarks_are_those_of_refitting(problem, n_lan
         some = features[~out]
         inner = some.T @ some + 0.1 * np.eye(len(marks))
         slow = features[out] @ np.linalg.solve(inner, some.T @ targets[~out]) + 1 / 3
-        assert_allclose(machine.left_out_scores_[out], slow, atol=1e-8)
+        assert_allclose(machine.left_out_scores_[out], slow, atol=1e-5)  # single
 
 
 def test_memory_of_many_touches_does_not_grow_with_their_square(rng):

@@ -12,12 +12,14 @@ from palpate.classifiers import (
     FromProbabilities,
     KernelDensityBayes,
     KernelRidgeClassifier,
+    NearbyTouches,
     TouchClassifier,
 )
 
 CLASSIFIERS = [
     KernelRidgeClassifier(),
     KernelDensityBayes(),
+    NearbyTouches(),
     FromProbabilities(GaussianNB()),
 ]
 every = pytest.mark.parametrize("classifier", CLASSIFIERS, ids=repr)

@@ -4,7 +4,7 @@ import json
 import time
 import tracemalloc
 from copy import deepcopy
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -536,7 +536,8 @@ def test_what_is_as_large_as_a_touch_is_read(tmp_path):
 
 def test_a_memory_of_nothing_is_refused(tmp_path):
     model = deepcopy(models()[0])
-    columns = {k: v[:0] for k, v in vars(model.memory_).items() if k != "sensor"}
+    names = [f.name for f in fields(model.memory_) if f.name != "sensor"]
+    columns = {name: getattr(model.memory_, name)[:0] for name in names}
     model.memory_ = replace(model.memory_, **columns)
     model.classes_ = model.classes_[:0]
     assert refusal_of(model.save(tmp_path / "m.palpate"))

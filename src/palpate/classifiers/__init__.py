@@ -9,6 +9,8 @@ from ._kernel_density_index import IndexQuality as IndexQuality
 from ._kernel_density_index import KernelDensityIndex as KernelDensityIndex
 from ._kernel_ridge import KernelRidgeClassifier
 from ._kernel_ridge import fair_shares as fair_shares
+from ._kernel_ridge import learns_by_landmarks as learns_by_landmarks
+from ._nearby import NearbyTouches as NearbyTouches
 from ._touch_classifier import BayesRule as BayesRule
 from ._touch_classifier import FromProbabilities, TouchClassifier
 from ._touch_classifier import as_groups as as_groups

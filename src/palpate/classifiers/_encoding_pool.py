@@ -21,9 +21,10 @@ from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_count, check_squarable
 from .._numbers import log_loss, log_softmax
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices
 from . import _touch_classifier
-from ._kernel_ridge import KernelRidgeClassifier, fair_shares
+from ._kernel_ridge import KernelRidgeClassifier, fair_shares, learns_by_landmarks
+from ._nearby import NearbyTouches
 from ._touch_classifier import (
     BayesRule,
     Groups,
@@ -35,6 +36,8 @@ from ._touch_classifier import (
 TOGETHER = "all together"
 # No machine may say of a touch that an object is less probable than this (nats).
 _LEAST = -30.0
+# With fewer landmarks for each label, they cannot tell labels apart.
+LANDMARKS_EACH = 4
 
 
 class EncodingPool(BayesRule):
@@ -46,7 +49,8 @@ class EncodingPool(BayesRule):
         Name and number of features of each part, in the order of the features.
     machine : TouchClassifier, optional
         What learns each part; by default a `KernelRidgeClassifier` that chooses its
-        width and ridge on at most 800 touches.
+        width and ridge on at most 800 touches, or `NearbyTouches` of more labels than
+        its landmarks can tell.
     together : bool, default=True
         Whether one more machine learns all parts side by side, where there are several.
 
@@ -58,8 +62,8 @@ class EncodingPool(BayesRule):
         One for each part, and perhaps one for all of them together.
     weights_ : dict of str to float
         Factor of each machine's log posterior, at least 0.
-    left_out_ : ndarray of shape (n_touches, n_classes)
-        Pooled log posterior of each training touch with its group left out.
+    left_out_ : ndarray of shape (n_left_out, n_classes)
+        Pooled log posterior of training touches, each with its group left out.
 
     Notes
     -----
@@ -116,14 +120,14 @@ class EncodingPool(BayesRule):
         group = as_groups(groups, len(touches))
         machine = self.machine
         if machine is None:
-            machine = KernelRidgeClassifier(max_choice_touches=800)
+            machine = _machine_for(len(labels), len(np.unique(labels)))
         self.machines_ = {
             name: clone(machine).fit(part, labels, groups=group)
             for name, part in self._parts(touches).items()
         }
         self.classes_ = np.unique(labels)
         every = self.left_out_posteriors()
-        codes = np.searchsorted(self.classes_, labels)
+        codes = np.searchsorted(self.classes_, labels)[self.left_out_rows]
         step = -(-codes.size * self.classes_.size // 1_000_000)
         some = np.sort(np.argsort(codes, kind="stable")[::step])
         weights = pool_weights(every[:, some], codes[some])
@@ -167,6 +171,11 @@ class EncodingPool(BayesRule):
         check_is_fitted(self)
         return self.left_out_
 
+    @property
+    def left_out_rows(self) -> Indices:
+        """Which training touches are told of when left out, (n_left_out,)."""
+        return np.asarray(next(iter(self.machines_.values())).left_out_rows)
+
     def left_out_by_part(self) -> Floats:
         """Return what each machine alone says of touches left out, not bounded."""
         check_is_fitted(self)
@@ -199,6 +208,15 @@ class EncodingPool(BayesRule):
         """Return the log posterior (n_touches, n_classes) of what each machine says."""
         weights = np.array(list(self.weights_.values()))
         return np.asarray(log_softmax(np.tensordot(weights, by_part, 1), axis=1))
+
+
+def _machine_for(n_touches: int, n_labels: int) -> TouchClassifier:
+    """Return what learns a part, unless the user says: ridge regression if it can."""
+    machine = KernelRidgeClassifier(max_choice_touches=800)
+    few = machine.n_landmarks < LANDMARKS_EACH * n_labels
+    if few and learns_by_landmarks(n_touches, n_labels):
+        return NearbyTouches()
+    return machine
 
 
 def pool_weights(every: Floats, codes: Array) -> Floats:

@@ -10,14 +10,13 @@ without a single further fit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable
 from functools import cache
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.linalg import LinAlgError
 from numpy.typing import ArrayLike
-from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotrf, dtrtri
 from scipy.optimize import minimize
 from sklearn.metrics.pairwise import euclidean_distances
@@ -27,12 +26,14 @@ from .._checks import check_count, check_positive, check_squarable
 from .._numbers import exp, log_loss, log_softmax
 from .._types import Array, Floats, Indices
 from ._growing_inverse import GrowingInverse
+from ._landmarks import LandmarkRegression, Landmarks, group_members
 from ._touch_classifier import (
     BayesRule,
     Groups,
     as_groups,
     as_touches,
     labelled_touches,
+    rows_left_out,
 )
 
 # Temperature and bend of the posterior are fitted to at most so many touches, and so
@@ -40,13 +41,14 @@ from ._touch_classifier import (
 _SHAPED_BY, _SHAPED_ANSWERS = 2000, 500_000
 # Touches that shape it at once: their answers stay in a processor's cache.
 _SHAPED_AT_ONCE = 256
-# Touches whose kernel with the landmarks is in memory at once.
+# More touches than this, or more targets (one for each touch and label), are learnt by
+# landmarks.
+MAX_TOUCHES, _MOST_TARGETS = 10_000, 20_000_000
+# Touches of groups of one size that are left out at once.
 _TOUCHES_AT_ONCE = 2000
 # From so many touches to so many, learning a few more costs a few columns; in memory 4
 # bytes for each pair. As many more as this share of them are learnt so.
 _GROWS_FROM, _GROWS_TO, _GROWTH = 500, 5000, 1 / 8
-# Keeps the landmarks' own kernel positive definite, where two of them are the same.
-_JITTER = 1e-8
 
 # Where the search for a temperature begins, and where it stays.
 _USUAL_TEMPERATURE = 8.0
@@ -55,10 +57,24 @@ _TEMPERATURES = float(np.exp(-3)), float(np.exp(6))
 Shape = tuple[float, float, float]
 _USUAL_SHAPE = _USUAL_TEMPERATURE, 0.5, 1.0
 
-# Rows of touches, some of them -> their kernel with the landmarks.
-KernelOf = Callable[[Indices], Floats]
 # Rows of groups of one size, (n_groups, size), and the inverse's blocks of them.
 Blocks = Iterable[tuple[Indices, Floats]]
+
+
+def learns_by_landmarks(
+    n_touches: int, n_labels: int, max_touches: int = MAX_TOUCHES
+) -> bool:
+    """Return whether some of so many touches stand for all."""
+    return n_touches > max_touches or n_touches * n_labels > _MOST_TARGETS
+
+
+class _Summed(NamedTuple):
+    """Touches (n_touches, n_features) and labels, and what landmarks learnt of them."""
+
+    touches: Floats
+    codes: Indices
+    classes: Array
+    regression: LandmarkRegression
 
 
 class KernelRidgeClassifier(BayesRule):
@@ -78,7 +94,8 @@ class KernelRidgeClassifier(BayesRule):
     max_touches : int, default=10000
         Up to this many training touches every one has a kernel function of its own;
         memory grows with the square of their number (8 bytes n^2, twice over).
-        Of more, some are landmarks for all (Nystroem features).
+        Of more, or of as many labels as make 20 million targets, some are landmarks
+        for all (Nystroem features).
     n_landmarks : int, default=2000
         How many, evenly spaced over each label.
 
@@ -99,8 +116,10 @@ class KernelRidgeClassifier(BayesRule):
     log_counts_ : ndarray of shape (n_classes,)
         Logarithms of the numbers of training touches, times `lean_`; subtracted, so
         that posteriors are those under equal priors.
-    left_out_scores_ : ndarray of shape (n_touches, n_classes)
-        Regression scores of each training touch with its group left out.
+    left_out_scores_ : ndarray of shape (n_left_out, n_classes)
+        Regression scores of training touches, each with its group left out.
+    left_out_rows_ : ndarray of shape (n_left_out,)
+        Which training touches these are: all, unless there are very many.
     mean_ : ndarray of shape (n_features,)
         Mean of the training touches.
     touches_, squared_norms_, coefficients_ : ndarray
@@ -130,6 +149,7 @@ class KernelRidgeClassifier(BayesRule):
     """
 
     classes_: Array
+    coefficients_: Array
     temperature_: float
     bend_: float
     lean_: float
@@ -139,7 +159,7 @@ class KernelRidgeClassifier(BayesRule):
         widths: Iterable[float] = (0.5, 1.0, 2.0, 4.0),
         ridges: Iterable[float] = (0.003, 0.01, 0.03, 0.1, 0.3),
         max_choice_touches: int = 1500,
-        max_touches: int = 10_000,
+        max_touches: int = MAX_TOUCHES,
         n_landmarks: int = 2000,
     ) -> None:
         self.widths = widths
@@ -220,56 +240,107 @@ class KernelRidgeClassifier(BayesRule):
                 best, self.width_, self.ridge_ = loss(at), width, ridges[at]
 
     def _learn(self, touches: Floats, codes: Array, group: Array) -> None:
+        n_labels = len(self.classes_)
+        at_most = check_count("max_touches", self.max_touches, at_least=2)
+        self.left_out_rows_ = rows = rows_left_out(codes, group)
+        start = _USUAL_SHAPE
+        if learns_by_landmarks(len(touches), n_labels, at_most):
+            left_out = self._learn_by_landmarks(touches, codes, group)
+        else:
+            self._summed: _Summed | None = None
+            grown = self._grown(touches, codes)
+            left_out = self._learn_from_all(touches, codes, group, grown)[rows]
+            if grown is not None:
+                start = self.temperature_, self.bend_, self.lean_
+        self.squared_norms_ = np.einsum("ij,ij->i", self.touches_, self.touches_)
+        self.left_out_scores_, own = left_out, codes[rows]
+        some = _thin(own, min(_SHAPED_BY, _SHAPED_ANSWERS // n_labels + 1))
+        counts = np.bincount(codes, minlength=n_labels)
+        shape, self.log_loss_ = _best_shape(left_out[some], own[some], counts, start)
+        self.temperature_, self.bend_, self.lean_ = shape
+        self.log_counts_ = self.lean_ * _log_counts(counts)
+
+    def _learn_from_all(
+        self,
+        touches: Floats,
+        codes: Array,
+        group: Array,
+        grown: GrowingInverse | None,
+    ) -> Floats:
+        """Give every touch a kernel function; return left-out scores of all.
+
+        With what is known of those before the last ones, if it has `grown` by these.
+        """
         target = _one_hot(codes, len(self.classes_))
-        n_touches = check_count("max_touches", self.max_touches, at_least=2)
-        grown = self._grown(touches, codes) if len(touches) <= n_touches else None
         if grown is None:
             self.mean_ = touches.mean(axis=0)
-        centred = touches - self.mean_ if grown is None else grown.touches
+        self.touches_ = touches - self.mean_ if grown is None else grown.touches
         self._inverse = grown
-        blocks: Blocks
         if grown is not None:
             self.coefficients_ = grown.coefficients(target, self.classes_)
             blocks = grown.blocks(_by_size(group))
-            left_out = _left_out(blocks, self.coefficients_, target)
-            self.touches_ = centred
-        elif len(centred) <= n_touches:
-            kernel = self._kernel(_squared_distances(centred))
-            # The columns of the labels as they are, of which later classes need others.
-            root, columns = _solve(kernel, target + 1 / len(self.classes_), self.ridge_)
-            share = columns.mean(axis=1, keepdims=True)
-            self.coefficients_ = columns - share
-            blocks = _own_blocks(root, _by_size(group))
-            if _GROWS_FROM <= len(centred) <= _GROWS_TO:
-                blocks = list(blocks)
-                self._inverse = GrowingInverse(
-                    root, centred, self.classes_[codes], self.classes_, columns, blocks
-                )
-            left_out = _left_out(blocks, self.coefficients_, target)
-            self.touches_ = centred
-        else:
-            n_landmarks = check_count("n_landmarks", self.n_landmarks, at_least=2)
-            marks = centred[_thin(codes, min(n_landmarks, len(codes)))]
-            self.coefficients_, left_out = _learn_from_landmarks(
-                lambda rows: self._kernel(
-                    euclidean_distances(centred[rows], marks, squared=True)
-                ),
-                self._kernel(euclidean_distances(marks, squared=True)),
-                target,
-                group,
-                self.ridge_,
+            return _left_out(blocks, self.coefficients_, target)
+        kernel = self._kernel(_squared_distances(self.touches_))
+        # The columns of the labels as they are, of which later classes need others.
+        root, columns = _solve(kernel, target + 1 / len(self.classes_), self.ridge_)
+        self.coefficients_ = columns - columns.mean(axis=1, keepdims=True)
+        own_blocks = _own_blocks(root, _by_size(group))
+        if _GROWS_FROM <= len(touches) <= _GROWS_TO:
+            own_blocks = list(own_blocks)
+            labels = self.classes_[codes]
+            self._inverse = GrowingInverse(
+                root, self.touches_, labels, self.classes_, columns, own_blocks
             )
-            left_out += 1 / len(self.classes_)
-            self.touches_ = marks
-        self.squared_norms_ = np.einsum("ij,ij->i", self.touches_, self.touches_)
-        self.left_out_scores_ = left_out
-        some = _thin(codes, min(_SHAPED_BY, _SHAPED_ANSWERS // target.shape[1] + 1))
-        start = _USUAL_SHAPE
-        if grown is not None:
-            start = self.temperature_, self.bend_, self.lean_
-        shape, self.log_loss_ = _best_shape(left_out[some], codes[some], start)
-        self.temperature_, self.bend_, self.lean_ = shape
-        self.log_counts_ = self.lean_ * _log_counts(codes, target.shape[1])
+        return _left_out(own_blocks, self.coefficients_, target)
+
+    def _learn_by_landmarks(self, touches: Floats, codes: Array, group: Array) -> Array:
+        """Let some touches stand for all; return left-out scores of some."""
+        self._inverse = None
+        summed = self._summed_again(touches, codes)
+        if summed is None:
+            n_landmarks = check_count("n_landmarks", self.n_landmarks, at_least=2)
+            self.mean_ = touches.mean(axis=0)
+            centred = touches - self.mean_
+            self.touches_ = centred[_thin(codes, min(n_landmarks, len(codes)))]
+            squares = np.einsum("ij,ij->i", self.touches_, self.touches_)
+            landmarks = Landmarks(self.touches_, squares, self.width_ / self.unit_)
+            regression = LandmarkRegression(landmarks, self.ridge_)
+            regression.learn(centred, codes, len(self.classes_))
+            summed = _Summed(touches, codes, self.classes_, regression)
+        self._summed = summed
+        coefficients = summed.regression.coefficients()
+        self.coefficients_ = coefficients
+        centred, rows = touches - self.mean_, self.left_out_rows_
+        return summed.regression.left_out(coefficients, centred, codes, group, rows)
+
+    def _summed_again(self, touches: Floats, codes: Array) -> _Summed | None:
+        """Return the regression with some labels gone and other touches at the end.
+
+        None where they are other touches, or landmarks would have to change.
+        """
+        before: _Summed | None = self.__dict__.get("_summed")
+        if before is None:
+            return None
+        labels = before.classes[before.codes]
+        kept = np.isin(labels, self.classes_)
+        n_kept = int(kept.sum())
+        most = _GROWTH * before.regression.n_first
+        if not 0 <= len(touches) - n_kept <= most or len(kept) - n_kept > most:
+            return None
+        if not (
+            np.array_equal(self.classes_[codes[:n_kept]], labels[kept])
+            and np.array_equal(touches[:n_kept], before.touches[kept])
+        ):
+            return None
+        stay = np.isin(before.classes, self.classes_)
+        regression = before.regression.changed(
+            (before.touches[~kept] - self.mean_, before.codes[~kept]),
+            stay,
+            np.searchsorted(self.classes_, before.classes[stay]),
+            (touches[n_kept:] - self.mean_, codes[n_kept:]),
+            len(self.classes_),
+        )
+        return _Summed(touches, codes, self.classes_, regression)
 
     def _grown(self, touches: Floats, codes: Array) -> GrowingInverse | None:
         """Return the inverse with a few touches more than it has, None of others."""
@@ -302,7 +373,9 @@ class KernelRidgeClassifier(BayesRule):
         squared += (centred**2).sum(axis=1)[:, np.newaxis]
         squared += self.squared_norms_
         kernel = self._kernel(np.maximum(squared, 0, out=squared))
-        return np.asarray(kernel @ self.coefficients_ + 1 / len(self.classes_))
+        kernel = kernel.astype(self.coefficients_.dtype, copy=False)
+        scores = (kernel @ self.coefficients_).astype(np.float64, copy=False)
+        return np.asarray(scores + 1 / len(self.classes_))
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return log p(touch | object) up to a constant per touch (nats).
@@ -316,6 +389,12 @@ class KernelRidgeClassifier(BayesRule):
         """Return `log_likelihood` of training touches with their groups left out."""
         check_is_fitted(self)
         return self._log_posterior(self.left_out_scores_)
+
+    @property
+    def left_out_rows(self) -> Indices:
+        """Which training touches these are, (n_left_out,)."""
+        every = np.arange(len(self.left_out_scores_))  # as of models before it
+        return np.asarray(getattr(self, "left_out_rows_", every))
 
     def _log_posterior(self, scores: Floats) -> Floats:
         shape = (self.temperature_, self.bend_, 1.0)
@@ -334,7 +413,8 @@ class KernelRidgeClassifier(BayesRule):
 
     def __getstate__(self) -> dict[str, Any]:
         # What makes learning more of it quick is larger than all the rest.
-        return {k: v for k, v in super().__getstate__().items() if k != "_inverse"}
+        state = super().__getstate__().items()
+        return {k: v for k, v in state if k not in ("_inverse", "_summed")}
 
 
 def _thin(codes: Array, at_most: int) -> Array:
@@ -376,7 +456,7 @@ def _solve(kernel: Floats, target: Floats, ridge: float) -> tuple[Floats, Floats
 def _by_size(group: Array) -> list[Indices]:
     """Return rows of groups of one size, (n_groups, size), so many at a time."""
     by_size: dict[int, list[Indices]] = {}
-    for members in _members(group):
+    for members in group_members(group):
         by_size.setdefault(len(members), []).append(members)
     return [
         np.stack(groups[first : first + at_once])
@@ -401,8 +481,8 @@ def _left_out(blocks: Blocks, coefficients: Floats, target: Floats) -> Floats:
     return scores
 
 
-def _log_counts(codes: Array, n_classes: int) -> Floats:
-    return np.asarray(np.log(np.maximum(np.bincount(codes, minlength=n_classes), 1)))
+def _log_counts(counts: Indices) -> Floats:
+    return np.asarray(np.log(np.maximum(counts, 1)))
 
 
 def _log_posterior(shape: Shape, scores: Floats, log_counts: Floats) -> Floats:
@@ -432,7 +512,8 @@ def _smoothed_loss(
     convex: Newton's method.
     """
     n_touches, n_classes = scores.shape
-    log_counts, shares = _log_counts(codes, n_classes), fair_shares(codes)
+    log_counts = _log_counts(np.bincount(codes, minlength=n_classes))
+    shares = fair_shares(codes)
     others = 1 / (n_touches + 2) / max(1, n_classes - 1)
     gaps = scores - scores[np.arange(n_touches), codes][:, np.newaxis]
     squares = gaps**2
@@ -452,13 +533,14 @@ def _smoothed_loss(
 
 
 def _best_shape(
-    scores: Floats, codes: Array, start: Shape = _USUAL_SHAPE
+    scores: Floats, codes: Array, counts: Indices, start: Shape = _USUAL_SHAPE
 ) -> tuple[Shape, float]:
     """Return (temperature, bend, lean) with the least log loss, and that loss (nats).
 
-    The lean counts where labels have unequal numbers of touches, and is 1 elsewhere.
+    Of touches of labels of which so many were learnt (`counts`). The lean counts where
+    these numbers are unequal, and is 1 elsewhere.
     """
-    log_counts = _log_counts(codes, scores.shape[1])
+    log_counts = _log_counts(counts)
     shares, size = fair_shares(codes), np.abs(scores)
     n_free = 3 if np.ptp(log_counts) > 0 else 2
 
@@ -490,70 +572,3 @@ def _best_shape(
     )
     lean = float(found.x[2]) if n_free > 2 else 1.0
     return (*np.exp(found.x[:2]).tolist(), lean), float(found.fun)
-
-
-def _learn_from_landmarks(
-    kernel_of: KernelOf,
-    own_kernel: Floats,
-    target: Floats,
-    group: Indices,
-    ridge: float,
-) -> tuple[Floats, Floats]:
-    """Return coefficients (n_landmarks, n_outputs) and left-out answers to `target`.
-
-    Nystroem features: Williams and Seeger, "Using the Nystroem method to speed up
-    kernel machines", NIPS 13, 2001. With features F and residuals r of a group, Q =
-    (F_all^T F_all + ridge I)^-1, its answer, never learnt, is target - (I - F Q F^T)^-1
-    r.
-    """
-    n_landmarks = len(own_kernel)
-    root = cholesky(own_kernel + _JITTER * np.eye(n_landmarks), lower=True)
-
-    def features(rows: Indices) -> Floats:
-        solved = solve_triangular(root, kernel_of(rows).T, lower=True)
-        return np.ascontiguousarray(solved.T)
-
-    inner = ridge * np.eye(n_landmarks)
-    outer = np.zeros((n_landmarks, target.shape[1]))
-    for start in range(0, len(target), _TOUCHES_AT_ONCE):
-        rows = np.arange(start, min(len(target), start + _TOUCHES_AT_ONCE))
-        some = features(rows)
-        inner += some.T @ some
-        outer += some.T @ target[rows]
-    factor = cho_factor(inner)
-    weights = cho_solve(factor, outer)
-    left_out = target.copy()
-    at_once = min(_TOUCHES_AT_ONCE, n_landmarks)
-    for groups in _batches(_members(group), at_once):
-        some = features(np.concatenate(groups))
-        # Without its group, through the smaller of two matrices.
-        through = None if len(some) > n_landmarks else cho_solve(factor, some.T)
-        ends = np.cumsum([len(members) for members in groups])
-        for members, end in zip(groups, ends, strict=True):
-            here = slice(end - len(members), end)
-            mine = some[here]
-            residual = target[members] - mine @ weights
-            if through is not None:
-                hat = mine @ through[:, here]
-                left_out[members] -= np.linalg.solve(np.eye(len(mine)) - hat, residual)
-            else:
-                others = cho_factor(inner - mine.T @ mine)
-                answer = mine @ cho_solve(others, mine.T @ residual)
-                left_out[members] -= residual + answer
-    return solve_triangular(root, weights, lower=True, trans="T"), left_out
-
-
-def _batches(groups: list[Indices], at_once: int) -> Iterator[list[Indices]]:
-    """Yield groups so many touches at a time, one that is larger alone."""
-    batch: list[Indices] = []
-    for members in groups:
-        if batch and sum(map(len, batch)) + len(members) > at_once:
-            yield batch
-            batch = []
-        batch.append(members)
-    yield batch
-
-
-def _members(group: Indices) -> list[Indices]:
-    order = np.argsort(group, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)

@@ -24,6 +24,9 @@ Groups = ArrayLike | None
 ONE_PART = "classifier"
 _N_FOLDS = 5
 _LEAST_PROBABILITY = 1e-12
+# Of more left-out answers, one for each touch and label, only a part is kept: all or
+# some touches of so many labels at least.
+MOST_ANSWERS, LEAST_LABELS = 5_000_000, 25
 # Text and whole numbers: scikit-learn would find nothing, in a millisecond or two.
 _CLASSES = "biuSU"
 
@@ -79,8 +82,16 @@ class TouchClassifier(Protocol):
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of the training touches, their groups left out.
 
-        Shape (n_training_touches, n_objects), rows as given to `fit`; minus infinity
+        Shape (n_left_out, n_objects), of the touches `left_out_rows`; minus infinity
         where no touch of an object is left.
+        """
+        ...
+
+    @property
+    def left_out_rows(self) -> Indices:
+        """Which training touches, as given to `fit`, are told of when left out.
+
+        Shape (n_left_out,), rising; all of them, unless there are very many.
         """
         ...
 
@@ -125,6 +136,12 @@ class BayesRule(ClassifierMixin, BaseEstimator):
     def log_likelihood_by_part(self, X: ArrayLike) -> Floats:
         """Return `log_likelihood` as that of one part, (1, n_touches, n_objects)."""
         return self.log_likelihood(X)[np.newaxis]
+
+    @property
+    def left_out_rows(self) -> Indices:
+        """Rows of the training touches that are told of when left out: all."""
+        whole: Any = self
+        return np.arange(len(whole.left_out_log_likelihood()))
 
     def left_out_by_part(self) -> Floats:
         """Return `left_out_log_likelihood` as that of one part."""
@@ -286,6 +303,27 @@ def as_touches(estimator: BaseEstimator, X: ArrayLike) -> Floats:
     if not named and are_plain_vectors(X, n_features):
         return np.asarray(X)
     return np.asarray(validate_data(estimator, X, dtype=np.float64, reset=False))
+
+
+def rows_left_out(codes: Array, groups: Indices) -> Indices:
+    """Return which training touches to leave out in turn, shape (n_left_out,).
+
+    All, but of so many touches and labels that their answers would fill memory, a part:
+    of some labels, evenly spread, the touches of their first groups, whole groups where
+    there is room. Of the column `codes` of each touch's label and its group.
+    """
+    n_touches, n_labels = len(codes), int(codes.max()) + 1
+    if n_touches * n_labels <= MOST_ANSWERS:
+        return np.arange(n_touches)
+    most = max(MOST_ANSWERS // n_labels, 2)
+    n_chosen = min(n_labels, max(LEAST_LABELS, most * n_labels // n_touches))
+    chosen = np.unique(np.linspace(0, n_labels - 1, n_chosen).astype(np.intp))
+    order = np.lexsort((groups, codes))
+    starts = np.searchsorted(codes[order], chosen)
+    ends = np.searchsorted(codes[order], chosen, side="right")
+    quota = max(2, most // len(chosen))
+    parts = [order[a : min(a + quota, b)] for a, b in zip(starts, ends, strict=True)]
+    return np.sort(np.concatenate(parts))
 
 
 def as_groups(groups: Groups, n_touches: int) -> Indices:

@@ -30,8 +30,9 @@ from ._evidence import SequenceCalibration, is_informative, with_floor
 from ._strangers import LONGEST
 
 EPISODES_PER_OBJECT = 40
-# Episodes of one length in all, of all objects together.
-IN_ALL = 1000
+# Episodes of one length in all, of all objects together, and so many of their answers,
+# one for each object that is known.
+IN_ALL, ANSWERS = 1000, 2_000_000
 LENGTHS = (1, 2, 3, 5, 8, 12, 20, 30)
 _LEAST_CORRELATION = 6e-6
 # Of each object the touches, block by block, and where blocks begin and the last ends.
@@ -169,8 +170,9 @@ def _in_order(objects: Array, group: Array) -> InBlocks:
     ]
 
 
-def _n_each(objects: InBlocks) -> int:
-    return min(EPISODES_PER_OBJECT, max(1, IN_ALL // len(objects)))
+def _n_each(objects: InBlocks, n_known: int = 1) -> int:
+    in_all = min(IN_ALL, ANSWERS // n_known)
+    return min(EPISODES_PER_OBJECT, max(1, in_all // len(objects)))
 
 
 def _drawn(
@@ -191,27 +193,36 @@ def _drawn(
     return np.concatenate(episodes)
 
 
-def draw_all(objects: Array, group: Array, seed: int) -> dict[int, Array]:
-    """Draw episodes of all lengths for which some object has the touches."""
+def draw_all(
+    objects: Array, group: Array, seed: int, n_known: int = 1
+) -> dict[int, Array]:
+    """Draw episodes of all lengths for which some object has the touches.
+
+    Fewer where very many objects are known (`n_known`).
+    """
     rng, each = np.random.default_rng(seed), _in_order(objects, group)
-    drawn = {k: _drawn(each, k, _n_each(each), rng) for k in LENGTHS}
+    drawn = {k: _drawn(each, k, _n_each(each, n_known), rng) for k in LENGTHS}
     return {k: rows for k, rows in drawn.items() if len(rows)}
 
 
-def draw_asked(objects: Array, group: Array, seed: int) -> list[Indices]:
+def draw_asked(
+    objects: Array, group: Array, seed: int, n_known: int = 1
+) -> list[Indices]:
     """Draw long episodes of each object, (n_episodes, n_touches), -1 after their end.
 
     Like those of `draw_episodes`, each as long as its object has touches, up to
-    `LONGEST`; `IN_ALL` of all objects together, and of very many objects, of some.
+    `LONGEST`; `IN_ALL` of all objects together, and of very many objects, of some, as
+    fewer where very many are known (`n_known`).
     """
     rng, blocks = np.random.default_rng(seed), _in_order(objects, group)
-    spread = np.unique(np.linspace(0, len(blocks) - 1, IN_ALL).astype(int))
+    in_all = min(IN_ALL, ANSWERS // n_known)
+    spread = np.unique(np.linspace(0, len(blocks) - 1, in_all).astype(int))
     blocks = [blocks[k] for k in spread]
     longest = min(LONGEST, max(len(rows) for rows, _ in blocks))
     drawn = []
     for one_object in blocks:
         n_touches = min(longest, len(one_object[0]))
-        rows = _drawn([one_object], n_touches, IN_ALL // len(blocks), rng)
+        rows = _drawn([one_object], n_touches, in_all // len(blocks), rng)
         over = ((0, 0), (0, longest - n_touches))
         drawn.append(np.pad(rows, over, constant_values=-1))
     return drawn

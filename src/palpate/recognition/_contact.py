@@ -221,7 +221,8 @@ def encoded_and_flagged(
 
 def consists_of_nothing(labels: Array, no_contact: Array) -> bool:
     """Whether some label's touches mostly show no contact, such as "Nothing"."""
-    return any(no_contact[labels == n].mean() > CONSISTS for n in np.unique(labels))
+    codes, counts = np.unique(labels, return_inverse=True, return_counts=True)[1:]
+    return bool((np.bincount(codes, no_contact) > CONSISTS * counts).any())
 
 
 def correlation(images: Array, idle: Array) -> Floats:

@@ -10,12 +10,12 @@ import numpy as np
 from sklearn.base import clone
 
 from .._types import Array, Bools, Floats, Indices
-from ..classifiers import EncodingPool
+from ..classifiers import EncodingPool, learns_by_landmarks
 from ..touches import Touches, TouchSource
 from ._contact import NO_CONTACT, ContactCheck, encoded_and_flagged
 from ._encoder import TouchEncoder, find_geometry
 from ._evidence import with_floor
-from ._memory import Memory
+from ._memory import Memory, rows_of_each
 from ._model_file import state_digest
 from ._presets import PRESENTATIONS, Preset
 from ._sessions import N_LOOKS
@@ -26,14 +26,18 @@ SHOWN = 2000
 # Candidates are compared on at most so many touches, whole recipes in so many folds.
 AT_MOST = 600
 N_FOLDS = 3
+# Touches of each label that candidates are compared on, at least.
+FEWEST = 4
 # Of several encodings those are kept that say this share of what the pool says (their
 # weight times the spread of their log posteriors over objects), at most so many.
 LEAST_SHARE = 0.05
 MOST_KEPT = 5
-# Memory of learning: bytes for each touch and object, and for each pair of touches up
-# to `KernelRidgeClassifier.max_touches`, twice as many where what was solved is kept
-# for later touches; as measured (docs/explanation/recognition.md).
-_EACH_BYTES, _PAIR_BYTES, _PAIRED, _KEPT = 200, 13, 10_000, 5000
+# Memory of learning, as measured (docs/explanation/speed.md). Where each touch has a
+# kernel function: bytes for each touch and label, and for each pair of touches, twice
+# as many where what was solved is kept for later touches. Where landmarks stand for
+# all: bytes for each label, for each touch, and for what is always there.
+_EACH_BYTES, _PAIR_BYTES, _KEPT = 200, 13, 5000
+_LABEL_BYTES, _TOUCH_BYTES, _LANDMARK_BYTES = 100_000, 10_000, 1_000_000_000
 
 
 @dataclass
@@ -48,8 +52,12 @@ class Encoded:
 def refuse_too_large(labels: Array, max_memory_gb: float) -> None:
     """Refuse labels (n_touches,) of more objects and touches than memory is for."""
     n_touches, n_labels = len(labels), len(np.unique(labels))
-    pairs = min(n_touches, _PAIRED) ** 2 * (2 if n_touches <= _KEPT else 1)
-    needed_gb = (_EACH_BYTES * n_touches * n_labels + _PAIR_BYTES * pairs) / 1e9
+    if learns_by_landmarks(n_touches, n_labels):
+        by_label, by_touch = _LABEL_BYTES * n_labels, _TOUCH_BYTES * n_touches
+        needed_gb = (by_label + by_touch + _LANDMARK_BYTES) / 1e9
+    else:
+        pairs = n_touches**2 * (2 if n_touches <= _KEPT else 1)
+        needed_gb = (_EACH_BYTES * n_touches * n_labels + _PAIR_BYTES * pairs) / 1e9
     if needed_gb > max_memory_gb:
         raise ValueError(
             f"Learning must take at most {max_memory_gb:g} GB of memory, got "
@@ -150,12 +158,16 @@ def memory_of(
 
 
 def shown_rows(labels: Array, n_shown: int = SHOWN) -> Indices:
-    """Return all rows, of many about `n_shown`, spread evenly over each label."""
+    """Return all rows, of many about `n_shown`, spread evenly over each label.
+
+    Of more labels than would have `FEWEST` each, only every second, third...
+    """
     if len(labels) <= n_shown:
         return np.arange(len(labels))
-    codes, counts = np.unique(labels, return_inverse=True, return_counts=True)[1:]
-    share = max(2, n_shown // len(counts))
-    by_label = np.split(np.argsort(codes, kind="stable"), np.cumsum(counts)[:-1])
+    by_label = rows_of_each(labels)
+    # Of very many labels some, with touches enough to be left out in turn.
+    by_label = by_label[:: -(-len(by_label) * FEWEST // n_shown)]
+    share = max(2, n_shown // len(by_label))
     chosen = [
         rows[np.unique(np.linspace(0, len(rows) - 1, share).round().astype(int))]
         for rows in by_label

@@ -9,14 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from itertools import repeat
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import pdist
-from sklearn.metrics.pairwise import euclidean_distances
 
 from .._checks import check_label_kinds
 from .._types import Array, Bools, Floats, Indices
@@ -81,15 +82,15 @@ class Memory:
     def __len__(self) -> int:
         return len(self.labels)
 
-    @property
+    @cached_property
     def classes(self) -> Array:
         """The labels, sorted, shape (n_labels,)."""
         return np.unique(self.labels)
 
-    @property
+    @cached_property
     def category_of(self) -> NDArray[np.str_]:
         """The category of each of `classes`, "" where not all its touches tell one."""
-        told = [np.unique(self.categories[self.labels == c]) for c in self.classes]
+        told = [np.unique(self.categories[rows]) for rows in rows_of_each(self.labels)]
         return np.array([str(one[0]) if len(one) == 1 else "" for one in told])
 
     @property
@@ -156,7 +157,7 @@ class Nearest:
 
     def __init__(self, memory: Memory) -> None:
         step = -(-len(memory) // MOST_MARKS)
-        rows = [np.flatnonzero(memory.labels == c)[::step] for c in memory.classes]
+        rows = [some[::step] for some in rows_of_each(memory.labels)]
         self._memory, self._step = memory, step
         self._rows = np.concatenate(rows)
         self._owner = np.repeat(np.arange(len(rows)), [*map(len, rows)])
@@ -165,12 +166,15 @@ class Nearest:
         self._squares = (self._marks**2).sum(axis=1)
         self._told: Floats | None = None
 
-    def left_out(self, before: Nearest | None) -> Floats:
-        """Return `log_distances` of the training touches, their blocks left out.
+    def left_out(self, rows: Indices, before: Nearest | None) -> Floats:
+        """Return `log_distances` of training touches, their blocks left out.
 
-        Those that were asked for `before` more touches came are not sought again.
+        Of all of them or some rows. Those that were asked for `before` more touches
+        came are not sought again, if all are asked.
         """
         memory = self._memory
+        if len(rows) < len(memory):
+            return self.log_distances(memory.features[rows], memory.blocks[rows])
         told = before._told if before is not None and self._goes_on(before) else None
         n_told = 0 if told is None else len(told)
         found = self.log_distances(memory.features[n_told:], memory.blocks[n_told:])
@@ -249,6 +253,12 @@ def nearest_touches(
             [{"object": name, "row": k, "distance": d / unit} for name, k, d in near]
         )
     return found
+
+
+def rows_of_each(values: Array) -> list[Indices]:
+    """Return the rows of each value that occurs, the values sorted."""
+    codes, counts = np.unique(values, return_inverse=True, return_counts=True)[1:]
+    return np.split(np.argsort(codes, kind="stable"), np.cumsum(counts)[:-1])
 
 
 _COLUMNS = [field.name for field in fields(Memory) if field.name != "sensor"]
@@ -336,8 +346,7 @@ def left_out_groups(
     """
     if label == "category" and touches.object is not None:
         groups = blocks_in_order(objects, touches.order)
-        for category in np.unique(labels):
-            rows = np.flatnonzero(labels == category)
+        for rows in rows_of_each(labels):
             if len(np.unique(objects[rows])) > 1:
                 codes = np.unique(objects[rows], return_inverse=True)[1]
                 groups[rows] = groups.max() + 1 + codes
@@ -359,19 +368,39 @@ def without_copies(features: Floats, objects: Array, blocks: Indices) -> Indices
     Touches of `features` (n_touches, n_features) nearer to each other than `COPY` of
     their object's median squared distance all go to the first one's block.
     """
-    joined = blocks.copy()
-    for name in np.unique(objects):
-        rows = np.flatnonzero(objects == name)
-        squared = euclidean_distances(features[rows], squared=True)
-        apart = squared[np.triu_indices(len(rows), 1)]
-        if len(apart):
-            near = squared <= COPY * np.median(apart)
-            n_touches, which = connected_components(near, directed=False)
-            first = np.full(n_touches, blocks.max())
-            np.minimum.at(first, which, blocks[rows])
-            if len(np.unique(first)) > 1:
-                joined[rows] = first[which]
+    joined, last = blocks.copy(), blocks.max(initial=0)
+    for rows in rows_of_each(objects):
+        if len(rows) < 2:
+            continue
+        n_touches, which = connected_components(_copies(features[rows]), directed=False)
+        if n_touches == len(rows):
+            continue
+        first = np.full(n_touches, last)
+        np.minimum.at(first, which, blocks[rows])
+        if len(np.unique(first)) > 1:
+            joined[rows] = first[which]
     return joined
+
+
+def _copies(features: Floats) -> csr_array:
+    """Return which touches of one object are copies of each other, as a graph."""
+    centred = features - features.mean(axis=0)
+    squares = np.einsum("ij,ij->i", centred, centred)
+    some = centred[:: -(-len(centred) // MOST_MARKS)]
+    # What is less is rounding.
+    limit = COPY * np.median(pdist(some, "sqeuclidean")) + 1e-13 * squares.max()
+    pairs = []
+    for start in range(0, len(centred), AT_ONCE):
+        here = slice(start, start + AT_ONCE)
+        squared = centred[here] @ (-2 * centred[start:].T)
+        squared += squares[here, np.newaxis]
+        squared += squares[start:]
+        near, far = np.nonzero(squared <= limit)
+        pairs.append(np.stack([near, far]) + start)
+    near, far = np.concatenate(pairs, axis=1)
+    return csr_array(
+        (np.ones(len(near), dtype=bool), (near, far)), (len(features),) * 2
+    )
 
 
 def blocks_in_order(objects: Array, order: Array | None = None) -> Indices:
@@ -383,8 +412,7 @@ def blocks_in_order(objects: Array, order: Array | None = None) -> Indices:
     """
     group = np.empty(len(objects), dtype=np.intp)
     next_group = 0
-    for name in np.unique(objects):
-        rows = np.flatnonzero(objects == name)
+    for rows in rows_of_each(objects):
         if order is not None:
             rows = rows[np.argsort(order[rows], kind="stable")]
         for part in np.array_split(rows, min(N_BLOCKS, len(rows))):

@@ -7,7 +7,7 @@ was read is tried on a blank touch before anyone relies on it.
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from math import prod
 from typing import Any
 
@@ -100,7 +100,7 @@ def check_parts(judge: Judge, encoder: TouchEncoder, pose: object) -> None:
     memory: object = judge.memory
     if not isinstance(memory, Memory):
         raise TypeError(f"memory_ is a {type(memory).__name__}")
-    columns = [v for k, v in vars(memory).items() if k != "sensor"]
+    columns = [getattr(memory, f.name) for f in fields(memory) if f.name != "sensor"]
     if {len(column) for column in columns} != {len(memory)} or not len(memory):
         raise ValueError("its sizes do not agree")
     if memory.looks.shape[1:] != (N_LOOKS,):

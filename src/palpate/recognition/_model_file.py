@@ -27,6 +27,7 @@ from sklearn.preprocessing import StandardScaler
 from .. import __version__, classifiers, encodings, images
 from .._durable import replacing
 from .._types import Array
+from ..classifiers import NearbyTouches
 from ..encodings import OnnxEncoding
 from ._calibration import Modality
 from ._contact import ContactCheck
@@ -46,6 +47,7 @@ _OWN = (
     Curve,
     Memory,
     Modality,
+    NearbyTouches,
     SequenceCalibration,
     StrangerModel,
     TouchEncoder,
@@ -283,12 +285,13 @@ def _pack_array(array: Array, tensors: Tensors) -> dict[str, Any]:
         raise ModelFileError(f"A model file cannot hold an array of {array.dtype}.")
     # The order in memory decides how products round, so it is kept.
     turned = array.flags.f_contiguous and not array.flags.c_contiguous
-    stored = np.asarray(array.T if turned else array, order="C")
+    given = array.T if turned else array
+    stored = np.ascontiguousarray(given)
     # A network, which its recipe holds too, is stored once.
     again = [n for n, one in tensors.items() if one is stored and one.dtype == np.uint8]
     name = again[0] if again else f"t{len(tensors)}"
     tensors[name] = stored
-    return {"array": name, "shape": list(stored.shape), "turned": turned}
+    return {"array": name, "shape": list(given.shape), "turned": turned}
 
 
 def _state(value: Any) -> tuple[dict[str, Any], dict[str, Any]]:

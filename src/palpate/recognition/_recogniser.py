@@ -413,11 +413,17 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches, each with its block left out.
 
-        Shape (n_touches, n_objects), rows as in `memory_`; touches without contact are
-        recognised like any other.
+        Shape (n_left_out, n_objects), of the rows `left_out_rows` of `memory_`; touches
+        without contact are recognised like any other.
         """
         self._check_fitted()
         return left_out_log_likelihood(self.classifier_)
+
+    @property
+    def left_out_rows(self) -> Indices:
+        """Which training touches were left out, (n_left_out,): all but of very many."""
+        self._check_fitted()
+        return self.classifier_.left_out_rows
 
     def evidence(self, touches: Touches | ArrayLike) -> Evidence:
         """Return all that touches tell; see `Evidence`.
@@ -700,9 +706,10 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
 
     def _confusion(self) -> Indices:
         """Return how many left-out touches of each object are taken for each."""
-        counted = ~self.memory_.nothing | self.uses_no_contact_
+        rows = self.left_out_rows
+        counted = ~self.memory_.nothing[rows] | self.uses_no_contact_
         best = self.left_out_log_likelihood()[counted].argmax(axis=1)
-        own = np.searchsorted(self.classes_, self.memory_.labels[counted])
+        own = np.searchsorted(self.classes_, self.memory_.labels[rows[counted]])
         counts = np.zeros((len(self.classes_),) * 2, dtype=np.intp)
         np.add.at(counts, (own, best), 1)
         return counts
@@ -768,26 +775,20 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         )
         self.sequence_calibration_ = _evidence.SequenceCalibration()
         if preset.calibrates_sequence:
+            rows = self.left_out_rows
+            objects, blocks = memory.objects[rows], memory.blocks[rows]
             self.sequence_calibration_ = fit_sequence_calibration(
                 _evidence.with_floor(self._left_out(), self.floor_),
-                np.searchsorted(self.classes_, memory.labels),
-                self._drawn(memory),
+                np.searchsorted(self.classes_, memory.labels[rows]),
+                draw_all(objects, blocks, self.random_state, len(self.classes_)),
                 self._log_prior(memory),
             )
         self.strangers_ = self._learnt_strangers()
 
-    def _drawn(self, memory: Memory) -> dict[int, Array]:
-        """Draw episodes; of very many objects, of some, spread over all."""
-        names = np.unique(memory.objects)
-        step = -(-len(names) * len(self.classes_) // 100_000)
-        rows = np.flatnonzero(np.isin(memory.objects, names[::step]))
-        drawn = draw_all(memory.objects[rows], memory.blocks[rows], self.random_state)
-        return {k: rows[episodes] for k, episodes in drawn.items()}
-
     def _left_out(self) -> Floats:
         """Return what counts of left-out training touches, (n_touches, n_objects)."""
-        said = left_out_log_likelihood(self.classifier_)
-        return self._used(said, self.memory_.nothing)
+        log_likelihood = left_out_log_likelihood(self.classifier_)
+        return self._used(log_likelihood, self.memory_.nothing[self.left_out_rows])
 
     def _learnt_strangers(self) -> StrangerModel:
         memory = self.memory_
@@ -796,20 +797,23 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         parts = without_gaps(self.classifier_.left_out_by_part())
         each = np.swapaxes(log_softmax(parts, axis=-1), 0, 1)
         weights = np.array([*self.classifier_.part_weights.values()])
-        said = self._used(weights @ each, memory.nothing)
+        rows = self.left_out_rows
+        log_likelihood = self._used(weights @ each, memory.nothing[rows])
         before: tuple[Memory, Nearest] | None = getattr(self, "_nearest_to", None)
         left_out = LeftOut(
-            log_likelihood=said,
+            log_likelihood=log_likelihood,
             each=each,
-            log_distances=self._nearest().left_out(before and before[1]),
-            codes=np.searchsorted(self.classes_, memory.labels),
+            log_distances=self._nearest().left_out(rows, before and before[1]),
+            codes=np.searchsorted(self.classes_, memory.labels[rows]),
             log_prior=self._log_prior(memory),
             floor=self.floor_,
             calibration=self.sequence_calibration_,
             weights=weights / max(weights.sum(), 1e-12),
             categories=self._category_of(memory),
         )
-        asked = draw_asked(memory.objects, memory.blocks, self.random_state)
+        objects, blocks = memory.objects[rows], memory.blocks[rows]
+        n_known = len(self.classes_)
+        asked = draw_asked(objects, blocks, self.random_state, n_known)
         return fit_strangers(left_out, asked, *memory.units)
 
     def _nearest(self) -> Nearest:

@@ -375,7 +375,10 @@ def _low_curve(known: _Tracks, strangers: _Tracks | None, n_names: int) -> Curve
     ratios = np.log(of_others / reached)
     # Reached by all, a level tells nothing, whatever the name.
     ratios = np.minimum(ratios - ratios[:, -1:], 0.0)
-    return Curve(levels, np.stack([isotonic_regression(row) for row in ratios]))
+    # Names that were never best have all the same.
+    different, rows = np.unique(ratios, axis=0, return_inverse=True)
+    curves = np.stack([isotonic_regression(row) for row in different])
+    return Curve(levels, curves[rows.reshape(-1)])
 
 
 def _spread(values: Floats) -> Floats:

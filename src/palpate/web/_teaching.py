@@ -376,10 +376,12 @@ def object_quality(recogniser: ObjectRecogniser) -> list[dict[str, Any]]:
     """
     memory, names = recogniser.memory_, recogniser.classes_.astype(str).tolist()
     said = with_floor(recogniser.left_out_log_likelihood(), recogniser.floor_)
-    felt = recogniser.uses_no_contact_ | ~memory.nothing
+    left_out = recogniser.left_out_rows
+    felt = recogniser.uses_no_contact_ | ~memory.nothing[left_out]
+    labels = memory.labels[left_out]
     rng, result = np.random.default_rng(0), []
     for code, name in enumerate(names):
-        rows = np.flatnonzero((memory.labels == recogniser.classes_[code]) & felt)
+        rows = np.flatnonzero((labels == recogniser.classes_[code]) & felt)
         answers = np.bincount(said[rows].argmax(axis=1), minlength=len(names))
         right, answers[code] = answers[code], 0
         drawn = rng.permuted(np.tile(rows, (_DRAWN, 1)), axis=1)[:, :_SOME]

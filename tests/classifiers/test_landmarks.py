@@ -1,0 +1,159 @@
+"""Very many touches and labels: landmarks, what is left out, adding and forgetting."""
+
+import numpy as np
+import pytest
+from joblib import parallel_config
+from numpy.testing import assert_allclose, assert_array_equal
+
+from palpate.classifiers import (
+    EncodingPool,
+    KernelRidgeClassifier,
+    _landmarks,
+    _touch_classifier,
+    learns_by_landmarks,
+)
+from palpate.classifiers._touch_classifier import rows_left_out
+
+SETTINGS = {"widths": [1.0], "ridges": [0.1], "max_touches": 50, "n_landmarks": 40}
+
+
+def drawn(n_labels, n_each, seed=0):
+    rng = np.random.default_rng(seed)
+    centres = np.random.default_rng(99).normal(size=(n_labels, 4))
+    X = np.repeat(centres, n_each, axis=0) + 0.2 * rng.normal(
+        size=(n_labels * n_each, 4)
+    )
+    labels = np.repeat([f"object {k:02d}" for k in range(n_labels)], n_each)
+    return X, labels, np.arange(len(X)) // 2
+
+
+def refitted_from_scratch(machine, X, labels, groups):
+    """The same landmarks and mean, all sums made anew."""
+    other = KernelRidgeClassifier(**SETTINGS)
+    other.__dict__.update(machine.__dict__)
+    codes = np.searchsorted(machine.classes_, labels)
+    landmarks = machine._summed.regression._landmarks
+    regression = _landmarks.LandmarkRegression(landmarks, machine.ridge_)
+    return regression.learn(X - machine.mean_, codes, len(machine.classes_))
+
+
+@pytest.mark.parametrize("way", ["add", "extend", "forget", "both"])
+def test_changes_are_learnt_by_their_residuals_alone(way):
+    X, labels, groups = drawn(10, 12)
+    first = labels != "object 04"
+    if way == "extend":
+        first = np.ones(len(labels), bool)
+        first[-6:] = False
+    if way == "forget":
+        first[:] = True
+    machine = KernelRidgeClassifier(**SETTINGS)
+    machine.fit(X[first], labels[first], groups=groups[first])
+    before = machine._summed.regression
+    rows = np.flatnonzero(first)
+    if way in ("add", "extend", "both"):
+        rows = np.concatenate([rows, np.flatnonzero(~first)])
+    if way in ("forget", "both"):
+        rows = rows[labels[rows] != "object 07"]
+    machine.refit(X[rows], labels[rows], groups=groups[rows])
+    again = machine._summed.regression
+    assert again._landmarks is before._landmarks
+    slow = refitted_from_scratch(machine, X[rows], labels[rows], groups[rows])
+    assert_allclose(again.coefficients(), slow.coefficients(), atol=2e-4)
+    lower = np.tril(again._products)
+    assert_allclose(lower, np.tril(slow._products), atol=1e-9)
+    answers = X[rows] - machine.mean_, np.searchsorted(machine.classes_, labels[rows])
+    left_out = slow.left_out(
+        slow.coefficients(), *answers, groups[rows], machine.left_out_rows
+    )
+    assert_allclose(machine.left_out_scores_, left_out, atol=1e-4)
+
+
+def test_other_touches_are_learnt_from_the_beginning():
+    X, labels, groups = drawn(10, 12)
+    machine = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)
+    before = machine._summed.regression._landmarks
+    machine.refit(X[::-1], labels[::-1], groups=groups)
+    assert machine._summed.regression._landmarks is not before
+    many, names, others = drawn(14, 12)
+    machine.refit(many, names, groups=others)
+    assert len(machine.classes_) == 14
+
+
+def test_sums_are_the_same_wherever_blocks_lie(monkeypatch):
+    X, labels, groups = drawn(10, 30)
+    whole = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)
+    monkeypatch.setattr(_landmarks, "TOUCHES_A_TASK", 70)
+    monkeypatch.setattr(_landmarks, "TOUCHES_AT_ONCE", 16)
+    with parallel_config("threading", n_jobs=2):
+        apart = KernelRidgeClassifier(**SETTINGS).fit(X, labels, groups=groups)
+    assert_allclose(apart.scores(X), whole.scores(X), atol=1e-5)
+    assert_allclose(apart.left_out_scores_, whole.left_out_scores_, atol=1e-5)
+
+
+@pytest.mark.parametrize("n_landmarks", [40, 200])
+def test_single_precision_is_taken_where_posteriors_stay_the_same(n_landmarks):
+    """Of 200 landmarks in four dimensions scores are differences of large numbers."""
+    X, labels, groups = drawn(30, 20)
+    machine = KernelRidgeClassifier(**SETTINGS | {"n_landmarks": n_landmarks})
+    machine.fit(X, labels, groups=groups)
+    single = machine.coefficients_.dtype == np.float32
+    assert single == (n_landmarks == 40)
+    regression = machine._summed.regression
+    codes = np.searchsorted(machine.classes_, labels)
+    kernel = regression._landmarks.kernel(X - machine.mean_)
+    features = np.linalg.solve(regression._root, kernel.T).T
+    targets = np.eye(30)[codes] - 1 / 30
+    inner = features.T @ features + 0.1 * np.eye(len(features.T))
+    exact = features @ np.linalg.solve(inner, features.T @ targets) + 1 / 30
+    asked = machine._log_posterior(exact)
+    assert_allclose(machine.log_likelihood(X), asked, atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("n_labels", "n_each", "n_groups"), [(40, 6, 3), (400, 5, 5), (4, 300, 5)]
+)
+def test_of_very_many_answers_a_part_is_left_out(
+    monkeypatch, n_labels, n_each, n_groups
+):
+    monkeypatch.setattr(_touch_classifier, "MOST_ANSWERS", 2000)
+    codes = np.repeat(np.arange(n_labels), n_each)
+    groups = np.tile(np.arange(n_each) * n_groups // n_each, n_labels)
+    groups = groups + n_groups * codes
+    rows = rows_left_out(codes, groups)
+    assert len(rows) < len(codes)
+    assert (np.diff(rows) > 0).all()
+    assert len(rows) * n_labels <= max(2000, 2 * 25 * n_labels)
+    chosen = np.unique(codes[rows])
+    assert len(chosen) >= min(n_labels, 25)
+    # Whole groups first: of each label at most one is not whole.
+    for code in chosen:
+        own = rows[codes[rows] == code]
+        counts = np.unique(groups[own], return_counts=True)[1]
+        assert (counts < n_each // n_groups).sum() <= 1
+
+
+def test_a_pool_of_a_part_left_out_is_nearly_that_of_all(monkeypatch):
+    X, labels, groups = drawn(30, 20)
+    parts = {"first": 2, "second": 2}
+    every = EncodingPool(parts).fit(X, labels, groups=groups)
+    monkeypatch.setattr(_touch_classifier, "MOST_ANSWERS", 9000)
+    some = EncodingPool(parts).fit(X, labels, groups=groups)
+    rows = some.left_out_rows
+    assert len(rows) < len(every.left_out_rows) == 600
+    assert some.left_out_log_likelihood().shape == (len(rows), 30)
+    parts_alike = every.left_out_by_part()[:, rows].argmax(axis=2)
+    assert (some.left_out_by_part().argmax(axis=2) == parts_alike).mean() > 0.97
+    new, own, _ = drawn(30, 5, seed=1)
+    assert abs(some.score(new, own) - every.score(new, own)) < 0.03
+
+
+def test_of_few_answers_all_are_left_out():
+    codes = np.repeat(np.arange(40), 6)
+    assert_array_equal(rows_left_out(codes, np.arange(240)), np.arange(240))
+
+
+def test_landmarks_are_for_many_touches_or_many_targets():
+    assert not learns_by_landmarks(10_000, 2000)
+    assert learns_by_landmarks(10_001, 2)
+    assert learns_by_landmarks(8000, 4000)
+    assert learns_by_landmarks(60, 2, max_touches=50)

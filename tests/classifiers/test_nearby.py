@@ -1,0 +1,126 @@
+"""Densities of each label's own touches, for very many labels."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.special import log_softmax, logsumexp
+from sklearn.utils.estimator_checks import parametrize_with_checks
+
+from palpate.classifiers import (
+    EncodingPool,
+    KernelRidgeClassifier,
+    NearbyTouches,
+    _kernel_ridge,
+    _nearby,
+)
+
+
+@parametrize_with_checks([NearbyTouches()])
+def test_common_checks(estimator, check):
+    check(estimator)
+
+
+def drawn(n_labels=20, n_each=6, seed=0, noise=0.3):
+    rng = np.random.default_rng(seed)
+    faces = np.random.default_rng(99).normal(size=(n_labels, 2, 5))
+    codes = np.repeat(np.arange(n_labels), n_each)
+    X = faces[codes, rng.integers(2, size=len(codes))]
+    X = X + noise * rng.normal(size=X.shape)
+    order = rng.permutation(len(codes))
+    groups = np.arange(len(codes)) // 2
+    return X[order], np.array([f"part {c:03d}" for c in codes])[order], groups[order]
+
+
+def slow_scores(machine, X, labels, asked, out):
+    """Log densities as the docstring has them, in double precision."""
+    squared = ((asked[:, None] - X) ** 2).sum(axis=2)
+    exponent = np.where(out, -np.inf, -squared / 2 / machine.width_**2)
+    with np.errstate(divide="ignore"):
+        return np.stack(
+            [
+                logsumexp(exponent[:, labels == c], axis=1)
+                - np.log(np.maximum((~out[:, labels == c]).sum(axis=1), 1))
+                for c in machine.classes_
+            ],
+            axis=1,
+        )
+
+
+def test_densities_are_those_of_each_labels_own_touches():
+    X, labels, groups = drawn()
+    machine = NearbyTouches().fit(X, labels, groups=groups)
+    asked = drawn(seed=1)[0]
+    none = np.zeros((len(asked), len(X)), bool)
+    slow = slow_scores(machine, X, labels, asked, none)
+    slow = machine.temperature_ * (slow - slow.max(axis=1, keepdims=True))
+    slow = log_softmax(np.maximum(slow, -machine.floor_), axis=1)
+    assert_allclose(machine.log_likelihood(asked), slow, atol=1e-3)
+
+
+def test_touches_are_left_out_with_their_group():
+    X, labels, groups = drawn()
+    machine = NearbyTouches().fit(X, labels, groups=groups)
+    out = groups[:, None] == groups
+    slow = slow_scores(machine, X, labels, X, out)
+    assert_allclose(machine.left_out_scores_, slow, rtol=1e-4)
+
+
+def test_a_label_all_of_whose_touches_are_left_out_is_impossible():
+    X, labels, _ = drawn()
+    groups = np.where(labels == "part 003", 0, np.arange(1, len(labels) + 1))
+    machine = NearbyTouches().fit(X, labels, groups=groups)
+    left_out = machine.left_out_log_likelihood()
+    mine = labels == "part 003"
+    assert (left_out[mine, 3] == -np.inf).all()
+    assert np.isfinite(left_out[~mine]).all()
+    assert np.isfinite(machine.temperature_)
+
+
+def test_the_width_has_the_least_loss():
+    X, labels, groups = drawn(n_labels=40)
+    machine = NearbyTouches().fit(X, labels, groups=groups)
+    asked, group, own = machine._stored(X, labels, groups)
+    best = _nearby._best_shape(machine.left_out_scores_, own)[0]
+    for factor in (2.0, 4.0, 8.0):
+        scores = machine._left_out_scores(asked, group, factor * machine.width_)
+        assert best <= _nearby._best_shape(scores, own)[0] + 1e-9
+
+
+def test_more_touches_are_stored_with_the_width_that_was_chosen():
+    X, labels, groups = drawn()
+    first = labels != "part 007"
+    machine = NearbyTouches().fit(X[first], labels[first], groups=groups[first])
+    width = machine.width_
+    machine.refit(X, labels, groups=groups)
+    assert machine.width_ == width
+    assert "part 007" in machine.classes_
+    asked, truth, _ = drawn(seed=2)
+    assert machine.score(asked, truth) > 0.7
+
+
+def test_many_touches_are_told_in_pieces(monkeypatch):
+    X, labels, _ = drawn()
+    machine = NearbyTouches().fit(X, labels)
+    whole = machine.log_likelihood(X)
+    monkeypatch.setattr(_nearby, "_PAIRS_AT_ONCE", 1000)
+    assert_allclose(machine.log_likelihood(X), whole, atol=1e-5)
+    left_out = machine.left_out_scores_
+    assert_allclose(machine.refit(X, labels).left_out_scores_, left_out, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("n_labels", "most", "kind"),
+    [
+        (20, 10**9, KernelRidgeClassifier),
+        (20, 2000, KernelRidgeClassifier),
+        (501, 2000, NearbyTouches),
+        (501, 10**9, KernelRidgeClassifier),
+    ],
+)
+def test_a_pool_takes_what_can_tell_so_many_labels(monkeypatch, n_labels, most, kind):
+    monkeypatch.setattr(_kernel_ridge, "_MOST_TARGETS", most)
+    X, labels, groups = drawn(n_labels, 6 if n_labels < 100 else 2)
+    pool = EncodingPool({"a": 3, "b": 2}).fit(X, labels, groups=groups)
+    assert {type(one) for one in pool.machines_.values()} == {kind}
+    again = pool.refit(X, labels, groups=groups)
+    assert_array_equal(again.classes_, np.unique(labels))
