@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.special import log_softmax, logsumexp
+from scipy.special import logsumexp
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from palpate.classifiers import (
@@ -52,17 +52,49 @@ def test_densities_are_those_of_each_labels_own_touches():
     asked = drawn(seed=1)[0]
     none = np.zeros((len(asked), len(X)), bool)
     slow = slow_scores(machine, X, labels, asked, none)
-    slow = machine.temperature_ * (slow - slow.max(axis=1, keepdims=True))
-    slow = log_softmax(np.maximum(slow, -machine.floor_), axis=1)
-    assert_allclose(machine.log_likelihood(asked), slow, atol=1e-3)
+    squared = machine._squared((asked - machine.mean_).astype(np.float32))
+    assert_allclose(machine._log_densities(squared, machine.width_), slow, rtol=1e-4)
 
 
 def test_touches_are_left_out_with_their_group():
     X, labels, groups = drawn()
     machine = NearbyTouches().fit(X, labels, groups=groups)
-    out = groups[:, None] == groups
-    slow = slow_scores(machine, X, labels, X, out)
-    assert_allclose(machine.left_out_scores_, slow, rtol=1e-4)
+    slow = slow_scores(machine, X, labels, X, groups[:, None] == groups)
+    asked, group, _ = machine._stored(X, labels, groups)
+    densities = machine._left_out_densities(asked, group, machine.width_)
+    assert_allclose(densities, slow, rtol=1e-4)
+
+
+def test_within_the_list_ridge_regression_decides():
+    X, labels, groups = drawn()
+    machine = NearbyTouches().fit(X, labels, groups=groups)
+    one = drawn(seed=1)[0][0]
+    listed = np.array([1, 4, 7, 8])
+    rows = np.isin(labels, machine.classes_[listed])
+    squared = ((X[rows, None] - X[rows]) ** 2).sum(axis=2)
+    kernel = np.exp(-machine.scale_ * squared) + machine.ridge_ * np.eye(rows.sum())
+    own = np.exp(-machine.scale_ * ((X[rows] - one) ** 2).sum(axis=1))
+    targets = (labels[rows][:, None] == machine.classes_[listed]) - 1 / 4
+    slow = own @ np.linalg.solve(kernel, targets) + 1 / 4
+    centred = (one - machine.mean_).astype(np.float32)
+    assert_allclose(machine._scores(centred, listed), slow, atol=1e-4)
+
+
+def test_the_list_keeps_its_probability_and_the_others_theirs():
+    X, labels, groups = drawn(n_labels=40)
+    machine = NearbyTouches().fit(X, labels, groups=groups)
+    asked = drawn(n_labels=40, seed=1)[0]
+    centred = (asked - machine.mean_).astype(np.float32)
+    densities = machine._log_densities(machine._squared(centred), machine.width_)
+    by_density = np.exp(machine._log_posterior(densities))
+    posterior = np.exp(machine.log_likelihood(asked))
+    assert_allclose(posterior.sum(axis=1), 1)
+    lists = _nearby._best_of(densities)
+    assert lists.shape == (len(asked), _nearby.LISTED)
+    outside = np.ones(posterior.shape, bool)
+    np.put_along_axis(outside, lists, False, axis=1)
+    assert_allclose(posterior[outside], by_density[outside], atol=1e-12)
+    assert densities[outside].max() <= densities[~outside].max()
 
 
 def test_a_label_all_of_whose_touches_are_left_out_is_impossible():
@@ -80,9 +112,10 @@ def test_the_width_has_the_least_loss():
     X, labels, groups = drawn(n_labels=40)
     machine = NearbyTouches().fit(X, labels, groups=groups)
     asked, group, own = machine._stored(X, labels, groups)
-    best = _nearby._best_shape(machine.left_out_scores_, own)[0]
+    chosen = machine._left_out_densities(asked, group, machine.width_)
+    best = _nearby._best_shape(chosen, own)[0]
     for factor in (2.0, 4.0, 8.0):
-        scores = machine._left_out_scores(asked, group, factor * machine.width_)
+        scores = machine._left_out_densities(asked, group, factor * machine.width_)
         assert best <= _nearby._best_shape(scores, own)[0] + 1e-9
 
 
@@ -104,8 +137,8 @@ def test_many_touches_are_told_in_pieces(monkeypatch):
     whole = machine.log_likelihood(X)
     monkeypatch.setattr(_nearby, "_PAIRS_AT_ONCE", 1000)
     assert_allclose(machine.log_likelihood(X), whole, atol=1e-5)
-    left_out = machine.left_out_scores_
-    assert_allclose(machine.refit(X, labels).left_out_scores_, left_out, atol=1e-4)
+    left_out = machine.left_out_
+    assert_allclose(machine.refit(X, labels).left_out_, left_out, atol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -421,10 +421,10 @@ def test_what_would_take_too_much_memory_is_refused_before_it_is_begun(
     with pytest.raises(ValueError, match="got 4 labels and 16 touches"):
         learnt.add_object("box", few[:4])
     assert learnt.classes_.tolist() == sorted(NAMES)
-    many = np.repeat(np.arange(10_000), 2)  # 40 GB for the touches, 1 for the pairs
+    many = np.repeat(np.arange(100_000), 2)  # 10 GB for the labels
     monkeypatch.setattr(ObjectRecogniser, "max_memory_gb", 8.0)
-    with pytest.raises(ValueError, match=r"at most 8 GB.*10000 labels.* 41\.3 GB"):
-        ObjectRecogniser().fit(np.zeros((20_000, 1, 2)), many)
+    with pytest.raises(ValueError, match=r"at most 8 GB.*100000 labels.* 11\.1 GB"):
+        ObjectRecogniser().fit(np.zeros((200_000, 1, 2)), many)
 
 
 def test_objects_that_are_all_told_apart_keep_the_floor():

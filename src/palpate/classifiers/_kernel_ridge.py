@@ -256,7 +256,7 @@ class KernelRidgeClassifier(BayesRule):
         self.left_out_scores_, own = left_out, codes[rows]
         some = _thin(own, min(_SHAPED_BY, _SHAPED_ANSWERS // n_labels + 1))
         counts = np.bincount(codes, minlength=n_labels)
-        shape, self.log_loss_ = _best_shape(left_out[some], own[some], counts, start)
+        shape, self.log_loss_ = best_shape(left_out[some], own[some], counts, start)
         self.temperature_, self.bend_, self.lean_ = shape
         self.log_counts_ = self.lean_ * _log_counts(counts)
 
@@ -532,7 +532,7 @@ def _smoothed_loss(
             temperature = float(np.sqrt(low * high))
 
 
-def _best_shape(
+def best_shape(
     scores: Floats, codes: Array, counts: Indices, start: Shape = _USUAL_SHAPE
 ) -> tuple[Shape, float]:
     """Return (temperature, bend, lean) with the least log loss, and that loss (nats).

@@ -1,7 +1,8 @@
 """Very many labels of few touches each: only what lies near a touch tells.
 
 Landmarks cannot tell more labels than there are landmarks, and a kernel matrix of all
-touches does not fit in memory. A density of each label's own touches needs neither.
+touches does not fit in memory. Densities of each label's own touches need neither; they
+make a short list, within which a ridge regression learnt on the spot decides.
 """
 
 from __future__ import annotations
@@ -11,12 +12,14 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve
 from scipy.optimize import minimize_scalar
 from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_squarable
 from .._numbers import exp, log_softmax
-from .._types import Array, Floats, Indices, Singles
+from .._types import Array, Bools, Floats, Indices, Singles
+from ._kernel_ridge import KernelRidgeClassifier, best_shape
 from ._touch_classifier import (
     BayesRule,
     Groups,
@@ -32,6 +35,11 @@ _WIDTHS = (0.06, 0.12, 0.25, 0.5, 1.0)
 _PAIRS_AT_ONCE = 20_000_000
 # Logarithms of the least and largest temperature.
 _TEMPERATURES = (-10.0, 3.0)
+# Labels of the short list, and touches of them, the nearest, that its regression
+# learns.
+LISTED, _MOST_NEAR = 20, 400
+# Width and ridge are chosen on touches of so many labels, so many touches.
+_CHOSEN_ON, _CHOSEN_BY = 200, 800
 # How much less than one of as many equal ones a label is at least (nats); tried.
 _FLOORS = (1.0, 2.0, 3.0, 4.0, 6.0, 20.0)
 
@@ -40,10 +48,13 @@ _Groups = tuple[Indices, Indices]
 
 
 class NearbyTouches(BayesRule):
-    """Gaussian densities of each label's own touches, with one calibrated width.
+    """A short list by densities of labels' own touches, then ridge regression in it.
 
-    For very many labels: learning is storing, in single precision, and the width and
-    the temperature of the posterior are those of least log loss of touches left out.
+    For very many labels: learning is storing, in single precision. The widths, the
+    ridge and the shape of both posteriors are those of least log loss of touches left
+    out. The densities say how probable the list is as a whole, and each label outside
+    it; the regression on the list's touches, which is made for each touch anew, shares
+    out the list's probability.
 
     Attributes
     ----------
@@ -59,8 +70,11 @@ class NearbyTouches(BayesRule):
         Width of the Gaussians, the factor on log densities, and how much less than the
         nearest label any other may be then (nats): a touch may be of a place that was
         not met.
-    left_out_scores_ : ndarray of shape (n_left_out, n_classes)
-        Log densities at training touches, each with its group left out.
+    scale_, ridge_, bent_ : float, float and tuple of two floats
+        Of the regression: the factor on squared distances, the ridge, and temperature
+        and bend of its scores.
+    left_out_ : ndarray of shape (n_left_out, n_classes)
+        Log posterior of training touches, each with its group left out.
     left_out_rows_ : ndarray of shape (n_left_out,)
         Which training touches these are, as given to `fit`.
 
@@ -88,20 +102,104 @@ class NearbyTouches(BayesRule):
         ]
         every = np.concatenate(nearest)
         unit = float(np.sqrt(np.median(every[np.isfinite(every)]))) or 1.0
-        best = np.inf
+        best, densities = np.inf, np.empty(0)
         for width in _WIDTHS:
-            scores = self._left_out_scores(asked, group, width * unit)
+            scores = self._left_out_densities(asked, group, width * unit)
             loss, *shape = _best_shape(scores, codes)
             if loss < best:
-                best, self.width_, self.left_out_scores_ = loss, width * unit, scores
+                best, self.width_, densities = loss, width * unit, scores
                 self.temperature_, self.floor_ = shape
+        self._choose_ridge(X, y, groups)
+        self._learn_list(asked, group, densities, codes)
         return self
+
+    def _choose_ridge(self, X: ArrayLike, y: ArrayLike, groups: Groups) -> None:
+        """Choose width and ridge of the regression, on touches of some labels."""
+        touches, labels = np.asarray(X, dtype=np.float64), np.asarray(y)
+        group = as_groups(groups, len(touches))
+        codes = np.searchsorted(self.classes_, labels)
+        rows = np.flatnonzero(codes % max(1, len(self.classes_) // _CHOSEN_ON) == 0)
+        machine = KernelRidgeClassifier(max_choice_touches=_CHOSEN_BY)
+        machine.fit(touches[rows], labels[rows], groups=group[rows])
+        self.scale_ = machine.width_ / machine.unit_
+        self.ridge_ = machine.ridge_
+
+    def _learn_list(
+        self,
+        asked: Singles,
+        group: _Groups,
+        densities: Floats,
+        codes: Indices | None = None,
+    ) -> None:
+        """Set `left_out_`, and with the `codes` of labels the shape of what is in it.
+
+        Of touches to be left out, and their log densities (n_left_out, n_classes).
+        """
+        log_posterior, lists = self._log_posterior(densities), _best_of(densities)
+        pairs = zip(asked, lists, group[0], strict=True)
+        scores = np.stack(
+            [self._scores(one, of, group[1] != g) for one, of, g in pairs]
+        )
+        if codes is not None:
+            own = lists == codes[:, np.newaxis]
+            listed = own.any(axis=1)
+            self.bent_ = 8.0, 0.5
+            if listed.any():
+                every = np.ones(lists.shape[1], dtype=np.intp)
+                at = own[listed].argmax(axis=1)
+                self.bent_ = best_shape(scores[listed], at, every)[0][:2]
+        left_out = self._shared_out(log_posterior, lists, scores)
+        self.left_out_ = np.where(np.isneginf(densities), -np.inf, left_out)
+
+    def _scores(
+        self, centred: Singles, labels: Indices, kept: Bools | None = None
+    ) -> Floats:
+        """Return regression scores of one touch among some labels, (n_labels,).
+
+        Learnt from touches of these labels that are `kept` (n_stored,).
+        """
+        ends = np.append(self.starts_[1:], len(self.touches_))[labels]
+        pairs = zip(self.starts_[labels], ends, strict=True)
+        parts = [np.arange(start, end) for start, end in pairs]
+        rows = np.concatenate(parts)
+        of = np.repeat(np.arange(len(labels)), [len(part) for part in parts])
+        if kept is not None:
+            rows, of = rows[kept[rows]], of[kept[rows]]
+        near = self.touches_[rows].astype(np.float64) - centred
+        squares = np.einsum("ij,ij->i", near, near)
+        if len(rows) > _MOST_NEAR:
+            nearest = np.argpartition(squares, _MOST_NEAR)[:_MOST_NEAR]
+            near, squares, of = near[nearest], squares[nearest], of[nearest]
+        squared = near @ (-2 * near.T)
+        squared += squares
+        squared += squares[:, np.newaxis]
+        kernel = exp(-self.scale_ * np.maximum(squared, 0))
+        kernel.flat[:: len(kernel) + 1] += self.ridge_
+        own = exp(-self.scale_ * squares)
+        # One solution for the touch, instead of one for each label.
+        weights = solve(kernel, own, assume_a="pos")
+        sums = np.bincount(of, weights, minlength=len(labels))
+        return np.asarray(sums + (1 - weights.sum()) / len(labels))
+
+    def _shared_out(
+        self, log_posterior: Floats, lists: Indices, scores: Floats
+    ) -> Floats:
+        """Return log posteriors in which scores share out the lists' probability."""
+        temperature, bend = self.bent_
+        within = log_softmax(temperature * scores / (1 + bend * np.abs(scores)))
+        listed = np.take_along_axis(log_posterior, lists, axis=1)
+        most = listed.max(axis=1, keepdims=True)
+        together = most + np.log(exp(listed - most).sum(axis=1, keepdims=True))
+        result = log_posterior.copy()
+        np.put_along_axis(result, lists, together + within, axis=1)
+        return result
 
     def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Store other touches, with the width and temperature already chosen."""
         check_is_fitted(self)
         asked, group, _ = self._stored(X, y, groups, reset=False)
-        self.left_out_scores_ = self._left_out_scores(asked, group, self.width_)
+        densities = self._left_out_densities(asked, group, self.width_)
+        self._learn_list(asked, group, densities)
         return self
 
     def _stored(
@@ -132,7 +230,9 @@ class NearbyTouches(BayesRule):
             out = group[0][some, np.newaxis] == group[1]
             yield self._squared(asked[some]), out
 
-    def _left_out_scores(self, asked: Singles, group: _Groups, width: float) -> Floats:
+    def _left_out_densities(
+        self, asked: Singles, group: _Groups, width: float
+    ) -> Floats:
         pairs = self._pairs(asked, group)
         parts = [self._log_densities(squared, width, out) for squared, out in pairs]
         return np.concatenate(parts)
@@ -170,22 +270,23 @@ class NearbyTouches(BayesRule):
         """
         if not hasattr(self, "touches_"):
             check_is_fitted(self)
-        centred = check_squarable("X", as_touches(self, X)) - self.mean_
+        touches = check_squarable("X", as_touches(self, X)) - self.mean_
+        centred = touches.astype(np.float32)
         at_once = max(1, _PAIRS_AT_ONCE // len(self.touches_))
         parts = [
-            self._log_densities(
-                self._squared(centred[k : k + at_once].astype(np.float32)), self.width_
-            )
+            self._log_densities(self._squared(centred[k : k + at_once]), self.width_)
             for k in range(0, len(centred), at_once)
         ]
-        return self._log_posterior(np.concatenate(parts))
+        densities = np.concatenate(parts)
+        log_posterior, lists = self._log_posterior(densities), _best_of(densities)
+        pairs = zip(centred, lists, strict=True)
+        scores = np.stack([self._scores(one, labels) for one, labels in pairs])
+        return self._shared_out(log_posterior, lists, scores)
 
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of touches left out with their groups."""
         check_is_fitted(self)
-        log_posterior = self._log_posterior(self.left_out_scores_)
-        nothing_left = np.isneginf(self.left_out_scores_)
-        return np.where(nothing_left, -np.inf, log_posterior)
+        return self.left_out_
 
     def _log_posterior(self, scores: Floats) -> Floats:
         below = scores - scores.max(axis=1, keepdims=True)
@@ -195,6 +296,13 @@ class NearbyTouches(BayesRule):
     def left_out_rows(self) -> Indices:
         """Which training touches these are, (n_left_out,)."""
         return self.left_out_rows_
+
+
+def _best_of(densities: Floats) -> Indices:
+    """Return the columns of the densest labels, (n_touches, n_listed), sorted."""
+    n_listed = min(LISTED, densities.shape[1])
+    best = np.argpartition(-densities, n_listed - 1, axis=1)[:, :n_listed]
+    return np.sort(best, axis=1)
 
 
 def _best_shape(scores: Floats, codes: Indices) -> tuple[float, float, float]:

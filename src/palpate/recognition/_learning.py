@@ -37,7 +37,7 @@ MOST_KEPT = 5
 # as many where what was solved is kept for later touches. Where landmarks stand for
 # all: bytes for each label, for each touch, and for what is always there.
 _EACH_BYTES, _PAIR_BYTES, _KEPT = 200, 13, 5000
-_LABEL_BYTES, _TOUCH_BYTES, _LANDMARK_BYTES = 100_000, 10_000, 1_000_000_000
+_LABEL_BYTES, _TOUCH_BYTES, _LANDMARK_BYTES = 100_000, 3_000, 500_000_000
 
 
 @dataclass
