@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ..web import LiveSession
 
 ADDRESS = (
-    "camera:NAME, serial:PORT, replay:PATH or sim:OBJECT, with options as in "
+    "camera:NAME, serial:PORT, ros:TOPIC, replay:PATH or sim:OBJECT, with options as in "
     "'camera:USB Camera?shape=480x640&rate=30'."
 )
 SensorAddress = Annotated[str, option("--sensor", ADDRESS)]

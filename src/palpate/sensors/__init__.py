@@ -27,6 +27,7 @@ from ._framing import write_line as write_line
 from ._health import sensor_health as sensor_health
 from ._played import ReplaySensor
 from ._played import SimulatedStream as SimulatedStream
+from ._ros import RosSensor as RosSensor
 from ._serial import SerialArraySensor
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "LineFraming",
     "LiveSensor",
     "ReplaySensor",
+    "RosSensor",
     "SensorError",
     "SerialArraySensor",
     "SimulatedBench",

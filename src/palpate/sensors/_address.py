@@ -1,7 +1,7 @@
 """Sensors by one short text: `KIND:NAME`, and after a `?` what is to be set.
 
 `camera:USB Camera?shape=480x640&rate=30`, `serial:/dev/ttyUSB0?shape=16x16`,
-`replay:FOLDER?hold=4` and `sim:mug` are addresses. Options are `NAME=VALUE`, joined by
+`ros:/tactile?domain=0`, `replay:FOLDER?hold=4` and `sim:mug` are addresses. Options are `NAME=VALUE`, joined by
 `&`; in a value `%26` is `&` and any other byte may be written so too. A name is taken
 as it is written, but for `%3F`, which is a `?` in it.
 
@@ -22,6 +22,7 @@ from urllib.parse import unquote
 from ._camera import CameraSensor
 from ._contract import LiveSensor
 from ._played import PlayedSensor, ReplaySensor, SimulatedStream
+from ._ros import RosSensor
 from ._serial import SerialArraySensor, find_array
 
 
@@ -92,6 +93,12 @@ _OPTIONS: dict[str, dict[str, _Option]] = {
         "no-contact": _Option("no_contact", Path, "a picture"),
         "name-pattern": _Option("name_pattern", str, "a regular expression"),
     },
+    "ros": {
+        **_SHAPE,
+        "domain": _Option("domain", int, "a whole number, 0 to 232"),
+        "qos": _word("qos", best_effort="best_effort", reliable="reliable"),
+        "wait": _Option("wait_s", float, "a number of seconds"),
+    },
     "sim": {**_DESK, "seed": _Option("random_state", int, "a whole number")},
 }
 _GROUP = "palpate.sensors"
@@ -111,8 +118,8 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
     Parameters
     ----------
     address : str
-        `camera:NAME`, `serial:PORT`, `replay:PATH` or `sim:OBJECT`, and after a `?`
-        options, as in `camera:USB Camera?shape=480x640&rate=30`;
+        `camera:NAME`, `serial:PORT`, `ros:TOPIC`, `replay:PATH` or `sim:OBJECT`, and
+        after a `?` options, as in `camera:USB Camera?shape=480x640&rate=30`;
         docs/reference/live.md lists them, and so does the refusal of one that is
         unknown.
     **options
@@ -139,7 +146,8 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
         others = sorted({plugged.name for plugged in entry_points(group=_GROUP)})
         more = f" (or {', '.join(others)} of packages installed)" if others else ""
         raise AddressError(
-            "sensor must be camera:NAME, serial:PORT, replay:PATH or sim:OBJECT"
+            "sensor must be camera:NAME, serial:PORT, ros:TOPIC, replay:PATH or "
+            f"sim:OBJECT"
             f"{more}, got {address!r}."
         )
     given: dict[str, Any] = {}
@@ -245,6 +253,8 @@ def _made(kind: str, place: str, given: dict[str, Any]) -> LiveSensor:
     sensor: LiveSensor
     if kind == "camera":
         sensor = CameraSensor(place, **given)
+    elif kind == "ros":
+        sensor = RosSensor(place, **given)
     elif kind == "sim":
         sensor = SimulatedStream(place, **given)
     elif kind == "replay":

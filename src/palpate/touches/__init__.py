@@ -10,6 +10,8 @@ from ._columns import GEOMETRIES as GEOMETRIES
 from ._columns import TouchesError
 from ._html import as_shown as as_shown
 from ._html import png_address as png_address
+from ._messages import frame_of_message as frame_of_message
+from ._messages import shows_frame as shows_frame
 from ._pictures import FILMS as FILMS
 from ._pictures import RGB as RGB
 from ._pictures import decode_bytes

@@ -1,0 +1,192 @@
+"""A topic of ROS 2 as a sensor: images, clouds or arrays that somebody publishes."""
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from .._checks import check_count, check_option, check_positive
+from .._types import Array
+from ..touches import TouchesError, frame_of_message, shows_frame
+from . import _dds
+from ._contract import LiveSensor, SensorError
+
+_TICK_S = 0.2
+_MATCH_S = 1.0
+
+
+class RosSensor(LiveSensor):
+    """Frames that are published on a topic of ROS 2; no ROS is needed here.
+
+    Parameters
+    ----------
+    topic : str
+        Its name, such as "/tactile".
+    image_shape : (int, int), optional
+        (n_rows, n_cols) that its frames must have; without it the first message is
+        waited for at once, and says.
+    domain : int, default=0
+        What `ROS_DOMAIN_ID` is to its publisher, 0 to 232.
+    qos : {"best_effort", "reliable"}, default="best_effort"
+        Best effort hears all publishers; reliable asks again for what was lost, and
+        hears no publisher of best effort, as drivers of cameras are.
+    wait_s : float, default=20
+        How long connecting waits for the first message.
+
+    Notes
+    -----
+    Messages are those of `palpate.library.read_bag`; colour becomes luma. A message
+    that is damaged, of another size, another type of numbers or not finite is counted
+    as lost, and `lost` says why: never is a frame made of it. A publisher that goes
+    and comes back is heard again.
+    """
+
+    queue_length = 64
+
+    def __init__(
+        self,
+        topic: str,
+        image_shape: tuple[int, int] | None = None,
+        *,
+        domain: int = 0,
+        qos: str = "best_effort",
+        wait_s: float = 20.0,
+    ) -> None:
+        self.topic = "/" + topic.strip("/")
+        self.domain = check_count("domain", domain, at_least=0)
+        if self.domain > 232:
+            raise ValueError(f"domain must be at most 232, got {domain}.")
+        check_option("qos", qos, ("best_effort", "reliable"))
+        self._reliable = qos == "reliable"
+        self._wait_s = check_positive("wait_s", wait_s)
+        self._node: _dds.DdsNode | None = None
+        self._reader: _dds.DdsReader | None = None
+        self._first: list[Array] = []
+        self._asked_shape = image_shape
+        shape = (1, 1) if image_shape is None else image_shape
+        super().__init__(f"topic {self.topic}", "as published", shape, np.uint8)
+        if image_shape is None:
+            self._open()
+            self._close()
+
+    def _open(self) -> None:
+        end_s = time.monotonic() + self._wait_s
+        self._node = node = _dds.DdsNode(self.domain)
+        try:
+            kind = self._kind(node, end_s)
+            self._reader = node.subscribe(self.topic, kind, reliable=self._reliable)
+            self._learn(self._first_frame(self._reader, end_s))
+        except BaseException:
+            self._close()
+            raise
+
+    def _kind(self, node: _dds.DdsNode, end_s: float) -> str:
+        """Wait for a publisher of the topic; return the kind of its messages."""
+        while True:
+            seen = node.publishers()
+            kinds = sorted({one.kind for one in seen if one.topic == self.topic})
+            able = [kind for kind in kinds if shows_frame(kind)]
+            if len(kinds) == 1 and able:
+                return kinds[0]
+            if kinds:
+                raise SensorError(
+                    f"{self.topic} must hold messages of one kind that is an image, a "
+                    f"cloud or an array, got {', '.join(kinds)}. Name another topic."
+                )
+            if time.monotonic() > end_s:
+                others = ", ".join(sorted({one.topic for one in seen})) or "none"
+                raise SensorError(
+                    f"Nobody publishes {self.topic} in domain {self.domain} (waited "
+                    f"{self._wait_s:g} s; topics seen: {others}). Start its publisher, "
+                    "or check the name, domain= and CYCLONEDDS_URI."
+                )
+            if self._stop.wait(0.05):
+                raise SensorError(f"{self.name} was disconnected.")
+
+    def _first_frame(self, reader: _dds.DdsReader, end_s: float) -> Array:
+        self.lost = ""
+        while True:
+            for raw in reader.take(_TICK_S):
+                frame = self._frame(raw)
+                if frame is not None:
+                    return frame
+            if time.monotonic() > end_s or self._stop.is_set():
+                raise SensorError(self.lost or self._silence(reader))
+            waited_s = time.monotonic() - end_s + self._wait_s
+            if waited_s > _MATCH_S and reader.hindrance and not reader.n_publishers:
+                raise SensorError(self._silence(reader))
+
+    def _silence(self, reader: _dds.DdsReader) -> str:
+        """Return why nothing is heard, as far as DDS knows."""
+        if not reader.n_publishers:
+            if reader.hindrance:
+                return (
+                    f"{self.topic} has a publisher that does not match, by its "
+                    f"{reader.hindrance}. Leave qos out, or change the publisher's."
+                )
+            return f"nobody publishes {self.topic} now. Start its publisher again."
+        return f"{self.topic} has a publisher that sends nothing."
+
+    def _learn(self, frame: Array) -> None:
+        """Take size and type of the first frame, or explain that they are others."""
+        asked = self._asked_shape
+        if asked is not None and frame.shape != tuple(asked):
+            raise SensorError(
+                f"{self.topic} gives frames of {frame.shape[0]} x {frame.shape[1]}, "
+                f"shape asks for {asked[0]} x {asked[1]}. Leave shape out."
+            )
+        self._asked_shape = self.image_shape = frame.shape
+        self.dtype = frame.dtype
+        self._first = [frame]
+
+    def _grab(self) -> Sequence[Array]:
+        if self._first:
+            first, self._first = self._first, []
+            return first
+        assert self._reader is not None
+        frames = []
+        for raw in self._reader.take(_TICK_S):
+            frame = self._frame(raw)
+            if frame is not None and self._is_alike(frame):
+                frames.append(frame)
+        if not frames and not self._reader.n_publishers:
+            self.lost = self._silence(self._reader)
+        return frames
+
+    def _is_alike(self, frame: Array) -> bool:
+        if (frame.shape, frame.dtype) == (self.image_shape, self.dtype):
+            return True
+        was = "{} x {} of {}".format(*self.image_shape, self.dtype)
+        now = "{} x {} of {}".format(*frame.shape, frame.dtype)
+        self._refuse(f"{self.topic} gives frames of {now} now, it gave {was}. Restart.")
+        return False
+
+    def _frame(self, raw: bytes) -> Array | None:
+        """Return the frame in a message; None, and `lost` says why, without one."""
+        assert self._reader is not None
+        kind, where = self._reader.kind, f"A message of {self.topic}"
+        try:
+            if len(raw) > _dds.MAX_MESSAGE:
+                raise TouchesError(f"{where} must have at most 64 MiB, got {len(raw)}.")
+            message: Any = _dds.store().deserialize_cdr(raw, kind)
+            frame = frame_of_message(message, kind, where)
+            if frame.size == 0 or (frame.dtype.kind == "f" and np.isinf(frame).any()):
+                raise TouchesError(f"{where} must hold finite readings.")
+        except TouchesError as error:
+            self._refuse(str(error))
+        except Exception as error:  # rosbags raises many kinds on damaged bytes
+            self._refuse(f"{where} is damaged: {error or type(error).__name__}.")
+        else:
+            return frame
+        return None
+
+    def _refuse(self, why: str) -> None:
+        self._count_missed(1)
+        self.lost = why
+
+    def _close(self) -> None:
+        self._reader = None
+        if self._node is not None:
+            self._node.close()
+        self._node = None
