@@ -11,10 +11,14 @@ from PIL import Image
 from palpate import Touches
 from palpate.cli._sensor import SensorOptions
 from palpate.sensors import (
+    CalibratedSensor,
+    Frame,
     LiveSensor,
+    Reading,
     ReplaySensor,
     SensorError,
     SimulatedStream,
+    TouchDetector,
     TouchSensor,
     check_sensor,
     open_sensor,
@@ -73,7 +77,7 @@ def test_the_contract_is_kept(sensor):
         ({"disconnect": lambda self: None}, "connected must be False"),
         (
             {
-                "_put": lambda self, image: None,
+                "_put": lambda self, reading, room: None,
                 "read_next": lambda self, t=0.1: LiveSensor.read_next(self, t),
             },
             "gave no frame in 0.1 s",
@@ -287,7 +291,10 @@ def test_an_option_beside_the_address_must_agree_with_it():
 @pytest.mark.parametrize(
     ("address", "message"),
     [
-        ("mug", "camera:NAME, serial:PORT, replay:PATH or sim:OBJECT.*, got 'mug'"),
+        (
+            "mug",
+            "serial:PORT, ros:TOPIC, replay:PATH or sim:OBJECT.*, got 'mug'",
+        ),
         ("mug?rate=3", "must be camera:NAME"),
         ("sim:", "must be camera:NAME"),
         ("sim:?rate=3", "must be camera:NAME"),
@@ -399,3 +406,73 @@ def test_touches_with_channels_are_replayed_with_them(tmp_path, names):
         frames = [sensor.read_next().image for _ in range(4)]
     np.testing.assert_array_equal(frames[0], np.zeros_like(frames[0]))
     np.testing.assert_array_equal(frames[1::2], recorded.images)
+
+
+class Bursting(Counting):
+    """Gives many frames at once, each with its time, and a temperature beside them."""
+
+    burst = 20
+
+    def _grab(self):
+        time.sleep(0.02)
+        now_s = time.monotonic()
+        start, self.at = self.at, self.at + self.burst
+        return [
+            Reading(
+                np.full((2, 3), number),
+                now_s - (start + self.burst - number) / 1000,
+                device_time_s=float(number),
+                columns={"temperature_c": 20.0 + number},
+            )
+            for number in range(start, start + self.burst)
+        ]
+
+
+def test_a_burst_is_kept_whole_with_the_time_of_each_frame():
+    with Bursting() as sensor:
+        frames = [sensor.read_next() for _ in range(200)]
+    assert [f.number for f in frames] == list(range(200))
+    assert [int(f.image[0, 0]) for f in frames] == list(range(200))
+    assert [f.device_time_s for f in frames] == list(range(200))
+    assert frames[7].columns == {"temperature_c": 27.0}
+    steps = np.diff([f.time_s for f in frames[:20]])
+    np.testing.assert_allclose(steps, 1e-3, atol=1e-6)
+
+
+def test_a_burst_over_the_bound_is_counted_and_the_check_says_so():
+    sensor = Bursting()
+    sensor.burst = sensor.burst_length + 44
+    with sensor:
+        assert sensor.read_next().number == 44
+        assert sensor.n_dropped >= 44
+    with pytest.raises(AssertionError, match="300 frames at once, of which 256"):
+        check_sensor(sensor)
+
+
+def test_what_a_device_tells_beside_its_frames_reaches_the_touch():
+    detector = TouchDetector(np.zeros((2, 3)), begin=1.0)
+    touch = None
+    for number, level in enumerate([0, 5, 9, 4, 0]):
+        told = float(number), {"force_n": float(level)}
+        frame = Frame(np.full((2, 3), float(level)), number / 10, number, *told)
+        touch = detector.update(frame) or touch
+    assert (touch.device_time_s, touch.columns) == (2.0, {"force_n": 9.0})
+
+
+class Doubling:
+    image_shape_ = (2, 3)
+
+    def transform(self, images):
+        return 2.0 * np.asarray(images)
+
+
+def test_a_calibrated_sensor_gives_frames_in_its_unit():
+    check_sensor(CalibratedSensor(Counting(), Doubling()))
+    with CalibratedSensor(Bursting(), Doubling()) as sensor:
+        frames = [sensor.read_next() for _ in range(30)]
+    assert sensor.unit == "kPa"
+    for frame in frames:
+        assert frame.image[0, 0] == 2 * frame.device_time_s
+    wrong = ReplaySensor(recording())
+    with pytest.raises(ValueError, match="calibration is of 2 x 3 taxels"):
+        CalibratedSensor(wrong, Doubling())

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._options import NamePattern, NoContact, option
+from ._options import Calibration, NamePattern, NoContact, option
 
 if TYPE_CHECKING:
     from ..sensors import LiveSensor
     from ..web import LiveSession
 
 ADDRESS = (
-    "camera:NAME, serial:PORT, ros:TOPIC, replay:PATH or sim:OBJECT, with options as in "
-    "'camera:USB Camera?shape=480x640&rate=30'."
+    "camera:NAME, serial:PORT, ros:TOPIC, replay:PATH or sim:OBJECT, with options as "
+    "in 'camera:USB Camera?shape=480x640&rate=30'."
 )
 SensorAddress = Annotated[str, option("--sensor", ADDRESS)]
 Summary = Annotated[
@@ -60,18 +60,31 @@ class SensorOptions:
     place: Annotated[str | None, option("What lies there to be played first.")] = None
     name_pattern: NamePattern = None
     no_contact: NoContact = None
+    calibration: Calibration = None
 
     def open(self, address: str) -> "LiveSensor":
         """Return the sensor at an address; it is not connected yet."""
-        from ..sensors import AddressError, SensorError, open_sensor
+        from ..sensors import (
+            AddressError,
+            CalibratedSensor,
+            SensorError,
+            open_sensor,
+        )
 
+        asked = {**vars(self)}
+        path = asked.pop("calibration")
         try:
-            return open_sensor(address, **vars(self))
+            sensor = open_sensor(address, **asked)
         except AddressError as error:
             raise typer.BadParameter(str(error)) from error
         except SensorError as error:
             message = str(error).replace("as no_contact", "with --no-contact FILE")
             raise SensorError(message) from error
+        if path is None:
+            return sensor
+        from ..images import TaxelCalibration
+
+        return CalibratedSensor(sensor, TaxelCalibration.load(path))
 
 
 def need_baseline(session: "LiveSession") -> None:

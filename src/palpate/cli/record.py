@@ -33,6 +33,14 @@ def record(
     changed: Annotated[
         str, option("What is new about this session, in words; kept with its name.")
     ] = "",
+    session_name: Annotated[
+        str | None,
+        option(
+            "--session",
+            "Name of this session; where the library has it, its touches go on. "
+            "Default: a new one.",
+        ),
+    ] = None,
     timeout: Patience = 120.0,
     summary: Summary = "peak",
     options: SensorOptions,
@@ -43,6 +51,10 @@ def record(
     from ..web import LiveSession
 
     check_count("sessions", sessions)
+    if session_name is not None and (sessions > 1 or changed):
+        raise typer.BadParameter(
+            "--session names one session: leave --sessions and --changed out."
+        )
     if output is not None and output.suffix != ".npz":
         raise typer.BadParameter(f"--output must end in .npz, got {output.name!r}.")
     chosen = options.open(sensor)
@@ -50,7 +62,7 @@ def record(
     with LiveSession(chosen, library=library, summary=summary) as session:
         need_baseline(session)
         assert session.teacher is not None
-        session.teacher.begin_session(changed)
+        session.teacher.begin_session(changed, session_name)
         n_taken = 0
         for number in range(sessions):
             share = touches // sessions + (number < touches % sessions)

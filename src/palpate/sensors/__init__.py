@@ -10,10 +10,12 @@ from ._address import AddressError as AddressError
 from ._address import desk_of as desk_of
 from ._address import open_sensor
 from ._bench import SimulatedBench, SimulatedSensor
+from ._calibrated import CalibratedSensor as CalibratedSensor
 from ._camera import CameraSensor, camera_names
 from ._camera import find_camera as find_camera
 from ._contract import Frame as Frame
 from ._contract import LiveSensor, SensorError, TouchSensor, check_sensor
+from ._contract import Reading as Reading
 from ._contract import channels_of as channels_of
 from ._detector import ContactError as ContactError
 from ._detector import DetectedTouch as DetectedTouch
@@ -36,7 +38,6 @@ __all__ = [
     "LineFraming",
     "LiveSensor",
     "ReplaySensor",
-    "RosSensor",
     "SensorError",
     "SerialArraySensor",
     "SimulatedBench",

@@ -1,9 +1,9 @@
 """Sensors by one short text: `KIND:NAME`, and after a `?` what is to be set.
 
 `camera:USB Camera?shape=480x640&rate=30`, `serial:/dev/ttyUSB0?shape=16x16`,
-`ros:/tactile?domain=0`, `replay:FOLDER?hold=4` and `sim:mug` are addresses. Options are `NAME=VALUE`, joined by
-`&`; in a value `%26` is `&` and any other byte may be written so too. A name is taken
-as it is written, but for `%3F`, which is a `?` in it.
+`ros:/tactile?domain=0`, `replay:FOLDER?hold=4` and `sim:mug` are addresses. Options
+are `NAME=VALUE`, joined by `&`; in a value `%26` is `&` and any other byte may be
+written so too. A name is taken as it is written, but for `%3F`, which is a `?` in it.
 
 Other kinds are drivers that installed packages name as entry points of the group
 `palpate.sensors`: callables `(place, **options)` that return a `LiveSensor`. Their
@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 from urllib.parse import unquote
 
+from ._calibrated import CalibratedSensor
 from ._camera import CameraSensor
 from ._contract import LiveSensor
 from ._played import PlayedSensor, ReplaySensor, SimulatedStream
@@ -204,6 +205,8 @@ def _options(kind: str) -> dict[str, _Option]:
 
 def desk_of(sensor: object) -> PlayedSensor | None:
     """Return the sensor if things can be placed before it by name, else None."""
+    if isinstance(sensor, CalibratedSensor):
+        return desk_of(sensor.inner)
     return sensor if isinstance(sensor, PlayedSensor) else None
 
 

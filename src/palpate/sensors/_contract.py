@@ -13,9 +13,9 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 
@@ -32,17 +32,43 @@ class SensorError(RuntimeError):
 
 
 @dataclass(frozen=True, eq=False)
+class Reading:
+    """A frame as a driver gives it, with what else the device tells of it.
+
+    Parameters
+    ----------
+    image : ndarray of shape (n_rows, n_cols[, n_channels])
+        The frame.
+    time_s : float, optional
+        When it was taken, on the clock of `time.monotonic`; by default when it came.
+    device_time_s : float, optional
+        When it was taken, on the clock of the device.
+    columns : mapping of str to float
+        Readings beside the frame, such as `temperature_c`, `force_n`: the newest of
+        each, at whatever rate it comes. They become columns of the touch.
+    """
+
+    image: Array
+    time_s: float | None = None
+    device_time_s: float | None = None
+    columns: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
 class Frame:
     """One reading of a sensor at one time.
 
     `image` (n_rows, n_cols), or (n_rows, n_cols, n_channels), is read-only, in the
     sensor's unit; `time_s` is on the clock of `time.monotonic`; `number` counts from 0
-    on connecting: a gap is a frame lost.
+    on connecting: a gap is a frame lost. `device_time_s` and `columns` are what the
+    device told, see `Reading`.
     """
 
     image: Array
     time_s: float
     number: int
+    device_time_s: float | None = None
+    columns: Mapping[str, float] = field(default_factory=dict)
 
 
 @runtime_checkable
@@ -80,7 +106,8 @@ class LiveSensor(ABC):
     """Base of sensors that run by themselves; a driver writes three methods.
 
     A driver writes `_open`, `_grab` and `_close`. Everything but frames is known
-    before connecting. Used as a context manager it connects and disconnects itself.
+    before connecting, or `_open` sets it: `image_shape`, `dtype`. Used as a context
+    manager it connects and disconnects itself.
 
     Parameters
     ----------
@@ -107,7 +134,9 @@ class LiveSensor(ABC):
         Frames lost since it was connected: damaged, missed, or never read.
     queue_length : int
         A frame that nobody has read when so many newer ones wait is dropped and
-        counted.
+        counted. Frames that come at once wait beside them, up to `burst_length`.
+    burst_length : int
+        Of more frames that come at once the oldest are dropped and counted.
     retry_s : float
         When the device fails, it is opened again after so many seconds, over and
         over, until it is back or the sensor is disconnected.
@@ -120,6 +149,7 @@ class LiveSensor(ABC):
     """
 
     queue_length: ClassVar[int] = 2
+    burst_length: ClassVar[int] = 256
     retry_s: float = 0.5
     patience_s: float = 5.0
     unfixed: str = ""
@@ -145,7 +175,7 @@ class LiveSensor(ABC):
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._latest: Frame | None = None
-        self._number = 0
+        self._number = self._largest_burst = 0
 
     @property
     def step(self) -> float:
@@ -178,7 +208,7 @@ class LiveSensor(ABC):
         self._thread = None
         self._queue.clear()
         self._latest, self.lost = None, ""
-        self.n_frames = self.n_dropped = self._number = 0
+        self.n_frames = self.n_dropped = self._number = self._largest_burst = 0
         self._stop.clear()
         self._open()
         self._thread = threading.Thread(
@@ -245,10 +275,11 @@ class LiveSensor(ABC):
         """Open the device, or raise `SensorError` with the fix."""
 
     @abstractmethod
-    def _grab(self) -> Sequence[Array]:
+    def _grab(self) -> Sequence[Array | Reading]:
         """Wait a moment, return the frames that came; raise where the device is gone.
 
-        Must return at least every half second, if with nothing.
+        Must return at least every half second, if with nothing. Frames are in the order
+        in which they were taken; a `Reading` has its time and more.
         """
 
     @abstractmethod
@@ -263,8 +294,11 @@ class LiveSensor(ABC):
     def _run(self) -> None:
         while not self._stop.is_set():
             try:
-                for image in self._grab():
-                    self._put(image)
+                burst = self._grab()
+                self._largest_burst = max(self._largest_burst, len(burst))
+                self._count_missed(max(0, len(burst) - self.burst_length))
+                for reading in burst[-self.burst_length :]:
+                    self._put(reading, self.queue_length + len(burst) - 1)
             except Exception as error:  # a driver's bug must not end the stream unseen
                 self._recover(error)
         with suppress(Exception):
@@ -285,20 +319,24 @@ class LiveSensor(ABC):
                 self.lost = ""
                 return
 
-    def _put(self, image: Array) -> None:
-        taken_s = time.monotonic()
-        kept = np.ascontiguousarray(image, dtype=self.dtype)
-        if kept.shape != self.image_shape:
+    def _put(self, reading: Array | Reading, room: int) -> None:
+        """Take in a frame, for which so many may wait in the queue."""
+        full = reading if isinstance(reading, Reading) else Reading(reading)
+        now_s = time.monotonic()
+        taken_s = now_s if full.time_s is None else min(full.time_s, now_s)
+        image = np.ascontiguousarray(full.image, dtype=self.dtype)
+        if image.shape != self.image_shape:
             self._count_missed(1)
-            self.lost = f"its frames are {kept.shape}, it promised {self.image_shape}"
+            self.lost = f"its frames are {image.shape}, it promised {self.image_shape}"
             return
-        kept.flags.writeable = False
+        image.flags.writeable = False
         self.lost = ""
+        about = full.device_time_s, dict(full.columns)
         with self._arrived:
-            self._latest = Frame(kept, taken_s, self._number)
+            self._latest = Frame(image, taken_s, self._number, *about)
             self._number += 1
             self.n_frames += 1
-            if len(self._queue) >= self.queue_length:
+            while len(self._queue) >= room:
                 self._queue.popleft()
                 self.n_dropped += 1
             self._queue.append(self._latest)
@@ -415,6 +453,12 @@ def _check_frames(sensor: LiveSensor, n_frames: int) -> None:
     _say(fresh, "read() must give a frame taken after the call")
     _say(sensor.n_frames >= n_frames, "n_frames must count the frames taken")
     _say(sensor.n_dropped >= 0, "n_dropped must not be negative")
+    largest, most = sensor._largest_burst, sensor.burst_length
+    kept = f"_grab() returned {largest} frames at once, of which {most} are kept"
+    _say(largest <= most, f"{kept}; return them more often")
+    span = numbers[-1] + 1 - numbers[0]
+    counted = span - len(numbers) <= sensor.n_dropped
+    _say(counted, "n_dropped must count the frames that numbers leave out")
     rest = sensor.no_contact()
     if rest is not None:
         _say(rest.shape == sensor.image_shape, "no_contact() must give image_shape")
@@ -426,6 +470,11 @@ def _check_frame(sensor: LiveSensor, frame: Frame) -> None:
     _say(image.dtype == sensor.dtype, f"frames must be {sensor.dtype}")
     _say(not image.flags.writeable, "frames must be read-only")
     _say(not np.isinf(image).any(), "frames must hold no infinity")
+    numeric = all(
+        isinstance(name, str) and np.isscalar(value) and np.isreal(value)
+        for name, value in frame.columns.items()
+    )
+    _say(numeric, "columns of a frame must be numbers with a name each")
 
 
 def _refuses_frames(sensor: LiveSensor, when: str) -> None:

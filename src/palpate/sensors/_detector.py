@@ -13,7 +13,7 @@ kept in a model file.
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.util import find_spec
 from itertools import islice
 from os import PathLike
@@ -58,7 +58,8 @@ class DetectedTouch:
 
     `image` (n_rows, n_cols) stands for it: the frame of greatest change, or the mean
     over the hold. It lasted from `began_s` to `ended_s` on the clock of the frames,
-    `n_frames` in all; `change` is its greatest, in the sensor's unit.
+    `n_frames` in all; `change` is its greatest, in the sensor's unit. `device_time_s`
+    and `columns` are those of the frame of greatest change, see `Reading`.
     """
 
     image: Array
@@ -66,6 +67,8 @@ class DetectedTouch:
     ended_s: float
     change: float
     n_frames: int
+    device_time_s: float | None = None
+    columns: Mapping[str, float] = field(default_factory=dict)
 
 
 class TouchDetector:
@@ -103,7 +106,7 @@ class TouchDetector:
         After `touches_in`, which `begin` would have found more touches, or nothing.
     """
 
-    _peak_image: Array | None
+    _peak_frame: Frame | None
     _idle_since_s: float
 
     def __init__(
@@ -206,7 +209,7 @@ class TouchDetector:
             return self._ended(now_s)
         self._n_frames += 1
         if self.change > self._peak:
-            self._peak, self._peak_image = self.change, frame.image
+            self._peak, self._peak_frame = self.change, frame
         if self.summary == "mean":
             self._recent.append((self.change, frame.image))
         if abs(self.change - self._calm_change) > max(3 * self.noise, self.end):
@@ -328,7 +331,7 @@ class TouchDetector:
         self._small_baseline = np.empty(0) if baseline is None else _small(baseline)
         self.touching, self.change = False, 0.0
         self._n_frames, self._peak, self._began_s = 0, -1.0, 0.0
-        self._peak_image = None
+        self._peak_frame = None
         self._recent.clear()
         self._idle_since_s, self._idle_change = float("inf"), 0.0
         self._calm_since_s, self._calm_change = 0.0, 0.0
@@ -357,17 +360,19 @@ class TouchDetector:
     def _ended(self, now_s: float) -> DetectedTouch | None:
         self.touching = False
         self._idle_since_s, self._idle_change = now_s, self.change
-        image, recent = self._peak_image, list(self._recent)
-        self._peak_image = None
+        frame, recent = self._peak_frame, list(self._recent)
+        self._peak_frame = None
         self._recent.clear()
-        if self._n_frames < self._min_frames or image is None:
+        if self._n_frames < self._min_frames or frame is None:
             return None
+        image = frame.image
         if self.summary == "mean":
             held = [i for change, i in recent if change >= _HOLD_SHARE * self._peak]
             stack = np.stack(held or [image])
             mean = np.mean(stack, axis=0, dtype=np.float64)
             image = as_kind(np.asarray(mean), image.dtype)
-        return DetectedTouch(image, self._began_s, now_s, self._peak, self._n_frames)
+        lasted = self._began_s, now_s, self._peak, self._n_frames
+        return DetectedTouch(image, *lasted, frame.device_time_s, frame.columns)
 
 
 def _n_runs(

@@ -10,7 +10,7 @@ from .._checks import check_count, check_option, check_positive
 from .._types import Array
 from ..touches import TouchesError, frame_of_message, shows_frame
 from . import _dds
-from ._contract import LiveSensor, SensorError
+from ._contract import LiveSensor, Reading, SensorError
 
 _TICK_S = 0.2
 _MATCH_S = 1.0
@@ -62,7 +62,7 @@ class RosSensor(LiveSensor):
         self._wait_s = check_positive("wait_s", wait_s)
         self._node: _dds.DdsNode | None = None
         self._reader: _dds.DdsReader | None = None
-        self._first: list[Array] = []
+        self._first: list[Reading] = []
         self._asked_shape = image_shape
         shape = (1, 1) if image_shape is None else image_shape
         super().__init__(f"topic {self.topic}", "as published", shape, np.uint8)
@@ -104,7 +104,7 @@ class RosSensor(LiveSensor):
             if self._stop.wait(0.05):
                 raise SensorError(f"{self.name} was disconnected.")
 
-    def _first_frame(self, reader: _dds.DdsReader, end_s: float) -> Array:
+    def _first_frame(self, reader: _dds.DdsReader, end_s: float) -> Reading:
         self.lost = ""
         while True:
             for raw in reader.take(_TICK_S):
@@ -128,9 +128,9 @@ class RosSensor(LiveSensor):
             return f"nobody publishes {self.topic} now. Start its publisher again."
         return f"{self.topic} has a publisher that sends nothing."
 
-    def _learn(self, frame: Array) -> None:
+    def _learn(self, first: Reading) -> None:
         """Take size and type of the first frame, or explain that they are others."""
-        asked = self._asked_shape
+        asked, frame = self._asked_shape, first.image
         if asked is not None and frame.shape != tuple(asked):
             raise SensorError(
                 f"{self.topic} gives frames of {frame.shape[0]} x {frame.shape[1]}, "
@@ -138,9 +138,9 @@ class RosSensor(LiveSensor):
             )
         self._asked_shape = self.image_shape = frame.shape
         self.dtype = frame.dtype
-        self._first = [frame]
+        self._first = [first]
 
-    def _grab(self) -> Sequence[Array]:
+    def _grab(self) -> Sequence[Reading]:
         if self._first:
             first, self._first = self._first, []
             return first
@@ -148,7 +148,7 @@ class RosSensor(LiveSensor):
         frames = []
         for raw in self._reader.take(_TICK_S):
             frame = self._frame(raw)
-            if frame is not None and self._is_alike(frame):
+            if frame is not None and self._is_alike(frame.image):
                 frames.append(frame)
         if not frames and not self._reader.n_publishers:
             self.lost = self._silence(self._reader)
@@ -162,7 +162,7 @@ class RosSensor(LiveSensor):
         self._refuse(f"{self.topic} gives frames of {now} now, it gave {was}. Restart.")
         return False
 
-    def _frame(self, raw: bytes) -> Array | None:
+    def _frame(self, raw: bytes) -> Reading | None:
         """Return the frame in a message; None, and `lost` says why, without one."""
         assert self._reader is not None
         kind, where = self._reader.kind, f"A message of {self.topic}"
@@ -178,7 +178,7 @@ class RosSensor(LiveSensor):
         except Exception as error:  # rosbags raises many kinds on damaged bytes
             self._refuse(f"{where} is damaged: {error or type(error).__name__}.")
         else:
-            return frame
+            return Reading(frame, device_time_s=_stamp_s(message))
         return None
 
     def _refuse(self, why: str) -> None:
@@ -190,3 +190,10 @@ class RosSensor(LiveSensor):
         if self._node is not None:
             self._node.close()
         self._node = None
+
+
+def _stamp_s(message: Any) -> float | None:
+    """Return the stamp of a message's header in seconds; None without one."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    seconds = 0.0 if stamp is None else float(stamp.sec + stamp.nanosec / 1e9)
+    return seconds or None

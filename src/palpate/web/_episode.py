@@ -31,7 +31,7 @@ class LiveTouch:
     """A touch of the episode and what was believed after it.
 
     `posterior` is empty and `unknown` None where there is no model; `note` is what is
-    wrong with the touch, "" for most.
+    wrong with the touch, "" for most; `device_time_s` when the device took it.
     """
 
     number: int
@@ -40,6 +40,7 @@ class LiveTouch:
     unknown: float | None = None
     note: str = ""
     latency_ms: float | None = None
+    device_time_s: float | None = None
 
 
 class LiveEpisode:

@@ -29,7 +29,7 @@ _SHOWN_HZ = 45.0
 _STATE_EVERY_S = 1.0
 _RECENT, _COUNTED = 40, 100
 
-TakeTouch = Callable[[Array, float], None]
+TakeTouch = Callable[[DetectedTouch, float], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,7 +338,7 @@ class SensorWatch:
             touch, ended_s = found
             with self._lock:
                 self._recent = [*self._recent[1 - _RECENT :], touch.image]
-            self._take(touch.image, ended_s)
+            self._take(touch, ended_s)
             self._compare()
 
 

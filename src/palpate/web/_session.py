@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
@@ -18,12 +18,12 @@ from ..recognition import (
     ObjectRecogniser,
     check_strangers,
 )
-from ..sensors import LiveSensor, SensorError, channels_of, desk_of
+from ..sensors import DetectedTouch, LiveSensor, SensorError, channels_of, desk_of
 from ._episode import LiveEpisode
 from ._images import ImageKind, Names, check_image
 from ._learning import LearningError, learn_apart, start_learning
 from ._sensor_watch import Event, Health, Listeners, SensorWatch
-from ._teaching import Teacher, advice, object_quality
+from ._teaching import Teacher, advice, columns_of, object_quality
 
 LONGEST_EPISODE = 1000
 ONE_SESSION = (
@@ -411,33 +411,42 @@ class LiveSession:
             number, self.recogniser, self.asked, self._stored_ids
         )
 
-    def _take(self, image: Array) -> str:
+    def _take(self, image: Array, columns: Mapping[str, float] | None = None) -> str:
         """Take a touch into the lesson; return what to say."""
         noise = self._watched().detector.noise
-        return self._teacher().take(image, self.baseline, noise)
+        return self._teacher().take(image, self.baseline, noise, columns or {})
 
-    def _taken(self, image: Array, ended_s: float) -> None:
+    def _taken(self, detected: DetectedTouch, ended_s: float) -> None:
         """Take a touch of the sensor: into the lesson, else into the episode."""
         try:
             with self._lock:
                 teaching = self.teacher is not None and self.teacher.lesson is not None
                 if teaching:
-                    self.message = self._take(image)
+                    self.message = self._take(detected.image, columns_of(detected))
             if not teaching:
-                self._recognise(image, self._watched().sensor.channels, ended_s)
+                channels = self._watched().sensor.channels
+                device_time_s = detected.device_time_s
+                self._recognise(detected.image, channels, ended_s, device_time_s)
             self.trouble = ""
         except (ValueError, OSError, MemoryError) as error:
             self.message = self.trouble = str(error)
         if teaching or self.trouble:
             self._notify_state()
 
-    def _recognise(self, image: Array, channels: Names, ended_s: float) -> None:
+    def _recognise(
+        self,
+        image: Array,
+        channels: Names,
+        ended_s: float,
+        device_time_s: float | None = None,
+    ) -> None:
         if self.watch is not None and self.watch.misfit:
             raise ValueError(self.watch.misfit)
         with self._lock:
             if not self.episode.open or len(self.episode.touches) >= LONGEST_EPISODE:
                 self._new_episode()
             touch = self.episode.add(image, channels)
+            touch.device_time_s = device_time_s
             touch.latency_ms = 1e3 * (time.monotonic() - ended_s)
             self.health.count_touch(touch.latency_ms)
             episode = {**self.episode.to_dict(), "touches": [dict(vars(touch))]}

@@ -7,6 +7,7 @@ of places that were never touched.
 
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from .._checks import check_count, did_you_mean
 from .._types import Array, Floats
 from ..library import LibraryError, SensorDescription, TouchLibrary, TouchRow, quoted
 from ..recognition import ObjectRecogniser, with_floor
-from ..sensors import LiveSensor, SensorError
+from ..sensors import DetectedTouch, LiveSensor, SensorError
 from ..touches import Touches
 from ._images import ImageKind, Names
 from ._learning import LEAST_TOUCHES, of_size
@@ -178,10 +179,15 @@ class Teacher:
         if self._opened is not None:
             self._opened.close()
 
-    def begin_session(self, why: str = "") -> None:
-        """Let touches stored from now on be of another session: `why`, in words."""
+    def begin_session(self, why: str = "", name: str | None = None) -> None:
+        """Let touches stored from now on be of another session: `why`, in words.
+
+        With a `name` it is called that, and goes on where the library has it.
+        """
+        if name is not None and not name.strip():
+            raise ValueError("session must have a name, got nothing.")
         started = time.strftime("%Y-%m-%d %H:%M:%S")
-        self._session = f"{started} {why}".strip()
+        self._session = f"{started} {why}".strip() if name is None else name.strip()
 
     def begin(self, name: str, wanted: int) -> None:
         check_count("count", wanted, at_most=MOST_PER_LESSON)
@@ -202,7 +208,12 @@ class Teacher:
         self.lesson = None
 
     def store(
-        self, name: str, image: Array, channels: Names, baseline: Array | None
+        self,
+        name: str,
+        image: Array,
+        channels: Names,
+        baseline: Array | None,
+        columns: Mapping[str, float] | None = None,
     ) -> str:
         """Store one touch of an object; return its id once it is on the disk."""
         touch = Touches(
@@ -212,6 +223,7 @@ class Teacher:
             no_contact=baseline,
             channels=channels,
             geometry=self._described.geometry,
+            **{name: [value] for name, value in (columns or {}).items()},
         )
         (key,) = self.library.add(
             touches=touch,
@@ -223,12 +235,18 @@ class Teacher:
         self._stored.append(key)
         return key
 
-    def take(self, image: Array, baseline: Array | None, noise: float) -> str:
+    def take(
+        self,
+        image: Array,
+        baseline: Array | None,
+        noise: float,
+        columns: Mapping[str, float] | None = None,
+    ) -> str:
         """Store one touch of the lesson, which ends when full; return what to say."""
         assert self.lesson is not None
         lesson = self.lesson
         channels = None if self._sensor is None else self._sensor.channels
-        lesson.ids.append(self.store(lesson.name, image, channels, baseline))
+        lesson.ids.append(self.store(lesson.name, image, channels, baseline, columns))
         count = f"{len(lesson.ids)} of {lesson.wanted}"
         said = f"Touch {count} of {lesson.name} is stored."
         lesson.variety.add(image, baseline, noise)
@@ -349,6 +367,14 @@ class Teacher:
             raise MissingObjectError(name, self._counts())
         offset = 0 if limit is None else max(0, count - limit)
         return self.library.list(f"object = {quoted(name)}", limit, offset)
+
+
+def columns_of(touch: DetectedTouch) -> dict[str, float]:
+    """Return what a device told beside the image of a touch, as columns."""
+    columns = dict(touch.columns)
+    if touch.device_time_s is not None:
+        columns["device_time_s"] = touch.device_time_s
+    return columns
 
 
 def checked_name(name: str) -> str:

@@ -1,0 +1,167 @@
+"""Topics of ROS 2 over real DDS: the publisher is another process with own types."""
+
+import os
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from palpate.sensors import RosSensor, SensorError, check_sensor, open_sensor
+
+pytest.importorskip("cyclonedds")
+pytest.importorskip("rosbags")
+_dds = pytest.importorskip("palpate.sensors._dds")
+
+KIND = "sensor_msgs/msg/Image"
+PEER = Path(__file__).with_name("ros_peer.py")
+# A domain a process of tests, so that those side by side do not hear each other.
+DOMAIN = 50 + int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]) % 100
+NETWORK = """<CycloneDDS><Domain id="any">
+<General><AllowMulticast>false</AllowMulticast><Interfaces>
+<NetworkInterface address="127.0.0.1"/></Interfaces></General>
+<Discovery><ParticipantIndex>auto</ParticipantIndex>
+<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
+
+
+@pytest.fixture(autouse=True)
+def network(monkeypatch):
+    monkeypatch.setenv("CYCLONEDDS_URI", NETWORK)
+
+
+@contextmanager
+def peer(topic, what="best_effort"):
+    command = [sys.executable, str(PEER), topic, what, str(DOMAIN)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE)
+    try:
+        yield process
+    finally:
+        process.stdin.close()
+        process.wait(timeout=20)
+
+
+def address(topic, more=""):
+    return f"ros:{topic}?domain={DOMAIN}{more}"
+
+
+def all_frames(sensor):
+    """Return the frames until none comes, and the sentence that says so."""
+    frames = []
+    try:
+        while True:
+            frames.append(sensor.read_next(0.7))
+    except SensorError as error:
+        return frames, str(error)
+
+
+@pytest.mark.parametrize("what", ["best_effort", "reliable"])
+def test_frames_are_those_that_were_sent_with_their_stamps(what):
+    with peer(f"/t_{what}", what):
+        sensor = open_sensor(address(f"/t_{what}"))
+        assert sensor.image_shape == (12, 12)
+        assert sensor.dtype == np.uint8
+        with sensor:
+            frames = [sensor.read_next() for _ in range(40)]
+    levels = [int(frame.image[0, 0]) for frame in frames]
+    assert levels == list(range(levels[0], levels[0] + 40))
+    assert all(np.ptp(frame.image) == 0 for frame in frames)
+    assert [f.device_time_s for f in frames] == [1000.5 + level for level in levels]
+
+
+def test_the_contract_is_kept():
+    with peer("/t_contract"):
+        check_sensor(RosSensor("/t_contract", (12, 12), domain=DOMAIN))
+
+
+def test_arrays_are_frames_too():
+    with peer("/t_array", "array"), open_sensor(address("/t_array")) as sensor:
+        frame = sensor.read_next().image
+    assert frame.shape == (3, 2)
+    assert frame.dtype == np.float32
+    assert frame[0, 0] % 1 == 0.5
+
+
+def test_a_reader_that_asks_for_more_than_is_offered_says_so():
+    with (
+        peer("/t_qos"),
+        pytest.raises(SensorError, match=r"does not match, by its reliability.*qos"),
+    ):
+        open_sensor(address("/t_qos", "&qos=reliable"))
+
+
+def test_a_topic_that_is_no_image_and_one_of_nobody_are_refused():
+    with peer("/t_text", "string"):
+        with pytest.raises(SensorError, match=r"got std_msgs/msg/String"):
+            open_sensor(address("/t_text"))
+        missing = "Nobody publishes /t_txt in domain .*topics seen: .*/t_text"
+        with pytest.raises(SensorError, match=missing):
+            open_sensor(address("/t_txt", "&wait=1"))
+
+
+def test_another_size_than_asked_for_is_refused():
+    with (
+        peer("/t_size"),
+        pytest.raises(SensorError, match="gives frames of 12 x 12, shape asks for 9 x"),
+    ):
+        open_sensor(address("/t_size", "&shape=9x12")).connect()
+
+
+def test_a_topic_that_changes_its_size_gives_no_wrong_frame():
+    with peer("/t_resize", "resize"), open_sensor(address("/t_resize")) as sensor:
+        frames, why = all_frames(sensor)
+        assert "gives frames of 8 x 8 of uint8 now" in why
+        assert {frame.image.shape for frame in frames} == {(12, 12)}
+        assert max(int(frame.image[0, 0]) for frame in frames) == 19
+        assert sensor.n_dropped > 10
+
+
+def test_messages_that_lie_are_counted_and_never_become_frames():
+    with peer("/t_hostile", "hostile"), open_sensor(address("/t_hostile")) as sensor:
+        frames = [sensor.read_next() for _ in range(20)]
+        dropped = sensor.n_dropped
+    assert all(int(frame.image[0, 0]) % 4 == 0 for frame in frames)
+    assert all(np.ptp(frame.image) == 0 for frame in frames)
+    assert dropped >= 19 * 3
+
+
+def test_damaged_bytes_are_no_frame_whatever_they_are():
+    whole = bytes(_dds.store().serialize_cdr(rosbags_picture(), KIND))
+    sensor = RosSensor("/t_bytes", (12, 12), domain=DOMAIN)
+    sensor._reader = SimpleNamespace(kind=KIND)
+    rng = np.random.default_rng(0)
+    assert (sensor._frame(whole).image == 7).all()
+    for number in range(600):
+        raw = bytearray(whole)
+        at = rng.integers(4, 60, size=3)  # the header and every length
+        raw[at[0]] = raw[at[1]] = raw[at[2]] = 255
+        cut = len(raw) if number % 2 else int(rng.integers(0, len(raw)))
+        reading = sensor._frame(bytes(raw[:cut]))
+        assert reading is None or reading.image.size <= 12 * 12
+    for size in (0, 3, 4, 64):
+        assert sensor._frame(rng.bytes(size)) is None
+    assert sensor.n_dropped > 300
+
+
+def rosbags_picture():
+    types = _dds.store().types
+    stamp = types["builtin_interfaces/msg/Time"](3, 0)
+    header = types["std_msgs/msg/Header"](stamp, "pad")
+    return types[KIND](header, 12, 12, "mono8", 0, 12, np.full(144, 7, np.uint8))
+
+
+def test_a_publisher_that_is_killed_is_heard_again_when_it_is_back():
+    with peer("/t_back") as first, open_sensor(address("/t_back")) as sensor:
+        sensor.read_next()
+        first.kill()
+        first.wait()
+        all_frames(sensor)
+        with peer("/t_back"):
+            end_s = time.monotonic() + 20
+            while time.monotonic() < end_s and not sensor._queue:
+                time.sleep(0.05)
+            assert sensor.read_next().image.shape == (12, 12)
+        assert sensor.connected
