@@ -7,6 +7,7 @@ import unicodedata
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from numbers import Integral, Number, Real
+from pathlib import Path
 from typing import Any, TypeGuard
 
 import numpy as np
@@ -31,6 +32,20 @@ def one_spelling(text: str) -> str | None:
     if any(unicodedata.category(letter) in _NOT_PRINTED for letter in text):
         return None
     return unicodedata.normalize("NFC", text)
+
+
+def nearest_path(path: Path) -> str:
+    """Return "Did you mean ...?" for a path that is not there, or nothing."""
+    try:
+        names = {one.name: one for one in path.parent.iterdir()}
+    except OSError:
+        return nearest_path(path.parent) if path.parent != path.parent.parent else ""
+    folded = {name.casefold(): name for name in names}
+    close = get_close_matches(path.name.casefold(), folded, n=1, cutoff=0.6)
+    if path.name in names or not close:
+        return ""
+    near = names[folded[close[0]]]
+    return f"Did you mean {near}{'/' * near.is_dir()}?"
 
 
 def check_count(

@@ -1,33 +1,236 @@
-"""`palpate sensor check`: JSON, a page, and an exit code that says how it is."""
+"""`palpate check`: every bad picture in one list, layouts asked about, advice."""
 
 import json
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from palpate import Touches
+from palpate.recognition import ObjectRecogniser
+from palpate.touches import TouchesError
+
+BAD = {
+    "loose.png": "in no folder",
+    "mug/003.png": "cut short",
+    "mug/004.png": "8 x 6 8-bit PNG, not 12 x 10",
+    "pen/003.png": "neither JPEG nor PNG",
+    "pen/004.png": "transparent parts",
+}
 
 
-def test_a_simulated_array_is_well(palpate, tmp_path):
-    page = tmp_path / "health.html"
-    done = palpate(
-        *("sensor", "check", "--sensor", "sim:bar10?gap=9000&rate=100"),
-        *("--seconds", "1", "--report", page, "--json"),
-    )
-    found = json.loads(done.stdout)
-    # The machine may hold frames up; nothing else can be wrong with it.
-    held_up = [s for s in found["findings"] if "One frame" in s or "lost" in s]
-    assert found["findings"] == held_up
-    assert done.returncode == (1 if held_up else 0)
-    assert found["figures"]["frames"] > 24
-    assert "drift" in page.read_text()
-    assert "http" not in page.read_text().replace("http-equiv", "")
+def put(path, image=None, **more):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if image is None:
+        rng = np.random.default_rng(list(str(path).encode()))
+        level = 60 if "mug" in str(path) else 160
+        image = rng.normal(level, 9, (10, 12)).clip(0, 255).astype(np.uint8)
+    Image.fromarray(np.asarray(image)).save(path, **more)
 
 
-def test_a_touched_sensor_is_not_well(palpate):
-    done = palpate(
-        "sensor", "check", "--sensor", "sim:bar10?rate=100", "--seconds", "1"
-    )
+@pytest.fixture
+def odd(tmp_path):
+    """Twelve good pictures and five that cannot be used."""
+    root = tmp_path / "touches"
+    for name in ("mug", "pen"):
+        for number in (1, 2, 5, 6, 7, 8):
+            put(root / name / f"{number:03}.png")
+    put(root / "loose.png")
+    put(root / "mug" / "003.png")
+    cut = root / "mug" / "003.png"
+    cut.write_bytes(cut.read_bytes()[:-30])
+    put(root / "mug" / "004.png", np.zeros((6, 8), np.uint8))
+    (root / "pen" / "003.png").write_text("hello")
+    Image.new("RGBA", (12, 10)).save(root / "pen" / "004.png")
+    return root
+
+
+def test_every_bad_picture_is_in_one_list_with_its_fix(palpate, odd):
+    done = palpate("check", odd, "--json")
     assert done.returncode == 1
-    assert "touch" in done.stdout.splitlines()[0]
+    found = json.loads(done.stdout)
+    assert [one["picture"] for one in found["bad"]] == list(BAD)
+    for one in found["bad"]:
+        assert BAD[one["picture"]] in one["problem"]
+        assert one["fix"]
+    assert found["n_touches"] == 12
+    assert [(o["object"], o["touches"]) for o in found["objects"]] == [
+        ("mug", 6),
+        ("pen", 6),
+    ]
+    for words in ("--skip-bad", "few touches of mug (6), pen (6)", "one session"):
+        assert any(words in line for line in found["advice"]), words
+    shown = palpate("check", odd).stdout
+    assert all(name in shown for name in BAD)
+    assert "5 pictures cannot be used" in shown
 
 
-def test_reports_and_seconds_are_checked(palpate, tmp_path):
-    sensor = ("sensor", "check", "--sensor", "sim:bar10")
-    assert "must end in .html" in palpate(*sensor, "--report", "x.pdf").stderr
-    assert "seconds must be" in palpate(*sensor, "--seconds", "0").stderr
+def test_what_is_bad_is_left_out_and_named(palpate, odd, tmp_path):
+    refused = palpate("learn", odd, "-o", tmp_path / "m.palpate")
+    assert refused.returncode == 1
+    assert f"`palpate check {odd}` lists all that is wrong" in refused.stderr
+    model = tmp_path / "m.palpate"
+    done = palpate("learn", odd, "--skip-bad", "-o", model, "--json")
+    assert done.returncode == 0, done.stderr
+    assert "5 pictures of 17" in done.stderr
+    assert "loose.png is in no folder" in done.stderr
+    assert json.loads(done.stdout)["n_train_touches"] == 12
+    assert ObjectRecogniser.load(model).classes_.tolist() == ["mug", "pen"]
+    scored = palpate(
+        *("evaluate", "--train", odd, "--skip-bad", "--split", "last"),
+        *("--touches", "1", "--json"),
+    )
+    assert json.loads(scored.stdout)["n_test_touches"] == 2
+    added = palpate("library", "add", tmp_path / "lab", odd, "--skip-bad", "--json")
+    assert json.loads(added.stdout)["added"] == 12
+    again = palpate("check", tmp_path / "lab", "--json")
+    assert again.returncode == 0
+    assert json.loads(again.stdout)["n_touches"] == 12
+
+
+def test_python_hears_of_it_as_a_warning(odd):
+    with pytest.warns(UserWarning, match="5 pictures of 17"):
+        assert len(Touches.load(odd, skip_bad=True)) == 12
+    with pytest.raises(TouchesError, match="skip_bad must be left out"):
+        Touches.load(odd.parent / "t.npz", skip_bad=True)
+
+
+def test_a_folder_without_one_good_picture(palpate, tmp_path):
+    (tmp_path / "set" / "mug").mkdir(parents=True)
+    (tmp_path / "set" / "mug" / "1.png").write_text("hello")
+    done = palpate("check", tmp_path / "set", "--json")
+    assert done.returncode == 1
+    found = json.loads(done.stdout)
+    assert found["n_touches"] == 0
+    assert "none" in found["problem"]
+
+
+def test_pictures_that_are_turned_flat_or_there_twice_are_noted(palpate, tmp_path):
+    root = tmp_path / "set"
+    for number in range(4):
+        put(root / "mug" / f"{number}.png")
+    shutil.copy(root / "mug" / "0.png", root / "mug" / "9.png")
+    put(root / "mug" / "flat.png", np.full((10, 12), 7, np.uint8))
+    exif = Image.Exif()
+    exif[0x0112] = 6  # as large as the others once it is upright
+    put(root / "mug" / "turned.png", np.eye(12, 10, dtype=np.uint8), exif=exif)
+    (root / "notes.txt").write_text("hello")
+    done = palpate("check", root, "--json")
+    assert done.returncode == 0, done.stdout
+    notes = json.loads(done.stdout)["notes"]
+    for words in (
+        "1 picture turned",
+        "mug/flat.png",
+        "mug/9.png and",
+        "1 file of .txt",
+    ):
+        assert any(words in note for note in notes), words
+
+
+def test_the_sheet_shows_touches_of_each_object(palpate, odd, tmp_path):
+    pytest.importorskip("matplotlib", reason='needs the extra "plot"')
+    report = tmp_path / "check.html"
+    palpate("check", odd, "--report", report)
+    page = report.read_text()
+    assert page.count("<img alt='touch") == 12
+    assert "pen/004.png" in page
+    assert "http" not in page.replace("http-equiv", "")
+
+
+def test_what_the_place_alone_would_name_is_said(palpate, tmp_path):
+    """Brightness alone tells these two; nothing does where all are alike."""
+    for number in range(16):
+        for name in ("mug", "pen"):
+            put(tmp_path / "set" / name / f"{number}.png")
+            image = np.random.default_rng(number).integers(0, 255, (10, 12), np.uint8)
+            put(tmp_path / "alike" / name / f"{number}.png", image)
+    alone = json.loads(palpate("check", tmp_path / "set", "--json").stdout)
+    assert alone["alone"]["brightness"] == {"right": 1.0, "chance": 0.5}
+    assert any("no touch" in line for line in alone["advice"])
+    alike = json.loads(palpate("check", tmp_path / "alike", "--json").stdout)
+    assert alike["alone"]["brightness"]["right"] == 0.5
+    assert not any("no touch," in line for line in alike["advice"])
+
+
+def folders(root, *paths):
+    for path in paths:
+        put(root / path / "1.png")
+        put(root / path / "2.png")
+    return root
+
+
+@pytest.mark.parametrize(
+    ("paths", "objects", "sessions"),
+    [
+        (["mug/frames", "pen/frames"], ["mug", "pen"], None),
+        (
+            ["mug/dataset_0", "pen/dataset_1"],
+            ["mug", "pen"],
+            ["dataset_0", "dataset_1"],
+        ),
+        (["mug/run 1/frames", "pen/run 2/frames"], ["mug", "pen"], ["run 1", "run 2"]),
+        (
+            ["2024-05-01/mug", "2024-05-02/pen"],
+            ["mug", "pen"],
+            ["2024-05-01", "2024-05-02"],
+        ),
+        (["cups/mug", "tools/pen"], ["cups/mug", "tools/pen"], None),
+        (
+            ["mug/1", "pen/1", "mug/2", "pen/2"],
+            ["mug/1", "mug/2", "pen/1", "pen/2"],
+            None,
+        ),
+    ],
+    ids=lambda value: value[0] if value else "",
+)
+def test_layouts_that_people_have(tmp_path, paths, objects, sessions):
+    touches = Touches.load(folders(tmp_path, *paths))
+    assert np.unique(touches.object).tolist() == objects
+    found = None if touches.session is None else np.unique(touches.session).tolist()
+    assert found == sessions
+
+
+@pytest.mark.parametrize(
+    ("paths", "message"),
+    [
+        (["train/mug", "test/mug"], r"test and train, .* levels -/object"),
+        (["train", "val"], r"train and val, which are parts of a set"),
+        (["mug/gel", "mug/video", "pen/gel", "pen/video"], r"levels object/=gel"),
+        (
+            ["mug/run_1/gel", "mug/run_1/cam", "pen/run_2/gel", "pen/run_2/cam"],
+            r"levels object/-/=cam",
+        ),
+    ],
+    ids=lambda value: value[0],
+)
+def test_layouts_that_are_asked_about(palpate, tmp_path, paths, message):
+    folders(tmp_path / "set", *paths)
+    with pytest.raises(TouchesError, match=message):
+        Touches.load(tmp_path / "set")
+    assert palpate("check", tmp_path / "set").returncode == 1
+
+
+def test_levels_are_skipped_and_chosen(tmp_path):
+    root = folders(tmp_path, *(f"{o}/{c}" for o in ("mug", "pen") for c in ("a", "b")))
+    skipped = Touches.load(root, levels="object/-")
+    assert (len(skipped), np.unique(skipped.object).tolist()) == (8, ["mug", "pen"])
+    chosen = Touches.load(root, levels="object/=b")
+    assert {path.split("/")[1] for path in chosen.columns["source_path"]} == {"b"}
+    assert chosen.object.tolist() == ["mug", "mug", "pen", "pen"]
+    nested = Touches.load(root, levels="category/object")
+    assert nested.category.tolist() == ["mug"] * 4 + ["pen"] * 4
+    with pytest.raises(TouchesError, match=r"=c where there are a, b"):
+        Touches.load(root, levels="object/=c")
+    for wrong in ("session", "object/object", "object/a b", "object/="):
+        with pytest.raises(TouchesError, match=r"levels must name .* - skips a level"):
+            Touches.load(root, levels=wrong)
+
+
+def test_a_path_that_is_nearly_there(palpate, odd, tmp_path):
+    refused = palpate("check", odd.parent / "touchs")
+    assert refused.returncode == 1
+    assert f"Did you mean {odd}/?" in refused.stderr
+    (tmp_path / "mugs.palpate").write_bytes(b"")
+    refused = palpate("recognise", tmp_path / "mug.palpate", odd)
+    assert f"Did you mean {tmp_path / 'mugs.palpate'}?" in refused.stderr

@@ -39,7 +39,7 @@ def folder(tmp_path, archive, palpate):
 
 def test_adding_twice_adds_once(palpate, folder, archive):
     done = palpate("library", "add", folder, archive, "--session", "monday")
-    assert done.stdout.startswith("0 of 60 touches are new; 60 in")
+    assert done.stdout.startswith("0 new of 60 touches; 60 in")
 
 
 def test_touches_are_listed_and_shown(palpate, folder, tmp_path):
@@ -62,11 +62,11 @@ def test_objects_are_renamed_merged_retracted_and_restored(palpate, folder):
     assert "is now cup" in palpate("library", "rename", folder, "mug", "cup").stdout
     assert "part of pen" in palpate("library", "merge", folder, "cup", "pen").stdout
     done = palpate("library", "retract", folder, "object = ball", "--reason", "wet")
-    assert done.stdout == "20 touches are retracted.\n"
+    assert done.stdout == "20 touches retracted.\n"
     stats = json.loads(palpate("library", "stats", folder, "--json").stdout)
     assert (stats["n_touches"], stats["n_retracted"], stats["n_objects"]) == (40, 20, 1)
     done = palpate("library", "restore", folder, "object = ball")
-    assert done.stdout == "20 touches are back.\n"
+    assert done.stdout == "20 touches back.\n"
     assert "n_touches" in palpate("library", "stats", folder).stdout
 
 
@@ -137,7 +137,7 @@ def test_touches_are_exported(palpate, folder, tmp_path):
         "--where",
         "object=pen",
     )
-    assert done.stdout.startswith("20 touches are in")
+    assert done.stdout.startswith("20 touches in")
     assert len(Touches.load(tmp_path / "pens.npz")) == 20
 
 
@@ -261,10 +261,10 @@ def test_films_and_tables_become_touches(palpate, tmp_path):
     out.release()
     lab = tmp_path / "lab"
     done = palpate("library", "add", lab, film, "--object", "knob", "--begin", "5")
-    assert "1 of 1 touches are new" in done.stdout, done.stderr
+    assert "1 new of 1 touch;" in done.stdout, done.stderr
     (tmp_path / "t.csv").write_text("object,a,b,c,d\npen,1,2,3,4\ncup,5,6,7,8\n")
     done = palpate("library", "add", lab, tmp_path / "t.csv", "--shape", "2x2")
-    assert "2 of 2 touches are new; 3 in" in done.stdout, done.stderr
+    assert "2 new of 2 touches; 3 in" in done.stdout, done.stderr
     odd = palpate("library", "add", lab, tmp_path / "t.csv", "--shape", "two")
     assert "--shape must be rows x columns such as 16x16, got 'two'" in odd.stderr
     refused = palpate("library", "add", lab, film, "--where", "object = mug")

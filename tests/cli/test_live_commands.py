@@ -257,7 +257,7 @@ def test_record_says_that_the_disk_is_full(palpate, replay, tmp_path, monkeypatc
     done = palpate(*words, "--library", tmp_path / "l", "-n", "5")
     assert done.returncode == 1
     assert "palpate: No space left on device" in done.stderr
-    assert "2 touches of bar are in" in done.stdout
+    assert "2 touches of bar in" in done.stdout
 
 
 def test_a_name_with_blanks_is_recorded_and_written(palpate, replay, tmp_path):

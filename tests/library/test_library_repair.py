@@ -296,7 +296,7 @@ def test_a_library_that_cannot_be_opened_has_no_touches(folder):
     report = check_library(folder)
     assert not report.ok
     assert (report.n_touches, report.n_files, report.n_set_aside) == (0, 0, 0)
-    assert str(report).startswith("0 touches in 0 files: 1 problems.\ndatabase: ")
+    assert str(report).startswith("0 touches in 0 files: 1 problem.\ndatabase: ")
 
 
 def test_a_sheet_written_again_keeps_the_names_that_touches_came_with(folder):
@@ -324,7 +324,9 @@ def test_at_most_twenty_problems_are_shown(tmp_path, n_lost):
         path.unlink()
     lines = str(check_library(tmp_path)).splitlines()
     more = [f"... and {n_lost - 20} more"] * (n_lost > 20)
-    assert lines[0].endswith(f"files: {n_lost} problems.")
+    assert lines[0].endswith(
+        f"file{'s' * (n_lost > 1)}: {n_lost} problem{'s' * (n_lost > 1)}."
+    )
     assert lines[min(n_lost, 20) + 1 :] == more
 
 
@@ -337,7 +339,7 @@ def test_touches_set_aside_are_counted_apart(folder):
         assert library.repair().n_set_aside == 20
         report = library.check()
     assert (report.n_touches, report.n_files, report.n_set_aside) == (20, 1, 20)
-    assert str(report).startswith("20 touches in 1 files: all present")
+    assert str(report).startswith("20 touches in 1 file: all present")
     assert "20 touches are set aside" in str(report)
 
 

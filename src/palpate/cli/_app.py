@@ -15,8 +15,8 @@ import typer
 from .. import __version__
 from ._options import option
 from ._output import answer
-from .check import check
 from .remount import sensor
+from .sensor_check import sensor_check
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -28,7 +28,7 @@ app = typer.Typer(
 )
 # Each is the function, or the group of several, of that name in the file of that name.
 VERBS = (
-    *("learn", "recognise", "evaluate", "benchmark", "demo", "study", "bench"),
+    *("check", "learn", "recognise", "evaluate", "benchmark", "demo", "study", "bench"),
     *("remount", "doctor", "serve", "record", "live"),
     *("simulate", "library", "data", "explore"),
 )
@@ -38,7 +38,7 @@ for name in VERBS:
         app.add_typer(verb, name=name)
     else:
         app.command()(verb)
-sensor.command("check")(check)
+sensor.command("check")(sensor_check)
 app.add_typer(sensor, name="sensor")
 
 _Usage: Any = typer.BadParameter.__base__  # every wrong use of the command line

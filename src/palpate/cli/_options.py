@@ -13,10 +13,12 @@ from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
+from warnings import catch_warnings, simplefilter
 
 import typer
 
 from .._extras import install, needed
+from ._output import printable
 
 if TYPE_CHECKING:
     from ..library import Selection, TouchLibrary
@@ -184,9 +186,16 @@ class Reading:
     levels: Annotated[
         str | None,
         option(
-            "What folder levels are, such as object/session; unnamed: category/object."
+            "What folder levels are, such as object/session; - skips one, =gel reads "
+            "its folder gel alone. Unnamed: category/object."
         ),
     ] = None
+    skip_bad: Annotated[
+        bool,
+        option(
+            "--skip-bad", "Leave out pictures that `palpate check` finds fault with."
+        ),
+    ] = False
     no_contact: NoContact = None
     colour: Annotated[
         bool | None,
@@ -210,11 +219,16 @@ class Reading:
     ] = None
     max_megapixels: Annotated[float, option("Larger pictures are refused unread.")] = 50
 
-    def touches(self, path: Path, topic: str | None = None) -> "Touches":
-        """Read touches, all of them at once; `topic` is for bags."""
+    def touches(
+        self, path: Path, topic: str | None = None, *, quiet: bool = False
+    ) -> "Touches":
+        """Read touches, all of them at once; `topic` is for bags.
+
+        `quiet` says nothing of what is left out.
+        """
         opened = self._library(path)
         if opened is None:
-            return self._recording(path, topic)
+            return self._recording(path, topic, quiet=quiet)
         with opened as library:
             library.refuse_unknown(self.where)
             return library.touches(self.where)
@@ -250,9 +264,11 @@ class Reading:
                     f"{option} must be left out {where}, got {str(value)!r}. {fix}"
                 )
 
-    def _recording(self, path: Path, topic: str | None = None) -> "Touches":
+    def _recording(
+        self, path: Path, topic: str | None = None, *, quiet: bool = False
+    ) -> "Touches":
         from ..library import is_recording, read_bag
-        from ..touches import FILMS, Touches
+        from ..touches import FILMS, Touches, TouchesError
 
         fix = "All of it is read; choose in a library with --where."
         if topic is not None or is_recording(path):
@@ -277,18 +293,43 @@ class Reading:
             )
         if self.levels is not None:
             self.refuse("with --levels", "Give either.", "name_pattern")
-        in_folders = self.levels is not None and path.is_dir()
-        named = levels_pattern(str(self.levels)) if in_folders else self.name_pattern
-        return Touches.load(
-            path,
-            name_pattern=named,
-            no_contact=self.no_contact,
-            colour=bool(self.colour),
-            shape=None if self.shape is None else _sides(self.shape),
-            dtype=self.dtype,
-            channels=None if self.channels is None else self.channels.split(","),
-            max_pixels=int(self.max_megapixels * 1e6),
-        )
+        with catch_warnings(record=True) as left_out:
+            simplefilter("always")
+            try:
+                read = Touches.load(path, **self._how())
+            except TouchesError as error:
+                if quiet or self.skip_bad or not path.is_dir():
+                    raise
+                raise TouchesError(
+                    f"{error} `palpate check {path}` lists all that is wrong."
+                ) from error
+        for warning in () if quiet else left_out:
+            typer.echo(printable(str(warning.message)), err=True)
+        return read
+
+    def _how(self) -> dict[str, Any]:
+        return {
+            "name_pattern": self.name_pattern,
+            "no_contact": self.no_contact,
+            "levels": self.levels,
+            "colour": bool(self.colour),
+            "skip_bad": self.skip_bad,
+            "shape": None if self.shape is None else _sides(self.shape),
+            "dtype": self.dtype,
+            "channels": None if self.channels is None else self.channels.split(","),
+            "max_pixels": int(self.max_megapixels * 1e6),
+        }
+
+    def read_as(self, path: Path, touches: "Touches | Selection") -> str:
+        """Return how the folders above pictures were understood, if nobody said it."""
+        given = self.levels is not None or self.name_pattern is not None
+        if given or not path.is_dir() or (path / "labels.csv").is_file():
+            return ""
+        known = ("category", "object", "session")
+        levels = [name for name in known if getattr(touches, name) is not None]
+        if len(levels) < 2:
+            return ""
+        return f"folders were read as {'/'.join(levels)}; --levels says otherwise"
 
 
 def _sides(text: str) -> tuple[int, int]:
@@ -296,24 +337,6 @@ def _sides(text: str) -> tuple[int, int]:
     if found is None:
         raise ValueError(f"--shape must be rows x columns such as 16x16, got {text!r}.")
     return int(found[1]), int(found[2])
-
-
-def levels_pattern(levels: str) -> str:
-    """Return the name pattern of folders whose levels have these names.
-
-    Objects of two categories are different ones, whatever they are called.
-    """
-    names = levels.split("/")
-    words = all(name.isidentifier() for name in names)
-    if not words or "object" not in names or len(set(names)) < len(names):
-        raise ValueError(
-            "--levels must name each level of folders by a word, once, one of them "
-            f"object, got {levels!r}. Write category/object, or object/session."
-        )
-    path = "/".join(f"(?P<{name}>[^/]+)" for name in names)
-    nested = "(?P<object>(?P<category>[^/]+)/[^/]+)"
-    path = path.replace("(?P<category>[^/]+)/(?P<object>[^/]+)", nested)
-    return f"^{path}/[^/]+$"
 
 
 @dataclass(frozen=True)

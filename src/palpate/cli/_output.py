@@ -48,20 +48,34 @@ def belief_line(touch: int, posterior: dict[str, float], unknown: float) -> str:
 
 
 def table(
-    title: str, columns: list[str], rows: list[list[str]], whole: str = ""
+    title: str,
+    columns: list[str],
+    rows: list[list[str]],
+    whole: str = "",
+    *,
+    text: bool = False,
 ) -> None:
-    """Print a table on standard output; the column `whole` is not wrapped."""
+    """Print a table on standard output; the column `whole` is not wrapped.
+
+    All but the first column are figures, flush right, unless they are `text`.
+    """
     from rich.console import Console
     from rich.table import Table
 
     drawn = Table(title=title, title_justify="left")
     for number, column in enumerate(columns):
-        side: Literal["left", "right"] = "left" if number == 0 else "right"
+        side: Literal["left", "right"] = "left" if text or number == 0 else "right"
         kept = column == whole
         drawn.add_column(column, justify=side, no_wrap=kept, overflow="fold")
     for row in rows:
         drawn.add_row(*map(printable, row))
     Console(markup=False, emoji=False).print(drawn)
+
+
+def counted(number: int, what: str = "touch", many: str = "") -> str:
+    """Return "1 problem", "2 problems"; `many` where an s does not make it many."""
+    more = many or ("touches" if what == "touch" else f"{what}s")
+    return f"{number} {what if number == 1 else more}"
 
 
 def percent(value: float | None) -> str:

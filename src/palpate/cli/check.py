@@ -1,121 +1,259 @@
-"""`palpate sensor check`: a page of health of a sensor that nothing touches."""
+"""`palpate check`: what is wrong with touches, before anything is learnt from them."""
 
-import time
 from dataclasses import replace
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ._options import AsJson, MaxModelMb, Report, grouped, option
-from ._output import answer
-from ._sensor import SensorAddress, SensorOptions
+from ._options import AsJson, Reading, Report, TouchesPath, grouped
+from ._output import answer, counted, percent, printable, stages, table
 
 if TYPE_CHECKING:
-    from ..sensors import Frame, LiveSensor
+    from ..touches import PictureCheck, Touches
 
-_MOST_SIDE = 160
+A_START, GOOD = 10, 60
+SHEET_OBJECTS, SHEET_TOUCHES, SHEET_SIDE = 60, 8, 96
+_SHOWN = 40
 
 
 @grouped
 def check(
-    sensor: SensorAddress,
+    touches: TouchesPath,
     *,
-    seconds: Annotated[float, option("How long; drift asks for minutes.")] = 60.0,
-    model: Annotated[Path | None, option("A model that remembers its rest.")] = None,
+    reading: Reading,
     report: Report = None,
-    options: SensorOptions,
-    max_model_mb: MaxModelMb = 2000,
     as_json: AsJson = False,
 ) -> None:
-    """Watch a sensor that nothing touches: noise, dead taxels, drift, frame rate.
+    """Look at touches before learning: bad pictures, counts, what is no touch.
 
-    Exit code 1 where something is found.
+    Every picture that cannot be used is listed with its fix; exit code 1 if there are
+    some. --report writes the same with a sheet of touches of each object.
     """
-    from .._checks import check_positive
     from .._durable import write_text
-    from ..recognition import ObjectRecogniser
-    from ..sensors import SensorMemory, sensor_health
+    from ..evaluation import named_alone
+    from ..touches import TouchesError
 
-    check_positive("seconds", seconds)
     if report is not None and report.suffix != ".html":
         raise typer.BadParameter(f"--report must end in .html, got {report.name!r}.")
-    memory = None
-    if model is not None:
-        stored = ObjectRecogniser.load(model).memory_.sensor
-        if stored is None:
-            raise ValueError(
-                f"{model} must remember its sensor's baseline, got a model without. "
-                "Learn it from a library that was recorded with one."
-            )
-        memory = SensorMemory.from_dict(stored)
-    with options.open(sensor) as live:
-        apart = -(-max(live.image_shape[:2]) // _MOST_SIDE)
-        if memory is not None:
-            memory = replace(memory, no_contact=memory.no_contact[::apart, ::apart])
-        found = sensor_health(_frames(live, seconds, apart), live.step, memory)
-        found |= {"sensor": live.name, "unit": live.unit, "seconds": seconds}
-    maps = {name: found.pop(name) for name in ("rest", "noise")}
+    with stages() as stage:
+        stage(f"looking at {touches}")
+        pictures, others = _pictures(reading, touches)
+        usable = reading
+        if pictures is not None and pictures.bad:
+            usable = replace(reading, skip_bad=True)
+        try:
+            read, problem = usable.touches(touches, quiet=True), ""
+        except TouchesError as error:
+            if pictures is None or not pictures.bad:
+                raise
+            read, problem = None, str(error)
+        stage("what is no touch")
+        alone = {} if read is None or read.object is None else named_alone(read)
+    found: dict[str, Any] = {
+        "touches": str(touches),
+        "problem": problem,
+        "n_touches": 0 if read is None else len(read),
+        "size": None if read is None else " x ".join(map(str, read.images.shape[1:])),
+        "read_as": "" if read is None else reading.read_as(touches, read),
+        "bad": [] if pictures is None else [one._asdict() for one in pictures.bad],
+        "notes": _notes(pictures, others),
+        "objects": [] if read is None else _objects(read),
+        "alone": alone,
+    }
+    found["advice"] = _advice(found, read)
     if report is not None:
-        write_text(report, _page(found, maps))
-    said = found["findings"] or ["Nothing is wrong."]
-    figures = (f"{name:20s} {value}" for name, value in _figures(found))
-    answer(as_json, found, *said, "", *figures)
-    if not found["ok"]:
+        write_text(report, _page(found, read))
+    if as_json:
+        answer(True, found)
+    else:
+        _print(found)
+        if report is not None:
+            print(report)
+    if found["bad"]:
         raise typer.Exit(1)
 
 
-def _frames(sensor: "LiveSensor", seconds: float, apart: int) -> list["Frame"]:
-    end_s, frames = time.monotonic() + seconds, []
-    while time.monotonic() < end_s:
-        frame = sensor.read_next()
-        frames.append(replace(frame, image=frame.image[::apart, ::apart].copy()))
-    return frames
+def _pictures(
+    reading: Reading, touches: Path
+) -> tuple["PictureCheck | None", dict[str, int]]:
+    """Look at every picture, if `touches` is a folder of pictures."""
+    from ..library import TouchLibrary, is_recording
+    from ..touches import check_folder, holds_pictures
+
+    if (
+        not touches.is_dir()
+        or TouchLibrary.is_library(touches)
+        or is_recording(touches)
+        or not holds_pictures(touches)
+    ):
+        return None, {}
+    return check_folder(
+        touches,
+        name_pattern=reading.name_pattern,
+        levels=reading.levels,
+        no_contact=reading.no_contact,
+        colour=bool(reading.colour),
+        max_pixels=int(reading.max_megapixels * 1e6),
+    )
 
 
-def _page(found: dict[str, Any], maps: dict[str, Any]) -> str:
+def _notes(pictures: "PictureCheck | None", others: dict[str, int]) -> list[str]:
+    if pictures is None:
+        return []
+    notes = []
+    if pictures.turned:
+        turned = counted(pictures.turned, "picture")
+        notes.append(f"{turned} turned upright, as the camera noted (Exif)")
+    if pictures.flat:
+        flat = counted(len(pictures.flat), "picture")
+        notes.append(f"{flat} of one grey level all over, such as {pictures.flat[0]}")
+    if pictures.same:
+        copy, first = pictures.same[0]
+        same = counted(len(pictures.same), "picture")
+        notes.append(f"{same} there twice, such as {copy} and {first}")
+    for ending, number in others.items():
+        notes.append(f"{counted(number, 'file')} of {ending} left alone")
+    return notes
+
+
+def _objects(touches: "Touches") -> list[dict[str, Any]]:
+    import numpy as np
+
+    if touches.object is None:
+        return []
+    rows = []
+    for name in np.unique(touches.object).tolist():
+        these = touches.object == name
+        sessions = None
+        if touches.session is not None:
+            sessions = len(np.unique(touches.session[these]))
+        rows.append({"object": name, "touches": int(these.sum()), "sessions": sessions})
+    return rows
+
+
+def _advice(found: dict[str, Any], touches: "Touches | None") -> list[str]:
+    """Return what to do before learning, the most harmful first."""
+    if touches is None:
+        return []
+    objects, advice = found["objects"], []
+    if not objects:
+        fix = "put the pictures of each object into a folder of its name"
+        return [f"nothing is labelled: {fix}, or see --name-pattern"]
+    if found["bad"]:
+        advice.append("mend the pictures above, or learn with --skip-bad")
+    if len(objects) == 1:
+        advice.append("there is one object: add others, or nothing can be told apart")
+    few = [one for one in objects if one["touches"] < A_START]
+    if few:
+        names = ", ".join(f"{one['object']} ({one['touches']})" for one in few[:5])
+        more = f" and {len(few) - 5} more" if len(few) > 5 else ""
+        advice.append(
+            f"few touches of {names}{more}: {A_START} are a start, {GOOD} are good"
+        )
+    most_sessions = max(one["sessions"] or 1 for one in objects)
+    if most_sessions < 2:
+        advice.append(
+            "all is of one session, as far as is written: mount the sensor anew for "
+            "half of the touches, in folders object/session, or expect less on another "
+            "day"
+        )
+    if touches.no_contact is None:
+        advice.append("a picture of touching nothing helps: --no-contact FILE")
+    for name, one in found["alone"].items():
+        if one["right"] > one["chance"] + (1 - one["chance"]) / 3:
+            split = "session" if most_sessions > 1 else "last"
+            advice.append(
+                f"{name} alone, which is no touch, names {percent(one['right'])} % "
+                "right: record objects in turns, not one after the other, and look at "
+                f"the controls of `palpate evaluate --split {split}`"
+            )
+            break
+    return advice
+
+
+def _print(found: dict[str, Any]) -> None:
+    many = counted(found["n_touches"])
+    size = f" of {found['size']}" if found["size"] else ""
+    print(printable(f"{found['touches']}: {many}{size} can be used."))
+    if found["problem"]:
+        print(printable(found["problem"]))
+    if found["read_as"]:
+        print(f"{found['read_as'].capitalize()}.")
+    if bad := found["bad"]:
+        rows = [list(one.values()) for one in bad]
+        table(
+            f"{counted(len(bad), 'picture')} cannot be used",
+            ["picture", "what is wrong", "to do"],
+            rows,
+            text=True,
+        )
+    for note in found["notes"]:
+        print(printable(f"Note: {note}."))
+    if objects := found["objects"]:
+        columns = [name for name in objects[0] if objects[0][name] is not None]
+        rows = [[str(one[name]) for name in columns] for one in objects[:_SHOWN]]
+        table(counted(len(objects), "object"), columns, rows)
+        if len(objects) > _SHOWN:
+            print(f"and {len(objects) - _SHOWN} more")
+    for line in _alone_lines(found["alone"]):
+        print(line)
+    for advice in found["advice"]:
+        print(printable(f"- {advice[0].upper()}{advice[1:]}."))
+
+
+def _alone_lines(alone: dict[str, dict[str, float]]) -> list[str]:
+    return [
+        f"{name} alone would name {percent(one['right'])} % of each object's last "
+        f"touches right (chance {percent(one['chance'])} %)."
+        for name, one in alone.items()
+    ]
+
+
+def _page(found: dict[str, Any], touches: "Touches | None") -> str:
     from ..evaluation import html_table, report_page
+
+    title = f"{found['touches']}: {counted(found['n_touches'], 'touch', 'touches')}"
+    parts = [f"<h1>{escape(title)}</h1>"]
+    lines = [
+        found["problem"],
+        found["read_as"],
+        *found["notes"],
+        *_alone_lines(found["alone"]),
+    ]
+    parts += [f"<p>{escape(line)}</p>" for line in lines if line]
+    advice = "".join(f"<li>{escape(line)}</li>" for line in found["advice"])
+    parts.append(f"<h2>What to do</h2><ul>{advice or '<li>Learn.</li>'}</ul>")
+    if found["bad"]:
+        rows = [list(one.values()) for one in found["bad"]]
+        columns = ["picture", "what is wrong", "to do"]
+        text = "<style>.text :is(td, th) {text-align: left}</style>"
+        bad = html_table("Cannot be used", columns, rows)
+        parts.append(f"{text}<div class=text>{bad}</div>")
+    if touches is not None and touches.object is not None:
+        parts.append(_sheet(touches, found["objects"]))
+    return report_page(title, parts)
+
+
+def _sheet(touches: "Touches", objects: list[dict[str, Any]]) -> str:
+    """Return touches of each object, evenly out of its recording, as HTML."""
+    import numpy as np
+
     from ..touches import as_shown, png_address
 
-    said = found["findings"] or ["Nothing is wrong."]
-    lines = "".join(f"<p style='font-size:1.15rem'>{escape(line)}</p>" for line in said)
-    pictures = ""
-    for name, image in maps.items():
-        shown = as_shown(image[None], ("r", "g", "b") if image.ndim == 3 else None)[0]
-        pictures += (
-            f"<figure style='margin:0'><img alt='{name} of each taxel' width=240 "
-            f"style='image-rendering:pixelated' src='{png_address(shown, 240)}'>"
-            f"<figcaption class=note>{name}, {image.min():.3g} (dark) to "
-            f"{image.max():.3g}</figcaption></figure>"
+    parts = ["<h2>Touches of each object, evenly out of its recording</h2>"]
+    for one in objects[:SHEET_OBJECTS]:
+        rows = np.flatnonzero(touches.object == one["object"])
+        rows = rows[np.unique(np.linspace(0, len(rows) - 1, SHEET_TOUCHES).astype(int))]
+        pictures = "".join(
+            f"<img alt='touch {row}' src='{png_address(image, SHEET_SIDE)}'>"
+            for row, image in zip(
+                rows, as_shown(touches.images[rows], touches.channels), strict=True
+            )
         )
-    title = f"{found['sensor']}: {'well' if found['ok'] else 'look at it'}"
-    colour = "#1d7a46" if found["ok"] else "#b3261e"
-    watched = f"Watched for {found['seconds']:g} s; in {escape(found['unit'])}."
-    said = (
-        f"<h1 style='border-left:.5rem solid {colour};padding-left:.8rem'>"
-        f"{escape(title)}</h1>{lines}<p class=note>{watched}</p>"
-        f"<div class=row>{pictures}</div>"
-        "<h2>Mean level over time, and the drift that does harm</h2>"
-    )
-    curve = _curve(found["levels"], found["figures"]["drift_limit"])
-    figures = html_table("Figures", ["", ""], _figures(found))
-    return report_page(title, [said, curve, figures])
-
-
-def _figures(found: dict[str, Any]) -> list[list[str]]:
-    known = {n: "-" if v is None else f"{v:.4g}" for n, v in found["figures"].items()}
-    return [[name.replace("_", " "), text] for name, text in known.items()]
-
-
-def _curve(levels: list[float], limit: float) -> str:
-    """Draw levels over time, and the limits at a third of the height."""
-    most = max(1.5 * limit, *(1.2 * abs(level) for level in levels))
-    ys = [50 - 50 * level / most for level in (*levels, limit, -limit)]
-    points = " ".join(f"{40 * i},{y:.1f}" for i, y in enumerate(ys[:-2]))
-    limits = "".join(f"M0 {y:.1f}H480" for y in ys[-2:])
-    return (
-        "<svg viewBox='0 0 480 100' width=480 role=img aria-label='level over time'>"
-        f"<path d='{limits}' stroke='#b3261e' stroke-dasharray=4 /><polyline "
-        f"points='{points}' fill=none stroke='#1f4e79' stroke-width=2 /></svg>"
-    )
+        many = counted(one["touches"])
+        parts.append(f"<p>{escape(one['object'])}: {many}</p><div>{pictures}</div>")
+    if len(objects) > SHEET_OBJECTS:
+        parts.append(f"<p>and {len(objects) - SHEET_OBJECTS} more objects</p>")
+    return "".join(parts)

@@ -28,7 +28,9 @@ def doctor(as_json: AsJson = False) -> None:
         print_json({"healthy": healthy, "cores": os.cpu_count(), "checks": checks})
     else:
         rows = [[c["name"], c["found"], c["fix"]] for c in checks]
-        table("palpate doctor", ["what", "found", "to do"], rows, whole="to do")
+        table(
+            "palpate doctor", ["what", "found", "to do"], rows, whole="to do", text=True
+        )
         missing = "Something palpate needs is missing; see above."
         print("Healthy." if healthy else missing)
     if not healthy:
@@ -65,7 +67,7 @@ def _package(name: str, extra: str | None) -> dict[str, Any]:
 def _data() -> dict[str, Any]:
     folder = os.environ.get("PALPATE_DATA")
     if not folder:
-        fix = "optional: `palpate data fetch NAME` fetches recorded touches"
+        fix = "optional: palpate data fetch NAME"
     else:
         fix = "" if Path(folder).is_dir() else "name a folder that exists"
     return _check("PALPATE_DATA", folder or "not set", fix, needed=False)

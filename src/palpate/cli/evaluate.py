@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from . import _options
 from ._options import option
-from ._output import percent, print_json, stages, table
+from ._output import percent, print_json, printable, stages, table
 
 
 @_options.grouped
@@ -108,3 +108,7 @@ def print_figures(figures: dict[str, Any]) -> None:
     if gone := figures["left_out"]:
         names = ", ".join(gone[:5]) + (", ..." if len(gone) > 5 else "")
         print(f"Left out, met in no other {figures['split']}: {len(gone)} ({names}).")
+    if todo := figures["recommendations"]:
+        print("What to do now:")
+        for sentence in todo:
+            print(printable(f"- {sentence}"))

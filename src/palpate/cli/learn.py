@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from . import _options
-from ._output import answer, stages
+from ._output import answer, counted, stages
 
 if TYPE_CHECKING:
     from ..library import Selection
@@ -67,19 +67,17 @@ def learn(
     learnt = recogniser.summary()
     across = recognition.across_sessions(recogniser)
     sentences = learnt["chosen"].get("found", ())
-    in_folders = touches.is_dir() and not TouchLibrary.is_library(touches)
-    unnamed = reading.levels is None and reading.name_pattern is None
-    if in_folders and unnamed and training.category is not None:
-        read = "folders were read as category/object; --levels says otherwise"
-        sentences = [*sentences, read]
+    if not TouchLibrary.is_library(touches):
+        read = reading.read_as(touches, training)
+        sentences = [*sentences, read] if read else sentences
     said = "".join(f" {one[0].upper()}{one[1:]}." for one in sentences)
     poses = " Poses on the array are learnt too." if recogniser.pose_ else ""
     encoding = learnt["chosen"]["encoding"]
     answer(
         as_json,
         {"model": str(written), **learnt, "sessions": across},
-        f"Learnt {learnt['n_labels']} {learnt['label']} labels from "
-        f"{learnt['n_train_touches']} touches ({encoding}).{said}{poses}",
+        f"Learnt {counted(learnt['n_labels'], learnt['label'] + ' label')} from "
+        f"{counted(learnt['n_train_touches'])} ({encoding}).{said}{poses}",
         recognition.said_of_sessions(across),
         written,
     )

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ._options import AsJson, Reading, TouchesPath, Where, argument, grouped, option
-from ._output import answer, print_json, table
+from ._output import answer, counted, print_json, table
 
 if TYPE_CHECKING:
     from ..library import TouchLibrary, TouchRow
@@ -72,7 +72,7 @@ def add(
     answer(
         as_json,
         {"library": str(folder), "given": len(found), "added": n_new},
-        f"{n_new} of {len(found)} touches are new; {after.n_touches} in {folder}.",
+        f"{n_new} new of {counted(len(found))}; {after.n_touches} in {folder}.",
     )
 
 
@@ -153,7 +153,7 @@ def export(
         opened.refuse_unknown(where)
         n_touches = opened.export(output, where)
     written = {"written": str(output), "n_touches": n_touches}
-    answer(as_json, written, f"{n_touches} touches are in {output}.")
+    answer(as_json, written, f"{counted(n_touches)} in {output}.")
 
 
 @library.command()
@@ -239,7 +239,7 @@ def retract(
     with _opened(folder) as opened:
         ids = [row.id for row in _meant(opened, given, where)]
         n_retracted = opened.retract(ids, reason=reason)
-    said = f"{n_retracted} touches are retracted."
+    said = f"{counted(n_retracted)} retracted."
     answer(as_json, {"retracted": n_retracted}, said)
 
 
@@ -255,7 +255,7 @@ def restore(
     with _opened(folder) as opened:
         rows = _meant(opened, given, where, retracted=True)
         n_restored = opened.restore([row.id for row in rows if row.retracted])
-    answer(as_json, {"restored": n_restored}, f"{n_restored} touches are back.")
+    answer(as_json, {"restored": n_restored}, f"{counted(n_restored)} back.")
 
 
 _ID_SHOWN = 12

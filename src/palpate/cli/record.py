@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ._options import AsJson, argument, grouped, option
-from ._output import answer
+from ._output import answer, counted
 from ._sensor import Patience, SensorAddress, SensorOptions, Summary, need_baseline
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def record(
     answer(
         as_json,
         {"object": name, "touches": n_taken, **kept},
-        f"{n_taken} touches of {name} are in {library}.",
+        f"{counted(n_taken)} of {name} in {library}.",
     )
     if n_taken < touches:
         raise typer.Exit(1)

@@ -10,6 +10,7 @@ from ._controls import as_good_alone as as_good_alone
 from ._controls import brightness as brightness
 from ._controls import control_log_likelihood as control_log_likelihood
 from ._controls import disc_centres as disc_centres
+from ._controls import named_alone as named_alone
 from ._controls import sorted_pixels as sorted_pixels
 from ._controls import without_contact as without_contact
 from ._episodes import Decisions

@@ -17,8 +17,10 @@ from ..classifiers import KernelRidgeClassifier
 from ..images import fill_dead_taxels, find_rims
 from ..recognition import correlation, find_geometry
 from ..touches import Touches
+from ._splits import split_touches
 
 NO_CONTACT_CORRELATION = 0.98
+LEAST_TO_SPLIT = 4
 N_QUANTILES = 64
 BLOCK = 256
 
@@ -88,6 +90,31 @@ def control_log_likelihood(
     classifier = KernelRidgeClassifier(widths=(0.5, 2.0, 8.0))
     classifier.fit(scale.transform(train), labels, groups=groups)
     return classifier.log_likelihood(scale.transform(test))
+
+
+def named_alone(touches: Touches) -> dict[str, dict[str, float]]:
+    """Return what each nuisance value alone names right, and what chance does.
+
+    The last quarter of each object's touches is asked, the others teach; objects of
+    fewer than four touches are left out. Nothing where two objects are not left.
+    """
+    if touches.object is None:
+        return {}
+    names, counts = np.unique(touches.object, return_counts=True)
+    kept = names[counts >= LEAST_TO_SPLIT]
+    if len(kept) < 2:
+        return {}
+    (fold,) = split_touches(touches[np.isin(touches.object, kept)], "last")
+    shares = {}
+    for name, measure in CONTROLS.items():
+        taught, asked = measure(fold.train), measure(fold.test)
+        if taught is None or asked is None:
+            continue
+        labels = np.asarray(fold.train.object)
+        scores = control_log_likelihood(taught, labels, None, asked)
+        right = kept[scores.argmax(axis=1)] == fold.test.object
+        shares[name] = {"right": float(right.mean()), "chance": 1 / len(kept)}
+    return shares
 
 
 def _grey(images: Floats) -> Floats:

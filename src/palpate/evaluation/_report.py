@@ -98,6 +98,7 @@ def write_report(
         _head(figures),
         _accuracy(figures, trials),
         "".join(f"<p><b>{escape(one)}</b></p>" for one in as_good_alone(figures)),
+        _recommended(figures.get("recommendations", ())),
         html_table(*decision_table(figures["decision"])),
         f"<p class=note>{bound_said(figures['decision'])}</p>",
         _confusion(figures, trials),
@@ -107,6 +108,11 @@ def write_report(
     title = f"palpate: {figures['n_labels']} {figures['label']} labels"
     write_text(target, report_page(title, sections))
     return target
+
+
+def _recommended(sentences: Sequence[str]) -> str:
+    lines = "".join(f"<li>{escape(one)}</li>" for one in sentences)
+    return f"<h2>What to do now</h2><ul>{lines}</ul>" if lines else ""
 
 
 def report_page(title: str, sections: Sequence[str]) -> str:

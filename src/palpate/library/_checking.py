@@ -50,8 +50,13 @@ class CheckReport(NamedTuple):
 
     def __str__(self) -> str:
         sound = "all present and as they were written."
-        state = sound if self.ok else f"{len(self.problems)} problems."
-        lines = [f"{self.n_touches} touches in {self.n_files} files: {state}"]
+        state = (
+            sound
+            if self.ok
+            else f"{len(self.problems)} problem{'s' * (len(self.problems) > 1)}."
+        )
+        files = f"{self.n_files} file{'s' * (self.n_files != 1)}"
+        lines = [f"{self.n_touches} touches in {files}: {state}"]
         if self.n_set_aside:
             lines.append(
                 f"{self.n_set_aside} touches are set aside: their images were missing "

@@ -25,6 +25,7 @@ from sklearn.decomposition import PCA
 from sklearn.preprocessing import StandardScaler
 
 from .. import __version__, classifiers, encodings, images
+from .._checks import nearest_path
 from .._durable import replacing
 from .._types import Array
 from ..classifiers import NearbyTouches
@@ -138,7 +139,8 @@ def read_model(
     source = Path(path)
     if not source.is_file():
         raise ModelFileError(
-            f"There is no model file {source}; `palpate learn` makes one."
+            f"There is no model file {source}. "
+            f"{nearest_path(source) or '`palpate learn` makes one.'}"
         )
     n_bytes = source.stat().st_size
     most = float(os.environ.get("PALPATE_MAX_MODEL_MB", 2000))

@@ -2,6 +2,7 @@
 
 import os
 import re
+import warnings
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -9,10 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from .._checks import nearest_path
 from .._types import Array
 from . import _pictures
+from ._check_folder import BadPicture, PictureCheck, check_pictures, without_bad
 from ._columns import WHOLE, Arrays, TouchesError
 from ._containers import CONTAINERS
+from ._layout import kept_names, labels_of_folders, levels_pattern, odd_depths
 from ._pictures import RGB, Header, common_header, decode_picture, decode_pictures
 from ._tables import TABLES, folder_levels, label_columns
 
@@ -31,24 +35,27 @@ _EXAMPLE = r"(?P<object>[a-z]+)_(?P<n>\d+)"
 def folder_arrays(
     root: Path,
     name_pattern: str | None,
+    levels: str | None,
     no_contact: str | PathLike[str] | None,
     colour: bool,
+    skip_bad: bool,
     max_pixels: int,
     max_bytes: int,
     progress: bool | None,
 ) -> Arrays:
     """Return what `Touches` is made of, by name; `read_folder` explains the rest."""
-    pattern = None if name_pattern is None else _compiled(name_pattern)
-    if root.is_file():
-        root, names = root.parent, [root.name]
-    else:
-        names = _picture_names(root, None if no_contact is None else Path(no_contact))
+    root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
+    if skip_bad:
+        found = _checked(root, names, pattern, max_pixels, colour)
+        names = without_bad(names, found.bad)
+        if found.bad:
+            warnings.warn(_left_out(found.bad, root, len(names)), stacklevel=4)
     try:
         columns = {} if pattern is None else _from_names(names, pattern)
         if "object" not in columns:
             columns = {**_from_table(root, names, max_bytes), **columns}
         if "object" not in columns:
-            columns = {**_from_folders(names), **columns}
+            columns = {**labels_of_folders(names), **columns}
     except TouchesError as error:
         raise TouchesError(f"{root}: {error}") from error
     paths = [root / name for name in names]
@@ -65,6 +72,93 @@ def folder_arrays(
         whole["no_contact"] = _like(Path(no_contact), header, max_pixels)
     images = decode_pictures(paths, header, max_bytes=max_bytes, progress=progress)
     return {"images": images, **whole, **columns, "source_path": np.array(names)}
+
+
+def check_folder(
+    root: Path,
+    *,
+    name_pattern: str | None = None,
+    levels: str | None = None,
+    no_contact: str | PathLike[str] | None = None,
+    colour: bool = False,
+    max_pixels: int = 50_000_000,
+) -> tuple[PictureCheck, dict[str, int]]:
+    """Look at every picture of a folder; count the other files by their endings.
+
+    Raises TouchesError where there is no folder of pictures, or folders mean nothing.
+    """
+    root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
+    if Path(names[0]).suffix.lower() not in PICTURES:
+        raise TouchesError(
+            f"{root} must hold pictures to be looked at, got {Path(names[0]).suffix} "
+            "files. What is wrong with one of these is said when they are read."
+        )
+    found = _checked(root, names, pattern, max_pixels, colour)
+    others = [Path(name).suffix.lower() or "no ending" for name in _files(root)]
+    others = [ending for ending in others if ending not in PICTURES]
+    return found, {ending: others.count(ending) for ending in sorted({*others})}
+
+
+def holds_pictures(root: Path) -> bool:
+    """Return whether a folder has pictures in it, or in a folder of it."""
+    return any(Path(name).suffix.lower() in PICTURES for name in _files(root))
+
+
+def _chosen(
+    root: Path,
+    name_pattern: str | None,
+    levels: str | None,
+    no_contact: str | PathLike[str] | None,
+) -> tuple[Path, list[str], re.Pattern[str] | None]:
+    """Return the folder, the pictures that are meant, and how names are read."""
+    if levels is not None and name_pattern is not None:
+        raise TouchesError(
+            f"levels must be left out with a name_pattern, got {levels!r}. Give either."
+        )
+    if root.is_file():
+        root, names = root.parent, [root.name]
+    else:
+        names = _picture_names(root, None if no_contact is None else Path(no_contact))
+    if levels is not None:
+        name_pattern = levels_pattern(levels)
+        names = kept_names(names, levels)
+    return root, names, None if name_pattern is None else _compiled(name_pattern)
+
+
+def _checked(
+    root: Path,
+    names: Sequence[str],
+    pattern: re.Pattern[str] | None,
+    max_pixels: int,
+    colour: bool,
+) -> PictureCheck:
+    """Look at every picture, and at whether it gets a label like the others."""
+    found = check_pictures(root, names, max_pixels=max_pixels, colour=colour)
+    known = {one.picture for one in found.bad}
+    fix = "move it to the folder of its object, or give it as --no-contact"
+    if pattern is not None:
+        odd = {
+            name: "not named like the others"
+            for name in names
+            if not _match(pattern, name)
+        }
+    elif (root / _LABELS).is_file():
+        odd = {}
+    else:
+        odd = {
+            n: f"{where}, unlike the others"
+            for n, where in odd_depths(names)[0].items()
+        }
+    found.bad += [BadPicture(n, why, fix) for n, why in odd.items() if n not in known]
+    found.bad.sort(key=lambda one: _natural_order(one.picture))
+    return found
+
+
+def _left_out(bad: Sequence[BadPicture], root: Path, n_kept: int) -> str:
+    first = "; ".join(f"{one.picture} is {one.problem}" for one in bad[:3])
+    more = "" if len(bad) <= 3 else f"; and {len(bad) - 3} more"
+    n = f"{len(bad)} picture{'s' * (len(bad) > 1)}"
+    return f"{n} of {len(bad) + n_kept} in {root} left out: {first}{more}."
 
 
 def no_contact_picture(
@@ -98,7 +192,8 @@ def _like(path: Path, like: Header, max_pixels: int) -> Array:
 def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
     if not root.is_dir():
         raise TouchesError(
-            f"{root} must be a folder of pictures, got none there. Check the path."
+            f"{root} must be a folder of pictures, got none there. "
+            f"{nearest_path(root) or 'Check the path.'}"
         )
     try:
         found = _files(root)
@@ -113,6 +208,8 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
         kinds = sorted({Path(name).suffix or "no ending" for name in found})
         got = f"{len(found)} files of {', '.join(kinds[:5])}" if found else "no files"
         hint = " Archives are loaded one by one." if ".npz" in kinds else ""
+        if films := [kind for kind in kinds if kind.lower() in _pictures.FILMS]:
+            hint += f" Films ({films[0]}) are read one by one, each for its object."
         raise TouchesError(
             f"{root} must hold pictures ending in {', '.join(PICTURES)}, or "
             f"{', '.join((*TABLES, *_OTHERS))} files, got {got}. "
@@ -184,12 +281,16 @@ def _compiled(name_pattern: object) -> re.Pattern[str]:
     return pattern
 
 
+def _match(pattern: re.Pattern[str], name: str) -> re.Match[str] | None:
+    return pattern.search(name.rpartition("/")[2]) or pattern.search(name)
+
+
 def _from_names(names: Sequence[str], pattern: re.Pattern[str]) -> Arrays:
     """Match every name; turn the named groups into columns.
 
     The file name is searched first, then the path relative to the folder.
     """
-    matches = [pattern.search(n.rpartition("/")[2]) or pattern.search(n) for n in names]
+    matches = [_match(pattern, name) for name in names]
     texts: dict[str, list[Any]] = {group: [] for group in pattern.groupindex}
     for name, match in zip(names, matches, strict=True):
         if match is None:
@@ -231,31 +332,6 @@ def _from_table(root: Path, names: Sequence[str], max_bytes: int) -> Arrays:
         if all(axis in columns for axis in axes):
             columns[column] = np.stack([columns.pop(a) for a in axes], axis=1)
     return columns
-
-
-def _from_folders(names: Sequence[str]) -> Arrays:
-    """Take labels from the levels of folders above each picture.
-
-    One level: its folder is the object. More: the first level is the category, the
-    whole relative folder the object. None at all: no labels.
-    """
-    depths = [min(name.count("/"), 2) for name in names]
-    usual = max(set(depths), key=depths.count)
-    odd = next((i for i, depth in enumerate(depths) if depth != usual), None)
-    if odd is not None:
-        where = ("in no folder", "in one folder", "in folders of folders")
-        raise TouchesError(
-            f"Pictures must all be labelled by folders in one way, but {names[odd]} "
-            f"lies {where[depths[odd]]} and {names[depths.index(usual)]} lies "
-            f"{where[usual]}. Move it to the folder of its object, give a "
-            "name_pattern, or name it as no_contact if that is what it shows."
-        )
-    if usual == 0:
-        return {}
-    labels = {"object": np.array([name.rpartition("/")[0] for name in names])}
-    if usual > 1:
-        labels["category"] = np.array([name.partition("/")[0] for name in names])
-    return labels
 
 
 def _numbers(

@@ -6,17 +6,17 @@ complains of much damage and of a missing end: simplejpeg tells, where OpenCV an
 fill in grey. Most single flipped bits among its coefficients still give a wrong picture
 that nothing can tell; docs/explanation/architecture.md has figures.
 
-Pictures are taken as stored: Exif orientation is never applied, for it would turn
-some touches of a set and not others. Colour becomes its luma (ITU-R BT.601) unless
-colours are asked for; 1-, 2- and 4-bit greys are spread over 0-255; 16 bits stay
-16 bits.
+Pictures are turned upright as their Exif orientation says, like every viewer does: a
+camera that was turned meanwhile writes it. Colour becomes its luma (ITU-R BT.601)
+unless colours are asked for; 1-, 2- and 4-bit greys are spread over 0-255; 16 bits
+stay 16 bits.
 """
 
 import os
 import stat
 import struct
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from io import SEEK_CUR, BytesIO
 from math import prod
@@ -33,7 +33,7 @@ _JPEG = b"\xff\xd8\xff"
 _PNG = b"\x89PNG\r\n\x1a\n"
 _PNG_END = b"\0\0\0\0IEND\xae\x42\x60\x82"
 # Codes of a JPEG's markers.
-_SCAN, _END = 0xDA, 0xD9
+_SCAN, _END, _APP1 = 0xDA, 0xD9, 0xE1
 _HUFFMAN_FRAMES = (0xC0, 0xC1, 0xC2)
 _FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 _ALPHA = (4, 6)
@@ -41,6 +41,19 @@ _GREY = (0, 4)
 RGB = ("r", "g", "b")
 FILMS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")  # palpate.sensors reads them
 _CUT_SHORT = "a file that is cut short"
+_EXIF = b"Exif\0\0"
+_ORIENTATION = 0x0112
+_UPRIGHT = 1
+# What makes a stored picture upright, by its Exif orientation (5 to 8 swap the sides).
+_TURNS: dict[int, Callable[[Array], Array]] = {
+    2: np.fliplr,
+    3: lambda levels: levels[::-1, ::-1],
+    4: np.flipud,
+    5: lambda levels: levels.swapaxes(0, 1),
+    6: lambda levels: np.rot90(levels, -1),
+    7: lambda levels: levels[::-1, ::-1].swapaxes(0, 1),
+    8: np.rot90,
+}
 # Room for comments, colour profiles and previews beside the pixels themselves.
 _MORE_BYTES = 32 * 2**20
 _BYTES_PER_PIXEL = 8
@@ -52,7 +65,7 @@ class PictureError(Exception):
 
 
 class Header(NamedTuple):
-    """What must be the same for all pictures of a set.
+    """What must be the same for all pictures of a set, upright.
 
     `colour` counts only where colours are asked for; it is False elsewhere.
     """
@@ -100,8 +113,8 @@ def decode_bytes(
     Returns
     -------
     ndarray of uint8, of uint16 for a PNG of 16 bits
-        Luma where the picture has colours, unless these are asked for, as stored: Exif
-        orientation is not applied.
+        Luma where the picture has colours, unless these are asked for; upright, as the
+        Exif orientation says.
 
     Raises
     ------
@@ -109,9 +122,10 @@ def decode_bytes(
         It is no such picture, too large, cut short or altered.
     """
     try:
-        header = _read_header(BytesIO(data)).checked(colour)
+        header, orientation = _read_header(BytesIO(data))
+        header = header.checked(colour)
         _refuse_large("A picture", header, max_pixels)
-        return _levels(data, header)
+        return _levels(data, header, orientation)
     except PictureError as error:
         raise TouchesError(f"A picture must be a JPEG or PNG, got {error}.") from error
 
@@ -143,11 +157,27 @@ def picture_header(path: Path, *, max_pixels: int, colour: bool) -> Header:
     """Return the header of one picture without decoding it."""
     try:
         with _opened(path, max_pixels) as file:
-            header = _read_header(file).checked(colour)
+            header = _read_header(file)[0].checked(colour)
     except (OSError, PictureError) as error:
         raise refusal(path, error) from error
     _refuse_large(str(path), header, max_pixels)
     return header
+
+
+def checked_picture(
+    path: Path, *, max_pixels: int, colour: bool
+) -> tuple[Header, int, Array, bytes]:
+    """Return header, orientation, levels and the bytes of one picture.
+
+    Raises PictureError or OSError.
+    """
+    with _opened(path, max_pixels) as file:
+        data = file.read()
+    header, orientation = _read_header(BytesIO(data))
+    header = header.checked(colour)
+    if header.n_rows * header.n_cols > max_pixels:
+        raise PictureError(f"{header}, more than {max_pixels} pixels")
+    return header, orientation, _levels(data, header, orientation), data
 
 
 def decode_picture(path: Path, header: Header, out: Array | None = None) -> Array:
@@ -155,10 +185,10 @@ def decode_picture(path: Path, header: Header, out: Array | None = None) -> Arra
     try:
         with _opened(path, header.n_rows * header.n_cols) as file:
             data = file.read()
-        found = _read_header(BytesIO(data)).checked(header.colour)
-        if found != header:
+        found, orientation = _read_header(BytesIO(data))
+        if (found := found.checked(header.colour)) != header:
             raise PictureError(f"{found} after {header}: the file changed meanwhile")
-        return _levels(data, header, out)
+        return _levels(data, header, orientation, out)
     except (OSError, PictureError) as error:
         raise refusal(path, error) from error
 
@@ -231,8 +261,8 @@ def _refuse_large(what: str, header: Header, max_pixels: int) -> None:
         )
 
 
-def _read_header(stream: IO[bytes]) -> Header:
-    """Return the header of a picture, reading only as far as its pixels."""
+def _read_header(stream: IO[bytes]) -> tuple[Header, int]:
+    """Return header (upright) and orientation, reading only as far as the pixels."""
     start = stream.read(8)
     if not start:
         raise PictureError("an empty file")
@@ -240,12 +270,36 @@ def _read_header(stream: IO[bytes]) -> Header:
         raise PictureError("a file that is neither JPEG nor PNG")
     kind = "PNG" if start == _PNG else "JPEG"
     try:
-        return (_png_header if start == _PNG else _jpeg_header)(stream)
+        header, exif = (_png_header if start == _PNG else _jpeg_header)(stream)
     except PictureError:
         raise
     except Exception as error:
         # Pillow raises half a dozen kinds on damaged files.
         raise _damage(kind, stream, error) from error
+    orientation = _orientation(exif)
+    return _turned(header, orientation), orientation
+
+
+def _orientation(exif: bytes) -> int:
+    """Return what an Exif block says; as stored where it is none or damaged."""
+    if not exif:
+        return _UPRIGHT
+    from PIL import Image
+
+    block = Image.Exif()
+    try:
+        block.load(exif)
+        orientation = block.get(_ORIENTATION, _UPRIGHT)
+    except Exception:  # Pillow raises half a dozen kinds here too
+        return _UPRIGHT
+    return orientation if orientation in _TURNS else _UPRIGHT
+
+
+def _turned(header: Header, orientation: int) -> Header:
+    """Return the header upright of a stored picture, or stored of an upright one."""
+    if orientation < 5:
+        return header
+    return header._replace(n_rows=header.n_cols, n_cols=header.n_rows)
 
 
 def _refuse_empty(kind: str, n_cols: int, n_rows: int) -> None:
@@ -258,7 +312,20 @@ def _damage(kind: str, stream: IO[bytes], error: Exception) -> PictureError:
     return PictureError(f"a damaged {kind} ({error})" if stream.read(1) else _CUT_SHORT)
 
 
-def _levels(data: bytes, header: Header, out: Array | None = None) -> Array:
+def _levels(
+    data: bytes, header: Header, orientation: int, out: Array | None = None
+) -> Array:
+    """Return the levels of a whole picture, upright as `header` says, or in `out`."""
+    if orientation == _UPRIGHT:
+        return _stored_levels(data, header, out)
+    upright = _TURNS[orientation](_stored_levels(data, _turned(header, orientation)))
+    if out is None:
+        return np.ascontiguousarray(upright)
+    out[...] = upright
+    return out
+
+
+def _stored_levels(data: bytes, header: Header, out: Array | None = None) -> Array:
     """Return the levels of a whole picture, as its `header` says; `out` gets them."""
     if header.format == "JPEG":
         return _jpeg_levels(data, header, out)
@@ -321,17 +388,19 @@ def _png_levels(data: bytes, header: Header) -> Array | None:
         return None
 
 
-def _jpeg_header(stream: IO[bytes]) -> Header:
-    """Read a JPEG's segments up to its first scan, where the stream stands afterwards.
+def _jpeg_header(stream: IO[bytes]) -> tuple[Header, bytes]:
+    """Read a JPEG's segments up to its first scan: its header and its Exif block.
 
     Previews lie within segments, so that the frame found is that of the picture.
     """
     stream.seek(len(_JPEG) - 1)
-    header = None
+    header, exif = None, b""
     while (code := _next_marker(stream)) != _SCAN:
         if code == _END:
             raise PictureError(_CUT_SHORT)
         body = _segment(stream)
+        if code == _APP1 and body.startswith(_EXIF):
+            exif = exif or body
         if code not in _FRAMES:
             continue
         if code not in _HUFFMAN_FRAMES:
@@ -347,7 +416,7 @@ def _jpeg_header(stream: IO[bytes]) -> Header:
         header = Header("JPEG", n_rows, n_cols, n_bits, n_channels > 1)
     if header is None:
         raise PictureError("a damaged JPEG (its pixels come before its size)")
-    return header
+    return header, exif
 
 
 def _next_marker(stream: IO[bytes]) -> int:
@@ -374,7 +443,7 @@ def _segment(stream: IO[bytes]) -> bytes:
     return body
 
 
-def _png_header(stream: IO[bytes]) -> Header:
+def _png_header(stream: IO[bytes]) -> tuple[Header, bytes]:
     """Test a PNG's checksums up to its pixels; refuse more than one plain picture."""
     from PIL.PngImagePlugin import ChunkStream
 
@@ -385,11 +454,22 @@ def _png_header(stream: IO[bytes]) -> Header:
         raise PictureError("an animated PNG")
     if b"tRNS" in kinds:
         raise PictureError("a PNG with a transparent colour")
+    exif = _png_exif(stream) if b"eXIf" in kinds else b""
     stream.seek(16)
     n_cols, n_rows, depth, kind = struct.unpack(">IIBB", stream.read(10))
     _refuse_empty("PNG", n_cols, n_rows)
     n_bits = 16 if depth == 16 else 8
-    return Header("PNG", n_rows, n_cols, n_bits, kind not in _GREY)
+    return Header("PNG", n_rows, n_cols, n_bits, kind not in _GREY), exif
+
+
+def _png_exif(stream: IO[bytes]) -> bytes:
+    """Return the Exif block of a PNG whose chunks before the pixels are sound."""
+    stream.seek(len(_PNG))
+    while True:
+        size, kind = struct.unpack(">I4s", stream.read(8))
+        if kind in (b"eXIf", b"IDAT"):
+            return stream.read(size) if kind == b"eXIf" else b""
+        stream.seek(size + 4, SEEK_CUR)
 
 
 def _refuse_missing_colours(data: bytes) -> None:

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._checks import nearest_path
 from .._extras import needed
 from .._types import Array, Floats
 from . import _columns
@@ -163,7 +164,9 @@ class Touches(Labelled):
         *,
         name_pattern: str | None = None,
         no_contact: str | PathLike[str] | None = None,
+        levels: str | None = None,
         colour: bool = False,
+        skip_bad: bool = False,
         shape: tuple[int, int] | None = None,
         dtype: str | None = None,
         channels: Sequence[str] | None = None,
@@ -182,7 +185,7 @@ class Touches(Labelled):
             columns (`.txt`), one touch a line; HDF5 (`.h5`, `.hdf5`), `.zarr`, TIFF
             (one touch a page), `.mat` of MATLAB, `.bmp`, `.webp`; frames without a
             header (`.raw`, `.bin`, `.dat`).
-        name_pattern : str, optional
+        name_pattern, levels, skip_bad
             For folders: see `read_folder`.
         no_contact : path, optional
             Picture of the sensor touching nothing; it takes the place of one in
@@ -224,21 +227,32 @@ class Touches(Labelled):
                 f"{place}. Other files say themselves what they hold."
             )
         if place.is_dir() or (ending in PICTURES and place.is_file()):
-            how = (name_pattern, no_contact, colour, max_pixels, max_bytes, progress)
-            return cls(**folder_arrays(place, *how))
+            how = (name_pattern, levels, no_contact, colour, skip_bad)
+            limits = (max_pixels, max_bytes, progress)
+            return cls(**folder_arrays(place, *how, *limits))
+        if levels is not None or skip_bad:
+            given = f"levels {levels!r}" if levels is not None else "skip_bad"
+            raise TouchesError(
+                f"{given} must be left out but for a folder, got it with {place}. "
+                f"{nearest_path(place)}".rstrip()
+            )
         if ending in (*TABLES, *TEXTS) and place.is_file() and plain:
             if ending != ".npy":
                 read = cls(**csv_arrays(place, shape, max_bytes, channels))
             else:
-                levels = load_levels(place, max_bytes)
-                read = cls(levels[None] if levels.ndim == 2 else levels)
+                array = load_levels(place, max_bytes)
+                read = cls(array[None] if array.ndim == 2 else array)
             return read._with_rest(no_contact, max_pixels)
         if ending != ".npz":
-            got = "another kind of file" if place.exists() else "nothing there"
+            if not place.exists():
+                raise TouchesError(
+                    f"{place} must be a file or folder of touches, got nothing there. "
+                    f"{nearest_path(place) or 'Check the path.'}"
+                )
             kinds = ", ".join((*PICTURES, *TABLES, *TEXTS, *CONTAINERS, *RAW))
             raise TouchesError(
                 f"{place} must be a touch archive (.npz), a folder, or one of {kinds} "
-                f"without options for others, got {got}. Check the path."
+                "without options for others, got another kind of file. Convert it."
             )
         if name_pattern is not None:
             raise TouchesError(
@@ -564,16 +578,18 @@ def read_folder(
     *,
     name_pattern: str | None = None,
     no_contact: str | PathLike[str] | None = None,
+    levels: str | None = None,
     colour: bool = False,
+    skip_bad: bool = False,
     max_pixels: int = MAX_PIXELS,
     max_bytes: int = MAX_BYTES,
     progress: bool | None = None,
 ) -> Touches:
     r"""Read all JPEG and PNG pictures in a folder and the folders in it.
 
-    Pictures come in natural order of their paths (`img_2` before `img_10`), as
-    stored: colour becomes grey unless `colour` is set, 16 bits stay 16 bits, Exif
-    orientation is not applied. Hidden files and files of other kinds are skipped.
+    Pictures come in natural order of their paths (`img_2` before `img_10`), upright as
+    their Exif orientation says: colour becomes grey unless `colour` is set, 16 bits
+    stay 16 bits. Hidden files and files of other kinds are skipped.
 
     Parameters
     ----------
@@ -587,11 +603,18 @@ def read_folder(
         numbers, else text). Where it has no group `object`, folders give labels
         as they do without a pattern: one level of folders is the object; of more,
         the first is the category and the whole path the object; pictures that lie
-        in no folder have no labels.
+        in no folder have no labels. A level of sessions (`mug/dataset_0`) is the
+        session, and a last level that is the same everywhere (`frames`) is left out.
+    levels : str, optional
+        What each level of folders is, such as "object/session"; "-" skips a level,
+        "=gel" reads its folder `gel` alone.
     no_contact : path, optional
         Picture of the sensor touching nothing, as large and deep as the others.
     colour : bool, default=False
         Read pictures in colour, as channels "r", "g" and "b"; one in grey is refused.
+    skip_bad : bool, default=False
+        Leave out pictures that cannot be read, differ from most or get no label, with
+        a warning that names them.
     max_pixels : int, default=50_000_000
         Largest picture to decode, in pixels.
     max_bytes : int, default=4 GiB
@@ -604,7 +627,8 @@ def read_folder(
     ------
     TouchesError
         A picture is damaged, unlike the others or of a kind that is not read; a
-        name does not match; folders label some pictures only. Nothing is returned
+        name does not match; folders label some pictures only, or hold the parts of a
+        set (`train`, `test`) or the pictures of several cameras. Nothing is returned
         in part.
 
     Notes
@@ -617,5 +641,6 @@ def read_folder(
     >>> pattern = r"img_(?P<n>\d+)_name_(?P<object>\w+?)_at_(?P<x>\d+)_"
     >>> touches = read_folder("originals", name_pattern=pattern)  # doctest: +SKIP
     """
-    how = (name_pattern, no_contact, colour, max_pixels, max_bytes, progress)
-    return Touches(**folder_arrays(Path(path), *how))
+    how = (name_pattern, levels, no_contact, colour, skip_bad)
+    limits = (max_pixels, max_bytes, progress)
+    return Touches(**folder_arrays(Path(path), *how, *limits))

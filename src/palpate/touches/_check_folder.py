@@ -1,0 +1,116 @@
+"""Every picture of a folder that cannot be used, in one list, with its fix."""
+
+import hashlib
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ._columns import TouchesError
+from ._pictures import Header, PictureError, checked_picture, n_cores
+
+
+class BadPicture(NamedTuple):
+    """A picture that cannot be used: its path in the folder, why, and the fix."""
+
+    picture: str
+    problem: str
+    fix: str
+
+
+@dataclass
+class PictureCheck:
+    """What was seen in the pictures of a folder.
+
+    Attributes
+    ----------
+    bad : list of BadPicture
+        Those that cannot be read, are unlike most, or get no label.
+    usual : str
+        Size and format of the others.
+    turned : int
+        How many were turned upright, as their Exif orientation says.
+    flat : list of str
+        Pictures of one level all over.
+    same : list of (str, str)
+        Pictures that are a copy of another one.
+    """
+
+    bad: list[BadPicture] = field(default_factory=list)
+    usual: str = ""
+    turned: int = 0
+    flat: list[str] = field(default_factory=list)
+    same: list[tuple[str, str]] = field(default_factory=list)
+
+
+class _Seen(NamedTuple):
+    header: Header | None
+    orientation: int
+    flat: bool
+    digest: bytes
+    problem: str
+
+
+def check_pictures(
+    root: Path, names: Sequence[str], *, max_pixels: int, colour: bool
+) -> PictureCheck:
+    """Decode every picture and say which cannot be used, and what else is odd."""
+
+    def look(name: str) -> _Seen:
+        try:
+            header, orientation, levels, data = checked_picture(
+                root / name, max_pixels=max_pixels, colour=colour
+            )
+        except (OSError, PictureError) as error:
+            strerror = getattr(error, "strerror", None)
+            return _Seen(None, 1, False, b"", strerror or str(error))
+        digest = hashlib.blake2b(data, digest_size=16).digest()
+        flat = bool(np.ptp(levels) == 0)
+        return _Seen(header, orientation, flat, digest, "")
+
+    with ThreadPoolExecutor(n_cores()) as pool:
+        seen = dict(zip(names, pool.map(look, names), strict=True))
+    headers = Counter(one.header for one in seen.values() if one.header)
+    found = PictureCheck()
+    if not headers:
+        usual = None
+    else:
+        usual = headers.most_common(1)[0][0]
+        found.usual = str(usual)
+    first: dict[bytes, str] = {}
+    for name, one in seen.items():
+        if one.header is None:
+            found.bad.append(BadPicture(name, one.problem, _fix(one.problem)))
+        elif one.header != usual:
+            fix = "convert it, or keep the two kinds in folders of their own"
+            found.bad.append(BadPicture(name, f"{one.header}, not {usual}", fix))
+        else:
+            found.turned += one.orientation > 1
+            found.flat += [name] * one.flat
+            if (copy := first.setdefault(one.digest, name)) != name:
+                found.same.append((name, copy))
+    return found
+
+
+def _fix(problem: str) -> str:
+    if "grey where colour" in problem:
+        return "leave out --colour, or take it out"
+    if "pixels" in problem and "more than" in problem:
+        return "make it smaller"
+    return "save it again as 8-bit JPEG or PNG, or take it out"
+
+
+def without_bad(names: Sequence[str], bad: Sequence[BadPicture]) -> list[str]:
+    """Return the pictures that can be used; refuse a folder that has none."""
+    gone = {one.picture for one in bad}
+    kept = [name for name in names if name not in gone]
+    if not kept:
+        raise TouchesError(
+            f"Pictures must be usable, got {len(names)} of which none is: "
+            f"{bad[0].picture} is {bad[0].problem}. Save them again."
+        )
+    return kept

@@ -1,0 +1,174 @@
+"""What the folders above pictures mean: given as levels, or found out.
+
+Unnamed levels are read as `object`, or as `category/object`. Three layouts that people
+have would make wrong objects of that, in silence: the parts of a set (`train/mug`), a
+recording below each object (`mug/dataset_0/frames`), and two cameras side by side
+(`mug/gel`, `mug/video`). The second is recognised; of the others the error asks which.
+"""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from ._columns import Arrays, TouchesError
+
+SKIPPED = "-"
+KEPT = "="
+_PARTS = re.compile(
+    r"train(ing)?|test(ing)?|val(id|idation)?|dev|eval|hold-?out", re.IGNORECASE
+)
+_NUMBERED = "session|dataset|day|run|trial|recording|rec|sequence|seq|take|video|set"
+_DAYS = "mon|tues|wednes|thurs|fri|satur|sun"
+_SESSION = re.compile(
+    rf"({_NUMBERED})[ _-]?\d+|({_DAYS})day|\d{{4}}-?\d\d-?\d\d([ T_-].*)?",
+    re.IGNORECASE,
+)
+_SENSOR = re.compile(
+    "gel|digit|tact|video|cam|rgb|depth|frame|image|left|right", re.IGNORECASE
+)
+
+
+def levels_pattern(levels: str) -> str:
+    """Return the name pattern of folders whose levels have these names.
+
+    `-` is a level that says nothing, `=gel` one of which the folder `gel` alone is
+    read. Objects of two categories are different ones, whatever they are called.
+    """
+    names = levels.split("/")
+    words = [name for name in names if name != SKIPPED and name[:1] != KEPT]
+    known = all(word.isidentifier() for word in words) and KEPT not in names
+    if not known or "object" not in words or len(set(words)) < len(words):
+        raise TouchesError(
+            "levels must name each level of folders by a word, once, one of them "
+            f"object, got {levels!r}. Write category/object, object/session, or "
+            "object/-/=gel: - skips a level, =gel reads its folder gel alone."
+        )
+    parts = [_of_level(name) for name in names]
+    last = names.index("object")
+    if "category" in names[:last]:
+        first = names.index("category")
+        parts[first], parts[last] = f"(?P<object>{parts[first]}", "[^/]+)"
+    return f"^{'/'.join(parts)}/[^/]+$"
+
+
+def _of_level(name: str) -> str:
+    if name == SKIPPED:
+        return "[^/]+"
+    return re.escape(name[1:]) if name[:1] == KEPT else f"(?P<{name}>[^/]+)"
+
+
+def kept_names(names: Sequence[str], levels: str) -> list[str]:
+    """Return the paths that lie in the folders that `levels` keeps (`=gel`)."""
+    wanted = {
+        n: part[1:] for n, part in enumerate(levels.split("/")) if part[:1] == KEPT
+    }
+    folders = [name.split("/")[:-1] for name in names]
+    kept = [
+        name
+        for name, parts in zip(names, folders, strict=True)
+        if all(n >= len(parts) or parts[n] == part for n, part in wanted.items())
+    ]
+    if not kept:
+        level, part = next(iter(wanted.items()))
+        there = sorted({parts[level] for parts in folders if level < len(parts)})
+        raise TouchesError(
+            f"levels must keep a folder that is there, got {KEPT}{part} where there "
+            f"are {', '.join(there[:5])}. Name one of these."
+        )
+    return kept
+
+
+def odd_depths(names: Sequence[str]) -> tuple[dict[str, str], str]:
+    """Return the paths in more or fewer folders than most with where they lie.
+
+    And where most lie.
+    """
+    where = ("in no folder", "in one folder", "in folders of folders")
+    depths = [min(name.count("/"), 2) for name in names]
+    usual = max(set(depths), key=depths.count)
+    pairs = zip(names, depths, strict=True)
+    return {n: where[depth] for n, depth in pairs if depth != usual}, where[usual]
+
+
+def labels_of_folders(names: Sequence[str]) -> Arrays:
+    """Take labels from the levels of folders above each picture.
+
+    One level: its folder is the object. More: the first level is the category, the
+    whole relative folder the object; a level of sessions below or above gives sessions,
+    and a last one that is the same everywhere says nothing. None at all: no labels.
+    """
+    odd, usual = odd_depths(names)
+    if odd:
+        first = next(iter(odd))
+        other = next(name for name in names if name not in odd)
+        raise TouchesError(
+            f"Pictures must all be labelled by folders in one way, but {first} "
+            f"lies {odd[first]} and {other} lies {usual}. Move it to the folder of its "
+            "object, give a name_pattern, or name it as no_contact if that is what "
+            "it shows."
+        )
+    folders = [name.split("/")[:-1] for name in names]
+    if not folders[0]:
+        return {}
+    _refuse_parts(folders)
+    columns: Arrays = {}
+    if len({*map(len, folders)}) == 1:
+        folders = _without_constant(folders)
+        folders, sessions = _without_sessions(folders)
+        if sessions:
+            columns["session"] = np.array(sessions)
+        _refuse_sensors(folders)
+    columns["object"] = np.array(["/".join(parts) for parts in folders])
+    if len(folders[0]) > 1:
+        columns["category"] = np.array([parts[0] for parts in folders])
+    return columns
+
+
+def _refuse_parts(folders: list[list[str]]) -> None:
+    parts = sorted({levels[0] for levels in folders})
+    if not all(map(_PARTS.fullmatch, parts)):
+        return
+    what = "which is a part" if len(parts) == 1 else "which are parts"
+    together = f", or together with levels {SKIPPED}/object" * (len(folders[0]) > 1)
+    raise TouchesError(
+        f"Folders must name objects, got {' and '.join(parts)}, {what} of a set. "
+        f"Give each by itself, as .../{parts[0]}{together}."
+    )
+
+
+def _without_constant(folders: list[list[str]]) -> list[list[str]]:
+    """Leave out a last level that is the same below different folders."""
+    above = {tuple(parts[:-1]) for parts in folders}
+    if len(folders[0]) > 1 and len(above) > 1 and len({p[-1] for p in folders}) == 1:
+        return [parts[:-1] for parts in folders]
+    return folders
+
+
+def _without_sessions(folders: list[list[str]]) -> tuple[list[list[str]], list[str]]:
+    """Take out the last or the first level, where all its folders name sessions."""
+    if len(folders[0]) > 1:
+        for level in (-1, 0):
+            names = [parts[level] for parts in folders]
+            if all(map(_SESSION.fullmatch, names)):
+                rest = [p[:-1] if level else p[1:] for p in folders]
+                return rest, names
+    return folders, []
+
+
+def _refuse_sensors(folders: list[list[str]]) -> None:
+    """Ask which, where every object holds the same folders, named as cameras are."""
+    below: dict[tuple[str, ...], set[str]] = {}
+    for parts in folders:
+        below.setdefault(tuple(parts[:-1]), set()).add(parts[-1])
+    kinds = next(iter(below.values()))
+    crossed = len(below) > 1 and all(names == kinds for names in below.values())
+    if not crossed or len(kinds) < 2 or not any(map(_SENSOR.search, kinds)):
+        return
+    named = sorted(kinds)
+    levels = "/".join(["object", *[SKIPPED] * (len(folders[0]) - 2), KEPT + named[0]])
+    raise TouchesError(
+        f"Folders must name objects, got {' and '.join(named)} in each of "
+        f"{len(below)} folders. If these are cameras, read one: levels {levels}; if "
+        "they are objects, say so: levels category/object."
+    )
