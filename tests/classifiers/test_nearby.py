@@ -113,10 +113,10 @@ def test_the_width_has_the_least_loss():
     machine = NearbyTouches().fit(X, labels, groups=groups)
     asked, group, own = machine._stored(X, labels, groups)
     chosen = machine._left_out_densities(asked, group, machine.width_)
-    best = _nearby._best_shape(chosen, own)[0]
+    best = _nearby._best_shape(chosen, own, [3.0])[0]
     for factor in (2.0, 4.0, 8.0):
         scores = machine._left_out_densities(asked, group, factor * machine.width_)
-        assert best <= _nearby._best_shape(scores, own)[0] + 1e-9
+        assert best <= _nearby._best_shape(scores, own, [3.0])[0] + 1e-9
 
 
 def test_more_touches_are_stored_with_the_width_that_was_chosen():

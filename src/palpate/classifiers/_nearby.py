@@ -7,7 +7,7 @@ make a short list, within which a ridge regression learnt on the spot decides.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Self
 
 import numpy as np
@@ -41,7 +41,9 @@ LISTED, _MOST_NEAR = 20, 400
 # Width and ridge are chosen on touches of so many labels, so many touches.
 _CHOSEN_ON, _CHOSEN_BY = 200, 800
 # How much less than one of as many equal ones a label is at least (nats); tried.
-_FLOORS = (1.0, 2.0, 3.0, 4.0, 6.0, 20.0)
+_FLOORS, _USUAL_FLOOR = (1.0, 2.0, 3.0, 4.0, 6.0, 20.0), 3.0
+# Answers, one for each touch and label, that the shape of the posterior is fitted to.
+_SHAPED_ANSWERS = 2_000_000
 
 # Of touches to be left out, and of those that are stored.
 _Groups = tuple[Indices, Indices]
@@ -105,10 +107,10 @@ class NearbyTouches(BayesRule):
         best, densities = np.inf, np.empty(0)
         for width in _WIDTHS:
             scores = self._left_out_densities(asked, group, width * unit)
-            loss, *shape = _best_shape(scores, codes)
+            loss = _best_shape(scores, codes, [_USUAL_FLOOR])[0]
             if loss < best:
                 best, self.width_, densities = loss, width * unit, scores
-                self.temperature_, self.floor_ = shape
+        _, self.temperature_, self.floor_ = _best_shape(densities, codes)
         self._choose_ridge(X, y, groups)
         self._learn_list(asked, group, densities, codes)
         return self
@@ -305,12 +307,16 @@ def _best_of(densities: Floats) -> Indices:
     return np.sort(best, axis=1)
 
 
-def _best_shape(scores: Floats, codes: Indices) -> tuple[float, float, float]:
+def _best_shape(
+    scores: Floats, codes: Indices, floors: Iterable[float] = _FLOORS
+) -> tuple[float, float, float]:
     """Return the least log loss (nats), and the temperature and floor that have it.
 
-    Of log densities (n_touches, n_labels). Touches of labels with nothing left say
-    nothing of it.
+    Of log densities (n_touches, n_labels), of very many some. Touches of labels with
+    nothing left say nothing of it.
     """
+    step = -(-scores.size // _SHAPED_ANSWERS)
+    scores, codes = scores[::step], codes[::step]
     own = scores[np.arange(len(codes)), codes]
     below = scores - scores.max(axis=1, keepdims=True)
     below, codes = below[np.isfinite(own)], codes[np.isfinite(own)]
@@ -323,7 +329,7 @@ def _best_shape(scores: Floats, codes: Indices) -> tuple[float, float, float]:
         return float(-log_softmax(shaped)[at].mean())
 
     best = np.inf, 1.0, 0.0
-    for less in _FLOORS:
+    for less in floors:
         floor = float(np.log(scores.shape[1]) + less)
         found = minimize_scalar(
             loss, bounds=_TEMPERATURES, args=(floor,), method="bounded"
