@@ -41,23 +41,26 @@ CORE = {
     "classifier_inputs",
     "classifiers/_touch_classifier.py": "touch_classifier classifier_inputs",
     "library/_adding.py": "touch_library library_again library_channels "
-    "library_names library_durability",
-    "library/_changes.py": "library_changes touch_library library_repair "
+    "library_names library_store",
+    "library/_changes.py": "library_changes touch_library library_store "
     "library_histories",
-    "library/_checking.py": "library_changes library_repair library_rows "
-    "library_durability library_flips",
+    "library/_checking.py": "library_changes library_store library_flips",
+    "library/_content.py": "touch_library library_channels library_store",
+    "library/_migrating.py": "library_migrating",
+    "library/_names.py": "library_changes library_names library_histories",
     "library/_reading.py": "library_reading touch_library library_channels "
-    "library_rows library_learning",
-    "library/_repairing.py": "library_changes library_repair library_rows "
-    "library_durability library_histories",
-    "library/_rows.py": "touch_library library_rows library_repair",
-    "library/_store.py": "touch_library library_order library_rows library_changes "
-    "library_durability library_repair",
+    "library_learning",
+    "library/_repairing.py": "library_changes library_store library_durability "
+    "library_histories",
+    "library/_rows.py": "touch_library library_store library_reading",
+    "library/_store.py": "touch_library library_store library_changes "
+    "library_durability",
     "library/_where.py": "library_where",
     "touches/_archive.py": "touch_archive touch_archive_hostile",
     "touches/_columns.py": "touches_set touch_archive touches_channels "
     "touches_joining touch_archive_hostile",
     "touches/_folder.py": "touch_folder touch_labels",
+    "touches/_parquet.py": "library_parquet",
     "touches/_pictures.py": "touch_pictures touch_folder",
     "touches/_touches.py": "touches_set touches_joining touches_channels touch_archive",
     "exploration/_guarded.py": "guard_bounds guarded_touch force_limit",

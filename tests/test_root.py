@@ -7,14 +7,14 @@ from contextlib import nullcontext
 
 import pytest
 
-from palpate._durable import PARTIAL, make_slots, replacing, write_bytes, write_text
+from palpate._durable import PARTIAL, replacing, write_text
 from palpate._extras import install, needed
 from palpate._parallel import in_parallel
 
 
 def test_a_file_is_replaced_whole(tmp_path):
     target = tmp_path / "kept"
-    write_bytes(target, b"old")
+    write_text(target, "old")
     with replacing(target) as file:
         file.write(b"new")
         file.flush()
@@ -32,13 +32,11 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
     assert not list(tmp_path.glob(f"{PARTIAL}*"))
 
 
-@pytest.mark.parametrize("into_slot", [False, True])
-def test_an_interrupted_write_leaves_nothing(tmp_path, into_slot):
+def test_an_interrupted_write_leaves_nothing(tmp_path):
     target = tmp_path / "kept"
-    slot = make_slots(tmp_path, 1)[0] if into_slot else None
 
     def interrupted():
-        with replacing(target, slot) as file:
+        with replacing(target) as file:
             file.write(b"half")
             raise KeyboardInterrupt
 
@@ -56,7 +54,7 @@ def test_file_and_folder_are_flushed_in_this_order(tmp_path, monkeypatch):
         flushed.append("folder" if folder else "file")
 
     monkeypatch.setattr(os, "fsync", fsync)
-    write_bytes(tmp_path / "kept", b"x")
+    write_text(tmp_path / "kept", "x")
     assert flushed == ["file", "folder"]
 
 
@@ -73,13 +71,13 @@ def test_folders_that_cannot_be_flushed_are_passed_over(tmp_path, monkeypatch, n
     monkeypatch.setattr(os, "fsync", fsync)
     expected = pytest.raises(OSError) if number == errno.EIO else nullcontext()
     with expected:
-        write_bytes(tmp_path / "kept", b"x")
+        write_text(tmp_path / "kept", "x")
     assert (tmp_path / "kept").read_bytes() == b"x"
 
 
 def test_a_link_is_followed(tmp_path):
     target, link = tmp_path / "target", tmp_path / "link"
-    write_bytes(target, b"old")
+    write_text(target, "old")
     link.symlink_to(target)
     write_bytes(link, b"new")
     assert link.is_symlink()

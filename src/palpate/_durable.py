@@ -18,19 +18,16 @@ PARTIAL = ".partial-"
 
 
 @contextmanager
-def replacing(target: Path, slot: Path | None = None) -> Iterator[BinaryIO]:
+def replacing(target: Path) -> Iterator[BinaryIO]:
     """Open a file that takes the place of `target` once the block ends well.
 
-    A file that is there is replaced in one step, and a link is followed. With a `slot`,
-    one of `make_slots`, the content is written there and renamed; no link is followed,
-    and the folder is not flushed. If a power cut undoes the renaming, the file stands
-    whole in the slot. An `OSError` names `target`; nothing is left behind then, nor
-    where the block itself raises.
+    A file that is there is replaced in one step, and a link is followed. An `OSError`
+    names `target`; nothing is left behind then, nor where the block itself raises.
     """
-    place = target if slot else target.resolve()
-    partial = slot or place.with_name(f"{PARTIAL}{secrets.token_hex(8)}")
+    place = target.resolve()
+    partial = place.with_name(f"{PARTIAL}{secrets.token_hex(8)}")
     try:
-        with partial.open("r+b" if slot else "xb") as file:
+        with partial.open("xb") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
@@ -42,19 +39,7 @@ def replacing(target: Path, slot: Path | None = None) -> Iterator[BinaryIO]:
         if number is None:
             raise
         raise OSError(number, os.strerror(number), str(target)) from error
-    if slot is None:
-        flush_folder(place.parent)
-
-
-def make_slots(folder: Path, n_slots: int) -> list[Path]:
-    """Make empty files whose names are on the disk before they are needed."""
-    folder.mkdir(exist_ok=True)
-    slots = [folder / f"{PARTIAL}{secrets.token_hex(8)}" for _ in range(n_slots)]
-    for slot in slots:
-        slot.open("xb").close()
-    flush_folder(folder)
-    flush_folder(folder.parent)
-    return slots
+    flush_folder(place.parent)
 
 
 def _disk_error(error: BaseException, partial: Path) -> int | None:
@@ -65,15 +50,10 @@ def _disk_error(error: BaseException, partial: Path) -> int | None:
     return int(said[1]) if said else None
 
 
-def write_bytes(target: Path, content: bytes, slot: Path | None = None) -> None:
-    """Put `content` into `target`, whole or not at all; see `replacing`."""
-    with replacing(target, slot) as file:
-        file.write(content)
-
-
 def write_text(target: Path, content: str) -> None:
     """Put `content` into `target` as UTF-8, whole or not at all; see `replacing`."""
-    write_bytes(target, content.encode())
+    with replacing(target) as file:
+        file.write(content.encode())
 
 
 def flush_all(path: Path) -> None:

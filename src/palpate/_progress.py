@@ -29,7 +29,11 @@ class Progress:
 
     def advance(self, n_done: int) -> None:
         """Count `n_done` more pieces."""
-        self._done += n_done
+        self.reach(self._done + n_done)
+
+    def reach(self, n_done: int) -> None:
+        """Count `n_done` pieces in all."""
+        self._done = n_done
         late = time.monotonic() - self._start > _PATIENCE_S
         if self._bar is None and self._show and late and self._done < self._total:
             from rich.console import Console

@@ -1,6 +1,8 @@
 """`palpate library`, and every verb that takes touches taking a library."""
 
 import json
+import sqlite3
+from contextlib import closing
 from functools import partial
 
 import numpy as np
@@ -118,13 +120,56 @@ def test_names_that_were_merged_may_still_be_filtered_by(palpate, folder):
 
 def test_a_check_finds_damage_and_repairs(palpate, folder):
     assert palpate("library", "check", folder).returncode == 0
-    next((folder / "images").rglob("*.npy")).unlink()
+    with closing(sqlite3.connect(folder / "library.sqlite")) as database, database:
+        database.execute("UPDATE images SET image = x'00' WHERE number <= 3")
     done = palpate("library", "check", folder, "--json")
     assert done.returncode == 1
-    assert len(json.loads(done.stdout)["problems"][0]["touches"]) == 60
+    assert [len(p["touches"]) for p in json.loads(done.stdout)["problems"]] == [1] * 3
     done = palpate("library", "check", folder, "--repair")
     assert done.returncode == 0
-    assert "set aside: 60" in done.stdout
+    assert "57 touches and 0 changes kept in a new database" in done.stdout
+    assert "Lost: 3 touches, 0 changes." in done.stdout
+
+
+def test_a_backup_and_the_history_are_had(palpate, folder, tmp_path):
+    assert palpate("library", "rename", folder, "mug", "cup").returncode == 0
+    where = ("--where", "object = pen", "--reason", "wet")
+    assert palpate("library", "retract", folder, *where).returncode == 0
+    done = palpate("library", "history", folder)
+    assert "rename" in done.stdout
+    assert "old mug, new cup" in done.stdout
+    assert "20 touches, reason wet" in done.stdout
+    done = palpate("library", "history", folder, "--json")
+    changes = json.loads(done.stdout)["changes"]
+    assert [change["action"] for change in changes] == ["rename", "retract"]
+    done = palpate("library", "backup", folder, tmp_path / "copy")
+    assert done.stdout.startswith("60 touches in")
+    assert palpate("library", "check", tmp_path / "copy").returncode == 0
+    again = palpate("library", "backup", folder, tmp_path / "copy")
+    assert again.returncode == 1
+    assert "new or empty folder" in again.stderr
+
+
+def test_parquet_goes_out_and_comes_in_again(palpate, folder, tmp_path):
+    out = tmp_path / "some.parquet"
+    done = palpate("library", "export", folder, "-o", out, "--by", "object")
+    assert done.returncode == 0, done.stderr
+    assert (out / "object=pen" / "part-0.parquet").is_file()
+    done = palpate("library", "add", tmp_path / "other", out, "--json")
+    assert json.loads(done.stdout) == {
+        "library": str(tmp_path / "other"),
+        "given": 60,
+        "added": 60,
+    }
+    model = tmp_path / "m.palpate"
+    done = palpate("learn", out, "-o", model, "--json")
+    assert json.loads(done.stdout)["n_train_touches"] == 60
+    odd = palpate("library", "add", tmp_path / "other", out, "--where", "order > 1")
+    assert odd.returncode == 1
+    assert "--where must be left out for Parquet" in odd.stderr
+    odd = palpate("library", "export", folder, "-o", out, "--by", "colour")
+    assert odd.returncode == 1
+    assert "by must be one of" in odd.stderr
 
 
 def test_touches_are_exported(palpate, folder, tmp_path):
@@ -228,10 +273,10 @@ def test_a_lost_database_is_not_replaced(palpate, folder, archive):
         path.unlink()
     refused = palpate("library", "add", folder, archive)
     assert refused.returncode == 1
-    assert "check --repair" in refused.stderr
+    assert "library.sqlite, which held touches and is gone" in refused.stderr
     assert palpate("library", "check", folder).returncode == 1
-    assert "made anew" in palpate("library", "check", folder, "--repair").stdout
-    assert "cup" in palpate("library", "list", folder, "--objects").stdout
+    (folder / "library.count").unlink()  # as the message says
+    assert palpate("library", "add", folder, archive).returncode == 0
 
 
 def test_pictures_are_kept_in_colour_where_asked(palpate, tmp_path):

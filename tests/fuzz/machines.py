@@ -96,141 +96,81 @@ class Names:
 
 
 class LibraryMachine(RuleBasedStateMachine):
-    """A library, changed, killed between writing and commit, checked and repaired.
-
-    A writer that is killed between writing the file of a change and the commit has told
-    nobody of it. It is played by putting the database back as it was before.
-    `after_kill` is what a library made anew from its files says; `unseen` are touches
-    of a killed writer, which a repair takes in.
-    """
+    """A library that is changed, killed, checked, repaired and copied."""
 
     def __init__(self):
         super().__init__()
         self.folder = Path(tempfile.mkdtemp()) / "library"
-        self.truth, self.n_images = Names(), 0
-        self.killed = self.after_kill = None
-        self.unseen = set()
+        self.truth, self.n_images, self.n_copies = Names(), 0, 0
         TouchLibrary.open(self.folder, create=True).close()
 
     def teardown(self):
-        self.repair()
-        self.lose_the_database()
+        self.check()
         shutil.rmtree(self.folder.parent)
 
     @rule(label=names, n_touches=st.integers(1, 3))
     def add(self, label, n_touches):
-        self._added(label, n_touches)
-
-    @precondition(lambda self: self.truth.names)
-    @rule(n_touches=st.integers(1, 3), data=st.data())
-    def kill_while_adding(self, n_touches, data):
-        label = data.draw(st.sampled_from(sorted(self.truth.names)))
-        before = self._database.read_bytes()
-        self.unseen |= set(self._added(label, n_touches))
-        self._database.write_bytes(before)
-
-    @rule(label=names, n_touches=st.integers(1, 3))
-    def cut_power_after_adding(self, label, n_touches):
-        """Rows are gone, files and a mark that nobody locks are there."""
-        before = self._database.read_bytes()
-        self._added(label, n_touches)
-        self._database.write_bytes(before)
-        (self.folder / "images" / ".adding-left").touch()
-        TouchLibrary.open(self.folder).close()
-        self.unseen = set()
-
-    @rule(data=st.data())
-    def change(self, data):
-        what = self._chosen(data)
-        if self._carried_out(what):
-            assert self._apply(self.truth, what), what
-            self.killed = self.after_kill = None
-
-    @rule(data=st.data())
-    def kill_while_changing(self, data):
-        before = self._database.read_bytes()
-        what = self._chosen(data)
-        if self._carried_out(what):
-            self._database.write_bytes(before)
-            self.killed, self.after_kill = what, copy.deepcopy(self.truth)
-            self._apply(self.after_kill, what)
-
-    @rule()
-    def repair(self):
-        repair_library(self.folder)
-        if self.killed:
-            self._apply(self.truth, self.killed)
-        self._mended()
-
-    @precondition(lambda self: self.truth.known)  # an empty library leaves no files
-    @rule()
-    def lose_the_database(self):
-        if not self.truth.known:
-            return
-        self._database.unlink()
-        assert repair_library(self.folder).rebuilt
-        self.truth = self.after_kill or self.truth
-        self._mended()
-
-    @rule()
-    def check(self):
-        kinds = {problem.kind for problem in check_library(self.folder).problems}
-        assert kinds <= {"change", "file without touches"}, kinds
-        assert ("file without touches" in kinds) == bool(self.unseen)
-        with TouchLibrary.open(self.folder) as library:
-            rows = library.list(limit=None, retracted=True)
-        seen = {k: v for k, v in self.truth.known.items() if k not in self.unseen}
-        assert {r.id: [r.object, r.retracted] for r in rows} == seen
-
-    def _mended(self):
-        self.killed = self.after_kill = None
-        self.unseen = set()
-        assert check_library(self.folder).ok
-        self.check()
-
-    @property
-    def _database(self):
-        return self.folder / "library.sqlite"
-
-    def _added(self, label, n_touches):
         images = np.zeros((n_touches, 2, 2), np.int32)
         images[:, 0, 0] = self.n_images + np.arange(n_touches)
         self.n_images += n_touches
         with TouchLibrary.open(self.folder) as library:
             ids = library.add(Touches(images, object=[label] * n_touches))
-        for reference in filter(None, (self.truth, self.after_kill)):
-            reference.add(ids, label)
-        return ids
+            assert library.add(Touches(images, object=[label] * n_touches)) == ids
+        self.truth.add(ids, label)
 
-    def _chosen(self, data):
-        seen = [key for key in self.truth.known if key not in self.unseen]
-        kinds = ["rename", "merge", *["retract", "restore"] * bool(seen)]
-        kind = data.draw(st.sampled_from(kinds))
-        if kind in ("rename", "merge"):
-            two = st.lists(names, min_size=2, max_size=2, unique=True)
-            return kind, data.draw(two)
-        places = st.sets(st.integers(0, len(seen) - 1), min_size=1, max_size=3)
-        return kind, [[seen[place] for place in sorted(data.draw(places))]]
-
-    @staticmethod
-    def _apply(reference, what):
-        return getattr(reference, what[0])(*what[1])
-
-    def _carried_out(self, what):
-        action, values = what
+    @rule(two=st.lists(names, min_size=2, max_size=2, unique=True), merge=st.booleans())
+    def call(self, two, merge):
         with TouchLibrary.open(self.folder) as library:
             try:
-                if action == "rename":
-                    library.rename_object(*values)
-                elif action == "merge":
-                    library.merge_objects(*values)
-                elif action == "retract":
-                    return bool(library.retract(*values, reason="wet"))
-                else:
-                    return bool(library.restore(*values))
+                (library.merge_objects if merge else library.rename_object)(*two)
             except LibraryError:
-                return False
-        return True
+                return
+        assert (self.truth.merge if merge else self.truth.rename)(*two), two
+
+    @precondition(lambda self: self.truth.known)
+    @rule(data=st.data(), out=st.booleans())
+    def put(self, data, out):
+        places = st.sets(
+            st.integers(0, len(self.truth.known) - 1), min_size=1, max_size=3
+        )
+        ids = [[*self.truth.known][place] for place in sorted(data.draw(places))]
+        with TouchLibrary.open(self.folder) as library:
+            made = library.retract(ids, reason="wet") if out else library.restore(ids)
+        assert bool(made) == (self.truth.retract if out else self.truth.restore)(ids)
+
+    @rule()
+    def kill(self):
+        """What was acknowledged is in the log; nobody has emptied it."""
+        with TouchLibrary.open(self.folder) as library:
+            library.list(limit=1)
+            library.retract([], reason="nothing")
+            self.n_copies += 1
+            copy = self.folder.with_name(f"{self.n_copies}")
+            shutil.copytree(self.folder, copy)
+        (copy / "library.sqlite-shm").unlink(missing_ok=True)
+        self.folder = copy
+
+    @rule()
+    def copy(self):
+        self.n_copies += 1
+        copy = self.folder.with_name(f"{self.n_copies}")
+        with TouchLibrary.open(self.folder) as library:
+            assert library.backup(copy) == len(self.truth.known)
+        self.folder = copy
+
+    @rule()
+    def repair(self):
+        assert not repair_library(self.folder).rebuilt
+
+    @rule()
+    def check(self):
+        assert str(check_library(self.folder)).count("all present") == 1
+        with TouchLibrary.open(self.folder) as library:
+            rows = library.list(limit=None, retracted=True)
+            history = library.history()
+        seen = {row.id: [row.object, row.retracted] for row in rows}
+        assert list(seen.items()) == list(self.truth.known.items())
+        assert [change.after for change in history] == sorted(c.after for c in history)
 
 
 @cache

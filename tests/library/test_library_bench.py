@@ -14,7 +14,7 @@ def test_a_small_run_has_every_row():
     pytest.importorskip("faiss")
     rows = run_bench("library", sizes=(500,), seconds=0.005)
     names = [row["name"] for row in rows]
-    assert len(set(names)) == len(names) == 7 + 2 * 4
+    assert len(set(names)) == len(names) == 10 + 2 * 4
     assert all(row["ours_ms"] > 0 for row in rows)
     added = rows[0]
     assert added["touches_per_s"] == pytest.approx(1000 / added["ours_ms"])

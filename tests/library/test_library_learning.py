@@ -136,7 +136,7 @@ def _means(touches):
 def test_a_damaged_cache_is_computed_again(library):
     chosen = library.select()
     first = chosen.features("means", _means)
-    for path in (library.folder / "features").rglob("*.npy"):
+    for path in (library.folder / "features").rglob("*.npz"):
         path.write_bytes(path.read_bytes()[:-3])
     assert_array_equal(chosen.features("means", _means), first)
     with pytest.raises(ValueError, match="letters and digits"):

@@ -46,7 +46,7 @@ def test_limits_of_memory_are_reached_and_not_passed(library):
 @pytest.mark.parametrize(
     "pick", ["press < 3", "press in (0, 2, 4)", "press != 3", None]
 )
-def test_touches_of_several_files_come_in_the_order_added(library, pick):
+def test_touches_of_several_batches_come_in_the_order_added(library, pick):
     parts = [
         Touches(
             images(2, seed),
@@ -193,7 +193,7 @@ def test_features_are_those_of_each_touch_whatever_was_known_before(library):
         with pytest.raises(ValueError, match="key must be letters and digits"):
             odd.features(bad, encode)
     # A cache and nothing more: what is damaged is computed again, as are new touches.
-    for path in (library.folder / "features" / "key").rglob("*.npy"):
+    for path in (library.folder / "features" / "key").rglob("*.npz"):
         path.write_bytes(b"altered")
     library.add(Touches(images(1, 5), object=["a"], press=[6]))
     every = library.select().features("key", encode)
@@ -201,47 +201,74 @@ def test_features_are_those_of_each_touch_whatever_was_known_before(library):
     assert made == [3, 3, 2, 7]
 
 
-def test_images_that_are_gone_or_altered_are_named(library):
+def test_images_that_are_gone_or_altered_are_named(library, alter):
     ids = library.add(Touches(images(), object=["a"] * 6, press=np.arange(6)))
     later = library.add(Touches(images(2, 1), object=["b"] * 2, press=[6, 7]))
-    paths = {len(np.load(p)): p for p in (library.folder / "images").rglob("*.npy")}
-    content = bytearray(paths[6].read_bytes())
-    content[128 + 40 * 3] ^= 1
-    paths[6].write_bytes(content)
-    with pytest.raises(
-        LibraryError, match=f"Touch {ids[3]}: its image in .* as it was"
-    ):
+    alter(
+        library.folder,
+        "UPDATE images SET image = (SELECT image FROM images WHERE number = 5) "
+        "WHERE number = 4",
+    )
+    with pytest.raises(LibraryError, match=f"Touch {ids[3]}: its image .* altered"):
         library.touches()
     with pytest.warns(UserWarning, match="^1 touches are left out: their images"):
         rest = library.touches(damaged="skip")
     assert rest.columns["press"].tolist() == [0, 1, 2, 4, 5, 6, 7]
-    paths[2].unlink()
-    with pytest.warns(UserWarning, match="^3 touches are left out"):
+    alter(library.folder, "DELETE FROM images WHERE number > 6")
+    with pytest.warns(UserWarning, match="^3 touches are left out") as told:
         assert len(library.select(damaged="skip")) == 5
-    with pytest.raises(LibraryError, match=f"Touch {later[0]}: "):
+    assert told[0].filename == __file__
+    with pytest.raises(LibraryError, match=f"Touch {later[0]}: .* got none"):
         library.image(later[0])
     assert_array_equal(library.image(ids[4]), images()[4])
+    with pytest.raises(ValueError, match="damaged must be"):
+        library.touches(damaged="ignore")
 
 
-def test_a_touch_whose_wide_column_is_altered_is_not_whole(library):
+def test_a_touch_whose_wide_column_is_altered_is_not_whole(library, alter):
     wide = np.arange(6 * 30.0).reshape(6, 30)
-    library.add(Touches(images(), object=["a"] * 6, wave=wide))
+    ids = library.add(Touches(images(), object=["a"] * 6, wave=wide))
     library.add(Touches(images(2, 1), object=["b"] * 2))
-    path = {len(np.load(p)): p for p in (library.folder / "images").rglob("*.npy")}[6]
-    content = bytearray(path.read_bytes())
-    content[128 + N_BYTES + 128 + 8] ^= 1  # in the array behind the images
-    path.write_bytes(content)
-    with pytest.warns(UserWarning, match="^6 touches are left out"):
-        assert len(library.touches(damaged="skip")) == 2
+    alter(
+        library.folder,
+        "UPDATE images SET more = (SELECT more FROM images WHERE number = 1) "
+        "WHERE number = 2",
+    )
+    with pytest.raises(LibraryError, match=f"Touch {ids[1]}: .* altered"):
+        library.touches()
+    with pytest.warns(UserWarning, match="^1 touches are left out"):
+        rest = library.touches("object = a", damaged="skip")
+    assert_array_equal(rest.columns["wave"], wide[[0, 2, 3, 4, 5]])
 
 
-def test_a_lost_array_of_the_whole_set_is_told_to_the_caller(library):
-    library.add(Touches(images(), object=["a"] * 6, no_contact=images(1)[0]))
-    [path] = (library.folder / "arrays").rglob("*.npy")
-    path.unlink()
-    said = f"without their no_contact, {path.stem[:12]}; add them again"
-    with pytest.warns(UserWarning, match=said):
-        assert library.touches().no_contact is None
+@pytest.mark.parametrize(
+    "how", ["DELETE FROM arrays", "UPDATE arrays SET content = x'0000'"]
+)
+def test_a_lost_array_costs_no_touch_and_comes_back_with_them(library, alter, how):
+    """It is told to the caller and by a check; a repair keeps the touches."""
+    frame = images(1)[0]
+    again = Touches(images(2, 1), object=["b", "c"], no_contact=frame, set_unit="kPa")
+    library.add(Touches(images(1, 2), object=["a"], no_contact=frame + 1))
+    ids = library.add(again)
+    alter(
+        library.folder,
+        f"{how} WHERE rowid = 3",  # 1 is of the first touch, 2 the unit
+    )
+    with pytest.warns(UserWarning, match="without their no_contact.*check"):
+        read = library.touches("object in (b, c)")
+    assert read.no_contact is None
+    assert str(read.whole["set_unit"]) == "kPa"
+    assert_array_equal(read.images, again.images)
+    with pytest.warns(UserWarning, match="no_contact"):
+        assert_array_equal(library.no_contact(), frame + 1)
+    [problem] = library.check().problems
+    assert (problem.kind, problem.touches) == ("array", ids)
+    assert library.repair().lost == []
+    with pytest.warns(UserWarning, match="no_contact"):
+        assert len(library.touches("object in (b, c)")) == 2
+    assert library.add(again) == ids
+    assert_array_equal(library.touches("object in (b, c)").no_contact, frame)
+    assert library.check().ok
 
 
 def test_features_made_before_an_interruption_are_kept(library):

@@ -14,6 +14,7 @@ BENCHES: dict[str, tuple[str, str]] = {
     "decode": ("_encodings", "reading a folder of pictures, peak memory"),
     "library": ("_library", "10^4 and 10^5 touches: adding, opening, likelihoods"),
     "library-large": ("_library", "the same with 10^6"),
+    "library-sizes": ("_library", "what recorded touches take on the disk"),
     "encodings": ("_encodings", "from a picture to a vector, by stage"),
     "latency": ("_live", "from a JPEG to the new belief over 50 objects, by stage"),
     "learning": ("_learning", "learning, adding, and the page's next lesson"),

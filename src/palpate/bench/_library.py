@@ -5,9 +5,9 @@ floor: any exact density has to multiply the new touches by all stored ones.
 scikit-learn's trees return wrong densities in this many dimensions, so its
 `KernelDensity` gets one leaf that holds everything.
 
-Of a library: adding, opening, bytes, and likelihoods. Features are those of real
-touches of the dome camera (the folder PALPATE_DATA names), drawn with replacement per
-object, with normal noise of 0.3 times each object's standard deviation per feature;
+Of a library: adding, opening, reading, bytes, and likelihoods. Features are those of
+real touches of the dome camera (the folder PALPATE_DATA names), drawn with replacement
+per object, with normal noise of 0.3 times each object's standard deviation per feature;
 without the folder, features of random places. The touches recognised are real ones that
 were held out. Resampled touches crowd about the few that were really made, which
 flatters an index: the share of equal decisions says how it does here, not on a million
@@ -49,6 +49,7 @@ NOISE = 0.3
 WIDTHS = (22, 71)
 _PRODUCT = "float32 matrix product"
 _AT_ONCE = 50_000
+_NO_PEER = "nothing to compare with"
 _ADDED_SINGLY, _STREAMED, _CALLERS = 50, 1000, 32
 
 
@@ -154,7 +155,7 @@ def _store_rows(folder: Path, size: int, seed: int) -> list[Row]:
             peer,
             bare_ms,
             touches_per_s=1e3 / added_ms,
-            bytes_per_touch=(stats.database_bytes + stats.image_bytes - raw) / size,
+            bytes_per_touch=(stats.database_bytes - raw) / size,
         ),
         row(f"one touch added to {size:,} (wall)", single_ms, peer, bare_ms),
         row(
@@ -169,7 +170,12 @@ def _store_rows(folder: Path, size: int, seed: int) -> list[Row]:
         "opened": lambda one: None,
         "opened, 50 listed": lambda one: one.list(limit=50),
         "opened, filtered by force": lambda one: one.list("force_n > 0.9999"),
+        "opened, counted by two columns": lambda one: one.count(
+            'force_n > 0.5 and session = "day 1"'
+        ),
         "opened, objects counted": lambda one: one.objects(),
+        "opened, selected": lambda one: one.select(),
+        "opened, 10,000 read": lambda one: one.touches("order < 10000"),
     }
 
     def opened(action: Callable[[TouchLibrary], object]) -> None:
@@ -178,8 +184,59 @@ def _store_rows(folder: Path, size: int, seed: int) -> list[Row]:
 
     for name, action in actions.items():
         ms, shown = wall_ms(partial(opened, action)), f"{size:,} touches {name} (wall)"
-        rows.append(row(shown, ms, reason="nothing to compare with"))
+        rows.append(row(shown, ms, reason=_NO_PEER))
     return rows
+
+
+def bench_library_sizes(
+    data: str | Path | None = None, *, n_touches: int = 200
+) -> list[Row]:
+    """Measure what recorded touches take on the disk, beside the files they came in.
+
+    Pictures of a camera, presses of an array and frames of a gel; one touch alone, and
+    all of them read. Times are of the CPU.
+    """
+    folder = real_touches(data)
+    if folder is None:
+        none = float("nan")
+        return [row("recorded touches", none, reason="PALPATE_DATA names no folder")]
+    sets = {
+        "JPEGs of a dome, 640 x 480": folder / "bathtip" / "originals",
+        "dome, 120 x 120 uint8": folder / "bathtip" / "bathtip50.npz",
+        "array, 10 x 10 float64": folder / "taxel10x10" / "taxel10x10.npz",
+        "gel, 160 x 120 x 3 uint8": folder / "sessions" / "digit_survey.npz",
+    }
+    with one_thread():
+        return [_sizes_row(name, path, n_touches) for name, path in sets.items()]
+
+
+def _sizes_row(name: str, path: Path, n_touches: int) -> Row:
+    if path.is_dir():
+        pattern = r"_name_(?P<object>[a-z]+_\w+?)_at_"
+        rest = path / "baselineForCalibration.jpg"
+        touches = Touches.load(path, name_pattern=pattern, no_contact=rest)[:n_touches]
+    else:
+        touches = Touches.load(path)[:n_touches]
+    files = touches.files
+    given = touches.images.nbytes if files is None else sum(map(len, files))
+    with tempfile.TemporaryDirectory() as scratch:
+        with TouchLibrary.open(scratch, create=True) as library:
+            added = time.process_time()
+            library.add(touches)
+            added = time.process_time() - added
+        with TouchLibrary.open(scratch) as library:  # nothing is left in its log
+            read = time.process_time()
+            library.touches()
+            read = time.process_time() - read
+            held = library.stats().database_bytes
+    return row(
+        f"{name}: {len(touches)} read, per touch",
+        1e3 * read / len(touches),
+        reason=_NO_PEER,
+        added_ms=1e3 * added / len(touches),
+        bytes_per_touch=held / len(touches),
+        share_of_given=held / given,
+    )
 
 
 def _save_bare(folder: Path) -> None:

@@ -233,6 +233,19 @@ class Reading:
             library.refuse_unknown(self.where)
             return library.touches(self.where)
 
+    def parts(self, path: Path, topic: str | None = None) -> "Iterator[Touches]":
+        """Read touches to be kept, those of Parquet some at a time."""
+        from itertools import chain
+
+        from ..touches import is_parquet, read_parquet
+
+        if topic is not None or not is_parquet(path):
+            return iter([self.touches(path, topic)])
+        names = ("name_pattern", "levels", "no_contact", "colour", "where")
+        self.refuse("for Parquet", "It says itself what it holds.", *names)
+        parts = read_parquet(path, max_pixels=int(self.max_megapixels * 1e6))
+        return chain([next(parts)], parts)
+
     @contextmanager
     def selection(self, path: Path) -> "Iterator[Touches | Selection]":
         """Read touches to learn from; those of a library as they are needed."""

@@ -1,5 +1,6 @@
 """`palpate library`: touches on disk, durable and searchable."""
 
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -56,23 +57,27 @@ def add(
 
     if sensor is None and (kind, unit, pitch_mm) != (None, None, None):
         raise ValueError("--kind, --unit and --pitch-mm must come with --sensor NAME.")
-    found = reading.touches(touches, topic)
-    if detect:
-        from ..sensors import TouchDetector
-
-        found = TouchDetector().touches_in(found)
-    if object_name is not None:
-        found = found.with_columns(object=[object_name] * len(found))
-    described = sensor and SensorDescription(sensor, kind, unit, pitch_mm)
+    described = SensorDescription(sensor, kind, unit, pitch_mm) if sensor else None
+    n_given = 0
+    parts = reading.parts(touches, topic)  # before a library is made
     with _opened(folder, create=True) as opened:
         before = opened.stats()
-        opened.add(found, session=session, episode=episode, sensor=described or None)
+        for part in parts:
+            found = part
+            if detect:
+                from ..sensors import TouchDetector
+
+                found = TouchDetector().touches_in(found)
+            if object_name is not None:
+                found = found.with_columns(object=[object_name] * len(found))
+            opened.add(found, session=session, episode=episode, sensor=described)
+            n_given += len(found)
         after = opened.stats()
     n_new = sum(after[:2]) - sum(before[:2])
     answer(
         as_json,
-        {"library": str(folder), "given": len(found), "added": n_new},
-        f"{n_new} new of {counted(len(found))}; {after.n_touches} in {folder}.",
+        {"library": str(folder), "given": n_given, "added": n_new},
+        f"{n_new} new of {counted(n_given)}; {after.n_touches} in {folder}.",
     )
 
 
@@ -142,16 +147,25 @@ def show(
 def export(
     folder: LibraryPath,
     output: Annotated[
-        Path,
-        option("-o", "--output", "An .npz, a .parquet, or a folder (LeRobotDataset)."),
+        str,
+        option(
+            "-o",
+            "--output",
+            "An .npz, a .parquet (of a store too: s3://...), or a folder for a "
+            "LeRobotDataset.",
+        ),
     ],
     where: Where = None,
+    by: Annotated[
+        str | None,
+        option("Of Parquet: a folder with a file for each object, or session..."),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Write touches to an archive, a Parquet file or a LeRobotDataset."""
+    """Write touches to an archive, to Parquet or to a LeRobotDataset."""
     with _opened(folder) as opened:
         opened.refuse_unknown(where)
-        n_touches = opened.export(output, where)
+        n_touches = opened.export(output, where, by=by)
     written = {"written": str(output), "n_touches": n_touches}
     answer(as_json, written, f"{counted(n_touches)} in {output}.")
 
@@ -159,10 +173,13 @@ def export(
 @library.command()
 def check(
     folder: LibraryPath,
-    repair: Annotated[bool, option("--repair", "Set aside what is damaged.")] = False,
+    repair: Annotated[
+        bool,
+        option("--repair", "Keep what is whole, and set the damaged file aside."),
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Compare everything with its checksums; exit code 1 where something is wrong."""
+    """Compare everything with its digests; exit code 1 where something is wrong."""
     from ..library import check_library, repair_library
 
     repaired = repair_library(folder) if repair else None
@@ -173,17 +190,91 @@ def check(
         done = None if repaired is None else repaired._asdict()
         print_json({**found, "repair": done})
     else:
-        if repaired is not None:
+        if repaired is not None and repaired.rebuilt:
             print(
-                f"Database {'made anew' if repaired.rebuilt else 'kept'}; touches "
-                f"recovered: {repaired.n_recovered}, set aside: "
-                f"{repaired.n_set_aside}, come back: {repaired.n_restored}; changes "
-                f"recovered: {repaired.n_changes}, set aside as never acknowledged: "
-                f"{repaired.n_unacknowledged}; arrays left out: {repaired.n_left_out}."
+                f"{counted(repaired.n_touches)} and "
+                f"{counted(repaired.n_changes, 'change')} kept in a new database; the "
+                f"damaged one is {repaired.set_aside}."
             )
+            if repaired.lost or repaired.n_changes_lost:
+                print(
+                    f"Lost: {counted(len(repaired.lost))}, "
+                    f"{counted(repaired.n_changes_lost, 'change')}. Touches can be "
+                    "added again."
+                )
         print(report)
     if not report.ok:
         raise typer.Exit(1)
+
+
+@library.command()
+def backup(
+    folder: LibraryPath,
+    to: Annotated[Path, argument("TO", "A new folder for the copy.")],
+    as_json: AsJson = False,
+) -> None:
+    """Copy a library, also while others add to it."""
+    with _opened(folder) as opened:
+        n_touches = opened.backup(to)
+    copied = {"library": str(folder), "backup": str(to), "n_touches": n_touches}
+    answer(as_json, copied, f"{counted(n_touches)} in {to}.")
+
+
+@library.command()
+def migrate(
+    old: Annotated[Path, argument("OLD", "A library of palpate 0.2 or older.")],
+    new: Annotated[Path, argument("NEW", "A new folder for the library of today.")],
+    as_json: AsJson = False,
+) -> None:
+    """Make a library of today of an old one, which stays as it is.
+
+    One that was stopped goes on when it is called again.
+    """
+    from ..library import migrate_library
+
+    report = migrate_library(old, new)
+    lines = [f"{counted(report.n_touches)} in {new}; {old} is as it was."]
+    if report.lost:
+        lines.append(
+            f"Not there, since their images in {old} are missing or altered: "
+            f"{', '.join(report.lost)}."
+        )
+    if report.n_unknown_files:
+        lines.append(
+            f"{report.n_unknown_files} files in {old} are not known to its database: "
+            "`palpate library check --repair` of the palpate that made it takes them "
+            "in; migrate again then, to another folder."
+        )
+    answer(as_json, {"library": str(new), **report._asdict()}, *lines)
+    if report.lost or report.n_unknown_files:
+        raise typer.Exit(1)
+
+
+@library.command("history")
+def show_history(folder: LibraryPath, as_json: AsJson = False) -> None:
+    """Show every rename, merge, retraction and restoration."""
+    with _opened(folder) as opened:
+        changes = [change._asdict() for change in opened.history()]
+    if as_json:
+        print_json({"library": str(folder), "changes": changes})
+        return
+    rows = [
+        [
+            datetime.fromtimestamp(change["time_s"]).isoformat(" ", "seconds"),
+            change["action"],
+            _what(change["content"]),
+        ]
+        for change in changes
+    ]
+    table(str(folder), ["time", "change", "what"], rows)
+
+
+def _what(content: dict[str, Any]) -> str:
+    """Return what a change did, on one line."""
+    names = ("old", "new", "source", "into", "object", "reason")
+    parts = [f"{name} {content[name]}" for name in names if content.get(name)]
+    touches = [counted(len(content["ids"]))] if "ids" in content else []
+    return ", ".join(touches + parts)
 
 
 @library.command()

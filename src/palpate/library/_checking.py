@@ -1,78 +1,78 @@
-"""Is everything there, is it as it was written, and what can be made of the rest."""
+"""Whether everything is there, and as it was written."""
 
 from collections.abc import Iterator
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from .._durable import PARTIAL
 from .._progress import Progress
-from . import _changes, _rows, _store
-from ._changes import Names, change_files, file_fault, known_changes, read_change
-from ._entering import enter_lost_rows, sheet_in, spare_files
-from ._files import CELLS, adopt, file_path, read_file
-from ._reading import is_whole
-from ._rows import FROM, SET_ASIDE, StoredTouch, damaged_touches, layouts, recordings
-from ._store import CHANGES, FILE_NAME, IMAGES, LibraryError, NewerLibrary, Store
+from ._changes import is_sound
+from ._content import Image, identity, wide_identity
+from ._names import Names
+from ._reading import is_whole, stored_array
+from ._rows import (
+    LOST,
+    StoredTouch,
+    Tables,
+    packed_images,
+    plain_values,
+    stored_touches,
+    wide_values,
+)
+from ._store import (
+    AT_ONCE,
+    FILE_NAME,
+    DatabaseDamaged,
+    DatabaseUnavailable,
+    LibraryError,
+    OtherVersion,
+    Store,
+    chained,
+    from_json,
+)
 
 _SHOWN = 20
-_KEPT = "t.retraction IS NULL"
-_RETRACTED = f"t.retraction IS NOT NULL AND t.retraction NOT IN ({SET_ASIDE})"
+LEFT_OUT = "left out"
+_LEFT_OUT = "SELECT 1 FROM arrays WHERE digest = ? AND content = ?"
 
 
 class Problem(NamedTuple):
-    """Something found by a check: its kind, the file concerned, and a sentence.
+    """Something found by a check: its kind, a sentence, and the touches concerned.
 
-    `kind` is "database", "disk", "version", "image", "array", "change", "file without
-    touches", "partial file" or "unprotected". Of the `touches` with these ids the image
-    or the row cannot be read or, of an array, they are read without it.
+    `kind` is "database", "disk", "version", "touch", "change", "array", "missing"
+    (numbers or order are not those that were counted), "lost" (there were more once) or
+    "left out": an array that an earlier repair did not find whole. Touches of "array"
+    and "left out" are read without it, those of "touch" are not. `touches` are ids.
     """
 
     kind: str
-    path: str
     what: str
     touches: list[str]
 
 
 class CheckReport(NamedTuple):
-    """What a check found; `ok` when nothing is wrong with any acknowledged touch.
-
-    `n_set_aside` touches, which an earlier repair found no image of, are not among
-    the `n_touches` in `n_files` image files; `problems` say what is damaged, and which
-    touches it concerns.
-    """
+    """What a check found; `ok` when nothing is wrong that a repair has not seen."""
 
     ok: bool
     n_touches: int
-    n_files: int
     problems: list[Problem]
-    n_set_aside: int = 0
 
     def __str__(self) -> str:
-        sound = "all present and as they were written."
-        state = (
-            sound
-            if self.ok
-            else f"{len(self.problems)} problem{'s' * (len(self.problems) > 1)}."
-        )
-        files = f"{self.n_files} file{'s' * (self.n_files != 1)}"
-        lines = [f"{self.n_touches} touches in {files}: {state}"]
-        if self.n_set_aside:
-            lines.append(
-                f"{self.n_set_aside} touches are set aside: their images were missing "
-                "or altered. They come back when their files do and the library is "
-                "repaired, or when they are added again."
-            )
-        lines += [f"{p.kind}: {p.path}: {p.what}" for p in self.problems[:_SHOWN]]
+        n_problems = f"{len(self.problems)} problem{'s' * (len(self.problems) > 1)}."
+        state = "all present and as they were written." if self.ok else n_problems
+        n_touches = f"{self.n_touches} touch{'es' * (self.n_touches != 1)}"
+        lines = [f"{n_touches}: {state}"]
+        lines += [f"{p.kind}: {p.what}" for p in self.problems[:_SHOWN]]
         if len(self.problems) > _SHOWN:
             lines.append(f"... and {len(self.problems) - _SHOWN} more")
         return "\n".join(lines)
 
 
 def check_library(folder: str | Path, *, progress: bool | None = None) -> CheckReport:
-    """Read everything in a library and compare it with its checksums.
+    """Read everything in a library and compare it with its digests.
 
-    Nothing is changed; a library too damaged to open is reported as well.
+    Nothing is changed. A LibraryError is a problem of the report: of a library too damaged
+    to open, or that another palpate made.
 
     Parameters
     ----------
@@ -82,209 +82,167 @@ def check_library(folder: str | Path, *, progress: bool | None = None) -> CheckR
         Show a bar on standard error when it takes over two seconds; by default
         where that is a terminal.
     """
-    adopted = adopt(Path(folder) / IMAGES)
     try:
         with closing(Store(Path(folder))) as store:
-            enter_lost_rows(store, adopted)
-            return _checked(store, progress)
+            return check_store(store, progress)
     except LibraryError as error:
-        kinds = {NewerLibrary: "version", _store.DatabaseUnavailable: "disk"}
+        kinds = {OtherVersion: "version", DatabaseUnavailable: "disk"}
         kind = next((k for t, k in kinds.items() if isinstance(error, t)), "database")
-        return CheckReport(False, 0, 0, [Problem(kind, FILE_NAME, str(error), [])])
+        return CheckReport(False, 0, [Problem(kind, str(error), [])])
 
 
-def _checked(store: Store, progress: bool | None) -> CheckReport:
-    if problems := database_problems(store):
-        return CheckReport(False, 0, 0, problems)
-    problems = row_problems(store)
-    found: dict[str, list[Problem]] = {_KEPT: [], _RETRACTED: []}
-    for key, name in image_files(store, "Checking files", progress):
-        for state, bad in found.items():
-            bad += image_problem(store, key, name, state)
-    problems += found[_KEPT]
-    remarks = found[_RETRACTED]
-    known = left_out(store)
-    for problem in array_problems(store):
-        noted = Path(problem.path).stem in known
-        (remarks if noted else problems).append(problem)
-    problems += _change_problems(store)
-    remarks += _leftovers(store)
-    if not store.sealed:
-        what = "Rows are not protected by seals until the library is next written to."
-        remarks.append(Problem("unprotected", FILE_NAME, what, []))
-    # What should be there, its files, and what is set aside.
-    aside = f"coalesce(retraction IN ({SET_ASIDE}), 0)"
-    [counts] = store.rows(
-        f"SELECT count(*) - sum({aside}), count(DISTINCT iif({aside}, NULL, file)), "
-        f"sum({aside}) FROM touches"
+def check_store(store: Store, progress: bool | None) -> CheckReport:
+    """Check a library that is open; see `check_library`."""
+    problems: list[Problem] = []
+    tables = Tables(store)
+    parts = (
+        *(_database_problems, _touch_problems, _array_problems, _change_problems),
+        _lost,
     )
-    n_touches, n_files, n_aside = (int(count or 0) for count in counts)
-    return CheckReport(not problems, n_touches, n_files, problems + remarks, n_aside)
-
-
-def database_problems(store: Store) -> list[Problem]:
-    """Return what SQLite, and the seals of its rows, find wrong with the database."""
-    rows = store.rows("PRAGMA integrity_check(5)")
-    found = [f"SQLite says: {text}" for (text,) in rows if text != "ok"]
+    for part in parts:
+        try:
+            problems += part(tables, progress)
+        except DatabaseDamaged as error:
+            problems.append(Problem("database", str(error), []))
+    n_touches = 0
     try:
-        touches = [] if found else [*damaged_touches(store).values()]
-        tables = () if found or not store.sealed else _store.SEALED
-        keys = {table: store.broken(table) for table in tables}
-    except _store.DatabaseDamaged as error:
-        return [Problem("database", FILE_NAME, str(error), [])]
-    for table, broken in keys.items():
-        if broken:
-            found.append(
-                f"{len(broken)} rows of {table} must be as they were written, got "
-                "others; --repair makes them anew from the files."
-            )
-    return [Problem("database", FILE_NAME, what, touches) for what in found]
-
-
-def row_problems(store: Store) -> list[Problem]:
-    """Name touches whose rows are not what the sheet in their file says."""
-    names, known, whole = Names(store), layouts(store), recordings(store)
-    columns = ", ".join(f't."{name}"' for name in CELLS[1:])
-    problems = []
-    for key, name in store.rows("SELECT id, name FROM files ORDER BY id"):
-        sheet = sheet_in(store, name.hex())
-        if sheet is None:
-            continue  # such a file is a problem of its own
-        cells, extras = _rows.plain_cells(sheet)
-        places = {touch: place for place, touch in enumerate(sheet.ids)}
-        rows = store.rows(
-            "SELECT t.id, t.place, t.image, t.extra, t.layout, t.recording, o.name, "
-            f"{columns} {FROM} WHERE t.file = ?",
-            [key],
-        )
-        wrong = []
-        for touch, place, *got in rows:
-            got[2:4] = known[got[2]], whole[got[3]]
-            if places.get(touch) == place:
-                label = names.now(cells[0][place], sheet.added_s)
-                given = [column[place] for column in cells[1:]]
-                said = [sheet.digests[place], extras[place], sheet.layout]
-                if got == [*said, sheet.recording, label, *_as_stored(given)]:
-                    continue
-            wrong.append(touch.hex())
-        if wrong:
-            what = (
-                f"{len(wrong)} touches must be as {name.hex()[:12]}.npy says, got "
-                "other values; --repair makes the database anew from the files."
-            )
-            problems.append(Problem("database", FILE_NAME, what, wrong))
-    return problems
-
-
-def _as_stored(cells: list[Any]) -> Iterator[Any]:
-    """Yield cells, from the second on, as SQLite keeps them: some as real numbers."""
-    for name, cell in zip(CELLS[1:], cells, strict=True):
-        if name in ("time_s", "force_n") and isinstance(cell, str):
-            with suppress(ValueError):
-                cell = float(cell)
-        yield cell
-
-
-def image_files(
-    store: Store, what: str, progress: bool | None
-) -> Iterator[tuple[int, str]]:
-    """Go through key and name of all files of images, with a bar called `what`."""
-    files = store.rows("SELECT id, name FROM files ORDER BY id")
-    with Progress(len(files), what, progress) as bar:
-        for key, name in files:
-            yield key, name.hex()
-            bar.advance(1)
-
-
-def image_problem(
-    store: Store, key: int, name: str, state: str = _KEPT
-) -> list[Problem]:
-    """Return what is wrong with a file of images that touches stand in, if anything."""
-    rows = touches_in(store, key, state)
-    fault = _fault(store, IMAGES, name) if rows else None
-    if fault is None:
-        return []
-    # Wide columns have no checksum of their own: touches with such are lost as well.
-    lost = [row.key.hex() for row in rows if not is_whole(store, row)]
-    if state != _KEPT and not lost:
-        return []
-    end = "are lost." if state == _KEPT else "that are retracted cannot come back."
-    what = f"{fault.what} {len(lost)} touches {end}"
-    return [fault._replace(what=what, touches=lost)]
-
-
-def touches_in(store: Store, file: int, state: str) -> list[StoredTouch]:
-    return _rows.stored_touches(store, f"WHERE t.file = ? AND {state}", [file])
-
-
-def _fault(store: Store, kind: str, name: str) -> Problem | None:
-    """Return what is wrong with a file of images or arrays, whomever it concerns."""
-    try:
-        read_file(store.folder / kind, name)
+        n_touches = store.count("SELECT count(*) FROM touches")
     except LibraryError as error:
-        path = file_path(store.folder / kind, name)
-        what = str(error).replace(f"{path} ", "It ")
-        short = path.relative_to(store.folder).as_posix()
-        return Problem(kind.removesuffix("s"), short, what, [])
+        problems.append(Problem("database", str(error), []))
+    ok = all(problem.kind == LEFT_OUT for problem in problems)
+    return CheckReport(ok, n_touches, problems)
+
+
+def _database_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]:
+    """Tell what SQLite itself finds."""
+    rows = tables.store.rows("PRAGMA integrity_check(20)")
+    for text in (text for (text,) in rows if text != "ok"):
+        yield Problem("database", f"SQLite says: {text}.", [])
+    odd = tables.store.rows("PRAGMA foreign_key_check")[:_SHOWN]
+    for table, key, parent, _ in odd:
+        what = f"Row {key} of {table} refers to no row of {parent}."
+        yield Problem("database", what, [])
+
+
+def _touch_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]:
+    """Name touches that are not as they were written, and places where some lack."""
+    store = tables.store
+    tally = store.tally()
+    names = tables.names()
+    chain, n_read, number = b"", 0, 0
+    with Progress(tally.n_touches, "Checking touches", progress) as bar:
+        while rows := next_rows(store, number):
+            number = rows[-1].number
+            for row in rows:
+                n_read += 1
+                if what := touch_fault(tables, row, names):
+                    yield Problem("touch", what, [_shown(row.key)])
+                if isinstance(row.digest, bytes):
+                    chain = chained(chain, [row.digest])
+            bar.advance(len(rows))
+    if n_read != tally.n_touches or chain != tally.touches:
+        yield Problem(
+            "missing",
+            f"{tally.n_touches} touches must be there in the order added, got {n_read} "
+            "or others.",
+            [],
+        )
+
+
+def next_rows(
+    store: Store, number: int, most: int = AT_ONCE, *, named: bool = True
+) -> list[StoredTouch]:
+    """Return the rows after this number, at most so many."""
+    tail = "WHERE t.number > ? ORDER BY t.number LIMIT ?"
+    return stored_touches(store, tail, [number, most], named=named)
+
+
+def touch_fault(tables: Tables, row: StoredTouch, names: Names | None) -> str | None:
+    """Return what is wrong with a touch, or None; `names` are as for `is_sound`."""
+    if not isinstance(row.key, bytes) or not tables.is_sound(row, names):
+        return f"Row {row.number} must be as it was written, got other values."
+    if not is_whole(tables, row):
+        return f"The image of touch {row.key.hex()} must be as it was added."
+    [packed] = packed_images(tables, [row])
+    stored = packed.images[0]
+    assert stored is not None  # it is whole
+    if row.key != _identity(tables, row, stored):
+        return f"The id of touch {row.key.hex()} must follow from what it holds."
     return None
 
 
-def array_problems(store: Store) -> list[Problem]:
-    users: dict[str, dict[int, str]] = {}
-    for key, whole in store.rows("SELECT id, whole FROM recordings ORDER BY id"):
-        for entry, name in _store.from_json(whole).items():
-            users.setdefault(name, {})[key] = entry
-    problems = []
-    for name, entries in sorted(users.items()):
-        fault = _fault(store, _store.ARRAYS, name)
-        if fault is not None:
-            sql = "SELECT id FROM touches WHERE recording IN (?) ORDER BY number"
-            touches = [row[0].hex() for row in store.among(sql, list(entries))]
-            what = (
-                f"{fault.what} {len(touches)} touches are read without their "
-                f"{next(iter(entries.values()))}; adding them again brings it back."
-            )
-            problems.append(fault._replace(what=what, touches=touches))
-    return problems
+def _identity(tables: Tables, row: StoredTouch, stored: Image) -> bytes:
+    """Return the id that follows from what a touch is and was called."""
+    [values] = plain_values([row])
+    wide = wide_values(tables, row, stored) if stored.more is not None else {}
+    apart = wide_identity({name: value[None] for name, value in wide.items()}, 0)
+    return identity(row.image, {**values, "object": row.label}, apart)
 
 
-def left_out(store: Store) -> set[str]:
-    """Return the names of arrays that an earlier repair found lost."""
-    rows = store.rows("SELECT content FROM changes WHERE action = 'leave_out'")
-    return {name for (text,) in rows for name in _store.from_json(text)["arrays"]}
+def _shown(key: object) -> str:
+    return key.hex() if isinstance(key, bytes) else str(key)
 
 
-def _change_problems(store: Store) -> Iterator[Problem]:
-    """Name what the database and the files of changes do not agree on."""
-    known, files = known_changes(store), change_files(store)
-    told = _changes.told_changes(known | _changes.readable_changes(files))
-    for name, brief in known.items():
-        fault = file_fault(store, name, brief)
-        if fault is not None:
-            what = (
-                f"It must be as it was written, got: {fault}. The database knows this "
-                f"{brief['action']}; --repair writes its file anew."
-            )
-            yield Problem("change", f"{CHANGES}/{name}.json", what, [])
-    for name in sorted(files.keys() - known.keys()):
+def _array_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]:
+    users: dict[str, list[tuple[int, str]]] = {}
+    store = tables.store
+    for (key,) in store.rows("SELECT id FROM recordings ORDER BY id"):
+        for entry, digest in tables.recording(key).whole.items():
+            users.setdefault(digest, []).append((key, entry))
+    for digest, entries in sorted(users.items()):
         try:
-            action = read_change(files[name])["action"]
-            done = "carries it out" if name in told else "sets it aside"
+            stored_array(tables, digest)
+        except LibraryError as error:
+            known = store.one(_LEFT_OUT, [bytes.fromhex(digest), LOST])
+            sql = "SELECT id FROM touches WHERE recording IN (?) ORDER BY number"
+            rows = store.among(sql, [key for key, _ in entries])
             what = (
-                f"The database lacks this {action}: it has been lost and "
-                f"made anew, or a writer was killed. --repair {done}."
+                f"{error} {len(rows)} touches are read without their {entries[0][1]}."
             )
-        except (OSError, ValueError) as error:
-            what = f"It must be a change, got: {error}. --repair sets it aside."
-        yield Problem("change", f"{CHANGES}/{name}.json", what, [])
+            kind = LEFT_OUT if known else "array"
+            yield Problem(kind, what, [_shown(row[0]) for row in rows])
 
 
-def _leftovers(store: Store) -> Iterator[Problem]:
-    spare = "No touch is found in it; harmless. --repair takes its touches in."
-    begun = "A writer was killed, or is writing it now; harmless."
-    partial = sorted(store.folder.rglob(f"{PARTIAL}*"))
-    left = [("file without touches", path, spare) for path in spare_files(store)]
-    for kind, path, what in left + [("partial file", path, begun) for path in partial]:
-        with suppress(OSError):  # renamed meanwhile; empty ones wait to be written to
-            if path.stat().st_size:
-                yield Problem(kind, path.relative_to(store.folder).as_posix(), what, [])
+def _change_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]:
+    """Compare changes, and what touches and objects are with what changes say."""
+    store = tables.store
+    tally = store.tally()
+    rows = store.rows(
+        "SELECT id, time_s, after, action, content, digest FROM changes ORDER BY id"
+    )
+    chain = b""
+    retracted: dict[str, int] = {}
+    numbers = dict(store.rows("SELECT lower(hex(id)), number FROM touches"))
+    for key, time_s, after, action, text, digest in rows:
+        if not is_sound([time_s, after, action, text], digest):
+            yield Problem("change", f"Change {key} must be as it was made.", [])
+            continue
+        chain = chained(chain, [digest])
+        for touch in from_json(text).get("ids", ()):
+            # One that a repair lost may have been added again since.
+            if not 0 < numbers.get(touch, 0) <= after:
+                continue
+            if action == "retract":
+                retracted.setdefault(touch, key)
+            else:
+                retracted.pop(touch, None)
+    if len(rows) != tally.n_changes or chain != tally.changes:
+        what = f"{tally.n_changes} changes must be there, got {len(rows)} or others."
+        yield Problem("missing", what, [])
+    sql = "SELECT lower(hex(id)), retraction FROM touches WHERE retraction IS NOT NULL"
+    known = dict(store.rows(sql))
+    if odd := sorted(key for key, _ in known.items() ^ retracted.items()):
+        what = "Touches must be retracted as the changes say, got others."
+        yield Problem("change", what, list(dict.fromkeys(odd)))
+
+
+def _lost(tables: Tables, progress: bool | None) -> Iterator[Problem]:
+    n_touches, n_changes = tables.store.n_lost()
+    if n_touches or n_changes:
+        yield Problem(
+            "lost",
+            f"There were {n_touches} more touches and {n_changes} more changes once: "
+            "the log was damaged, a disk lost what it had acknowledged, or an older "
+            f"{FILE_NAME} took its place.",
+            [],
+        )

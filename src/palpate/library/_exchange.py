@@ -1,9 +1,7 @@
 """Touches of a library as archive, Parquet file or LeRobotDataset.
 
-A Parquet file has one row per touch: `image` is a list of n_rows * n_cols values (times
-n_channels where images have these), row by row, in the sensor's own type; columns keep
-their names, vectors become lists. What describes the whole set stands in the schema's
-metadata under `palpate`, as JSON.
+Parquet is written by `palpate.touches`, one row a touch; images that came as pictures
+are written as these.
 
 Of a LeRobotDataset v3.0 [1]_ one touch is one frame, one object in one session (and
 episode) is one episode, and its task is "touch <object>", or "touch" without a label.
@@ -24,10 +22,12 @@ import json
 import secrets
 import shutil
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from itertools import chain
+from math import prod
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
@@ -35,23 +35,37 @@ from .._checks import ARRAY_SIDE
 from .._durable import PARTIAL, flush_all, flush_folder
 from .._extras import needed
 from .._types import Array, Floats, Indices
-from ..touches import RGB, Touches, png_bytes
-from ._reading import common_kind, read_columns, read_touches, read_whole
-from ._rows import FROM, Numbers
-from ._store import AT_ONCE, LibraryError, Store, room_for
+from ..touches import (
+    RGB,
+    Touches,
+    parquet_metadata,
+    parquet_table,
+    png_bytes,
+    url_of,
+)
+from ._reading import Picked, read_array
+from ._rows import FROM, Numbers, Tables
+from ._store import AT_ONCE, LibraryError, room_for
 
 TACTILE = "observation.tactile"
 _LEROBOT_VERSION = "v3.0"
 _FRAMES_PER_SECOND = 1
 _FILE = "chunk-{:03d}/file-{:03d}.parquet"
 _PARTS, _KINDS = ("data", "meta/episodes"), ("chunk", "file")
+_BYTES_AT_ONCE = 64 * 2**20
+_KEYS = ("object", "category", "session", "episode", "sensor")
 _TEXTS, _NUMBERS = ("object", "category", "session"), ("time_s", "order")
 _MEASURED = ("observation.position_mm", "observation.force_n")
 
 
-def export_touches(store: Store, numbers: Numbers, path: Path) -> int:
+def export_touches(
+    tables: Tables, numbers: Numbers, path: str | Path, by: str | None = None
+) -> int:
     """Write touches to `path`, whose ending says how; return how many."""
-    common_kind(store, numbers)
+    picked = Picked(tables, numbers)
+    if (url := url_of(path)) is not None:
+        return _to_store(picked, url, by)
+    path = Path(path)
     path = path if path.name else path.absolute()  # "." and ".." have no name
     kind = path.suffix.lower()
     if kind not in _WRITERS:
@@ -59,12 +73,14 @@ def export_touches(store: Store, numbers: Numbers, path: Path) -> int:
             "What is exported must be an archive (.npz), a Parquet file (.parquet) or "
             f"a folder for a LeRobotDataset, got {path.name!r}."
         )
+    _refuse_by(by, kind)
     if not path.parent.is_dir():
         raise LibraryError(
             f"What is exported must go to a folder that exists, got {str(path)!r}. "
             f"Make {str(path.parent)!r} first."
         )
-    if not kind and path.exists() and (not path.is_dir() or any(path.iterdir())):
+    is_folder = not kind or by is not None
+    if is_folder and path.exists() and (not path.is_dir() or any(path.iterdir())):
         got = "files in it" if path.is_dir() else "a file"
         raise LibraryError(
             f"{path} must be a new or empty folder, got {got}. Give another one."
@@ -73,7 +89,10 @@ def export_touches(store: Store, numbers: Numbers, path: Path) -> int:
     fix = "Nothing is left there; free space, or give another one."
     try:
         with room_for(f"{len(numbers)} touches", path, fix):
-            _WRITERS[kind](partial, store, numbers)
+            if by is None:
+                _WRITERS[kind](partial, picked)
+            else:
+                _write_parts(picked, by, partial, _made)
             flush_all(partial)
             partial.replace(path)
             flush_folder(path.absolute().parent)
@@ -85,70 +104,135 @@ def export_touches(store: Store, numbers: Numbers, path: Path) -> int:
     return len(numbers)
 
 
-def _write_parquet(path: Path, store: Store, numbers: Numbers) -> None:
-    """Write one row group for every `AT_ONCE` touches."""
-    starts = range(0, len(numbers), AT_ONCE)
-    rows = (np.arange(s, min(s + AT_ONCE, len(numbers))) for s in starts)
-    parts = _parts(store, numbers, rows)
-    _write_tables(path, map(_parquet_table, parts), compression="zstd")
-
-
-def _parquet_table(touches: Touches) -> Any:
-    pa = needed("pyarrow", "parquet", "Writing Parquet")
-    columns = {"image": touches.images, **touches.columns}
-    sides = ("n_rows", "n_cols", "n_channels")
-    about = {
-        "format": 1,
-        **dict(zip(sides, touches.images.shape[1:], strict=False)),
-        "dtype": touches.images.dtype.str,
-        "whole": {name: array.tolist() for name, array in touches.whole.items()},
-    }
-    table = pa.table({name: _arrow(pa, name, array) for name, array in columns.items()})
-    return table.replace_schema_metadata({"palpate": json.dumps(about, default=str)})
-
-
-def _arrow(pa: Any, name: str, array: Array) -> Any:
-    """Return one column; every further axis becomes one flat list per row."""
-    native = array.astype(array.dtype.newbyteorder("="))
-    try:
-        if array.ndim == 1:
-            return pa.array(native)
-        flat = pa.array(np.ascontiguousarray(native).reshape(-1))
-        return pa.FixedSizeListArray.from_arrays(flat, int(np.prod(array.shape[1:])))
-    except (pa.ArrowException, ValueError, TypeError) as error:
+def _refuse_by(by: str | None, kind: str) -> None:
+    if by is not None and (by not in _KEYS or kind != ".parquet"):
         raise LibraryError(
-            f"Column {name!r} must have a type that Parquet holds, got "
-            f"{array.dtype}. Leave it out, or convert it."
+            f"by must be one of {', '.join(_KEYS)}, and for Parquet alone, got {by!r} "
+            f"with {kind or 'a folder'!r}. Give a folder that ends in .parquet."
+        )
+
+
+def _to_store(picked: Picked, url: str, by: str | None) -> int:
+    """Write Parquet to a store that fsspec knows."""
+    fsspec = needed("fsspec.core", "parquet", "Writing to a store")
+    kind = Path(url).suffix.lower()
+    if kind != ".parquet":
+        raise LibraryError(
+            f"What goes to a store must be Parquet (.parquet), got {url!r}."
+        )
+    _refuse_by(by, kind)
+    try:
+        system, place = fsspec.url_to_fs(url)
+        if by is None:
+            with system.open(place, "wb") as file:
+                _write_parquet(file, picked)
+        else:
+            _write_parts(picked, by, place, lambda name: system.open(name, "wb"))
+    except (OSError, ImportError) as error:
+        raise LibraryError(
+            f"{url} must be an address that fsspec can write to, got: {error}."
         ) from error
+    except ValueError as error:
+        if isinstance(error, LibraryError):
+            raise
+        raise LibraryError(f"{url} must be an address of a store: {error}.") from error
+    return len(picked)
 
 
-def _write_lerobot(path: Path, store: Store, numbers: Numbers) -> None:
+def _made(name: str) -> Any:
+    """Open a file to write, in folders that are made."""
+    path = Path(name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path.open("wb")
+
+
+def _write_parts(
+    picked: Picked, by: str, folder: str | Path, opened: Callable[[str], Any]
+) -> None:
+    """Write one file for each value of a column, in folders named `by=value`."""
+    values = picked.columns().get(by)
+    if values is None:
+        raise LibraryError(
+            f"by must be a column of the touches, got {by!r}, which they lack."
+        )
+    for value in np.unique(values):
+        name = f"{by}={quote(str(value), safe='')}"
+        with opened(f"{folder}/{name}/part-0.parquet") as file:
+            _write_parquet(file, picked[np.flatnonzero(values == value)], without=by)
+
+
+def _write_parquet(file: Any, picked: Picked, without: str | None = None) -> None:
+    """Write one row group for every `AT_ONCE` touches, fewer of large images."""
+    pq = needed("pyarrow.parquet", "parquet", "Writing Parquet")
+    shape, dtype = picked.kind
+    n_bytes = max(1, prod(shape) * dtype.itemsize)
+    step = max(1, min(AT_ONCE, _BYTES_AT_ONCE // n_bytes))
+    common = picked.columns()
+    keys = picked.recordings()
+    places = {key: place for place, key in enumerate(dict.fromkeys(keys))}
+    recordings = [_described(picked.tables, key) for key in places]
+    numbers = np.array([places[key] for key in keys])
+    channels = picked.channels()
+    with ExitStack() as stack:
+        writer = None
+        for start in range(0, len(picked), step):
+            rows = np.arange(start, min(start + step, len(picked)))
+            images = np.empty((len(rows), *shape), dtype)
+            part = picked[rows]
+            columns = {
+                **part.columns(images),
+                **{n: c[rows] for n, c in common.items()},
+            }
+            columns.pop(without or "", None)
+            kept = images, columns, part.files(), channels, numbers[rows]
+            table = parquet_table(*kept)
+            if writer is None:
+                dtypes = {"image": dtype.str}
+                dtypes |= {name: column.dtype.str for name, column in columns.items()}
+                about = parquet_metadata(table.schema, dtypes, recordings)
+                schema = table.schema.with_metadata(about)
+                options = {"compression": "zstd"}
+                writer = stack.enter_context(pq.ParquetWriter(file, schema, **options))
+            writer.write_table(table.cast(writer.schema))
+
+
+def _described(tables: Tables, key: int) -> dict[str, Any]:
+    """Return what a Parquet file says of a recording."""
+    recording = tables.recording(key)
+    whole = {n: read_array(tables, n, digest) for n, digest in recording.whole.items()}
+    known = {n: array for n, array in whole.items() if array is not None}
+    if recording.geometry is not None:
+        known["geometry"] = np.array(recording.geometry)
+    names = ("sensor", "kind", "unit", "pitch_mm")
+    return {"whole": known, **{name: getattr(recording, name) for name in names}}
+
+
+def _write_lerobot(path: Path, picked: Picked) -> None:
     """Write a new folder; episodes are read one by one."""
     pa = needed("pyarrow", "parquet", "Writing a LeRobotDataset")
     data = path / "data" / _FILE.format(0, 0)
     data.parent.mkdir(parents=True)
-    dataset = _Dataset(read_whole(store, numbers))
+    dataset = _Dataset(picked.whole())
+    numbers = picked.numbers
     columns = "o.name, t.session, t.episode, t.number"
     sql = f"SELECT {columns} {FROM} WHERE t.number IN (?) ORDER BY t.number"
     groups: dict[tuple[Any, ...], list[int]] = {}
-    for *key, number in store.among(sql, numbers.tolist()):
+    for *key, number in picked.tables.store.among(sql, numbers.tolist()):
         groups.setdefault(tuple(key), []).append(number)
     rows = (np.searchsorted(numbers, some) for some in groups.values())
-    episodes = _parts(store, numbers, rows)
+    episodes = _parts(picked, rows)
     _write_tables(data, (_frame_table(pa, dataset.add(e)) for e in episodes))
     _write_meta(pa, path / "meta", dataset)
 
 
-def _parts(
-    store: Store, numbers: Numbers, places: Iterable[Indices]
-) -> Iterator[Touches]:
+def _parts(picked: Picked, places: Iterable[Indices]) -> Iterator[Touches]:
     """Read some touches at a time, with the columns that all of an export have.
 
     Read by themselves some would lack what none of them has.
     """
-    common = read_columns(store, numbers)
+    common = picked.columns()
     for rows in places:
-        touches = read_touches(store, numbers[rows])
+        touches = picked[rows].touches()
         columns = {name: column[rows] for name, column in common.items()}
         wide = {n: c for n, c in touches.columns.items() if n not in columns}
         wide.pop("category", None)
@@ -348,8 +432,8 @@ _TASKS_PANDAS = {
 }
 
 
-_WRITERS: dict[str, Callable[[Path, Store, Numbers], None]] = {
-    ".npz": lambda path, store, numbers: read_touches(store, numbers).save(path),
+_WRITERS: dict[str, Callable[[Path, Picked], None]] = {
+    ".npz": lambda path, picked: picked.touches().save(path),
     ".parquet": _write_parquet,
     "": _write_lerobot,
 }

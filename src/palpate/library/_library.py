@@ -1,39 +1,62 @@
-"""`TouchLibrary`: touches in a folder, none of them ever lost."""
+"""`TouchLibrary`: touches in a SQLite database, none of them ever lost."""
 
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
+from .._checks import check_option
 from .._durable import flush_folder
 from .._types import Array
 from ..touches import Touches
-from . import _adding, _reading
-from ._adding import ObjectRow, SensorDescription, TouchRow, condition, numbers_of
-from ._changes import checked_name, chosen_ids, known_object, make_change
-from ._checking import CheckReport, check_library
-from ._entering import enter_lost_rows
+from . import _adding
+from ._adding import ObjectRow, SensorDescription, TouchRow, condition
+from ._changes import (
+    Change,
+    checked_name,
+    chosen_ids,
+    history,
+    known_object,
+    make_change,
+)
+from ._checking import CheckReport, check_store
 from ._exchange import export_touches
-from ._files import adopt
-from ._reading import IN_MEMORY, Selection, read_array, read_images, read_touches
-from ._repairing import RepairReport, repair_library
-from ._rows import FROM, Numbers, read_one, read_rows, without_damaged
-from ._store import FILE_NAME, IMAGES, LibraryError, Store, holds_files, is_unicode
+from ._reading import IN_MEMORY, Picked, Selection, read_array, sound_numbers
+from ._repairing import RepairReport, backup_library, repair_library
+from ._rows import (
+    FROM,
+    Numbers,
+    StoredTouch,
+    Tables,
+    packed_images,
+    read_one,
+    rows_at,
+)
+from ._store import (
+    COUNT_NAME,
+    FILE_NAME,
+    LibraryError,
+    Store,
+    is_unicode,
+    warn_of_network,
+)
 from ._where import objects_asked
 
 MAX_BYTES = 64 * 2**30
 Sensors = list[SensorDescription]
 Ids = list[str]  # inside the class, `list` is a method
+Changes = list[Change]
 
 
 class TouchLibrary:
     """Touches in a folder: durable, searchable, growing.
 
-    A SQLite database holds what is known of every touch; the images are plain
-    `.npy` files named after their content. When `add` has returned, its touches
-    survive a killed program and a power cut. Several programs of one machine may
-    read and write at once; one library object may be shared by threads.
+    One SQLite database holds images and what is known of every touch. When `add` has
+    returned, its touches survive a killed program and, on a disk that flushes when it
+    says so, a power cut. Several programs of one machine may read and write at once;
+    one library object may be shared by threads.
 
     Parameters
     ----------
@@ -55,13 +78,19 @@ class TouchLibrary:
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
-        adopted = adopt(self.folder / IMAGES)
         self._store = Store(self.folder)
-        try:
-            enter_lost_rows(self._store, adopted)
-        except BaseException:
-            self._store.close()
-            raise
+        self._tables = Tables(self._store)
+        warn_of_network(self.folder)
+        n_touches, n_changes = self._store.n_lost()
+        if n_touches or n_changes:
+            warnings.warn(
+                f"{self.folder} once held {n_touches} more touches and {n_changes} "
+                "more changes: its log was damaged, a disk lost what it had "
+                "acknowledged, or an older file took its place. Add them again, or put "
+                "a backup back; "
+                "`palpate library check --repair` accepts it as it is.",
+                stacklevel=3,
+            )
 
     @classmethod
     def open(cls, folder: str | Path, create: bool = False) -> Self:
@@ -73,23 +102,24 @@ class TouchLibrary:
             There is none, it is damaged, or a newer palpate made it.
         """
         place = Path(folder)
-        # Where there are files the database came first: without one it was lost.
-        if create and not holds_files(place):
+        if create:
             try:
                 place.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise LibraryError(
                     f"{place} must be a folder that can be made, got: {error.strerror}."
                 ) from error
+            is_new = not (place / FILE_NAME).is_file()
             Store(place, create=True).close()  # several programs may try at once
-            flush_folder(place)
-            flush_folder(place.parent)
+            if is_new:
+                flush_folder(place)
+                flush_folder(place.parent)
         return cls(place)
 
     @staticmethod
     def is_library(folder: str | Path) -> bool:
         """Tell whether `folder` holds a library, even one whose database is lost."""
-        return (Path(folder) / FILE_NAME).is_file() or holds_files(Path(folder))
+        return any((Path(folder) / name).is_file() for name in (FILE_NAME, COUNT_NAME))
 
     def __enter__(self) -> Self:
         return self
@@ -192,19 +222,44 @@ class TouchLibrary:
         damaged : {"raise", "skip"}
             As for `touches`.
         """
-        store, some = self._store, [-1 if limit is None else limit, offset]
-        if where is None and damaged == "raise":  # rows not shown do not matter
-            sql, values = condition(store, None, "unseen", retracted=retracted)
-            query = f"SELECT number FROM touches t WHERE {sql} ORDER BY number"
-            found = store.rows(f"{query} LIMIT ? OFFSET ?", some)
-            page = bool(found) and len(found) == limit
-            ends = (found[-1][0], found[0][0] if offset else 1) if page else ()
-            without_damaged(store, damaged, *ends)
-        else:
-            sql, values = condition(store, where, damaged, retracted=retracted)
-        tail = f"WHERE {sql} ORDER BY t.number LIMIT ? OFFSET ?"
-        rows = read_rows(store, TouchRow._fields, tail, [*values, *some])
-        return [TouchRow._make((*known, bool(gone), why)) for *known, gone, why in rows]
+        sql, values = condition(self._store, where, retracted=retracted)
+        page = [-1 if limit is None else limit, offset]
+        chosen = self._store.rows(
+            f"SELECT t.number {FROM} WHERE {sql} ORDER BY t.number LIMIT ? OFFSET ?",
+            [*values, *page],
+        )
+        numbers = [row[0] for row in chosen]
+        reasons = dict(
+            self._store.rows(
+                "SELECT id, json_extract(content, '$.reason') FROM changes "
+                "WHERE action = 'retract'"
+            )
+        )
+        parts = rows_at(self._tables, numbers, damaged)
+        return [self._listed(row, reasons) for part in parts for row in part]
+
+    def _listed(self, row: StoredTouch, reasons: dict[int, str]) -> TouchRow:
+        recording = self._tables.recording(row.recording)
+        name, category, session, episode, sensor, order, time_s, force_n = row.cells[:8]
+        n_rows, n_cols, *n_channels = recording.image_shape
+        return TouchRow(
+            row.key.hex(),
+            name,
+            category,
+            session,
+            episode,
+            recording.sensor if sensor is None else sensor,
+            order,
+            time_s,
+            force_n,
+            n_rows,
+            n_cols,
+            n_channels[0] if n_channels else None,
+            recording.dtype.str,
+            row.added_s,
+            row.retraction is not None,
+            reasons.get(row.retraction or 0),
+        )
 
     def refuse_unknown(self, where: str | None) -> None:
         """Refuse a filter `object = NAME` of a name that no object has, or had."""
@@ -218,32 +273,39 @@ class TouchLibrary:
 
     def image(self, id: str) -> Array:
         """Return the image of one touch, (n_rows, n_cols[, n_channels])."""
-        return np.asarray(read_images(self.folder, [read_one(self._store, id)])[0])
+        row = read_one(self._tables, id)
+        [packed] = packed_images(self._tables, [row])
+        return packed.one(0)
 
     def no_contact(self, session: str | int | None = None) -> Array | None:
         """Return the latest no-contact image of a session (of all), or None.
 
         One that is missing or altered is passed over with a warning.
         """
-        without_damaged(self._store, "raise")
-        chosen = "" if session is None else "AND t.session IS ? "
+        chosen = "" if session is None else "WHERE session IS ? "
         rows = self._store.rows(
-            "SELECT json_extract(r.whole, '$.no_contact') AS name FROM touches t "
-            f"JOIN recordings r ON r.id = t.recording WHERE name IS NOT NULL {chosen}"
-            "GROUP BY name ORDER BY max(t.number) DESC",
+            f"SELECT recording FROM touches {chosen}GROUP BY recording "
+            "ORDER BY max(number) DESC",
             [] if session is None else [session],
         )
-        images = (read_array(self._store, "no_contact", row[0]) for row in rows)
-        return next((image for image in images if image is not None), None)
+        for (key,) in rows:
+            digest = self._tables.recording(key).whole.get("no_contact")
+            if digest is not None:
+                image = read_array(self._tables, "no_contact", digest)
+                if image is not None:
+                    return image
+        return None
 
     def sensors(self) -> Sensors:
         """Return the sensors that took the touches, in the order first met."""
-        without_damaged(self._store, "raise", 0)
-        rows = self._store.rows(
-            "SELECT sensor, kind, unit, pitch_mm, geometry FROM recordings "
-            "WHERE sensor IS NOT NULL ORDER BY id"
-        )
-        return list(dict.fromkeys(SensorDescription(*row) for row in rows))
+        keys = self._store.rows("SELECT id FROM recordings ORDER BY id")
+        recordings = [self._tables.recording(key) for (key,) in keys]
+        described = [
+            SensorDescription(r.sensor, r.kind, r.unit, r.pitch_mm, r.geometry)
+            for r in recordings
+            if r.sensor is not None
+        ]
+        return [*dict.fromkeys(described)]
 
     def touches(
         self,
@@ -266,8 +328,7 @@ class TouchLibrary:
             held in memory.
         damaged : {"raise", "skip"}
             What becomes of touches whose row or image is damaged: all are refused,
-            or a warning says how many are left out. Whether one with a damaged row
-            meets the filter cannot be known, so any in the library counts.
+            or a warning says how many are left out.
 
         Raises
         ------
@@ -282,8 +343,8 @@ class TouchLibrary:
         image) are left out; see `no_contact`. So are, with a warning, those whose
         file is missing or altered.
         """
-        numbers = self._numbers(where, damaged)
-        return read_touches(self._store, numbers, max_bytes, in_memory)
+        picked = Picked(self._tables, self._numbers(where, damaged))
+        return picked.touches(max_bytes, in_memory)
 
     def select(self, where: str | None = None, *, damaged: str = "raise") -> Selection:
         """Return touches as a source that reads images only as they are needed.
@@ -291,36 +352,45 @@ class TouchLibrary:
         `ObjectRecogniser.fit` and `add_object` take it in place of `Touches`; `damaged`
         is as for `touches`.
         """
-        return Selection(self._store, self._numbers(where, damaged))
+        return Selection(Picked(self._tables, self._numbers(where, damaged)))
 
-    def _numbers(self, where: str | None, damaged: str) -> Numbers:
-        numbers = numbers_of(self._store, where, damaged)
-        skip = damaged == "skip"
-        return _reading.with_images(self._store, numbers) if skip else numbers
+    def _numbers(self, where: str | None, damaged: str = "raise") -> Numbers:
+        """Return the numbers of the touches that meet a filter, in the order added."""
+        sql, values = condition(self._store, where)
+        query = f"SELECT t.number {FROM} WHERE {sql} ORDER BY t.number"
+        rows = self._store.rows(query, values)
+        numbers = np.fromiter((row[0] for row in rows), dtype=np.int64, count=len(rows))
+        check_option("damaged", damaged, ("raise", "skip"))
+        return sound_numbers(self._tables, numbers) if damaged == "skip" else numbers
 
-    def export(self, path: str | Path, where: str | None = None) -> int:
+    def export(
+        self, path: str | Path, where: str | None = None, *, by: str | None = None
+    ) -> int:
         """Write touches in another form and return how many there are.
 
         Parameters
         ----------
         path : path
             `.npz` is a touch archive, `.parquet` a Parquet file, and a new folder a
-            LeRobotDataset (format v3.0).
+            LeRobotDataset (format v3.0). Parquet may go to a store that fsspec knows
+            (`s3://bucket/some.parquet`).
         where : str, optional
             A filter such as "object = mug and force_n > 0.5".
+        by : {"object", "category", "session", "episode", "sensor"}, optional
+            Of Parquet, write a folder with one file for each value of this column.
         """
-        return export_touches(self._store, numbers_of(self._store, where), Path(path))
+        return export_touches(self._tables, self._numbers(where), path, by)
 
     def rename_object(self, old: str, new: str) -> None:
         """Give an object another name; the old one is free afterwards."""
         _, now = known_object(self._store, old)
-        make_change(self._store, action="rename", old=now, new=checked_name(new))
+        make_change(self._store, "rename", old=now, new=checked_name(new))
 
     def merge_objects(self, source: str, into: str) -> None:
         """Make two objects one; touches added as `source` go there as well."""
         _, source = known_object(self._store, source)
         _, into = known_object(self._store, into)
-        make_change(self._store, action="merge", source=source, into=into)
+        make_change(self._store, "merge", source=source, into=into)
 
     def retract(
         self,
@@ -340,23 +410,44 @@ class TouchLibrary:
             raise ValueError(f"reason must be a text, got {reason!r}. Say why.")
         chosen = chosen_ids(self._store, ids, object, "IS NULL")
         known = {"ids": chosen, "object": object, "reason": reason}
-        return make_change(self._store, action="retract", **known)
+        return make_change(self._store, "retract", **known)
 
     def restore(
         self, ids: str | Iterable[str] | None = None, *, object: str | None = None
     ) -> int:
         """Take retracted touches back in; return how many it concerned."""
         chosen = chosen_ids(self._store, ids, object, "IS NOT NULL")
-        return make_change(self._store, action="restore", ids=chosen, object=object)
+        return make_change(self._store, "restore", ids=chosen, object=object)
+
+    def history(self) -> Changes:
+        """Return every rename, merge, retraction and restoration, in their order."""
+        return history(self._store)
 
     def stats(self) -> _adding.Stats:
         """Return how much the library holds."""
         return _adding.stats_of(self._store)
 
     def check(self, *, progress: bool | None = None) -> CheckReport:
-        """Read everything and compare it with its checksums; see `check_library`."""
-        return check_library(self.folder, progress=progress)
+        """Read everything and compare it with its digests; see `check_library`."""
+        return check_store(self._store, progress)
 
     def repair(self, *, progress: bool | None = None) -> RepairReport:
-        """Set aside what is damaged and recover what is not; see `repair_library`."""
-        return repair_library(self.folder, progress=progress)
+        """Keep what is whole and set the damaged file aside; see `repair_library`."""
+        self.close()
+        try:
+            return repair_library(self.folder, progress=progress)
+        finally:
+            self._store = Store(self.folder)
+            self._tables = Tables(self._store)
+
+    def backup(self, folder: str | Path, *, progress: bool | None = None) -> int:
+        """Copy the library to a new folder while it is used; return the touches there.
+
+        It is a library itself. `features/` is not copied: it is made again.
+
+        Raises
+        ------
+        LibraryError
+            `folder` is not new or empty, or the disk is full; nothing is left then.
+        """
+        return backup_library(self._store, Path(folder), progress=progress)

@@ -1,81 +1,65 @@
-"""Make a damaged library whole as far as its files allow; nothing is deleted."""
+"""What is whole of a damaged library kept in a new database; copies of a whole one."""
 
+import os
 import secrets
+import shutil
+import tempfile
 import time
-from contextlib import closing, suppress
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
+from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
-from .._durable import PARTIAL, flush_folder
-from . import _changes as changes
-from . import _checking as checking
-from . import _rows, _store
-from ._entering import enter_all, enter_lost_rows, set_aside, sheet_in
-from ._files import Sheet, adopt, file_path, publish
-from ._reading import is_whole, read_images
-from ._rows import MISSING, SET_ASIDE, StoredTouch, layouts, move_rows, recordings
-from ._store import IMAGES, SEALED, DatabaseDamaged, DatabaseUnavailable, Store
+from .._durable import PARTIAL, flush_all, flush_folder
+from .._progress import Progress
+from .._types import Array
+from ._changes import Change, enter_change, is_sound
+from ._checking import LEFT_OUT, check_store, next_rows, touch_fault
+from ._content import Batch
+from ._reading import stored_array
+from ._rows import StoredTouch, Tables, packed_images, plain_values, write_rows
+from ._store import (
+    FILE_NAME,
+    PAGE_BYTES,
+    DatabaseDamaged,
+    DatabaseUnavailable,
+    LibraryError,
+    Store,
+    from_json,
+    room_for,
+)
 
-_STALE_S = 86_400.0
-_LOGS = ("-wal", "-shm", "-journal")
-_KEYS = ("object", "layout", "recording", "file", "retraction")
-# What the old database knows, by names and digests: keys may be others, and its
-# indexes damaged.
-_CARRY = """
-INSERT OR IGNORE INTO objects (name, category) SELECT name, category
-    FROM old.objects NOT INDEXED;
-UPDATE objects SET merged_into = (
-    SELECT n.id FROM old.objects g JOIN old.objects r ON r.id = g.merged_into
-    JOIN main.objects n ON n.name = r.name WHERE g.name = objects.name)
-    WHERE merged_into IS NULL;
-INSERT OR IGNORE INTO recordings ({recordings}) SELECT {recordings}
-    FROM old.recordings NOT INDEXED;
-INSERT OR IGNORE INTO layouts (columns) SELECT columns FROM old.layouts NOT INDEXED;
-INSERT OR IGNORE INTO files (name, n_touches, offset)
-    SELECT name, n_touches, offset FROM old.files NOT INDEXED;
-INSERT OR IGNORE INTO touches ({touches}, object, layout, recording, file, retraction)
-    SELECT {touches},
-    (SELECT n.id FROM objects n JOIN old.objects o USING (name) WHERE o.id = t.object),
-    (SELECT n.id FROM layouts n JOIN old.layouts o USING (columns)
-        WHERE o.id = t.layout),
-    (SELECT n.id FROM recordings n JOIN old.recordings o USING (digest)
-        WHERE o.id = t.recording),
-    (SELECT n.id FROM files n JOIN old.files o USING (name) WHERE o.id = t.file),
-    (SELECT n.id FROM changes n JOIN old.changes o USING (name)
-        WHERE o.id = t.retraction)
-    FROM old.touches t WHERE number NOT IN ({damaged}) ORDER BY number
-"""
+DAMAGED = "damaged"
+_LOGS = ("-wal", "-shm")
+_N_PAGES = slice(28, 32)  # of a header, by the format of SQLite's files
 
 
 class RepairReport(NamedTuple):
     """What a repair did.
 
-    `rebuilt` tells whether the database was made anew from the files; `n_recovered`
-    counts touches that it did not know (any more), `n_set_aside` those retracted
-    since their image is gone, `n_restored` those whose image is back; `n_changes`
-    counts changes carried out or written anew, `n_left_out` arrays of whole
-    recordings (no-contact images) that are gone, `n_unacknowledged` changes set aside
-    that a killed writer never told anyone of, since later ones are known.
+    `rebuilt` tells whether a new database was made, of the `n_touches` and `n_changes`
+    that were whole; `lost` names touches that were not, and `n_changes_lost` counts
+    changes. The damaged database is kept as `set_aside`.
     """
 
     rebuilt: bool
-    n_recovered: int
-    n_set_aside: int
-    n_restored: int
+    n_touches: int
     n_changes: int
-    n_left_out: int
-    n_unacknowledged: int
+    lost: list[str]
+    n_changes_lost: int
+    set_aside: str | None
 
 
 def repair_library(folder: str | Path, *, progress: bool | None = None) -> RepairReport:
-    """Make a damaged library whole as far as its files allow; nothing is deleted.
+    """Make a new database of what is whole in a damaged one; nothing is deleted.
 
-    A database that is damaged or lost is made anew from the image files, which carry
-    all labels, and from the recorded changes; the old one is set aside when the new
-    one is complete. Changes that a sound database lacks are carried out, unless it
-    knows later ones: those were never acknowledged, and are set aside. Touches
-    whose image is missing or altered are retracted with that reason, and come back
-    when it does or when they are added again. Nobody else may be writing meanwhile.
+    Touches keep their ids and their order. The damaged database goes to `damaged/` in
+    the library when the new one is complete. Touches that are lost can be added again.
+    Nobody else may be writing meanwhile.
 
     Parameters
     ----------
@@ -87,171 +71,296 @@ def repair_library(folder: str | Path, *, progress: bool | None = None) -> Repai
     Raises
     ------
     LibraryError
-        A newer palpate made the library, there is none, or the disk is full or not
-        to be read: then the library is left as it was.
+        There is no library, another palpate made it, nothing of it can be read, or the
+        disk is full or not to be read: then the library is left as it was.
     """
     folder = Path(folder)
-    adopted = adopt(folder / IMAGES)
-    gained = _make_anew(folder) if _is_damaged(folder) else None
-    with closing(Store(folder)) as store:
-        n_recovered, n_changes = gained or enter_all(store, anew=False)
-        n_mended, n_aside = _mend_changes(store)
-        n_changes += n_mended
-        lost, found = _lost_and_found(store, progress)
-        if lost:
-            changes.make_change(store, action="retract", ids=lost, reason=MISSING)
-        if found:
-            changes.make_change(store, action="restore", ids=found)
-        n_left_out = _leave_out_arrays(store)
-        enter_lost_rows(store, adopted)
-        # Partial files that no living writer can be writing.
-        for path in folder.rglob(f"{PARTIAL}*"):
-            with suppress(OSError):
-                if time.time() - path.stat().st_mtime > _STALE_S:
-                    path.unlink()
-    counts = n_recovered, len(lost), len(found), n_changes, n_left_out, n_aside
-    return RepairReport(gained is not None, *counts)
+    with _opened(folder) as old:
+        report = check_store(old, progress)
+        # That there were more touches once is all: what is there is accepted.
+        kinds = {problem.kind for problem in report.problems} - {LEFT_OUT}
+        fewer = kinds == {"lost"} and any(old.n_lost())
+        if old.path.name != FILE_NAME or not (report.ok or fewer):
+            return _rebuild(folder, old, progress)
+        old.accept()
+        tally = old.tally()
+        return RepairReport(False, tally.n_touches, tally.n_changes, [], 0, None)
 
 
-def _is_damaged(folder: Path) -> bool:
-    """Tell whether the database is damaged; a failing disk is no damage."""
+@contextmanager
+def _opened(folder: Path) -> Iterator[Store]:
+    """Open a damaged library; one whose first page is damaged with that of another.
+
+    All libraries have one schema, which stands there, and the numbers of the pages
+    where tables begin.
+    """
+    with ExitStack() as stack:
+        try:
+            old = Store(folder, alone=True)
+            stack.callback(old.close)
+            old.rows("SELECT number, n_touches FROM touches, tally LIMIT 0")
+        except DatabaseDamaged as damaged:
+            stack.close()
+            copy = _with_new_first_page(folder)
+            if copy is None:
+                raise
+            stack.callback(_unlink, copy)
+            try:
+                old = Store(folder, name=copy.name)
+            except LibraryError:
+                raise damaged from None
+            stack.callback(old.close)
+        yield old
+
+
+def _with_new_first_page(folder: Path) -> Path | None:
+    """Return a copy of a database with a new first page, if that may help."""
+    path = folder / FILE_NAME
+    content = path.read_bytes()
+    log = path.with_name(f"{path.name}-wal")
+    if len(content) <= PAGE_BYTES or (log.exists() and log.stat().st_size):
+        return None
+    with tempfile.TemporaryDirectory() as scratch:
+        Store(Path(scratch), create=True).close()
+        page = bytearray((Path(scratch) / FILE_NAME).read_bytes()[:PAGE_BYTES])
+    page[_N_PAGES] = (len(content) // PAGE_BYTES).to_bytes(4, "big")
+    copy = folder / f"{PARTIAL}{secrets.token_hex(8)}.sqlite"
+    copy.write_bytes(page + content[PAGE_BYTES:])
+    return copy
+
+
+def _unlink(path: Path) -> None:
+    for log in ("", *_LOGS):
+        with suppress(OSError):
+            path.with_name(f"{path.name}{log}").unlink()
+
+
+def _rebuild(folder: Path, old: Store, progress: bool | None) -> RepairReport:
+    """Make a new database, and only then set the old one aside."""
+    made = folder / f"{PARTIAL}{secrets.token_hex(8)}.sqlite"
+    away = folder / DAMAGED / f"{int(time.time() * 1e6)}"
+    lost: list[str] = []
     try:
-        with closing(Store(folder)) as store:
-            found = checking.database_problems(store) or checking.row_problems(store)
-            return bool(found)
-    except (_store.NewerLibrary, DatabaseUnavailable):
-        raise
-    except _store.LibraryError as error:
-        if not isinstance(error, DatabaseDamaged) and not _store.holds_files(folder):
-            raise
-        return True
-
-
-def _make_anew(folder: Path) -> tuple[int, int]:
-    """Make the database from the files, and only then set the old one aside."""
-    path = folder / _store.FILE_NAME
-    partial = folder / f"{PARTIAL}{secrets.token_hex(8)}.sqlite"
-    try:
-        with closing(Store(folder, create=True, name=partial.name)) as store:
-            gained = enter_all(store, anew=True)
-            _carry_over(store, path)
-            store.rows("PRAGMA main.wal_checkpoint(TRUNCATE)")
-        set_aside(folder, *_with_logs(path))
-        partial.replace(path)
-        flush_folder(folder)
-    except (OSError, DatabaseUnavailable) as error:
-        raise _store.LibraryError(
-            f"{folder} must have room for a new database, got: {error} The old one is "
-            "left as it was; free space and repair again."
+        with closing(Store(folder, create=True, name=made.name)) as new:
+            changes, n_lost = _readable_changes(old)
+            with Progress(_n_known(old), "Keeping touches", progress) as bar:
+                n_lost += enter_all(new, _readable_touches(old, lost, bar), changes)
+            tally = new.tally()
+            new.rows("PRAGMA wal_checkpoint(TRUNCATE)")
+        old.close()
+        _exchange(folder / FILE_NAME, made, away)
+    except OSError as error:
+        raise LibraryError(
+            f"{folder} must have room for a new database, got: {error}. Free space and "
+            "repair again."
         ) from error
     finally:
-        for left in _with_logs(partial):
-            with suppress(OSError):
-                left.unlink()
-    return gained
+        _unlink(made)
+    with closing(Store(folder)) as new:
+        new.accept()
+    counts = tally.n_touches, tally.n_changes
+    return RepairReport(True, *counts, lost, n_lost, str(away / FILE_NAME))
 
 
-def _with_logs(path: Path) -> list[Path]:
-    """Return the files of a database, its logs first: none may meet another one."""
-    return [*(path.with_name(f"{path.name}{log}") for log in _LOGS), path]
+def _exchange(path: Path, made: Path, away: Path) -> None:
+    """Put the database `made` in the place of another, which is kept in `away`.
 
-
-def _carry_over(store: Store, path: Path) -> None:
-    """Take in what an old database alone still knows: touches without a sound file."""
-    plain = [n for n in SEALED["touches"][1:] if n not in _KEYS]
-    try:
-        with closing(Store(path.parent)) as old:
-            if not old.sealed or any(old.broken(t) for t in SEALED if t != "touches"):
-                return
-            damaged = ", ".join(map(str, old.broken("touches")))
-        store.rows("ATTACH ? AS old", [str(path)])
-        touches, recorded = ", ".join(plain), ", ".join(SEALED["recordings"][1:])
-        names = {"damaged": damaged, "touches": touches, "recordings": recorded}
-        with store.writing():
-            for statement in _CARRY.format(**names).split(";"):
-                store.run(statement)
-    except DatabaseUnavailable:
-        raise
-    except _store.LibraryError:
-        return
-
-
-def _mend_changes(store: Store) -> tuple[int, int]:
-    """Write damaged files of changes anew, set aside those that are not known.
-
-    Return how many there are of each, of the latter those that are changes at all.
+    At every moment there is one of both in the place. A log is taken from there first:
+    of another database it would be taken for its own.
     """
-    known, files = changes.known_changes(store), changes.change_files(store)
-    bad = [name for name in known if changes.file_fault(store, name, known[name])]
-    set_aside(store.folder, *(files[n] for n in bad if n in files))
-    for name in bad:
-        changes.write_again(store, name)
-    unknown = [path for name, path in files.items() if name not in known]
-    n_changes = 0
-    for path in unknown:
-        with suppress(OSError, ValueError):
-            n_changes += bool(changes.read_change(path))
-    set_aside(store.folder, *unknown)
-    return len(bad), n_changes
+    away.mkdir(parents=True)
+    try:
+        os.link(path, away / path.name)
+    except OSError:  # no links on this file system
+        shutil.copyfile(path, away / path.name)
+    logs = [path.with_name(f"{path.name}{log}") for log in _LOGS]
+    moved = [log for log in logs if log.exists()]
+    for log in moved:
+        log.replace(away / log.name)
+    try:
+        made.replace(path)
+    except OSError:
+        for log in moved:
+            (away / log.name).replace(log)
+        raise
+    flush_folder(path.parent)
 
 
-def _lost_and_found(store: Store, progress: bool | None) -> tuple[list[str], list[str]]:
-    """Return touches whose image is gone, and those set aside whose image is back."""
-    lost: list[str] = []
-    found: list[str] = []
-    for key, name in checking.image_files(store, "Reading files", progress):
-        for problem in checking.image_problem(store, key, name):
-            lost += problem.touches
-            _write_sheets_again(store, key, name)
-        rows = checking.touches_in(store, key, f"t.retraction IN ({SET_ASIDE})")
-        if rows and sheet_in(store, name) is not None:
-            found += [row.key.hex() for row in rows]
-    return lost, found
+def _n_known(old: Store, table: str = "touches", key: str = "number") -> int:
+    """Return the largest key of a table, by the count of it where that is damaged."""
+    with suppress(DatabaseDamaged):
+        return old.count(f"SELECT max({key}) FROM {table}")
+    return int(getattr(old.tally(), f"n_{table}"))
 
 
-def _write_sheets_again(store: Store, file: int, name: str) -> None:
-    """Write touches whose images are whole, in a file that is not, to new files."""
-    rows = checking.touches_in(store, file, "1")
-    names, described, forms = changes.Names(store), recordings(store), layouts(store)
-    mended = False
-    groups: dict[tuple[int, int, float], list[tuple[StoredTouch, str | None]]] = {}
-    for row in (row for row in rows if is_whole(store, row)):
-        [(recording, added_s, label)] = store.rows(
-            "SELECT t.recording, t.added_s, given.name FROM touches t "
-            "LEFT JOIN objects given ON given.id = t.object WHERE t.id = ?",
-            [row.key],
+def enter_all(
+    store: Store,
+    touches: Iterator[tuple[Sequence[int], Batch]],
+    changes: Iterable[Change],
+) -> int:
+    """Enter touches under their numbers, and each change when it was made.
+
+    Returns how many changes could not be carried out, since what they concern is not
+    there.
+    """
+    waiting = deque(changes)
+    n_lost = 0
+    for known, batch in touches:
+        numbers, rest = known, batch
+        while waiting and waiting[0].after < numbers[-1]:
+            place = bisect_left(numbers, waiting[0].after + 1)
+            if place:
+                part = rest.picked(range(place))
+                store.write(partial(write_rows, store, part, numbers[:place]))
+                numbers = numbers[place:]
+                rest = rest.picked(range(place, place + len(numbers)))
+            n_lost += not carried_out(store, waiting.popleft())
+        store.write(partial(write_rows, store, rest, numbers))
+    return n_lost + sum(not carried_out(store, change) for change in waiting)
+
+
+def carried_out(store: Store, change: Change) -> bool:
+    """Enter a change; return False where what it concerns is not there."""
+    try:
+        return bool(store.write(partial(enter_change, store, change)))
+    except (DatabaseDamaged, DatabaseUnavailable):
+        raise
+    except (LibraryError, KeyError):
+        return False
+
+
+def _readable_changes(old: Store) -> tuple[list[Change], int]:
+    """Return the changes that are as they were made, and how many are not."""
+    changes, n_lost = [], 0
+    for key in range(1, _n_known(old, "changes", "id") + 1):
+        row = None
+        with suppress(DatabaseDamaged):
+            row = old.one(
+                "SELECT time_s, after, action, content, digest FROM changes "
+                "WHERE id = ?",
+                [key],
+            )
+        if row is None or not is_sound(row[:4], row[4]):
+            n_lost += 1
+            changes += _retracted_by(old, key)
+            continue
+        time_s, after, action, text, _ = row
+        changes.append(Change(time_s, action, from_json(text), after))
+    return changes, n_lost
+
+
+def _retracted_by(old: Store, key: int) -> list[Change]:
+    """Return a retraction of what a damaged change left out, for it stays left out."""
+    with suppress(DatabaseDamaged):
+        sql = "SELECT lower(hex(id)) FROM touches WHERE retraction = ?"
+        if ids := [row[0] for row in old.rows(sql, [key])]:
+            content = {"ids": ids, "reason": "left out by a change that was damaged"}
+            return [Change(time.time(), "retract", content, _n_known(old))]
+    return []
+
+
+def _readable_touches(
+    old: Store, lost: list[str], bar: Progress
+) -> Iterator[tuple[list[int], Batch]]:
+    """Yield touches that are whole, alike ones together; `lost` gets the others."""
+    tables = Tables(old)
+    for rows in _readable_rows(old, lost):
+        whole = []
+        for row in rows:
+            try:
+                fault = touch_fault(tables, row, None)
+            except LibraryError as error:
+                fault = str(error)
+            if fault is None:
+                whole.append(row)
+            else:
+                key = row.key
+                lost.append(key.hex() if isinstance(key, bytes) else f"{row.number}")
+        for _, alike in groupby(whole, lambda r: (r.layout, r.recording, r.added_s)):
+            together = list(alike)
+            yield [row.number for row in together], batch_again(tables, together)
+        bar.advance(len(rows))
+
+
+def _readable_rows(old: Store, lost: list[str]) -> Iterator[list[StoredTouch]]:
+    """Yield rows in their order; where many together cannot be read, each by itself."""
+    number, last = 0, _n_known(old)
+    while True:
+        try:
+            rows = next_rows(old, number, named=False)
+        except DatabaseDamaged:
+            if number >= last:
+                return
+            rows = []
+            with suppress(DatabaseDamaged):
+                rows = next_rows(old, number, 1, named=False)
+            number += 1
+            if not rows or rows[0].number != number:
+                lost.append(f"number {number}")
+                continue
+        if not rows:
+            return
+        number = rows[-1].number
+        yield rows
+
+
+def batch_again(tables: Tables, rows: list[StoredTouch]) -> Batch:
+    """Return touches of one layout and recording as they were when they were added."""
+    recording = tables.recording(rows[0].recording)
+    layout = tables.layout(rows[0].layout)
+    values = plain_values(rows)
+    for value, row in zip(values, rows, strict=True):
+        value["object"] = row.label
+    stored = [image for part in packed_images(tables, rows) for image in part.images]
+    n_rows, n_cols, *n_channels = recording.image_shape
+    described = {name: getattr(recording, name) for name in _DESCRIBED}
+    sizes = {"n_rows": n_rows, "n_cols": n_cols, "n_channels": (*n_channels, None)[0]}
+    return Batch(
+        layout,
+        {c.name: [v.get(c.name) for v in values] for c in layout if not c.wide},
+        [image for image in stored if image is not None],
+        [row.image for row in rows],
+        [row.key for row in rows],
+        [b""] * len(rows),
+        {**described, **sizes, "dtype": recording.dtype.str, "whole": recording.whole},
+        {bytes.fromhex(d): _array(tables, d) for d in recording.whole.values()},
+        rows[0].added_s,
+    )
+
+
+def _array(tables: Tables, digest: str) -> Array | None:
+    try:
+        return stored_array(tables, digest)
+    except LibraryError:
+        return None
+
+
+_DESCRIBED = ("sensor", "kind", "unit", "pitch_mm", "geometry")
+
+
+def backup_library(store: Store, folder: Path, *, progress: bool | None = None) -> int:
+    """Copy a library to a new folder while it is used; return how many touches."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        got = "files in it" if folder.is_dir() else "a file"
+        raise LibraryError(
+            f"{folder} must be a new or empty folder, got {got}. Give another one."
         )
-        same = groups.setdefault((row.layout, recording, added_s), [])
-        same.append((row, names.before(label, added_s)))
-    for (layout, recording, added_s), pairs in groups.items():
-        touches, labels = [row for row, _ in pairs], [label for _, label in pairs]
-        values = _rows.plain_values(touches)
-        cells = {c.name: [v.get(c.name) for v in values] for c in forms[layout]}
-        sheet = Sheet(
-            forms[layout],
-            cells | ({"object": labels} if "object" in cells else {}),
-            {},
-            read_images(store.folder, touches),
-            described[recording],
-            added_s,
-            [row.key for row in touches],
-            [row.digest for row in touches],
-        )
-        with _store.room_for("touches", store.folder, "Free space and repair again."):
-            new = publish(store.images, *sheet.packed())
-        with store.writing():
-            move_rows(store, sheet, new)
-        mended = mended or new == name
-    if not mended:
-        set_aside(store.folder, file_path(store.images, name))
-
-
-def _leave_out_arrays(store: Store) -> int:
-    """Set altered arrays aside and note them, so that the rest is read without them."""
-    bad = checking.array_problems(store)
-    set_aside(store.folder, *(store.folder / problem.path for problem in bad))
-    known = checking.left_out(store)
-    names = [n for problem in bad if (n := Path(problem.path).stem) not in known]
-    if names:
-        changes.make_change(store, action="leave_out", arrays=names)
-    return len(names)
+    copy = folder / f"{PARTIAL}{secrets.token_hex(8)}"
+    n_pages = store.count("PRAGMA page_count")
+    try:
+        with (
+            room_for("a copy", folder, "Free space, or give another folder."),
+            Progress(n_pages, "Copying", progress) as bar,
+        ):
+            folder.mkdir(parents=True, exist_ok=True)
+            store.backup(copy, lambda left, total: bar.reach(total - left))
+            flush_all(copy)
+            copy.replace(folder / FILE_NAME)
+            flush_folder(folder)
+            flush_folder(folder.absolute().parent)
+    finally:
+        with suppress(OSError):
+            copy.unlink()
+    with closing(Store(folder)) as done:
+        done.accept()
+        return done.tally().n_touches

@@ -1,199 +1,243 @@
-"""The table of touches: one function writes its rows, one reads them."""
+"""The table of touches: one function writes its rows, one reads them and compares.
 
-import hashlib
+Every row has a digest of its values, which is compared when it is read; so are the
+recording and the layout that it names, and the name that its object has now with the
+one it was added by and the changes since.
+"""
+
 import json
 import warnings
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import check_option
-from ._files import CELLS, Column, Sheet, canonical, header
-from ._store import AT_ONCE, SEALED, LibraryError, Store, from_json, holders
-from ._where import COLUMNS
+from .._types import Array
+from ._content import (
+    CELLS,
+    PICTURE,
+    Batch,
+    Column,
+    Image,
+    canonical,
+    digest_of,
+    image_digest,
+    packed_array,
+    unpacked_image,
+    unpacked_rows,
+)
+from ._names import Names
+from ._store import (
+    AT_ONCE,
+    REPAIR,
+    DatabaseDamaged,
+    LibraryError,
+    Store,
+    chained,
+    from_json,
+    holders,
+)
 
 Numbers = NDArray[np.int64]
+LOST = b""  # an array that a repair did not find whole
 _SHOWN = 20
-MISSING = "its image is missing or altered"
-# Retractions that a repair made, since it found no image.
-SET_ASIDE = (
-    f"SELECT id FROM changes WHERE json_extract(content, '$.reason') = '{MISSING}'"
-)
+_BYTES_AT_ONCE = 64 * 2**20
+_RECORDED = ("sensor", "kind", "unit", "pitch_mm", "geometry")
+_SIZES = ("n_rows", "n_cols", "n_channels", "dtype", "whole")
 FROM = (
     "FROM touches t JOIN recordings r ON r.id = t.recording "
     "LEFT JOIN objects given ON given.id = t.object "
     "LEFT JOIN objects o ON o.id = coalesce(given.merged_into, given.id) "
 )
-_JOINED = (
-    f"{FROM} LEFT JOIN files f ON f.id = t.file "
-    "LEFT JOIN changes c ON c.id = t.retraction "
+_LISTED = ", ".join(f't."{name}"' for name in CELLS[1:])
+_NAMED = (
+    "FROM touches t LEFT JOIN objects given ON given.id = t.object "
+    "LEFT JOIN objects o ON o.id = coalesce(given.merged_into, given.id)"
 )
-DTYPE = "substr(r.dtype, instr(r.dtype, ')') + 1)"
-# Where each field of `StoredTouch` and `TouchRow` stands.
-_FIELDS = {
-    **COLUMNS,
-    "dtype": DTYPE,
-    "key": "t.id",
-    "file": "f.name",
-    "offset": "f.offset",
-    "number": "t.place",
-    "digest": "t.image",
-    "layout": "t.layout",
-    "extra": "t.extra",
-    "own_sensor": "t.sensor",
-    "retracted": "t.retraction IS NOT NULL",
-    "reason": "json_extract(c.content, '$.reason')",
-}
-_RECORDED = SEALED["recordings"][2:-1]
 _INSERT = (
-    f"INSERT INTO touches ({', '.join(SEALED['touches'][1:-1])}) "
-    f"VALUES {holders(19)} ON CONFLICT (id) DO "
+    "INSERT INTO touches (number, id, label, object, layout, recording, added_s, "
+    'image, content, digest, extra, category, session, episode, sensor, "order", '
+    f"time_s, force_n, press, frame, source_path) VALUES {holders(21)}"
 )
-_HEALED = [f'"{n}"' for n in (*CELLS[1:], "extra", "layout", "recording", "file")]
-_HEAL = (
-    f"UPDATE SET {', '.join(f'{n} = excluded.{n}' for n in _HEALED)}, "
-    "place = excluded.place, "
-    f"retraction = iif(retraction IN ({SET_ASIDE}), NULL, retraction)"
-)
+
+
+class Recording(NamedTuple):
+    """What is the same for all touches of a recording."""
+
+    digest: bytes
+    sensor: str | None
+    kind: str | None
+    unit: str | None
+    pitch_mm: float | None
+    geometry: str | None
+    image_shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    whole: dict[str, str]
 
 
 class StoredTouch(NamedTuple):
-    """What the database knows of a touch: where its image is, and its plain values.
+    """A touch's row: who it is, where it belongs, and its plain values.
 
-    The image is the one of this `number` in `file`, where images begin at `offset`,
-    with SHA-256 `digest`. `layout` is the key of its columns, `extra` the values of
-    those that are no cells, as JSON; `cells` stand in the order of `CELLS`.
+    `name` is the object's present name and `label` the one it was added by; `layout`
+    and `recording` are keys; `image` and `content` are the digests of the image and of
+    the bytes it is kept as, `digest` that of the row. `cells` stand in the order of
+    `CELLS`, the object's present name first.
     """
 
-    key: bytes
-    file: bytes
-    offset: int
     number: int
-    digest: bytes
-    n_rows: int
-    n_cols: int
-    n_channels: int | None
-    dtype: str
+    key: bytes
+    label: str | None
+    name: str | None
     layout: int
+    recording: int
+    added_s: float
+    image: bytes
+    content: bytes
+    digest: bytes
+    retraction: int | None
     extra: str | None
     cells: tuple[Any, ...]
 
-    @property
-    def image_shape(self) -> tuple[int, ...]:
-        """(n_rows, n_cols[, n_channels]) of its image."""
-        return shape_of(self.n_rows, self.n_cols, self.n_channels)
+
+class Tables:
+    """The small tables that rows refer to, each entry compared when first read."""
+
+    def __init__(self, store: Store) -> None:
+        self.store = store
+        self._recordings: dict[int, Recording] = {}
+        self._layouts: dict[int, tuple[str, list[Column]]] = {}
+        self._names: tuple[int, Names] | None = None
+
+    def recording(self, key: int) -> Recording:
+        if key not in self._recordings:
+            columns = ", ".join((*_RECORDED, *_SIZES))
+            sql = f"SELECT digest, {columns} FROM recordings WHERE id = ?"
+            row = self.store.one(sql, [key])
+            if row is None or digest_of(row[1:]) != row[0]:
+                raise self._damaged("recordings", key)
+            n_rows, n_cols, n_channels, dtype, whole = row[6:]
+            shape = tuple(n for n in (n_rows, n_cols, n_channels) if n is not None)
+            known = (*row[:6], shape, np.dtype(dtype), from_json(whole))
+            self._recordings[key] = Recording._make(known)
+        return self._recordings[key]
+
+    def layout(self, key: int) -> list[Column]:
+        return self._layout(key)[1]
+
+    def _layout(self, key: int) -> tuple[str, list[Column]]:
+        if key not in self._layouts:
+            row = self.store.one("SELECT columns FROM layouts WHERE id = ?", [key])
+            try:
+                text = str(row[0]) if row else ""
+                self._layouts[key] = text, Column.all_of(text)
+            except (ValueError, TypeError) as error:
+                raise self._damaged("layouts", key) from error
+        return self._layouts[key]
+
+    def names(self) -> Names:
+        """Return what objects were called and are called."""
+        n_changes = self.store.count("SELECT count(*) FROM changes")
+        if self._names is None or self._names[0] != n_changes:
+            self._names = n_changes, Names(self.store)
+        return self._names[1]
+
+    def is_sound(self, row: StoredTouch, names: Names | None) -> bool:
+        """Tell whether a row is as it was written, and so what it refers to.
+
+        With `names`, also whether its object is called what the changes say.
+        """
+        try:
+            recording = self.recording(row.recording).digest
+            digest = _row_digest(row, self._layout(row.layout)[0], recording)
+        except (DatabaseDamaged, TypeError):
+            return False
+        if digest != row.digest:
+            return False
+        return names is None or names.now(row.label, row.number) == row.name
+
+    def _damaged(self, table: str, key: int) -> DatabaseDamaged:
+        return DatabaseDamaged(
+            f"{self.store.path} must be as it was written, got another row {key} of "
+            f"{table}. {REPAIR}"
+        )
 
 
-def shape_of(*sides: int | None) -> tuple[int, ...]:
-    return tuple(n for n in sides if n is not None)
+def rows_at(
+    tables: Tables, numbers: Sequence[int] | Numbers, damaged: str = "raise"
+) -> Iterator[list[StoredTouch]]:
+    """Return the rows of touches by their rising numbers, some at a time.
 
-
-_NAMED = StoredTouch._fields[:-1]
-_CELLS = tuple("own_sensor" if name == "sensor" else name for name in CELLS)
-
-
-def plain_values(rows: Sequence[StoredTouch]) -> list[dict[str, Any]]:
-    """Return all plain values of each touch by the name of their column."""
-    extras = from_json(f"[{','.join(row.extra or '{}' for row in rows)}]")
-    return [
-        dict(zip(CELLS, row.cells, strict=True)) | extra
-        for row, extra in zip(rows, extras, strict=True)
-    ]
-
-
-def read_rows(
-    store: Store, fields: tuple[str, ...], tail: str, values: Sequence[Any]
-) -> list[tuple[Any, ...]]:
-    """Return fields of touches; `tail` is the query from WHERE on."""
-    listed = ", ".join(_FIELDS[name] for name in fields)
-    return store.rows(f"SELECT {listed} {_JOINED} {tail}", values)
-
-
-def stored_touches(store: Store, tail: str, values: Sequence[Any]) -> list[StoredTouch]:
-    """Return the rows of touches; `tail` is the query from WHERE on."""
-    rows = read_rows(store, _NAMED + _CELLS, tail, values)
-    n = len(_NAMED)
-    return [StoredTouch._make((*row[:n], row[n:])) for row in rows]
-
-
-def rows_at(store: Store, numbers: Numbers) -> Iterator[list[StoredTouch]]:
-    """Return the rows of touches by their rising numbers, `AT_ONCE` at a time."""
+    Those that are not as they were written are refused, or left out and told of.
+    """
+    check_option("damaged", damaged, ("raise", "skip"))
+    bad: list[str] = []
     for start in range(0, len(numbers), AT_ONCE):
-        piece = numbers[start : start + AT_ONCE].tolist()
+        piece = [int(number) for number in numbers[start : start + AT_ONCE]]
         where = f"WHERE t.number IN {holders(len(piece))} ORDER BY t.number"
-        yield stored_touches(store, where, piece)
+        rows = stored_touches(tables.store, where, piece)
+        names = tables.names()
+        sound = [row for row in rows if tables.is_sound(row, names)]
+        known = {row.number for row in sound}
+        bad += [_key_of(rows, number) for number in piece if number not in known]
+        if bad and damaged == "raise":
+            raise LibraryError(
+                f"Rows of touches must be as they were written, got others: "
+                f"{_listed(bad)}. `palpate library check --repair` keeps the rest; "
+                'damaged="skip" leaves them out.'
+            )
+        yield sound
+    if bad:
+        warnings.warn(
+            f"{len(bad)} touches are left out, since their rows in {tables.store.path} "
+            f"are damaged: {_listed(bad)}.",
+            stacklevel=4,
+        )
 
 
-def read_one(store: Store, key: str) -> StoredTouch:
-    number = store.key_of("touches", "id", id_bytes(key))
+def stored_touches(
+    store: Store, tail: str, values: Sequence[Any] = (), *, named: bool = True
+) -> list[StoredTouch]:
+    """Return the rows of touches, not compared; `tail` is the query from WHERE on.
+
+    Unless `named`, by the table of touches alone, without present names of objects.
+    """
+    alone = "NULL", "FROM touches t NOT INDEXED"
+    name, source = ("o.name", _NAMED) if named else alone
+    rows = store.rows(
+        f"SELECT t.number, t.id, t.label, {name}, t.layout, t.recording, t.added_s, "
+        f"t.image, t.content, t.digest, t.retraction, t.extra, {_LISTED} {source} "
+        f"{tail}",
+        values,
+    )
+    return [StoredTouch._make((*row[:12], (row[3], *row[12:]))) for row in rows]
+
+
+def _key_of(rows: Sequence[StoredTouch], number: int) -> str:
+    keys = [row.key for row in rows if row.number == number]
+    return keys[0].hex() if keys and isinstance(keys[0], bytes) else f"number {number}"
+
+
+def _listed(keys: Sequence[str]) -> str:
+    more = f" and {len(keys) - _SHOWN} more" if len(keys) > _SHOWN else ""
+    return f"{', '.join(keys[:_SHOWN])}{more}"
+
+
+def read_one(tables: Tables, key: str) -> StoredTouch:
+    """Return the row of the touch with this id."""
+    number = tables.store.one(
+        "SELECT number FROM touches WHERE id = ?", [id_bytes(key)]
+    )
     if number is None:
         raise LibraryError(
             f"id must be that of a touch in the library, got {key!r}. "
             "See `palpate library list`."
         )
-    return stored_touches(store, "WHERE t.number = ?", [number])[0]
-
-
-def damaged_touches(
-    store: Store, last: int | None = None, first: int = 1
-) -> dict[int, str]:
-    """Return touches whose rows are damaged, ids by numbers, from `first` to `last`.
-
-    A row is damaged when its seal is broken or that of a row it refers to.
-    """
-    if not store.sealed:
-        return {}
-    bad = {t: _listed(store.broken(t)) for t in SEALED if t != "touches"}
-    numbers = _listed(store.broken("touches", last, first))
-    if {numbers, *bad.values()} == {"()"}:
-        return {}
-    found = store.rows(
-        f"SELECT number, lower(hex(id)) FROM touches WHERE number IN {numbers} "
-        f"OR object IN (SELECT id FROM objects WHERE id IN {bad['objects']} "
-        f"OR merged_into IN {bad['objects']}) OR recording IN {bad['recordings']} "
-        f"OR layout IN {bad['layouts']} OR file IN {bad['files']} "
-        f"OR retraction IN {bad['changes']} ORDER BY number"
-    )
-    return dict(found)
-
-
-def _listed(keys: Sequence[int]) -> str:
-    return f"({', '.join(map(str, keys))})"
-
-
-def without_damaged(
-    store: Store, damaged: str, last: int | None = None, first: int = 1
-) -> str:
-    """Return SQL that leaves damaged touches out, or refuse them; `damaged` says which.
-
-    Whether one meets a filter cannot be known: of all touches none may be damaged.
-    """
-    check_option("damaged", damaged, ("raise", "skip"))
-    found = damaged_touches(store, last, first)
-    if not found:
-        return "1"
-    some = ", ".join([*found.values()][:_SHOWN]) + ", ..." * (len(found) > _SHOWN)
-    told = f"{len(found)} touches are damaged in {store.path}: {some}."
-    if damaged == "raise":
-        raise LibraryError(
-            f"Rows must be as they were written, got others: {told} Restore them with "
-            '`palpate library check --repair`, or leave them out with damaged="skip".'
-        )
-    warnings.warn(f"{told} They are left out.", stacklevel=2)
-    return f"t.number NOT IN {_listed([*found])}"
-
-
-def layouts(store: Store) -> dict[int, list[Column]]:
-    rows = store.rows("SELECT id, columns FROM layouts ORDER BY id")
-    return {key: Column.all_of(from_json(text)) for key, text in rows}
-
-
-def distinct(store: Store, what: str, numbers: Numbers) -> list[tuple[Any, ...]]:
-    """Return the different values of `what` over touches, in the order met."""
-    sql = f"SELECT DISTINCT {what} {FROM} WHERE t.number IN (?)"
-    return list(dict.fromkeys(store.among(sql, numbers.tolist())))
+    [[row]] = rows_at(tables, number)
+    return row
 
 
 def id_bytes(key: str) -> bytes:
@@ -205,107 +249,173 @@ def id_bytes(key: str) -> bytes:
         ) from error
 
 
-def write_rows(
-    store: Store,
-    sheet: Sheet,
-    name: str,
-    healed: Collection[bytes] = (),
-    skipped: Collection[bytes] = (),
-) -> None:
-    """Enter touches of the file `name`: new ones, and `healed`, which lost theirs.
+class Packed(NamedTuple):
+    """Some touches of one recording, as the database keeps their images.
 
-    Those in `skipped` are left out.
+    `digests` are those of the image and of its content, as their rows have them.
+    `images` are None where there is none; a worker that has no database makes
+    images of it.
     """
-    rows = list(_rows(store, sheet, name, skipped))
-    store.run_many(_INSERT + "NOTHING", [r for r in rows if r[0] not in healed])
-    if healed:
-        store.run_many(_INSERT + _HEAL, [r for r in rows if r[0] in healed])
 
+    keys: list[str]
+    digests: list[tuple[bytes, bytes]]
+    images: list[Image | None]
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
 
-def _rows(
-    store: Store, sheet: Sheet, name: str, skipped: Collection[bytes]
-) -> Iterator[tuple[Any, ...]]:
-    """Return what `_INSERT` names of each touch that is not `skipped`."""
-    layout = {"columns": json.dumps([list(column) for column in sheet.layout])}
-    recording = {name: sheet.recording[name] for name in _RECORDED}
-    recording["whole"] = canonical(sheet.recording["whole"])
-    recording["digest"] = hashlib.sha256(canonical(sheet.recording).encode()).digest()
-    keys = (
-        _key(store, "layouts", layout, "columns"),
-        _key(store, "recordings", recording, "digest"),
-        _file_key(store, sheet, name),
-    )
-    cells, extras = plain_cells(sheet)
-    here = [row for row, key in enumerate(sheet.ids) if key not in skipped]
-    objects = {
-        label: _object_key(store, label, category)
-        for label, category in {cells[0][row]: cells[1][row] for row in here}.items()
-        if label is not None
-    }
-    for row in here:
-        key, label = sheet.ids[row], cells[0][row]
-        yield (
-            key,
-            objects.get(label),
-            *(column[row] for column in cells[1:]),
-            extras[row],
-            *keys,
-            row,
-            sheet.digests[row],
-            sheet.added_s,
+    def unpacked(self) -> Array:
+        """Return images, (n_touches, *image_shape); each is compared first."""
+        images = np.empty((len(self.images), *self.shape), self.dtype)
+        for place in range(len(images)):
+            images[place] = self.one(place)
+        return images
+
+    def one(self, place: int) -> Array:
+        """Return one image, compared with its digest, and its file or frames too."""
+        stored = self.images[place]
+        image_sha256, content = self.digests[place]
+        got = "none"
+        if stored is not None:
+            got = "altered bytes"
+            with suppress(LibraryError):
+                image = unpacked_image(stored, self.shape, self.dtype)
+                same = stored.form == PICTURE or image_digest(image) == image_sha256
+                if same and stored.digest() == content:
+                    return image
+        raise LibraryError(
+            f"Touch {self.keys[place]}: its image must be as it was added, got {got}. "
+            "`palpate library check --repair` keeps all others."
         )
 
 
-def plain_cells(sheet: Sheet) -> tuple[list[list[Any]], list[str | None]]:
+def packed_images(
+    tables: Tables, rows: Sequence[StoredTouch], *, with_more: bool = False
+) -> Iterator[Packed]:
+    """Return stored images of touches with one size and type, some at a time."""
+    if not rows:
+        return
+    recording = tables.recording(rows[0].recording)
+    n_bytes = prod(recording.image_shape) * recording.dtype.itemsize
+    step = max(1, min(AT_ONCE, _BYTES_AT_ONCE // max(1, n_bytes)))
+    for start in range(0, len(rows), step):
+        some = rows[start : start + step]
+        sql = "SELECT number, form, image, more FROM images WHERE number IN (?)"
+        numbers = [row.number for row in some]
+        kept = {n: _image(*rest) for n, *rest in tables.store.among(sql, numbers)}
+        yield Packed(
+            [row.key.hex() for row in some],
+            [(row.image, row.content) for row in some],
+            [kept.get(row.number) for row in some],
+            recording.image_shape,
+            recording.dtype,
+        )
+
+
+def _image(form: Any, data: Any, more: Any) -> Image | None:
+    kinds = isinstance(form, str) and isinstance(data, bytes)
+    sound = kinds and (more is None or isinstance(more, bytes))
+    return Image(form, data, more) if sound else None
+
+
+def wide_values(tables: Tables, row: StoredTouch, stored: Image) -> dict[str, Array]:
+    """Return what a touch has in each wide column."""
+    return unpacked_rows(stored.more, tables.layout(row.layout))
+
+
+def plain_values(rows: Sequence[StoredTouch]) -> list[dict[str, Any]]:
+    """Return all plain values of each touch by the name of their column."""
+    extras = from_json(f"[{','.join(row.extra or '{}' for row in rows)}]")
+    return [
+        dict(zip(CELLS, row.cells, strict=True)) | extra
+        for row, extra in zip(rows, extras, strict=True)
+    ]
+
+
+def distinct(store: Store, what: str, numbers: Numbers) -> list[tuple[Any, ...]]:
+    """Return the different values of `what` over touches, in the order met."""
+    sql = f"SELECT DISTINCT {what} {FROM} WHERE t.number IN (?)"
+    return list(dict.fromkeys(store.among(sql, numbers.tolist())))
+
+
+def write_rows(
+    store: Store, batch: Batch, numbers: Sequence[int] | None = None
+) -> None:
+    """Enter touches within a job; their images, layout and recording as well.
+
+    `numbers` are those that they get, else the next ones.
+    """
+    tally = store.tally()
+    last = store.count("SELECT max(number) FROM touches")
+    taken = range(last + 1, last + 1 + len(batch.ids)) if numbers is None else numbers
+    for digest, array in batch.arrays.items():
+        enter_array(store, digest, array)
+    layout_text = json.dumps([list(column) for column in batch.layout])
+    layout = store.lasting_key("layouts", {"columns": layout_text}, "columns")
+    described = _recording_row(batch.recording)
+    recording = store.lasting_key("recordings", described, "digest")
+    cells, extras = plain_cells(batch)
+    labels = {name for name in cells[0] if name is not None}
+    objects = {n: _object_key(store, n) for n in sorted(labels)}
+    rows, digests = [], []
+    for place, number in enumerate(taken):
+        row = StoredTouch(
+            number,
+            batch.ids[place],
+            cells[0][place],
+            None,
+            layout,
+            recording,
+            batch.added_s,
+            batch.digests[place],
+            batch.images[place].digest(),
+            b"",
+            None,
+            extras[place],
+            tuple(column[place] for column in cells),
+        )
+        digests.append(_row_digest(row, layout_text, described["digest"]))
+        known = row.number, row.key, row.label, objects.get(row.label or "")
+        kept = row.layout, row.recording, row.added_s, row.image, row.content
+        rows.append((*known, *kept, digests[-1], row.extra, *row.cells[1:]))
+    store.run_many(_INSERT, rows)
+    images = zip(taken, batch.images, strict=True)
+    store.run_many(
+        "INSERT INTO images VALUES (?, ?, ?, ?)", [(n, *image) for n, image in images]
+    )
+    chain = chained(tally.touches, digests)
+    store.enter(tally._replace(n_touches=tally.n_touches + len(rows), touches=chain))
+
+
+def enter_array(store: Store, digest: bytes, array: Array | None) -> None:
+    """Enter an array where it lacks, or its place where it is lost."""
+    sql = "SELECT 1 FROM arrays WHERE digest = ? AND content <> ?"
+    if not store.one(sql, [digest, LOST]):
+        content = LOST if array is None else packed_array(array)
+        store.run("INSERT OR REPLACE INTO arrays VALUES (?, ?)", [digest, content])
+
+
+def _row_digest(row: StoredTouch, layout: str, recording: bytes) -> bytes:
+    known = row.key, row.label, *row.cells[1:], row.extra, row.added_s
+    return digest_of((*known, row.image, row.content, layout, recording))
+
+
+def plain_cells(batch: Batch) -> tuple[list[list[Any]], list[str | None]]:
     """Return the columns of `CELLS`, and the other plain values of each touch."""
-    scalar = {c.name for c in sheet.layout if c.shape == () and c.name in sheet.values}
-    blank = [None] * len(sheet.ids)
-    cells = [sheet.values[n] if n in scalar else blank for n in CELLS]
-    more = [n for n in sheet.values if n not in CELLS or n not in scalar]
-    places = range(len(sheet.ids))
-    extras = ({n: sheet.values[n][row] for n in more} for row in places)
+    scalar = {c.name for c in batch.layout if c.shape == () and c.name in batch.values}
+    blank = [None] * len(batch.ids)
+    cells = [batch.values[n] if n in scalar else blank for n in CELLS]
+    more = [n for n in batch.values if n not in CELLS or n not in scalar]
+    places = range(len(batch.ids))
+    extras = ({n: batch.values[n][row] for n in more} for row in places)
     return cells, [canonical(extra) if extra else None for extra in extras]
 
 
-def move_rows(store: Store, sheet: Sheet, name: str) -> None:
-    """Note that touches stand in the file `name`, and change nothing else of them."""
-    key = _file_key(store, sheet, name)
-    store.run_many(
-        "UPDATE touches SET file = ?, place = ? WHERE id = ?",
-        [(key, place, touch) for place, touch in enumerate(sheet.ids)],
-    )
+def _recording_row(recording: dict[str, Any]) -> dict[str, Any]:
+    row = {name: recording[name] for name in (*_RECORDED, *_SIZES)}
+    row["whole"] = canonical(recording["whole"])
+    return {**row, "digest": digest_of(row.values())}
 
 
-def recordings(store: Store) -> dict[int, dict[str, Any]]:
-    """Return what is the same for all touches of a recording, by its key."""
-    rows = store.rows(f"SELECT id, {', '.join(_RECORDED)}, whole FROM recordings")
-    return {
-        key: dict(zip(_RECORDED, known, strict=True)) | {"whole": from_json(whole)}
-        for key, *known, whole in rows
-    }
-
-
-def _file_key(store: Store, sheet: Sheet, name: str) -> int:
-    file = {
-        "name": bytes.fromhex(name),
-        "n_touches": len(sheet.ids),
-        "offset": len(header(sheet.images.shape, sheet.images.dtype)),
-    }
-    return _key(store, "files", file, "name")
-
-
-def _object_key(store: Store, name: str, category: str | None) -> int:
-    """Return the key of an object; the first category given for it is kept."""
-    key = _key(store, "objects", {"name": name, "category": category}, "name")
-    if category is not None:
-        store.run(
-            "UPDATE objects SET category = ? WHERE id = ? AND category IS NULL",
-            [category, key],
-        )
-    return key
-
-
-def _key(store: Store, table: str, values: dict[str, Any], unique: str) -> int:
-    """Return the key of the row with this unique value, entering it where it lacks."""
-    found = store.key_of(table, unique, values[unique])
-    return store.insert(table, values) if found is None else found
+def _object_key(store: Store, name: str) -> int:
+    row = store.one("SELECT id FROM objects WHERE name = ?", [name])
+    return store.insert("objects", {"name": name}) if row is None else int(row[0])

@@ -1,121 +1,102 @@
-"""A library's folder and its database: tables, safe transactions, seals and errors.
+"""A library's folder and its SQLite database: tables, transactions and errors.
 
-Write-ahead logging with `synchronous=FULL`: once a transaction has ended, it is on
-the disk. The exception is rows of added touches, whose files are on the disk before
-(`_entering.py`). Readers never wait for writers; writers wait for one another.
+Everything is in one file, `library.sqlite`, in write-ahead-log mode with
+`synchronous=FULL`: a transaction that has ended is on the disk. Readers never wait for
+writers; writers wait for one another. What threads of one program want to write while
+another writes goes into one transaction next.
 
-Every row has a seal, a digest of all its values, kept beside them. Triggers of each
-connection seal a row when it is written, and refuse to change one whose seal is broken,
-so that no damage is sealed as truth. No row is ever removed but the last: keys count
-from 1 without gaps, so that a row that vanished is noticed too. A library made before
-rows had seals gets them when it is first written to.
+Touches and changes are numbered in the order added and none is ever removed. `tally`
+holds how many there are and a chain over their digests. After each commit the counts
+are written to `library.count` too, without a flush: SQLite ends its log at a damaged
+page, which takes back what came after without a word, and this file knows of it.
 """
 
 import hashlib
 import json
-import marshal
 import os
 import sqlite3
 import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+import warnings
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, Generic, NamedTuple, TypeVar
 
-from .._durable import flush_all
-
-SEALED = {
-    "objects": ("id", "name", "category", "merged_into"),
-    "recordings": (
-        *("id", "digest", "sensor", "kind", "unit", "pitch_mm", "geometry"),
-        *("n_rows", "n_cols", "dtype", "whole"),
-    ),
-    "layouts": ("id", "columns"),
-    "files": ("id", "name", "n_touches", "offset"),
-    "changes": ("id", "name", "time_s", "action", "content"),
-    "touches": (
-        *("number", "id", "object", "category", "session", "episode", "sensor"),
-        *('"order"', "time_s", "force_n", "press", "frame", "source_path", "extra"),
-        *("layout", "recording", "file", "place", "image", "added_s", "retraction"),
-    ),
-}
-_LASTING = ("recordings", "layouts")  # their rows never change: keys are kept
-FILE_NAME = "library.sqlite"
-IMAGES, ARRAYS, CHANGES, FEATURES = "images", "arrays", "changes", "features"
-VERSION = 2  # from 2 on, rows have seals
+T = TypeVar("T")
+FILE_NAME, COUNT_NAME = "library.sqlite", "library.count"
+FEATURES = "features"
+VERSION = 3  # 1 and 2 had images in files of their own
+OLD_VERSIONS = (1, 2)
 PATIENCE_S = 60.0
+_PATIENCE_ALONE_S = 2.0
 AT_ONCE = 512  # so many touches stand in one query, and in one task of a worker
-_ROWS_AT_ONCE = 4096
+_TOGETHER = 32  # so many callers share a transaction
 _APPLICATION = 0x70616C70  # "palp"
+PAGE_BYTES = 8192
+_MOUNTS = Path("/proc/self/mounts")
+_NETWORK = ("nfs", "cifs", "smb", "afs", "ncpfs", "ceph", "lustre", "fuse.sshfs")
 
 _TABLES = """
 CREATE TABLE objects (
     id INTEGER PRIMARY KEY,
     name TEXT NOT NULL UNIQUE,
-    category TEXT,
-    merged_into INTEGER REFERENCES objects (id));
+    merged_into INTEGER REFERENCES objects (id)) STRICT;
 CREATE TABLE recordings (
     id INTEGER PRIMARY KEY,
     digest BLOB NOT NULL UNIQUE,
     sensor TEXT, kind TEXT, unit TEXT, pitch_mm REAL, geometry TEXT,
-    n_rows INTEGER NOT NULL, n_cols INTEGER NOT NULL, dtype TEXT NOT NULL,
-    whole TEXT NOT NULL);
-CREATE TABLE layouts (id INTEGER PRIMARY KEY, columns TEXT NOT NULL UNIQUE);
-CREATE TABLE files (
-    id INTEGER PRIMARY KEY,
-    name BLOB NOT NULL UNIQUE,
-    n_touches INTEGER NOT NULL,
-    offset INTEGER NOT NULL);
+    n_rows INTEGER NOT NULL, n_cols INTEGER NOT NULL, n_channels INTEGER,
+    dtype TEXT NOT NULL,
+    whole TEXT NOT NULL) STRICT;
+CREATE TABLE arrays (digest BLOB PRIMARY KEY, content BLOB NOT NULL) STRICT;
+CREATE TABLE layouts (id INTEGER PRIMARY KEY, columns TEXT NOT NULL UNIQUE) STRICT;
 CREATE TABLE changes (
     id INTEGER PRIMARY KEY,
-    name TEXT NOT NULL UNIQUE,
     time_s REAL NOT NULL,
+    after INTEGER NOT NULL,
     action TEXT NOT NULL,
-    content TEXT NOT NULL);
+    content TEXT NOT NULL,
+    digest BLOB NOT NULL) STRICT;
 CREATE TABLE touches (
     number INTEGER PRIMARY KEY,
     id BLOB NOT NULL UNIQUE,
+    label TEXT,
     object INTEGER REFERENCES objects (id),
-    category TEXT, session, episode, sensor, "order", time_s REAL, force_n REAL,
-    press, frame, source_path TEXT,
+    category ANY, session ANY, episode ANY, sensor ANY, "order" ANY,
+    time_s ANY, force_n ANY, press ANY, frame ANY, source_path ANY,
     extra TEXT,
     layout INTEGER NOT NULL REFERENCES layouts (id),
     recording INTEGER NOT NULL REFERENCES recordings (id),
-    file INTEGER NOT NULL REFERENCES files (id),
-    place INTEGER NOT NULL,
-    image BLOB NOT NULL,
     added_s REAL NOT NULL,
-    retraction INTEGER REFERENCES changes (id))"""
-
-
-def seal(*values: Any) -> bytes:
-    """Return the digest of a row: of its values and their types.
-
-    Version 2 of marshal's format depends on values alone; it takes a tenth of the time
-    of `repr`.
-    """
-    return hashlib.blake2b(marshal.dumps(values, 2), digest_size=8).digest()
-
-
-def triggers() -> Iterator[str]:
-    """Yield what makes a connection seal the rows that it writes."""
-    for table, columns in SEALED.items():
-        key, listed = columns[0], ", ".join(columns)
-        old = ", ".join(f"old.{name}" for name in columns)
-        start = "CREATE TEMP TRIGGER IF NOT EXISTS"
-        again = (
-            f"UPDATE {table} SET seal = seal_of({listed}) WHERE {key} = new.{key}; END"
-        )
-        yield f"{start} enter_{table} AFTER INSERT ON main.{table} BEGIN {again}"
-        yield (
-            f"{start} change_{table} AFTER UPDATE OF {listed} ON main.{table} "
-            f"BEGIN {again}"
-        )
-        yield (
-            f"{start} keep_{table} BEFORE UPDATE OF {listed} ON main.{table} "
-            f"WHEN old.seal IS NOT seal_of({old}) "
-            f"BEGIN SELECT RAISE(ABORT, 'a damaged row of {table}'); END"
-        )
+    image BLOB NOT NULL,
+    content BLOB NOT NULL,
+    digest BLOB NOT NULL,
+    retraction INTEGER REFERENCES changes (id)) STRICT;
+CREATE INDEX touches_of_objects ON touches (object, session, episode);
+CREATE TABLE images (
+    number INTEGER PRIMARY KEY REFERENCES touches (number),
+    form TEXT NOT NULL,
+    image BLOB NOT NULL,
+    more BLOB) STRICT;
+CREATE TABLE tally (
+    id INTEGER PRIMARY KEY CHECK (id = 1),
+    n_touches INTEGER NOT NULL, touches BLOB NOT NULL,
+    n_changes INTEGER NOT NULL, changes BLOB NOT NULL) STRICT;
+INSERT INTO tally VALUES (1, 0, x'', 0, x'');
+CREATE VIEW touch_list AS
+    SELECT t.number, lower(hex(t.id)) AS id, o.name AS object, t.category, t.session,
+    t.episode, coalesce(t.sensor, r.sensor) AS sensor, t."order", t.time_s, t.force_n,
+    t.press, t.frame, t.source_path, t.extra, r.kind, r.unit, r.pitch_mm, r.geometry,
+    r.n_rows, r.n_cols, r.n_channels, r.dtype, i.form, length(i.image) AS n_bytes,
+    datetime(t.added_s, 'unixepoch') AS added,
+    json_extract(c.content, '$.reason') AS retracted_because
+    FROM touches t JOIN recordings r ON r.id = t.recording
+    JOIN images i ON i.number = t.number
+    LEFT JOIN objects given ON given.id = t.object
+    LEFT JOIN objects o ON o.id = coalesce(given.merged_into, given.id)
+    LEFT JOIN changes c ON c.id = t.retraction
+    ORDER BY t.number"""
 
 
 class LibraryError(ValueError):
@@ -123,11 +104,7 @@ class LibraryError(ValueError):
 
 
 class DatabaseDamaged(LibraryError):
-    """The database is lost, empty, cut or overwritten: a repair makes it anew."""
-
-
-class Unreadable(LibraryError):
-    """A file of images or arrays is gone, or the disk fails."""
+    """The database is empty, cut or overwritten: a repair keeps what can be read."""
 
 
 class DatabaseUnavailable(LibraryError):
@@ -138,72 +115,75 @@ class DatabaseBusy(DatabaseUnavailable):
     """Another program has kept the database to itself for too long."""
 
 
-class NewerLibrary(LibraryError):
-    """A newer palpate made the library."""
+class OtherVersion(LibraryError):
+    """A newer palpate made the library, or an older one: then it can be migrated."""
+
+
+class Tally(NamedTuple):
+    """How many touches and changes there are, and the chains over their digests."""
+
+    n_touches: int
+    touches: bytes
+    n_changes: int
+    changes: bytes
 
 
 class Store:
-    """The folder of a library and the connection to its database.
+    """The connection to a library's database, shared by the threads of a program.
 
-    One thread uses the connection at a time. `create` makes the tables where there
-    are none; `name` is another database while a repair makes it anew. `sealed` tells
-    whether its rows have seals, `has_log` whether it keeps a write-ahead log.
+    `create` makes the tables where there are none; `name` is another database while a
+    new one is made; `alone` keeps all other connections out, or is refused.
     """
 
-    sealed = False
-
     def __init__(
-        self, folder: Path, *, create: bool = False, name: str = FILE_NAME
+        self,
+        folder: Path,
+        *,
+        create: bool = False,
+        name: str = FILE_NAME,
+        alone: bool = False,
     ) -> None:
         self.folder, self.path = folder, folder / name
-        self.images, self.arrays = folder / IMAGES, folder / ARRAYS
         self._lock = threading.RLock()
-        self._seen: dict[str, tuple[int, list[int]]] = {}
-        self._lasting: dict[tuple[str, Any], int] = {}
+        # Of threads that write: who waits, and is one of them at work?
+        self._waiting: deque[_Ticket[Any]] = deque()
+        self._turn, self._busy = threading.Condition(), False
         self._explained = _Explained(self.path)
-        # Of threads that add touches: files to write to, who waits, is one at work?
-        self.slots: list[Path] = []
-        self.turn, self.leads = threading.Condition(), False
-        self.waiting: dict[Any, Any] = {}
-        # Marks, kept locked; is each commit flushed; was the last one not?
-        self.marks: dict[Path, BinaryIO] = {}
-        self._flushes, self._unflushed = True, False
+        self._count: int | None = None
+        self._is_alone = alone  # locks out even a second connection of this program
+        self._lasting: dict[tuple[str, Any], int] = {}  # keys of rows that stay
+        if create and name == FILE_NAME and self._is_gone():
+            raise LibraryError(
+                f"{folder} must have its {FILE_NAME}, which held touches and is gone. "
+                f"Put it or a backup back, or remove {COUNT_NAME} to begin anew."
+            )
         if not create and not self.path.is_file():
-            start = f"{folder} must be a library of touches, got "
-            if not holds_files(folder):
-                raise LibraryError(
-                    f"{start}no {name} in it. Make one with `palpate library add`."
-                )
-            raise DatabaseDamaged(
-                f"{start}its files without {name}. Put that back, or make it anew from "
-                "the files with `palpate library check --repair`."
+            raise LibraryError(
+                f"{folder} must be a library of touches, got no {name} in it. Make one "
+                "with `palpate library add`."
             )
         try:
-            self._open(create)
+            self._open(create, locking="EXCLUSIVE" if alone else "NORMAL")
         except DatabaseUnavailable as error:
-            if create or isinstance(error, DatabaseBusy):
+            if create or alone or isinstance(error, DatabaseBusy):
                 raise
             self._open_alone(error)
+        # So many touches and changes are missing, until a repair accepts that.
+        self._deficit = (0, 0)
+        try:
+            if name == FILE_NAME:
+                self._deficit = self.n_lost()
+        except BaseException:
+            self.close()
+            raise
 
     def close(self) -> None:
         """Close the connection; closing twice does nothing."""
         with self._lock:
-            with suppress(LibraryError, OSError):  # marks stay then, as they must
-                if self._unflushed:
-                    self.flush_log()
-                if os.getpid() == self._explained.process:
-                    for mark in self.marks:
-                        mark.unlink(missing_ok=True)
             self._connection.close()
-            while self.marks:
-                self.marks.popitem()[1].close()
-            while self.slots:
-                self.slots.pop().unlink(missing_ok=True)
-
-    def flush_log(self) -> None:
-        """Put all rows that any program has committed on the disk."""
-        with suppress(FileNotFoundError):  # its rows have gone to the database
-            flush_all(self.path.with_name(f"{self.path.name}-wal"))
+            if self._count is not None:
+                os.close(self._count)
+                self._count = None
 
     def rows(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
         with self._lock, self._explained:
@@ -213,107 +193,173 @@ class Store:
         return next(iter(self.rows(sql, values)), None)
 
     def count(self, sql: str, values: Sequence[Any] = ()) -> int:
-        return int(self.rows(sql, values)[0][0])
+        return int(self.rows(sql, values)[0][0] or 0)
 
     def among(self, sql: str, keys: Sequence[Any]) -> list[tuple[Any, ...]]:
         """Return rows of a query whose `IN (?)` stands for any number of keys."""
-        found = []
+        rows = []
         for start in range(0, len(keys), AT_ONCE):
             piece = keys[start : start + AT_ONCE]
-            many = sql.replace("IN (?)", f"IN {holders(len(piece))}")
-            found += self.rows(many, piece)
-        return found
+            rows += self.rows(sql.replace("IN (?)", f"IN {holders(len(piece))}"), piece)
+        return rows
 
-    def key_of(self, table: str, column: str, value: Any) -> int | None:
-        """Return the key of the row with a unique value; its index may be damaged."""
-        known = self._lasting.get((table, value))
-        if known is not None:
-            return known
-        key = SEALED[table][0]
-        found = self.one(
-            f"SELECT {key}, (SELECT {column} FROM {table} AS there NOT INDEXED "
-            f"WHERE there.{key} = listed.{key}) FROM {table} AS listed "
-            f"WHERE {column} = ?",
-            [value],
-        )
-        if found is None:
-            return None
-        if found[1] != value:
-            raise self._rows_missing(table)
-        if table in _LASTING:
-            self._lasting[table, value] = int(found[0])
-        return int(found[0])
-
-    def broken(self, table: str, last: int | None = None, first: int = 1) -> list[int]:
-        """Return the keys of rows whose seal is broken, from `first` up to `last`.
-
-        From the first row on, each is read once in the life of the store. Missing rows
-        raise `DatabaseDamaged`.
-        """
-        with self._lock:
-            seen, found = self._seen.get(table, (0, []))
-            part = first > seen + 1
-            if part:
-                seen, found = first - 1, []
-            key, columns = SEALED[table][0], ", ".join(SEALED[table])
-            [(n_rows, end)] = self.rows(
-                f"SELECT (SELECT count(*) FROM {table} "
-                f"INDEXED BY sqlite_autoindex_{table}_1), max({key}) FROM {table}"
+    def tally(self) -> Tally:
+        row = self.one("SELECT n_touches, touches, n_changes, changes FROM tally")
+        if row is None:
+            raise DatabaseDamaged(
+                f"{self.path} must be a sound database, got no count of its touches. "
+                f"{REPAIR}"
             )
-            if n_rows != (end or 0):
-                raise self._rows_missing(table)
-            end = n_rows if last is None else min(last, n_rows)
-            while seen < end:
-                rows = self.rows(
-                    f"SELECT {columns}, seal FROM {table} NOT INDEXED "
-                    f"WHERE {key} > ? AND {key} <= ? ORDER BY {key}",
-                    [seen, min(seen + _ROWS_AT_ONCE, end)],
-                )
-                keys = range(seen + 1, seen + 1 + len(rows))
-                if not rows or [row[0] for row in rows] != [*keys]:
-                    raise self._rows_missing(table)
-                found += [row[0] for row in rows if seal(*row[:-1]) != row[-1]]
-                seen += len(rows)
-                if not part:
-                    self._seen[table] = seen, found
-            return found
+        return Tally(*row)
 
-    def _rows_missing(self, table: str) -> "DatabaseDamaged":
-        start = f"{self.path} must be a sound database, got missing rows of {table}. "
-        return DatabaseDamaged(start + _REBUILD)
+    def write(self, job: Callable[[], T]) -> T:
+        """Run `job` in a transaction; when this returns, all of it is on the disk.
+
+        Jobs of other threads that wait meanwhile run in one transaction next; one
+        that fails takes back what it did alone.
+        """
+        ticket = _Ticket(job)
+        with self._turn:
+            self._waiting.append(ticket)
+            self._turn.wait_for(lambda: ticket.is_done() or not self._busy)
+            if ticket.is_done():  # another thread has committed it
+                return ticket.result()
+            self._busy = True
+        try:
+            while not ticket.is_done():
+                self._commit_waiting(ticket)
+        finally:
+            with self._turn:
+                self._busy = False
+                self._turn.notify_all()
+        return ticket.result()
 
     def run(self, sql: str, values: Sequence[Any] = ()) -> int:
-        """Run one statement inside `writing` and return how many rows it changed."""
-        return self._connection.execute(sql, values).rowcount
+        """Run one statement within a job and return how many rows it changed."""
+        with self._explained:
+            return self._connection.execute(sql, values).rowcount
 
     def run_many(self, sql: str, values: Sequence[Sequence[Any]]) -> int:
-        """Run one statement per entry of `values` inside `writing`."""
-        return self._connection.executemany(sql, values).rowcount
+        """Run one statement per entry of `values` within a job."""
+        with self._explained:
+            return self._connection.executemany(sql, values).rowcount
+
+    def lasting_key(self, table: str, values: dict[str, Any], unique: str) -> int:
+        """Return the key of a row that never changes; it is entered where it lacks."""
+        known = table, values[unique]
+        if known not in self._lasting:
+            sql = f"SELECT rowid FROM {table} WHERE {unique} = ?"
+            row = self.one(sql, [values[unique]])
+            self._lasting[known] = self.insert(table, values) if row is None else row[0]
+        return self._lasting[known]
 
     def insert(self, table: str, values: dict[str, Any]) -> int:
-        """Insert one row inside `writing` and return its key."""
+        """Insert one row within a job and return its key."""
         sql = f"INSERT INTO {table} ({', '.join(values)}) VALUES {holders(len(values))}"
-        return int(self._connection.execute(sql, [*values.values()]).lastrowid or 0)
+        with self._explained:
+            return int(self._connection.execute(sql, [*values.values()]).lastrowid or 0)
 
-    @contextmanager
-    def writing(self, *, flushed: bool = True) -> Iterator[None]:
-        """Run a transaction; when the block has ended, all of it is on the disk.
+    def enter(self, tally: Tally) -> None:
+        """Set the counts and the chains within a job."""
+        self.run(
+            "UPDATE tally SET n_touches = ?, touches = ?, n_changes = ?, changes = ?",
+            tally,
+        )
 
-        With `flushed=False` it is committed, and reaches the disk with the next flushed
-        one or when the store is closed. The caller must be able to enter its rows again
-        after a power cut.
-        """
-        with self._lock:
-            if not self.sealed:
-                with self._transaction():
-                    self._seal_rows()
-                self._watch()
-            if flushed != self._flushes:
-                self.rows(f"PRAGMA synchronous = {'FULL' if flushed else 'NORMAL'}")
-                self._flushes = flushed
-            with self._transaction():
-                yield
-            self._unflushed = not flushed
+    def backup(self, target: Path, advance: Callable[[int, int], None]) -> None:
+        """Copy the database to the new file `target`, while others write."""
+        place = f"{self.path.absolute().as_uri()}?mode=ro"
+        with ExitStack() as stack:
+            stack.enter_context(self._explained)
+            copy = stack.enter_context(closing(sqlite3.connect(target)))
+            source = self._connection
+            if self._is_alone:
+                stack.enter_context(self._lock)
+            else:
+                source = sqlite3.connect(place, uri=True, isolation_level=None)
+                stack.enter_context(closing(source))
+            # In one transaction: else it would begin anew whenever others write.
+            source.execute("BEGIN")
+            stack.callback(source.execute, "COMMIT")
+            source.execute("SELECT 1 FROM tally").fetchall()
+            source.backup(
+                copy, pages=1024, progress=lambda _, left, total: advance(left, total)
+            )
+
+    def n_lost(self) -> tuple[int, int]:
+        """Return how many touches and changes fewer there are than there once were."""
+        n_touches, n_changes = self._counts() or (0, 0)  # others may add meanwhile
+        now = self.tally()
+        return max(0, n_touches - now.n_touches), max(0, n_changes - now.n_changes)
+
+    def _is_gone(self) -> bool:
+        """Tell whether there is nothing where there once were touches."""
+        there = self.path.is_file() and self.path.stat().st_size > 0
+        return not there and self._counts() is not None
+
+    def _counts(self) -> tuple[int, int] | None:
+        """Return the counts that were noted last, None where there were no touches."""
+        try:
+            counts = (self.folder / COUNT_NAME).read_text("ascii").split()
+            n_touches, n_changes = int(counts[0]), int(counts[1])
+        except (OSError, ValueError, IndexError):
+            return None
+        return (n_touches, n_changes) if n_touches else None
+
+    def accept(self) -> None:
+        """Take the counts as they are for right."""
+        self._deficit = (0, 0)
+        self.note_count()
+
+    def note_count(self) -> None:
+        """Write the counts beside the database, for whoever opens it next."""
+        if self.path.name != FILE_NAME:
+            return
+        tally = self.tally()
+        counts = (
+            tally.n_touches + self._deficit[0],
+            tally.n_changes + self._deficit[1],
+        )
+        with suppress(OSError):  # a witness more, nothing that is needed
+            if self._count is None:
+                path = self.folder / COUNT_NAME
+                self._count = os.open(path, os.O_WRONLY | os.O_CREAT, 0o666)
+            line = "{:20d} {:20d}\n".format(*counts)
+            os.pwrite(self._count, line.encode(), 0)
+
+    def _commit_waiting(self, own: "_Ticket[Any]") -> None:
+        """Run the jobs that wait, in one transaction; each knows its outcome then."""
+        tickets: list[_Ticket[Any]] = []
+        try:
+            while self._waiting and len(tickets) < _TOGETHER:
+                tickets.append(self._waiting[0])
+                self._waiting.popleft()
+            with self._lock, self._transaction():
+                for ticket in tickets:
+                    self._run_one(ticket)
+        except Exception as error:
+            for ticket in tickets:
+                ticket.fail(error)
+        except BaseException:  # an interrupt concerns the job of this thread alone
+            again = [t for t in tickets if t is not own and t not in self._waiting]
+            self._waiting.extendleft(reversed(again))
+            raise
+        for ticket in tickets:
+            ticket.end()
+        with suppress(LibraryError):
+            self.note_count()
+
+    def _run_one(self, ticket: "_Ticket[Any]") -> None:
+        self.run("SAVEPOINT job")
+        try:
+            ticket.run()
+        except Exception as error:
+            if not self._connection.in_transaction:  # a full disk ends all of it
+                raise
+            self._lasting.clear()
+            self.run("ROLLBACK TO job")
+            ticket.fail(error)
+        self.run("RELEASE job")
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
@@ -354,6 +400,7 @@ class Store:
         log.
         """
         log = self.path.with_name(f"{self.path.name}-wal")
+        self._is_alone = True
         try:
             self._open(False, mode="rw", locking="EXCLUSIVE")
         except DatabaseUnavailable:
@@ -365,60 +412,87 @@ class Store:
                 raise error from None
 
     def _prepare(self, create: bool, locking: str) -> None:
+        # A flipped bit in a text must not hide its row: its digest tells of it.
+        self._connection.text_factory = lambda text: text.decode(
+            errors="backslashreplace"
+        )
         with self._explained:
             run = self._connection.execute
-            run(f"PRAGMA busy_timeout = {int(PATIENCE_S * 1000)}")
+            patience_s = _PATIENCE_ALONE_S if self._is_alone else PATIENCE_S
+            run(f"PRAGMA busy_timeout = {int(patience_s * 1000)}")
             run(f"PRAGMA locking_mode = {locking}")
             run("PRAGMA synchronous = FULL")
             run("PRAGMA foreign_keys = ON")
             run("PRAGMA trusted_schema = OFF")
+            run("PRAGMA cell_size_check = ON")
             run("PRAGMA temp_store = MEMORY")
-            self._connection.create_function("seal_of", -1, seal, deterministic=True)
-            if self.count("PRAGMA user_version") == 0 and create:
-                run("PRAGMA journal_mode = WAL")
-                with self._transaction():
-                    # Where there are some, another process was faster, or it is
-                    # another database.
-                    if not self.one("SELECT 1 FROM sqlite_master"):
-                        for statement in _TABLES.split(";"):
-                            self.run(statement)
-                        self.run(f"PRAGMA application_id = {_APPLICATION}")
-                        self._seal_rows()
+            if create and self.count("PRAGMA user_version") == 0:
+                self._create()
             version = self.count("PRAGMA user_version")
             application = self.count("PRAGMA application_id")
-            self.has_log = self.rows("PRAGMA journal_mode") == [("wal",)]
-        if version > VERSION:
-            raise NewerLibrary(
-                f"{self.path} has library format {version}, this palpate reads up to "
-                f"{VERSION}. Update palpate; the images beside it are plain .npy files."
+        if application == _APPLICATION and version > VERSION:
+            raise OtherVersion(
+                f"{self.path} has library format {version}, this palpate reads "
+                f"{VERSION}. Update palpate."
             )
-        if version < 1 or application != _APPLICATION:
+        if application == _APPLICATION and version in OLD_VERSIONS:
+            raise OtherVersion(
+                f"{self.folder} is a library of format {version}, of palpate 0.2 or "
+                f"older. `palpate library migrate {self.folder} NEW` makes one of "
+                "today of it; the old one stays as it is."
+            )
+        if version != VERSION or application != _APPLICATION:
             raise DatabaseDamaged(
                 f"{self.path} must be the database of a library of touches, got "
-                "another one, or an empty file. Give another folder, or rebuild it "
-                "from its images with `palpate library check --repair`."
+                "another one, or an empty file. Give another folder, or put a backup "
+                "in its place."
             )
-        if version == VERSION:
-            self._watch()
 
-    def _watch(self) -> None:
-        """Seal rows that are written; texts that are none break their seal alone."""
-        with self._explained:
-            for statement in triggers():
-                self._connection.execute(statement)
-        self._connection.text_factory = lambda text: text.decode(
-            errors="backslashreplace"
-        )
-        self.sealed = True
+    def _create(self) -> None:
+        self._connection.execute(f"PRAGMA page_size = {PAGE_BYTES}")
+        self._connection.execute("PRAGMA journal_mode = WAL")
+        with self._transaction():
+            # Where there are some, another process was faster, or it is another
+            # database.
+            if not self.one("SELECT 1 FROM sqlite_master"):
+                for statement in _TABLES.split(";"):
+                    self.run(statement)
+                self.run(f"PRAGMA application_id = {_APPLICATION}")
+                self.run(f"PRAGMA user_version = {VERSION}")
 
-    def _seal_rows(self) -> None:
-        if self.count("PRAGMA user_version") < VERSION:
-            # In a library that was made without.
-            self.run("DROP INDEX IF EXISTS touches_of_object")
-            for table, columns in SEALED.items():
-                self.run(f"ALTER TABLE {table} ADD COLUMN seal BLOB")
-                self.run(f"UPDATE {table} SET seal = seal_of({', '.join(columns)})")
-            self.run(f"PRAGMA user_version = {VERSION}")
+
+class _Ticket(Generic[T]):
+    """A job that waits for its transaction, and what came of it."""
+
+    def __init__(self, job: Callable[[], T]) -> None:
+        self._job = job
+        self._answers: list[T] = []
+        self._error: Exception | None = None
+        self._done = False
+
+    def is_done(self) -> bool:
+        return self._done
+
+    def run(self) -> None:
+        self._answers = [self._job()]
+
+    def fail(self, error: Exception) -> None:
+        self._error = self._error or error
+
+    def end(self) -> None:
+        self._done = True
+
+    def result(self) -> T:
+        if self._error is not None:
+            raise self._error
+        return self._answers[0]
+
+
+def chained(chain: bytes, digests: Sequence[bytes]) -> bytes:
+    """Return the chain of digests, goes on from `chain`, with some more of them."""
+    for digest in digests:
+        chain = hashlib.sha256(chain + digest).digest()
+    return chain
 
 
 def holders(n_values: int) -> str:
@@ -429,20 +503,33 @@ def is_unicode(text: str) -> bool:
     return not any("\ud800" <= letter <= "\udfff" for letter in text)
 
 
-def holds_files(library: Path) -> bool:
-    """Tell whether touches or changes have ever been stored in a library."""
-    kinds = (f"{IMAGES}/[0-9a-f][0-9a-f]/*.npy", f"{CHANGES}/*-*.json")
-    return any(next(library.glob(kind), None) is not None for kind in kinds)
-
-
 def from_json(text: str) -> Any:
     """Return what stands in a cell as JSON, or say that the database is damaged."""
     try:
         return json.loads(text)
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
         raise DatabaseDamaged(
-            f"A cell of the database must be JSON, got {text[:80]!r}. {_REBUILD}"
+            f"A cell of the database must be JSON, got {str(text)[:80]!r}. {REPAIR}"
         ) from error
+
+
+def warn_of_network(folder: Path) -> None:
+    """Warn where a folder lies on a network file system, whose locks SQLite doubts."""
+    try:
+        mounts = [line.split()[1:3] for line in _MOUNTS.read_text().splitlines()]
+        place = folder.resolve()
+    except (OSError, IndexError):
+        return
+    spelt = [(path.replace("\\040", " "), kind) for path, kind in mounts]
+    holding = [mount for mount in spelt if place.is_relative_to(mount[0])]
+    kind = max(holding, key=lambda mount: len(mount[0]), default=("", ""))[1]
+    if kind.startswith(_NETWORK):
+        warnings.warn(
+            f"{folder} lies on a network file system ({kind}), where SQLite's locks "
+            "cannot be trusted: let one machine alone use the library, or keep it on a "
+            "disk of that machine and `palpate library export` it for others.",
+            stacklevel=4,
+        )
 
 
 @contextmanager
@@ -466,8 +553,9 @@ _FIXES = {
     "SQLITE_READONLY": "Check that the folder and the file may be written to.",
     "SQLITE_NOMEM": "Free memory and try again.",
 }
-_REBUILD = (
-    "It is damaged; `palpate library check --repair` rebuilds it from the image files."
+REPAIR = (
+    "It is damaged; `palpate library check --repair` keeps what can be read, and the "
+    "damaged file as well."
 )
 _WAIT = "Another program has been writing for a minute; wait, or end it."
 _CHECK = "Check that the folder may be written to, and run `palpate library check`."
@@ -488,10 +576,10 @@ class _Explained:
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         if isinstance(error, sqlite3.Error):
-            raise _told(self.path, error) from error
+            raise _explanation(self.path, error) from error
         if isinstance(error, UnicodeDecodeError):  # in what SQLite quotes
             raise DatabaseDamaged(
-                f"{self.path} must be a sound database, got: {error}. {_REBUILD}"
+                f"{self.path} must be a sound database, got: {error}. {REPAIR}"
             ) from error
         if isinstance(error, UnicodeEncodeError):
             raise LibraryError(
@@ -500,15 +588,14 @@ class _Explained:
             ) from error
 
 
-def _told(path: Path, error: sqlite3.Error) -> LibraryError:
+def _explanation(path: Path, error: sqlite3.Error) -> LibraryError:
     """Return what SQLite stumbled over as one sentence with the fix."""
-    full_name = getattr(error, "sqlite_errorname", "")
-    name = "_".join(full_name.split("_")[:2])
+    name = "_".join(getattr(error, "sqlite_errorname", "").split("_")[:2])
     start = f"{path} must be a sound database, got: {error}. "
     unusable = f"{path} must be readable and writable, got: {error}. "
-    broken_seal = full_name == "SQLITE_CONSTRAINT_TRIGGER"
-    if broken_seal or name in ("SQLITE_CORRUPT", "SQLITE_NOTADB"):
-        return DatabaseDamaged(start + _REBUILD)
+    lacks = str(error).startswith(("no such table", "no such column"))
+    if lacks or name in ("SQLITE_CORRUPT", "SQLITE_NOTADB"):
+        return DatabaseDamaged(start + REPAIR)
     if name in ("SQLITE_BUSY", "SQLITE_LOCKED", "SQLITE_PROTOCOL"):
         return DatabaseBusy(unusable + _WAIT)
     if name in _FIXES:

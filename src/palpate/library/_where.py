@@ -14,10 +14,11 @@ from itertools import accumulate
 from typing import Any, NamedTuple
 from unicodedata import normalize
 
-from ._files import CELLS
+from ._content import CELLS
 from ._store import LibraryError, holders, is_unicode
 
-_RECORDED = ("kind", "unit", "pitch_mm", "geometry", "n_rows", "n_cols")
+_SIZES = ("n_rows", "n_cols", "n_channels")
+_RECORDED = ("kind", "unit", "pitch_mm", "geometry", *_SIZES)
 COLUMNS = {
     **{name: f't."{name}"' for name in CELLS},
     "object": "o.name",
@@ -25,8 +26,6 @@ COLUMNS = {
     "id": "lower(hex(t.id))",
     "added_s": "t.added_s",
     **{name: f"r.{name}" for name in _RECORDED},
-    # The type of images with channels begins with their number: "(3,)|u1".
-    "n_channels": "iif(r.dtype LIKE '(%', CAST(substr(r.dtype, 2) AS INTEGER), NULL)",
     "x_mm": "json_extract(t.extra, '$.position_mm[0]')",
     "y_mm": "json_extract(t.extra, '$.position_mm[1]')",
     "z_mm": "json_extract(t.extra, '$.position_mm[2]')",

@@ -15,12 +15,16 @@ from ._html import as_shown as as_shown
 from ._html import png_address as png_address
 from ._messages import frame_of_message as frame_of_message
 from ._messages import shows_frame as shows_frame
+from ._parquet import is_parquet as is_parquet
+from ._parquet import parquet_metadata as parquet_metadata
+from ._parquet import parquet_table as parquet_table
+from ._parquet import url_of as url_of
 from ._pictures import FILMS as FILMS
 from ._pictures import RGB as RGB
 from ._pictures import decode_bytes
 from ._pictures import n_cores as n_cores
 from ._pictures import png_bytes as png_bytes
-from ._touches import Episode, Touches, TouchSource, read_folder
+from ._touches import Episode, Touches, TouchSource, read_folder, read_parquet
 from ._touches import Labelled as Labelled
 
 __all__ = [
@@ -30,4 +34,5 @@ __all__ = [
     "TouchesError",
     "decode_bytes",
     "read_folder",
+    "read_parquet",
 ]

@@ -42,8 +42,11 @@ def folder_arrays(
     max_pixels: int,
     max_bytes: int,
     progress: bool | None,
-) -> Arrays:
-    """Return what `Touches` is made of, by name; `read_folder` explains the rest."""
+) -> tuple[Arrays, list[bytes] | None]:
+    """Return what `Touches` is made of, by name, and the bytes of pictures.
+
+    `read_folder` explains the rest.
+    """
     root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
     if skip_bad:
         found = _checked(root, names, pattern, max_pixels, colour)
@@ -65,13 +68,15 @@ def folder_arrays(
                 f"colour and no_contact must be left out for arrays, as in {root}."
             )
         images = folder_levels(paths, max_bytes)
-        return {"images": images, **columns, "source_path": np.array(names)}
+        return {"images": images, **columns, "source_path": np.array(names)}, None
     header = common_header(paths, max_pixels=max_pixels, colour=colour)
     whole: Arrays = {"channels": np.array(RGB)} if colour else {}
     if no_contact is not None:
         whole["no_contact"] = _like(Path(no_contact), header, max_pixels)
-    images = decode_pictures(paths, header, max_bytes=max_bytes, progress=progress)
-    return {"images": images, **whole, **columns, "source_path": np.array(names)}
+    limits: dict[str, Any] = {"max_bytes": max_bytes, "progress": progress}
+    images, files = decode_pictures(paths, header, **limits)
+    columns["source_path"] = np.array(names)
+    return {"images": images, **whole, **columns}, files
 
 
 def check_folder(

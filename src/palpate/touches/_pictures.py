@@ -180,23 +180,31 @@ def checked_picture(
     return header, orientation, _levels(data, header, orientation), data
 
 
-def decode_picture(path: Path, header: Header, out: Array | None = None) -> Array:
-    """Return the levels of a picture that has this header; `out` gets them if given."""
+def decode_picture(path: Path, header: Header) -> Array:
+    """Return the levels of a picture that has this header."""
+    levels = np.empty(header.shape, header.dtype)
+    _decode_into(levels, path, header)
+    return levels
+
+
+def _decode_into(out: Array, path: Path, header: Header) -> bytes:
+    """Write the levels of a picture that has this header to `out`; return its bytes."""
     try:
         with _opened(path, header.n_rows * header.n_cols) as file:
             data = file.read()
         found, orientation = _read_header(BytesIO(data))
         if (found := found.checked(header.colour)) != header:
             raise PictureError(f"{found} after {header}: the file changed meanwhile")
-        return _levels(data, header, orientation, out)
+        _levels(data, header, orientation, out)
+        return data
     except (OSError, PictureError) as error:
         raise refusal(path, error) from error
 
 
 def decode_pictures(
     paths: Sequence[Path], header: Header, *, max_bytes: int, progress: bool | None
-) -> Array:
-    """Return the levels of all pictures, (n_pictures, n_rows, n_cols[, 3]).
+) -> tuple[Array, list[bytes]]:
+    """Return the levels of all pictures, (n_pictures, n_rows, n_cols[, 3]), and files.
 
     They are decoded on all cores, into one array.
     """
@@ -208,11 +216,12 @@ def decode_pictures(
             f"got {n_bytes}. Read fewer or smaller ones, or raise max_bytes."
         )
     images = np.empty(shape, dtype=header.dtype)
+    files = [b""] * len(paths)
 
     def fill(start: int) -> int:
         stop = min(start + _AT_ONCE, len(paths))
         for touch in range(start, stop):
-            decode_picture(paths[touch], header, images[touch])
+            files[touch] = _decode_into(images[touch], paths[touch], header)
         return stop - start
 
     pool = ThreadPoolExecutor(n_cores())
@@ -222,7 +231,7 @@ def decode_pictures(
                 bar.advance(n_done)
     finally:
         pool.shutdown(cancel_futures=True)
-    return images
+    return images, files
 
 
 def n_cores() -> int:

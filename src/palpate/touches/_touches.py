@@ -23,6 +23,7 @@ from ._archive import read_archive, write_archive
 from ._columns import Arrays, TouchesError, check_layout, frame_summaries, frozen
 from ._containers import CONTAINERS, RAW, container_arrays, raw_arrays
 from ._folder import PICTURES, folder_arrays, no_contact_picture
+from ._parquet import is_parquet, parquet_parts
 from ._tables import TABLES, TEXTS, csv_arrays, load_levels, table_arrays
 
 MAX_PIXELS = 50_000_000
@@ -132,9 +133,10 @@ class Touches(Labelled):
     <Touches: 2 of 10 x 10 float64; 1 object; columns: object, force_n>
     """
 
-    __slots__ = ("_columns", "_images", "_whole")
+    __slots__ = ("_columns", "_files", "_images", "_whole")
     _images: Array
     _whole: Arrays
+    _files: Array | None
 
     def __init__(
         self,
@@ -156,6 +158,7 @@ class Touches(Labelled):
         self._images = _columns.checked_images(images)
         self._columns, self._whole = _columns.sorted_out(given, self._images)
         check_layout(self._images, self._columns, self._whole)
+        self._files = None
 
     @classmethod
     def load(
@@ -209,6 +212,14 @@ class Touches(Labelled):
         TouchesError
             The file or folder cannot be read as touches; it names the file and fix.
         """
+        if is_parquet(path):
+            plain = {name_pattern, levels, shape, dtype} == {None} and not channels
+            if colour or skip_bad or not plain:
+                raise TouchesError(
+                    f"{path} must be read without options for folders and tables, got "
+                    "some. A Parquet file says itself what it holds."
+                )
+            return cls._joined(read_parquet(path, max_bytes=max_bytes), max_bytes)
         place = Path(path)
         ending = place.suffix.lower()
         plain = name_pattern is None and not colour
@@ -228,8 +239,8 @@ class Touches(Labelled):
             )
         if place.is_dir() or (ending in PICTURES and place.is_file()):
             how = (name_pattern, levels, no_contact, colour, skip_bad)
-            limits = (max_pixels, max_bytes, progress)
-            return cls(**folder_arrays(place, *how, *limits))
+            arrays, files = folder_arrays(place, *how, max_pixels, max_bytes, progress)
+            return cls(**arrays)._with_files(files)
         if levels is not None or skip_bad:
             given = f"levels {levels!r}" if levels is not None else "skip_bad"
             raise TouchesError(
@@ -266,6 +277,25 @@ class Touches(Labelled):
             )
         touches = cls._of(*read_archive(place, max_bytes))
         return touches._with_rest(no_contact, max_pixels)
+
+    @classmethod
+    def _joined(cls, parts: Iterable[Touches], max_bytes: int) -> Self:
+        """Put parts of one set together, with what describes all of them alike."""
+        held: list[Touches] = []
+        n_bytes = 0
+        for part in parts:
+            held.append(part)
+            n_bytes += part.images.nbytes
+            if n_bytes > max_bytes:
+                raise TouchesError(
+                    f"Touches must take at most {max_bytes} bytes, got more. Keep them "
+                    "in a library, which is read as it is needed."
+                )
+        whole = [{n: a.tobytes() for n, a in part._whole.items()} for part in held]
+        same = {n for n, a in whole[0].items() if all(w.get(n) == a for w in whole)}
+        plain = [part.without(*(part._whole.keys() - same)) for part in held]
+        joined = Touches.concatenate(plain)
+        return cls._of(joined._images, joined._columns, joined._whole, joined._files)
 
     def _with_rest(
         self, no_contact: str | PathLike[str] | None, max_pixels: int
@@ -329,11 +359,16 @@ class Touches(Labelled):
         images = _columns.joined_images([part.images for part in parts])
         columns = _columns.joined_columns([part._columns for part in parts])
         whole = _columns.joined_whole([part._whole for part in parts])
-        return Touches._of(images, columns, whole)
+        files = [part._files for part in parts if part._files is not None]
+        joined = np.concatenate(files) if len(files) == len(parts) else None
+        return Touches._of(images, columns, whole, joined)
 
     @classmethod
-    def _of(cls, images: Array, columns: Arrays, whole: Arrays) -> Self:
+    def _of(
+        cls, images: Array, columns: Arrays, whole: Arrays, files: Array | None = None
+    ) -> Self:
         touches = cls.__new__(cls)
+        touches._files = files
         touches._images = frozen(images)
         touches._columns = {name: frozen(column) for name, column in columns.items()}
         touches._whole = {name: frozen(array) for name, array in whole.items()}
@@ -346,6 +381,22 @@ class Touches(Labelled):
     def images(self) -> Array:
         """Images (n_touches, n_rows, n_cols[, n_channels]), as the sensor gave them."""
         return self._images
+
+    @property
+    def files(self) -> Array | None:
+        """Bytes of the JPEG or PNG that each image was decoded from, or None.
+
+        Shape (n_touches,), of objects; a library keeps these instead of the images.
+        """
+        return self._files
+
+    def _with_files(self, files: Sequence[bytes] | None) -> Self:
+        """Return the touches with the files they were decoded from."""
+        kept = None
+        if files is not None:
+            kept = np.empty(len(self), dtype=np.object_)
+            kept[:] = files
+        return self._of(self._images, self._columns, self._whole, kept)
 
     @property
     def whole(self) -> Mapping[str, Array]:
@@ -392,7 +443,8 @@ class Touches(Labelled):
         """Pick touches by number, slice, mask or array of numbers."""
         rows = _columns.picked_rows(index, len(self))
         columns = {name: column[rows] for name, column in self._columns.items()}
-        return self._of(self._images[rows], columns, self._whole)
+        files = None if self._files is None else self._files[rows]
+        return self._of(self._images[rows], columns, self._whole, files)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
         """Return the images, so that `np.asarray(touches)` gives them."""
@@ -453,7 +505,7 @@ class Touches(Labelled):
         kept = {name: a for name, a in self._whole.items() if name not in added}
         parts = {**self._columns, **added}, {**kept, **changed}
         check_layout(self._images, *parts)
-        return self._of(self._images, *parts)
+        return self._of(self._images, *parts, self._files)
 
     def without(self, *names: str) -> Self:
         """Return these touches without the columns or whole-set entries named."""
@@ -466,7 +518,7 @@ class Touches(Labelled):
         columns = {n: a for n, a in self._columns.items() if n not in names}
         whole = {n: a for n, a in self._whole.items() if n not in names}
         check_layout(self._images, columns, whole)
-        return self._of(self._images, columns, whole)
+        return self._of(self._images, columns, whole, self._files)
 
     def with_frame_summaries(self) -> Self:
         """Return these touches with summaries of `press_frames` as their images.
@@ -573,6 +625,44 @@ class TouchSource(Protocol):
         ...
 
 
+def read_parquet(
+    path: str | PathLike[str],
+    *,
+    max_bytes: int = MAX_BYTES,
+    max_pixels: int = MAX_PIXELS,
+) -> Iterator[Touches]:
+    """Read touches from Parquet some at a time, in their order.
+
+    Parameters
+    ----------
+    path : path
+        A file, a folder of them (`object=mug/part-0.parquet`), or an address of a
+        store that fsspec knows, such as `s3://bucket/touches`.
+    max_bytes : int, default=4 GiB
+        Most bytes of one row group.
+    max_pixels : int, default=50_000_000
+        Largest picture to decode, in pixels.
+
+    Yields
+    ------
+    Touches
+        Up to 512 touches of one recording, with its no-contact image, pads and so on.
+
+    Raises
+    ------
+    TouchesError
+        It is no Parquet, or its columns are not those of touches.
+    ImportError
+        pyarrow or fsspec is missing; the message names the extra.
+    """
+    n_read = 0
+    for arrays, files in parquet_parts(path, max_bytes, max_pixels):
+        n_read += len(arrays["images"])
+        yield Touches(**arrays)._with_files(files)
+    if not n_read:
+        raise TouchesError(f"{path} must hold at least one touch, got none.")
+
+
 def read_folder(
     path: str | PathLike[str],
     *,
@@ -643,4 +733,5 @@ def read_folder(
     """
     how = (name_pattern, levels, no_contact, colour, skip_bad)
     limits = (max_pixels, max_bytes, progress)
-    return Touches(**folder_arrays(Path(path), *how, *limits))
+    arrays, files = folder_arrays(Path(path), *how, *limits)
+    return Touches(**arrays)._with_files(files)

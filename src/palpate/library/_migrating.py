@@ -1,0 +1,386 @@
+"""Libraries of format 1 and 2, of palpate 0.2 and older, made into one of today.
+
+Those kept images in `.npy` files named by the SHA-256 of their bytes, several touches
+in one file, and each change in a JSON file; a SQLite database knew where each was. The
+old folder is only read. Ids, order, times, names and retractions stay as they are.
+"""
+
+import hashlib
+import io
+import json
+import shutil
+import sqlite3
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import closing, suppress
+from itertools import groupby
+from math import prod
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.lib import format as npy
+
+from .._durable import flush_folder
+from .._progress import Progress
+from .._types import Array
+from ._changes import Change
+from ._content import (
+    CELLS,
+    Batch,
+    Column,
+    identity,
+    image_digest,
+    packed_rows,
+    packs_well,
+    stored_image,
+    wide_identity,
+)
+from ._repairing import enter_all
+from ._store import FILE_NAME, OLD_VERSIONS, LibraryError, Store
+
+_BEGUN = ".migrating.sqlite"
+_AT_ONCE = 256
+_MAX_HEADER = 2**14
+_ROWS = (
+    "SELECT t.number, t.id, given.name, "
+    + ", ".join(f't."{name}"' for name in CELLS[1:])
+    + ", t.extra, l.columns, t.recording, f.name, f.offset, t.place, t.image, "
+    "t.added_s FROM touches t JOIN layouts l ON l.id = t.layout "
+    "JOIN files f ON f.id = t.file LEFT JOIN objects given ON given.id = t.object "
+    "WHERE t.number > ? ORDER BY t.number LIMIT ?"
+)
+# What both formats say of each touch, to be compared at the end.
+_STATE = (
+    "SELECT t.number, t.id, o.name, json_extract(c.content, '$.reason') FROM touches t "
+    "LEFT JOIN objects given ON given.id = t.object "
+    "LEFT JOIN objects o ON o.id = coalesce(given.merged_into, given.id) "
+    "LEFT JOIN changes c ON c.id = t.retraction ORDER BY t.number"
+)
+
+
+class MigrationReport(NamedTuple):
+    """What became of an old library: how much is in the new one, and what is not.
+
+    `lost` are ids of touches whose image is missing or altered in the old library;
+    `n_unknown_files` counts files of images that its database does not know.
+    """
+
+    n_touches: int
+    n_changes: int
+    lost: list[str]
+    n_unknown_files: int
+
+
+def migrate_library(
+    old: str | Path, new: str | Path, *, progress: bool | None = None
+) -> MigrationReport:
+    """Make a library of today of one of format 1 or 2, which stays as it is.
+
+    One that was stopped goes on where it was when it is called again.
+
+    Parameters
+    ----------
+    old, new : path
+        The old library, and a new or empty folder.
+    progress : bool, optional
+        Show a bar on standard error when it takes over two seconds; by default where
+        that is a terminal.
+
+    Raises
+    ------
+    LibraryError
+        `old` is no such library, `new` is not empty, or the disk is full.
+    """
+    old, new = Path(old), Path(new)
+    begun = new / _BEGUN
+    if (
+        not begun.is_file()
+        and new.exists()
+        and (not new.is_dir() or any(new.iterdir()))
+    ):
+        raise LibraryError(
+            f"{new} must be a new or empty folder, got files in it. Give another one."
+        )
+    with (
+        tempfile.TemporaryDirectory() as scratch,
+        closing(_Old(old, scratch)) as source,
+    ):
+        try:
+            new.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise LibraryError(
+                f"{new} must be a folder that can be made, got: {error.strerror}."
+            ) from error
+        with closing(Store(new, create=True, name=_BEGUN)) as store:
+            source.refuse_others(store)
+            with Progress(source.n_touches, "Migrating", progress) as bar:
+                source.enter_rest(store, bar)
+            source.compare(store)
+            tally = store.tally()
+            store.rows("PRAGMA wal_checkpoint(TRUNCATE)")
+        begun.replace(new / FILE_NAME)
+        for left in new.glob(f"{_BEGUN}-*"):
+            left.unlink()
+        flush_folder(new)
+        counts = tally.n_touches, tally.n_changes
+        return MigrationReport(*counts, source.lost, source.n_unknown_files())
+
+
+class _Old:
+    """An old library: a copy of its database, and its files."""
+
+    def __init__(self, folder: Path, scratch: str) -> None:
+        self.folder, self.lost = folder, list[str]()
+        self._last: tuple[str, list[Array]] = "", []
+        copy = Path(scratch) / FILE_NAME
+        for ending in ("", "-wal"):  # opening it in its place would change it
+            with suppress(FileNotFoundError):
+                source = folder / f"{FILE_NAME}{ending}"
+                shutil.copyfile(source, copy.with_name(f"{FILE_NAME}{ending}"))
+        if not copy.is_file():
+            raise LibraryError(
+                f"{folder} must be an old library of touches, got no {FILE_NAME} in it."
+            )
+        self._database = sqlite3.connect(copy)
+        self._database.text_factory = lambda text: text.decode(errors="replace")
+        [(version,)] = self._rows("PRAGMA user_version")
+        if version not in OLD_VERSIONS:
+            self.close()
+            raise LibraryError(
+                f"{folder} must be a library of format 1 or 2, got format {version}. "
+                "One of today needs no migration."
+            )
+        [(self.n_touches,)] = self._rows("SELECT count(*) FROM touches")
+        self._changes = [*self._read_changes()]
+        self._recordings = self._read_recordings()
+
+    def close(self) -> None:
+        self._database.close()
+
+    def refuse_others(self, store: Store) -> None:
+        """Refuse to go on with a migration of another library."""
+        known = store.rows("SELECT number, id FROM touches ORDER BY number")
+        ids = dict(self._rows("SELECT number, id FROM touches"))
+        if any(ids.get(number) != key for number, key in known):
+            raise LibraryError(
+                f"{store.folder} must be where the migration of {self.folder} was "
+                "begun, got touches of another library. Give another folder."
+            )
+
+    def enter_rest(self, store: Store, bar: Progress) -> None:
+        """Enter touches and changes in their order, but for those in `store`."""
+        number = store.count("SELECT max(number) FROM touches")
+        last_s = store.one("SELECT max(time_s) FROM changes")
+        done_s = (last_s and last_s[0]) or 0.0
+        waiting = [change for change in self._changes if change.time_s > done_s]
+        enter_all(store, self._touches_after(number, bar), waiting)
+
+    def _touches_after(
+        self, number: int, bar: Progress
+    ) -> Iterator[tuple[list[int], Batch]]:
+        while rows := self._rows(_ROWS, [number, _AT_ONCE]):
+            number = rows[-1][0]
+            yield from self._batches(rows)
+            bar.advance(len(rows))
+
+    def compare(self, store: Store) -> None:
+        """Refuse a new library that says other things than the old one."""
+        lost = {bytes.fromhex(key) for key in self.lost}
+        before = [row for row in self._rows(_STATE) if row[1] not in lost]
+        if before != store.rows(_STATE):
+            pairs = zip(before, store.rows(_STATE), strict=False)
+            odd = next((row[1].hex() for row, now in pairs if row != now), "the last")
+            raise LibraryError(
+                f"{self.folder} must be one whose changes explain its touches, got "
+                f"another name or retraction of touch {odd}. Look at it with "
+                "`palpate library check` of the palpate that made it."
+            )
+
+    def n_unknown_files(self) -> int:
+        known = {name.hex() for (name,) in self._rows("SELECT name FROM files")}
+        return sum(p.stem not in known for p in self.folder.glob("images/*/*.npy"))
+
+    def _rows(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
+        try:
+            return self._database.execute(sql, values).fetchall()
+        except sqlite3.Error as error:
+            raise LibraryError(
+                f"{self.folder} must be a sound library, got: {error}. Repair it with "
+                "the palpate that made it: `palpate library check --repair`."
+            ) from error
+
+    def _read_changes(self) -> Iterator[Change]:
+        """Yield the changes; lists of touches stand in files, or follow from rows."""
+        rows = self._rows("SELECT added_s FROM touches ORDER BY number")
+        added_s = np.array([row[0] for row in rows])
+        rows = self._rows(
+            "SELECT id, name, time_s, action, content FROM changes ORDER BY id"
+        )
+        for key, name, time_s, action, text in rows:
+            content = json.loads(text)
+            if action == "leave_out":  # arrays that were lost: reading tells of them
+                continue
+            if action in ("retract", "restore"):
+                content["ids"] = self._ids(key, name, action)
+            for note in ("time_s", "after", "digest", "action"):
+                content.pop(note, None)
+            before = np.flatnonzero(added_s < time_s)
+            after = int(before[-1]) + 1 if len(before) else 0  # numbers count from 1
+            yield Change(time_s, action, content, after)
+
+    def _ids(self, key: int, name: str, action: str) -> list[str]:
+        with suppress(OSError, ValueError, KeyError):
+            path = self.folder / "changes" / f"{name}.json"
+            return [str(i) for i in json.loads(path.read_text("utf-8"))["ids"]]
+        if action == "restore":
+            return []
+        sql = "SELECT lower(hex(id)) FROM touches WHERE retraction = ?"
+        return [row[0] for row in self._rows(sql, [key])]
+
+    def _read_recordings(self) -> dict[int, dict[str, Any]]:
+        rows = self._rows(
+            "SELECT id, sensor, kind, unit, pitch_mm, geometry, n_rows, n_cols, dtype, "
+            "whole FROM recordings"
+        )
+        recordings = {}
+        names = ("sensor", "kind", "unit", "pitch_mm", "geometry", "n_rows", "n_cols")
+        for key, *plain, dtype, whole in rows:
+            # The type of images with channels began with their number: "(3,)|u1".
+            channels, _, kind = dtype.rpartition(")")
+            n_channels = int(channels.strip("(,")) if channels else None
+            recordings[key] = {
+                **dict(zip(names, plain, strict=True)),
+                "n_channels": n_channels,
+                "dtype": kind,
+                "whole": json.loads(whole),
+            }
+        return recordings
+
+    def _batches(
+        self, rows: list[tuple[Any, ...]]
+    ) -> Iterator[tuple[list[int], Batch]]:
+        """Yield neighbouring touches of one layout, recording, file and time."""
+        n = len(CELLS) + 2
+        for _, alike in groupby(rows, lambda row: (*row[n + 1 : n + 4], row[-1])):
+            together = [row for row in alike if self._has_image(row)]
+            if together:
+                yield [row[0] for row in together], self._batch(together)
+
+    def _has_image(self, row: tuple[Any, ...]) -> bool:
+        try:
+            self._image(row)
+            self._wide(row)
+        except (OSError, ValueError, KeyError):
+            self.lost.append(row[1].hex())
+            return False
+        return True
+
+    def _batch(self, rows: list[tuple[Any, ...]]) -> Batch:
+        n = len(CELLS) + 2
+        extra, columns, recording = zip(*(row[n : n + 3] for row in rows), strict=True)
+        layout = Column.all_of(columns[0])
+        labels = [self._label(row) for row in rows]
+        values = [
+            {
+                **dict(zip(CELLS, (label, *row[3:n]), strict=True)),
+                **json.loads(more or "{}"),
+            }
+            for row, label, more in zip(rows, labels, extra, strict=True)
+        ]
+        described = dict(self._recordings[recording[0]])
+        arrays: dict[bytes, Array | None] = {}
+        keys = {}
+        for entry, name in described["whole"].items():
+            with suppress(OSError, ValueError):  # told of by the old library already
+                [array] = self._arrays("arrays", name)[:1]
+                keys[entry] = image_digest(array).hex()
+                arrays[image_digest(array)] = array
+        wide = [self._wide(row) for row in rows]
+        packs = packs_well(self._image(rows[0]))
+        return Batch(
+            layout,
+            {c.name: [v.get(c.name) for v in values] for c in layout if not c.wide},
+            [
+                stored_image(self._image(row), None, packed_rows(more, 0), packs=packs)
+                for row, more in zip(rows, wide, strict=True)
+            ],
+            [row[n + 6] for row in rows],
+            [row[1] for row in rows],
+            [b""] * len(rows),
+            {**described, "whole": keys},
+            arrays,
+            rows[0][-1],
+        )
+
+    def _label(self, row: tuple[Any, ...]) -> str | None:
+        """Return what the object of a touch was called when it was added.
+
+        The id follows from that name; where it does from none, the one by the times of
+        changes counts.
+        """
+        name: str | None = row[2]
+        number = row[0]
+        names = [name]
+        by_time = name
+        for change in reversed(self._changes):
+            if change.action == "rename" and change.content["new"] in names:
+                if change.content["new"] == by_time and change.after >= number:
+                    by_time = change.content["old"]
+                names.append(change.content["old"])
+        n = len(CELLS) + 2
+        cells = {
+            **dict(zip(CELLS, (None, *row[3:n]), strict=True)),
+            **json.loads(row[n] or "{}"),
+        }
+        wide = wide_identity(self._wide(row), 0)
+        for label in dict.fromkeys([by_time, *names]):
+            if identity(row[n + 6], {**cells, "object": label}, wide) == row[1]:
+                return label
+        return by_time
+
+    def _image(self, row: tuple[Any, ...]) -> Array:
+        """Return the image of a row, compared with its digest."""
+        n = len(CELLS) + 2
+        recording, name, offset, place, digest = row[n + 2 : n + 7]
+        about = self._recordings[recording]
+        sides = (about["n_rows"], about["n_cols"], about["n_channels"])
+        shape = tuple(side for side in sides if side is not None)
+        dtype = np.dtype(about["dtype"])
+        n_bytes = prod(shape) * dtype.itemsize
+        with self._path("images", name.hex()).open("rb") as file:
+            file.seek(offset + place * n_bytes)
+            image = np.frombuffer(file.read(n_bytes), dtype).reshape(shape)
+        if image_digest(image) != digest:
+            raise ValueError("altered values")
+        return image
+
+    def _wide(self, row: tuple[Any, ...]) -> dict[str, Array]:
+        """Return a row's values of wide columns, as arrays of one row."""
+        n = len(CELLS) + 2
+        layout = Column.all_of(row[n + 1])
+        names = [column.name for column in layout if column.wide]
+        if not names:
+            return {}
+        _, *blocks, _ = self._arrays("images", row[n + 3].hex())
+        place = row[n + 5]
+        return {
+            name: block[place : place + 1]
+            for name, block in zip(names, blocks, strict=True)
+        }
+
+    def _arrays(self, kind: str, name: str) -> list[Array]:
+        """Return all arrays of a file, which must be what its name says."""
+        if self._last[0] == name:
+            return self._last[1]
+        content = self._path(kind, name).read_bytes()
+        if hashlib.sha256(content).hexdigest() != name:
+            raise ValueError("altered content")
+        stream, arrays = io.BytesIO(content), []
+        while stream.tell() < len(content):
+            arrays.append(npy.read_array(stream, max_header_size=_MAX_HEADER))
+        self._last = name, arrays
+        return arrays
+
+    def _path(self, kind: str, name: str) -> Path:
+        return self.folder / kind / name[:2] / f"{name}.npy"

@@ -1,0 +1,400 @@
+"""Touches in Parquet: one row a touch, written and read some at a time.
+
+`image` is a fixed-shape tensor of the sensor's own type; where images are pictures (8
+bits, grey or r, g, b, larger than an array) it is their files, JPEG or PNG, as the
+feature `Image` of the package `datasets` shows them. Columns keep their names, those of
+several numbers a touch are lists. `recording` says to which entry of the metadata
+`palpate` (JSON) a touch belongs: those hold what describes all of its touches alike,
+such as the no-contact image, pads, channels and geometry.
+
+A path is a file, a folder of them whose names may carry a column (`object=mug/`), or an
+address of a store that fsspec knows (`s3://bucket/touches.parquet`).
+"""
+
+import json
+import re
+from base64 import b64decode, b64encode
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from itertools import pairwise
+from math import prod
+from os import PathLike
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+
+from .._checks import ARRAY_SIDE
+from .._extras import needed
+from .._types import Array
+from ._columns import Arrays, TouchesError
+from ._pictures import RGB, decode_bytes, png_bytes
+
+ENDINGS = (".parquet", ".pq")
+FORMAT = 2
+_ROWS_AT_ONCE = 512
+_BYTES_AT_ONCE = 64 * 2**20
+_IMAGE, _RECORDING = "image", "recording"
+_URL = re.compile(r"([a-z][a-z0-9+.-]+):/+(.*)", re.DOTALL)
+_PART = re.compile(r"([^/=]+)=([^/]*)")
+_READING = "Reading Parquet"
+
+
+def url_of(path: str | PathLike[str]) -> str | None:
+    """Return the address of a store outside, or None where a path is one of this disk.
+
+    A `Path` makes one slash of two.
+    """
+    parts = _URL.fullmatch(str(path))
+    if parts is None:
+        return None
+    scheme, rest = parts.groups()
+    return f"file:///{rest}" if scheme == "file" else f"{scheme}://{rest}"
+
+
+def is_parquet(path: str | PathLike[str]) -> bool:
+    """Tell whether a path is a Parquet file, a folder of them, or an address of one."""
+    place = Path(path)
+    if url_of(path) is not None or place.is_file():
+        return place.suffix.lower() in ENDINGS
+    if not place.is_dir() or (place / "meta" / "info.json").is_file():
+        return False  # a LeRobotDataset is read by its own package
+    return any(next(place.rglob(f"*{ending}"), None) for ending in ENDINGS)
+
+
+def parquet_table(
+    images: Array,
+    columns: Mapping[str, Array],
+    files: Sequence[bytes] | None,
+    channels: tuple[str, ...] | None,
+    recording: Array,
+) -> Any:
+    """Return touches as a table of Arrow; `recording` has their entries' numbers.
+
+    Raises TouchesError for a column that Parquet does not hold.
+    """
+    pa = needed("pyarrow", "parquet", "Writing Parquet")
+    if files is None and _are_pictures(images, channels):
+        files = [png_bytes(image) for image in images]
+    if files is not None:
+        rows = [{"bytes": file, "path": None} for file in files]
+        kind = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+        arrays = {_IMAGE: pa.array(rows, kind)}
+    else:
+        arrays = {_IMAGE: _tensor(pa, images)}
+    arrays |= {name: _arrow(pa, name, column) for name, column in columns.items()}
+    arrays[_RECORDING] = pa.array(np.asarray(recording, np.int32))
+    return pa.table(arrays)
+
+
+def parquet_metadata(
+    schema: Any, dtypes: Mapping[str, str], recordings: Sequence[Mapping[str, Any]]
+) -> dict[str, str]:
+    """Return what a Parquet file of palpate says of itself.
+
+    `dtypes` are those of images and columns; each of `recordings` has the arrays of its
+    `whole`, and may have more that JSON holds.
+    """
+    plain = [
+        {**entry, "whole": {n: _encoded(a) for n, a in entry["whole"].items()}}
+        for entry in recordings
+    ]
+    about = {"format": FORMAT, "dtypes": dict(dtypes), "recordings": plain}
+    metadata = {"palpate": json.dumps(about)}
+    pa = needed("pyarrow", "parquet", "Writing Parquet")
+    if pa.types.is_struct(schema.field(_IMAGE).type):
+        features = {field.name: _feature(pa, field.type) for field in schema}
+        features[_IMAGE] = {"_type": "Image"}
+        metadata["huggingface"] = json.dumps({"info": {"features": features}})
+    return metadata
+
+
+def parquet_parts(
+    path: str | PathLike[str], max_bytes: int, max_pixels: int
+) -> Iterator[tuple[Arrays, list[bytes] | None]]:
+    """Yield what `Touches` is made of, of one recording at a time, and files of images.
+
+    Raises TouchesError where it is no Parquet, or not one of touches.
+    """
+    pq = needed("pyarrow.parquet", "parquet", _READING)
+    pa = needed("pyarrow", "parquet", _READING)
+    with ExitStack() as stack:
+        for name, file in _files(path, stack):
+            try:
+                reader = pq.ParquetFile(file)
+                yield from _parts(pa, name, reader, max_bytes, max_pixels)
+            except (pa.ArrowException, OSError, OverflowError) as error:
+                raise TouchesError(
+                    f"{name} must be a whole Parquet file, got: {error}. Write it anew."
+                ) from error
+
+
+def _files(path: str | PathLike[str], stack: ExitStack) -> Iterator[tuple[str, Any]]:
+    """Yield the files of a path in their order, opened one at a time."""
+    url = url_of(path)
+    if url is None:
+        place = Path(path)
+        found = [place]
+        if place.is_dir():
+            found = [p for p in sorted(place.rglob("*")) if p.suffix.lower() in ENDINGS]
+        for one in found:
+            with one.open("rb") as stream:
+                yield str(one), stream
+        return
+    fsspec = needed("fsspec.core", "parquet", "Reading from a store")
+    try:
+        system, place_there = fsspec.url_to_fs(url)
+        names = [place_there]
+        if not system.isfile(place_there):
+            listed = sorted(system.find(place_there))
+            names = [n for n in listed if n.lower().endswith(ENDINGS)]
+    except (ValueError, ImportError, OSError) as error:
+        raise TouchesError(
+            f"{url} must be an address that fsspec can open, got: {error}."
+        ) from error
+    if not names:
+        raise TouchesError(f"{url} must hold Parquet files, got none there.")
+    for name in names:
+        with system.open(name, "rb") as stream:
+            yield name, stream
+
+
+def _parts(
+    pa: Any, name: str, reader: Any, max_bytes: int, max_pixels: int
+) -> Iterator[tuple[Arrays, list[bytes] | None]]:
+    about = _about(name, reader.schema_arrow.metadata or {})
+    schema = reader.schema_arrow
+    if _IMAGE not in schema.names:
+        raise TouchesError(
+            f"{name} must have a column {_IMAGE!r} of pictures or tensors, got "
+            f"{', '.join(schema.names) or 'no column'}. Rename the one that has them."
+        )
+    groups = [reader.metadata.row_group(i) for i in range(reader.num_row_groups)]
+    largest = max((group.total_byte_size for group in groups), default=0)
+    if largest > max_bytes:
+        raise TouchesError(
+            f"{name} must have row groups of at most {max_bytes} bytes, got {largest}. "
+            "Write it in smaller ones, or raise max_bytes."
+        )
+    named = {key: unquote(value) for key, value in _PART.findall(name)}
+    n_bytes = largest // max(1, max((group.num_rows for group in groups), default=1))
+    size = max(1, min(_ROWS_AT_ONCE, _BYTES_AT_ONCE // max(1, n_bytes)))
+    for batch in reader.iter_batches(batch_size=size):
+        arrays, files = _batch_arrays(pa, name, batch, about, max_pixels)
+        for column, value in named.items():
+            arrays.setdefault(column, np.full(batch.num_rows, value))
+        numbers = arrays.pop(_RECORDING, np.zeros(batch.num_rows, int))
+        cuts = [0, *(np.flatnonzero(np.diff(numbers)) + 1), batch.num_rows]
+        for start, stop in pairwise(cuts):
+            part = {n: array[start:stop] for n, array in arrays.items()}
+            part["images"] = part.pop(_IMAGE)
+            kept = None if files is None else files[start:stop]
+            yield {**part, **_whole(name, about, int(numbers[start]))}, kept
+
+
+def _about(name: str, metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
+    """Return what the file says of itself; of another program's it is nothing."""
+    try:
+        about = json.loads(metadata.get(b"palpate", b"{}"))
+        if about.get("format", FORMAT) > FORMAT:
+            raise TouchesError(
+                f"{name} must be of Parquet format {FORMAT} or older, got "
+                f"{about['format']}. Update palpate."
+            )
+        if about.get("format") == 1:  # all images one recording, sides beside
+            sides = [about[n] for n in ("n_rows", "n_cols", "n_channels") if n in about]
+            about["shape"] = sides
+            about["dtypes"] = {_IMAGE: about["dtype"]}
+            about["recordings"] = [{"whole": about["whole"]}]
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        if isinstance(error, TouchesError):
+            raise
+        raise TouchesError(
+            f"{name} must say of itself in JSON what it holds, got: {error!r}. Write "
+            "it anew."
+        ) from error
+    known: dict[str, Any] = about
+    return known
+
+
+def _whole(name: str, about: Mapping[str, Any], number: int) -> Arrays:
+    """Return what describes all touches of a recording."""
+    recordings = about.get("recordings", [])
+    try:
+        whole = recordings[number]["whole"] if recordings else {}
+        return {n: _decoded(value) for n, value in whole.items()}
+    except (IndexError, KeyError, TypeError, ValueError) as error:
+        raise TouchesError(
+            f"{name} must have recording {number} among its metadata, got: {error!r}. "
+            "Write it anew."
+        ) from error
+
+
+def _batch_arrays(
+    pa: Any, name: str, batch: Any, about: Mapping[str, Any], max_pixels: int
+) -> tuple[Arrays, list[bytes] | None]:
+    dtypes = about.get("dtypes", {})
+    arrays: Arrays = {}
+    files = None
+    for field, column in zip(batch.schema, batch.columns, strict=True):
+        if field.name == _IMAGE:
+            arrays[_IMAGE], files = _images(pa, name, column, about, max_pixels)
+            continue
+        array = _numpy(pa, name, field.name, column)
+        if (dtype := dtypes.get(field.name)) and array.dtype.kind in "biufMS":
+            array = _as_written(array, dtype)
+        arrays[field.name] = array
+    return arrays, files
+
+
+def _as_written(array: Array, dtype: str) -> Array:
+    """Return an array in the type that the writer had, where it fits that."""
+    try:
+        wanted = np.dtype(dtype)
+    except TypeError:
+        return array
+    same = wanted.kind == array.dtype.kind and wanted.itemsize == array.dtype.itemsize
+    return array.astype(wanted) if same else array
+
+
+def _images(
+    pa: Any, name: str, column: Any, about: Mapping[str, Any], max_pixels: int
+) -> tuple[Array, list[bytes] | None]:
+    """Return images, and the files they were decoded from, if they were."""
+    kind = column.type
+    if pa.types.is_struct(kind) and "bytes" in [field.name for field in kind]:
+        column, kind = column.field("bytes"), pa.binary()
+    if pa.types.is_binary(kind) or pa.types.is_large_binary(kind):
+        return _decoded_files(name, column.to_pylist(), about, max_pixels)
+    array = _numpy(pa, name, _IMAGE, column)
+    if shape := about.get("shape"):
+        if prod(shape) != array[0].size:
+            raise TouchesError(
+                f"{name} must have images of {shape} values, got {array[0].size}."
+            )
+        array = array.reshape(-1, *shape)
+    if array.ndim not in (3, 4) or array.dtype.kind not in "biuf":
+        raise TouchesError(
+            f"{name} must have images of rows and columns of numbers, got "
+            f"{kind}. Write tensors (pyarrow.fixed_shape_tensor) or pictures."
+        )
+    return _as_written(array, about.get("dtypes", {}).get(_IMAGE, "")), None
+
+
+def _decoded_files(
+    name: str, files: list[bytes | None], about: Mapping[str, Any], max_pixels: int
+) -> tuple[Array, list[bytes]]:
+    colour = any("channels" in r.get("whole", {}) for r in about.get("recordings", []))
+    whole = [file for file in files if file is not None]
+    if len(whole) < len(files):
+        raise TouchesError(
+            f"{name} must hold every picture itself, got {len(files) - len(whole)} "
+            "without bytes. Write them into it."
+        )
+    images = [decode_bytes(f, max_pixels=max_pixels, colour=colour) for f in whole]
+    shapes = {image.shape for image in images}
+    if len(shapes) > 1:
+        raise TouchesError(
+            f"{name} must hold pictures of one size, got "
+            f"{' and '.join(' x '.join(map(str, s)) for s in sorted(shapes)[:2])}."
+        )
+    return np.stack(images), whole
+
+
+def _numpy(pa: Any, name: str, column_name: str, column: Any) -> Array:
+    """Return a column of Arrow as an array; what lacks is NaN or ""."""
+    kind = column.type
+    if isinstance(kind, pa.BaseExtensionType):
+        if isinstance(kind, pa.FixedShapeTensorType) and not column.null_count:
+            tensor: Array = column.to_numpy_ndarray()
+            return tensor
+        raise _no_column(name, column_name, kind)
+    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
+        return np.array(["" if text is None else text for text in column.to_pylist()])
+    if pa.types.is_dictionary(kind):
+        return _numpy(pa, name, column_name, column.dictionary_decode())
+    if pa.types.is_binary(kind):
+        return np.array(
+            [b"" if value is None else value for value in column.to_pylist()]
+        )
+    if pa.types.is_fixed_size_list(kind) and not column.null_count:
+        flat = _numpy(pa, name, column_name, column.flatten())
+        return flat.reshape(len(column), kind.list_size, *flat.shape[1:])
+    if pa.types.is_list(kind) or pa.types.is_large_list(kind):
+        try:
+            return np.array(column.to_pylist())
+        except ValueError as error:
+            raise _no_column(name, column_name, "lists of unequal length") from error
+    array: Array = column.to_numpy(zero_copy_only=False)
+    if array.dtype.kind == "O":
+        if not pa.types.is_boolean(kind):
+            raise _no_column(name, column_name, kind)
+        array = np.array([np.nan if v is None else float(v) for v in array])
+    return array
+
+
+def _no_column(name: str, column: str, got: object) -> TouchesError:
+    return TouchesError(
+        f"{name} must have numbers or text in column {column!r}, got {got}. Leave it "
+        "out, or convert it."
+    )
+
+
+def _are_pictures(images: Array, channels: tuple[str, ...] | None) -> bool:
+    """Tell whether images are what a camera gives, and a viewer shows."""
+    large = min(images.shape[1:3]) > ARRAY_SIDE
+    return images.dtype == np.uint8 and channels in (None, RGB) and large
+
+
+def _arrow(pa: Any, name: str, array: Array) -> Any:
+    """Return one column; several numbers a touch are lists of a fixed length."""
+    native = np.ascontiguousarray(array.astype(array.dtype.newbyteorder("=")))
+    try:
+        column = pa.array(native.reshape(-1))
+        for size in reversed(array.shape[1:]):
+            column = pa.FixedSizeListArray.from_arrays(column, size)
+    except (pa.ArrowException, ValueError, TypeError) as error:
+        raise TouchesError(
+            f"Column {name!r} must have a type that Parquet holds, got "
+            f"{array.dtype}. Leave it out, or convert it."
+        ) from error
+    return column
+
+
+def _tensor(pa: Any, images: Array) -> Any:
+    """Return images as a tensor of Arrow, without its permutation of axes.
+
+    That says nothing here, and several readers refuse it.
+    """
+    flat = _arrow(pa, _IMAGE, images.reshape(len(images), -1))
+    shape = images.shape[1:]
+    kind = pa.fixed_shape_tensor(flat.type.value_type, shape)
+    return pa.ExtensionArray.from_storage(kind, flat)
+
+
+def _feature(pa: Any, kind: Any) -> dict[str, Any]:
+    """Return what `datasets` calls a type of Arrow."""
+    if pa.types.is_fixed_size_list(kind):
+        inner = _feature(pa, kind.value_type)
+        return {"feature": inner, "length": kind.list_size, "_type": "Sequence"}
+    names = {"double": "float64", "float": "float32", "halffloat": "float16"}
+    return {"dtype": names.get(str(kind), str(kind)), "_type": "Value"}
+
+
+def _encoded(array: Array) -> dict[str, Any]:
+    if array.dtype.kind == "U":
+        return {"text": array.tolist()}
+    data = b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")
+    return {"dtype": array.dtype.str, "shape": array.shape, "base64": data}
+
+
+def _decoded(value: Any) -> Array:
+    if not isinstance(value, dict):  # of format 1
+        return np.array(value)
+    if "text" in value:
+        return np.array(value["text"], dtype=np.str_)
+    dtype = np.dtype(value["dtype"])
+    if dtype.hasobject:
+        raise ValueError(f"values of {dtype}")
+    return np.frombuffer(b64decode(value["base64"]), dtype).reshape(value["shape"])

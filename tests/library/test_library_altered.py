@@ -1,0 +1,412 @@
+"""Rows and pages that something altered: refused, found, and the rest kept."""
+
+import os
+import shutil
+import sqlite3
+import threading
+import time
+import warnings
+from contextlib import closing, suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palpate import Touches
+from palpate.library import (
+    LibraryError,
+    TouchLibrary,
+    check_library,
+    repair_library,
+)
+from palpate.library._content import Image, image_digest
+from palpate.library._rows import _row_digest, stored_touches
+from palpate.library._store import chained
+
+PAGE = 8192
+
+
+def _press(seed, n_touches=1, side=5):
+    rng = np.random.default_rng(seed)
+    return Touches(
+        rng.integers(0, 255, (n_touches, side, 6), dtype=np.uint8),
+        object=["o" * (1 + seed % 9)] * n_touches,  # texts of any length
+        press=[seed] * n_touches,
+        loads=rng.normal(size=(n_touches, 20)),
+    )
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Six touches of three objects; one was retracted."""
+    place = tmp_path / "lab"
+    with TouchLibrary.open(place, create=True) as library:
+        images = np.arange(6 * 4, dtype=np.uint8).reshape(6, 2, 2)
+        labels = ["mug", "pen", "cap"] * 2
+        library.add(
+            Touches(
+                images,
+                object=labels,
+                force_n=np.arange(6.0),
+                note=labels,
+                no_contact=images[0],
+            )
+        )
+        library.rename_object("cap", "hat")
+        library.retract(library.list()[3].id, reason="wet")
+    return place
+
+
+def _rows(folder):
+    with TouchLibrary.open(folder) as library:
+        return library.list(limit=None, retracted=True)
+
+
+REFUSED = {
+    "force": ("UPDATE touches SET force_n = 6.7e-78 WHERE number = 2", "2"),
+    "no force": ("UPDATE touches SET force_n = NULL WHERE number = 2", "2"),
+    "text": ("UPDATE touches SET force_n = '1.0' WHERE number = 2", "2"),
+    "json": ("UPDATE touches SET extra = '{\"note\": ' WHERE number = 2", "2"),
+    "label": ("UPDATE touches SET label = 'mug' WHERE number = 2", "2"),
+    "its object": ("UPDATE touches SET object = 1 WHERE number IN (2, 5)", "25"),
+    "no object": ("UPDATE touches SET object = NULL WHERE number = 2", "2"),
+    "other object": ("UPDATE objects SET name = 'pan' WHERE name = 'pen'", "25"),
+    "merged": ("UPDATE objects SET merged_into = 1 WHERE name = 'pen'", "25"),
+    "id": (f"UPDATE touches SET id = x'{'00' * 16}' WHERE number = 2", "2"),
+    "digest": ("UPDATE touches SET digest = x'00' WHERE number = 2", "2"),
+    "content": ("UPDATE touches SET content = image WHERE number = 2", "2"),
+    "time": ("UPDATE touches SET added_s = 0 WHERE number = 2", "2"),
+    "layout": ("UPDATE layouts SET columns = '['", "123456"),
+    "odd layout": ("UPDATE layouts SET columns = '[5]'", "123456"),
+    "odd names": ("UPDATE layouts SET columns = '[[[1],2,[],0]]'", "123456"),
+    "recording": ("UPDATE recordings SET unit = 'bar'", "123456"),
+    "size": ("UPDATE recordings SET n_rows = 1000000000000", "123456"),
+    "whole": ('UPDATE recordings SET whole = \'{"a":"../../x"}\'', "123456"),
+    "image": ("UPDATE images SET image = x'00' WHERE number = 2", "2"),
+    "form": ("UPDATE images SET form = 'picture' WHERE number = 2", "2"),
+    "more": ("UPDATE images SET more = x'00' WHERE number = 2", "2"),
+    "no image": ("DELETE FROM images WHERE number = 2", "2"),
+    "a name's change": (
+        'UPDATE changes SET content = \'{"old":"cap"}\' WHERE id = 1',
+        "36",
+    ),
+    "no change": ("DELETE FROM changes WHERE id = 1", "36"),
+    "a change's place": ("UPDATE changes SET after = 3 WHERE id = 1", "36"),
+}
+
+
+@pytest.mark.parametrize(("statement", "numbers"), REFUSED.values(), ids=REFUSED)
+def test_what_is_altered_is_refused_left_out_found_and_set_aside(
+    folder, alter, statement, numbers
+):
+    before, places = _rows(folder), [int(n) - 1 for n in numbers]
+    alter(folder, statement)
+    with TouchLibrary.open(folder) as library:
+        for read in (library.touches, lambda: library.select().touches(range(5))):
+            with pytest.raises(LibraryError):
+                read()
+        if len(places) < 6:
+            with pytest.warns(UserWarning, match="left out"):
+                rest = library.touches(damaged="skip")
+            assert len(rest) == 5 - len({*places} - {3})
+        report = library.check()
+    assert not report.ok
+    assert len(report.problems) < 20
+    done = repair_library(folder)
+    assert check_library(folder).ok
+    assert done.rebuilt
+    assert list(folder.glob("damaged/*/library.sqlite"))
+    kept = _rows(folder)
+    lost = len(before) - len(kept)
+    assert lost == len(done.lost)
+    if "change" in statement:  # of names: touches are whole, called as they came
+        assert [r._replace(object=None) for r in kept] == [
+            r._replace(object=None) for r in before
+        ]
+    elif "objects" in statement or "SET object" in statement:
+        assert kept == before
+    else:
+        assert kept == [row for n, row in enumerate(before) if n not in places]
+
+
+FOUND = {
+    "last": "DELETE FROM touches WHERE number = 6",
+    "one": "DELETE FROM touches WHERE number = 3",
+    "touch and image": "DELETE FROM images WHERE number = 6; "
+    "DELETE FROM touches WHERE number = 6",
+    "retraction": "UPDATE touches SET retraction = NULL",
+    "retracted": "UPDATE touches SET retraction = 1 WHERE number = 1",
+    "other reason": "UPDATE touches SET retraction = 1 WHERE number = 4",
+    "last change": "UPDATE touches SET retraction = NULL; "
+    "DELETE FROM changes WHERE id = 2",
+    "reason": 'UPDATE changes SET content = replace(content, "wet", "dry")',
+    "count": "UPDATE tally SET n_touches = 5",
+    "no count": "DELETE FROM tally",
+    "arrays": "DELETE FROM arrays",
+    "order": "UPDATE touches SET number = 9 WHERE number = 2; "
+    "UPDATE images SET number = 9 WHERE number = 2",
+}
+
+
+@pytest.mark.parametrize("statements", FOUND.values(), ids=FOUND)
+def test_what_reading_cannot_notice_is_found_by_a_check(folder, alter, statements):
+    before = {row.id: row for row in _rows(folder)}
+    alter(folder, *statements.split("; "))
+    report = check_library(folder)
+    assert not report.ok
+    with suppress(LibraryError):
+        repair_library(folder)
+        left = {problem.kind for problem in check_library(folder).problems}
+        assert left <= {"left out"}
+        gone = set(before) - {row.id for row in _rows(folder)}
+        assert len(gone) == ("DELETE FROM touches" in statements)
+    assert list(folder.rglob("library.sqlite"))
+
+
+def test_a_flip_that_makes_bytes_a_text_is_no_crash(folder):
+    """The type of a cell is one byte of its row: that of bytes plus one is of text."""
+    path = folder / "library.sqlite"
+    with closing(sqlite3.connect(path)) as database:
+        [[n_bytes]] = database.execute("SELECT length(content) FROM arrays")
+    content = bytearray(path.read_bytes())
+    kind = 12 + 2 * n_bytes  # of the content, after that of a digest of 32 bytes
+    header = bytes([4, 12 + 2 * 32, 0x80 | kind >> 7, kind & 0x7F])
+    content[content.index(header) + 3] ^= 1
+    path.write_bytes(content)
+    found = {problem.kind for problem in check_library(folder).problems}
+    assert found == {"array", "database"}
+    with TouchLibrary.open(folder) as library, pytest.warns(UserWarning, match="check"):
+        assert library.touches().no_contact is None
+
+
+def test_a_forged_image_is_found_since_its_id_does_not_follow(folder):
+    """Even where whoever forged it computed every digest and the chain anew."""
+    with TouchLibrary.open(folder) as library:
+        store, tables = library._store, library._tables
+        [row] = stored_touches(store, "WHERE t.number = ?", [2])
+        levels = np.full((2, 2), 99, np.uint8)
+        image = Image("plain", levels.tobytes(), None)
+        forged = row._replace(image=image_digest(levels), content=image.digest())
+        layout = tables._layout(row.layout)[0]
+        recording = tables.recording(row.recording).digest
+        digest = _row_digest(forged, layout, recording)
+    with closing(sqlite3.connect(folder / "library.sqlite")) as database:
+        database.execute(
+            "UPDATE images SET form = ?, image = ?, more = ? WHERE number = 2", image
+        )
+        database.execute(
+            "UPDATE touches SET image = ?, content = ?, digest = ? WHERE number = 2",
+            [forged.image, forged.content, digest],
+        )
+        digests = database.execute("SELECT digest FROM touches ORDER BY number")
+        chain = chained(b"", [key for (key,) in digests])
+        database.execute("UPDATE tally SET touches = ?", [chain])
+        database.commit()
+    [problem] = check_library(folder).problems
+    assert (problem.kind, problem.touches) == ("touch", [row.key.hex()])
+    assert "must follow from what it holds" in problem.what
+
+
+def test_an_older_database_put_back_is_told_until_it_is_accepted(folder):
+    """Also when touches have been added to it since."""
+    before = (folder / "library.sqlite").read_bytes()
+    with TouchLibrary.open(folder) as library:
+        library.add(_press(1, 3))
+        library.rename_object("mug", "cup")
+    (folder / "library.sqlite").write_bytes(before)
+    for n_added in range(2):
+        told = "once held 3 more touches and 1 more changes"
+        with pytest.warns(UserWarning, match=told) as warned:
+            library = TouchLibrary.open(folder)
+        assert warned[0].filename == __file__
+        with library:
+            if n_added:
+                library.add(_press(2))
+        [problem] = check_library(folder).problems
+        assert problem.kind == "lost"
+        assert "3 more touches and 1 more changes" in problem.what
+    done = repair_library(folder)
+    assert (done.rebuilt, done.n_touches, done.set_aside) == (False, 7, None)
+    assert check_library(folder).ok
+    assert len(_rows(folder)) == 7
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory):
+    """Four hundred touches with changes in their past, many pages of each table."""
+    place = tmp_path_factory.mktemp("large") / "lab"
+    with TouchLibrary.open(place, create=True) as library:
+        for seed in range(8):
+            library.add(_press(seed, 50, side=60), session=f"s{seed}")
+        library.rename_object("oo", "cup")
+        library.add(_press(1, 20, side=60), session="later")
+        library.merge_objects("ooo", "o")
+        library.retract(object="oooo", reason="wet")
+    return place
+
+
+def _pages(path, kinds):
+    """Return numbers of pages of some kinds: their first byte tells; not the first."""
+    content = path.read_bytes()
+    return [p for p in range(1, len(content) // PAGE) if content[p * PAGE] in kinds]
+
+
+def _facts(folder):
+    with TouchLibrary.open(folder) as library:
+        rows = library.list(limit=None, retracted=True)
+        return rows, {row.id: library.image(row.id).tobytes() for row in rows}
+
+
+INDEX, TABLE = (2, 10), (13,)  # pages of an index, and leaves of a table
+
+
+@pytest.mark.parametrize(("kinds", "n_pages"), [(INDEX, 99), (TABLE, 1), (TABLE, 4)])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_repair_keeps_all_that_is_whole_and_deletes_nothing(
+    large, tmp_path, kinds, n_pages, seed
+):
+    before, images = _facts(large)
+    folder = shutil.copytree(large, tmp_path / "lab")
+    path = folder / "library.sqlite"
+    content = bytearray(path.read_bytes())
+    rng = np.random.default_rng(seed)
+    pages = _pages(path, kinds)
+    for page in rng.permutation(pages)[:n_pages]:
+        where = slice(page * PAGE + 100, (page + 1) * PAGE - 8)
+        content[where] = rng.bytes(where.stop - where.start)
+    path.write_bytes(content)
+    assert not check_library(folder).ok
+    done = repair_library(folder)
+    kept, kept_images = _facts(folder)
+    assert kept == [row for row in before if row.id in kept_images]
+    assert kept_images.items() <= images.items()
+    if kinds == INDEX:
+        assert done.lost == []
+    # A row of the table of touches takes more than 200 bytes, that of an image more.
+    assert len(done.lost) <= n_pages * PAGE // 200
+    assert len(kept) + len(done.lost) == len(before)
+    named = {key for key in done.lost if not key.startswith("number ")}
+    assert named <= images.keys() - kept_images.keys()
+    assert Path(done.set_aside).read_bytes() == bytes(content)
+    assert check_library(folder).ok
+    with TouchLibrary.open(folder) as library:
+        for seed in range(8):
+            library.add(_press(seed, 50, side=60), session=f"s{seed}")
+        assert library.stats().n_touches + library.stats().n_retracted >= len(kept)
+        assert library.check().ok
+
+
+def test_a_repair_that_fails_leaves_the_library_as_it_was(folder, alter, monkeypatch):
+    alter(folder, "UPDATE touches SET force_n = 9 WHERE number = 2")
+    before = (folder / "library.sqlite").read_bytes()
+    replace = Path.replace
+
+    def fail(path, target):
+        if path.name.startswith(".partial"):
+            raise OSError(28, os.strerror(28))
+        return replace(path, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", fail)
+        with pytest.raises(LibraryError, match="must have room for a new database"):
+            repair_library(folder)
+    assert (folder / "library.sqlite").read_bytes() == before
+    assert not list(folder.glob(".partial-*"))
+    assert "Row 2 must be" in str(check_library(folder))
+    assert repair_library(folder).n_touches == 5
+
+
+def test_what_another_adds_after_a_repair_is_not_lost(folder, alter):
+    """It is refused, or is in the new database: not in the one set aside alone."""
+    with TouchLibrary.open(folder) as other:
+        assert len(other) == 5
+        alter(folder, "UPDATE touches SET force_n = 9 WHERE number = 2")
+        ids = []
+        with suppress(LibraryError):
+            repair_library(folder)
+        with suppress(LibraryError):
+            ids = other.add(_press(1))
+    assert {*ids} <= {row.id for row in _rows_left(folder)}
+
+
+def _rows_left(folder):
+    with TouchLibrary.open(folder) as library:
+        repaired = library.check().ok
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of the row that was altered
+            return library.list(limit=None, damaged="raise" if repaired else "skip")
+
+
+@pytest.mark.parametrize("damage", ["empty", "cut", "text", "scribbled", "lost"])
+def test_a_database_of_which_nothing_is_left_is_not_replaced(folder, damage):
+    path = folder / "library.sqlite"
+    whole = path.read_bytes()
+    broken = {
+        "empty": b"",
+        "cut": whole[:PAGE],
+        "text": b"no database" * 99,
+        "scribbled": whole[:100] + b"\xaa" * (len(whole) - 100),
+    }
+    path.write_bytes(broken[damage]) if damage != "lost" else path.unlink()
+    assert not check_library(folder).ok
+    for act in (
+        lambda: TouchLibrary.open(folder).list(),
+        lambda: repair_library(folder),
+    ):
+        with pytest.raises(
+            LibraryError, match=r"backup|check --repair|no library\.sqlite"
+        ):
+            act()
+    assert not (folder / "damaged").exists()
+    if damage != "lost":
+        assert path.read_bytes() == broken[damage]
+        assert str(check_library(folder)).startswith(
+            "0 touches: 1 problem.\ndatabase: "
+        )
+
+
+def test_a_backup_is_a_library_made_while_others_add(large, tmp_path):
+    folder = shutil.copytree(large, tmp_path / "lab")
+    copy, stop, added = tmp_path / "a" / "copy", threading.Event(), []
+
+    def stream():
+        with TouchLibrary.open(folder) as other:
+            while not stop.is_set():
+                added.append(other.add(_press(100 + len(added)))[0])
+
+    with TouchLibrary.open(folder) as library:
+        before = [row.id for row in library.list(limit=None, retracted=True)]
+        thread = threading.Thread(target=stream)
+        thread.start()
+        while not added:
+            time.sleep(0.001)
+        n_copied = library.backup(copy)
+        stop.set()
+        thread.join()
+        assert library.check().ok
+        history = library.history()
+    assert sorted(p.name for p in copy.iterdir())[:2] == [
+        *("library.count", "library.sqlite")
+    ]
+    assert check_library(copy).ok
+    with TouchLibrary.open(copy) as copied:
+        ids = [row.id for row in copied.list(limit=None, retracted=True)]
+        assert copied.history() == history
+    assert len(ids) == n_copied > len(before)
+    assert ids == (before + added)[: len(ids)]
+
+
+def test_a_backup_goes_to_a_new_or_empty_folder(folder, tmp_path):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "x").touch()
+    (tmp_path / "empty").mkdir()
+    with TouchLibrary.open(folder) as library:
+        for name, got in (("full", "files in it"), ("full/x", "a file")):
+            with pytest.raises(LibraryError, match=f"new or empty folder, got {got}"):
+                library.backup(tmp_path / name)
+        with pytest.raises(LibraryError):
+            library.backup(folder)
+        assert library.backup(tmp_path / "empty") == 6
+        with pytest.raises(LibraryError, match="files in it"):
+            library.backup(tmp_path / "empty")
+    assert _rows(tmp_path / "empty") == _rows(folder)

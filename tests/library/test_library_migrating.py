@@ -1,0 +1,185 @@
+"""A library of palpate 0.2, made by it, becomes one of today that says the same.
+
+`data/format2.zip` has that library and, as JSON, what its own palpate said of it:
+touches of two sensors, in colour, with frames and gaps, and changes of every kind
+between them.
+"""
+
+import hashlib
+import json
+import shutil
+import sqlite3
+import zipfile
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palpate.library import (
+    LibraryError,
+    TouchLibrary,
+    check_library,
+    migrate_library,
+)
+from palpate.library import _migrating as migrating
+from palpate.library._store import Store
+
+N_TOUCHES, N_CHANGES = 29, 5
+
+
+@pytest.fixture
+def old(tmp_path):
+    zipfile.ZipFile(Path(__file__).parent / "data" / "format2.zip").extractall(tmp_path)
+    return tmp_path / "library"
+
+
+@pytest.fixture
+def state(old):
+    return json.loads((old.parent / "state.json").read_text())
+
+
+def _files(folder):
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def _assert_same(folder, state):
+    with TouchLibrary.open(folder) as library:
+        rows = [dict(row._asdict()) for row in library.list(limit=None, retracted=True)]
+        for row in rows:
+            image = library.image(row["id"])
+            native = image.astype(image.dtype.newbyteorder("="))  # as it gave them then
+            row["sha256"] = hashlib.sha256(native.tobytes()).hexdigest()
+        assert rows == state["rows"]
+        assert [list(o) for o in library.objects()] == state["objects"]
+        assert [list(s) for s in library.sensors()] == state["sensors"]
+        for session, image in state["no_contact"].items():
+            assert library.no_contact(session).tolist() == image
+        frames = library.touches("session = s3").columns["press_frames"]
+        drawn = np.random.default_rng(0).normal(size=(5, 4, 6, 7))
+        np.testing.assert_array_equal(frames, drawn)
+
+
+def test_everything_is_as_it_was_and_the_old_folder_untouched(old, state, tmp_path):
+    before = _files(old)
+    report = migrate_library(old, tmp_path / "new")
+    assert report == (N_TOUCHES, N_CHANGES, [], 0)
+    assert _files(old) == before
+    _assert_same(tmp_path / "new", state)
+    assert check_library(tmp_path / "new").ok
+    with TouchLibrary.open(tmp_path / "new") as library:
+        actions = [change.action for change in library.history()]
+    assert actions == ["rename", "merge", "rename", "retract", "restore"]
+
+
+def test_format_1_is_format_2_without_seals(old, state, tmp_path):
+    with closing(sqlite3.connect(old / "library.sqlite")) as database:
+        tables = ("objects", "recordings", "layouts", "files", "changes", "touches")
+        for table in tables:
+            database.execute(f"ALTER TABLE {table} DROP COLUMN seal")
+        database.execute("PRAGMA user_version = 1")
+        database.commit()
+    migrate_library(old, tmp_path / "new")
+    _assert_same(tmp_path / "new", state)
+
+
+@pytest.mark.parametrize("n_steps", range(1, 11))
+def test_a_stopped_migration_goes_on(old, state, tmp_path, monkeypatch, n_steps):
+    new = tmp_path / "new"
+    left = iter(range(n_steps))
+    write = Store.write
+
+    def stopping(store, job):
+        if next(left, None) is None:
+            raise KeyboardInterrupt
+        return write(store, job)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "write", stopping)
+        with pytest.raises(KeyboardInterrupt):
+            migrate_library(old, new)
+    assert not TouchLibrary.is_library(new)  # nobody takes it for a whole one
+    migrate_library(old, new)
+    _assert_same(new, state)
+    assert check_library(new).ok
+    assert not [*new.glob(".migrating*")]
+
+
+def test_an_old_library_is_refused_with_the_way_out(old):
+    with pytest.raises(LibraryError, match="palpate library migrate"):
+        TouchLibrary.open(old)
+    with pytest.raises(LibraryError, match="palpate library migrate"):
+        TouchLibrary.open(old, create=True)
+    report = check_library(old)
+    assert not report.ok
+    assert report.problems[0].kind == "version"
+
+
+def test_touches_whose_image_is_gone_are_named(old, tmp_path):
+    gone = sorted((old / "images").rglob("*.npy"), key=lambda p: p.stat().st_size)[0]
+    with closing(sqlite3.connect(old / "library.sqlite")) as database:
+        sql = (
+            "SELECT lower(hex(t.id)) FROM touches t JOIN files f ON f.id = t.file "
+            "WHERE f.name = ? ORDER BY number"
+        )
+        ids = [r[0] for r in database.execute(sql, [bytes.fromhex(gone.stem)])]
+    gone.unlink()
+    report = migrate_library(old, tmp_path / "new")
+    assert report.lost == ids
+    assert report.n_touches == N_TOUCHES - len(ids)
+    assert check_library(tmp_path / "new").ok
+
+
+def test_an_altered_image_costs_its_touch_alone(old, tmp_path):
+    [path] = [p for p in (old / "images").rglob("*.npy") if np.load(p).shape[0] == 8]
+    content = bytearray(path.read_bytes())
+    content[128 + 42] ^= 1  # the second image, after a header of 128 bytes
+    path.write_bytes(content)
+    report = migrate_library(old, tmp_path / "new")
+    assert len(report.lost) == 1
+    assert report.n_touches == N_TOUCHES - 1
+
+
+def test_files_that_the_database_does_not_know_are_counted(old, tmp_path):
+    stray = old / "images" / "ab" / f"{'ab' * 32}.npy"
+    stray.parent.mkdir(exist_ok=True)
+    stray.write_bytes(b"x")
+    assert migrate_library(old, tmp_path / "new").n_unknown_files == 1
+
+
+def test_a_change_whose_file_is_lost_follows_from_the_rows(old, state, tmp_path):
+    for path in (old / "changes").glob("*.json"):
+        if json.loads(path.read_text())["action"] == "retract":
+            path.unlink()
+    migrate_library(old, tmp_path / "new")
+    _assert_same(tmp_path / "new", state)
+
+
+def test_what_is_no_old_library_is_refused(old, tmp_path):
+    with pytest.raises(LibraryError, match=r"no library\.sqlite in it"):
+        migrate_library(tmp_path / "nothing", tmp_path / "new")
+    migrate_library(old, tmp_path / "new")
+    with pytest.raises(LibraryError, match="got format 3"):
+        migrate_library(tmp_path / "new", tmp_path / "newer")
+    with pytest.raises(LibraryError, match="new or empty folder"):
+        migrate_library(old, tmp_path / "new")
+    (old / "library.sqlite").write_bytes(b"x" * 5000)
+    with pytest.raises(LibraryError, match="must be a sound library"):
+        migrate_library(old, tmp_path / "newest")
+    assert not (tmp_path / "newest").exists()
+
+
+def test_a_begun_migration_of_another_library_is_not_continued(old, tmp_path):
+    new, other = tmp_path / "new", tmp_path / "other"
+    shutil.copytree(old, other)
+    with closing(sqlite3.connect(other / "library.sqlite")) as database:
+        database.execute("UPDATE touches SET id = randomblob(16)")
+        database.commit()
+    migrate_library(old, new)
+    (new / "library.sqlite").replace(new / migrating._BEGUN)
+    with pytest.raises(LibraryError, match="touches of another library"):
+        migrate_library(other, new)

@@ -1,0 +1,241 @@
+"""Parquet out and in again: to the bit, with what belongs to whole recordings."""
+
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from PIL import Image
+
+from palpate import Touches
+from palpate.library import LibraryError, SensorDescription, TouchLibrary
+from palpate.touches import TouchesError, read_parquet
+
+pa = pytest.importorskip("pyarrow")
+pq = pytest.importorskip("pyarrow.parquet")
+
+
+def _presses(seed, n_touches=6, dtype=np.uint8, **more):
+    rng = np.random.default_rng(seed)
+    return Touches(
+        rng.integers(0, 255, (n_touches, 5, 6)).astype(dtype),
+        object=rng.choice(["mug", "a/b=c", "pen"], n_touches),
+        force_n=np.where(rng.random(n_touches) < 0.3, np.nan, 1.5),
+        order=np.arange(n_touches),
+        position_mm=rng.normal(size=(n_touches, 3)),
+        **more,
+    )
+
+
+@pytest.fixture
+def library(tmp_path):
+    with TouchLibrary.open(tmp_path / "library", create=True) as library:
+        yield library
+
+
+def _again(tmp_path, path):
+    """Return a library of what a path holds, and the parts that were read."""
+    parts = list(read_parquet(path))
+    library = TouchLibrary.open(tmp_path / "again", create=True)
+    for part in parts:
+        library.add(part)
+    return library, parts
+
+
+def _ids(library):
+    return {row.id for row in library.list(limit=None)}
+
+
+@pytest.mark.parametrize("dtype", ["u1", "<i2", ">f4", "<f8", "<u8"])
+@pytest.mark.parametrize("by", [None, "object", "session"])
+def test_touches_come_back_with_their_ids(library, tmp_path, dtype, by):
+    pad = SensorDescription("pad", "array", "kPa", 4.0, "array")
+    for day in ("monday", "007"):  # no number, whatever it looks like
+        baseline = np.full((5, 6), len(day)).astype(dtype)
+        touches = _presses(len(day), dtype=dtype, no_contact=baseline)
+        library.add(touches, session=day, sensor=pad)
+    path = tmp_path / "some.parquet"
+    assert library.export(path, by=by) == 12
+    again, parts = _again(tmp_path, path)
+    with again:
+        assert _ids(again) == _ids(library)
+        assert again.check().ok
+        for day in ("monday", "007"):  # each its own, though they differ
+            assert_array_equal(again.no_contact(day), np.full((5, 6), len(day)))
+    assert sum(map(len, parts)) == 12
+    assert all(part.geometry == "array" for part in parts)
+
+
+def test_one_set_is_read_with_what_describes_all_of_it(library, tmp_path):
+    frames = np.random.default_rng(1).normal(size=(6, 4, 5, 6))
+    touches = _presses(1, no_contact=np.ones((5, 6), np.uint8), press_frames=frames)
+    library.add(touches)
+    library.export(tmp_path / "some.parquet")
+    again = Touches.load(tmp_path / "some.parquet")
+    assert_array_equal(again.images, touches.images)
+    for name, column in touches.columns.items():
+        assert_array_equal(again.columns[name], column, err_msg=name)
+    assert_array_equal(again.no_contact, touches.no_contact)
+
+
+def test_pictures_travel_as_their_own_files(library, tmp_path):
+    folder = tmp_path / "in" / "cup"
+    folder.mkdir(parents=True)
+    rng = np.random.default_rng(0)
+    for number in range(3):
+        levels = rng.integers(0, 255, (60, 80, 3), dtype=np.uint8)
+        Image.fromarray(levels).save(folder / f"{number}.jpg", quality=80)
+    library.add(Touches.load(tmp_path / "in", colour=True))
+    library.export(tmp_path / "some.parquet")
+    kept = [
+        row["bytes"]
+        for row in pq.read_table(tmp_path / "some.parquet")["image"].to_pylist()
+    ]
+    assert kept == [path.read_bytes() for path in sorted(folder.iterdir())]
+    again, _ = _again(tmp_path, tmp_path / "some.parquet")
+    with again:
+        assert _ids(again) == _ids(library)
+        forms = again._store.rows("SELECT DISTINCT form FROM images")
+    assert forms == [("picture",)]
+
+
+def test_camera_images_are_shown_by_others_as_pictures(library, tmp_path):
+    """`datasets` of Hugging Face takes the feature Image from this metadata."""
+    images = np.random.default_rng(0).integers(0, 255, (2, 60, 80), dtype=np.uint8)
+    library.add(Touches(images, object=["mug", "pen"], order=[1, 2]))
+    library.export(tmp_path / "some.parquet")
+    schema = pq.read_schema(tmp_path / "some.parquet")
+    features = json.loads(schema.metadata[b"huggingface"])["info"]["features"]
+    assert features["image"] == {"_type": "Image"}
+    assert features["object"] == {"dtype": "string", "_type": "Value"}
+    assert set(features) == set(schema.names)
+    again = Touches.load(tmp_path / "some.parquet")  # PNG loses nothing
+    assert_array_equal(again.images, images)
+
+
+def test_other_programs_see_tensors(library, tmp_path):
+    library.add(_presses(1))
+    library.export(tmp_path / "some.parquet")
+    table = pq.read_table(tmp_path / "some.parquet")
+    tensor = table["image"].combine_chunks().to_numpy_ndarray()
+    assert_array_equal(tensor, library.touches().images)
+    assert table["object"].to_pylist() == library.touches().object.tolist()
+
+
+@pytest.mark.parametrize("by", [None, "object"])
+def test_a_store_that_fsspec_knows_serves(library, tmp_path, by):
+    pytest.importorskip("fsspec")
+    library.add(_presses(1))
+    url = f"memory://bucket/{by}/some.parquet"
+    assert library.export(url, by=by) == 6
+    again, _ = _again(tmp_path, url)
+    with again:
+        assert _ids(again) == _ids(library)
+    assert len(Touches.load(url)) == 6
+    with pytest.raises(TouchesError, match="fsspec can open"):
+        list(read_parquet("nosuchscheme://bucket/some.parquet"))
+    with pytest.raises(LibraryError, match=r"must be Parquet \(\.parquet\)"):
+        library.export("memory://bucket/some.npz")
+
+
+def test_many_touches_are_read_some_at_a_time(library, tmp_path):
+    library.add(_presses(3, 2000))
+    library.export(tmp_path / "some.parquet")
+    parts = list(read_parquet(tmp_path / "some.parquet"))
+    assert max(map(len, parts)) <= 512
+    assert sum(map(len, parts)) == 2000
+    with pytest.raises(TouchesError, match="Keep them in a library"):
+        Touches.load(tmp_path / "some.parquet", max_bytes=50_000)
+
+
+def test_what_another_program_wrote_is_read(tmp_path):
+    """Plain nested lists without a word of palpate in it, in folders by object."""
+    images = np.arange(24.0).reshape(2, 3, 4)
+    table = pa.table({"image": images.tolist(), "force_n": [0.5, None]})
+    for name in ("mug", "pen"):
+        place = tmp_path / "set.parquet" / f"object={name}"
+        place.mkdir(parents=True)
+        pq.write_table(table, place / "0.parquet")
+    touches = Touches.load(tmp_path / "set.parquet")
+    assert touches.object.tolist() == ["mug", "mug", "pen", "pen"]
+    assert_array_equal(touches.images, np.concatenate([images, images]))
+    assert_array_equal(touches.columns["force_n"], [0.5, np.nan, 0.5, np.nan])
+
+
+def test_files_of_before_are_read(tmp_path):
+    """Format 1: one flat list a touch, the sides in the metadata."""
+    images = np.arange(24, dtype=np.int16).reshape(2, 3, 4)
+    flat = pa.FixedSizeListArray.from_arrays(pa.array(images.ravel()), 12)
+    about = {"format": 1, "n_rows": 3, "n_cols": 4, "dtype": "<i2", "whole": {}}
+    table = pa.table({"image": flat}).replace_schema_metadata(
+        {"palpate": json.dumps(about)}
+    )
+    pq.write_table(table, tmp_path / "old.parquet")
+    assert_array_equal(Touches.load(tmp_path / "old.parquet").images, images)
+
+
+def _written(path, table, **about):
+    if about:
+        table = table.replace_schema_metadata({"palpate": json.dumps(about)})
+    pq.write_table(table, path)
+
+
+TENSOR = {"image": np.zeros((2, 3, 4)).tolist()}
+
+
+@pytest.mark.parametrize(
+    ("columns", "about", "match"),
+    [
+        ({"picture": [1, 2]}, {}, "must have a column 'image'"),
+        ({"image": [1.0, 2.0]}, {}, "images of rows and columns of numbers"),
+        ({"image": ["a", "b"]}, {}, "images of rows and columns of numbers"),
+        ({"image": [[[1.0]], [[1.0, 2.0]]]}, {}, "lists of unequal length"),
+        ({"image": [b"no picture", b""]}, {}, "must be a JPEG or PNG"),
+        ({"image": [b"no picture", None]}, {}, "hold every picture itself"),
+        (
+            {**TENSOR, "odd": [{"a": 1}, {"a": 2}]},
+            {},
+            "numbers or text in column 'odd'",
+        ),
+        ({**TENSOR, "force_n": ["x", "y"]}, {}, "force_n must"),
+        (TENSOR, {"format": 9}, "Parquet format 2 or older"),
+        (TENSOR, {"format": 2, "recordings": [{}]}, "recording 0 among its metadata"),
+        (
+            {**TENSOR, "recording": [0, 7]},
+            {"format": 2, "recordings": [{"whole": {}}]},
+            "recording 7",
+        ),
+    ],
+)
+def test_what_is_not_touches_is_refused_in_one_sentence(
+    tmp_path, columns, about, match
+):
+    _written(tmp_path / "odd.parquet", pa.table(columns), **about)
+    with pytest.raises(TouchesError, match=match):
+        Touches.load(tmp_path / "odd.parquet")
+
+
+def test_damaged_and_empty_files_are_refused(library, tmp_path):
+    library.add(_presses(1))
+    path = tmp_path / "some.parquet"
+    library.export(path)
+    content = path.read_bytes()
+    path.write_bytes(content[:-50])
+    with pytest.raises(TouchesError, match="must be a whole Parquet file"):
+        Touches.load(path)
+    _written(path, pa.table({"image": pa.array([], pa.list_(pa.float32()))}))
+    with pytest.raises(TouchesError, match="at least one touch"):
+        Touches.load(path)
+
+
+def test_a_failed_export_leaves_nothing(library, tmp_path):
+    library.add(_presses(1).with_columns(wave=np.full(6, 1j)))
+    with pytest.raises(LibraryError, match="a folder that exists"):
+        library.export(tmp_path / "out" / "x.parquet")
+    (tmp_path / "out").mkdir()
+    for by in (None, "object"):
+        with pytest.raises(TouchesError, match="a type that Parquet holds"):
+            library.export(tmp_path / "out" / "x.parquet", by=by)
+    assert not [*(tmp_path / "out").iterdir()]
+    with pytest.raises(LibraryError, match="by must be one of"):
+        library.export(tmp_path / "x.npz", by="object")

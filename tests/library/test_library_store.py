@@ -1,0 +1,459 @@
+"""One database: shared transactions, copies, sizes, and places where it lies."""
+
+import multiprocessing
+import os
+import shutil
+import sqlite3
+import tempfile
+import threading
+import time
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from palpate import Touches
+from palpate.library import (
+    LibraryError,
+    SensorDescription,
+    TouchLibrary,
+    check_library,
+    repair_library,
+)
+from palpate.library._changes import make_change
+
+PAGE = 8192
+
+
+N_THREADS = 40  # more than share a transaction
+
+
+def _press(seed, n_touches=1, side=5):
+    rng = np.random.default_rng(seed)
+    return Touches(
+        rng.integers(0, 255, (n_touches, side, 6), dtype=np.uint8),
+        object=["o" * (1 + seed % 9)] * n_touches,  # texts of any length
+        press=[seed] * n_touches,
+        loads=rng.normal(size=(n_touches, 20)),
+    )
+
+
+@pytest.fixture
+def library(tmp_path):
+    with TouchLibrary.open(tmp_path / "lab", create=True) as opened:
+        opened.add(_press(0))
+        yield opened
+
+
+def _at_once(library, *jobs):
+    """Run jobs in threads that all wait while another one is writing."""
+    store, begun, go_on = library._store, threading.Event(), threading.Event()
+
+    def hold():
+        begun.set()
+        assert go_on.wait(60)
+
+    with ThreadPoolExecutor(len(jobs) + 1) as pool:
+        pool.submit(store.write, hold)
+        assert begun.wait(60)
+        futures = [pool.submit(job) for job in jobs]
+        for _ in range(20_000):
+            if len(store._waiting) == len(jobs):
+                break
+            time.sleep(0.001)
+        go_on.set()
+    return futures
+
+
+def _adding(library, seeds, **how):
+    return [lambda seed=seed: library.add(_press(seed, **how)) for seed in seeds]
+
+
+def test_those_who_wait_share_a_transaction_and_get_their_own_ids(library, tmp_path):
+    seeds = range(1, 1 + N_THREADS)
+    run = []
+    library._store._connection.set_trace_callback(run.append)
+    futures = _at_once(library, *_adding(library, seeds))
+    library._store._connection.set_trace_callback(None)
+    # That of the one who held them up, 32 of them, and the others.
+    assert run.count("COMMIT") == 3
+    with TouchLibrary.open(tmp_path / "alone", create=True) as alone:
+        assert [f.result() for f in futures] == [alone.add(_press(s)) for s in seeds]
+    for seed, future in zip(seeds, futures, strict=True):
+        assert_array_equal(library.image(future.result()[0]), _press(seed).images[0])
+    touches = library.touches()
+    for place, seed in enumerate(touches.columns["press"]):
+        loads = _press(seed).columns["loads"][0]
+        assert_array_equal(touches.columns["loads"][place], loads)
+    assert library.check().ok
+
+
+def test_unlike_touches_do_not_mix_and_equal_ones_are_one(library):
+    """Other columns, of another type, another sensor, another image size."""
+    pad = SensorDescription("pad", "array")
+    forces = Touches(np.ones((1, 5, 6), np.uint8), object=["o"], force_n=[1])
+    futures = _at_once(
+        library,
+        *_adding(library, (1, 2, 3, 3, 3)),
+        lambda: library.add(_press(4), sensor=pad),
+        lambda: library.add(Touches(np.ones((2, 9, 9)), object=["a", "b"])),
+        lambda: library.add(forces),
+        lambda: library.add(forces.with_columns(force_n=[1.5])),
+    )
+    assert [len(future.result()) for future in futures] == [1] * 6 + [2, 1, 1]
+    assert len({future.result()[0] for future in futures[2:5]}) == 1
+    assert len(library) == 1 + 4 + 4
+    assert library.touches("force_n = 1").columns["force_n"].dtype.kind == "i"
+    assert library.check().ok
+
+
+def test_a_job_that_fails_takes_back_what_it_did_alone(library):
+    store = library._store
+
+    def fail():
+        store.insert("objects", {"name": "ghost"})
+        raise ZeroDivisionError
+
+    pad = SensorDescription("pad")
+    library.add(_press(1), sensor=pad)
+    colour = Touches(np.ones((1, 5, 6, 3), np.uint8), channels=["r", "g", "b"])
+    futures = _at_once(
+        library,
+        *_adding(library, range(10, 14)),
+        lambda: store.write(fail),
+        lambda: library.add(colour, sensor=pad),
+        *_adding(library, range(14, 18)),
+    )
+    with pytest.raises(ZeroDivisionError):
+        futures[4].result()
+    with pytest.raises(LibraryError, match="must have no channels"):
+        futures[5].result()
+    assert all(len(f.result()) == 1 for f in futures[:4] + futures[6:])
+    assert not store.one("SELECT 1 FROM objects WHERE name = 'ghost'")
+    assert len(library) == 2 + 8
+    assert library.check().ok
+
+
+def test_a_full_disk_is_told_to_all_and_nothing_is_half_stored(library):
+    """SQLite's own limit on pages stands for a full disk: it fails the same way."""
+    run = library._store._connection.execute
+    n_pages = run("PRAGMA page_count").fetchone()[0]
+    run(f"PRAGMA max_page_count = {n_pages}")
+    adding = _adding(library, range(1, 9), side=3000)
+    for future in _at_once(library, *adding):
+        match = r"full\. Free space.*what was acknowledged is kept"
+        with pytest.raises(LibraryError, match=match):
+            future.result()
+    assert len(library) == 1
+    run("PRAGMA max_page_count = 1000000")
+    assert [len(add()) for add in adding] == [1] * 8
+    assert library.check().ok
+
+
+@pytest.mark.parametrize("when", ["in a job", "after the commit"])
+def test_an_interrupt_concerns_one_thread_alone(library, monkeypatch, when):
+    """The others' touches are stored, and their changes told as they were made."""
+    store, left = library._store, [True]
+
+    def interrupt(*_):
+        if left and left.pop():
+            raise KeyboardInterrupt
+
+    changes = [lambda: make_change(store, "rename", old="o", new="x")]
+    if when == "in a job":
+        changes.append(lambda: store.write(interrupt))
+    jobs = [*_adding(library, range(1, 9)), *changes]
+    note = store.note_count
+    if when == "after the commit":
+        skip = iter([True])  # the transaction of the one who holds them up
+
+        def noted():
+            note()
+            if not next(skip, False):
+                interrupt()
+
+        monkeypatch.setattr(store, "note_count", noted)
+    errors = [future.exception() for future in _at_once(library, *jobs)]
+    assert [type(error) for error in errors if error] == [KeyboardInterrupt]
+    n_interrupted = sum(error is not None for error in errors[:8])
+    assert len(library) >= 1 + 8 - n_interrupted
+    if errors[8] is None:
+        assert library.count("object = x") == 1
+        assert len(library.history()) == 1
+    assert not store._waiting
+    assert library.check().ok
+
+
+def test_a_stream_from_several_threads_keeps_each_threads_order(library):
+    def stream(first):
+        return [library.add(_press(seed))[0] for seed in range(first, first + 10)]
+
+    with ThreadPoolExecutor(8) as pool:
+        streams = list(pool.map(stream, range(10, 90, 10)))
+    listed = [row.id for row in library.list(limit=None)]
+    assert len(set(listed)) == len(listed) == 81
+    for keys in streams:
+        assert [listed.index(key) for key in keys] == sorted(map(listed.index, keys))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Six touches of three objects; one was retracted."""
+    place = tmp_path / "lab"
+    with TouchLibrary.open(place, create=True) as library:
+        images = np.arange(6 * 4, dtype=np.uint8).reshape(6, 2, 2)
+        labels = ["mug", "pen", "cap"] * 2
+        library.add(
+            Touches(
+                images,
+                object=labels,
+                force_n=np.arange(6.0),
+                note=labels,
+                no_contact=images[0],
+            )
+        )
+        library.rename_object("cap", "hat")
+        library.retract(library.list()[3].id, reason="wet")
+    return place
+
+
+def _rows(folder):
+    with TouchLibrary.open(folder) as library:
+        return library.list(limit=None, retracted=True)
+
+
+@pytest.mark.parametrize("n_bytes", [0, 1])
+def test_a_library_whose_making_was_killed_is_made(tmp_path, n_bytes):
+    """SQLite leaves an empty file then, or a header without a table."""
+    path = tmp_path / "library.sqlite"
+    path.touch()
+    if n_bytes:
+        with closing(sqlite3.connect(path)) as database:
+            database.execute("PRAGMA page_size = 8192")
+            database.execute("PRAGMA journal_mode = WAL")
+    with TouchLibrary.open(tmp_path, create=True) as library:
+        library.add(_press(1))
+        assert library.check().ok
+
+
+@pytest.mark.parametrize("colour", [False, True])
+def test_pictures_are_kept_as_the_bytes_they_came_in(tmp_path, rng, colour):
+    """JPEG turned by its Exif orientation, and PNG of 8 and 16 bits."""
+    Pillow = pytest.importorskip("PIL.Image")
+    shape = (6, 9, 3) if colour else (6, 9)
+    for ending in ("jpg", "png"):
+        (tmp_path / ending / "mug").mkdir(parents=True)
+        for n in range(4):
+            picture = Pillow.fromarray(rng.integers(0, 255, shape, dtype=np.uint8))
+            exif = Pillow.Exif()
+            exif[0x0112] = (1, 3, 1, 4)[n] if ending == "jpg" else 1
+            path = tmp_path / ending / "mug" / f"{n}.{ending}"
+            picture.save(path, exif=exif)
+        touches = Touches.load(tmp_path / ending, colour=colour)
+        paths = sorted((tmp_path / ending / "mug").iterdir())
+        with TouchLibrary.open(tmp_path / f"lab {ending}", create=True) as library:
+            # Picked, put together and labelled, each keeps its own.
+            mixed = Touches.concatenate([touches[[3, 1]], touches[:1]])
+            library.add(mixed.with_columns(press=[0, 1, 2]))
+            library.add(touches[2].with_columns(press=[3]))
+            rows = library._store.rows("SELECT form, image FROM images ORDER BY number")
+            expected = [paths[n].read_bytes() for n in (3, 1, 0, 2)]
+            assert rows == [("picture", data) for data in expected]
+            assert_array_equal(library.touches().images, touches.images[[3, 1, 0, 2]])
+            assert library.check().ok
+            assert library.add(touches.with_columns(press=[2, 1, 3, 0])) == [
+                library.list()[n].id for n in (2, 1, 3, 0)
+            ]
+            pixels = Touches(touches.images, **touches.columns, **touches.whole)
+            assert pixels.files is None
+            library.add(pixels.with_columns(press=[2, 1, 3, 0]))
+            assert len(library) == 4  # an id follows from the levels
+
+
+KINDS = [">f4", "<f8", "f2", "?", "i1", ">i2", "<u2", ">u4", "i8", "u8", "longdouble"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_images_of_any_type_come_back_to_the_bit(tmp_path, kind):
+    """The least and the largest value, also where differences wrap around."""
+    dtype = np.dtype(kind)
+    bounds = [0, 1]
+    if dtype.kind in "iu":
+        bounds = [np.iinfo(dtype).min, np.iinfo(dtype).max]
+    if dtype.kind == "f":
+        bounds = [np.finfo(dtype).tiny, np.finfo(dtype).max]
+    wild = np.array([*bounds, *bounds[::-1], 1, 0] * 4, dtype).reshape(1, 4, 6)
+    smooth = (np.arange(3 * 40 * 60) // 50 % 100).reshape(3, 40, 60).astype(dtype)
+    for number, images in enumerate((wild, smooth, smooth[:, ::-1, ::2], wild[:, :1])):
+        folder = tmp_path / f"{number}"
+        with TouchLibrary.open(folder, create=True) as library:
+            ids = library.add(Touches(images))
+            read = library.touches().images
+            assert (read.dtype, read.tobytes()) == (dtype, images.tobytes())
+            assert library.image(ids[-1]).tobytes() == images[-1].tobytes()
+            assert library.check().ok
+            assert library.add(Touches(images.copy())) == ids
+
+
+@pytest.mark.parametrize("kind", [">f4", "?", "c8", "f2", "u8", "S5", "M8[s]", "U9"])
+def test_columns_and_arrays_of_any_type_come_back_to_the_bit(tmp_path, kind):
+    dtype = np.dtype(kind)
+    values = np.array([0, 1, 2**63 - 1] * 60).reshape(3, 60)
+    if dtype.kind in "fc":
+        values = values / -3
+        values[:2, :2] = [[np.nan, -0.0], [np.inf, -np.inf]]
+    with np.errstate(over="ignore"):
+        wide = values.astype(np.uint64 if kind == "u8" else values.dtype)
+        wide = (wide + (kind == "u8")).astype(dtype)
+    columns = {"wide": wide, "short": wide[:, :2], "single": wide[:, 0]}
+    with TouchLibrary.open(tmp_path, create=True) as library:
+        images = np.eye(3, dtype=np.float32)[:, None]
+        images[0, 0, 1:] = np.nan, -0.0
+        library.add(Touches(images, **columns, set_table=wide))
+        read = library.touches()
+        assert read.images.tobytes() == images.tobytes()
+        assert read.whole["set_table"].tobytes() == wide.tobytes()
+        for name, column in columns.items():
+            assert_array_equal(read.columns[name], column)
+        back = read.columns["wide"]  # in the byte order of this machine
+        assert (back.dtype.kind, back.dtype.itemsize) == (dtype.kind, dtype.itemsize)
+        assert back.astype(dtype).tobytes() == wide.tobytes()
+        assert library.check().ok
+
+
+@contextmanager
+def _readable_by_all():
+    with tempfile.TemporaryDirectory() as place:
+        Path(place).chmod(0o755)
+        yield Path(place)
+
+
+def _elsewhere(task):
+    """Run a task in a process that may write nothing here; return what it says."""
+
+    def run():
+        os.close(reading)
+        if os.geteuid() == 0:
+            os.setuid(65534)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            try:
+                said = str(task())
+            except BaseException as error:
+                said = f"{type(error).__name__}: {error}"
+        os.write(writing, said.encode())
+        os._exit(0)
+
+    reading, writing = os.pipe()
+    process = multiprocessing.get_context("fork").Process(target=run, daemon=True)
+    process.start()
+    os.close(writing)
+    with os.fdopen(reading) as stream:
+        said = stream.read()
+    process.join()
+    return said
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs another user")
+def test_a_library_in_a_folder_that_may_not_be_written_to_is_read(folder):
+    def read():
+        with TouchLibrary.open(place) as library:
+            rows = library.list(limit=None, retracted=True), library.touches().images
+            return rows, library.check().ok, library.history()
+
+    def add():
+        with TouchLibrary.open(place) as library:
+            library.add(_press(1))
+
+    def backup():
+        with TouchLibrary.open(place) as library, tempfile.TemporaryDirectory() as to:
+            return library.backup(Path(to) / "copy")
+
+    with _readable_by_all() as outer:
+        place = shutil.copytree(folder, outer / "lab")
+        expected = str(read())
+        before = {path: path.read_bytes() for path in place.iterdir()}
+        for path in (place, *before):
+            path.chmod(0o555)
+        assert _elsewhere(read) == expected
+        assert "may be written to" in _elsewhere(add)
+        assert _elsewhere(backup) == "6"
+        assert "folder that can be made" in _elsewhere(
+            lambda: TouchLibrary.open(outer / "new" / "lab", create=True)
+        )
+        assert {path: path.read_bytes() for path in place.iterdir()} == before
+        place.chmod(0o755)
+
+
+def test_a_database_that_another_keeps_to_itself_is_left_alone(folder, monkeypatch):
+    monkeypatch.setattr("palpate.library._store.PATIENCE_S", 0.05)
+    before = (folder / "library.sqlite").read_bytes()
+    with TouchLibrary.open(folder) as library:
+        with closing(sqlite3.connect(folder / "library.sqlite")) as other:
+            other.execute("BEGIN IMMEDIATE")
+            assert len(library.touches()) == 5  # readers wait for nobody
+            for write in (
+                lambda: library.add(_press(1)),
+                lambda: library.rename_object("mug", "cup"),
+            ):
+                with pytest.raises(
+                    LibraryError, match=r"locked\. Another.*wait, or en"
+                ):
+                    write()
+        library.add(_press(1))
+    with closing(sqlite3.connect(folder / "library.sqlite")) as other:
+        other.execute("PRAGMA locking_mode = EXCLUSIVE")
+        other.execute("SELECT * FROM touches").fetchall()
+        [problem] = check_library(folder).problems
+        assert problem.kind == "disk"
+        assert "Another program" in problem.what
+        with pytest.raises(LibraryError, match="wait, or end it"):
+            repair_library(folder)
+    assert check_library(folder).ok
+    assert (folder / "library.sqlite").read_bytes()[:100] != before
+
+
+@pytest.mark.parametrize("kind", ["nfs4", "cifs", "smb3", "fuse.sshfs"])
+def test_a_network_file_system_is_warned_of(folder, monkeypatch, tmp_path, kind):
+    mounts = tmp_path / "my mounts"
+    monkeypatch.setattr("palpate.library._store._MOUNTS", mounts)
+    with TouchLibrary.open(folder):
+        pass  # a system without such a list
+    place = str(folder.parent).replace(" ", "\\040")
+    mounts.write_text(f"/dev/a / ext4 rw 0 0\nhost:/b {place} {kind} rw 0 0\n")
+    with pytest.warns(UserWarning, match=rf"network file system \({kind}\)") as told:
+        TouchLibrary.open(folder).close()
+    assert told[0].filename == __file__
+    mounts.write_text(f"host:/b / {kind} rw 0 0\n/dev/a {place} ext4 rw 0 0\n")
+    TouchLibrary.open(folder).close()
+    mounts.write_text(f"/dev/a / ext4 rw 0 0\nhost:/b {place}2 {kind} rw 0 0\n")
+    TouchLibrary.open(folder).close()
+
+
+def test_what_is_held_to_is_set_at_the_connection(library):
+    """At 2 (FULL) SQLite flushes its log at each commit."""
+    run = library._store._connection.execute
+    known = {
+        "synchronous": 2,
+        "journal_mode": "wal",
+        "foreign_keys": 1,
+        "page_size": PAGE,
+    }
+    for name, value in known.items():
+        assert run(f"PRAGMA {name}").fetchone() == (value,)
+
+
+def test_the_view_joins_what_people_ask_for(folder):
+    with closing(sqlite3.connect(folder / "library.sqlite")) as database:
+        rows = database.execute(
+            "SELECT id, object, force_n, n_rows, n_cols, retracted_because "
+            "FROM touch_list"
+        ).fetchall()
+    expected = [
+        (r.id, r.object, r.force_n, r.n_rows, r.n_cols, r.reason) for r in _rows(folder)
+    ]
+    assert rows == expected
