@@ -79,7 +79,7 @@ def test_a_link_is_followed(tmp_path):
     target, link = tmp_path / "target", tmp_path / "link"
     write_text(target, "old")
     link.symlink_to(target)
-    write_bytes(link, b"new")
+    write_text(link, "new")
     assert link.is_symlink()
     assert target.read_bytes() == b"new"
 

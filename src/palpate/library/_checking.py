@@ -71,8 +71,8 @@ class CheckReport(NamedTuple):
 def check_library(folder: str | Path, *, progress: bool | None = None) -> CheckReport:
     """Read everything in a library and compare it with its digests.
 
-    Nothing is changed. A LibraryError is a problem of the report: of a library too damaged
-    to open, or that another palpate made.
+    Nothing is changed. Of a library that is too damaged to open, or that another
+    palpate made, the LibraryError is a problem of the report.
 
     Parameters
     ----------
