@@ -31,10 +31,10 @@ from ._presets import Label as Label
 from ._presets import Presentation as Presentation
 from ._presets import PresetName as PresetName
 from ._recogniser import ObjectRecogniser as ObjectRecogniser
+from ._recogniser import adapt as adapt
 from ._remounting import OTHER_MOUNTING as OTHER_MOUNTING
 from ._remounting import MountingCheck as MountingCheck
 from ._remounting import across_sessions as across_sessions
-from ._remounting import adapt as adapt
 from ._remounting import said_of_sessions as said_of_sessions
 from ._sentences import share_of as share_of
 from ._sentences import touch_note as touch_note

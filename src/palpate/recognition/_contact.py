@@ -13,7 +13,7 @@ from sklearn.base import BaseEstimator
 from .._types import Array, Bools, Floats
 from ..images import grey, otsu_threshold
 from ..touches import FORMER, Touches
-from ._encoder import TouchEncoder, find_geometry, in_batches, living
+from ._encoder import Encoder, TouchEncoder, find_geometry, in_batches, living
 
 NO_CONTACT = "no contact"
 TURNED = "turned or shifted"
@@ -71,7 +71,7 @@ class ContactCheck(BaseEstimator):
     blind_: Bools | None = None
     usual_: Floats | None = None
 
-    def fit(self, touches: Touches, encoder: TouchEncoder) -> Self:
+    def fit(self, touches: Touches, encoder: Encoder) -> Self:
         """Learn from training touches and the encoder that was fitted to them."""
         frame, geometry = touches.no_contact, find_geometry(touches)
         if touches.pads is not None:
@@ -130,6 +130,11 @@ class ContactCheck(BaseEstimator):
                 for new in _by_sight(left_out, self.blind_)
             ]
         )
+        return self
+
+    def with_poses_of(self, other: Self) -> Self:
+        """Return this with what another has learnt of poses."""
+        self.blind_, self.usual_ = other.blind_, other.usual_
         return self
 
     def _reposed(self, every: Floats) -> Bools:
@@ -203,7 +208,7 @@ def _novelty(every: Floats) -> Floats:
 
 
 def encoded_and_flagged(
-    encoder: TouchEncoder, contact: ContactCheck, touches: Touches
+    encoder: Encoder, contact: ContactCheck, touches: Touches
 ) -> tuple[Floats, list[str]]:
     """Return features and flags of touches.
 
