@@ -170,14 +170,13 @@ class Belief:
         n_features = judge.memory.features.shape[1]
         kept = _checked_part("features", features, (n_touches, n_features))
         distances = _checked_part("log_distances", log_distances, rows.shape)
-        each = rows[:, np.newaxis]
+        shape = n_touches, *self._each.shape
+        each = np.broadcast_to(rows[:, np.newaxis], shape)
         if by_encoding is not None:
-            shape = n_touches, *self._each.shape
             each = _checked_part("by_encoding", by_encoding, shape)
-        floored, each = (
-            _evidence.with_floor(rows, judge.floor),
-            _evidence.with_floor(each, judge.floor),
-        )
+        together = np.concatenate([rows[:, np.newaxis], each], axis=1)
+        together = _evidence.with_floor(together, judge.floor)
+        floored, each = together[:, 0], together[:, 1:]
         self.flags += flags
         self._features += list(kept)
         self._floored += list(floored)

@@ -14,7 +14,7 @@ from sklearn.preprocessing import StandardScaler
 from .._checks import ARRAY_SIDE, check_levels, size_said
 from .._image_estimator import ImageEstimator
 from .._types import Array, Bools, Floats
-from ..encodings import EncodingUnion, RingPatterns
+from ..encodings import EncodingUnion, PrincipalShare, RingPatterns
 from ..images import DomeCrop, fill_dead_taxels, grey, typical_rim
 from ..touches import Touches
 from ._sessions import looks
@@ -30,6 +30,7 @@ LOOK_AT = 50
 STUCK_TOUCHES = 10
 # Learning and encoding at once, they do nothing twice.
 _ENCODE_AS_THEY_LEARN = EncodingUnion, RingPatterns, UserEncoding
+_TAKES_CHECKED = ImageEstimator, PrincipalShare
 
 
 class Encoder(ABC):
@@ -226,22 +227,31 @@ class TouchEncoder(Encoder, BaseEstimator):
         checked = isinstance(self.clean_up_, ImageEstimator)
         for column, steps in enumerate(self.encodings_.values()):
             values = cleaned
-            for step in steps:
-                before, values = values, _transformed(step, values, checked=checked)
-                if hasattr(step, "unexplained"):
+            for number, step in enumerate(steps):
+                before = values
+                if isinstance(step, StandardScaler):
+                    # Its own checks take as long as an encoding does.
+                    values = (before - step.mean_) / step.scale_
+                elif (number or checked) and isinstance(step, _TAKES_CHECKED):
+                    values = step.transform_checked(before)
+                else:
+                    values = step.transform(before)
+                if isinstance(step, PrincipalShare):
                     every[:, column] = step.unexplained(before, values)
             parts.append(np.asarray(values, dtype=np.float64))
         return self._side_by_side(parts), every
 
     def look(self, touches: Touches, broken: Bools | None = None) -> Floats:
         """Return what tells of light, rubber and gain, `broken` taxels filled."""
+        if len(touches) > BATCH:
+            parts = [self.look(some, broken) for some in in_batches(touches)]
+            return np.concatenate(parts)
         rest = self._idle(touches, broken)
         if rest is None and self.baseline_ is not None:
             rest = grey(self.baseline_[np.newaxis])[0]
         if rest is not None and rest.shape != touches.images.shape[1:3]:
             rest = None
-        batches = (self.living(some.images, broken) for some in in_batches(touches))
-        return np.concatenate([looks(grey(images), rest) for images in batches])
+        return looks(grey(self.living(touches.images, broken)), rest)
 
     def blank_touch(self) -> Touches:
         """Return one touch of zeros such as `fit` saw."""
@@ -278,8 +288,7 @@ class TouchEncoder(Encoder, BaseEstimator):
     def _side_by_side(self, parts: list[Floats]) -> Floats:
         features = parts[0]
         if len(parts) > 1:
-            scaled = zip(parts, self.scales_.values(), strict=True)
-            features = np.hstack([part * scale for part, scale in scaled])
+            features = np.hstack([*map(np.multiply, parts, self.scales_.values())])
         return features
 
     def living(self, images: Array, broken: Bools | None = None) -> Array:
@@ -289,6 +298,8 @@ class TouchEncoder(Encoder, BaseEstimator):
         """
         if broken is not None:
             images = np.where(broken, np.nan, images)
+        elif images.dtype.kind != "f":
+            return images
         return check_levels(living(images, self.pads_))
 
     def _idle(self, touches: Touches, broken: Bools | None = None) -> Array | None:

@@ -223,6 +223,8 @@ class Nearest:
         they are compared with; NaN where an object has nothing else, or nothing `since`
         a row of the memory.
         """
+        if len(features) <= AT_ONCE:
+            return self._least(features, blocks, since)
         cuts = [slice(k, k + AT_ONCE) for k in range(0, len(features), AT_ONCE)]
         whose = [None if blocks is None else blocks[cut] for cut in cuts]
         rows = (features[cut] for cut in cuts)

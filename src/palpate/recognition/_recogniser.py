@@ -451,8 +451,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         says.
         """
         self._check_fitted()
-        alone = hasattr(self, "n_features_in_") and _n_axes(touches) == 1
-        given = self._as_touches(np.asarray(touches)[np.newaxis] if alone else touches)
+        given = touches if isinstance(touches, Touches) else self._given(touches)
         if len(given) <= SHARD:
             return self._evidence_of(given)
         from joblib import Parallel, delayed
@@ -770,6 +769,11 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         if isinstance(X, Touches) or not hasattr(self, "n_features_in_"):
             return as_touches(X)
         return _without_places(validate_data(self, X, reset=False, dtype=np.float64))
+
+    def _given(self, touches: Any) -> Touches:
+        """Return touches, or one or several of what `fit` saw, as touches."""
+        alone = hasattr(self, "n_features_in_") and _n_axes(touches) == 1
+        return self._as_touches(np.asarray(touches)[np.newaxis] if alone else touches)
 
     def _as_label(self, name: str) -> Any:
         """Return a name as a label of the kind of the known ones."""
