@@ -170,7 +170,7 @@ class EncodingPool(BayesRule):
             if self.weights_[name]:
                 said[row] = self.machines_[name].log_likelihood_checked(part)
                 some.append(row)
-        said[some] = _bounded(said[some])
+        said[some] = np.maximum(log_softmax(said[some]), _LEAST)
         return said
 
     def left_out_log_likelihood(self) -> Floats:
@@ -191,7 +191,7 @@ class EncodingPool(BayesRule):
 
     def left_out_posteriors(self) -> Floats:
         """Return the same as log posteriors, so bounded that none decides alone."""
-        return np.stack([_bounded(one) for one in self.left_out_by_part()])
+        return np.maximum(log_softmax(self.left_out_by_part()), _LEAST)
 
     @property
     def part_weights(self) -> Mapping[str, float]:
@@ -241,8 +241,3 @@ def pool_weights(every: Floats, codes: Array) -> Floats:
     bounds = [(0, None)] * n_machines
     found: Any = minimize(loss, start, jac=True, bounds=bounds, method="L-BFGS-B")
     return np.asarray(found.x)
-
-
-def _bounded(log_likelihood: Floats) -> Floats:
-    """Return the log posteriors, none of them so small that one machine decides."""
-    return np.maximum(log_softmax(log_likelihood), _LEAST)

@@ -4,7 +4,6 @@ from ._belief import Judge as Judge
 from ._belief import Level as Level
 from ._belief import Named as Named
 from ._belief import check_strangers as check_strangers
-from ._calibration import Modality as Modality
 from ._contact import correlation as correlation
 from ._encoder import find_geometry as find_geometry
 from ._episode import Episode as Episode
@@ -36,6 +35,7 @@ from ._remounting import OTHER_MOUNTING as OTHER_MOUNTING
 from ._remounting import MountingCheck as MountingCheck
 from ._remounting import across_sessions as across_sessions
 from ._remounting import said_of_sessions as said_of_sessions
+from ._senses import Modality as Modality
 from ._sentences import share_of as share_of
 from ._sentences import touch_note as touch_note
 from ._strangers import about as about

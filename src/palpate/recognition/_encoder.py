@@ -142,13 +142,12 @@ class TouchEncoder(Encoder, BaseEstimator):
         if self.clean_up is not None:
             images, idle = self.living(touches.images), self._idle(touches)
             self.clean_up_ = clone(self.clean_up)
-            if isinstance(self.clean_up_, DomeCrop) and not self._in_colour(images):
+            if isinstance(self.clean_up_, DomeCrop) and not (
+                self.channels and images.ndim == 4
+            ):
                 return self.clean_up_.fit_transform(grey(images), no_contact=idle)
             self.clean_up_.fit(grey(images), no_contact=idle)
         return self.clean(touches)
-
-    def _in_colour(self, images: Array) -> bool:
-        return bool(self.channels) and images.ndim == 4
 
     def fit_encode(
         self,
@@ -215,7 +214,7 @@ class TouchEncoder(Encoder, BaseEstimator):
         """Return images without NaN (n_touches, n_rows, n_cols) after the clean-up."""
         if self.clean_up_ is None:
             return images
-        if self._in_colour(images):
+        if self.channels and images.ndim == 4:
             every = in_batches(images)
             return np.concatenate([self.clean_up_.by_channel(s) for s in every])
         return _transformed(self.clean_up_, grey(images))

@@ -17,11 +17,11 @@ from .._checks import check_count, check_number
 from .._types import Array, Floats
 from ..images import PressPose
 from ._belief import Belief, Judge
-from ._calibration import Modality
 from ._encoder import TouchEncoder
 from ._evidence import Evidence, SequenceCalibration
 from ._memory import Memory
 from ._remounted_encoder import AnyEncoder, RemountedEncoder
+from ._senses import Modality
 from ._sessions import N_LOOKS
 from ._strangers import Curve, StrangerModel
 from ._user_encoding import UserEncoding

@@ -30,13 +30,13 @@ from .._durable import replacing
 from .._types import Array
 from ..classifiers import NearbyTouches
 from ..encodings import OnnxEncoding
-from ._calibration import Modality
 from ._contact import ContactCheck
 from ._encoder import TouchEncoder
 from ._evidence import SequenceCalibration
 from ._memory import Memory
 from ._model_checks import MB, Budget
 from ._remounted_encoder import RemountedEncoder
+from ._senses import Modality
 from ._strangers import Curve, StrangerModel
 from ._user_encoding import UserEncoding
 

@@ -27,9 +27,7 @@ from ..touches import Touches, TouchSource
 from . import _evidence, _memory
 from ._belief import STRANGERS, Belief, Judge, Level
 from ._calibration import (
-    Modality,
-    draw_all,
-    draw_asked,
+    draw_episodes,
     fit_sequence_calibration,
     left_out_log_likelihood,
     without_gaps,
@@ -60,6 +58,7 @@ from ._remounting import (
     rim_moved,
     without_nuisance,
 )
+from ._senses import Modality
 from ._strangers import LeftOut, StrangerModel, fit_strangers
 from ._user_encoding import Encoding, UserEncoding, user_encodings
 
@@ -705,7 +704,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
                 one.check_again()
             model._check_parameters()
             if not hasattr(model, "strangers_"):  # written by palpate 0.2 or older
-                model.strangers_ = model._learnt_strangers()
+                episodes = model._episodes_to_come(model.memory_)
+                model.strangers_ = model._learnt_strangers(episodes)
             check_parts(model.judge(), model.encoder_, model.pose_)
             if prod(model.encoder_.image_shape_) <= MOST_TRIED:
                 with np.errstate(all="ignore"):
@@ -817,23 +817,33 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             memory.labels, memory.nothing
         )
         self.sequence_calibration_ = _evidence.SequenceCalibration()
+        episodes = self._episodes_to_come(memory)
         if preset.calibrates_sequence:
             rows = self.left_out_rows
-            objects, blocks = memory.objects[rows], memory.blocks[rows]
             self.sequence_calibration_ = fit_sequence_calibration(
-                _evidence.with_floor(self._left_out(), self.floor_),
+                self._left_out(),
                 np.searchsorted(self.classes_, memory.labels[rows]),
-                draw_all(objects, blocks, self.random_state, len(self.classes_)),
+                memory.objects[rows],
+                memory.blocks[rows],
+                episodes,
                 self._log_prior(memory),
+                self.floor_,
             )
-        self.strangers_ = self._learnt_strangers(before)
+        self.strangers_ = self._learnt_strangers(episodes, before)
+
+    def _episodes_to_come(self, memory: Memory) -> list[Indices]:
+        """Return left-out touches such as an episode may have, of each object."""
+        objects, n_known = memory.objects[self.left_out_rows], len(self.classes_)
+        return draw_episodes(objects, self.random_state, n_known)
 
     def _left_out(self) -> Floats:
         """Return what counts of left-out training touches, (n_touches, n_objects)."""
         log_likelihood = left_out_log_likelihood(self.classifier_)
         return self._used(log_likelihood, self.memory_.nothing[self.left_out_rows])
 
-    def _learnt_strangers(self, before: Nearest | None = None) -> StrangerModel:
+    def _learnt_strangers(
+        self, episodes: list[Indices], before: Nearest | None = None
+    ) -> StrangerModel:
         memory = self.memory_
         # As they are: bounded, all objects but one may tie, and then nothing is left
         # of what a touch says without it.
@@ -853,10 +863,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             weights=weights / max(weights.sum(), 1e-12),
             categories=self._category_of(memory),
         )
-        objects, blocks = memory.objects[rows], memory.blocks[rows]
-        n_known = len(self.classes_)
-        asked = draw_asked(objects, blocks, self.random_state, n_known)
-        return fit_strangers(left_out, asked, *memory.units)
+        return fit_strangers(left_out, episodes, *memory.units)
 
     def _category_of(self, memory: Memory) -> NDArray[np.str_]:
         if self.label == "category":

@@ -42,9 +42,6 @@ from ._evidence import (
 
 # Of a smaller logarithm the probability would be 0.
 LEAST_LOG = -700.0
-# Touches of an episode that the curves are learnt from: who asks after every touch has
-# stopped by then.
-LONGEST = 20
 CONFIDENCE = 0.95
 # One known episode in twenty is so many standard deviations farther than usual, were
 # they normal: no sign yet. Distances spread by a tenth at least.
@@ -55,8 +52,8 @@ _N_LEVELS = 129
 _LEAST_SCORE = 1e-9
 # No height speaks for a stranger by more than 100,000 to one (nats).
 _MOST_EVIDENCE = 11.5
-# Lowest levels of strangers, of which two objects show nothing.
-_UNIFORM = np.linspace(_LEAST_SCORE, 1, 1000)
+# Episodes of strangers that stand for those of which two objects show nothing.
+_N_UNSEEN = 1000
 # Nats for each standard deviation by which scores differ where the curves are flat, so
 # that any two episodes can be ranked.
 _RANKING = 1e-3
@@ -168,19 +165,6 @@ class StrangerModel:
     n_units: int
     population: str
 
-    def score(self, each: Floats, farther: Floats, count: Indices) -> Floats:
-        """Return the score of disagreement, between 0 and 1, shape (...,).
-
-        Of the log posteriors that each encoding alone would have (..., n_encodings,
-        n_names), how much farther than usual the touches are from the object that is
-        agreed on (...,), in logarithms, NaN where not known, and how many said
-        something (...,); 0 where none did.
-        """
-        mean, spread = self.far[_places(count, self.far)].T
-        beyond = (farther - mean.T) / spread.T - ONE_IN_TWENTY
-        nats = disagreement(each, self.weights) + np.fmax(beyond, 0)
-        return np.where(count > 0, -np.expm1(-nats), 0.0)
-
     def farther(self, each: Floats, log_distances: Floats) -> Floats:
         """Return how much farther than usual touches are, shape (...,).
 
@@ -191,27 +175,40 @@ class StrangerModel:
         farther = log_distances - self.usual
         return np.take_along_axis(farther, agreed[..., np.newaxis], axis=-1)[..., 0]
 
+    def score(self, each: Floats, farther: Floats, count: Indices) -> Floats:
+        """Return the score of disagreement, between 0 and 1, shape (...,).
+
+        Of the log posteriors that each encoding alone would have (..., n_encodings,
+        n_names), how much farther than usual the touches are from the object that is
+        agreed on (...,), in logarithms, NaN where not known, and how many said
+        something (...,); 0 where none did.
+        """
+        mean, spread = self.far[np.clip(count, 1, len(self.far)) - 1].T
+        beyond = (farther - mean.T) / spread.T - ONE_IN_TWENTY
+        nats = np.maximum(-(self.weights @ each).max(axis=-1), 0) + np.fmax(beyond, 0)
+        return np.where(count > 0, -np.expm1(-nats), 0.0)
+
     def evidence(
-        self, score: Floats, doubt: Floats, best: Indices, count: Indices
+        self, lowest: Floats, score: Floats, best: Indices, count: Indices
     ) -> Floats:
         """Return the evidence for a stranger (nats), shape (...,); 0 without touches.
 
-        Of the `score`, the probability outside the best learnt object (`doubt`), the
-        column of that object, and how many touches said something, (...,) each.
+        Of the `lowest` level (`log_level`) so far at which the present best object
+        was best, the `score` now, the column of that object, and how many touches said
+        something, (...,) each.
         """
-        mean, spread = self.high[_places(count, self.high)].T
+        mean, spread = self.high[np.clip(count, 1, len(self.high)) - 1].T
         above = (_log_nats(score) - mean.T) / spread.T
-        low = self.low_curve.at(_log_level(score, doubt), best)
-        nats = low + self.high_curve.at(above) + _RANKING * above
-        return np.where(count > 0, nats, 0.0)
+        nats = self.low_curve.at(lowest, best) + self.high_curve.at(above)
+        return np.where(count > 0, nats + _RANKING * above, 0.0)
 
     def category_evidence(self, score: Floats, doubt: Floats) -> Floats:
         """Return the evidence that the best category is wrong (nats), shape (...,)."""
-        return self.low_category_curve.at(_log_level(score, doubt))
+        return self.low_category_curve.at(log_level(score, doubt))
 
     def threshold(self, n_touches: int) -> float:
         """Return the evidence (nats) that one known episode in twenty exceeds then."""
-        return float(self.exceeded[_places(np.asarray(n_touches), self.exceeded)])
+        return float(self.exceeded[min(max(n_touches, 1), len(self.exceeded)) - 1])
 
     def promise(self, error: float) -> Promise:
         """Return what can be shown at an accepted error."""
@@ -243,13 +240,26 @@ def upper_bound(n_wrong: float, n_units: int) -> float:
     return float(beta.ppf(CONFIDENCE, n_wrong + 1, n_units - n_wrong))
 
 
-def disagreement(each: Floats, weights: Floats) -> Floats:
-    """Return how little encodings agree on any name (nats), shape (...,).
+def log_level(score: Floats, doubt: Floats) -> Floats:
+    """Return the logarithm of the larger of score and doubt."""
+    return np.asarray(np.log(np.maximum(np.maximum(score, doubt), _LEAST_SCORE)))
 
-    Of the log posteriors of their beliefs (..., n_encodings, n_objects): the logarithm
-    of the largest weighted geometric mean of what they give to one object, negative.
+
+def lowest_so_far(levels: Floats, best: Indices, n_names: int) -> Floats:
+    """Return the lowest level so far at which the present best name was best.
+
+    Of levels and best names (..., n_touches), of that shape. How low an episode came
+    stays true of it, whatever comes later.
     """
-    return np.asarray(np.maximum(-(weights @ each).max(axis=-1), 0.0))
+    of_each = np.full((*levels.shape[:-1], n_names), np.inf)
+    lowest = np.empty_like(levels)
+    for touch in range(levels.shape[-1]):
+        now = slice(touch, touch + 1)
+        name = best[..., now]
+        before = np.take_along_axis(of_each, name, axis=-1)
+        lowest[..., now] = np.minimum(before, levels[..., now])
+        np.put_along_axis(of_each, name, lowest[..., now], axis=-1)
+    return lowest
 
 
 def episode_evidence(
@@ -270,10 +280,14 @@ def episode_evidence(
     used = is_informative(floored)
     log_posterior, count = beliefs_after(used, floored, log_prior, calibration)
     by_encoding, _ = beliefs_after(used, each, log_prior, calibration)
-    distances = _mean_so_far(log_distances, used)
-    score = model.score(by_encoding, model.farther(by_encoding, distances), count)
-    best, doubt = log_posterior.argmax(axis=-1), besides_the_best(exp(log_posterior))
-    return log_posterior, model.evidence(score, doubt, best, count)
+    farther = model.farther(by_encoding, _mean_so_far(log_distances, used))
+    score = model.score(by_encoding, farther, count)
+    best = log_posterior.argmax(axis=-1)
+    levels = log_level(score, besides_the_best(exp(log_posterior)))
+    # Before any touch said something nothing is low.
+    levels = np.where(count > 0, levels, np.inf)
+    lowest = lowest_so_far(levels, best, len(log_prior))
+    return log_posterior, model.evidence(lowest, score, best, count)
 
 
 @dataclass(frozen=True)
@@ -308,66 +322,43 @@ def fit_strangers(
     groups = category_codes(left_out.categories)
     usual = _usual(left_out)
     far = _far(left_out, usual, episodes)
-    model = StrangerModel(
-        weights=left_out.weights,
-        usual=usual,
-        far=far,
-        high=np.ones((1, 2)),
-        low_curve=_FLAT,
-        low_category_curve=_FLAT,
-        high_curve=_FLAT,
-        exceeded=np.zeros(len(far)),
-        n_units=n_units,
-        population=population,
-    )
+    one, none = np.ones((1, 2)), np.zeros(len(far))
+    rest = _FLAT, _FLAT, _FLAT, none, n_units, population
+    model = StrangerModel(left_out.weights, usual, far, one, *rest)
     known = _Tracks.of(left_out, model, episodes, groups, never=False)
-    strangers = None
-    if len(left_out.log_prior) > 2:
-        strangers = _Tracks.of(left_out, model, episodes, groups, never=True)
-    return _with_curves(model, known, strangers)
+    # Two objects do not show what a third looks like: as often as a level says it is
+    # taken to get there, and what goes higher than both ever did, for a stranger.
+    others, heights = _Tracks.unseen(len(usual)), np.full(_N_UNSEEN, np.inf)
+    logs = _log_nats(known.score)
+    mean, spread = logs.mean(axis=0), logs.std(axis=0) + _LEAST_SPREAD
+    if len(usual) > 2:
+        others = _Tracks.of(left_out, model, episodes, groups, never=True)
+        heights = ((_log_nats(others.score) - mean) / spread).max(axis=1)
+    model = replace(
+        model,
+        high=np.stack([mean, spread], axis=1),
+        low_curve=_low_curve(known, others, len(usual)),
+        high_curve=_high_curve(((logs - mean) / spread).max(axis=1), heights),
+    )
+    if known.category is not None and others.category is not None:
+        of_categories = _low_curve(known.category, others.category, 1)
+        model = replace(model, low_category_curve=of_categories)
+    levels = np.where(known.count > 0, log_level(known.score, known.doubt), np.inf)
+    lowest = lowest_so_far(levels, known.best, len(usual))
+    nats = model.evidence(lowest, known.score, known.best, known.count)
+    return replace(model, exceeded=np.quantile(nats, 0.95, axis=0))
 
 
-def _with_curves(
-    model: StrangerModel, known: _Tracks, strangers: _Tracks | None
-) -> StrangerModel:
-    """Return a model with the curves of the episodes of both kinds."""
-    nats = _log_nats(known.score)
-    high = np.stack([nats.mean(axis=0), np.maximum(nats.std(axis=0), 0)], axis=1)
-    high[:, 1] += _LEAST_SPREAD
-    n_objects = len(model.usual)
-    model = replace(model, high=high, low_curve=_low_curve(known, strangers, n_objects))
-    if known.category is not None and strangers is not None:
-        both = known.category, strangers.category
-        model = replace(model, low_category_curve=_low_curve(*both, 1))
-    mean, spread = high.T
-    highest = ((nats - mean) / spread).max(axis=1)
-    # Of two objects nothing shows what a third would look like: one that goes as high
-    # as no known episode is taken for a stranger.
-    others = np.full(len(highest), np.inf)
-    if strangers is not None:
-        others = ((_log_nats(strangers.score) - mean) / spread).max(axis=1)
-    model = replace(model, high_curve=_high_curve(highest, others))
-    evidence = model.evidence(known.score, known.doubt, known.best, known.count)
-    return replace(model, exceeded=np.quantile(evidence, 0.95, axis=0))
-
-
-def _low_curve(known: _Tracks, strangers: _Tracks | None, n_names: int) -> Curve:
+def _low_curve(known: _Tracks, strangers: _Tracks, n_names: int) -> Curve:
     """Return the curves of the least level at which a kind is, or would be, named.
 
     A row for each of `n_names`: strangers get low as one object and not as another.
     What is counted of one name weighs as much as what is counted of all. A stranger
-    counts where its best name is wrong: its category may be right. Of two objects
-    strangers are taken to reach any level as often as its value says.
+    counts where its best name is wrong: its category may be right.
     """
-    level = _log_level(known.score, known.doubt)
-    if strangers is None:
-        lowest = level.min(axis=1)
-        levels = _spread(np.concatenate([lowest, np.log(_UNIFORM)]))
-        ratios = _log_share(-np.log(_UNIFORM), -levels) - _log_share(-lowest, -levels)
-        return Curve(levels, isotonic_regression(np.minimum(ratios, 0.0))[np.newaxis])
-    others = np.where(
-        strangers.right, np.inf, _log_level(strangers.score, strangers.doubt)
-    )
+    level = log_level(known.score, known.doubt)
+    others = log_level(strangers.score, strangers.doubt)
+    others = np.where(strangers.right, np.inf, others)
     lows = np.concatenate([level.min(axis=1), others.min(axis=1)])
     levels = _spread(lows[np.isfinite(lows)])
     reached = _named_at(level, known.best, levels, n_names)
@@ -485,6 +476,13 @@ class _Tracks:
         )
 
     @classmethod
+    def unseen(cls, n_names: int) -> _Tracks:
+        """Return tracks that get as low as each level says, as each name alike."""
+        lowest = np.linspace(_LEAST_SCORE, 1, _N_UNSEEN)[:, np.newaxis]
+        best = np.arange(_N_UNSEEN)[:, np.newaxis] % n_names
+        return cls(lowest, lowest, best, np.ones_like(best), best < 0)
+
+    @classmethod
     def together(cls, tracks: Iterable[_Tracks]) -> _Tracks:
         """Return the tracks of several objects as one."""
         parts = list(tracks)
@@ -541,19 +539,9 @@ def _tracks(
     return result
 
 
-def _places(count: Indices, table: Floats) -> Indices:
-    """Return the row of a table (n_lengths, ...) for numbers of touches."""
-    return np.clip(count, 1, len(table)) - 1
-
-
 def _log_nats(score: Floats) -> Floats:
     """Return the logarithm of a score in nats of disagreement."""
     return np.log(-np.log1p(-np.minimum(score, 1 - 1e-15)) + 1e-6)
-
-
-def _log_level(score: Floats, doubt: Floats) -> Floats:
-    """Return the logarithm of the larger of score and doubt."""
-    return np.log(np.maximum(np.maximum(score, doubt), _LEAST_SCORE))
 
 
 def _mean_so_far(values: Floats, used: Bools) -> Floats:
