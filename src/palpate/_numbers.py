@@ -56,19 +56,6 @@ def log_softmax(values: Array, axis: int = -1) -> Floats:
     return result
 
 
-def softmaxes(values: Array, axis: int = -1) -> tuple[Floats, Floats, Floats]:
-    """Return what `log_softmax` does, its exponentials and what to divide these by."""
-    largest = values.max(axis=axis, keepdims=True)
-    if not np.isfinite(largest).all():
-        largest = np.where(np.isfinite(largest), largest, 0)
-    result: Floats = values - largest
-    shares = exp(result)
-    total: Floats = shares.sum(axis=axis, keepdims=True)
-    with np.errstate(divide="ignore"):
-        result -= np.log(total)
-    return result, shares, total
-
-
 def log_loss(logits: Floats, codes: Array, shares: Floats) -> tuple[float, Floats]:
     """Return the log loss of softmax beliefs (nats), and its slope by each logit.
 

@@ -18,12 +18,8 @@ from palpate.recognition import (
     with_floor,
 )
 from palpate.recognition._calibration import draw_episodes
-from palpate.recognition._strangers import (
-    Curve,
-    LeftOut,
-    fit_strangers,
-    lowest_so_far,
-)
+from palpate.recognition._stranger_curves import LeftOut, fit_strangers
+from palpate.recognition._strangers import Curve, lowest_so_far
 from palpate.simulation import DomeCamera, simulate_touches
 
 N_EACH = 30

@@ -18,6 +18,7 @@ from ..touches import Touches
 from . import _evidence, _strangers
 from ._evidence import Evidence
 from ._memory import UNKNOWN, Memory, nearest_touches
+from ._promise import Promise
 from ._senses import Modality
 from ._sentences import n_touches_of, sentence_of, share_of
 
@@ -344,7 +345,7 @@ class Belief:
         shares = self._shares(logs + log_known)
         return dict(zip(names[first].tolist(), shares, strict=True))
 
-    def promise(self, error: float = 0.01) -> _strangers.Promise:
+    def promise(self, error: float = 0.01) -> Promise:
         """Return what so many objects can show about an accepted error."""
         return self._judge.strangers.promise(_check_share("error", error))
 

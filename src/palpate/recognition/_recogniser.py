@@ -59,7 +59,8 @@ from ._remounting import (
     without_nuisance,
 )
 from ._senses import Modality
-from ._strangers import LeftOut, StrangerModel, fit_strangers
+from ._stranger_curves import LeftOut, fit_strangers
+from ._strangers import StrangerModel
 from ._user_encoding import Encoding, UserEncoding, user_encodings
 
 if TYPE_CHECKING:
