@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import minimize
 
-from .._numbers import log_loss, log_softmax
+from .._numbers import log_loss
 from .._types import Array, Floats, Indices
 from ..classifiers import TouchClassifier
-from ._evidence import SequenceCalibration, is_informative, with_floor
+from ._evidence import SequenceCalibration, is_informative
 from ._memory import rows_of_each
 
 # Touches of an episode: who asks after every touch has stopped by then.
@@ -42,12 +42,15 @@ def without_gaps(log_likelihood: Floats) -> Floats:
     return np.where(known, log_likelihood, worst)
 
 
-def draw_episodes(objects: Array, seed: int, n_known: int = 1) -> list[Indices]:
+def draw_episodes(
+    objects: Array, seed: int, n_known: int = 1, blocks: Indices | None = None
+) -> list[Indices]:
     """Draw episodes of each object, (n_episodes, n_touches), -1 after their end.
 
-    As many touches in random order as the object has, up to `LONGEST`; `IN_ALL`
-    episodes of all objects together, fewer where very many are known (`n_known`); of
-    very many objects, of some.
+    As many touches as the object has, up to `LONGEST`, in random order; with `blocks`
+    those of one block come first, then those of its neighbours, as in a visit to the
+    object. `IN_ALL` episodes of all objects together, fewer where very many are known
+    (`n_known`); of very many objects, of some.
     """
     rng, each = np.random.default_rng(seed), rows_of_each(objects)
     in_all = min(IN_ALL, ANSWERS // n_known)
@@ -56,79 +59,39 @@ def draw_episodes(objects: Array, seed: int, n_known: int = 1) -> list[Indices]:
     longest = min(LONGEST, max(map(len, each)))
     drawn = []
     for rows in each:
-        order = np.argsort(rng.random((in_all // len(each), len(rows))), axis=1)
-        some = rows[order[:, :longest]]
+        place = rng.random((in_all // len(each), len(rows)))
+        if blocks is not None:
+            of = np.unique(blocks[rows], return_inverse=True)[1]
+            n_blocks = of.max() + 1
+            place += (of - rng.integers(n_blocks, size=(len(place), 1))) % n_blocks
+        some = rows[np.argsort(place, axis=1)[:, :longest]]
         over = ((0, 0), (0, longest - some.shape[1]))
         drawn.append(np.pad(some, over, constant_values=-1))
     return drawn
 
 
-def block_effects(said: Floats, objects: Array, blocks: Indices) -> Floats:
-    """Return what each touch has in common with its block, (n_touches, n_values).
-
-    By how much the mean of its block lies beside that of its object, less what chance
-    would make of so few touches. 0 where no block tells it.
-    """
-    whose = np.unique(objects, return_inverse=True)[1]
-    of, run = np.unique(np.stack([whose, blocks]), axis=1, return_inverse=True)
-    run, n_each = run.ravel(), np.bincount(run.ravel())
-    n_blocks, n_free = np.bincount(of[0])[of[0]], len(said) - len(n_each)
-    middle = _means(said, run)
-    away = middle - _means(said, whose)[of[0]]
-    some = n_blocks > 1
-    between = (away[some] ** 2).sum(axis=1) * n_blocks[some] / (n_blocks[some] - 1)
-    if not (n_free and between.any()):
-        return np.zeros_like(said)
-    within = ((said - middle[run]) ** 2).sum() / n_free
-    chance = within * (1 / n_each[some]).mean() / between.mean()
-    return np.asarray(np.sqrt(max(0.0, 1 - chance)) * away[run])
-
-
-def _means(values: Floats, codes: Indices) -> Floats:
-    """Return the mean row of each code, all of which occur."""
-    order = np.argsort(codes, kind="stable")
-    counts = np.bincount(codes)
-    sums = np.add.reduceat(values[order], np.cumsum(counts) - counts, axis=0)
-    return np.asarray(sums / counts[:, np.newaxis])
-
-
 def fit_sequence_calibration(
-    left_out: Floats,
-    codes: Indices,
-    objects: Array,
-    blocks: Indices,
-    episodes: list[Indices],
-    log_prior: Floats,
-    floor: float,
+    floored: Floats, codes: Indices, episodes: list[Indices], log_prior: Floats
 ) -> SequenceCalibration:
     """Return the calibration of least log loss over episodes of all lengths.
 
-    Of log-likelihoods of touches left out (n_touches, n_objects), the column of each
-    touch's own label, its object and its block. A new episode is of one session, whose
-    touches have in common what it adds: so in every touch what its own block adds is
-    exchanged for what that of the first one does.
+    Of log-likelihoods of touches left out, with their floor (n_touches, n_objects),
+    and the column of each touch's own label (n_touches,).
     """
-    said, used = log_softmax(left_out), is_informative(left_out)
-    added = np.zeros_like(said)
-    if used.any():
-        added[used] = block_effects(said[used], objects[used], blocks[used])
-    drawn = np.concatenate(episodes)
-    total, count = np.zeros((len(drawn), said.shape[1])), np.zeros(len(drawn))
-    first, ends = drawn[:, 0], []
+    drawn, used = np.concatenate(episodes), is_informative(floored)
+    total, count = np.zeros((len(drawn), floored.shape[1])), np.zeros(len(drawn))
+    ends = []
     for n_touches, rows in enumerate(drawn.T, start=1):
         there = rows >= 0
         tells = there & used[rows]
-        own, shared = rows[tells], first[tells]
-        alike = said[own] - added[own] + added[shared]
-        total[tells] += with_floor(alike, floor)
+        total[tells] += floored[rows[tells]]
         count += tells
         if n_touches in LENGTHS:
-            ends.append((total[there], count[there], codes[first[there]]))
+            ends.append((total[there], count[there], codes[drawn[there, 0]]))
     totals, counts, truth = (np.concatenate(v) for v in zip(*ends, strict=True))
     # Every length counts the same.
-    share = np.concatenate(
-        [np.full(len(e), 1 / len(e) / len(ends)) for _, e, _ in ends]
-    )
+    each = np.array([len(counts) for _, counts, _ in ends])
+    share = np.repeat(1 / each / len(each), each)
     return _of_least_loss(totals, counts, truth, share, log_prior)
 
 

@@ -705,8 +705,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
                 one.check_again()
             model._check_parameters()
             if not hasattr(model, "strangers_"):  # written by palpate 0.2 or older
-                episodes = model._episodes_to_come(model.memory_)
-                model.strangers_ = model._learnt_strangers(episodes)
+                model.strangers_ = model._learnt_strangers()
             check_parts(model.judge(), model.encoder_, model.pose_)
             if prod(model.encoder_.image_shape_) <= MOST_TRIED:
                 with np.errstate(all="ignore"):
@@ -818,33 +817,28 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             memory.labels, memory.nothing
         )
         self.sequence_calibration_ = _evidence.SequenceCalibration()
-        episodes = self._episodes_to_come(memory)
         if preset.calibrates_sequence:
-            rows = self.left_out_rows
             self.sequence_calibration_ = fit_sequence_calibration(
-                self._left_out(),
-                np.searchsorted(self.classes_, memory.labels[rows]),
-                memory.objects[rows],
-                memory.blocks[rows],
-                episodes,
+                _evidence.with_floor(self._left_out(), self.floor_),
+                np.searchsorted(self.classes_, memory.labels[self.left_out_rows]),
+                self._episodes_to_come(memory, memory.blocks[self.left_out_rows]),
                 self._log_prior(memory),
-                self.floor_,
             )
-        self.strangers_ = self._learnt_strangers(episodes, before)
+        self.strangers_ = self._learnt_strangers(before)
 
-    def _episodes_to_come(self, memory: Memory) -> list[Indices]:
+    def _episodes_to_come(
+        self, memory: Memory, blocks: Indices | None = None
+    ) -> list[Indices]:
         """Return left-out touches such as an episode may have, of each object."""
         objects, n_known = memory.objects[self.left_out_rows], len(self.classes_)
-        return draw_episodes(objects, self.random_state, n_known)
+        return draw_episodes(objects, self.random_state, n_known, blocks)
 
     def _left_out(self) -> Floats:
         """Return what counts of left-out training touches, (n_touches, n_objects)."""
         log_likelihood = left_out_log_likelihood(self.classifier_)
         return self._used(log_likelihood, self.memory_.nothing[self.left_out_rows])
 
-    def _learnt_strangers(
-        self, episodes: list[Indices], before: Nearest | None = None
-    ) -> StrangerModel:
+    def _learnt_strangers(self, before: Nearest | None = None) -> StrangerModel:
         memory = self.memory_
         # As they are: bounded, all objects but one may tie, and then nothing is left
         # of what a touch says without it.
@@ -864,6 +858,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             weights=weights / max(weights.sum(), 1e-12),
             categories=self._category_of(memory),
         )
+        episodes = self._episodes_to_come(memory)
         return fit_strangers(left_out, episodes, *memory.units)
 
     def _category_of(self, memory: Memory) -> NDArray[np.str_]:

@@ -88,13 +88,10 @@ class Modality(BaseEstimator):
         self.classifier_ = machine.fit(scaled, labels, groups=group)
         self.classes_ = names
         self.sequence_calibration_ = fit_sequence_calibration(
-            left_out_log_likelihood(self.classifier_),
+            with_floor(left_out_log_likelihood(self.classifier_), self.floor),
             np.searchsorted(names, labels),
-            labels,
-            np.unique(group, return_inverse=True)[1],
-            draw_episodes(labels, self.random_state),
+            draw_episodes(labels, self.random_state, blocks=group),
             np.full(len(names), -np.log(len(names))),
-            self.floor,
         )
         return self
 
