@@ -9,6 +9,8 @@ from numpy.testing import assert_allclose
 from scipy.stats import t as t_distribution
 
 from palpate import Touches
+from palpate.classifiers import _touch_classifier
+from palpate.encodings import ScaledPixels
 from palpate.recognition import (
     ObjectRecogniser,
     across_sessions,
@@ -746,3 +748,17 @@ def test_few_draws_that_share_no_touch_allow_for_more(pressed):
     """Of three parts, each in five runs: a t-test of four degrees of freedom, twice."""
     least = t_distribution.ppf(0.975, 4) * np.sqrt(1 + 1 / 5)
     assert pressed.check_mounting(_presses(4, 1)).usual == pytest.approx(least)
+
+
+def test_of_very_many_touches_another_day_is_told_by_some(monkeypatch):
+    parts = [_session(0, 8, 0, "one"), _session(OFFSET / 9, 8, 1, "two")]
+    touches = Touches.concatenate(parts)
+    monkeypatch.setattr(_touch_classifier, "MOST_ANSWERS", 300)
+    learnt = ObjectRecogniser(None, encodings={"levels": ScaledPixels()}).fit(touches)
+    assert len(learnt.left_out_rows) < len(touches)
+    assert across_sessions(learnt)["expected"] > 0.5
+    assert not learnt.check_mounting(_session(0, 3, 2, "three", labels=False)).changed
+    memory = learnt.memory_
+    with pytest.raises(ValueError, match="got 96 touches of 6 objects"):
+        learnt.remount(_session(0, 3, 2, "three", labels=False))
+    assert learnt.memory_ is memory

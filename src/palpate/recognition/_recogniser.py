@@ -753,8 +753,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
 
     def _seen(self, X: Any, y: Any) -> tuple[Any, Any]:
         """Return what `fit` is given; feature vectors as touches without geometry."""
-        for name in ("n_features_in_", "feature_names_in_"):
-            self.__dict__.pop(name, None)
+        for name in {"n_features_in_", "feature_names_in_"} & vars(self).keys():
+            delattr(self, name)
         of_touches = isinstance(X, list) and X and isinstance(X[0], Touches)
         if isinstance(X, Touches | TouchSource) or of_touches or _n_axes(X) != 2:
             return X, y

@@ -15,7 +15,7 @@ from scipy.special import softmax
 from scipy.stats import t as t_distribution
 
 from .._numbers import log_softmax
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices
 from ..images import DomeCrop
 from ..touches import Touches
 from . import _sessions
@@ -80,6 +80,13 @@ def remounted(
                 "not learnt. Remount first, then add it with add_object; or leave the "
                 "labels out to remount without them."
             )
+    n_touches, n_told = len(learnt.memory), len(learnt.classifier.left_out_rows)
+    if n_told < n_touches:
+        raise ValueError(
+            "Remounting compares a session with all that was learnt, each touch left "
+            f"out, got {n_touches} touches of {len(learnt.classes)} objects, of which "
+            f"{n_told} can be. Remount a model of fewer, or learn this session too."
+        )
     encoder, gain = _as_taught(learnt, new, labels)
     other_kind = new.images.shape[1:] != tuple(learnt.encoder.image_shape_)
     contact = learnt.contact
@@ -244,9 +251,10 @@ def across_sessions(recogniser: HasLearnt) -> dict[str, Any]:
     asked, median = _met_elsewhere(memory), float(np.median(per_object))
     result = {"least": min(per_object), "median": median, "asked": int(asked.sum())}
     if asked.any():
-        said = _said_of_left_out_sessions(learnt, memory.features)
-        right = learnt.classes[said.argmax(axis=1)] == memory.labels
-        result["expected"] = float(right[asked].mean())
+        said, rows = _said_of_left_out_sessions(learnt, memory.features)
+        right = learnt.classes[said.argmax(axis=1)] == memory.labels[rows]
+        if asked[rows].any():  # of very many touches only some are left out
+            result["expected"] = float(right[asked[rows]].mean())
     return result
 
 
@@ -311,7 +319,7 @@ def _weighed_down(learnt: Learnt, differences: Floats) -> Learnt:
 
 def _loss(learnt: Learnt, features: Floats, asked: Array) -> Floats:
     """Return the log loss (nats) of the asked touches, their session left out whole."""
-    said = log_softmax(_said_of_left_out_sessions(learnt, features), axis=1)
+    said = log_softmax(_said_of_left_out_sessions(learnt, features)[0], axis=1)
     return -said[np.arange(len(said)), learnt.codes][asked]
 
 
@@ -334,11 +342,14 @@ def _loss_weighed(learnt: Learnt, centred: Floats, asked: Array) -> Floats:
     return loss[asked]
 
 
-def _said_of_left_out_sessions(learnt: Learnt, features: Floats) -> Floats:
+def _said_of_left_out_sessions(
+    learnt: Learnt, features: Floats
+) -> tuple[Floats, Indices]:
+    """Return what touches are taken for, their session left out, and which."""
     memory = learnt.memory
     of = np.unique(memory.sessions, return_inverse=True)[1]
     again = learnt.refitted(replace(memory, features=features, blocks=of))
-    return left_out_log_likelihood(again)
+    return left_out_log_likelihood(again), again.left_out_rows
 
 
 def _met_elsewhere(memory: Memory) -> Array:
