@@ -72,7 +72,7 @@ def test_labels_of_the_test_touches_tell_recentring_nothing():
     _, (trial,) = evaluate(train, test, plan=plan)
     mixed = np.random.default_rng(0).permutation(test.object)
     _, (other,) = evaluate(train, test.with_columns(object=mixed), plan=plan)
-    told = trial.recogniser.encoder_.offset_, other.recogniser.encoder_.offset_
+    told = trial.recogniser.encoder_.offset, other.recogniser.encoder_.offset
     assert np.array_equal(*told)
 
 

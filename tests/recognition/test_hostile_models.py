@@ -13,6 +13,7 @@ from numpy.testing import assert_array_equal
 
 from palpate import ObjectRecogniser, Touches
 from palpate.recognition import ModelFileError, SequenceCalibration
+from palpate.recognition._remounted_encoder import RemountedEncoder
 from palpate.recognition._strangers import Curve
 
 HANG_S = 2.0
@@ -186,15 +187,54 @@ def test_what_could_not_be_read_is_not_written(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    "name", ["offset_", "weighing_", "drift_", "still_", "broken_", "look_offset_"]
-)
+def remounted(**taken_off):
+    """Return a model to change, its encoder wrapped in what is taken off."""
+    model = deepcopy(models()[0])
+    model.encoder_ = RemountedEncoder(model.encoder_, **taken_off)
+    return model
+
+
+TAKEN_OFF = ["offset", "weighing", "drift", "broken", "look_offset"]
+
+
+@pytest.mark.parametrize("name", [*TAKEN_OFF, "still_"])
 def test_what_is_added_to_a_touch_must_be_as_large_as_it(tmp_path, name):
     # Else a small column would be spread over all features, a thousand times over.
-    model = deepcopy(models()[0])
-    setattr(model.encoder_, name, np.zeros((1000, 1)))
+    small = np.zeros((1000, 1))
+    model = remounted() if name == "still_" else remounted(**{name: small})
+    if name == "still_":
+        model.encoder_.encoder.still_ = small
     with pytest.raises(ModelFileError, match=f"its {name} has shape"):
         ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+
+
+def test_an_encoder_wrapped_twice_is_refused(tmp_path):
+    model = remounted()
+    model.encoder_ = RemountedEncoder(model.encoder_)
+    with pytest.raises(ModelFileError, match="encoder_ is a RemountedEncoder"):
+        ObjectRecogniser.load(model.save(tmp_path / "m.palpate"))
+
+
+def test_a_gain_is_read_up_to_its_bounds(tmp_path):
+    for gain, message in ((1e-6, ""), (1e6, ""), (9e-7, "gain"), (1.1e6, "gain")):
+        said = refusal_of(remounted(gain=gain).save(tmp_path / "m.palpate"))
+        assert message in said
+        assert bool(message) == bool(said)
+
+
+def test_an_encoder_that_holds_itself_what_is_taken_off_is_wrapped(tmp_path):
+    """As models had it before encoders were wrapped."""
+    n_features = models()[0].memory_.features.shape[1]
+    model = remounted(gain=1.5, offset=np.full(n_features, 0.25))
+    document, tensors = opened(model.save(tmp_path / "new.palpate"))
+    learnt = document["model"]["learnt"]
+    params = learnt["encoder_"]["params"]
+    learnt["encoder_"] = params.pop("encoder")
+    learnt["encoder_"]["learnt"] |= {f"{name}_": v for name, v in params.items()}
+    path = forged(tmp_path / "old.palpate", document, tensors)
+    images = np.random.default_rng(1).random((3, *model.encoder_.image_shape_))
+    told = ObjectRecogniser.load(path).log_likelihood(images)
+    assert_array_equal(told, model.log_likelihood(images))
 
 
 @pytest.mark.parametrize("number", range(6))
@@ -246,7 +286,6 @@ def test_what_tells_no_stranger_is_refused(tmp_path, name, change, message):
     ("part", "name", "values", "message"),
     [
         ("", "floor_", (0.0, 0.5), "floor_"),
-        ("encoder_", "gain_", (1e-6, 1e6), "gain_"),
         ("sequence_calibration_", "strength", (0.0, 100.0), "strength"),
         ("sequence_calibration_", "correlation", (0.0, 1.0), "correlation"),
     ],
@@ -519,18 +558,15 @@ def test_images_have_50_million_levels_and_are_tried_up_to_800_000(
 
 
 def test_what_is_as_large_as_a_touch_is_read(tmp_path):
-    model = deepcopy(models()[0])
-    encoder, n = model.encoder_, model.memory_.features.shape[1]
-    encoder.drift_ = encoder.still_ = np.zeros(encoder.image_shape_)
-    encoder.broken_ = np.zeros(encoder.image_shape_, dtype=bool)
-    encoder.offset_, encoder.weighing_ = np.zeros(n), np.eye(n)
-    encoder.look_offset_ = np.zeros(7)
+    shape, n = models()[0].encoder_.image_shape_, models()[0].memory_.features.shape[1]
+    whole = {"drift": np.zeros(shape), "broken": np.zeros(shape, dtype=bool)}
+    whole |= {"offset": np.zeros(n), "weighing": np.eye(n), "look_offset": np.zeros(7)}
+    model = remounted(**whole)
+    model.encoder_.encoder.still_ = np.zeros(shape)
     path = model.save(tmp_path / "m.palpate")
     assert refusal_of(path) == ""
-    for name in ("offset_", "look_offset_", "weighing_"):
-        other = deepcopy(model)
-        setattr(other.encoder_, name, getattr(encoder, name)[:-1])
-        said = refusal_of(other.save(path))
+    for name in ("offset", "look_offset", "weighing"):
+        said = refusal_of(remounted(**{**whole, name: whole[name][:-1]}).save(path))
         assert f"its {name} has shape" in said
 
 

@@ -9,6 +9,8 @@ from numpy.testing import assert_allclose
 from scipy.stats import t as t_distribution
 
 from palpate import Touches
+from palpate.classifiers import _touch_classifier
+from palpate.encodings import ScaledPixels
 from palpate.recognition import (
     ObjectRecogniser,
     across_sessions,
@@ -313,8 +315,8 @@ def test_the_baseline_of_the_new_session_is_known_and_taken_off():
         for zero in zeros
     )
     encoder = ObjectRecogniser().fit(here).remount(there.without("object")).encoder_
-    assert np.allclose(encoder.drift_, zeros[0] - zeros[1])
-    felt = encoder.transform(there) - encoder.offset_
+    assert np.allclose(encoder.drift, zeros[0] - zeros[1])
+    felt = encoder.transform(there) - encoder.offset
     assert np.allclose(felt, ObjectRecogniser().fit(here).encoder_.transform(here))
 
 
@@ -368,7 +370,7 @@ def test_the_gain_of_an_array_is_found_and_taken_off(pressed, gain, labelled):
     recogniser = pressed.remount(first)
     found = recogniser.chosen_["remount"]["gain"]
     assert found == pytest.approx(1 / gain, rel=0.15)
-    assert recogniser.encoder_.gain_ == found
+    assert recogniser.encoder_.gain == found
     assert recogniser.score(_presses(20, 2, gain), np.repeat(PARTS, 20)) > 0.9
 
 
@@ -388,11 +390,11 @@ def test_taxels_that_are_stuck_are_filled_from_their_neighbours(
     images = np.where(stuck, level, there.images)
     broken = Touches(images, object=there.object, geometry="array")
     few = deepcopy(pressed).remount(broken[::3].without("object"))
-    assert few.encoder_.broken_ is None  # eight touches do not tell
+    assert few.encoder_.broken is None  # eight touches do not tell
     whole = pressed.log_likelihood(there)
     as_it_is = np.abs(pressed.log_likelihood(broken) - whole).mean()
     pressed.remount(broken.without("object"))
-    assert np.array_equal(pressed.encoder_.broken_, stuck)
+    assert np.array_equal(pressed.encoder_.broken, stuck)
     assert pressed.chosen_["remount"]["broken"] == 3
     assert np.abs(pressed.log_likelihood(broken) - whole).mean() < as_it_is / 2
     loaded = ObjectRecogniser.load(pressed.save(tmp_path / "m.palpate"))
@@ -441,7 +443,7 @@ def test_what_was_moved_is_told_and_moves_touches_onto_those_of_training(taught)
     there = _session(OFFSET, 6, 2, "two")
     found = taught.remount(there).chosen_["remount"]
     assert (found["n_touches"], found["labelled"], found["broken"]) == (36, True, 0)
-    shift = taught.encoder_.offset_
+    shift = taught.encoder_.offset
     assert found["moved"] == pytest.approx((shift**2).sum() / variance)
     features = taught.encoder_.transform(there)
     means = [
@@ -464,9 +466,9 @@ def test_remounting_again_begins_where_the_first_one_ended(taught):
     first = _session(OFFSET, 6, 2, "two", labels=False)
     second = _session(-OFFSET, 6, 3, "three", labels=False)
     taught.remount(first)
-    there = taught.encoder_.offset_
+    there = taught.encoder_.offset
     twice = deepcopy(taught).remount(second)
-    from_start = twice.encoder_.offset_ - there
+    from_start = twice.encoder_.offset - there
     variance = taught.memory_.features.var(axis=0).sum()
     moved = twice.chosen_["remount"]["moved"]
     assert moved == pytest.approx((from_start**2).sum() / variance)
@@ -489,7 +491,7 @@ def test_touches_without_contact_are_no_part_of_a_session():
         deepcopy(learnt).remount(Touches(one, geometry="array"))
         for one in (some, np.concatenate([some, idle]))
     )
-    assert_allclose(padded.encoder_.offset_, plain.encoder_.offset_, atol=1e-9)
+    assert_allclose(padded.encoder_.offset, plain.encoder_.offset, atol=1e-9)
     assert padded.chosen_["remount"]["n_touches"] == 17
     # The check asks those that show contact as well.
     checks = [
@@ -528,15 +530,15 @@ def test_how_sessions_differ_is_weighed_down_where_other_persons_say_it_helps(
     loss = found["log_loss"]
     # Without a twist all are told apart either way, and the losses are rounding.
     assert (loss["weighed"] < loss["centred"] - 1e-6) == weighed == found["weighed"]
-    assert (learnt.encoder_.weighing_ is not None) == weighed
+    assert (learnt.encoder_.weighing is not None) == weighed
     if weighed:
         assert found["centred"]
         assert loss["weighed"] < 0.8 * loss["centred"]
         # Once is enough: what is weighed is not weighed again.
-        once = learnt.encoder_.weighing_
+        once = learnt.encoder_.weighing
         again = learnt.remount(new.without("object", "subject"))
         assert "weighed" not in again.chosen_["remount"]["log_loss"]
-        assert np.array_equal(again.encoder_.weighing_, once)
+        assert np.array_equal(again.encoder_.weighing, once)
     elif not found["centred"]:
         assert np.array_equal(learnt.memory_.features, features)
 
@@ -576,7 +578,7 @@ def test_twenty_differences_between_sessions_are_enough(taught, n_last, enough):
     before = taught.memory_
     if enough:
         assert taught.learn_nuisance(told) == 20
-        made = before.features @ taught.encoder_.weighing_
+        made = before.features @ taught.encoder_.weighing
         assert_allclose(taught.memory_.features, made)
         return
     with pytest.raises(ValueError, match="got 19 differences"):
@@ -591,10 +593,10 @@ def test_what_is_weighed_down_after_remounting_keeps_the_session_off(taught):
     rng = np.random.default_rng(4)
     axes = [_session(3 * rng.normal(size=8), 2, k, f"{k}", "abcdef") for k in range(4)]
     taught.learn_nuisance(Touches.concatenate(axes))
-    first = taught.encoder_.weighing_
+    first = taught.encoder_.weighing
     assert_allclose(taught.encoder_.transform(there), made @ first, atol=1e-9)
     taught.learn_nuisance(Touches.concatenate(axes))
-    second = np.linalg.solve(first, taught.encoder_.weighing_)
+    second = np.linalg.solve(first, taught.encoder_.weighing)
     made = made @ first @ second
     assert_allclose(taught.encoder_.transform(there), made, atol=1e-9)
 
@@ -746,3 +748,17 @@ def test_few_draws_that_share_no_touch_allow_for_more(pressed):
     """Of three parts, each in five runs: a t-test of four degrees of freedom, twice."""
     least = t_distribution.ppf(0.975, 4) * np.sqrt(1 + 1 / 5)
     assert pressed.check_mounting(_presses(4, 1)).usual == pytest.approx(least)
+
+
+def test_of_very_many_touches_another_day_is_told_by_some(monkeypatch):
+    parts = [_session(0, 8, 0, "one"), _session(OFFSET / 9, 8, 1, "two")]
+    touches = Touches.concatenate(parts)
+    monkeypatch.setattr(_touch_classifier, "MOST_ANSWERS", 300)
+    learnt = ObjectRecogniser(None, encodings={"levels": ScaledPixels()}).fit(touches)
+    assert len(learnt.left_out_rows) < len(touches)
+    assert across_sessions(learnt)["expected"] > 0.5
+    assert not learnt.check_mounting(_session(0, 3, 2, "three", labels=False)).changed
+    memory = learnt.memory_
+    with pytest.raises(ValueError, match="got 96 touches of 6 objects"):
+        learnt.remount(_session(0, 3, 2, "three", labels=False))
+    assert learnt.memory_ is memory

@@ -17,13 +17,9 @@ from palpate.recognition import (
     upper_bound,
     with_floor,
 )
-from palpate.recognition._calibration import draw_asked
-from palpate.recognition._strangers import (
-    Curve,
-    LeftOut,
-    disagreement,
-    fit_strangers,
-)
+from palpate.recognition._calibration import draw_episodes
+from palpate.recognition._stranger_curves import LeftOut, fit_strangers
+from palpate.recognition._strangers import Curve, lowest_so_far
 from palpate.simulation import DomeCamera, simulate_touches
 
 N_EACH = 30
@@ -56,20 +52,33 @@ def left_out(n_objects, rng, gain=3.0, categories=None, alike=0.0):
 def model_of(table, n_units=None):
     """Learn from episodes of twenty touches of each object."""
     codes = table.codes
-    episodes = draw_asked(codes.astype(str), np.arange(len(codes)), 0)
+    episodes = draw_episodes(codes.astype(str), 0)
     return fit_strangers(table, episodes, n_units or len(episodes), "these")
 
 
-def test_the_score_is_how_little_encodings_give_to_one_name():
+def disagreement(each, weights):
+    """Return how little encodings agree on any one name (nats)."""
+    return -(weights @ each).max(axis=-1)
+
+
+def test_the_score_is_how_little_encodings_give_to_one_name(rng):
+    model = model_of(left_out(2, rng))
+
+    def nats_of(each, weights):
+        score = replace(model, weights=weights).score(
+            each, np.asarray(np.nan), np.asarray(1)
+        )
+        return -np.log(1 - score)
+
     agreed = np.log([[0.9, 0.1], [0.8, 0.2]])
     torn = np.log([[0.99, 0.01], [0.01, 0.99]])
     half = np.array([0.5, 0.5])
     nats = -np.log([np.sqrt(0.9 * 0.8), np.sqrt(0.99 * 0.01), 0.99, 0.25])
-    assert disagreement(agreed, half) == pytest.approx(nats[0])
-    assert disagreement(torn, half) == pytest.approx(nats[1])
+    assert nats_of(agreed, half) == pytest.approx(nats[0])
+    assert nats_of(torn, half) == pytest.approx(nats[1])
     # An encoding that weighs nothing is not asked.
-    assert disagreement(torn, np.array([1.0, 0.0])) == pytest.approx(nats[2])
-    assert disagreement(np.log([[0.25] * 4]), np.ones(1)) == pytest.approx(nats[3])
+    assert nats_of(torn, np.array([1.0, 0.0])) == pytest.approx(nats[2])
+    assert nats_of(np.log([[0.25] * 4]), np.ones(1)) == pytest.approx(nats[3])
 
 
 def test_touches_far_from_what_was_learnt_raise_the_score(rng):
@@ -116,21 +125,27 @@ def test_evidence_is_that_of_each_touch_so_far(rng):
     near = np.broadcast_to(model.usual, floored.shape)
     rest = table.log_prior, table.calibration, model
     posterior, evidence = episode_evidence(floored, each, near, *rest)
-    used, weight = [0, 1, 3, 4, 5], table.calibration.weight(5)
-    nats = disagreement(log_softmax(each[used].sum(axis=0) * weight, -1), model.weights)
-    score, logs = 1 - np.exp(-nats), log_softmax(floored[used].sum(axis=0) * weight)
-    assert_allclose(posterior[-1], logs)
-    mean, spread = model.high[4]
-    above = (np.log(nats + 1e-6) - mean) / spread
-    level = np.log(max(score, 1 - np.exp(logs.max())))
-    low, high = model.low_curve, model.high_curve
-    ratios = low.log_ratios[logs.argmax()]
-    assert evidence[-1] == pytest.approx(
-        np.interp(level, low.levels, ratios)
-        + np.interp(above, high.levels, high.log_ratios[0])
-        + 1e-3 * above,
-        abs=1e-9,
-    )
+    lowest, told = {}, []
+    for k in (0, 1, 3, 4, 5):
+        told.append(k)
+        weight = table.calibration.weight(len(told))
+        nats = disagreement(
+            log_softmax(each[told].sum(axis=0) * weight, -1), model.weights
+        )
+        logs = log_softmax(floored[told].sum(axis=0) * weight)
+        assert_allclose(posterior[k], logs)
+        level = np.log(max(1 - np.exp(-nats), 1 - np.exp(logs.max())))
+        best = int(logs.argmax())
+        lowest[best] = min(level, lowest.get(best, 0))
+        mean, spread = model.high[len(told) - 1]
+        above = (np.log(nats + 1e-6) - mean) / spread
+        low, high = model.low_curve, model.high_curve
+        assert evidence[k] == pytest.approx(
+            np.interp(lowest[best], low.levels, low.log_ratios[best])
+            + np.interp(above, high.levels, high.log_ratios[0])
+            + 1e-3 * above,
+            abs=1e-9,
+        )
     assert evidence[1] == evidence[2]
     silent = np.full((3, 4), -np.log(4))
     assert_allclose(episode_evidence(silent, each[:3], near[:3], *rest)[1], 0)
@@ -144,13 +159,14 @@ def test_low_scores_speak_against_a_stranger_and_high_ones_for_it(rng, n_objects
         assert (np.diff(curve.levels) >= 0).all()
         assert (np.diff(curve.log_ratios) >= 0).all()
     assert (high.log_ratios >= 0).all()
-    assert len(low.log_ratios) == (1 if n_objects == 2 else n_objects)
+    assert len(low.log_ratios) == n_objects
     # Some level is reached by many known episodes and few others.
     assert (low.log_ratios[:, 0] < -0.5).all()
     assert high.log_ratios[0, -1] > 1
     far = np.log(0.5)
     least, most = (
-        model.evidence(*map(np.asarray, (score, 0.0, 0, 12))) for score in (1e-6, 0.95)
+        model.evidence(*map(np.asarray, (np.log(score), score, 0, 12)))
+        for score in (1e-6, 0.95)
     )
     assert least < 0 < most
     assert low.at(np.asarray(far)) >= low.at(np.asarray(far - 1))
@@ -160,7 +176,7 @@ def test_the_curves_are_shares_of_episodes_that_ever_get_there(rng):
     """Counted episode by episode, by the belief after each touch."""
     table = left_out(4, rng, gain=2.0)
     model = model_of(table)
-    episodes = draw_asked(table.codes.astype(str), np.arange(len(table.codes)), 0)
+    episodes = draw_episodes(table.codes.astype(str), 0)
 
     def lowest(rows, columns):
         prior = log_softmax(table.log_prior[columns])
@@ -218,7 +234,7 @@ def test_stopped_at_an_error_names_are_wrong_as_rarely(rng, strangers):
     model = model_of(left_out(n_objects, rng))
     table = left_out(n_objects, rng)
     wrong = {False: [], True: []}
-    for rows in draw_asked(table.codes.astype(str), np.arange(len(table.codes)), 7):
+    for rows in draw_episodes(table.codes.astype(str), 7):
         own = int(table.codes[rows[0, 0]])
         for never in (False, True):
             columns = np.arange(n_objects)
@@ -258,7 +274,7 @@ def test_stopped_at_an_error_names_are_wrong_as_rarely(rng, strangers):
 def test_one_known_episode_in_twenty_exceeds_the_threshold(rng):
     table = left_out(6, rng)
     model = model_of(table)
-    rows = np.concatenate(draw_asked(table.codes.astype(str), np.arange(180), 0))
+    rows = np.concatenate(draw_episodes(table.codes.astype(str), 0))
     tables = (with_floor(v, 0.01)[rows] for v in (table.log_likelihood, table.each))
     rest = table.log_prior, table.calibration, model
     _, nats = episode_evidence(*tables, table.log_distances[rows], *rest)
@@ -309,6 +325,16 @@ def test_a_category_is_surer_than_its_objects_where_these_are_alike(rng):
     without = model_of(replace(table, categories=np.full(5, "")))
     assert without.category_evidence(sure, sure) == 0
     assert without.low_category_curve.log_ratios.shape == (1, 1)
+
+
+def test_how_low_an_episode_came_stays_true_of_the_name_that_was_best():
+    levels = np.array([[3.0, 1, 2, 5, 0, 4], [1, 1, 1, 0, 2, 2]])
+    best = np.array([[0, 0, 1, 0, 1, 1], [2, 1, 2, 0, 2, 1]])
+    lowest = [[3, 1, 2, 1, 0, 0], [1, 1, 1, 0, 1, 1]]
+    assert lowest_so_far(levels, best, 3).tolist() == lowest
+    # Touches that said nothing come before all levels.
+    levels[0, 0] = np.inf
+    assert lowest_so_far(levels, best, 3)[0].tolist() == [np.inf, 1, 2, 1, 0, 0]
 
 
 def test_a_curve_goes_on_level_beyond_what_was_learnt():

@@ -163,8 +163,15 @@ class EncodingPool(BayesRule):
         """
         if not hasattr(self, "machines_"):
             check_is_fitted(self)
-        parts = self._parts(_touch_classifier.as_touches(self, X))
-        return np.stack([self._said(name, part) for name, part in parts.items()])
+        touches = check_squarable("X", _touch_classifier.as_touches(self, X))
+        shape = len(self.machines_), len(touches), len(self.classes_)
+        said, some = np.zeros(shape), []
+        for row, (name, part) in enumerate(self._parts(touches).items()):
+            if self.weights_[name]:
+                said[row] = self.machines_[name].log_likelihood_checked(part)
+                some.append(row)
+        said[some] = np.maximum(log_softmax(said[some]), _LEAST)
+        return said
 
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches with their groups left out."""
@@ -184,7 +191,7 @@ class EncodingPool(BayesRule):
 
     def left_out_posteriors(self) -> Floats:
         """Return the same as log posteriors, so bounded that none decides alone."""
-        return np.stack([_bounded(one) for one in self.left_out_by_part()])
+        return np.maximum(log_softmax(self.left_out_by_part()), _LEAST)
 
     @property
     def part_weights(self) -> Mapping[str, float]:
@@ -198,11 +205,6 @@ class EncodingPool(BayesRule):
         if self.together and len(parts) > 1:
             parts[TOGETHER] = touches
         return parts
-
-    def _said(self, name: str, part: Floats) -> Floats:
-        if self.weights_[name] == 0:
-            return np.zeros((len(part), len(self.classes_)))
-        return _bounded(self.machines_[name].log_likelihood(part))
 
     def pooled(self, by_part: Floats) -> Floats:
         """Return the log posterior (n_touches, n_classes) of what each machine says."""
@@ -239,8 +241,3 @@ def pool_weights(every: Floats, codes: Array) -> Floats:
     bounds = [(0, None)] * n_machines
     found: Any = minimize(loss, start, jac=True, bounds=bounds, method="L-BFGS-B")
     return np.asarray(found.x)
-
-
-def _bounded(log_likelihood: Floats) -> Floats:
-    """Return the log posteriors, none of them so small that one machine decides."""
-    return np.maximum(log_softmax(log_likelihood, axis=1), _LEAST)

@@ -79,6 +79,13 @@ class TouchClassifier(Protocol):
         """Return log p(touch | object) up to a constant per touch (nats)."""
         ...
 
+    def log_likelihood_checked(self, touches: Floats) -> Floats:
+        """Do what `log_likelihood` does, for a caller that has checked the touches.
+
+        They are finite, of float64, and have as many features as `fit` saw.
+        """
+        ...
+
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of the training touches, their groups left out.
 
@@ -132,6 +139,10 @@ class BayesRule(ClassifierMixin, BaseEstimator):
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return log p(touch | object) up to a constant per touch (nats)."""
         raise NotImplementedError
+
+    def log_likelihood_checked(self, touches: Floats) -> Floats:
+        """Do what `log_likelihood` does, for a caller that has checked the touches."""
+        return self.log_likelihood(touches)
 
     def log_likelihood_by_part(self, X: ArrayLike) -> Floats:
         """Return `log_likelihood` as that of one part, (1, n_touches, n_objects)."""

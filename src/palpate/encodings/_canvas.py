@@ -43,13 +43,14 @@ class CanvasEncoder(ImageEstimator):
         shape = images.shape[1:]
         short = min(shape)
         scale = min(max(short, 32), self._most) / short / self._multiple
-        rows, cols = (self._multiple * round(n * scale) for n in shape)
-        smaller = rows <= images.shape[1] and cols <= images.shape[2]
+        rows = self._multiple * round(shape[0] * scale)
+        cols = self._multiple * round(shape[1] * scale)
+        smaller = rows <= shape[0] and cols <= shape[1]
         how = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
-        vectors = [
-            self._vector(cv2.resize(image, (cols, rows), interpolation=how))
-            for image in images.astype(np.float32, copy=False)
-        ]
+        vectors = []
+        for image in images.astype(np.float32, copy=False):
+            resized = cv2.resize(image, (cols, rows), interpolation=how)
+            vectors.append(self._vector(resized))
         return np.stack(vectors).astype(np.float64, copy=False)
 
     def _vector(self, image: Array) -> Array:

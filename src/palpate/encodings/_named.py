@@ -216,19 +216,15 @@ class EncodingUnion(ImageEstimator, by_channel=False):
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the joined vectors, shape (n_touches, n_features)."""
-        parts = [
-            encoder.transform_checked(images)
-            if isinstance(encoder, ImageEstimator)
-            else encoder.transform(images)
-            for encoder in self.encoders_
-        ]
+        parts = []
+        for encoder in self.encoders_:
+            known = isinstance(encoder, ImageEstimator)
+            encode = encoder.transform_checked if known else encoder.transform
+            parts.append(encode(images))
         return self._joined(parts)
 
     def _joined(self, parts: list[Array]) -> Floats:
-        if self.scalers_:
-            scaled = zip(self.scalers_, parts, strict=True)
-            parts = [scaler.scale(part) for scaler, part in scaled]
-        return np.hstack(parts)
+        return np.hstack([*map(RootScaler.scale, self.scalers_, parts)] or parts)
 
     def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
         # Which levels are too large, each encoder says itself.
@@ -285,7 +281,8 @@ class RootScaler(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
 
     def fit(self, X: ArrayLike, y: object = None) -> Self:
         """Learn mean and spread of the roots; `y` is ignored."""
-        roots = _root(validate_data(self, X, dtype=np.float64))
+        features = validate_data(self, X, dtype=np.float64)
+        roots = np.copysign(np.sqrt(np.abs(features)), features)
         self.mean_ = roots.mean(axis=0)
         spread = roots.std(axis=0)
         constant = spread <= 1e-9 * np.abs(roots).max(axis=0)
@@ -301,13 +298,9 @@ class RootScaler(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
 
     def scale(self, features: Floats) -> Floats:
         """Do what `transform` does, without its checks."""
-        roots = _root(features)
+        roots: Floats = np.abs(features)
+        np.sqrt(roots, out=roots)
+        np.copysign(roots, features, out=roots)
         roots -= self.mean_
         roots /= self.scale_
         return roots
-
-
-def _root(features: Floats) -> Floats:
-    roots: Floats = np.abs(features)
-    np.sqrt(roots, out=roots)
-    return np.copysign(roots, features, out=roots)

@@ -8,6 +8,7 @@ so the sizes of their Fourier coefficients along the ring stay as they are.
 
 from collections.abc import Iterator
 from functools import lru_cache
+from itertools import repeat
 
 import cv2
 import numpy as np
@@ -116,8 +117,9 @@ class PolarGradients(ImageEstimator):
         sigma = max(self.smoothing * min(size) / 2, 0.5)
         shape = len(images), _N_CHANNELS, self.n_rings, self.n_harmonics + 1
         found = np.empty(shape, dtype=np.complex128)
-        for some, into in zip(_few(images), _few(found), strict=True):
-            values = np.stack([_channels(image, sigma, grid) for image in some])
+        for start in range(0, len(images), _AT_ONCE):
+            into, some = found[start : start + _AT_ONCE], images[start:][:_AT_ONCE]
+            values = np.stack([*map(_channels, some, repeat(sigma), repeat(grid))])
             into[:] = np.fft.rfft(values, axis=-1)[..., : shape[-1]]
             into /= _PLACES
         found *= np.sqrt(rings)[:, np.newaxis]
@@ -150,12 +152,12 @@ def _channels(image: Array, sigma: float, grid: Grid) -> Singles:
     root = np.sqrt(lengths(across, down)) + 1e-6
     across, down = across / root, down / root
     curvature = np.copysign(cv2.sqrt(np.abs(curvature)), curvature)
-    tensor = [
-        cv2.GaussianBlur(product, (0, 0), _SURROUNDINGS * sigma)
-        for product in (across * across, down * down, across * down)
-    ]
-    planes = [across, down, curvature, *tensor]
-    x, y, bend, xx, yy, xy = [cv2.remap(p, *grid, cv2.INTER_LINEAR) for p in planes]
+    planes = [across, down, curvature]
+    for product in (across * across, down * down, across * down):
+        planes.append(cv2.GaussianBlur(product, (0, 0), _SURROUNDINGS * sigma))
+    for number, plane in enumerate(planes):
+        planes[number] = cv2.remap(plane, *grid, cv2.INTER_LINEAR)
+    x, y, bend, xx, yy, xy = planes
     strength = np.sqrt(np.maximum(xx + yy, 0))
     along, oblique = _turned(xx - yy, 2 * xy, np.cos(2 * _ANGLES), np.sin(2 * _ANGLES))
     weight = 1 / np.maximum(strength, _LEAST_STRENGTH)

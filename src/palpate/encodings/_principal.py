@@ -223,9 +223,13 @@ class PrincipalShare(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEsti
         if not hasattr(self, "components_"):
             check_is_fitted(self)
         if are_plain_vectors(X, len(self.mean_)):
-            features = np.asarray(X)
-        else:
-            features = validate_data(self, X, dtype=np.float64, reset=False)
+            return self.transform_checked(X)
+        return self.transform_checked(
+            validate_data(self, X, dtype=np.float64, reset=False)
+        )
+
+    def transform_checked(self, features: Floats) -> Floats:
+        """Do what `transform` does, for a caller that has checked the features."""
         return np.asarray((features - self.mean_) @ self.components_.T)
 
     def unexplained(self, X: Floats, scores: Floats) -> Floats:

@@ -3,7 +3,7 @@
 import time
 from collections import Counter
 from collections.abc import Callable
-from copy import copy, deepcopy
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -192,7 +192,7 @@ def _remounted(
     of_sessions = [in_order[session[in_order] == s] for s in np.unique(session)]
     evidence = []
     for mine in of_sessions:
-        used = deepcopy(recogniser)
+        used = copy(recogniser)
         used.remount(test[mine[:number]].without(*labels))
         evidence.append(used.evidence(test[mine]))
     return used, test[np.concatenate(of_sessions)], Evidence.together(evidence)

@@ -348,8 +348,10 @@ class PlacedBelief(Belief):
         # Places of touches that say nothing say nothing either.
         ratio[~evidence.log_likelihood.any(axis=1)] = 0.0
         said = log_softmax(evidence.log_likelihood, axis=1)
-        self._placed = self._placed + self._map.weighed(said, ratio).sum(axis=0)
-        return super().update(evidence)
+        for number, placed in enumerate(self._map.weighed(said, ratio)):
+            self._placed = self._placed + placed
+            super().update(evidence.one(number))
+        return self
 
     @property
     def log_posterior(self) -> Floats:
@@ -361,16 +363,14 @@ class PlacedBelief(Belief):
         """The object that is most probable by the touches alone."""
         return str(self._judge.classes[self._touch_log_posterior.argmax()])
 
-    def _by_encoding(self) -> Floats:
-        by_place = self.log_posterior - self._touch_log_posterior
-        return log_softmax(super()._by_encoding() + by_place, axis=-1)
-
-    def _weigh(self) -> None:
-        super()._weigh()
+    def _hear(self, log_posterior: Floats, by_encoding: Floats) -> None:
         prior = log_softmax(self._prior_and_senses()) - np.log(self._map.n_turns)
         weight = self._map.sequence_calibration.weight(self._n_informative)
         joint = self._placed * weight + prior[:, np.newaxis]
         self.log_joint: Floats = joint - logsumexp(joint)
+        placed = self.log_posterior
+        by_place = placed - log_posterior
+        super()._hear(placed, log_softmax(by_encoding + by_place, axis=-1))
 
 
 def places_of(touches: object, places: ArrayLike | None, n_turns: int) -> Floats:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
+from itertools import repeat
 from operator import attrgetter
 from typing import Any, overload
 
@@ -81,9 +82,8 @@ class Rims:
     @classmethod
     def of(cls, circles: Iterable[Circle]) -> Rims:
         """Gather circles, one a touch."""
-        columns = zip(*map(_IN_ORDER, circles), strict=True)
-        kinds = (float, float, float, bool, float)
-        return cls(*(np.array(v, kind) for v, kind in zip(columns, kinds, strict=True)))
+        row, col, radius, visible, score = np.array([*map(_IN_ORDER, circles)], float).T
+        return cls(row, col, radius, visible > 0, score)
 
     def __len__(self) -> int:
         return len(self.row)
@@ -118,7 +118,7 @@ def find_rim(image: ArrayLike, *, near: Circle | None = None) -> Circle:
             "image must have shape (n_rows, n_cols), got an array of shape "
             f"{grey.shape}. For many touches use find_rims."
         )
-    return _find(as_images(grey[None])[0], near)
+    return _find(as_images(grey[None])[0], _checked(near))
 
 
 def find_rims(
@@ -149,14 +149,14 @@ def find_rims(
         If `images` are no finite images.
     """
     checked = as_images(images)
-    near = near or typical_rim(checked, no_contact=no_contact)
+    near = _checked(near) or typical_rim(checked, no_contact=no_contact)
     return rims_near(checked, near)
 
 
 def rims_near(images: Array, near: Circle | None) -> Rims:
     """Find the rim of every image, near one of the same device; without checks."""
     with opencv_on_one_thread():
-        return Rims.of([_find(image, near) for image in images])
+        return Rims.of(map(_find, images, repeat(near)))
 
 
 def typical_rim(
@@ -200,13 +200,18 @@ def as_images(X: ArrayLike, *, shape: tuple[int, ...] | None = None) -> Array:
     return check_levels(check_finite(images.astype(np.float64, copy=False)))
 
 
+def _checked(near: Circle | None) -> Circle | None:
+    if near is not None:
+        check_positive("near.radius", near.radius)
+    return near
+
+
 def _find(image: Array, near: Circle | None) -> Circle:
     shape = image.shape
     if near is None:
         missing = Circle.inscribed(shape)
     else:
-        radius = check_positive("near.radius", near.radius)
-        missing = Circle(near.row, near.col, radius, False, 0.0)
+        missing = Circle(near.row, near.col, near.radius, False, 0.0)
     if min(shape) < SMALLEST_SIDE:
         return missing
     # 8-bit as it is, anything else stretched to 0..1 in single precision.

@@ -4,7 +4,6 @@ from ._belief import Judge as Judge
 from ._belief import Level as Level
 from ._belief import Named as Named
 from ._belief import check_strangers as check_strangers
-from ._calibration import Modality as Modality
 from ._contact import correlation as correlation
 from ._encoder import find_geometry as find_geometry
 from ._episode import Episode as Episode
@@ -30,15 +29,16 @@ from ._presets import PRESETS as PRESETS
 from ._presets import Label as Label
 from ._presets import Presentation as Presentation
 from ._presets import PresetName as PresetName
+from ._promise import about as about
+from ._promise import upper_bound as upper_bound
 from ._recogniser import ObjectRecogniser as ObjectRecogniser
+from ._recogniser import adapt as adapt
 from ._remounting import OTHER_MOUNTING as OTHER_MOUNTING
 from ._remounting import MountingCheck as MountingCheck
 from ._remounting import across_sessions as across_sessions
-from ._remounting import adapt as adapt
 from ._remounting import said_of_sessions as said_of_sessions
+from ._senses import Modality as Modality
 from ._sentences import share_of as share_of
 from ._sentences import touch_note as touch_note
-from ._strangers import about as about
 from ._strangers import episode_evidence as episode_evidence
 from ._strangers import stranger_log_shares as stranger_log_shares
-from ._strangers import upper_bound as upper_bound

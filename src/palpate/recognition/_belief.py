@@ -16,9 +16,10 @@ from .._numbers import log_softmax
 from .._types import Array, Floats
 from ..touches import Touches
 from . import _evidence, _strangers
-from ._calibration import Modality
 from ._evidence import Evidence
 from ._memory import UNKNOWN, Memory, nearest_touches
+from ._promise import Promise
+from ._senses import Modality
 from ._sentences import n_touches_of, sentence_of, share_of
 
 if TYPE_CHECKING:
@@ -108,6 +109,11 @@ class Belief:
         self._each = np.zeros((len(judge.strangers.weights), len(judge.classes)))
         self._distance = np.zeros(len(judge.classes))
         self._touch_log_posterior = self._log_prior
+        # What speaks for a stranger: what each encoding alone believes, how far the
+        # touches are, and the lowest level at which each object was best so far.
+        self._alone = np.zeros_like(self._each)
+        self._farther = self._score = np.zeros(())
+        self._lowest = np.full(len(judge.classes), np.inf)
         self._log_shares: tuple[float, float] | None = None
 
     def __copy__(self) -> Self:
@@ -167,26 +173,26 @@ class Belief:
             raise ValueError(
                 f"flags must be one for each of {n_touches} touches, got {len(flags)}."
             )
-        n_features = judge.memory.features.shape[1]
-        kept = _checked_part("features", features, (n_touches, n_features))
-        distances = _checked_part("log_distances", log_distances, rows.shape)
-        each = rows[:, np.newaxis]
-        if by_encoding is not None:
-            shape = n_touches, *self._each.shape
-            each = _checked_part("by_encoding", by_encoding, shape)
-        floored, each = (
-            _evidence.with_floor(rows, judge.floor),
-            _evidence.with_floor(each, judge.floor),
+        shape = n_touches, *self._each.shape
+        kept, distances, each = _checked_parts(
+            features=(features, (n_touches, judge.memory.features.shape[1])),
+            log_distances=(log_distances, rows.shape),
+            by_encoding=(by_encoding, shape),
         )
+        if by_encoding is None:
+            each = np.broadcast_to(rows[:, np.newaxis], shape)
+        together = np.concatenate([rows[:, np.newaxis], each], axis=1)
+        together = _evidence.with_floor(together, judge.floor)
+        floored, each = together[:, 0], together[:, 1:]
         self.flags += flags
         self._features += list(kept)
         self._floored += list(floored)
-        informative = _evidence.is_informative(floored)
-        self._n_informative += int(informative.sum())
-        self._total = self._total + floored[informative].sum(axis=0)
-        self._each = self._each + each[informative].sum(axis=0)
-        self._distance = self._distance + distances[informative].sum(axis=0)
-        self._weigh()
+        for row in np.flatnonzero(_evidence.is_informative(floored)):
+            self._n_informative += 1
+            self._total = self._total + floored[row]
+            self._each = self._each + each[row]
+            self._distance = self._distance + distances[row]
+            self._weigh()
         return self
 
     def update_sense(self, name: str, X: ArrayLike) -> Self:
@@ -213,12 +219,31 @@ class Belief:
         return self
 
     def _weigh(self) -> None:
-        total = self._prior_and_senses()
-        if self._floored:
-            weight = self._judge.sequence_calibration.weight(self._n_informative)
-            total = self._total * weight + total
-        self._touch_log_posterior = log_softmax(total)
+        """Believe what all touches and senses so far come to."""
+        weight = self._judge.sequence_calibration.weight(self._n_informative)
+        total = np.concatenate([self._total[np.newaxis], self._each]) * weight
+        logs = log_softmax(total + self._prior_and_senses())
+        self._touch_log_posterior = logs[0]
+        self._hear(logs[0], logs[1:])
+
+    def _hear(self, log_posterior: Floats, by_encoding: Floats) -> None:
+        """Keep what speaks for a stranger, or against one, after this touch.
+
+        By log posteriors (n_objects,), and those of each encoding (n_encodings,
+        n_objects).
+        """
         self._log_shares = None
+        if not self._n_informative:
+            return
+        model, count = self._judge.strangers, np.asarray(self._n_informative)
+        self._alone = by_encoding
+        self._farther = model.farther(by_encoding, self._distance / count)
+        self._score = model.score(by_encoding, self._farther, count)
+        best, shares = log_posterior.argmax(), np.exp(log_posterior)
+        shares[best] = 0.0  # what is left is the doubt, exact near 0
+        level = _strangers.log_level(self._score, shares.sum())
+        self._lowest = self._lowest.copy()
+        self._lowest[best] = np.minimum(self._lowest[best], level)
 
     def _prior_and_senses(self) -> Floats:
         total = self._log_prior
@@ -278,11 +303,10 @@ class Belief:
         """
         if not self._n_informative:
             return 0.0
-        model, count = self._judge.strangers, np.asarray(self._n_informative)
-        score = self._score(self._by_encoding())
+        count = np.asarray(self._n_informative)
         best = np.asarray(self.log_posterior.argmax())
-        doubt = np.asarray(self._known_doubt())
-        return float(model.evidence(score, doubt, best, count))
+        model, lowest = self._judge.strangers, self._lowest[best]
+        return float(model.evidence(lowest, self._score, best, count))
 
     def _known_doubt(self) -> float:
         """Return the probability outside `best`, were it one of the learnt objects."""
@@ -295,18 +319,6 @@ class Belief:
             logs = _strangers.stranger_log_shares(evidence, self.strangers)
             self._log_shares = float(logs[0]), float(logs[1])
         return self._log_shares
-
-    def _by_encoding(self) -> Floats:
-        """Return the log posterior that each encoding alone would have."""
-        weight = self._judge.sequence_calibration.weight(self._n_informative)
-        logs = self._each * weight + self._prior_and_senses()
-        return np.asarray(log_softmax(logs, axis=-1))
-
-    def _score(self, names: Floats) -> Floats:
-        """Return the score of disagreement of (n_encodings, n_names), or categories."""
-        model, count = self._judge.strangers, np.asarray(self._n_informative)
-        mean = self._distance / max(self._n_informative, 1)
-        return model.score(names, model.farther(self._by_encoding(), mean), count)
 
     @property
     def categories(self) -> dict[str, float]:
@@ -325,16 +337,15 @@ class Belief:
         logs = _strangers.summed_by_category(self.log_posterior, codes, present)
         evidence = np.zeros(())
         if self._n_informative:
-            by_encoding = _strangers.summed_by_category(
-                self._by_encoding(), codes, present
-            )
-            score, doubt = self._score(by_encoding), _evidence.doubts(logs)
-            evidence = self._judge.strangers.category_evidence(score, doubt)
+            alone = _strangers.summed_by_category(self._alone, codes, present)
+            model, count = self._judge.strangers, np.asarray(self._n_informative)
+            score = model.score(alone, self._farther, count)
+            evidence = model.category_evidence(score, _evidence.doubts(logs))
         log_known, _ = _strangers.stranger_log_shares(evidence, self.strangers)
         shares = self._shares(logs + log_known)
         return dict(zip(names[first].tolist(), shares, strict=True))
 
-    def promise(self, error: float = 0.01) -> _strangers.Promise:
+    def promise(self, error: float = 0.01) -> Promise:
         """Return what so many objects can show about an accepted error."""
         return self._judge.strangers.promise(_check_share("error", error))
 
@@ -642,14 +653,20 @@ def _checked_rows(log_likelihood: ArrayLike, n_objects: int) -> Floats:
     return less
 
 
-def _checked_part(name: str, part: ArrayLike | None, shape: tuple[int, ...]) -> Floats:
-    """Return a part of the evidence, NaN where there is none, or explain."""
-    if part is None:
-        return np.full(shape, np.nan)
-    array = np.atleast_2d(np.asarray(part, dtype=np.float64))
-    if array.shape != shape:
-        raise ValueError(
-            f"{name} must have shape {shape}, got {array.shape}. Take it from "
-            "ObjectRecogniser.evidence, of the same touches."
-        )
-    return array
+def _checked_parts(**given: tuple[ArrayLike | None, tuple[int, ...]]) -> list[Floats]:
+    """Return parts of the evidence, given with their shapes, or explain.
+
+    NaN where there is none.
+    """
+    parts = []
+    for name, (part, shape) in given.items():
+        array = np.full(shape, np.nan)
+        if part is not None:
+            array = np.atleast_2d(np.asarray(part, dtype=np.float64))
+        if array.shape != shape:
+            raise ValueError(
+                f"{name} must have shape {shape}, got {array.shape}. Take it from "
+                "ObjectRecogniser.evidence, of the same touches."
+            )
+        parts.append(array)
+    return parts

@@ -4,6 +4,7 @@ A touch that looks like the no-contact frame tells about the recording (exposure
 where the camera sat) and not about the object, so it is not used.
 """
 
+from itertools import chain
 from typing import Self
 
 import cv2
@@ -13,7 +14,7 @@ from sklearn.base import BaseEstimator
 from .._types import Array, Bools, Floats
 from ..images import grey, otsu_threshold
 from ..touches import FORMER, Touches
-from ._encoder import TouchEncoder, find_geometry, in_batches, living
+from ._encoder import BATCH, Encoder, TouchEncoder, find_geometry, in_batches, living
 
 NO_CONTACT = "no contact"
 TURNED = "turned or shifted"
@@ -71,7 +72,7 @@ class ContactCheck(BaseEstimator):
     blind_: Bools | None = None
     usual_: Floats | None = None
 
-    def fit(self, touches: Touches, encoder: TouchEncoder) -> Self:
+    def fit(self, touches: Touches, encoder: Encoder) -> Self:
         """Learn from training touches and the encoder that was fitted to them."""
         frame, geometry = touches.no_contact, find_geometry(touches)
         if touches.pads is not None:
@@ -132,6 +133,11 @@ class ContactCheck(BaseEstimator):
         )
         return self
 
+    def with_poses_of(self, other: Self) -> Self:
+        """Return this with what another has learnt of poses."""
+        self.blind_, self.usual_ = other.blind_, other.usual_
+        return self
+
     def _reposed(self, every: Floats) -> Bools:
         """Return which touches are new to encodings that see their pose alone."""
         if self.blind_ is None or self.usual_ is None:
@@ -187,8 +193,10 @@ class ContactCheck(BaseEstimator):
         if images.dtype.kind in "iu" and np.isfinite(self.limits_).all():
             # Compared as whole numbers: eight times faster than as floats.
             low, high = int(low), int(high)
-        counts = [np.count_nonzero((one == low) | (one == high)) for one in images]
-        return np.asarray(np.array(counts) / images[0].size)
+        counts = np.empty(len(images))
+        for number, one in enumerate(images):
+            counts[number] = np.count_nonzero((one == low) | (one == high))
+        return np.asarray(counts / images[0].size)
 
 
 def _by_sight(every: Floats, blind: Bools) -> tuple[Floats, Floats]:
@@ -203,20 +211,19 @@ def _novelty(every: Floats) -> Floats:
 
 
 def encoded_and_flagged(
-    encoder: TouchEncoder, contact: ContactCheck, touches: Touches
+    encoder: Encoder, contact: ContactCheck, touches: Touches
 ) -> tuple[Floats, list[str]]:
     """Return features and flags of touches.
 
     Cleaned once for all; so many at a time that memory stays bounded.
     """
-    parts: list[Floats] = []
-    flags: list[str] = []
-    for some in in_batches(touches):
-        cleaned = encoder.clean(some)
-        features, every = encoder.encode_fully(cleaned)
-        parts.append(features)
-        flags += contact.flags(some, cleaned, every)
-    return np.concatenate(parts), flags
+    if len(touches) > BATCH:
+        each = [encoded_and_flagged(encoder, contact, s) for s in in_batches(touches)]
+        parts, said = zip(*each, strict=True)
+        return np.concatenate(parts), [*chain.from_iterable(said)]
+    cleaned = encoder.clean(touches)
+    features, every = encoder.encode_fully(cleaned)
+    return features, contact.flags(touches, cleaned, every)
 
 
 def consists_of_nothing(labels: Array, no_contact: Array) -> bool:

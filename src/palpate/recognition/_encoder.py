@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from copy import copy, deepcopy
+from copy import copy
 from typing import Any, Self
 
 import numpy as np
@@ -12,8 +13,8 @@ from sklearn.preprocessing import StandardScaler
 
 from .._checks import ARRAY_SIDE, check_levels, size_said
 from .._image_estimator import ImageEstimator
-from .._types import Array, Floats
-from ..encodings import EncodingUnion, RingPatterns
+from .._types import Array, Bools, Floats
+from ..encodings import EncodingUnion, PrincipalShare, RingPatterns
 from ..images import DomeCrop, fill_dead_taxels, grey, typical_rim
 from ..touches import Touches
 from ._sessions import looks
@@ -29,9 +30,40 @@ LOOK_AT = 50
 STUCK_TOUCHES = 10
 # Learning and encoding at once, they do nothing twice.
 _ENCODE_AS_THEY_LEARN = EncodingUnion, RingPatterns, UserEncoding
+_TAKES_CHECKED = ImageEstimator, PrincipalShare
 
 
-class TouchEncoder(BaseEstimator):
+class Encoder(ABC):
+    """What makes features of touches: learnt, or as learnt in another session."""
+
+    @abstractmethod
+    def clean(self, touches: Touches) -> Array:
+        """Return the images after the clean-up alone."""
+
+    @abstractmethod
+    def encode_fully(self, cleaned: Array) -> tuple[Floats, Floats]:
+        """Return features, and how much of each touch principal components leave out.
+
+        The latter (n_touches, n_encodings) in units of the training touches' variance;
+        NaN where no step of an encoding says it.
+        """
+
+    @abstractmethod
+    def look(self, touches: Touches) -> Floats:
+        """Return what tells of light, rubber and gain, (n_touches, 7); see `looks`."""
+
+    def encode(self, cleaned: Array) -> Floats:
+        """Return the features of images that were cleaned already."""
+        return self.encode_fully(cleaned)[0]
+
+    def transform(self, touches: Touches) -> Floats:
+        """Return the features, shape (n_touches, n_features)."""
+        return np.concatenate(
+            [self.encode(self.clean(some)) for some in in_batches(touches)]
+        )
+
+
+class TouchEncoder(Encoder, BaseEstimator):
     """A clean-up of the images, then one encoding or several side by side.
 
     Taxels outside the pads of a hand count as 0, and dead taxels (NaN) are filled from
@@ -72,30 +104,12 @@ class TouchEncoder(BaseEstimator):
         looked at as they are; NaN where it changes from touch to touch of every object.
     reach_ : float
         How far the levels of training touches are apart.
-    broken_ : ndarray of bool of the shape of a touch, or None
-        Which taxels are stuck since, and are filled from their neighbours.
-    gain_ : float
-        What images are multiplied by, to take off a sensor's other gain.
-    drift_ : ndarray of the shape of a touch, or None
-        What is added to images then: by how much the baseline was higher.
-    look_offset_ : ndarray of shape (7,) or None
-        What is added to looks, so that this session does not look like another one.
-    weighing_ : ndarray of shape (n_features, n_features) or None
-        What features are multiplied by, to weigh down how sessions differ.
-    offset_ : ndarray of shape (n_features,) or None
-        What is added to them then, to take off what this session adds.
     """
 
     image_shape_: tuple[int, ...]
     baseline_: Array | None = None
     still_: Array | None = None
     reach_: float = 0.0
-    broken_: Array | None = None
-    gain_: float = 1.0
-    drift_: Array | None = None
-    look_offset_: Floats | None = None
-    weighing_: Floats | None = None
-    offset_: Floats | None = None
 
     def __init__(
         self,
@@ -119,24 +133,21 @@ class TouchEncoder(BaseEstimator):
         """Learn the clean-up and return the cleaned images."""
         self.image_shape_ = touches.images.shape[1:]
         self.pads_, self.channels_ = touches.pads, touches.channels
-        self.clean_up_ = self.baseline_ = self.drift_ = None
-        self.gain_, self.still_, self.broken_ = 1.0, None, None
-        self.look_offset_ = None
+        self.clean_up_ = self.baseline_ = self.still_ = None
         if self.clean_up is None:
             self.still_ = _still(touches)
             self.reach_ = float(np.nanmax(touches.images)) - np.nanmin(touches.images)
             if touches.no_contact is not None:
-                self.baseline_ = self._living(touches.no_contact[np.newaxis])[0]
+                self.baseline_ = self.living(touches.no_contact[np.newaxis])[0]
         if self.clean_up is not None:
-            images, idle = self._living(touches.images), self._idle(touches)
+            images, idle = self.living(touches.images), self._idle(touches)
             self.clean_up_ = clone(self.clean_up)
-            if isinstance(self.clean_up_, DomeCrop) and not self._in_colour(images):
+            if isinstance(self.clean_up_, DomeCrop) and not (
+                self.channels and images.ndim == 4
+            ):
                 return self.clean_up_.fit_transform(grey(images), no_contact=idle)
             self.clean_up_.fit(grey(images), no_contact=idle)
         return self.clean(touches)
-
-    def _in_colour(self, images: Array) -> bool:
-        return bool(self.channels) and images.ndim == 4
 
     def fit_encode(
         self,
@@ -153,7 +164,6 @@ class TouchEncoder(BaseEstimator):
         """
         made = {} if made is None else made
         self.encodings_, self.parts_, self.scales_ = {}, {}, {}
-        self.weighing_, self.offset_ = None, None
         parts, every = [], np.full((len(cleaned), len(self.encodings)), np.nan)
         for column, (name, steps) in enumerate(self.encodings.items()):
             values, done = cleaned, made.setdefault(name, [])
@@ -187,64 +197,60 @@ class TouchEncoder(BaseEstimator):
         return other
 
     def clean(self, touches: Touches) -> Array:
-        """Return the images after the clean-up alone."""
-        images = touches.images
-        if images.shape[1:] != tuple(self.image_shape_):
-            known, got = map(size_said, (self.image_shape_, images.shape[1:]))
-            raise ValueError(
-                f"touches must have {known} like the training touches, got {got}. "
-                "Use the same sensor and resolution, or learn again."
-            )
-        cleaned = self._living(images)
-        if self.gain_ != 1:
-            cleaned = self.gain_ * cleaned
-        if self.drift_ is not None:
-            cleaned = cleaned + self.drift_
-        if self.clean_up_ is not None and self._in_colour(cleaned):
-            every = in_batches(cleaned)
-            cleaned = np.concatenate([self.clean_up_.by_channel(s) for s in every])
-        elif self.clean_up_ is not None:
-            cleaned = _transformed(self.clean_up_, grey(cleaned))
-        return cleaned
+        """Return the images after the clean-up alone; other sizes are refused."""
+        self.check_size(touches)
+        return self.cleaned(self.living(touches.images))
 
-    def encode(self, cleaned: Array) -> Floats:
-        """Return the features of images that were cleaned already."""
-        return self.encode_fully(cleaned)[0]
+    def check_size(self, touches: Touches) -> None:
+        """Refuse touches of another size than those that were learnt."""
+        known, got = tuple(self.image_shape_), touches.images.shape[1:]
+        if got != known:
+            raise ValueError(
+                f"touches must have {size_said(known)} like the training touches, got "
+                f"{size_said(got)}. Use the same sensor and resolution, or learn again."
+            )
+
+    def cleaned(self, images: Array) -> Array:
+        """Return images without NaN (n_touches, n_rows, n_cols) after the clean-up."""
+        if self.clean_up_ is None:
+            return images
+        if self.channels and images.ndim == 4:
+            every = in_batches(images)
+            return np.concatenate([self.clean_up_.by_channel(s) for s in every])
+        return _transformed(self.clean_up_, grey(images))
 
     def encode_fully(self, cleaned: Array) -> tuple[Floats, Floats]:
-        """Return features, and how much of each touch principal components leave out.
-
-        The latter (n_touches, n_encodings) in units of the training touches' variance;
-        NaN where no step of an encoding says it.
-        """
+        """Return features and what components leave out; see `Encoder`."""
         parts, every = [], np.full((len(cleaned), len(self.encodings_)), np.nan)
         # Without a clean-up nothing but the first step has checked the images.
         checked = isinstance(self.clean_up_, ImageEstimator)
         for column, steps in enumerate(self.encodings_.values()):
             values = cleaned
-            for step in steps:
-                before, values = values, _transformed(step, values, checked=checked)
-                if hasattr(step, "unexplained"):
+            for number, step in enumerate(steps):
+                before = values
+                if isinstance(step, StandardScaler):
+                    # Its own checks take as long as an encoding does.
+                    values = (before - step.mean_) / step.scale_
+                elif (number or checked) and isinstance(step, _TAKES_CHECKED):
+                    values = step.transform_checked(before)
+                else:
+                    values = step.transform(before)
+                if isinstance(step, PrincipalShare):
                     every[:, column] = step.unexplained(before, values)
             parts.append(np.asarray(values, dtype=np.float64))
         return self._side_by_side(parts), every
 
-    def transform(self, touches: Touches) -> Floats:
-        """Return the features, shape (n_touches, n_features)."""
-        return np.concatenate(
-            [self.encode(self.clean(some)) for some in in_batches(touches)]
-        )
-
-    def look(self, touches: Touches) -> Floats:
-        """Return what tells of light, rubber and gain, (n_touches, 7); see `looks`."""
-        rest = self._idle(touches)
+    def look(self, touches: Touches, broken: Bools | None = None) -> Floats:
+        """Return what tells of light, rubber and gain, `broken` taxels filled."""
+        if len(touches) > BATCH:
+            parts = [self.look(some, broken) for some in in_batches(touches)]
+            return np.concatenate(parts)
+        rest = self._idle(touches, broken)
         if rest is None and self.baseline_ is not None:
             rest = grey(self.baseline_[np.newaxis])[0]
         if rest is not None and rest.shape != touches.images.shape[1:3]:
             rest = None
-        parts = [looks(grey(self._living(s.images)), rest) for s in in_batches(touches)]
-        found = np.concatenate(parts)
-        return found if self.look_offset_ is None else found + self.look_offset_
+        return looks(grey(self.living(touches.images, broken)), rest)
 
     def blank_touch(self) -> Touches:
         """Return one touch of zeros such as `fit` saw."""
@@ -257,50 +263,50 @@ class TouchEncoder(BaseEstimator):
         steps = self.encodings[name]
         return frozenset().union(*(getattr(s, "blind_to", ()) for s in steps))
 
-    def moved(self, touches: Touches, gain: float = 1.0) -> Self:
-        """Return this encoder for another camera before the sensor, or another zero.
-
-        Where images are looked at as they are, taxels that have broken since are filled
-        from their neighbours, images are multiplied by `gain`, and where both frames of
-        no contact are known, the difference is taken off.
-        """
-        other = deepcopy(self)
+    def before_another_camera(self, touches: Touches) -> Self:
+        """Return this encoder with its clean-up where other touches show the sensor."""
+        other = copy(self)
         other.image_shape_ = touches.images.shape[1:]
-        other.gain_, other.look_offset_, other.broken_ = gain, None, None
-        if self.still_ is not None and len(touches) >= STUCK_TOUCHES:
-            first = touches.images[0]
-            usual = np.abs(first - self.still_) <= self.reach_ / 2
-            broken = (touches.images == first).all(axis=0) & ~usual
-            if broken.any() and not broken.all():
-                other.broken_ = broken
-        if self.baseline_ is not None and touches.no_contact is not None:
-            now = other._living(touches.no_contact[np.newaxis])[0].astype(np.float64)
-            other.drift_ = self.baseline_ - gain * now
         if self.clean_up_ is not None:
-            images = grey(self._living(touches.images))
+            images = grey(self.living(touches.images))
             other.clean_up_ = self.clean_up_.moved(images, self._idle(touches))
         return other
+
+    def stuck(self, touches: Touches) -> Bools | None:
+        """Return which taxels have broken since it was learnt, None where none has.
+
+        They have one level in all touches, and not the one that they rest at.
+        """
+        if self.still_ is None or len(touches) < STUCK_TOUCHES:
+            return None
+        first = touches.images[0]
+        usual = np.abs(first - self.still_) <= self.reach_ / 2
+        broken = (touches.images == first).all(axis=0) & ~usual
+        return np.asarray(broken) if broken.any() and not broken.all() else None
 
     def _side_by_side(self, parts: list[Floats]) -> Floats:
         features = parts[0]
         if len(parts) > 1:
-            scaled = zip(parts, self.scales_.values(), strict=True)
-            features = np.hstack([part * scale for part, scale in scaled])
-        if self.weighing_ is not None:
-            features = features @ self.weighing_
-        return features if self.offset_ is None else features + self.offset_
+            features = np.hstack([*map(np.multiply, parts, self.scales_.values())])
+        return features
 
-    def _living(self, images: Array) -> Array:
-        if self.broken_ is not None:
-            images = np.where(self.broken_, np.nan, images)
+    def living(self, images: Array, broken: Bools | None = None) -> Array:
+        """Return images without NaN, checked: 0 outside pads, dead taxels filled.
+
+        Those that are `broken` (n_rows, n_cols) are filled too.
+        """
+        if broken is not None:
+            images = np.where(broken, np.nan, images)
+        elif images.dtype.kind != "f":
+            return images
         return check_levels(living(images, self.pads_))
 
-    def _idle(self, touches: Touches) -> Array | None:
+    def _idle(self, touches: Touches, broken: Bools | None = None) -> Array | None:
         """Return the frame of no contact without dead taxels, None where none is."""
         frame = touches.no_contact
         if frame is None:
             return None
-        return np.asarray(grey(self._living(frame[np.newaxis]))[0])
+        return np.asarray(grey(self.living(frame[np.newaxis], broken))[0])
 
 
 def _still(touches: Touches) -> Array:

@@ -168,20 +168,12 @@ def beliefs_after(
 
     `used` (..., n_touches); `floored` has objects last, perhaps encodings before.
     """
-    total, count = sums_after(used, floored, log_prior, calibration)
-    return log_softmax(total, axis=-1), count
-
-
-def sums_after(
-    used: Bools, floored: Floats, log_prior: Floats, calibration: SequenceCalibration
-) -> tuple[Floats, Indices]:
-    """Return those of `beliefs_after` but for a constant of each touch."""
     wide = used.reshape(used.shape + (1,) * (floored.ndim - used.ndim))
     total = summed_up(np.where(wide, floored, 0.0), used.ndim - 1)
     count = used.cumsum(axis=-1)
     total *= calibration.weight(count).reshape(wide.shape)
     total += log_prior
-    return total, count
+    return log_softmax(total, axis=-1), count
 
 
 def summed_up(values: Floats, axis: int) -> Floats:

@@ -13,7 +13,7 @@ from .._types import Array, Bools, Floats, Indices
 from ..classifiers import EncodingPool, learns_by_landmarks
 from ..touches import Touches, TouchSource
 from ._contact import NO_CONTACT, ContactCheck, encoded_and_flagged
-from ._encoder import TouchEncoder, find_geometry
+from ._encoder import Encoder, TouchEncoder, find_geometry
 from ._evidence import with_floor
 from ._memory import Memory, rows_of_each
 from ._model_file import state_digest
@@ -40,7 +40,7 @@ _EACH_BYTES, _PAIR_BYTES, _KEPT = 200, 13, 5000
 _LABEL_BYTES, _TOUCH_BYTES, _LANDMARK_BYTES = 100_000, 3_000, 500_000_000
 
 
-@dataclass
+@dataclass(frozen=True)
 class Encoded:
     """What an encoding makes of touches, one row a touch; see `Memory`."""
 
@@ -113,7 +113,7 @@ def learn_encoding(
 
 
 def encoded(
-    encoder: TouchEncoder, contact: ContactCheck, touches: Touches | TouchSource
+    encoder: Encoder, contact: ContactCheck, touches: Touches | TouchSource
 ) -> Encoded:
     """Return what a learnt encoding makes of all touches."""
 

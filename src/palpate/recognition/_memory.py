@@ -93,6 +93,24 @@ class Memory:
         told = [np.unique(self.categories[rows]) for rows in rows_of_each(self.labels)]
         return np.array([str(one[0]) if len(one) == 1 else "" for one in told])
 
+    @cached_property
+    def nearest(self) -> Nearest:
+        """What tells distances to these touches."""
+        return Nearest(self)
+
+    @cached_property
+    def apart(self) -> tuple[Indices, Floats]:
+        """How far each touch is from other blocks of its recording, (n_touches,) each.
+
+        The blocks, of each object in each session, and the logarithm of the distance
+        to the nearest touch of another one: what sessions differ by is not in it.
+        """
+        visits = np.stack([self.objects.astype(str), self.sessions], axis=1)
+        visit = np.unique(visits, axis=0, return_inverse=True)[1].ravel()
+        blocks = blocks_in_order(visit)
+        far = replace(self, blocks=blocks).nearest.log_distances(self.features, blocks)
+        return blocks, np.where(np.isnan(far), np.inf, far).min(axis=1)
+
     @property
     def units(self) -> tuple[int, str]:
         """How many things are left out independently, and what they stand for.
@@ -205,6 +223,8 @@ class Nearest:
         they are compared with; NaN where an object has nothing else, or nothing `since`
         a row of the memory.
         """
+        if len(features) <= AT_ONCE:
+            return self._least(features, blocks, since)
         cuts = [slice(k, k + AT_ONCE) for k in range(0, len(features), AT_ONCE)]
         whose = [None if blocks is None else blocks[cut] for cut in cuts]
         rows = (features[cut] for cut in cuts)

@@ -17,10 +17,11 @@ from .._checks import check_count, check_number
 from .._types import Array, Floats
 from ..images import PressPose
 from ._belief import Belief, Judge
-from ._calibration import Modality
 from ._encoder import TouchEncoder
 from ._evidence import Evidence, SequenceCalibration
 from ._memory import Memory
+from ._remounted_encoder import AnyEncoder, RemountedEncoder
+from ._senses import Modality
 from ._sessions import N_LOOKS
 from ._strangers import Curve, StrangerModel
 from ._user_encoding import UserEncoding
@@ -92,7 +93,7 @@ class Budget:
             raise ValueError("pairs_ are of more classes than there are")
 
 
-def check_parts(judge: Judge, encoder: TouchEncoder, pose: object) -> None:
+def check_parts(judge: Judge, encoder: AnyEncoder, pose: object) -> None:
     """Refuse a model whose parts are of the wrong kind, or do not fit together."""
     image_shape = encoder.image_shape_
     if len(image_shape) not in (2, 3) or not 0 < prod(image_shape) <= MAX_PIXELS:
@@ -107,15 +108,7 @@ def check_parts(judge: Judge, encoder: TouchEncoder, pose: object) -> None:
         raise ValueError(f"its looks have {memory.looks.shape[1:]} values")
     if not np.isfinite(memory.features).all():
         raise ValueError("its features hold NaN or infinity")
-    n = judge.memory.features.shape[1]
-    shapes = dict.fromkeys(("drift_", "still_", "broken_"), tuple(image_shape))
-    shapes |= {"offset_": (n,), "weighing_": (n, n), "look_offset_": (N_LOOKS,)}
-    check_number("gain_", encoder.gain_, low=1e-6, high=1e6)
-    radius = getattr(encoder.clean_up_, "disc_radius_", 0.0)
-    check_number("disc_radius_", radius, low=0, high=min(image_shape[:2]))
-    for name, shape in shapes.items():
-        if (found := getattr(encoder, name)) is not None and found.shape != shape:
-            raise ValueError(f"its {name} has shape {found.shape}, not {shape}")
+    _check_encoder(encoder, judge.memory.features.shape[1])
     if not np.array_equal(judge.classes, judge.memory.classes.astype(str)):
         raise ValueError("its objects are not those of its touches")
     _check_calibration(judge.sequence_calibration)
@@ -127,6 +120,28 @@ def check_parts(judge: Judge, encoder: TouchEncoder, pose: object) -> None:
         if not isinstance(sense, Modality):
             raise TypeError(f"{name} is a {type(sense).__name__}")
         _check_calibration(sense.sequence_calibration_)
+
+
+def _check_encoder(encoder: AnyEncoder, n_features: int) -> None:
+    image_shape = tuple(encoder.image_shape_)
+    radius = getattr(encoder.clean_up_, "disc_radius_", 0.0)
+    check_number("disc_radius_", radius, low=0, high=min(image_shape[:2]))
+    if isinstance(encoder, RemountedEncoder):
+        check_number("gain", encoder.gain, low=1e-6, high=1e6)
+        _check_shape("drift", encoder.drift, image_shape)
+        _check_shape("broken", encoder.broken, image_shape)
+        _check_shape("offset", encoder.offset, (n_features,))
+        _check_shape("weighing", encoder.weighing, (n_features, n_features))
+        _check_shape("look_offset", encoder.look_offset, (N_LOOKS,))
+        encoder = encoder.encoder
+    if not isinstance(encoder, TouchEncoder):
+        raise TypeError(f"encoder_ is a {type(encoder).__name__}")
+    _check_shape("still_", encoder.still_, image_shape)
+
+
+def _check_shape(name: str, found: Array | None, shape: tuple[int, ...]) -> None:
+    if found is not None and found.shape != shape:
+        raise ValueError(f"its {name} has shape {found.shape}, not {shape}")
 
 
 def try_one_touch(belief: Belief, blank: Evidence, log_likelihood: Floats) -> None:

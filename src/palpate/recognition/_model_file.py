@@ -30,12 +30,13 @@ from .._durable import replacing
 from .._types import Array
 from ..classifiers import NearbyTouches
 from ..encodings import OnnxEncoding
-from ._calibration import Modality
 from ._contact import ContactCheck
 from ._encoder import TouchEncoder
 from ._evidence import SequenceCalibration
 from ._memory import Memory
 from ._model_checks import MB, Budget
+from ._remounted_encoder import RemountedEncoder
+from ._senses import Modality
 from ._strangers import Curve, StrangerModel
 from ._user_encoding import UserEncoding
 
@@ -49,6 +50,7 @@ _OWN = (
     Memory,
     Modality,
     NearbyTouches,
+    RemountedEncoder,
     SequenceCalibration,
     StrangerModel,
     TouchEncoder,
@@ -163,6 +165,8 @@ def read_model(
             )
         if version == 4 and isinstance(model, dict):
             model["learnt"].pop("limits_", None)
+        if isinstance(model, dict):
+            _wrap_encoder(model["learnt"])
         return _unpack(model, budget)
     except ModelFileError:
         raise
@@ -170,6 +174,20 @@ def read_model(
         raise ModelFileError(
             f"{source} is no palpate model, or damaged: {error}. Learn again."
         ) from error
+
+
+def _wrap_encoder(learnt: dict[str, Any]) -> None:
+    """Wrap an encoder that holds itself what is taken off, as older models had it."""
+    encoder = learnt.get("encoder_", {})
+    if encoder.get("class") != "TouchEncoder":
+        return
+    names = [f.name for f in fields(RemountedEncoder)[1:]]
+    held = {name: encoder["learnt"].pop(f"{name}_", None) for name in names}
+    taken = {k: v for k, v in held.items() if v not in (None, {"float": "1.0"})}
+    if taken:
+        params = {"encoder": encoder, **taken}
+        wrapper = {"class": "RemountedEncoder", "params": params, "learnt": {}}
+        learnt["encoder_"] = wrapper
 
 
 def _order_header(path: Path) -> None:

@@ -27,18 +27,17 @@ from ..touches import Touches, TouchSource
 from . import _evidence, _memory
 from ._belief import STRANGERS, Belief, Judge, Level
 from ._calibration import (
-    Modality,
-    draw_all,
-    draw_asked,
+    draw_episodes,
     fit_sequence_calibration,
     left_out_log_likelihood,
     without_gaps,
 )
 from ._contact import NO_CONTACT, consists_of_nothing, encoded_and_flagged
-from ._encoder import BATCH
+from ._encoder import BATCH, TouchEncoder
 from ._episode import Episode
 from ._evidence import Evidence, as_touches
 from ._learning import encoded, learn_encoding, memory_of, refuse_too_large
+from ._learnt import Learnt
 from ._memory import Memory, Nearest
 from ._model_checks import MOST_TRIED, check_parts, try_one_touch
 from ._model_file import ModelFileError, read_model, write_model
@@ -51,8 +50,17 @@ from ._presets import (
     find_preset,
     opened,
 )
-from ._remounting import MountingCheck, check_mounting, learn_nuisance, remounted
-from ._strangers import LeftOut, StrangerModel, fit_strangers
+from ._remounted_encoder import RemountedEncoder
+from ._remounting import (
+    MountingCheck,
+    check_mounting,
+    remounted,
+    rim_moved,
+    without_nuisance,
+)
+from ._senses import Modality
+from ._stranger_curves import LeftOut, fit_strangers
+from ._strangers import StrangerModel
 from ._user_encoding import Encoding, UserEncoding, user_encodings
 
 if TYPE_CHECKING:
@@ -105,8 +113,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     ----------
     classes_ : ndarray of shape (n_objects,)
         The labels, sorted; the columns of `log_likelihood`.
-    encoder_ : TouchEncoder
-        Clean-up and encodings.
+    encoder_ : TouchEncoder or RemountedEncoder
+        Clean-up and encodings; after `remount`, with what takes the session off.
     classifier_ : TouchClassifier
         Features -> log-likelihoods.
     memory_ : Memory
@@ -146,6 +154,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
     """
 
     max_memory_gb: ClassVar[float] = 8.0
+    encoder_: TouchEncoder | RemountedEncoder
     classifier_: TouchClassifier
     memory_: Memory
 
@@ -248,7 +257,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
                 f"name must be new, got {name!r}, which is known already. Add touches "
                 "to it with extend_object, replace it, or choose another name."
             )
-        return self._relearn(self.memory_.plus(self._learnt(name, touches, 2)))
+        return self._relearn(self.memory_.plus(self._memory_of(name, touches, 2)))
 
     def extend_object(
         self, name: str, touches: Touches | TouchSource, most: int | None = None
@@ -262,7 +271,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         """
         self._check_fitted()
         check_option("name", name, self._names())
-        memory = self.memory_.plus(self._learnt(name, touches, 1))
+        memory = self.memory_.plus(self._memory_of(name, touches, 1))
         if most is not None:
             memory = memory.newest(name, check_count("most", most, at_least=2))
         return self._relearn(memory)
@@ -290,7 +299,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             labels = _memory.named_labels(touches, self.label)
             for name in np.unique(labels).tolist():
                 some = touches[np.flatnonzero(labels == name)]
-                memory = memory.replaced(self._learnt(name, some, 2))
+                memory = memory.replaced(self._memory_of(name, some, 2))
         return self._relearn(memory)
 
     def forget_object(self, name: str) -> Self:
@@ -337,7 +346,11 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
            same objects lie, less what chance would move (docs/explanation/sessions.md).
         """
         self._check_fitted()
-        self.__dict__.update(remounted(self, touches).__dict__)
+        new = as_touches(touches)
+        labels = new.object if self.label == "object" else new.category
+        learnt, found = remounted(self.learnt(), new, labels)
+        self._take(learnt)
+        self.chosen_ = {**self.chosen_, "remount": found}
         return self
 
     def learn_nuisance(self, touches: Touches) -> int:
@@ -355,7 +368,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             How many differences between sessions they showed.
         """
         self._check_fitted()
-        return learn_nuisance(self, touches)
+        learnt, n_differences = without_nuisance(self.learnt(), as_touches(touches))
+        self._take(learnt)
+        return n_differences
 
     def check_mounting(self, touches: Touches | Evidence) -> MountingCheck:
         """Tell whether touches come from a session like those it was taught in.
@@ -365,7 +380,11 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         called changed.
         """
         self._check_fitted()
-        return check_mounting(self, touches)
+        rim: list[str] = []
+        if not isinstance(touches, Evidence):
+            new = as_touches(touches)
+            touches, rim = self.evidence(new), rim_moved(self.encoder_, new)
+        return check_mounting(self.learnt(), touches, rim, self.random_state)
 
     def predict(self, X: Touches | ArrayLike) -> Array:
         """Return the most probable label after each touch alone, (n_touches,)."""
@@ -432,8 +451,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         says.
         """
         self._check_fitted()
-        alone = hasattr(self, "n_features_in_") and _n_axes(touches) == 1
-        given = self._as_touches(np.asarray(touches)[np.newaxis] if alone else touches)
+        given = touches if isinstance(touches, Touches) else self._given(touches)
         if len(given) <= SHARD:
             return self._evidence_of(given)
         from joblib import Parallel, delayed
@@ -491,6 +509,17 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         """
         belief = self.start(prior, strangers)
         return Episode(belief, error=error, refusal=refusal, level=level)
+
+    def learnt(self) -> Learnt:
+        """Return what was learnt of touches, before beliefs are made of it."""
+        self._check_fitted()
+        return Learnt(
+            encoder=self.encoder_,
+            contact=self.contact_,
+            classifier=self.classifier_,
+            memory=self.memory_,
+            uses_no_contact=self.uses_no_contact_,
+        )
 
     def judge(self) -> Judge:
         """Return what beliefs are made by."""
@@ -687,7 +716,9 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             raise ModelFileError(f"{path} is damaged: {error}. Learn again.") from error
         return model
 
-    def _learnt(self, name: str, touches: Touches | TouchSource, least: int) -> Memory:
+    def _memory_of(
+        self, name: str, touches: Touches | TouchSource, least: int
+    ) -> Memory:
         given = touches
         if not isinstance(touches, TouchSource):
             given = self._as_touches(touches)
@@ -722,8 +753,8 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
 
     def _seen(self, X: Any, y: Any) -> tuple[Any, Any]:
         """Return what `fit` is given; feature vectors as touches without geometry."""
-        for name in ("n_features_in_", "feature_names_in_"):
-            self.__dict__.pop(name, None)
+        for name in {"n_features_in_", "feature_names_in_"} & vars(self).keys():
+            delattr(self, name)
         of_touches = isinstance(X, list) and X and isinstance(X[0], Touches)
         if isinstance(X, Touches | TouchSource) or of_touches or _n_axes(X) != 2:
             return X, y
@@ -738,6 +769,11 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         if isinstance(X, Touches) or not hasattr(self, "n_features_in_"):
             return as_touches(X)
         return _without_places(validate_data(self, X, reset=False, dtype=np.float64))
+
+    def _given(self, touches: Any) -> Touches:
+        """Return touches, or one or several of what `fit` saw, as touches."""
+        alone = hasattr(self, "n_features_in_") and _n_axes(touches) == 1
+        return self._as_touches(np.asarray(touches)[np.newaxis] if alone else touches)
 
     def _as_label(self, name: str) -> Any:
         """Return a name as a label of the kind of the known ones."""
@@ -759,14 +795,21 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
                 "At least two objects must remain, got only "
                 f"{memory.classes.tolist()}. Add another object first."
             )
-        with on_one_thread():
-            self.classifier_ = copy(self.classifier_).refit(
-                memory.features, memory.labels, groups=memory.blocks
-            )
-            self._calibrate(memory)
+        return self._take(self.learnt().relearnt(memory))
+
+    def _take(self, learnt: Learnt) -> Self:
+        """Recognise by what was learnt from now on."""
+        refuse_too_large(learnt.memory.labels, self.max_memory_gb)
+        same = learnt.memory is self.memory_
+        before = self.memory_.nearest
+        self.encoder_, self.contact_ = learnt.encoder, learnt.contact
+        self.classifier_ = learnt.classifier
+        if not same:
+            with on_one_thread():
+                self._calibrate(learnt.memory, before)
         return self
 
-    def _calibrate(self, memory: Memory) -> None:
+    def _calibrate(self, memory: Memory, before: Nearest | None = None) -> None:
         preset = find_preset(self.preset)
         self.memory_, self.classes_ = memory, memory.classes
         self.floor_ = preset.floor if self.floor is None else float(self.floor)
@@ -775,22 +818,27 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         )
         self.sequence_calibration_ = _evidence.SequenceCalibration()
         if preset.calibrates_sequence:
-            rows = self.left_out_rows
-            objects, blocks = memory.objects[rows], memory.blocks[rows]
             self.sequence_calibration_ = fit_sequence_calibration(
                 _evidence.with_floor(self._left_out(), self.floor_),
-                np.searchsorted(self.classes_, memory.labels[rows]),
-                draw_all(objects, blocks, self.random_state, len(self.classes_)),
+                np.searchsorted(self.classes_, memory.labels[self.left_out_rows]),
+                self._episodes_to_come(memory, memory.blocks[self.left_out_rows]),
                 self._log_prior(memory),
             )
-        self.strangers_ = self._learnt_strangers()
+        self.strangers_ = self._learnt_strangers(before)
+
+    def _episodes_to_come(
+        self, memory: Memory, blocks: Indices | None = None
+    ) -> list[Indices]:
+        """Return left-out touches such as an episode may have, of each object."""
+        objects, n_known = memory.objects[self.left_out_rows], len(self.classes_)
+        return draw_episodes(objects, self.random_state, n_known, blocks)
 
     def _left_out(self) -> Floats:
         """Return what counts of left-out training touches, (n_touches, n_objects)."""
         log_likelihood = left_out_log_likelihood(self.classifier_)
         return self._used(log_likelihood, self.memory_.nothing[self.left_out_rows])
 
-    def _learnt_strangers(self) -> StrangerModel:
+    def _learnt_strangers(self, before: Nearest | None = None) -> StrangerModel:
         memory = self.memory_
         # As they are: bounded, all objects but one may tie, and then nothing is left
         # of what a touch says without it.
@@ -799,11 +847,10 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         weights = np.array([*self.classifier_.part_weights.values()])
         rows = self.left_out_rows
         log_likelihood = self._used(weights @ each, memory.nothing[rows])
-        before: tuple[Memory, Nearest] | None = getattr(self, "_nearest_to", None)
         left_out = LeftOut(
             log_likelihood=log_likelihood,
             each=each,
-            log_distances=self._nearest().left_out(rows, before and before[1]),
+            log_distances=memory.nearest.left_out(rows, before),
             codes=np.searchsorted(self.classes_, memory.labels[rows]),
             log_prior=self._log_prior(memory),
             floor=self.floor_,
@@ -811,27 +858,13 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
             weights=weights / max(weights.sum(), 1e-12),
             categories=self._category_of(memory),
         )
-        objects, blocks = memory.objects[rows], memory.blocks[rows]
-        n_known = len(self.classes_)
-        asked = draw_asked(objects, blocks, self.random_state, n_known)
-        return fit_strangers(left_out, asked, *memory.units)
-
-    def _nearest(self) -> Nearest:
-        """Return what tells distances to the training touches, made when needed."""
-        made: tuple[Memory, Nearest] | None = getattr(self, "_nearest_to", None)
-        if made is None or made[0] is not self.memory_:
-            made = self.memory_, Nearest(self.memory_)
-            self._nearest_to = made
-        return made[1]
+        episodes = self._episodes_to_come(memory)
+        return fit_strangers(left_out, episodes, *memory.units)
 
     def _category_of(self, memory: Memory) -> NDArray[np.str_]:
         if self.label == "category":
             return np.full(len(memory.classes), "")
-        made: tuple[Memory, NDArray[np.str_]] | None
-        made = getattr(self, "_categories_in", None)
-        if made is None or made[0] is not memory:
-            made = self._categories_in = memory, memory.category_of
-        return made[1]
+        return memory.category_of
 
     def _evidence_of(self, touches: Touches) -> Evidence:
         with opencv_on_one_thread():
@@ -840,7 +873,7 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         parts = self.classifier_.log_likelihood_by_part(features)
         said, each = self.classifier_.pooled(parts), np.swapaxes(parts, 0, 1)
         used = self._used(said, np.array(flags) == NO_CONTACT)
-        distances = self._nearest().log_distances(features)
+        distances = self.memory_.nearest.log_distances(features)
         return Evidence(features, used, flags, each, distances, looks)
 
     def _used(self, log_likelihood: Floats, nothing: Bools) -> Floats:
@@ -888,6 +921,14 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         tags.input_tags.three_d_array = True
         tags.input_tags.allow_nan = True
         return tags
+
+
+def adapt(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecogniser:
+    """Return a copy of `recogniser` that was remounted with `touches`.
+
+    What is done, and what is refused: `ObjectRecogniser.remount`.
+    """
+    return copy(recogniser).remount(touches)
 
 
 def _n_axes(X: Any) -> int:

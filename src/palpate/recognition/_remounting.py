@@ -7,28 +7,25 @@ undone; what else a session does to touches is taken off their features.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from copy import copy, deepcopy
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.special import softmax
 from scipy.stats import t as t_distribution
 
 from .._numbers import log_softmax
-from .._types import Array, Floats
+from .._types import Array, Floats, Indices
 from ..images import DomeCrop
 from ..touches import Touches
 from . import _sessions
 from ._calibration import left_out_log_likelihood
 from ._contact import NO_CONTACT, ContactCheck
-from ._encoder import TouchEncoder
-from ._evidence import Evidence, as_touches
+from ._evidence import Evidence
 from ._learning import encoded, memory_of
-from ._memory import Memory, Nearest, blocks_in_order
-
-if TYPE_CHECKING:
-    from ._recogniser import ObjectRecogniser
+from ._learnt import HasLearnt, Learnt
+from ._memory import Memory
+from ._remounted_encoder import AnyEncoder, RemountedEncoder, wrapped
 
 # Fewer differences between sessions than this do not tell a covariance.
 LEAST_PAIRS = 20
@@ -68,113 +65,107 @@ class MountingCheck:
     reasons: list[str]
 
 
-def adapt(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecogniser:
-    """Return a copy of `recogniser` that was remounted with `touches`.
+def remounted(
+    learnt: Learnt, new: Touches, labels: Array | None
+) -> tuple[Learnt, dict[str, Any]]:
+    """Return what was learnt as it serves in the session of `new`, and what was found.
 
-    What is done, and what is refused: `ObjectRecogniser.remount`.
+    `labels` (n_touches,) where they are confirmed. See `ObjectRecogniser.remount`.
     """
-    return deepcopy(recogniser).remount(touches)
-
-
-def remounted(recogniser: ObjectRecogniser, touches: Touches) -> ObjectRecogniser:
-    """Return another recogniser, for the session; see `ObjectRecogniser.remount`."""
-    new = as_touches(touches)
-    labels = new.object if recogniser.label == "object" else new.category
     if labels is not None:
-        unknown = np.setdiff1d(labels, recogniser.classes_)
+        unknown = np.setdiff1d(labels, learnt.classes)
         if len(unknown):
             raise ValueError(
                 f"touches must be of known objects, got {str(unknown[0])!r}, which was "
                 "not learnt. Remount first, then add it with add_object; or leave the "
                 "labels out to remount without them."
             )
-    result = copy(recogniser)
-    result.encoder_, gain = _as_taught(recogniser, new, labels)
-    shape = tuple(recogniser.encoder_.image_shape_)
-    if new.no_contact is not None or new.images.shape[1:] != shape:
-        contact = ContactCheck().fit(new, result.encoder_)
-        for pose in ("blind_", "usual_"):
-            setattr(contact, pose, getattr(recogniser.contact_, pose))
-        result.contact_ = contact
-    found = _without_sessions(result)
-    encoding = encoded(result.encoder_, result.contact_, new)
-    counts = ~encoding.nothing | result.uses_no_contact_
+    n_touches, n_told = len(learnt.memory), len(learnt.classifier.left_out_rows)
+    if n_told < n_touches:
+        raise ValueError(
+            "Remounting compares a session with all that was learnt, each touch left "
+            f"out, got {n_touches} touches of {len(learnt.classes)} objects, of which "
+            f"{n_told} can be. Remount a model of fewer, or learn this session too."
+        )
+    encoder, gain = _as_taught(learnt, new, labels)
+    other_kind = new.images.shape[1:] != tuple(learnt.encoder.image_shape_)
+    contact = learnt.contact
+    if new.no_contact is not None or other_kind:
+        contact = ContactCheck().fit(new, encoder).with_poses_of(contact)
+    learnt = replace(learnt, encoder=encoder, contact=contact)
+    learnt, found = _without_sessions(learnt)
+    encoding = encoded(learnt.encoder, contact, new)
+    counts = ~encoding.nothing | learnt.uses_no_contact
     if not counts.any():
         raise ValueError(
             f"touches must show contact, got {len(new)} that look like touching "
             "nothing. Press the sensor on something, or take its baseline anew."
         )
-    features, taught = encoding.features, taught_of(result)
+    features, taught = encoding.features, learnt.taught
     if labels is None:
-        say = result.classifier_.log_likelihood
+        say = learnt.classifier.log_likelihood
         shift, shares = _sessions.shift_unlabelled(features[counts], say, taught)
         if not found.get("centred", True):
             shift = np.zeros_like(shift)
         found["objects"] = round(_sessions.effective_number(shares), 1)
     else:
-        codes = np.searchsorted(result.classes_, labels)
+        codes = np.searchsorted(learnt.classes, labels)
         shift = _sessions.shift_by_labels(features[counts], codes[counts], taught)
-    before = result.encoder_.offset_
-    result.encoder_.offset_ = shift if before is None else shift + before
+    there = wrapped(learnt.encoder).shifted(shift)
     found |= {"n_touches": len(new), "labelled": labels is not None, "gain": gain}
-    broken = result.encoder_.broken_
-    found["broken"] = 0 if broken is None else int(broken.sum())
+    found["broken"] = 0 if there.broken is None else int(there.broken.sum())
     variance = max(taught.features.var(axis=0).sum(), 1e-300)
     found["moved"] = float((shift**2).sum() / variance)
-    result.chosen_ = {**result.chosen_, "remount": found}
-    if labels is not None:
-        objects = labels if new.object is None else new.object
-        one_group = np.zeros(len(new), dtype=np.intp)
-        encoding.features = features + shift
-        encoding.looks = result.encoder_.look(new)
-        there = memory_of(new, encoding, labels, objects, one_group)
-        result._relearn(result.memory_.plus(there))
-    return result
+    learnt = replace(learnt, encoder=there)
+    if labels is None:
+        return learnt, found
+    objects = labels if new.object is None else new.object
+    encoding = replace(encoding, features=features + shift, looks=there.look(new))
+    one_group = np.zeros(len(new), dtype=np.intp)
+    confirmed = memory_of(new, encoding, labels, objects, one_group)
+    return learnt.relearnt(learnt.memory.plus(confirmed)), found
 
 
 def _as_taught(
-    recogniser: ObjectRecogniser, new: Touches, labels: Array | None
-) -> tuple[TouchEncoder, float]:
+    learnt: Learnt, new: Touches, labels: Array | None
+) -> tuple[RemountedEncoder, float]:
     """Return an encoder that makes images of the session as they were, and the gain.
 
     The gain of an array is told by the loads, of the same objects where labels tell
     them; kept where touches come nearer to training touches (one standard error).
     """
-    encoder, memory = recogniser.encoder_.moved(new), recogniser.memory_
-    seen, taught = encoder.look(new), memory.looks[_counted(recogniser)]
+    kept, memory = RemountedEncoder.of(learnt.encoder, new), learnt.memory
+    seen, taught = kept.look(new), memory.looks[learnt.counted]
     if np.isnan(taught).any():
-        return encoder, 1.0
-    gain, kept = 1.0, encoder
-    if encoder.clean_up_ is None:
+        return kept, 1.0
+    if kept.clean_up_ is None:
         asked = np.zeros(len(new)) if labels is None else labels
-        of = memory.labels[_counted(recogniser)]
+        of = memory.labels[learnt.counted]
         ratios = [
             np.median(taught[slice(None) if labels is None else of == name, -1])
             - np.median(seen[asked == name, -1])
             for name in np.unique(asked)
         ]
         gain = float(np.exp(np.mean(ratios)))
-        other, nearest = recogniser.encoder_.moved(new, gain), recogniser._nearest()
+        other = RemountedEncoder.of(learnt.encoder, new, gain)
         near = [
-            nearest.log_distances(one.transform(new)).min(axis=1)
-            for one in (encoder, other)
+            memory.nearest.log_distances(one.transform(new)).min(axis=1)
+            for one in (kept, other)
         ]
         better = near[0] - near[1]
         if better.mean() > better.std() / np.sqrt(len(better)):
             kept = other
-    kept.look_offset_ = taught.mean(axis=0) - seen.mean(axis=0)
-    return kept, gain if kept is not encoder else 1.0
+    return kept.looking_like(taught.mean(axis=0) - seen.mean(axis=0)), kept.gain
 
 
-def learn_nuisance(recogniser: ObjectRecogniser, touches: Touches) -> int:
-    """Change a recogniser in place; see `ObjectRecogniser.learn_nuisance`."""
-    new = as_touches(touches)
+def without_nuisance(learnt: Learnt, new: Touches) -> tuple[Learnt, int]:
+    """Return what was learnt without what tells sessions; see `learn_nuisance`."""
     if new.object is None or new.session is None:
         raise ValueError(
             "touches must have columns 'object' and 'session', to see how the same "
             f"thing differs between sessions, got {', '.join(new.columns) or 'none'}."
         )
-    features: Floats = recogniser.encoder_.transform(new)
+    features: Floats = learnt.encoder.transform(new)
     codes = np.unique(new.object, return_inverse=True)[1]
     subjects = np.full(len(new), "") if new.subject is None else new.subject
     differences = _sessions.between_sessions(features, codes, new.session, subjects)
@@ -183,44 +174,44 @@ def learn_nuisance(recogniser: ObjectRecogniser, touches: Touches) -> int:
             f"touches must show at least {LEAST_PAIRS} things in several sessions, "
             f"got {len(differences)} differences. Touch more objects in two sessions."
         )
-    other = copy(recogniser)
-    other.encoder_ = copy(recogniser.encoder_)
-    _weigh_down(other, differences)
-    recogniser.__dict__.update(other.__dict__)
-    return len(differences)
+    return _weighed_down(learnt, differences), len(differences)
 
 
 def check_mounting(
-    recogniser: ObjectRecogniser, touches: Touches | Evidence
+    learnt: Learnt, evidence: Evidence, rim: list[str], seed: int
 ) -> MountingCheck:
-    """See `ObjectRecogniser.check_mounting`."""
-    if isinstance(touches, Evidence):
-        evidence, reasons = touches, []
-    else:
-        new = as_touches(touches)
-        evidence, reasons = recogniser.evidence(new), _rim_moved(recogniser, new)
+    """Tell whether touches are of another mounting, by the evidence of them.
+
+    Of what was seen of the `rim`; see `ObjectRecogniser.check_mounting`.
+    """
     counts = np.array([flag != NO_CONTACT for flag in evidence.flags])
     if not counts.any():
-        return MountingCheck(False, -np.inf, np.inf, [*reasons, "Nothing was touched."])
+        return MountingCheck(False, -np.inf, np.inf, [*rim, "Nothing was touched."])
     found = float(evidence.log_distances[counts].min(axis=1).mean())
     posterior = softmax(evidence.log_likelihood[counts], axis=1).mean(axis=0)
     n_objects = max(1, round(_sessions.effective_number(posterior)))
-    own, taught = _usual_distances(recogniser)
-    n_touches, seed = int(counts.sum()), recogniser.random_state
-    drawn, runs = _sessions.usual_means(own, taught, n_touches, n_objects, seed)
+    some, memory, n_touches = learnt.counted, learnt.memory, int(counts.sum())
+    blocks, apart = memory.apart
+    drawn, runs = _sessions.usual_means(
+        np.column_stack([apart, memory.looks])[some],
+        learnt.codes[some],
+        blocks[some],
+        n_touches,
+        n_objects,
+        seed,
+    )
     now = np.append(found, evidence.looks[counts].mean(axis=0))
     if np.isnan(drawn).any():  # of a model that kept no looks
         drawn[:, 1:], now[1:] = 0.0, 0.0
     unlike, distance = _sessions.unlikeness(drawn, runs, now)
     # Of a few draws that share no touch even the largest is exceeded often: two signs,
     # each as a t-test.
-    n_apart = max(len(np.unique(taught.blocks)) // n_objects, 2)
+    n_apart = max(len(np.unique(blocks[some])) // n_objects, 2)
     least = t_distribution.ppf(1 - FALSE_ALARMS / 2, n_apart - 1)
     least *= np.sqrt(1 + 1 / n_apart)
     usual = float(max(np.quantile(unlike, 1 - FALSE_ALARMS), least))
-    if distance > usual:
-        reasons.insert(0, _why(drawn, now, usual, n_touches))
-    return MountingCheck(distance > usual, distance, usual, reasons)
+    reasons = [_why(drawn, now, usual, n_touches)] if distance > usual else []
+    return MountingCheck(distance > usual, distance, usual, [*reasons, *rim])
 
 
 def _why(drawn: Floats, now: Floats, usual: float, n_touches: int) -> str:
@@ -243,34 +234,15 @@ def _why(drawn: Floats, now: Floats, usual: float, n_touches: int) -> str:
     return f"{these} show {detail} detail {root:.1f} times {way} than training touches."
 
 
-def _usual_distances(recogniser: ObjectRecogniser) -> tuple[Floats, _sessions.Taught]:
-    """Return how far training touches are from other blocks of their sessions.
-
-    What sessions differ by is no use here. Worked out once for a memory.
-    """
-    memory, some = recogniser.memory_, _counted(recogniser)
-    made: Any = getattr(recogniser, "_usual_to", None)
-    if made is None or made[0] is not memory:
-        visits = np.stack([memory.objects.astype(str), memory.sessions], axis=1)
-        visit = np.unique(visits, axis=0, return_inverse=True)[1].ravel()
-        blocks = blocks_in_order(visit)
-        nearest = Nearest(replace(memory, blocks=blocks))
-        far = nearest.log_distances(memory.features, blocks)
-        own = np.where(np.isnan(far), np.inf, far).min(axis=1)
-        own = np.column_stack([own, memory.looks])[some]
-        taught = replace(taught_of(recogniser), blocks=blocks[some])
-        recogniser.__dict__["_usual_to"] = made = memory, own, taught
-    return made[1], made[2]
-
-
-def across_sessions(recogniser: ObjectRecogniser) -> dict[str, Any]:
+def across_sessions(recogniser: HasLearnt) -> dict[str, Any]:
     """Return what the training touches say of another day, as plain values.
 
     `sessions` per object (least and median), `asked` (touches of objects that another
     session met too) and, where there are any, `expected`: the accuracy after one touch
     of a session that was left out whole.
     """
-    memory = recogniser.memory_
+    learnt = recogniser.learnt()
+    memory = learnt.memory
     told = memory.sessions != ""
     per_object = [
         len(np.unique(memory.sessions[told & (memory.objects == name)])) or 1
@@ -279,9 +251,10 @@ def across_sessions(recogniser: ObjectRecogniser) -> dict[str, Any]:
     asked, median = _met_elsewhere(memory), float(np.median(per_object))
     result = {"least": min(per_object), "median": median, "asked": int(asked.sum())}
     if asked.any():
-        said = _said_of_left_out_sessions(recogniser, memory.features)
-        right = recogniser.classes_[said.argmax(axis=1)] == memory.labels
-        result["expected"] = float(right[asked].mean())
+        said, rows = _said_of_left_out_sessions(learnt, memory.features)
+        right = learnt.classes[said.argmax(axis=1)] == memory.labels[rows]
+        if asked[rows].any():  # of very many touches only some are left out
+            result["expected"] = float(right[asked[rows]].mean())
     return result
 
 
@@ -300,110 +273,83 @@ def said_of_sessions(across: Mapping[str, Any]) -> str:
     )
 
 
-def taught_of(recogniser: ObjectRecogniser) -> _sessions.Taught:
-    """Return the training touches that count, for comparing a session with them."""
-    memory, counts = recogniser.memory_, _counted(recogniser)
-    said = left_out_log_likelihood(recogniser.classifier_)
-    codes = np.searchsorted(recogniser.classes_, memory.labels)
-    return _sessions.Taught(
-        memory.features[counts],
-        codes[counts],
-        memory.blocks[counts],
-        softmax(said[counts], axis=1),
-        _parts(recogniser),
-    )
-
-
-def _counted(recogniser: ObjectRecogniser) -> Array:
-    """Return which training touches count; all of objects that show no contact."""
-    memory = recogniser.memory_
-    counts = ~memory.nothing | recogniser.uses_no_contact_
-    return counts | ~np.isin(memory.labels, memory.labels[counts])
-
-
-def _without_sessions(recogniser: ObjectRecogniser) -> dict[str, Any]:
+def _without_sessions(learnt: Learnt) -> tuple[Learnt, dict[str, Any]]:
     """Take off what training sessions add, where that helps with sessions left out.
 
-    Weighing down how sessions differ comes next, if it helps further. Returns what was
-    done.
+    Weighing down how sessions differ comes next, if it helps further. Also returns what
+    was done.
     """
-    memory = recogniser.memory_
+    memory = learnt.memory
     asked = _met_elsewhere(memory)
     if not asked.any():
-        return {}
-    codes = np.searchsorted(recogniser.classes_, memory.labels)
-    centred = memory.features - _sessions.session_effects(
-        memory.features, codes, memory.sessions
-    )
-    loss = {"plain": _loss(recogniser, memory.features, asked)}
-    loss["centred"] = _loss(recogniser, centred, asked)
+        return learnt, {}
+    features, codes = memory.features, learnt.codes
+    centred = features - _sessions.session_effects(features, codes, memory.sessions)
+    loss = {
+        "plain": _loss(learnt, features, asked),
+        "centred": _loss(learnt, centred, asked),
+    }
     pairs = _sessions.between_sessions(centred, codes, memory.sessions, memory.subjects)
     # Touches that tell themselves how sessions differ are too sure: other persons must.
     may_weigh = len(np.unique(memory.subjects)) > 1 and len(pairs) >= LEAST_PAIRS
-    may_weigh &= recogniser.encoder_.weighing_ is None
+    may_weigh &= wrapped(learnt.encoder).weighing is None
     if may_weigh:
-        loss["weighed"] = _loss_weighed(recogniser, centred, asked)
+        loss["weighed"] = _loss_weighed(learnt, centred, asked)
     found = {"log_loss": {name: float(one.mean()) for name, one in loss.items()}}
     worse = loss["centred"] - loss["plain"]
     if worse.mean() > worse.std() / np.sqrt(len(worse)):
-        return {**found, "centred": False, "weighed": False}
-    recogniser.memory_ = replace(memory, features=centred)
+        return learnt, {**found, "centred": False, "weighed": False}
     gain = loss["centred"] - loss["weighed"] if may_weigh else np.zeros(1)
-    weighs = gain.mean() > LEAST_GAIN
+    weighs = bool(gain.mean() > LEAST_GAIN)
+    there = replace(memory, features=centred)
     if weighs:
-        recogniser.encoder_ = copy(recogniser.encoder_)
-        _weigh_down(recogniser, pairs)
+        learnt = _weighed_down(replace(learnt, memory=there), pairs)
     else:
-        recogniser._relearn(recogniser.memory_)
-    return {**found, "centred": True, "weighed": bool(weighs)}
+        learnt = learnt.relearnt(there)
+    return learnt, {**found, "centred": True, "weighed": weighs}
 
 
-def _weigh_down(recogniser: ObjectRecogniser, differences: Floats) -> None:
-    encoder, memory = recogniser.encoder_, recogniser.memory_
-    weighing = _sessions.weighed_down(differences, memory.features, _parts(recogniser))
-    before = encoder.weighing_
-    encoder.weighing_ = weighing if before is None else before @ weighing
-    if encoder.offset_ is not None:
-        encoder.offset_ = encoder.offset_ @ weighing
-    recogniser._relearn(replace(memory, features=memory.features @ weighing))
+def _weighed_down(learnt: Learnt, differences: Floats) -> Learnt:
+    features = learnt.memory.features
+    weighing = _sessions.weighed_down(differences, features, learnt.parts)
+    encoder = wrapped(learnt.encoder).weighed(weighing)
+    memory = replace(learnt.memory, features=features @ weighing)
+    return replace(learnt, encoder=encoder).relearnt(memory)
 
 
-def _loss(recogniser: ObjectRecogniser, features: Floats, asked: Array) -> Floats:
+def _loss(learnt: Learnt, features: Floats, asked: Array) -> Floats:
     """Return the log loss (nats) of the asked touches, their session left out whole."""
-    said = log_softmax(_said_of_left_out_sessions(recogniser, features), axis=1)
-    codes = np.searchsorted(recogniser.classes_, recogniser.memory_.labels)
-    return -said[np.arange(len(codes)), codes][asked]
+    said = log_softmax(_said_of_left_out_sessions(learnt, features)[0], axis=1)
+    return -said[np.arange(len(said)), learnt.codes][asked]
 
 
-def _loss_weighed(
-    recogniser: ObjectRecogniser, centred: Floats, asked: Array
-) -> Floats:
+def _loss_weighed(learnt: Learnt, centred: Floats, asked: Array) -> Floats:
     """Return the loss when features are weighed by pairs of other persons.
 
     In two halves, so that no touch is asked that told how sessions differ.
     """
-    memory, loss = recogniser.memory_, np.empty(len(asked))
+    memory, codes, loss = learnt.memory, learnt.codes, np.empty(len(asked))
     half = np.unique(memory.subjects, return_inverse=True)[1] % 2
-    codes = np.unique(memory.labels, return_inverse=True)[1]
     for k in range(2):
         told = half != k
         visits = memory.sessions[told], memory.subjects[told]
         pairs = _sessions.between_sessions(centred[told], codes[told], *visits)
         weighing = np.eye(centred.shape[1])
         if len(pairs):
-            weighing = _sessions.weighed_down(pairs, centred, _parts(recogniser))
+            weighing = _sessions.weighed_down(pairs, centred, learnt.parts)
         mine = asked & ~told
-        loss[mine] = _loss(recogniser, centred @ weighing, mine)
+        loss[mine] = _loss(learnt, centred @ weighing, mine)
     return loss[asked]
 
 
 def _said_of_left_out_sessions(
-    recogniser: ObjectRecogniser, features: Floats
-) -> Floats:
-    memory = recogniser.memory_
+    learnt: Learnt, features: Floats
+) -> tuple[Floats, Indices]:
+    """Return what touches are taken for, their session left out, and which."""
+    memory = learnt.memory
     of = np.unique(memory.sessions, return_inverse=True)[1]
-    again = copy(recogniser.classifier_).refit(features, memory.labels, groups=of)
-    return left_out_log_likelihood(again)
+    again = learnt.refitted(replace(memory, features=features, blocks=of))
+    return left_out_log_likelihood(again), again.left_out_rows
 
 
 def _met_elsewhere(memory: Memory) -> Array:
@@ -417,16 +363,12 @@ def _met_elsewhere(memory: Memory) -> Array:
     return met
 
 
-def _parts(recogniser: ObjectRecogniser) -> _sessions.Parts:
-    return _sessions.Parts(np.cumsum([0, *recogniser.encoder_.parts_.values()]))
-
-
-def _rim_moved(recogniser: ObjectRecogniser, touches: Touches) -> list[str]:
+def rim_moved(encoder: AnyEncoder, touches: Touches) -> list[str]:
     """Return a sentence where a dome's rim lies elsewhere than it was learnt."""
-    crop = recogniser.encoder_.clean_up_
+    crop = encoder.clean_up_
     if not isinstance(crop, DomeCrop) or not crop.has_rim_:
         return []
-    there: Any = recogniser.encoder_.moved(touches).clean_up_
+    there: Any = wrapped(encoder).encoder.before_another_camera(touches).clean_up_
     away = np.hypot(there.rim_row_ - crop.rim_row_, there.rim_col_ - crop.rim_col_)
     larger = there.rim_radius_ / crop.rim_radius_ - 1
     if max(away / crop.rim_radius_, abs(larger)) <= RIM_MOVED:

@@ -225,22 +225,27 @@ def effective_number(shares: Floats) -> float:
 
 
 def usual_means(
-    values: Floats, taught: Taught, n_touches: int, n_objects: int, seed: int
+    values: Floats,
+    codes: Indices,
+    blocks: Indices,
+    n_touches: int,
+    n_objects: int,
+    seed: int,
 ) -> tuple[Floats, Indices]:
     """Return the means of draws of training touches' values (n_touches, n_values).
 
-    A draw is of the same block of the recordings of so many objects; which, (n_draws,),
-    is returned too.
+    A draw is of the same block of the recordings of so many objects, which `codes` and
+    `blocks` (n_touches,) tell; which block, (n_draws,), is returned too.
     """
     rng = np.random.default_rng(seed)
-    first = np.full(taught.codes.max() + 1, taught.blocks.max())
-    np.minimum.at(first, taught.codes, taught.blocks)
-    run = taught.blocks - first[taught.codes]
+    first = np.full(codes.max() + 1, blocks.max())
+    np.minimum.at(first, codes, blocks)
+    run = blocks - first[codes]
     found, of = [], []
     for _ in range(N_DRAWS):
         chosen = np.zeros(len(first), dtype=bool)
         chosen[rng.permutation(len(first))[:n_objects]] = True
-        mine = np.flatnonzero(chosen[taught.codes])
+        mine = np.flatnonzero(chosen[codes])
         of.append(rng.choice(run[mine]))
         mine = mine[run[mine] == of[-1]]
         rows = rng.choice(mine, min(n_touches, len(mine)), replace=False)
