@@ -35,6 +35,14 @@ LogFile = Annotated[
     Path | None,
     option("--log", "Write frames, touches, beliefs there: .rrd, .mcap (plugs/look)."),
 ]
+Publish = Annotated[
+    str | None,
+    option(
+        "--publish",
+        "Publish beliefs on ROS 2 and take commands there: "
+        "'ros:/palpate?domain=0&via=dds'.",
+    ),
+]
 
 
 @dataclass(frozen=True)
@@ -102,6 +110,23 @@ def need_baseline(session: "LiveSession") -> None:
             if not sys.stdin.isatty() or not typer.confirm(question, err=True):
                 raise
             session.take_baseline(force=True)
+
+
+@contextmanager
+def published(session: "LiveSession", address: str | None) -> Iterator[None]:
+    """Publish the beliefs of a session, and let it be told what to do, on ROS 2."""
+    from ..sensors import AddressError
+    from ..web import RosPublisher
+
+    if address is None:
+        yield
+        return
+    try:
+        publisher = RosPublisher(session, address)
+    except AddressError as error:
+        raise typer.BadParameter(f"--publish: {error}") from error
+    with closing(publisher):
+        yield
 
 
 @contextmanager

@@ -99,6 +99,7 @@ _OPTIONS: dict[str, dict[str, _Option]] = {
         "domain": _Option("domain", int, "a whole number, 0 to 232"),
         "qos": _word("qos", best_effort="best_effort", reliable="reliable"),
         "wait": _Option("wait_s", float, "a number of seconds"),
+        "via": _word("via", dds="dds", zenoh="zenoh"),
     },
     "sim": {**_DESK, "seed": _Option("random_state", int, "a whole number")},
 }
@@ -151,15 +152,7 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
             f"sim:OBJECT"
             f"{more}, got {address!r}."
         )
-    given: dict[str, Any] = {}
-    for part in filter(None, written.split("&")):
-        name, _, text = part.partition("=")
-        option = _options(kind).get(name)
-        if option is None:
-            _refuse(address, kind, f"{name!r} is no option")
-        if option.keyword in given:
-            _refuse(address, kind, f"{name} must be given once, got it twice")
-        given[option.keyword] = _read(address, kind, name, unquote(text))
+    given = _written(address, kind, written)
     for keyword, value in options.items():
         if value is not None:
             given[keyword] = _agreed(address, kind, given, keyword, value)
@@ -173,6 +166,39 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
             f"{type(sensor).__name__}. Ask its author; check_sensor tells."
         )
     return sensor
+
+
+def ros_place(address: str) -> tuple[str, int, str]:
+    """Return name, domain and wire ("dds", "zenoh") of `ros:NAME?domain=0&via=dds`.
+
+    Raises
+    ------
+    ValueError
+        It is another address, or has other options.
+    """
+    base, _, written = address.partition("?")
+    kind, _, place = base.partition(":")
+    if kind != "ros" or not re.fullmatch(r"/?\w+(/\w+)*", place):
+        raise AddressError(f"It must be like ros:/palpate?domain=0, got {address!r}.")
+    given = _written(address, kind, written)
+    if others := {*given} - {"domain", "via"}:
+        names = ", ".join(sorted(others))
+        raise AddressError(f"Only domain and via say where to publish, got {names}.")
+    return f"/{place.strip('/')}", given.get("domain", 0), given.get("via", "dds")
+
+
+def _written(address: str, kind: str, written: str) -> dict[str, Any]:
+    """Return the options in an address, by the arguments they are for."""
+    given: dict[str, Any] = {}
+    for part in filter(None, written.split("&")):
+        name, _, text = part.partition("=")
+        option = _options(kind).get(name)
+        if option is None:
+            _refuse(address, kind, f"{name!r} is no option")
+        if option.keyword in given:
+            _refuse(address, kind, f"{name} must be given once, got it twice")
+        given[option.keyword] = _read(address, kind, name, unquote(text))
+    return given
 
 
 def _driver(kind: str) -> Callable[..., Any] | None:
