@@ -7,6 +7,7 @@ types, its bytes and its layout of keys are written here by hand; nothing is pal
 
 import json
 import struct
+import subprocess
 import sys
 import threading
 import time
@@ -27,7 +28,7 @@ FRAME_ID = "pad"
 class Asked:
     """What the robot is to do; every field may be given."""
 
-    via, domain, endpoint = "dds", 0, ""
+    via, domain, endpoint, program = "dds", 0, "", ""
     topic, prefix = "/pad", "/palpate"
     rate_hz, shape, other_shape = 100.0, (12, 12), None
     kinds, commands = ("rows",) * 4, ()
@@ -115,7 +116,6 @@ class DdsWire:
             sample.raw = raw
             writer.write(sample)
 
-        write.heard = lambda: len(writer.get_matched_subscriptions())
         return write
 
     def listen(self, topic, name, take):
@@ -200,7 +200,6 @@ class ZenohWire:
             head = struct.pack("<qqB", next(numbers), time.time_ns(), 16)
             publisher.put(raw, attachment=head + b"robot-of-palpate")
 
-        write.heard = lambda: int(publisher.matching_status.matching)
         return write
 
     def listen(self, topic, name, take):
@@ -212,12 +211,45 @@ class ZenohWire:
         return lambda: len([*self.session.liveliness().get(tokens)])
 
 
+class FastDdsWire:
+    """The robot's side of Fast DDS: a program in C++ carries its bytes."""
+
+    def __init__(self, asked):
+        command = [asked.program, str(asked.domain), asked.topic, asked.prefix]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        self.process = subprocess.Popen(command, **pipes)
+        self.takers, self.n_believers = {}, 0
+        threading.Thread(target=self._follow, daemon=True).start()
+
+    def writer(self, topic, name):
+        letter = b"I" if name == IMAGE else b"C"
+
+        def write(raw):
+            self.process.stdin.write(letter + struct.pack("<I", len(raw)) + raw)
+            self.process.stdin.flush()
+
+        return write
+
+    def listen(self, topic, name, take):
+        self.takers[topic.rpartition("/")[2][:1].encode()] = take
+        return lambda: self.n_believers
+
+    def _follow(self):
+        while head := self.process.stdout.read(5):
+            letter, length = struct.unpack("<cI", head)
+            raw = self.process.stdout.read(length)
+            if letter == b"m":
+                (self.n_believers,) = struct.unpack("<i", raw)
+            else:
+                self.takers[letter](raw)
+
+
 class Robot:
     """Publishes frames in time and keeps what it sent and heard."""
 
     def __init__(self, asked):
         self.asked, self.rng = asked, np.random.default_rng(1)
-        self.wire = (DdsWire if asked.via == "dds" else ZenohWire)(asked)
+        self.wire = WIRES[asked.via](asked)
         self.publish = self.wire.writer(asked.topic, IMAGE)
         self.command = self.wire.writer(f"{asked.prefix}/command", STRING)
         self.sent, self.ends, self.heard = [], [], {}
@@ -278,6 +310,9 @@ class Robot:
             "ends": [self.sent[end] for end in self.ends],
             **self.heard,
         }
+
+
+WIRES = {"dds": DdsWire, "zenoh": ZenohWire, "fastdds": FastDdsWire}
 
 
 def main(written):
