@@ -184,7 +184,7 @@ $(LEROBOT_VENV)/.installed: pyproject.toml
 	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) -e ".[parquet,sim,onnx]" -e plugs/lerobot onnxscript
 	@touch $@
 
-$(CLIENTS_VENV)/.installed: pyproject.toml constraints.txt plugs/ros/pyproject.toml
+$(CLIENTS_VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv --clear $(CLIENTS_VENV)
 	$(CLIENTS_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e ".[zenoh]" pytest colcon-common-extensions
 	@touch $@

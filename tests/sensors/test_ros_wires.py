@@ -180,11 +180,12 @@ def sending(session, topic, side=6):
 
 
 def test_where_to_publish_is_one_short_address():
-    assert ros_place("ros:palpate") == ("/palpate", 0, "dds")
-    assert ros_place("ros:/a/b?domain=3&via=zenoh") == ("/a/b", 3, "zenoh")
+    assert ros_place("ros:palpate") == ("/palpate", 0, "dds", True)
+    address = "ros:/a/b?domain=3&via=zenoh&services=no"
+    assert ros_place(address) == ("/a/b", 3, "zenoh", False)
     with pytest.raises(ValueError, match=r"like ros:/palpate.domain=0, got 'camera:0'"):
         ros_place("camera:0")
-    with pytest.raises(ValueError, match=r"Only domain and via .* got qos"):
+    with pytest.raises(ValueError, match=r"'qos' is no option .* domain, via, serv"):
         ros_place("ros:/palpate?qos=reliable")
     with pytest.raises(ValueError, match="domain must be at most 232, got 233"):
         open_node(233, "dds")

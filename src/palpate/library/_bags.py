@@ -54,7 +54,7 @@ def read_bag(
     ----------
     path : path
         The bag (a folder, `.mcap`, `.db3`, or `.bag` of ROS 1); with the package of
-        `plugs/lerobot` the folder of a LeRobotDataset too, whose features are the topics.
+        `plugs/lerobot` the folder of a LeRobotDataset too: its features are topics.
     topic : str, optional
         A topic of images, point clouds or arrays; may be left out where it is the only
         one.

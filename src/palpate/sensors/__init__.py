@@ -37,6 +37,7 @@ from ._ros_types import SET_BOOL as SET_BOOL
 from ._ros_types import STRING as STRING
 from ._ros_types import TRIGGER as TRIGGER
 from ._ros_types import Header as Header
+from ._ros_types import RosService as RosService
 from ._ros_types import classification as classification
 from ._ros_types import read_message as read_message
 from ._ros_types import text_message as text_message

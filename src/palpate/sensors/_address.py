@@ -103,6 +103,11 @@ _OPTIONS: dict[str, dict[str, _Option]] = {
     },
     "sim": {**_DESK, "seed": _Option("random_state", int, "a whole number")},
 }
+_PUBLISHED = {
+    "domain": _OPTIONS["ros"]["domain"],
+    "via": _OPTIONS["ros"]["via"],
+    "services": _word("services", **_YES_NO),
+}
 _GROUP = "palpate.sensors"
 _READ: dict[str, tuple[Callable[[str], Any], str]] = {
     "int": (int, "a whole number"),
@@ -168,8 +173,17 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
     return sensor
 
 
-def ros_place(address: str) -> tuple[str, int, str]:
-    """Return name, domain and wire ("dds", "zenoh") of `ros:NAME?domain=0&via=dds`.
+class RosPlace(NamedTuple):
+    """Where beliefs are published, and whether services are offered beside them."""
+
+    prefix: str
+    domain: int = 0
+    via: str = "dds"
+    services: bool = True
+
+
+def ros_place(address: str) -> RosPlace:
+    """Return what `ros:/palpate?domain=0&via=dds&services=yes` says.
 
     Raises
     ------
@@ -180,11 +194,7 @@ def ros_place(address: str) -> tuple[str, int, str]:
     kind, _, place = base.partition(":")
     if kind != "ros" or not re.fullmatch(r"/?\w+(/\w+)*", place):
         raise AddressError(f"It must be like ros:/palpate?domain=0, got {address!r}.")
-    given = _written(address, kind, written)
-    if others := {*given} - {"domain", "via"}:
-        names = ", ".join(sorted(others))
-        raise AddressError(f"Only domain and via say where to publish, got {names}.")
-    return f"/{place.strip('/')}", given.get("domain", 0), given.get("via", "dds")
+    return RosPlace(f"/{place.strip('/')}", **_written(address, "--publish", written))
 
 
 def _written(address: str, kind: str, written: str) -> dict[str, Any]:
@@ -217,6 +227,8 @@ def _driver(kind: str) -> Callable[..., Any] | None:
 
 def _options(kind: str) -> dict[str, _Option]:
     """Return the options of a kind of sensor; a driver's are its own parameters."""
+    if kind == "--publish":
+        return _PUBLISHED
     if kind in _OPTIONS:
         return _OPTIONS[kind]
     found = {}

@@ -25,6 +25,7 @@ from ..sensors import (
     CalibratedSensor,
     Header,
     RosSensor,
+    RosService,
     classification,
     open_node,
     ros_place,
@@ -49,7 +50,8 @@ class RosPublisher:
     session : LiveSession
         What recognises and learns.
     address : str
-        `ros:PREFIX?domain=0&via=dds`: the prefix of all names, and where.
+        `ros:PREFIX?domain=0&via=dds`: the prefix of all names, and where;
+        `&services=no` offers none, for a node that does.
 
     Raises
     ------
@@ -60,7 +62,7 @@ class RosPublisher:
     """
 
     def __init__(self, session: LiveSession, address: str) -> None:
-        self.prefix, domain, via = ros_place(address)
+        self.prefix, domain, via, services = ros_place(address)
         self._session, self._object, self._warned = session, "", False
         self._node = node = open_node(domain, via)
         at = self.prefix.rstrip("/")
@@ -68,16 +70,18 @@ class RosPublisher:
         self._decision = node.publish(f"{at}/decision", STRING)
         self._answer = node.publish(f"{at}/answer", STRING)
         self._commands = node.subscribe(f"{at}/command", STRING, reliable=True)
-        plain = [one for one in _COMMANDS if one not in ("object", "teach")]
-        self._services = [
-            node.serve(f"{at}/{name}", TRIGGER, partial(self._triggered, name))
-            for name in plain
-        ]
-        self._services.append(node.serve(f"{at}/teach", SET_BOOL, self._teach))
+        self._services = self._offered(at) if services else []
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._listen, daemon=True)
         session.listeners.add(self.take)
         self._thread.start()
+
+    def _offered(self, at: str) -> list[RosService]:
+        serve, plain = self._node.serve, {*_COMMANDS} - {"object", "teach"}
+        return [
+            *(serve(f"{at}/{n}", TRIGGER, partial(self._triggered, n)) for n in plain),
+            serve(f"{at}/teach", SET_BOOL, self._teach),
+        ]
 
     def close(self) -> None:
         """Leave the network."""
