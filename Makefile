@@ -191,7 +191,7 @@ $(CLIENTS_VENV)/.installed: pyproject.toml constraints.txt
 
 $(LOOK_VENV)/.installed: pyproject.toml constraints.txt plugs/look/pyproject.toml
 	$(PYTHON) -m venv --clear $(LOOK_VENV)
-	$(LOOK_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e . -e "plugs/look[rerun]" pytest pyarrow
+	$(LOOK_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e . -e "plugs/look[rerun,live]" pytest pyarrow mcap-ros2-support websockets
 	@touch $@
 
 # MKLpy (GPL-3) is a yardstick, never a dependency: it has an environment of its own,
