@@ -106,15 +106,16 @@ def measured(wire, rate_hz, shape, n_presses, model, program):
     kinds = ["rows", "columns"] * (n_presses // 2)
     todo = {"rate_hz": rate_hz, "shape": shape, "kinds": kinds, "program": program}
     with robot(wire, **todo) as process, recognising(wire, model) as session:
+        sensor, before = session.watch.sensor, session.watch.sensor.n_dropped
         heard = json.loads(process.communicate(timeout=600)[0])
-        stamps = {*session.watch.sensor.stamps}
+        stamps, n_dropped = {*sensor.stamps}, sensor.n_dropped - before
     sent = heard["sent"][heard["from"] :]
     pairs = zip(heard["belief"], heard["ends"], strict=False)  # or beliefs are wanting
     waits = [belief["at"] - end for belief, end in pairs]
     median, most = np.percentile(waits, [50, 99]) / 1e6 if waits else (np.nan,) * 2
     return {
         "frames": len(sent),
-        "lost": len({*sent} - stamps),
+        "lost": len({*sent} - stamps) + n_dropped,
         "touches": n_presses,
         "beliefs": len(heard["belief"]),
         "median_ms": float(median),

@@ -17,7 +17,8 @@ import pytest
 from palpate import ObjectRecogniser, Touches
 from palpate.library import TouchLibrary
 from palpate.sensors import open_sensor
-from palpate.web import LiveSession, RosPublisher
+from palpate.web import Event, LiveSession, RosPublisher
+from palpate.web._sensor_watch import Listeners
 
 pytest.importorskip("rosbags")
 
@@ -162,3 +163,17 @@ def test_what_is_commanded_is_done_or_refused(via, learnt, tmp_path):
     ]
     with TouchLibrary.open(tmp_path / "lab") as library:
         assert library.touches().object.tolist() == ["knob"] * 3
+
+
+def test_a_listener_that_takes_no_frames_is_sent_none():
+    """Frames cost a picture each, and beliefs need none."""
+    listeners, with_frames, without = Listeners(), [], []
+    listeners.add(with_frames.append)
+    listeners.add(without.append, frames=False)
+    for kind in ("frame", "touch", "frame", "state"):
+        listeners.notify(Event(kind))
+    assert [event.kind for event in with_frames] == ["frame", "touch", "frame", "state"]
+    assert [event.kind for event in without] == ["touch", "state"]
+    assert (len(listeners), listeners.n_of_frames) == (2, 1)
+    listeners.discard(with_frames.append)
+    assert (len(listeners), listeners.n_of_frames) == (1, 0)

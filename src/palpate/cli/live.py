@@ -64,7 +64,7 @@ def live(
         if event.kind in ("touch", "state"):
             found.put(event.values)
 
-    session.listeners.add(listen)
+    session.listeners.add(listen, frames=False)
     with _sensor.logged(session, log), session, ExitStack() as stack:
         _sensor.need_baseline(session)
         stack.enter_context(_sensor.published(session, publish))

@@ -73,7 +73,7 @@ class RosPublisher:
         self._services = self._offered(at) if services else []
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._listen, daemon=True)
-        session.listeners.add(self.take)
+        session.listeners.add(self.take, frames=False)
         self._thread.start()
 
     def _offered(self, at: str) -> list[RosService]:
