@@ -56,6 +56,11 @@ def add(
 
     if sensor is None and (kind, unit, pitch_mm) != (None, None, None):
         raise ValueError("--kind, --unit and --pitch-mm must come with --sensor NAME.")
+    if str(touches).startswith(("ros:", "camera:", "serial:")) and not touches.exists():
+        raise ValueError(
+            f"TOUCHES must be a file or a folder, got a sensor. Record from it: palpate "
+            f"record NAME --sensor {touches} --library {folder}."
+        )
     found = reading.touches(touches, topic)
     if detect:
         from ..sensors import TouchDetector
