@@ -3,6 +3,7 @@
 The robot's types, bytes and keys are written by hand in `ros_robot.py`.
 """
 
+import io
 import json
 import os
 import subprocess
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 from palpate import ObjectRecogniser, Touches
+from palpate.cli import main
 from palpate.library import TouchLibrary
 from palpate.sensors import open_sensor
 from palpate.web import Event, LiveSession, RosPublisher
@@ -177,3 +179,33 @@ def test_a_listener_that_takes_no_frames_is_sent_none():
     assert (len(listeners), listeners.n_of_frames) == (2, 1)
     listeners.discard(with_frames.append)
     assert (len(listeners), listeners.n_of_frames) == (1, 0)
+
+
+def test_an_address_to_publish_at_is_checked_before_anything_starts(monkeypatch):
+    command = ["palpate", "live", "no.palpate", "--sensor", "sim:mug", "--publish"]
+    for address, why in (("/palpate", "like ros:/palpate"), ("ros:/a?qos=x", "'qos'")):
+        monkeypatch.setattr(sys, "argv", [*command, address])
+        errors = io.StringIO()
+        monkeypatch.setattr(sys, "stderr", errors)
+        with pytest.raises(SystemExit) as stop:
+            main()
+        assert stop.value.code == 2
+        assert why in " ".join(errors.getvalue().replace("│", " ").split())
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")
+def test_the_command_publishes_too(learnt, tmp_path):
+    where = f"domain={DOMAIN}"
+    line = ["live", str(learnt), "--sensor", f"ros:/pad?shape=12x12&{where}"]
+    line += ["--publish", f"ros:/palpate?{where}", "--json", "-n", "3"]
+    line += ["--timeout", "20"]
+    code = "import sys; from palpate.cli import main; sys.argv[0] = 'palpate'; main()"
+    with robot("dds", kinds=["rows"] * 3) as wait:
+        command = [sys.executable, "-c", code, *line]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        (episode,) = json.loads(done.stdout)["episodes"]
+        assert episode["touches"]
+        heard = wait()
+    assert heard["belief"][0]["results"][0][0] == "rows"

@@ -120,18 +120,23 @@ def need_baseline(session: "LiveSession") -> None:
 @contextmanager
 def published(session: "LiveSession", address: str | None) -> Iterator[None]:
     """Publish the beliefs of a session, and let it be told what to do, on ROS 2."""
-    from ..sensors import AddressError
     from ..web import RosPublisher
 
     if address is None:
         yield
         return
+    with closing(RosPublisher(session, address)):
+        yield
+
+
+def check_publish(address: str | None) -> None:
+    """Refuse an address of --publish that is none, before anything is started."""
+    from ..sensors import AddressError, ros_place
+
     try:
-        publisher = RosPublisher(session, address)
+        _ = address and ros_place(address)
     except AddressError as error:
         raise typer.BadParameter(f"--publish: {error}") from error
-    with closing(publisher):
-        yield
 
 
 @contextmanager

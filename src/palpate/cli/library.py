@@ -58,8 +58,8 @@ def add(
         raise ValueError("--kind, --unit and --pitch-mm must come with --sensor NAME.")
     if str(touches).startswith(("ros:", "camera:", "serial:")) and not touches.exists():
         raise ValueError(
-            f"TOUCHES must be a file or a folder, got a sensor. Record from it: palpate "
-            f"record NAME --sensor {touches} --library {folder}."
+            f"TOUCHES must be a file or a folder, got the sensor {touches}. Record: "
+            f"palpate record NAME --sensor {touches} --library {folder}."
         )
     found = reading.touches(touches, topic)
     if detect:

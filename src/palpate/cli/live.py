@@ -54,6 +54,7 @@ def live(
     from ..web import LiveSession
 
     done: list[Episode] = []
+    _sensor.check_publish(publish)
     chosen = options.open(sensor)
     how: Any = {"error": error, "refusal": refusal, "strangers": strangers}
     how |= {"summary": summary}

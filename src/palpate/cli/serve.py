@@ -22,6 +22,7 @@ from ._sensor import (
     Publish,
     SensorOptions,
     Summary,
+    check_publish,
     logged,
     published,
 )
@@ -80,6 +81,7 @@ def serve(
     from ..web import LiveSession, checked_token, create_app, kept_token
 
     web.require_web()
+    check_publish(publish)
     how: Any = {"error": error, "refusal": refusal, "strangers": strangers}
     how |= {"summary": summary}
     given = sensor or []
