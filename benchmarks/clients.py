@@ -5,7 +5,8 @@
 (`tests/sensors/ros_robot.py`) presses a pad and hears beliefs, at 30 and 120 Hz, 120 x
 120 and 640 x 480; then it is killed and comes back, and its topic changes its size. The
 time is from the stamp of the first frame after a press, which ends the touch, until
-the robot has the belief. Exit code 1 where a frame is lost or a belief is wanting.
+the robot has the belief. Exit code 1 where a belief is wanting or more than 1 % of the
+frames, which are published best effort, are lost.
 """
 
 import argparse
@@ -176,7 +177,8 @@ def check(wire, n_presses, folder, program):
                 f"{row['p99_ms']:.1f} |",
                 flush=True,
             )
-            whole = row["lost"] == 0 and row["stamped"] == row["beliefs"]
+            whole = 100 * row["lost"] <= row["frames"]
+            whole &= row["stamped"] == row["beliefs"]
             right &= whole and row["beliefs"] == row["touches"]
     n_beliefs = restarted(wire, learn(SIZES[0], folder), program)
     print(f"{wire}: killed and restarted: {n_beliefs} of 4 beliefs", flush=True)

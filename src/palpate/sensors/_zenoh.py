@@ -93,20 +93,24 @@ class ZenohNode:
 
     def subscribe(self, topic: str, kind: str, *, reliable: bool) -> "ZenohReader":
         """Return what reads the messages of a topic, none from before this call."""
+        reader = ZenohReader(self._session, self._domain, topic, kind, self._tokens)
+        # What is told of is there already, for those who wait for it.
         self._declare(self._endpoint("MS", topic, kind, type_hash(kind)))
-        return ZenohReader(self._session, self._domain, topic, kind, self._tokens)
+        return reader
 
     def publish(self, topic: str, kind: str) -> "ZenohWriter":
         """Return what writes messages of a kind to a topic."""
-        self._declare(self._endpoint("MP", topic, kind, type_hash(kind)))
         key = f"{self._domain}{topic}/{wire_kind(kind)}/{type_hash(kind)}"
-        return ZenohWriter(self._session, key)
+        writer = ZenohWriter(self._session, key)
+        self._declare(self._endpoint("MP", topic, kind, type_hash(kind)))
+        return writer
 
     def serve(self, service: str, kind: str, answer: Answer) -> "ZenohService":
         """Return a service that answers requests by a function of the message."""
-        self._declare(self._endpoint("SS", service, kind, service_hash(kind)))
         key = f"{self._domain}{service}/{wire_kind(kind)}/*"
-        return ZenohService(self._session, key, kind, answer)
+        served = ZenohService(self._session, key, kind, answer)
+        self._declare(self._endpoint("SS", service, kind, service_hash(kind)))
+        return served
 
     def close(self) -> None:
         """End the session; readers and writers end with it."""
