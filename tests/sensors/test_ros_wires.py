@@ -13,7 +13,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from palpate.sensors import check_sensor, open_node, open_sensor, ros_place
+from palpate.sensors import SensorError, check_sensor, open_node, open_sensor, ros_place
 
 pytest.importorskip("rosbags")
 from palpate.sensors import _ros_types as ros_types
@@ -191,3 +191,14 @@ def test_where_to_publish_is_one_short_address():
         open_node(233, "dds")
     with pytest.raises(ValueError, match="via must be"):
         open_node(0, "carrier pigeon")
+
+
+@needs_zenoh
+def test_without_a_router_or_with_a_configuration_that_is_none_it_says_so(monkeypatch):
+    with pytest.raises(
+        SensorError, match=r"Nobody publishes /zpad .* a router runs at"
+    ):
+        open_sensor(f"ros:/zpad?domain={DOMAIN}&via=zenoh&wait=0.2")
+    monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", "no/such/key=3")
+    with pytest.raises(SensorError, match=r"cannot open a session.*CONFIG_OVERRIDE"):
+        open_sensor(f"ros:/zpad?domain={DOMAIN}&via=zenoh")

@@ -69,6 +69,7 @@ class ZenohNode:
             ) from error
         self._domain, self._number = domain, 0
         self._held: list[Any] = []
+        self._watches: dict[str, Any] = {}
         self._tokens: set[str] = set()
         self._seen: dict[str, dict[str, float]] = {}  # by topic the time of each kind
         prefix = f"{_TOKENS}/{domain}/{self._session.zid()}/0"
@@ -87,12 +88,15 @@ class ZenohNode:
             key = f"{self._domain}{topic}/*/*"
             # Not all who publish in this layout have tokens.
             watch = self._session.declare_subscriber(key, self._watched(topic))
-            self._held.append(watch)
+            self._watches[topic] = watch
         senders = [Endpoint(topic, kind) for kind in [*self._seen[topic]]]
         return [*senders, *_publishers(self._tokens)]
 
     def subscribe(self, topic: str, kind: str, *, reliable: bool) -> "ZenohReader":
         """Return what reads the messages of a topic, none from before this call."""
+        watch = self._watches.pop(topic, None)
+        if watch is not None:
+            watch.undeclare()
         reader = ZenohReader(self._session, self._domain, topic, kind, self._tokens)
         # What is told of is there already, for those who wait for it.
         self._declare(self._endpoint("MS", topic, kind, type_hash(kind)))
