@@ -97,10 +97,11 @@ check-clients: $(CLIENTS_VENV)/.installed
 	-$(CXX) -std=c++17 benchmarks/fastdds_wire.cpp $(FASTDDS_FLAGS) -lfastrtps -lfastcdr \
 		-o $(CLIENTS_VENV)/fastdds_wire 2> $(CLIENTS_VENV)/fastdds.txt || \
 		echo "Fast DDS is not tried: see $(CLIENTS_VENV)/fastdds.txt"
-	$(ONE_THREAD) $(CLIENTS_VENV)/bin/python -m pytest -q -p no:cacheprovider \
+	PATH="$(CURDIR)/$(CLIENTS_VENV)/bin:$$PATH" $(ONE_THREAD) \
+		$(CLIENTS_VENV)/bin/python -m pytest -q -p no:cacheprovider \
 		tests/sensors/test_ros_wires.py tests/web/test_ros_beliefs.py plugs/ros
 	$(ONE_THREAD) $(CLIENTS_VENV)/bin/python benchmarks/clients.py --presses $(PRESSES) \
-		$(if $(wildcard $(CLIENTS_VENV)/fastdds_wire),--fastdds $(CLIENTS_VENV)/fastdds_wire)
+		$$(test -x $(CLIENTS_VENV)/fastdds_wire && echo --fastdds $(CLIENTS_VENV)/fastdds_wire)
 
 check: $(VENV)/.test-installed
 	$(BIN)/ruff check .
@@ -186,7 +187,7 @@ $(LEROBOT_VENV)/.installed: pyproject.toml
 
 $(CLIENTS_VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv --clear $(CLIENTS_VENV)
-	$(CLIENTS_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e ".[zenoh]" pytest colcon-common-extensions
+	$(CLIENTS_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e ".[zenoh,web]" pytest httpx colcon-common-extensions
 	@touch $@
 
 $(LOOK_VENV)/.installed: pyproject.toml constraints.txt plugs/look/pyproject.toml
