@@ -202,3 +202,26 @@ def test_without_a_router_or_with_a_configuration_that_is_none_it_says_so(monkey
     monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", "no/such/key=3")
     with pytest.raises(SensorError, match=r"cannot open a session.*CONFIG_OVERRIDE"):
         open_sensor(f"ros:/zpad?domain={DOMAIN}&via=zenoh")
+
+
+@needs_dds
+def test_a_subscriber_that_asks_for_more_than_is_offered_is_told_by_its_policy():
+    from cyclonedds.core import Policy, Qos
+    from cyclonedds.sub import DataReader
+
+    from palpate.sensors._dds import _topic
+
+    node, client = open_node(DOMAIN, "dds"), open_node(DOMAIN, "dds")
+    writer = node.publish("/desk/belief", ros_types.STRING)
+    assert writer.hindrance == ""
+    asks = Qos(
+        Policy.Reliability.Reliable(10**9),
+        Policy.Deadline(10**8),
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+    )
+    topic = _topic(client._participant, "rt/desk/belief", ros_types.STRING)
+    reader = DataReader(client._participant, topic, qos=asks)
+    assert eventually(lambda: writer.hindrance == "deadline")
+    del reader, topic, writer
+    client.close()
+    node.close()
