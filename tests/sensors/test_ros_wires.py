@@ -222,6 +222,6 @@ def test_a_subscriber_that_asks_for_more_than_is_offered_is_told_by_its_policy()
     topic = _topic(client._participant, "rt/desk/belief", ros_types.STRING)
     reader = DataReader(client._participant, topic, qos=asks)
     assert eventually(lambda: writer.hindrance == "deadline")
-    del reader, topic, writer
+    del reader, topic
     client.close()
     node.close()
