@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from contextlib import contextmanager, nullcontext
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -18,7 +19,7 @@ import pytest
 from palpate import ObjectRecogniser, Touches
 from palpate.cli import main
 from palpate.library import TouchLibrary
-from palpate.sensors import open_sensor
+from palpate.sensors import STRING, open_node, open_sensor, read_message
 from palpate.web import Event, LiveSession, RosPublisher
 from palpate.web._sensor_watch import Listeners
 
@@ -209,3 +210,30 @@ def test_the_command_publishes_too(learnt, tmp_path):
         assert episode["touches"]
         heard = wait()
     assert heard["belief"][0]["results"][0][0] == "rows"
+
+
+@pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")
+def test_how_learning_ended_is_a_second_answer():
+    session = LiveSession()
+    node = open_node(DOMAIN, "dds")
+    answers = node.subscribe("/desk/answer", STRING, reliable=True)
+    publisher = RosPublisher(session, f"ros:/desk?domain={DOMAIN}")
+    end_s = time.monotonic() + 10
+    while not answers.n_publishers and time.monotonic() < end_s:
+        time.sleep(0.02)
+    state = {"learning": True, "learn_error": "", "message": "Learnt 2 objects."}
+    for change in (
+        {},
+        {"learning": False},
+        {"learning": False},
+        {},
+        {"learning": False, "learn_error": "Too little to learn."},
+    ):
+        session.listeners.notify(Event("state", {**state, **change}))
+    texts = []
+    while len(texts) < 2 and time.monotonic() < end_s:
+        texts += [read_message(raw, STRING).data for raw in answers.take(0.2)]
+    assert texts == ["done: Learnt 2 objects.", "refused: Too little to learn."]
+    del answers
+    publisher.close()
+    node.close()

@@ -64,6 +64,7 @@ class RosPublisher:
     def __init__(self, session: LiveSession, address: str) -> None:
         self.prefix, domain, via, services = ros_place(address)
         self._session, self._object, self._warned = session, "", False
+        self._learning = False
         self._node = node = open_node(domain, via)
         at = self.prefix.rstrip("/")
         self._belief = node.publish(f"{at}/belief", CLASSIFICATION)
@@ -94,7 +95,9 @@ class RosPublisher:
         self._node.close()
 
     def take(self, event: Event) -> None:
-        """Publish what a "touch" event of the session tells."""
+        """Publish what a "touch" of the session tells, and how learning ended."""
+        if event.kind == "state":
+            self._follow_learning(event.values)
         if event.kind != "touch":
             return
         episode = event.values["episode"]
@@ -138,7 +141,7 @@ class RosPublisher:
             return self._confirm(name)
         if command == "learn":
             session.learn()
-            return "It is learning."
+            return "It is learning; another answer says when it has."
         session.take_baseline()
         session.begin_episode()
         return "The baseline is taken; a session begins."
@@ -190,11 +193,21 @@ class RosPublisher:
                 except Exception:  # rosbags raises many kinds on damaged bytes
                     continue
                 done, sentence = self.ask(text)
-                answer = f"{'done' if done else 'refused'}: {sentence}"
-                self._answer.write_bytes(write(text_message(answer), STRING))
+                self._say(done, sentence)
             for service in self._services:
                 service.poll()
             self._warn()
+
+    def _say(self, done: bool, sentence: str) -> None:
+        answer = f"{'done' if done else 'refused'}: {sentence}"
+        self._answer.write_bytes(write(text_message(answer), STRING))
+
+    def _follow_learning(self, state: dict[str, Any]) -> None:
+        """Answer a second time once it has learnt, or could not."""
+        was, self._learning = self._learning, state["learning"]
+        if was and not self._learning:
+            error = state["learn_error"]
+            self._say(not error, error or state["message"])
 
     def _warn(self) -> None:
         """Say once that somebody listens who cannot hear."""
