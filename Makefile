@@ -9,6 +9,7 @@ NEWEST_VENV ?= .venv-newest
 DIST_VENV ?= .venv-dist
 LEROBOT_VENV ?= .venv-lerobot
 DOCS_VENV ?= .venv-docs
+CLIENTS_VENV ?= .venv-clients
 LOOK_VENV ?= .venv-look
 # The oldest Python that pyproject.toml promises, and the newest that is there.
 OLDEST_PYTHON ?= python3.11
@@ -24,7 +25,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-all test-oldest test-newest test-bare test-everywhere check check-lerobot check-look format fuzz mutants bench docs linkcheck dist clean
+.PHONY: demo test test-all test-oldest test-newest test-bare test-everywhere check check-lerobot check-look check-clients format fuzz mutants bench docs linkcheck dist clean
 
 demo: $(VENV)/.demo-installed
 	@$(BIN)/palpate demo $(if $(PALPATE_DATA),--real)
@@ -89,6 +90,19 @@ check-lerobot: $(LEROBOT_VENV)/.installed
 check-look: $(LOOK_VENV)/.installed
 	$(ONE_THREAD) $(LOOK_VENV)/bin/python -m pytest -q -p no:cacheprovider plugs/look
 
+# A robot in another process on DDS, zenoh and Fast DDS, the last where Debian's
+# libfastrtps-dev and a compiler are there: frames lost, times, restarts. Minutes.
+PRESSES ?= 60
+check-clients: $(CLIENTS_VENV)/.installed
+	-$(CXX) -std=c++17 benchmarks/fastdds_wire.cpp $(FASTDDS_FLAGS) -lfastrtps -lfastcdr \
+		-o $(CLIENTS_VENV)/fastdds_wire 2> $(CLIENTS_VENV)/fastdds.txt || \
+		echo "Fast DDS is not tried: see $(CLIENTS_VENV)/fastdds.txt"
+	PATH="$(CURDIR)/$(CLIENTS_VENV)/bin:$$PATH" $(ONE_THREAD) \
+		$(CLIENTS_VENV)/bin/python -m pytest -q -p no:cacheprovider \
+		tests/sensors/test_ros_wires.py tests/web/test_ros_beliefs.py plugs/ros
+	$(ONE_THREAD) $(CLIENTS_VENV)/bin/python benchmarks/clients.py --presses $(PRESSES) \
+		$$(test -x $(CLIENTS_VENV)/fastdds_wire && echo --fastdds $(CLIENTS_VENV)/fastdds_wire)
+
 check: $(VENV)/.test-installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -121,7 +135,7 @@ dist: $(VENV)/.dev-installed
 	$(ONE_THREAD) $(DIST_VENV)/bin/python -I .ci/check_wheel.py dist/*.whl
 
 clean:
-	rm -rf $(VENV) $(BENCH_VENV) $(OLDEST_VENV) $(NEWEST_VENV) $(BARE_VENV) $(DIST_VENV) $(LEROBOT_VENV) $(LOOK_VENV) $(DOCS_VENV)
+	rm -rf $(VENV) $(BENCH_VENV) $(OLDEST_VENV) $(NEWEST_VENV) $(BARE_VENV) $(DIST_VENV) $(LEROBOT_VENV) $(LOOK_VENV) $(CLIENTS_VENV) $(DOCS_VENV)
 	rm -rf .coverage .coverage.* .pytest_cache .mypy_cache .ruff_cache build dist
 	rm -rf docs/_build docs/gallery docs/reference/generated
 
@@ -171,9 +185,14 @@ $(LEROBOT_VENV)/.installed: pyproject.toml
 	$(LEROBOT_VENV)/bin/python $(PIP_INSTALL) -e ".[parquet,sim,onnx]" -e plugs/lerobot onnxscript
 	@touch $@
 
+$(CLIENTS_VENV)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv --clear $(CLIENTS_VENV)
+	$(CLIENTS_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e ".[zenoh,web]" pytest httpx colcon-common-extensions
+	@touch $@
+
 $(LOOK_VENV)/.installed: pyproject.toml constraints.txt plugs/look/pyproject.toml
 	$(PYTHON) -m venv --clear $(LOOK_VENV)
-	$(LOOK_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e . -e "plugs/look[rerun]" pytest pyarrow
+	$(LOOK_VENV)/bin/python $(PIP_INSTALL) -c constraints.txt -e . -e "plugs/look[rerun,live]" pytest pyarrow mcap-ros2-support websockets
 	@touch $@
 
 # MKLpy (GPL-3) is a yardstick, never a dependency: it has an environment of its own,

@@ -25,6 +25,7 @@ BRINGS = {
     "ros": {"rosbags"},
     "serial": {"serial"},
     "sim": {"trimesh", "embreex", "shapely", "gymnasium"},
+    "zenoh": {"zenoh"},
     "web": {"fastapi", "uvicorn", "websockets", "starlette"},
 }
 REFUSED = re.compile(

@@ -10,8 +10,10 @@ from functools import partial
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from sklearn.base import clone
+from sklearn.base import BaseEstimator, TransformerMixin, clone
 from sklearn.exceptions import NotFittedError
+from sklearn.utils.estimator_checks import check_estimator
+from sklearn.utils.validation import check_is_fitted, validate_data
 
 from palpate.encodings import (
     CentroidMoments,
@@ -229,10 +231,48 @@ def test_what_takes_grey_images_alone_says_how_to_make_them(touches):
         DomeCrop().fit(touches[..., np.newaxis])
 
 
+class OfVectors(TransformerMixin, BaseEstimator):
+    """An estimator of images as one of vectors: a feature is a taxel, over and over."""
+
+    def __init__(self, encoder=None):
+        self.encoder = encoder
+
+    def fit(self, X, y=None):
+        self.encoder_ = clone(self.encoder).fit(self._images(X, reset=True))
+        return self
+
+    def transform(self, X):
+        check_is_fitted(self)
+        images = self._images(X, reset=False)
+        return self.encoder_.transform(images).reshape(len(images), -1)
+
+    def _images(self, X, *, reset):
+        vectors = validate_data(self, X, reset=reset, dtype=np.float64)
+        return vectors[:, np.arange(100) % vectors.shape[1]].reshape(-1, 10, 10)
+
+    def __sklearn_tags__(self):
+        tags = super().__sklearn_tags__()
+        tags.transformer_tags.preserves_dtype = []
+        return tags
+
+
+# What learns directions refuses one touch, and touches that do not differ, in its own
+# words, which are not scikit-learn's.
+TOO_LITTLE = {"check_fit2d_1sample", "check_fit2d_1feature"}
+
+
+@image_estimators
+def test_scikit_learns_checks_pass_on_vectors_made_images(encoder):
+    results = check_estimator(OfVectors(encoder), on_skip=None, on_fail=None)
+    failed = {r["check_name"] for r in results if r["status"] == "failed"}
+    learns = isinstance(encoder, (OrientedPCA, ZernikePCA))
+    assert failed <= (TOO_LITTLE if learns else set())
+    assert sum(r["status"] == "passed" for r in results) >= 44
+
+
 def test_press_pose_takes_images_and_keeps_the_rules(touches):
     """Its tags say images, for which scikit-learn has no checks but of the clone."""
     from sklearn.exceptions import SkipTestWarning
-    from sklearn.utils.estimator_checks import check_estimator
 
     with pytest.warns(SkipTestWarning, match="three_d_array=True"):
         results = check_estimator(PressPose(), on_skip=None, on_fail=None)

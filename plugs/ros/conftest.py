@@ -2,4 +2,6 @@
 
 from importlib.util import find_spec
 
-collect_ignore = [] if find_spec("rclpy") else ["palpate_ros/node.py"]
+collect_ignore = ["launch", "setup.py"]
+if not find_spec("rclpy"):
+    collect_ignore += ["palpate_ros/node.py"]

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from functools import lru_cache
 from threading import Lock
@@ -11,6 +12,7 @@ from threadpoolctl import ThreadpoolController
 
 from ._progress import Progress
 
+_MOST_LOSSES = 3
 _lock = Lock()
 # How many now keep OpenCV on one thread, and how many threads it had before.
 _keepers, _usual = 0, 1
@@ -64,13 +66,38 @@ def in_parallel(
     drawn where standard error is a terminal. `sizes` is how much each task counts in
     it, 1 by default.
     """
-    from joblib import Parallel, delayed
-
     counts = [1] * len(tasks) if sizes is None else list(sizes)
-    run = Parallel(n_jobs=n_jobs, return_as="generator")
     done: list[Any] = []
     with Progress(sum(counts), what, show) as bar:
-        for result in run(delayed(function)(*task) for task in tasks):
+        for result in results_of(function, len(tasks), tasks.__getitem__, n_jobs):
             bar.advance(counts[len(done)])
             done.append(result)
     return done
+
+
+def results_of(
+    function: Callable[..., Any],
+    n_tasks: int,
+    arguments: Callable[[int], Iterable[Any]],
+    n_jobs: int | None = None,
+) -> Iterator[Any]:
+    """Yield `function(*arguments(number))` of every task, in their order.
+
+    joblib keeps arguments of more than 1 kB on one worker of a Dask cluster alone, and
+    when that dies all tasks that need them are cancelled: these are sent again, up to
+    three times.
+    """
+    from joblib import Parallel, delayed
+
+    done = 0
+    for n_losses in range(_MOST_LOSSES + 1):
+        run = Parallel(n_jobs=n_jobs, return_as="generator")
+        rest = range(done, n_tasks)
+        try:
+            for result in run(delayed(function)(*arguments(n)) for n in rest):
+                done += 1
+                yield result
+            return
+        except CancelledError:
+            if n_losses == _MOST_LOSSES:
+                raise

@@ -53,13 +53,6 @@ def test_a_bag_that_unpacks_to_much_is_refused(tmp_path):
         assert read_bag(path, max_bytes=2**30).images.shape == (1, 1, 4 * 2**20)
 
 
-def test_a_bag_of_ros_1_is_refused_by_name(tmp_path):
-    pytest.importorskip("rosbags")
-    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
-    with pytest.raises(LibraryError, match=r"old.bag is of ROS 1.*rosbags-convert"):
-        read_bag(tmp_path / "old.bag")
-
-
 PEAKS = """
 import sys
 from palpate.library import LibraryError, read_bag

@@ -13,6 +13,7 @@ from joblib import Parallel, delayed, parallel_config
 from numpy.testing import assert_allclose
 
 from palpate import Touches
+from palpate._parallel import results_of
 from palpate.cli import main
 from palpate.library import TouchLibrary
 
@@ -100,6 +101,22 @@ def test_a_worker_that_dies_is_survived(on_cluster, tmp_path):
     os.kill(victim, signal.SIGKILL)
     assert [first, *results] == [n**2 for n in range(12)]
     assert len({path.name.split(".")[1] for path in tmp_path.iterdir()}) >= 2
+
+
+def _slow_sum(number, block, folder):
+    return _slow_square(number, folder) + float(block.sum())
+
+
+@pytest.mark.slow
+def test_what_only_a_dead_worker_held_is_sent_again(on_cluster, tmp_path):
+    """Joblib keeps an argument of more than 1 kB on one worker alone."""
+    blocks = [np.full(1000, number / 1000) for number in range(12)]
+    tasks = [(number, block, tmp_path) for number, block in enumerate(blocks)]
+    results = results_of(_slow_sum, len(tasks), tasks.__getitem__)
+    first = next(results)
+    newest = max(tmp_path.iterdir(), key=lambda path: path.stat().st_mtime)
+    os.kill(int(newest.name.split(".")[1]), signal.SIGKILL)
+    assert [first, *results] == pytest.approx([n**2 + n for n in range(12)])
 
 
 @pytest.mark.slow

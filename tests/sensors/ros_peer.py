@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import float32, int32, sequence, uint8, uint32
+from cyclonedds.idl.types import float32, float64, int32, sequence, uint8, uint32
 from cyclonedds.pub import DataWriter
 from cyclonedds.topic import Topic
 
@@ -61,6 +61,18 @@ class Float32_(IdlStruct, typename="std_msgs.msg.dds_.Float32MultiArray_"):
 @dataclass
 class String_(IdlStruct, typename="std_msgs.msg.dds_.String_"):
     data: str
+
+
+@dataclass
+class Hypothesis_(IdlStruct, typename="vision_msgs.msg.dds_.ObjectHypothesis_"):
+    class_id: str
+    score: float64
+
+
+@dataclass
+class Classification_(IdlStruct, typename="vision_msgs.msg.dds_.Classification_"):
+    header: Header_
+    results: sequence[Hypothesis_]
 
 
 def picture(number, side=12, *, height=None, encoding="mono8"):

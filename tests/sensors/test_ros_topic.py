@@ -15,7 +15,7 @@ from palpate.sensors import RosSensor, SensorError, check_sensor, open_sensor
 
 pytest.importorskip("cyclonedds")
 pytest.importorskip("rosbags")
-_dds = pytest.importorskip("palpate.sensors._dds")
+_ros_types = pytest.importorskip("palpate.sensors._ros_types")
 
 KIND = "sensor_msgs/msg/Image"
 PEER = Path(__file__).with_name("ros_peer.py")
@@ -129,7 +129,7 @@ def test_messages_that_lie_are_counted_and_never_become_frames():
 
 
 def test_damaged_bytes_are_no_frame_whatever_they_are():
-    whole = bytes(_dds.store().serialize_cdr(rosbags_picture(), KIND))
+    whole = _ros_types.write_message(rosbags_picture(), KIND)
     sensor = RosSensor("/t_bytes", (12, 12), domain=DOMAIN)
     sensor._reader = SimpleNamespace(kind=KIND)
     rng = np.random.default_rng(0)
@@ -147,7 +147,7 @@ def test_damaged_bytes_are_no_frame_whatever_they_are():
 
 
 def rosbags_picture():
-    types = _dds.store().types
+    types = _ros_types.store().types
     stamp = types["builtin_interfaces/msg/Time"](3, 0)
     header = types["std_msgs/msg/Header"](stamp, "pad")
     return types[KIND](header, 12, 12, "mono8", 0, 12, np.full(144, 7, np.uint8))

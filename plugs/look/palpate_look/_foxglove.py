@@ -1,15 +1,17 @@
-"""MCAP for Foxglove: images and decisions as ROS 2 messages, beliefs as JSON.
+"""Foxglove: a file (MCAP) or a running app; all messages are those of ROS 2.
 
 Topics: `/tactile` and `/touch` of `sensor_msgs/msg/Image`, `/decision` of
-`rcl_interfaces/msg/Log`, `/belief` of JSON (`/belief.posterior.mug` can be plotted).
-That has no schema, for rosbags opens no file with a JSON schema in it; so what was
-touched comes back through `palpate library add FILE --topic /touch`.
+`rcl_interfaces/msg/Log`, `/belief` of `palpate_msgs/msg/Belief`, whose text stands
+beside it as its schema: any reader of MCAP that knows ROS 2 decodes it, rosbags too,
+and `/belief.results[:]{class_id=="mug"}.score` is what Foxglove plots. What was touched
+comes back through `palpate library add FILE --topic /touch`.
 """
 
-import json
+import re
+from abc import abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,28 +20,42 @@ from ._log import Belief, Log, nanoseconds
 
 Array = NDArray[Any]
 _IMAGE, _SAID = "sensor_msgs/msg/Image", "rcl_interfaces/msg/Log"
+_BELIEF, _HYPOTHESIS = "palpate_msgs/msg/Belief", "vision_msgs/msg/ObjectHypothesis"
+# Results are in the order of probability; "unknown" is none of the learnt objects.
+_TEXTS = {
+    _HYPOTHESIS: "string class_id\nfloat64 score\n",
+    _BELIEF: (
+        "std_msgs/Header header\nuint32 episode\nuint32 touch\n"
+        "vision_msgs/ObjectHypothesis[] results\n"
+        "string best\nstring decision\nstring reason\n"
+    ),
+}
 _ENCODINGS = {"u1": "mono8", "u2": "mono16"}
 _RGB, _INFO = ("r", "g", "b"), 20
 
 
-class FoxgloveLog(Log):
-    """An MCAP file; `Log` explains the rest.
+class Schema(NamedTuple):
+    """The text of a kind of message, with those of its fields."""
+
+    kind: str
+    text: bytes
+
+
+class RosLog(Log):
+    """What is written as messages of ROS 2; `Log` explains the rest.
 
     8 and 16 bits stay what they are, all else is written as float32: exact to 24 bits.
     Three channels r, g and b are one picture; others have a topic each, `/tactile/x`.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        from mcap.writer import Writer
-        from rosbags.typesys import Stores, get_typestore
+    def __init__(self, path: str | Path | None = None) -> None:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
         super().__init__(path)
         self._types: Any = get_typestore(Stores.LATEST)
-        self._file = self.path.open("xb")
-        self._writer = Writer(self._file)
-        self._writer.start(profile="ros2", library="palpate")
-        self._schemas: dict[str, int] = {"": 0}
-        self._channels: dict[str, int] = {}
+        for kind, text in _TEXTS.items():
+            self._types.register(get_types_from_msg(text, kind))
+        self._channels: dict[str, Any] = {}
 
     def _image(
         self, name: str, image: Array, time_s: float, channels: Sequence[str] | None
@@ -59,9 +75,7 @@ class FoxgloveLog(Log):
             encoding, image = "32FC1", image.astype(np.float32)
         little = np.ascontiguousarray(image, image.dtype.newbyteorder("<"))
         message = self._types.types[_IMAGE](
-            header=self._types.types["std_msgs/msg/Header"](
-                stamp=self._stamp(time_s), frame_id="tactile"
-            ),
+            header=self._header(time_s),
             height=image.shape[0],
             width=image.shape[1],
             encoding=encoding,
@@ -72,12 +86,27 @@ class FoxgloveLog(Log):
         self._send(topic, _IMAGE, message, time_s)
 
     def _belief(self, belief: Belief, time_s: float) -> None:
-        written = json.dumps(belief, allow_nan=False, default=str)
-        self._send("/belief", "", written.encode(), time_s)
+        shares = dict(belief["posterior"])
+        if belief["unknown"] is not None:
+            shares["unknown"] = belief["unknown"]
+        hypothesis = self._types.types[_HYPOTHESIS]
+        message = self._types.types[_BELIEF](
+            header=self._header(time_s),
+            episode=belief["episode"],
+            touch=belief["touch"],
+            results=[
+                hypothesis(str(name), float(share))
+                for name, share in sorted(shares.items(), key=lambda one: -one[1])
+            ],
+            best=str(belief["best"] or ""),
+            decision=str(belief["decision"] or ""),
+            reason=belief["reason"],
+        )
+        self._send("/belief", _BELIEF, message, time_s)
 
     def _said(self, words: str, time_s: float) -> None:
         message = self._types.types[_SAID](
-            stamp=self._stamp(time_s),
+            stamp=self._header(time_s).stamp,
             level=_INFO,
             name="palpate",
             msg=words,
@@ -87,26 +116,115 @@ class FoxgloveLog(Log):
         )
         self._send("/decision", _SAID, message, time_s)
 
-    def _stamp(self, time_s: float) -> Any:
+    def _header(self, time_s: float) -> Any:
         seconds, rest = divmod(nanoseconds(time_s), 10**9)
         stamp = self._types.types["builtin_interfaces/msg/Time"]
-        return stamp(sec=seconds, nanosec=rest)
+        header = self._types.types["std_msgs/msg/Header"]
+        return header(stamp=stamp(sec=seconds, nanosec=rest), frame_id="tactile")
 
     def _send(self, topic: str, kind: str, message: Any, time_s: float) -> None:
         if topic not in self._channels:
-            if kind not in self._schemas:
-                text, _ = self._types.generate_msgdef(kind, ros_version=2)
-                known = {"name": kind, "encoding": "ros2msg", "data": text.encode()}
-                self._schemas[kind] = self._writer.register_schema(**known)
-            encoding = "cdr" if kind else "json"
-            self._channels[topic] = self._writer.register_channel(
-                topic, encoding, self._schemas[kind]
+            text, _ = self._types.generate_msgdef(kind, ros_version=2)
+            self._channels[topic] = self._channel(topic, Schema(kind, text.encode()))
+        raw = bytes(self._types.serialize_cdr(message, kind))
+        self._write(self._channels[topic], raw, nanoseconds(time_s))
+
+    @abstractmethod
+    def _channel(self, topic: str, schema: Schema) -> Any:
+        """Return what the messages of a topic are written to."""
+
+    @abstractmethod
+    def _write(self, channel: Any, raw: bytes, at_ns: int) -> None: ...
+
+
+class FoxgloveLog(RosLog):
+    """An MCAP file; `RosLog` explains the rest."""
+
+    def __init__(self, path: str | Path) -> None:
+        from mcap.writer import Writer
+
+        super().__init__(path)
+        self._file = self.path.open("xb")
+        self._writer = Writer(self._file)
+        self._writer.start(profile="ros2", library="palpate")
+        self._schemas: dict[str, int] = {}
+
+    def _channel(self, topic: str, schema: Schema) -> int:
+        if schema.kind not in self._schemas:
+            self._schemas[schema.kind] = self._writer.register_schema(
+                name=schema.kind, encoding="ros2msg", data=schema.text
             )
-        data = self._types.serialize_cdr(message, kind) if kind else message
-        at = nanoseconds(time_s)
-        self._writer.add_message(self._channels[topic], at, bytes(data), at)
+        number = self._schemas[schema.kind]
+        return int(self._writer.register_channel(topic, "cdr", number))
+
+    def _write(self, channel: int, raw: bytes, at_ns: int) -> None:
+        self._writer.add_message(channel, at_ns, raw, at_ns)
 
     def _end(self) -> None:
         if not self._file.closed:
             self._writer.finish()
             self._file.close()
+
+
+class FoxgloveLive(RosLog):
+    """A server that Foxglove connects to: "Open connection", `ws://127.0.0.1:8765`.
+
+    Parameters
+    ----------
+    address : str
+        `ws://HOST:PORT`; port 0 takes a free one. Whoever reaches it sees the sensor.
+
+    Attributes
+    ----------
+    port : int
+        Where it listens.
+
+    Raises
+    ------
+    ImportError
+        foxglove-sdk is missing.
+    ValueError
+        The address is none.
+    OSError
+        The port is taken.
+    """
+
+    def __init__(self, address: str | Path) -> None:
+        found = re.fullmatch(r"ws:/+([^/:]+):(\d{1,5})/?", str(address))
+        if found is None:
+            raise ValueError(f"It must be like ws://127.0.0.1:8765, got {address!s}.")
+        try:
+            import foxglove
+        except ImportError as error:
+            raise ImportError(
+                "A running Foxglove needs foxglove, which is not installed: "
+                "pip install foxglove-sdk"
+            ) from error
+        super().__init__()
+        self._foxglove, self._context = foxglove, foxglove.Context()
+        host, port = found[1], int(found[2])
+        try:
+            self._server = foxglove.start_server(
+                name="palpate", host=host, port=port, context=self._context
+            )
+        except Exception as error:  # of its own kind, where the port is taken
+            raise OSError(
+                f"Foxglove cannot be served at {address!s}: {error}"
+            ) from error
+        self.port = int(self._server.port)
+
+    def _channel(self, topic: str, schema: Schema) -> Any:
+        return self._foxglove.Channel(
+            topic,
+            message_encoding="cdr",
+            schema=self._foxglove.Schema(
+                name=schema.kind, encoding="ros2msg", data=schema.text
+            ),
+            context=self._context,
+        )
+
+    def _write(self, channel: Any, raw: bytes, at_ns: int) -> None:
+        channel.log(raw, log_time=at_ns)
+
+    def _end(self) -> None:
+        self._server.stop()

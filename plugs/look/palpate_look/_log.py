@@ -18,12 +18,12 @@ _STEP_S = 1.0  # between touches whose times are not known
 
 
 class Log(ABC):
-    """A file that frames, touches and beliefs are written to, from several threads.
+    """Where frames, touches and beliefs are written to, from several threads.
 
     Parameters
     ----------
-    path : path
-        The file; it must not exist.
+    path : path, optional
+        The file; it must not exist. None where nothing is kept.
 
     Raises
     ------
@@ -37,15 +37,17 @@ class Log(ABC):
     `decision` (an object, "unknown", or None) and `reason`, a sentence.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+    def __init__(self, path: str | Path | None = None) -> None:
+        self.path = Path(path or "nothing")
+        self._lock, self._failed = threading.Lock(), ""
+        self._decided: tuple[Any, Any] = None, None
+        if path is None:
+            return
         if self.path.exists():
             raise FileExistsError(
                 f"{self.path} exists already. Name another, or delete it."
             )
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        self._lock, self._failed = threading.Lock(), ""
-        self._decided: tuple[Any, Any] = None, None
 
     def __enter__(self) -> Self:
         return self

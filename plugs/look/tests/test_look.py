@@ -1,9 +1,12 @@
 """What is written for Rerun and Foxglove, read back by their own readers."""
 
 import json
+import struct
 import subprocess
 import sys
 import threading
+import types
+from contextlib import suppress
 from importlib.metadata import EntryPoint
 
 import numpy as np
@@ -71,6 +74,23 @@ def read_mcap(path):
     return found
 
 
+def belief_of(message):
+    """Return the probabilities in a message of ROS, by fields read from its schema."""
+    typesys = pytest.importorskip("rosbags.typesys")
+    types = typesys.get_typestore(typesys.Stores.LATEST)
+    hypothesis, kind = "vision_msgs/msg/ObjectHypothesis", "palpate_msgs/msg/Belief"
+    texts = {
+        hypothesis: "string class_id\nfloat64 score",
+        kind: "std_msgs/Header header\nuint32 episode\nuint32 touch\n"
+        "vision_msgs/ObjectHypothesis[] results\nstring best\nstring decision\n"
+        "string reason\n",
+    }
+    for name, text in texts.items():
+        types.register(typesys.get_types_from_msg(text, name))
+    read = types.deserialize_cdr(message.data, kind)
+    return {one.class_id: one.score for one in read.results}
+
+
 def read_rrd(path):
     """Return per entity the rows of a recording, as Rerun's own reader gives them."""
     chunk = pytest.importorskip("rerun.chunk")
@@ -93,10 +113,10 @@ def test_mcap_holds_touches_and_beliefs_to_the_bit(model, touches, expected, tmp
     recogniser = ObjectRecogniser.load(model)
     assert palpate_look.log_episodes(path, recogniser, touches[30:]) == 2
     found = read_mcap(path)
-    beliefs = [json.loads(message.data) for message in found["/belief"]]
-    by_time = sorted(expected)
-    assert [belief["posterior"] for belief in beliefs] == [b[1] for b in by_time]
-    assert [belief["unknown"] for belief in beliefs] == [b[2] for b in by_time]
+    beliefs = list(map(belief_of, found["/belief"]))
+    assert beliefs == [
+        {**posterior, "unknown": unknown} for _, posterior, unknown in sorted(expected)
+    ]
     assert [m.log_time for m in found["/touch"]] == [
         1_700_000_007_500_000_000 + 250_000_000 * k for k in range(10)
     ]
@@ -197,14 +217,79 @@ def test_a_live_session_is_written_as_it_goes(model, touches, tmp_path):
         episode = session.episode.to_dict()["touches"]
         seen = [image.tobytes() for image in session.episode.images]
     found = read_mcap(log.path)
-    beliefs = [json.loads(message.data) for message in found["/belief"]]
-    for belief, touch in zip(beliefs, episode, strict=False):
-        assert belief["posterior"] == touch["posterior"]
-        assert belief["touch"] == touch["number"]
+    for belief, touch in zip(found["/belief"], episode, strict=False):
+        shares = {**touch["posterior"], "unknown": touch["unknown"]}
+        assert belief_of(belief) == shares
     frames = read_bag(log.path, "/tactile").images
     shown = {image.tobytes() for image in touches.images[30:]} | {bytes(144)}
     assert {frame.tobytes() for frame in frames} <= shown
     assert seen[0] == read_bag(log.path, "/touch").images[0].tobytes()
+
+
+@needs_mcap
+def test_other_readers_decode_every_message_by_its_schema(
+    model, touches, expected, tmp_path
+):
+    """`iter_decoded_messages` with the factory for ROS 2, and nothing of ours."""
+    decoder = pytest.importorskip("mcap_ros2.decoder")
+    reader = pytest.importorskip("mcap.reader")
+    path = tmp_path / "run.mcap"
+    palpate_look.log_episodes(path, ObjectRecogniser.load(model), touches[30:])
+    decoded = {}
+    with path.open("rb") as file:
+        made = reader.make_reader(file, decoder_factories=[decoder.DecoderFactory()])
+        for _, channel, _, message in made.iter_decoded_messages():
+            decoded.setdefault(channel.topic, []).append(message)
+    assert {*decoded} == {"/touch", "/belief", "/decision"}
+    beliefs = [
+        {one.class_id: one.score for one in belief.results}
+        for belief in decoded["/belief"]
+    ]
+    assert beliefs == [
+        {**posterior, "unknown": unknown} for _, posterior, unknown in sorted(expected)
+    ]
+    assert {belief.episode for belief in decoded["/belief"]} == {1, 2}
+    assert decoded["/belief"][0].header.stamp.sec == 1_700_000_007
+
+
+def test_a_running_foxglove_sees_what_is_taken(model, touches, expected):
+    """A client of its protocol subscribes and is sent frames, touches and beliefs."""
+    pytest.importorskip("foxglove")
+    client = pytest.importorskip("websockets.sync.client")
+    log = palpate_look.FoxgloveLive("ws://127.0.0.1:0")
+    row, posterior, unknown = expected[0]
+    belief = {"episode": 1, "touch": 1, "posterior": posterior, "unknown": unknown}
+    belief |= {"best": "bar", "decision": None, "reason": "bar or disc: touch again"}
+
+    def touch():
+        log.touch(touches[30:].images[row], 12.5, belief)
+
+    touch()  # a topic is told once something was written to it
+    where = f"ws://127.0.0.1:{log.port}"
+    with log, client.connect(where, subprotocols=["foxglove.sdk.v1"]) as socket:
+        topics, messages = {}, {}
+        while {*topics.values()} != {"/touch", "/belief"}:
+            told = json.loads(socket.recv(timeout=10))
+            for channel in told.get("channels", ()):
+                topics[channel["id"]] = channel["topic"]
+        wanted = [{"id": 100 + key, "channelId": key} for key in topics]
+        socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+        while len(messages) < 2:
+            touch()
+            with suppress(TimeoutError):
+                part = socket.recv(timeout=0.2)
+                if isinstance(part, bytes) and part[0] == 1:
+                    number, at_ns = struct.unpack_from("<IQ", part, 1)
+                    messages[topics[number - 100]] = at_ns, part[13:]
+    assert {at_ns for at_ns, _ in messages.values()} == {12_500_000_000}
+    read = belief_of(types.SimpleNamespace(data=messages["/belief"][1]))
+    assert read == {**posterior, "unknown": unknown}
+
+
+def test_where_foxglove_is_served_is_one_address():
+    for address in ("ws://127.0.0.1", "http://127.0.0.1:8765", "8765"):
+        with pytest.raises(ValueError, match=r"must be like ws://127\.0\.0\.1:8765"):
+            palpate_look.FoxgloveLive(address)
 
 
 @needs_mcap
@@ -220,7 +305,7 @@ def test_the_option_of_the_command_line_finds_the_log(monkeypatch, tmp_path):
     with logged(session, tmp_path / "a.mcap"):
         assert len(session.listeners) == 1
     assert read_mcap(tmp_path / "a.mcap") == {}
-    with pytest.raises(Exception, match=r"must end in .rrd or .mcap"):
+    with pytest.raises(Exception, match=r"must end in .rrd or .mcap or be ws://"):
         logged(session, tmp_path / "a.txt").__enter__()
 
 

@@ -1,131 +1,109 @@
-"""The node `palpate`: a topic of images or arrays in, standard messages out.
+"""The node `palpate`: what recognises runs beside it and speaks the wire of ROS itself.
 
 | topic or service | type | what |
 |---|---|---|
-| `tactile` (in) | `sensor_msgs/Image` or `std_msgs/Float32MultiArray` | frames |
-| `~/belief` | `std_msgs/Float64MultiArray` | posterior, a dimension an object |
-| `~/evidence` | `std_msgs/Float64MultiArray` | log-likelihood of the last touch |
+| parameter `topic` (in) | `Image`, `CompressedImage`, `PointCloud2`, arrays | frames |
+| `~/belief` | `vision_msgs/Classification` | after each touch, with its header |
 | `~/decision` | `std_msgs/String` | name, "unknown", or empty while undecided |
+| `~/command`, `~/answer` | `std_msgs/String` | what the services do, in words |
+| `~/start`, `~/stop`, `~/confirm`, `~/learn`, `~/session` | `std_srvs/Trigger` | |
 | `~/teach` | `std_srvs/SetBool` | true: touches teach the parameter `object` |
-| `~/learn` | `std_srvs/Trigger` | learn what was taught, write the model |
-| `~/start_episode` | `std_srvs/Trigger` | another object comes |
-| `~/start_session` | `std_srvs/Trigger` | take the baseline anew |
 
-Parameters: `model` (a file), `array` (frames are arrays, not images), `object` and
-`error`.
+`palpate.web` says what each of them means. Parameters: `model` (a file), `topic`,
+`library` (a folder, for what is taught), `object`, `error`, and `palpate`, the command.
 """
 
+import os
 import sys
+import threading
 from typing import Any
 
 import rclpy
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
-from sensor_msgs.msg import Image
-from std_msgs.msg import (
-    Float32MultiArray,
-    Float64MultiArray,
-    MultiArrayDimension,
-    String,
-)
+from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from palpate.library import LibraryError, frame_of_message
-from palpate.sensors import ContactError
+from .process import PalpateProcess, ProcessError, command_line
 
-from .touching import Said, Touching
-
-_KINDS = {
-    Image: "sensor_msgs/msg/Image",
-    Float32MultiArray: "std_msgs/msg/Float32MultiArray",
+PARAMETERS = {
+    "model": "",
+    "topic": "/tactile",
+    "library": "",
+    "object": "",
+    "error": 0.01,
+    "palpate": "palpate",
 }
-_WAITING = 10
+_WAITING, _LOOK_S, _ANSWER_S = 10, 0.5, 20.0
 
 
 class PalpateNode(Node):  # type: ignore[misc]
-    """Takes frames in, publishes belief, evidence and decision after each touch."""
+    """Runs `palpate live`, and passes on what is asked of the services."""
 
     def __init__(self) -> None:
         super().__init__("palpate")
-        told = {"model": "", "array": False, "object": "", "error": 0.01}
-        given = {n: self.declare_parameter(n, value).value for n, value in told.items()}
-        if not given["model"]:
-            raise ValueError(
-                "The parameter model must name a model file: --ros-args -p model:=FILE."
-            )
-        self.touching = Touching(str(given["model"]), float(given["error"]))
-        kind = Float32MultiArray if given["array"] else Image
-        self._kind = _KINDS[kind]
-        self.create_subscription(kind, "tactile", self._frame, _WAITING)
-        arrays = ("belief", "evidence")
-        self._out = {
-            name: self.create_publisher(Float64MultiArray, f"~/{name}", _WAITING)
-            for name in arrays
-        }
-        self._decision = self.create_publisher(String, "~/decision", _WAITING)
-        self.create_service(SetBool, "~/teach", self._teach)
-        self.create_service(Trigger, "~/learn", self._learn)
-        for name in ("start_episode", "start_session"):
-            self.create_service(Trigger, f"~/{name}", self._started(name))
+        given = {n: self.declare_parameter(n, v).value for n, v in PARAMETERS.items()}
+        prefix = self.get_fully_qualified_name()
+        self.process = PalpateProcess(command_line(given, os.environ, prefix))
+        together = ReentrantCallbackGroup()  # an answer comes while a service waits
+        self._ask = threading.Lock()
+        self._answered, self._answer = threading.Event(), ""
+        self._commands = self.create_publisher(String, "~/command", _WAITING)
+        how = {"callback_group": together}
+        self.create_subscription(String, "~/answer", self._heard, _WAITING, **how)
+        for name in ("start", "stop", "confirm", "learn", "session"):
+            self.create_service(Trigger, f"~/{name}", self._trigger(name), **how)
+        self.create_service(SetBool, "~/teach", self._teach, **how)
+        self.create_timer(_LOOK_S, self.process.check, **how)
+        self.process.start()
 
-    def _frame(self, message: Any) -> None:
-        stamp = getattr(getattr(message, "header", None), "stamp", None)
-        if stamp is None:
-            time_s = self.get_clock().now().nanoseconds / 1e9
-        else:
-            time_s = stamp.sec + stamp.nanosec / 1e9
-        try:
-            said = self.touching.take(frame_of_message(message, self._kind), time_s)
-        except (LibraryError, ContactError, ValueError) as error:
-            self.get_logger().warning(str(error), throttle_duration_sec=1.0)
-            return
-        if said is not None:
-            self._publish(said)
+    def ask(self, command: str) -> tuple[bool, str]:
+        """Give the process a command; return whether it was done, and its answer."""
+        with self._ask:
+            self._answered.clear()
+            self._commands.publish(String(data=command))
+            if not self._answered.wait(_ANSWER_S):
+                return False, "palpate does not answer: it may still be starting."
+            done, _, sentence = self._answer.partition(": ")
+        return done == "done", sentence
 
-    def _publish(self, said: Said) -> None:
-        for name, values in (("belief", said.posterior), ("evidence", said.evidence)):
-            message = Float64MultiArray()
-            # One dimension an object, so that each name stands beside its value.
-            message.layout.dim = [
-                MultiArrayDimension(label=one, size=1, stride=1) for one in said.objects
-            ]
-            message.data = values.tolist()
-            self._out[name].publish(message)
-        self._decision.publish(String(data=said.decision))
+    def _heard(self, message: Any) -> None:
+        self._answer = str(message.data)
+        self._answered.set()
 
-    def _teach(self, request: Any, response: Any) -> Any:
-        name = str(self.get_parameter("object").value).strip()
-        response.success = bool(name) or not request.data
-        self.touching.teaching = name if request.data else ""
-        wanted = "Set the parameter object to what is touched."
-        now = f"Touches teach {name}." if request.data else "Touches are recognised."
-        response.message = now if response.success else wanted
-        return response
-
-    def _learn(self, request: Any, response: Any) -> Any:
-        try:
-            response.message = self.touching.learn()
-            response.success = True
-        except (ValueError, OSError) as error:
-            response.success, response.message = False, str(error)
-        return response
-
-    def _started(self, name: str) -> Any:
-        def start(request: Any, response: Any) -> Any:
-            getattr(self.touching, name)()
-            response.success, response.message = True, ""
+    def _trigger(self, command: str) -> Any:
+        def answer(request: Any, response: Any) -> Any:
+            words = f"confirm {self._object()}" if command == "confirm" else command
+            response.success, response.message = self.ask(words.strip())
             return response
 
-        return start
+        return answer
+
+    def _teach(self, request: Any, response: Any) -> Any:
+        words = f"teach {self._object()}".strip() if request.data else "stop"
+        response.success, response.message = self.ask(words)
+        return response
+
+    def _object(self) -> str:
+        return str(self.get_parameter("object").value).strip()
 
 
 def main() -> None:
     """Run the node until it is told to stop."""
     rclpy.init(args=sys.argv)
-    node = PalpateNode()
+    node = None
+    executor = MultiThreadedExecutor()
     try:
-        rclpy.spin(node)
+        node = PalpateNode()
+        executor.add_node(node)
+        executor.spin()
     except KeyboardInterrupt:
         pass
+    except ProcessError as error:
+        raise SystemExit(f"palpate_node: {error}") from error
     finally:
-        node.destroy_node()
+        if node is not None:
+            node.process.stop()
+            node.destroy_node()
         rclpy.try_shutdown()

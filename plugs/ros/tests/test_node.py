@@ -1,11 +1,18 @@
-"""The node, driven through a stand-in for rclpy; its bag gives the same beliefs again.
+"""The node's own part, and the whole way: node, process and a robot over real DDS.
 
-The messages are those of rosbags, with the fields of ROS; nothing here needs ROS.
+A stand-in for rclpy has topics on the wire; the robot (`ros_robot.py`) is another
+process with bytes made by hand. Nothing here needs ROS.
 """
 
+import ast
+import json
+import os
 import shutil
+import subprocess
 import sys
+import threading
 import types
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import ClassVar
 
@@ -13,29 +20,46 @@ import numpy as np
 import pytest
 
 from palpate import ObjectRecogniser, Touches
-from palpate.library import read_bag
-from palpate.sensors import TouchDetector
+from palpate_ros.process import PalpateProcess, ProcessError, command_line, wire
 
-rosbag2 = pytest.importorskip("rosbags.rosbag2")
-typesys = pytest.importorskip("rosbags.typesys")
-STORE = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-RATE_HZ = 20
+HERE = Path(__file__).parent
+ROBOT = HERE.parents[2] / "tests" / "sensors" / "ros_robot.py"
+STRING = "std_msgs/msg/String"
+DOMAIN = 100 + int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]) % 50 + 50
+NETWORK = """<CycloneDDS><Domain id="any">
+<General><AllowMulticast>false</AllowMulticast><Interfaces>
+<NetworkInterface address="127.0.0.1"/></Interfaces></General>
+<Discovery><ParticipantIndex>auto</ParticipantIndex>
+<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
+ASKED = {
+    "model": "desk.palpate",
+    "topic": "/pad",
+    "library": "",
+    "error": 0.05,
+    "palpate": sys.executable,
+}
 
 
 class Answer:
-    """A response of a service."""
+    """A request or a response of a service."""
 
-    def __init__(self, **given):
-        self.__dict__.update(given)
+    def __init__(self, **fields):
+        self.__dict__.update(fields)
 
 
 class StandIn:
-    """Stands for `rclpy.node.Node`: keeps what is declared, published and offered."""
+    """Stands for `rclpy.node.Node`: what it publishes and hears is on the wire."""
 
     parameters: ClassVar[dict] = {}
 
     def __init__(self, name):
-        self.published, self.services, self.heard, self.warned = [], {}, {}, []
+        from palpate.sensors import open_node
+
+        self.services, self.ended = {}, threading.Event()
+        self.wire = open_node(DOMAIN, "dds")
+
+    def get_fully_qualified_name(self):
+        return "/palpate"
 
     def declare_parameter(self, name, value):
         return types.SimpleNamespace(value=self.parameters.get(name, value))
@@ -43,36 +67,37 @@ class StandIn:
     def get_parameter(self, name):
         return types.SimpleNamespace(value=self.parameters.get(name, ""))
 
-    def create_subscription(self, kind, topic, callback, depth):
-        self.heard[topic] = callback
-
     def create_publisher(self, kind, topic, depth):
-        publish = lambda message: self.published.append((topic, message))  # noqa: E731
+        from palpate.sensors import text_message, write_message
+
+        writer = self.wire.publish(topic.replace("~", "/palpate"), STRING)
+
+        def publish(message):
+            writer.write_bytes(write_message(text_message(message.data), STRING))
+
         return types.SimpleNamespace(publish=publish)
 
-    def create_service(self, kind, name, callback):
+    def create_subscription(self, kind, topic, callback, depth, **_):
+        from palpate.sensors import read_message
+
+        topic = topic.replace("~", "/palpate")
+        reader = self.wire.subscribe(topic, STRING, reliable=True)
+
+        def follow():
+            while not self.ended.is_set():
+                for raw in reader.take(0.05):
+                    callback(read_message(raw, STRING))
+
+        threading.Thread(target=follow, daemon=True).start()
+
+    def create_service(self, kind, name, callback, **_):
         self.services[name] = callback
 
-    def get_clock(self):
-        now = types.SimpleNamespace(nanoseconds=0)
-        return types.SimpleNamespace(now=lambda: now)
-
-    def get_logger(self):
-        warn = lambda text, **_: self.warned.append(text)  # noqa: E731
-        return types.SimpleNamespace(warning=warn)
+    def create_timer(self, period_s, callback, **_):
+        self.timer = callback
 
     def call(self, name, **request):
         return self.services[f"~/{name}"](Answer(**request), Answer())
-
-
-def dimension(label="", size=0, stride=0):
-    return STORE.types["std_msgs/msg/MultiArrayDimension"](label, size, stride)
-
-
-def doubles():
-    known = STORE.types
-    layout = known["std_msgs/msg/MultiArrayLayout"]([], 0)
-    return known["std_msgs/msg/Float64MultiArray"](layout, np.empty(0))
 
 
 @pytest.fixture
@@ -86,17 +111,10 @@ def ros(monkeypatch):
         return made
 
     module("rclpy", node=module("rclpy.node", Node=StandIn))
-    held = {
-        "Float32MultiArray": STORE.types["std_msgs/msg/Float32MultiArray"],
-        "Float64MultiArray": doubles,
-        "MultiArrayDimension": dimension,
-        "String": STORE.types["std_msgs/msg/String"],
-    }
-    module("std_msgs", msg=module("std_msgs.msg", **held))
-    image = STORE.types["sensor_msgs/msg/Image"]
-    module("sensor_msgs", msg=module("sensor_msgs.msg", Image=image))
-    services = {"SetBool": object, "Trigger": object}
-    module("std_srvs", srv=module("std_srvs.srv", **services))
+    module("rclpy.callback_groups", ReentrantCallbackGroup=object)
+    module("rclpy.executors", MultiThreadedExecutor=object)
+    module("std_msgs", msg=module("std_msgs.msg", String=Answer))
+    module("std_srvs", srv=module("std_srvs.srv", SetBool=object, Trigger=object))
     monkeypatch.delitem(sys.modules, "palpate_ros.node", raising=False)
     import palpate_ros.node
 
@@ -104,42 +122,79 @@ def ros(monkeypatch):
     return palpate_ros.node
 
 
-def pressed(rng, kind):
-    """A press: a ridge along rows or columns, somewhere, with noise."""
-    row, col = np.mgrid[:12, :12]
-    across = row if kind == "rows" else col
-    centre = rng.uniform(4, 8)
-    image = 60 + 120 * np.exp(-((across - centre) ** 2) / 4)
-    return np.clip(image + rng.normal(scale=2, size=(12, 12)), 0, 255).astype(np.uint8)
+def test_the_process_is_told_what_ros_is_told():
+    assert wire({}) == "domain=0&via=dds"
+    zenoh = {"ROS_DOMAIN_ID": "7", "RMW_IMPLEMENTATION": "rmw_zenoh_cpp"}
+    assert wire(zenoh) == "domain=7&via=zenoh"
+    line = command_line({**ASKED, "library": "lab"}, zenoh, "/desk/palpate")
+    assert line == [
+        sys.executable,
+        *("live", "desk.palpate", "--sensor", "ros:/pad?domain=7&via=zenoh"),
+        *("--publish", "ros:/desk/palpate?domain=7&via=zenoh&services=no"),
+        *("--episodes", "0", "--timeout", "1e9", "--error", "0.05"),
+        *("--library", "lab"),
+    ]
 
 
-def rest(rng, n):
-    return list(
-        np.clip(60 + rng.normal(scale=2, size=(n, 12, 12)), 0, 255).astype("u1")
+def test_what_is_missing_is_named():
+    with pytest.raises(ProcessError, match="model must name a model file"):
+        command_line({**ASKED, "model": ""}, {}, "/palpate")
+    with pytest.raises(ProcessError, match=r"got 'nowhere'.*pip install"):
+        command_line({**ASKED, "palpate": "nowhere"}, {}, "/palpate")
+
+
+def test_a_process_that_ends_is_told_and_ros_variables_stay_out(monkeypatch, tmp_path):
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    code = "import os, sys; sys.exit(3 + ('PYTHONPATH' in os.environ))"
+    process = PalpateProcess([sys.executable, "-c", code])
+    process.check()
+    process.start()
+    process._process.wait()
+    with pytest.raises(ProcessError, match="ended with 3;"):
+        process.check()
+    process.stop()
+
+
+def test_the_package_is_of_python_3_10_and_takes_no_numpy():
+    for path in HERE.parent.rglob("*.py"):
+        if path.parent != HERE:
+            tree = ast.parse(path.read_text(), feature_version=(3, 10))
+            names = [
+                alias.name
+                for node in ast.walk(tree)
+                if isinstance(node, ast.Import)
+                for alias in node.names
+            ]
+            assert not {"numpy", "palpate"} & {*names}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("colcon") is None, reason="no colcon")
+def test_colcon_builds_it(tmp_path):
+    shutil.copytree(HERE.parent, tmp_path / "src" / "palpate_ros")
+    command = ["colcon", "build", "--merge-install"]
+    done = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, check=False
     )
-
-
-def episode(rng, kind, n=3):
-    frames = rest(rng, 12)
-    for _ in range(n):
-        frames += [pressed(rng, kind)] * 5 + rest(rng, 5)
-    return frames
-
-
-def message(image, number):
-    stamp = STORE.types["builtin_interfaces/msg/Time"](
-        number // RATE_HZ, number % RATE_HZ * (10**9 // RATE_HZ)
-    )
-    header = STORE.types["std_msgs/msg/Header"](stamp, "pad")
-    size = (*image.shape, "mono8", 0, image.shape[1])
-    return STORE.types["sensor_msgs/msg/Image"](header, *size, image.ravel())
+    assert done.returncode == 0, done.stderr
+    for place in (
+        "lib/palpate_ros/palpate_node",
+        "share/ament_index/resource_index/packages/palpate_ros",
+        "share/palpate_ros/package.xml",
+        "share/palpate_ros/launch/palpate.launch.py",
+    ):
+        assert (tmp_path / "install" / place).is_file()
 
 
 @pytest.fixture(scope="module")
 def learnt(tmp_path_factory):
+    """A model of ridges along rows and along columns, of the robot's own pad."""
+    spec = spec_from_file_location("ros_robot", ROBOT)
+    hand = module_from_spec(spec)
+    spec.loader.exec_module(hand)
     rng = np.random.default_rng(0)
     kinds = ["rows"] * 16 + ["columns"] * 16
-    images = np.stack([pressed(rng, kind) for kind in kinds])
+    images = np.stack([hand.pressed(rng, kind, (12, 12)) for kind in kinds])
     touches = Touches(images, object=kinds, no_contact=np.full((12, 12), 60, np.uint8))
     path = tmp_path_factory.mktemp("model") / "two.palpate"
     ObjectRecogniser().fit(touches).save(path)
@@ -147,106 +202,67 @@ def learnt(tmp_path_factory):
 
 
 @pytest.fixture
-def model(learnt, tmp_path):
-    """A model of one's own, since a node writes over it when it learns."""
-    return Path(shutil.copy(learnt, tmp_path))
+def palpate(tmp_path):
+    """The command of this source, as another environment would have it."""
+    root = HERE.parents[2] / "src"
+    path = tmp_path / "palpate"
+    path.write_text(
+        f"#!{sys.executable}\nimport sys\nsys.path.insert(0, {str(root)!r})\n"
+        "from palpate.cli import main\nmain()\n"
+    )
+    path.chmod(0o755)
+    return path
 
 
-@pytest.fixture
-def node(ros, model):
-    StandIn.parameters = {"model": str(model), "error": 0.05}
-    return ros.PalpateNode()
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("cyclonedds") is None, reason="no cyclonedds")
+def test_a_robot_hears_the_node_and_the_services_teach(
+    ros, learnt, palpate, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("CYCLONEDDS_URI", NETWORK)
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
+    monkeypatch.delenv("RMW_IMPLEMENTATION", raising=False)
+    lab = tmp_path / "lab"
+    StandIn.parameters = {
+        "model": str(learnt),
+        "topic": "/pad",
+        "palpate": str(palpate),
+        "library": str(lab),
+        "object": "knob",
+    }
+    todo = {"domain": DOMAIN, "kinds": ["rows"] * 3, "commands": ["start"]}
+    command = [sys.executable, str(ROBOT), json.dumps(todo)]
+    robot = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    node = ros.PalpateNode()
+    try:
+        heard = json.loads(robot.communicate(timeout=120)[0])
+        node.timer()  # it still runs
+        answers = [node.call("teach", data=True), node.call("teach", data=False)]
+        refused = node.call("confirm")
+    finally:
+        robot.kill()
+        robot.wait()
+        node.process.stop()
+        node.ended.set()
+    assert len(heard["belief"]) == 3
+    best = [one["results"][0][0] for one in heard["belief"]]
+    assert best.count("rows") >= 2
+    assert all(one["stamp"] in heard["sent"] for one in heard["belief"])
+    assert [one.success for one in answers] == [True, True]
+    assert answers[0].message == "Touches teach knob."
+    assert not refused.success
+    assert refused.message == "confirm must come after touches, got none."
+    assert lab.is_dir()
 
 
-def play(node, frames):
-    for number, image in enumerate(frames):
-        node.heard["tactile"](message(image, number))
-
-
-def beliefs(node):
-    return [m for topic, m in node.published if topic == "~/belief"]
-
-
-def test_frames_become_beliefs(node):
-    play(node, episode(np.random.default_rng(1), "rows"))
-    assert len(beliefs(node)) == 3
-    last = beliefs(node)[-1]
-    names = [one.label for one in last.layout.dim]
-    assert sorted(names) == ["columns", "rows"]
-    posterior = dict(zip(names, last.data, strict=True))
-    assert posterior["rows"] > 0.9
-    # The rest is the probability of something never learnt.
-    assert 0.9 < sum(last.data) <= 1
-    evidence = [m for topic, m in node.published if topic == "~/evidence"]
-    assert [one.label for one in evidence[0].layout.dim] == names
-    decisions = [m.data for topic, m in node.published if topic == "~/decision"]
-    assert decisions[-1] in ("rows", "")
-
-
-def test_a_bag_of_the_node_gives_the_same_beliefs(node, ros, tmp_path):
-    """Frames and beliefs are recorded; replayed through the library and a new node."""
-    frames = episode(np.random.default_rng(2), "columns")
-    play(node, frames)
-    image_kind, belief_kind = "sensor_msgs/msg/Image", "std_msgs/msg/Float64MultiArray"
-    with rosbag2.Writer(tmp_path / "bag", version=9) as writer:
-        heard = writer.add_connection("/tactile", image_kind, typestore=STORE)
-        said = writer.add_connection("/palpate/belief", belief_kind, typestore=STORE)
-        for number, image in enumerate(frames):
-            raw = STORE.serialize_cdr(message(image, number), image_kind)
-            writer.write(heard, number * 10**9 // RATE_HZ, raw)
-        for number, belief in enumerate(beliefs(node)):
-            belief.data = np.asarray(belief.data)
-            writer.write(said, number, STORE.serialize_cdr(belief, belief_kind))
-    recorded = read_bag(tmp_path / "bag", "/palpate/belief")
-    stream = read_bag(tmp_path / "bag", "/tactile")
-
-    again = ros.PalpateNode()
-    play(again, stream.images)
-    replayed = np.array([np.asarray(b.data) for b in beliefs(again)])
-    assert replayed.tobytes() == recorded.images[:, 0].tobytes()
-
-    touches = TouchDetector().touches_in(stream)
-    assert len(touches) == len(recorded)
-    belief = ObjectRecogniser.load(StandIn.parameters["model"]).start()
-    for touch, expected in zip(touches, recorded.images[:, 0], strict=True):
-        belief = belief.update(touch)
-        assert [belief.posterior[n] for n in ("columns", "rows")] == expected.tolist()
-
-
-def test_teaching_learning_and_a_new_episode(node, model):
-    rng = np.random.default_rng(3)
-    assert not node.call("teach", data=True).success  # of what?
-    assert "after touches that teach" in node.call("learn").message
-    StandIn.parameters["object"] = "knob"
-    assert node.call("teach", data=True).message == "Touches teach knob."
-    knob = rest(rng, 12)
-    for _ in range(8):
-        press = np.array(rest(rng, 1)[0])
-        press[5:8, 5:8] = 200
-        knob += [press] * 5 + rest(rng, 5)
-    play(node, knob)
-    assert node.published == []
-    assert node.call("teach", data=False).success
-    assert node.call("learn").message == "8 touches of knob"
-    assert "knob" in ObjectRecogniser.load(model).classes_
-    assert node.call("start_session").success
-    play(node, knob[:32])
-    names = [one.label for one in beliefs(node)[-1].layout.dim]
-    assert names[np.argmax(beliefs(node)[-1].data)] == "knob"
-    count = len(beliefs(node))
-    assert node.call("start_episode").success
-    play(node, knob[22:32])
-    assert len(beliefs(node)) == count + 1
-
-
-def test_odd_messages_are_told_and_passed_over(node, ros):
-    short = message(np.zeros((4, 4), np.uint8), 0)
-    short.height = 9
-    node.heard["tactile"](short)
-    assert "must hold 9 rows of 4 bytes, got 16" in node.warned[0]
-    frames = rest(np.random.default_rng(0), 10)
-    play(node, [*frames[:9], pressed(np.random.default_rng(0), "rows")])
-    assert "Leave it alone" in node.warned[1]  # the baseline is asked for again
-    StandIn.parameters = {}
-    with pytest.raises(ValueError, match="must name a model file"):
-        ros.PalpateNode()
+@pytest.mark.skipif(find_spec("cyclonedds") is None, reason="no cyclonedds")
+def test_silence_is_an_answer_too(ros, learnt, monkeypatch):
+    monkeypatch.setenv("CYCLONEDDS_URI", NETWORK)
+    StandIn.parameters = {"model": str(learnt), "palpate": sys.executable}
+    monkeypatch.setattr(ros, "_ANSWER_S", 0.1)
+    monkeypatch.setattr(PalpateProcess, "start", lambda self: None)
+    node = ros.PalpateNode()
+    silent = node.call("start")
+    node.ended.set()
+    assert not silent.success
+    assert "does not answer" in silent.message

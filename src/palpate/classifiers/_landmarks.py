@@ -23,12 +23,12 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from joblib import Parallel, delayed
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.linalg.blas import dsyrk
 
 from .._numbers import exp
+from .._parallel import results_of
 from .._types import Array, Bools, Floats, Indices
 
 # Touches whose kernel with the landmarks is in memory at once, and in one task.
@@ -103,9 +103,10 @@ class LandmarkRegression:
             order[first : first + TOUCHES_A_TASK]
             for first in range(0, len(order), TOUCHES_A_TASK)
         ]
-        parts = Parallel(return_as="generator_unordered")(
-            delayed(_sums)(self._landmarks, centred[rows], codes[rows])
-            for rows in tasks
+        parts = results_of(
+            _sums,
+            len(tasks),
+            lambda n: (self._landmarks, centred[tasks[n]], codes[tasks[n]]),
         )
         n_marks = len(self._root)
         self._products = np.zeros((n_marks, n_marks))

@@ -81,7 +81,7 @@ TouchesPath = Annotated[
     argument(
         "TOUCHES",
         "An archive (.npz), a folder of images, a library, a CSV or .npy file, a film, "
-        "a ROS 2 bag or a LeRobotDataset.",
+        "a bag of ROS or a LeRobotDataset.",
     ),
 ]
 ModelPath = Annotated[Path, argument("MODEL", "A model file (.palpate).")]

@@ -1,5 +1,6 @@
 """What the verbs with a live sensor share: its options, opening it, its baseline."""
 
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -32,8 +33,20 @@ Patience = Annotated[
     float, option("--timeout", "Give up after so long without a touch.")
 ]
 LogFile = Annotated[
-    Path | None,
-    option("--log", "Write frames, touches, beliefs there: .rrd, .mcap (plugs/look)."),
+    str | None,
+    option(
+        "--log",
+        "Write frames, touches, beliefs to a file (.rrd, .mcap), or show them to a "
+        "running Foxglove: ws://127.0.0.1:8765 (plugs/look).",
+    ),
+]
+Publish = Annotated[
+    str | None,
+    option(
+        "--publish",
+        "Publish beliefs on ROS 2 and take commands there: "
+        "'ros:/palpate?domain=0&via=dds'.",
+    ),
 ]
 
 
@@ -105,27 +118,52 @@ def need_baseline(session: "LiveSession") -> None:
 
 
 @contextmanager
+def published(session: "LiveSession", address: str | None) -> Iterator[None]:
+    """Publish the beliefs of a session, and let it be told what to do, on ROS 2."""
+    from ..web import RosPublisher
+
+    if address is None:
+        yield
+        return
+    with closing(RosPublisher(session, address)):
+        yield
+
+
+def check_publish(address: str | None) -> None:
+    """Refuse an address of --publish that is none, before anything is started."""
+    from ..sensors import AddressError, ros_place
+
+    try:
+        _ = address and ros_place(address)
+    except AddressError as error:
+        raise typer.BadParameter(f"--publish: {error}") from error
+
+
+@contextmanager
 def logged(
-    session: "LiveSession", path: Path | None, number: int = 0
+    session: "LiveSession", place: str | Path | None, number: int = 0
 ) -> Iterator[None]:
     """Let what a package has for the file's ending take the events of a session.
 
-    Entry points of the group `palpate.logs`, such as `rrd`, are called with the path;
-    what they return has `take(event)` and `close()`. Of several sensors each has a
-    `number`, and a file that ends in it.
+    Entry points of the group `palpate.logs`, such as `rrd`, are called with the path,
+    `ws` with an address; what they return has `take(event)` and `close()`. Of several
+    sensors each has a `number`, and a file that ends in it, or the next port.
     """
     from importlib.metadata import entry_points
 
-    if path is None:
+    if place is None:
         yield
         return
-    plugged = [*entry_points(group="palpate.logs", name=path.suffix[1:].lower())]
+    path, served = Path(place), re.fullmatch(r"(ws://.*:)(\d+)", str(place))
+    name = "ws" if served else path.suffix[1:].lower()
+    plugged = [*entry_points(group="palpate.logs", name=name)]
     if not plugged:
         raise typer.BadParameter(
-            "--log must end in .rrd or .mcap, and what writes these be installed "
-            f"(plugs/look), got {path.name!r}."
+            "--log must end in .rrd or .mcap or be ws://HOST:PORT, and what writes "
+            f"these be installed (plugs/look), got {path.name!r}."
         )
     path = path.with_stem(f"{path.stem}-{number}") if number else path
-    with closing(plugged[0].load()(path)) as log:
+    port = served and f"{served[1]}{int(served[2]) + max(0, number - 1)}"
+    with closing(plugged[0].load()(port or path)) as log:
         session.listeners.add(log.take)
         yield

@@ -57,6 +57,11 @@ def add(
 
     if sensor is None and (kind, unit, pitch_mm) != (None, None, None):
         raise ValueError("--kind, --unit and --pitch-mm must come with --sensor NAME.")
+    if str(touches).startswith(("ros:", "camera:", "serial:")) and not touches.exists():
+        raise ValueError(
+            f"TOUCHES must be a file or a folder, got the sensor {touches}. Record: "
+            f"palpate record NAME --sensor {touches} --library {folder}."
+        )
     described = SensorDescription(sensor, kind, unit, pitch_mm) if sensor else None
     n_given = 0
     parts = reading.parts(touches, topic)  # before a library is made

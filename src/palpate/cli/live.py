@@ -3,6 +3,8 @@
 import queue
 import sys
 import time
+from contextlib import ExitStack
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -39,6 +41,11 @@ def live(
     strangers: Strangers = 0.05,
     summary: _sensor.Summary = "peak",
     log: _sensor.LogFile = None,
+    publish: _sensor.Publish = None,
+    library: Annotated[
+        Path | None,
+        option("Folder for what --publish is told to teach; made if missing."),
+    ] = None,
     options: _sensor.SensorOptions,
     max_model_mb: MaxModelMb = 2000,
     as_json: AsJson = False,
@@ -47,19 +54,21 @@ def live(
     from ..web import LiveSession
 
     done: list[Episode] = []
+    _sensor.check_publish(publish)
     chosen = options.open(sensor)
     how: Any = {"error": error, "refusal": refusal, "strangers": strangers}
     how |= {"summary": summary}
-    session = LiveSession(chosen, model=model, **how)
+    session = LiveSession(chosen, model=model, library=library, **how)
     found: queue.Queue[dict[str, Any]] = queue.Queue()
 
     def listen(event: Any) -> None:
         if event.kind in ("touch", "state"):
             found.put(event.values)
 
-    session.listeners.add(listen)
-    with _sensor.logged(session, log), session:
+    session.listeners.add(listen, frames=False)
+    with _sensor.logged(session, log), session, ExitStack() as stack:
         _sensor.need_baseline(session)
+        stack.enter_context(_sensor.published(session, publish))
         try:
             while episodes == 0 or len(done) < episodes:
                 ended = done[-1]["number"] if done else 0

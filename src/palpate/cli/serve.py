@@ -16,7 +16,16 @@ from ._options import (
     option,
 )
 from ._output import print_json
-from ._sensor import ADDRESS, LogFile, SensorOptions, Summary, logged
+from ._sensor import (
+    ADDRESS,
+    LogFile,
+    Publish,
+    SensorOptions,
+    Summary,
+    check_publish,
+    logged,
+    published,
+)
 
 HERE = "127.0.0.1"
 
@@ -62,6 +71,7 @@ def serve(
     strangers: Strangers = 0.05,
     summary: Summary = "peak",
     log: LogFile = None,
+    publish: Publish = None,
     options: SensorOptions,
     max_model_mb: MaxModelMb = 2000,
     as_json: AsJson = False,
@@ -71,6 +81,7 @@ def serve(
     from ..web import LiveSession, checked_token, create_app, kept_token
 
     web.require_web()
+    check_publish(publish)
     how: Any = {"error": error, "refusal": refusal, "strangers": strangers}
     how |= {"summary": summary}
     given = sensor or []
@@ -88,11 +99,21 @@ def serve(
             stack.enter_context(logged(session, log, number))
             stack.callback(session.stop)
         web.start_all(sessions)
+        for number, session in enumerate(sessions, start=1):
+            stack.enter_context(published(session, _of(publish, number, len(given))))
         if chosen_token is None:
             chosen_token = web.new_token() if library is None else kept_token(library)
         app = create_app(sessions, chosen_token, names=[host, *(name or ())])
         _say_where(host, socket.getsockname()[1], chosen_token, as_json=as_json)
         web.run_app(app, socket)
+
+
+def _of(address: str | None, number: int, n_sensors: int) -> str | None:
+    """Return the address that one of several sensors publishes at: /palpate/2."""
+    if address is None or n_sensors < 2:
+        return address
+    place, mark, options = address.partition("?")
+    return f"{place}/{number}{mark}{options}"
 
 
 def _folders(

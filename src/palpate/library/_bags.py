@@ -1,4 +1,4 @@
-"""Touches from ROS 2 bags and MCAP files, without ROS; every message is one touch.
+"""Touches from bags of ROS 2 and 1 and MCAP files, without ROS; a message is a touch.
 
 - `sensor_msgs/msg/Image`, encodings mono8, mono16, 8UC1, 16UC1, 32FC1, rgb8, bgr8,
   rgba8 and bgra8; colour becomes its luma (ITU-R BT.601), rounded.
@@ -16,9 +16,10 @@ a message is read as it stands. `set_bag_sha256`, of times and messages as they 
 read, is kept with the touches: the bag can be compared with it from then on.
 """
 
+import bz2
 import hashlib
 import threading
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from importlib.metadata import entry_points
 from io import BytesIO
@@ -47,13 +48,13 @@ def read_bag(
     object: str | None = None,
     max_bytes: int = MAX_BYTES,
 ) -> Touches:
-    """Read one topic of a ROS 2 bag, or of what packages add, as touches.
+    """Read one topic of a bag of ROS, or of what packages add, as touches.
 
     Parameters
     ----------
     path : path
-        The bag (a folder, `.mcap` or `.db3`); with the package of `plugs/lerobot` the
-        folder of a LeRobotDataset too, whose features are the topics.
+        The bag (a folder, `.mcap`, `.db3`, or `.bag` of ROS 1); with the package of
+        `plugs/lerobot` the folder of a LeRobotDataset too: its features are topics.
     topic : str, optional
         A topic of images, point clouds or arrays; may be left out where it is the only
         one.
@@ -73,14 +74,12 @@ def read_bag(
     for plugged in _readers(Path(path)):
         found: Touches = plugged.read(Path(path), topic, object, max_bytes)
         return found
-    highlevel = needed("rosbags.highlevel", "ros", "Reading ROS 2 bags")
-    typesys = needed("rosbags.typesys", "ros", "Reading ROS 2 bags")
+    highlevel = needed("rosbags.highlevel", "ros", "Reading ROS bags")
+    typesys = needed("rosbags.typesys", "ros", "Reading ROS bags")
     types = typesys.get_typestore(typesys.Stores.LATEST)
     bag = Path(path)
     _have_unpacking_counted()
     try:
-        if bag.suffix == ".bag":
-            raise LibraryError(f"{bag} is of ROS 1: make it one of 2, rosbags-convert.")
         size = sum(part.stat().st_size for part in (bag, *bag.glob("*")))
         _room.left, _room.bag = max_bytes // 16 + 64 * size, bag
         with highlevel.AnyReader([bag], default_typestore=types) as reader:
@@ -90,7 +89,7 @@ def read_bag(
         raise
     except Exception as error:  # rosbags raises many kinds on damaged bags
         raise LibraryError(
-            f"{bag} must be a ROS 2 bag or an MCAP file, got: "
+            f"{bag} must be a bag of ROS or an MCAP file, got: "
             f"{error or type(error).__name__}. Check the path; it may be damaged."
         ) from error
     finally:
@@ -108,7 +107,7 @@ def read_bag(
 
 def is_recording(path: Path) -> bool:
     """Tell whether `read_bag` is for a file or folder, by its name and its files."""
-    told = path.suffix.lower() in (".mcap", ".db3")
+    told = path.suffix.lower() in (".mcap", ".db3", ".bag")
     return told or (path / "metadata.yaml").is_file() or bool(_readers(path))
 
 
@@ -131,6 +130,7 @@ def _have_unpacking_counted() -> None:
     """Count what rosbags is about to unpack: it has no limit, and sizes may lie."""
     bags: Any = import_module("rosbags.rosbag2.reader")
     chunks: Any = import_module("rosbags.rosbag2.storage_mcap")
+    old: Any = import_module("rosbags.rosbag1.reader").decompressors
     zstd, unpack = bags.zstd, chunks.decompress
     openers = {"zstd": zstd.open, "lz4": import_module("lz4.frame").open}
     bags.zstd = SimpleNamespace(
@@ -140,6 +140,14 @@ def _have_unpacking_counted() -> None:
     chunks.decompress = lambda data, kind, *sizes: unpack(
         _counted(data, openers[kind]) if kind in openers else data, kind, *sizes
     )
+    for kind, opener in {**openers, "bz2": bz2.open}.items():
+        if kind in old:
+            old[kind] = partial(_counted_old, old[kind], opener)
+
+
+def _counted_old(unpack: Any, opener: Any, packed: bytes) -> Any:
+    """Unpack a chunk of a bag of ROS 1, if what room is left allows."""
+    return unpack(_counted(packed, opener))
 
 
 def _counted(packed: Any, opener: Any) -> Any:

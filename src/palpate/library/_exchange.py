@@ -24,7 +24,6 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, suppress
 from itertools import chain
-from math import prod
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -44,15 +43,14 @@ from ..touches import (
     url_of,
 )
 from ._reading import Picked, read_array
-from ._rows import FROM, Numbers, Tables
-from ._store import AT_ONCE, LibraryError, room_for
+from ._rows import FROM, Numbers, Tables, n_at_once
+from ._store import LibraryError, room_for
 
 TACTILE = "observation.tactile"
 _LEROBOT_VERSION = "v3.0"
 _FRAMES_PER_SECOND = 1
 _FILE = "chunk-{:03d}/file-{:03d}.parquet"
 _PARTS, _KINDS = ("data", "meta/episodes"), ("chunk", "file")
-_BYTES_AT_ONCE = 64 * 2**20
 _KEYS = ("object", "category", "session", "episode", "sensor")
 _TEXTS, _NUMBERS = ("object", "category", "session"), ("time_s", "order")
 _MEASURED = ("observation.position_mm", "observation.force_n")
@@ -165,8 +163,7 @@ def _write_parquet(file: Any, picked: Picked, without: str | None = None) -> Non
     """Write one row group for every `AT_ONCE` touches, fewer of large images."""
     pq = needed("pyarrow.parquet", "parquet", "Writing Parquet")
     shape, dtype = picked.kind
-    n_bytes = max(1, prod(shape) * dtype.itemsize)
-    step = max(1, min(AT_ONCE, _BYTES_AT_ONCE // n_bytes))
+    step = n_at_once(shape, dtype)
     common = picked.columns()
     keys = picked.recordings()
     places = {key: place for place, key in enumerate(dict.fromkeys(keys))}

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._durable import replacing
+from .._parallel import results_of
 from .._types import Array, Floats, Indices
 from ..touches import FORMER, Labelled, Touches
 from ._content import PICTURE, Column, column_array, image_digest, unpacked_array
@@ -34,6 +35,7 @@ from ._rows import (
     StoredTouch,
     Tables,
     distinct,
+    n_at_once,
     packed_images,
     plain_values,
     rows_at,
@@ -363,14 +365,16 @@ class Selection(Labelled):
         self, cache: Path, encode: Encode, rows: Indices, ids: Array
     ) -> None:
         """Encode touches; what is done is kept now and then, should this be stopped."""
-        from joblib import Parallel, delayed
-
         layout = {n: a for n, a in self.whole.items() if n in FORMER.values()}
         encode_some = partial(_encoded, encode, layout)
         new = self._picked[rows]
-        parts = Parallel(return_as="generator", pre_dispatch="2*n_jobs")(
-            delayed(encode_some)(packed) for packed in new.packed()
-        )
+        step = n_at_once(*new.kind)
+
+        def stored(number: int) -> list[Packed]:
+            stop = min((number + 1) * step, len(new))
+            return list(new[np.arange(number * step, stop)].packed())
+
+        parts = results_of(encode_some, -(-len(new) // step), stored)
         waiting: list[Floats] = []
         n_kept = n_done = 0
         for number, part in enumerate(parts, start=1):

@@ -288,6 +288,12 @@ class Packed(NamedTuple):
         )
 
 
+def n_at_once(shape: tuple[int, ...], dtype: np.dtype[Any]) -> int:
+    """Return how many images of a size and type are held in memory at once."""
+    n_bytes = prod(shape) * dtype.itemsize
+    return max(1, min(AT_ONCE, _BYTES_AT_ONCE // max(1, n_bytes)))
+
+
 def packed_images(
     tables: Tables, rows: Sequence[StoredTouch], *, with_more: bool = False
 ) -> Iterator[Packed]:
@@ -295,8 +301,7 @@ def packed_images(
     if not rows:
         return
     recording = tables.recording(rows[0].recording)
-    n_bytes = prod(recording.image_shape) * recording.dtype.itemsize
-    step = max(1, min(AT_ONCE, _BYTES_AT_ONCE // max(1, n_bytes)))
+    step = n_at_once(recording.image_shape, recording.dtype)
     for start in range(0, len(rows), step):
         some = rows[start : start + step]
         sql = "SELECT number, form, image, more FROM images WHERE number IN (?)"

@@ -19,7 +19,7 @@ from sklearn.utils.validation import validate_data
 from .._checks import check_count, check_number, check_option
 from .._extras import needed
 from .._numbers import log_softmax
-from .._parallel import on_one_thread, opencv_on_one_thread
+from .._parallel import on_one_thread, opencv_on_one_thread, results_of
 from .._types import Array, Bools, Floats, Indices
 from ..classifiers import TouchClassifier, as_groups, check_targets
 from ..images import Poses, PressPose
@@ -454,12 +454,12 @@ class ObjectRecogniser(ClassifierMixin, BaseEstimator):
         given = touches if isinstance(touches, Touches) else self._given(touches)
         if len(given) <= SHARD:
             return self._evidence_of(given)
-        from joblib import Parallel, delayed
 
-        shards = (given[start : start + SHARD] for start in range(0, len(given), SHARD))
-        return Evidence.together(
-            Parallel()(delayed(self._evidence_of)(shard) for shard in shards)
-        )
+        def shard(number: int) -> tuple[Touches]:
+            return (given[number * SHARD : (number + 1) * SHARD],)
+
+        n_shards = -(-len(given) // SHARD)
+        return Evidence.together([*results_of(self._evidence_of, n_shards, shard)])
 
     def log_prior(self) -> Floats:
         """Return the log prior of the objects (nats), shape (n_objects,)."""

@@ -9,6 +9,7 @@ drives a driver through the contract. `TouchDetector` finds touches in the strea
 from ._address import AddressError as AddressError
 from ._address import desk_of as desk_of
 from ._address import open_sensor
+from ._address import ros_place as ros_place
 from ._bench import SimulatedBench, SimulatedSensor
 from ._calibrated import CalibratedSensor as CalibratedSensor
 from ._camera import CameraSensor, camera_names
@@ -30,6 +31,17 @@ from ._health import sensor_health as sensor_health
 from ._played import ReplaySensor
 from ._played import SimulatedStream as SimulatedStream
 from ._ros import RosSensor as RosSensor
+from ._ros import open_node as open_node
+from ._ros_types import CLASSIFICATION as CLASSIFICATION
+from ._ros_types import SET_BOOL as SET_BOOL
+from ._ros_types import STRING as STRING
+from ._ros_types import TRIGGER as TRIGGER
+from ._ros_types import Header as Header
+from ._ros_types import RosService as RosService
+from ._ros_types import classification as classification
+from ._ros_types import read_message as read_message
+from ._ros_types import text_message as text_message
+from ._ros_types import write_message as write_message
 from ._serial import SerialArraySensor
 
 __all__ = [

@@ -99,8 +99,14 @@ _OPTIONS: dict[str, dict[str, _Option]] = {
         "domain": _Option("domain", int, "a whole number, 0 to 232"),
         "qos": _word("qos", best_effort="best_effort", reliable="reliable"),
         "wait": _Option("wait_s", float, "a number of seconds"),
+        "via": _word("via", dds="dds", zenoh="zenoh"),
     },
     "sim": {**_DESK, "seed": _Option("random_state", int, "a whole number")},
+}
+_PUBLISHED = {
+    "domain": _OPTIONS["ros"]["domain"],
+    "via": _OPTIONS["ros"]["via"],
+    "services": _word("services", **_YES_NO),
 }
 _GROUP = "palpate.sensors"
 _READ: dict[str, tuple[Callable[[str], Any], str]] = {
@@ -151,15 +157,7 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
             f"sim:OBJECT"
             f"{more}, got {address!r}."
         )
-    given: dict[str, Any] = {}
-    for part in filter(None, written.split("&")):
-        name, _, text = part.partition("=")
-        option = _options(kind).get(name)
-        if option is None:
-            _refuse(address, kind, f"{name!r} is no option")
-        if option.keyword in given:
-            _refuse(address, kind, f"{name} must be given once, got it twice")
-        given[option.keyword] = _read(address, kind, name, unquote(text))
+    given = _written(address, kind, written)
     for keyword, value in options.items():
         if value is not None:
             given[keyword] = _agreed(address, kind, given, keyword, value)
@@ -173,6 +171,44 @@ def open_sensor(address: str, **options: Any) -> LiveSensor:
             f"{type(sensor).__name__}. Ask its author; check_sensor tells."
         )
     return sensor
+
+
+class RosPlace(NamedTuple):
+    """Where beliefs are published, and whether services are offered beside them."""
+
+    prefix: str
+    domain: int = 0
+    via: str = "dds"
+    services: bool = True
+
+
+def ros_place(address: str) -> RosPlace:
+    """Return what `ros:/palpate?domain=0&via=dds&services=yes` says.
+
+    Raises
+    ------
+    ValueError
+        It is another address, or has other options.
+    """
+    base, _, written = address.partition("?")
+    kind, _, place = base.partition(":")
+    if kind != "ros" or not re.fullmatch(r"/?\w+(/\w+)*", place):
+        raise AddressError(f"It must be like ros:/palpate?domain=0, got {address!r}.")
+    return RosPlace(f"/{place.strip('/')}", **_written(address, "--publish", written))
+
+
+def _written(address: str, kind: str, written: str) -> dict[str, Any]:
+    """Return the options in an address, by the arguments they are for."""
+    given: dict[str, Any] = {}
+    for part in filter(None, written.split("&")):
+        name, _, text = part.partition("=")
+        option = _options(kind).get(name)
+        if option is None:
+            _refuse(address, kind, f"{name!r} is no option")
+        if option.keyword in given:
+            _refuse(address, kind, f"{name} must be given once, got it twice")
+        given[option.keyword] = _read(address, kind, name, unquote(text))
+    return given
 
 
 def _driver(kind: str) -> Callable[..., Any] | None:
@@ -191,6 +227,8 @@ def _driver(kind: str) -> Callable[..., Any] | None:
 
 def _options(kind: str) -> dict[str, _Option]:
     """Return the options of a kind of sensor; a driver's are its own parameters."""
+    if kind == "--publish":
+        return _PUBLISHED
     if kind in _OPTIONS:
         return _OPTIONS[kind]
     found = {}

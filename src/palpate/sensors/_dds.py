@@ -1,39 +1,49 @@
-"""Topics of ROS 2 over DDS, without ROS: what rmw_cyclonedds and Fast DDS put there.
+"""Topics and services of ROS 2 over DDS, without ROS: what rmw_cyclonedds puts there.
 
 A topic `/tactile` of `sensor_msgs/msg/Image` is `rt/tactile` of the DDS type
-`sensor_msgs::msg::dds_::Image_`, in XCDR1. Eclipse Cyclone DDS carries the bytes;
-rosbags makes them and reads them, since Cyclone's Python takes milliseconds an image.
-The network is that of `CYCLONEDDS_URI`, where set.
+`sensor_msgs::msg::dds_::Image_`, in XCDR1; Fast DDS names and writes topics alike. A
+service is a topic of requests (`rq/...Request`) and one of replies (`rr/...Reply`),
+each with a client's number and the request's before the message: rmw_cyclonedds does
+so, rmw_fastrtps carries the two elsewhere, where Cyclone's Python does not reach.
+Eclipse Cyclone DDS carries the bytes; rosbags makes them and reads them, since
+Cyclone's Python takes milliseconds an image. The network is that of `CYCLONEDDS_URI`.
 """
 
-import re
-import time
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 from .._extras import needed
 from ._contract import SensorError
+from ._ros_types import (
+    DEPTH,
+    WHAT,
+    Answer,
+    Endpoint,
+    read_message,
+    response,
+    ros_kind,
+    store,
+    wire_kind,
+    write_message,
+)
 
-MAX_MESSAGE = 2**26
-_WHAT = "A topic of ROS 2"
-_DEPTH = 64
-_LOOK_S = 0.05
 # What DDS calls the policies that keep a writer and a reader apart.
 _POLICIES = {2: "durability", 4: "deadline", 8: "liveliness", 11: "reliability"}
 _REPRESENTATION = 23
 _POLICIES[_REPRESENTATION] = "data representation"
-
-
-class Endpoint(NamedTuple):
-    """A publisher that DDS has discovered: topic and kind as ROS writes them."""
-
-    topic: str
-    kind: str
-    reliable: bool
+_CDR_HEAD, _REQUEST_HEAD = 4, 16
+_CONFIGURATION = "CYCLONEDDS_URI"
+_BUFFERS = (
+    '<CycloneDDS><Domain Id="any"><Internal><SocketReceiveBufferSize max="4MB"/>'
+    "</Internal></Domain></CycloneDDS>"
+)
 
 
 class DdsNode:
-    """A participant in a domain: it discovers, subscribes and publishes.
+    """A participant in a domain of DDS; see `RosNode`.
 
     Parameters
     ----------
@@ -48,42 +58,50 @@ class DdsNode:
         The domain cannot be entered: a network that is not there.
     """
 
+    hint = "CYCLONEDDS_URI"
+
     def __init__(self, domain: int) -> None:
-        domains = needed("cyclonedds.domain", "ros", _WHAT)
-        builtin = needed("cyclonedds.builtin", "ros", _WHAT)
+        domains = needed("cyclonedds.domain", "ros", WHAT)
+        builtin = needed("cyclonedds.builtin", "ros", WHAT)
         store()
         try:
-            self._participant = domains.DomainParticipant(domain)
+            with _large_buffers():
+                self._participant = domains.DomainParticipant(domain)
         except Exception as error:  # DDSException, of which the cause is in its log
             raise SensorError(
                 f"DDS cannot enter domain {domain}: {error} Check CYCLONEDDS_URI and "
                 "that its network is up."
             ) from error
-        self.domain = domain
         self._discovery = builtin.BuiltinDataReader(
             self._participant, builtin.BuiltinTopicDcpsPublication
         )
 
-    def publishers(self) -> list[Endpoint]:
-        """Return the publishers of ROS topics that are seen now."""
-        policy = needed("cyclonedds.qos", "ros", _WHAT).Policy
+    def publishers(self, topic: str) -> list[Endpoint]:
+        """Return the publishers of ROS topics that are seen now, of any topic."""
         seen = []
         for sample in self._discovery.read(N=1000):
             name = str(getattr(sample, "topic_name", "") or "")
             kind = ros_kind(str(getattr(sample, "type_name", "") or ""))
-            if not name.startswith("rt/") or kind is None or not _alive(sample):
-                continue
-            reliable = policy.Reliability.BestEffort not in sample.qos
-            seen.append(Endpoint(name.removeprefix("rt"), kind, reliable))
+            if name.startswith("rt/") and kind is not None and _alive(sample):
+                seen.append(Endpoint(name.removeprefix("rt"), kind))
         return seen
 
     def subscribe(self, topic: str, kind: str, *, reliable: bool) -> "DdsReader":
         """Return what reads the messages of a topic, none from before this call."""
-        return DdsReader(self._participant, topic, kind, reliable=reliable)
+        about = _topic(self._participant, f"rt{topic}", kind)
+        return DdsReader(self._participant, about, kind, reliable=reliable)
 
     def publish(self, topic: str, kind: str) -> "DdsWriter":
-        """Return what writes messages of a kind to a topic, reliably."""
-        return DdsWriter(self._participant, topic, kind)
+        """Return what writes messages of a kind to a topic, reliably.
+
+        The last message is kept for readers that ask for it (transient local).
+        """
+        about = _topic(self._participant, f"rt{topic}", kind)
+        return DdsWriter(self._participant, about, kind, keep_last=True)
+
+    def serve(self, service: str, kind: str, answer: Answer) -> "DdsService":
+        """Return a service that answers requests by a function of the message."""
+        return DdsService(self._participant, service, kind, answer)
 
     def close(self) -> None:
         """Leave the domain; readers and writers end with it."""
@@ -91,18 +109,16 @@ class DdsNode:
 
 
 class DdsReader:
-    """The messages of one topic, as bytes."""
+    """The messages of one topic, as bytes; see `RosReader`."""
 
     def __init__(
-        self, participant: Any, topic: str, kind: str, *, reliable: bool
+        self, participant: Any, topic: Any, kind: str, *, reliable: bool
     ) -> None:
-        core = needed("cyclonedds.core", "ros", _WHAT)
-        sub = needed("cyclonedds.sub", "ros", _WHAT)
+        core = needed("cyclonedds.core", "ros", WHAT)
+        sub = needed("cyclonedds.sub", "ros", WHAT)
         self.kind = kind
         quality = _quality(reliable=reliable)
-        self._reader = sub.DataReader(
-            participant, _topic(participant, topic, kind), qos=quality
-        )
+        self._reader = sub.DataReader(participant, topic, qos=quality)
         states = core.ViewState.Any | core.InstanceState.Any | core.SampleState.NotRead
         self._waitset = core.WaitSet(participant)
         self._waitset.attach(core.ReadCondition(self._reader, states))
@@ -111,7 +127,7 @@ class DdsReader:
         """Return the messages that came, waiting so long for the first."""
         if not self._waitset.wait(int(wait_s * 1e9)):
             return []
-        samples = self._reader.take(N=_DEPTH)
+        samples = self._reader.take(N=DEPTH)
         return [one.raw for one in samples if hasattr(one, "raw")]
 
     @property
@@ -122,27 +138,19 @@ class DdsReader:
     @property
     def hindrance(self) -> str:
         """The policy of a publisher that keeps it from being heard, or ""."""
-        status = self._reader.get_requested_incompatible_qos_status()
-        if not status.total_count:
-            return ""
-        number = int(status.last_policy_id)
-        return _POLICIES.get(number, f"policy {number}")
+        return _policy(self._reader.get_requested_incompatible_qos_status())
 
 
 class DdsWriter:
-    """Writes messages of one kind to one topic."""
+    """Writes messages of one kind to one topic; see `RosWriter`."""
 
-    def __init__(self, participant: Any, topic: str, kind: str) -> None:
-        pub = needed("cyclonedds.pub", "ros", _WHAT)
-        self._kind, self._type = kind, dds_type(kind)
-        quality = _quality(reliable=True)
-        self._writer = pub.DataWriter(
-            participant, _topic(participant, topic, kind), qos=quality
-        )
-
-    def write(self, message: Any) -> None:
-        """Write a message of rosbags' type of its kind."""
-        self.write_bytes(bytes(store().serialize_cdr(message, self._kind)))
+    def __init__(
+        self, participant: Any, topic: Any, kind: str, *, keep_last: bool = False
+    ) -> None:
+        pub = needed("cyclonedds.pub", "ros", WHAT)
+        self._type = dds_type(kind)
+        quality = _quality(reliable=True, keep_last=keep_last)
+        self._writer = pub.DataWriter(participant, topic, qos=quality)
 
     def write_bytes(self, raw: bytes) -> None:
         """Write a message that is bytes already, with CDR's head of four."""
@@ -150,36 +158,55 @@ class DdsWriter:
         sample.raw = raw
         self._writer.write(sample)
 
-    def wait_for_reader(self, wait_s: float) -> bool:
-        """Wait until somebody reads it; return whether somebody does."""
-        end_s = time.monotonic() + wait_s
-        while not self._writer.get_matched_subscriptions():
-            if time.monotonic() > end_s:
-                return False
-            time.sleep(_LOOK_S)
-        return True
+    @property
+    def hindrance(self) -> str:
+        """The policy of a reader that keeps it from hearing, or ""."""
+        return _policy(self._writer.get_offered_incompatible_qos_status())
 
 
-@cache
-def store() -> Any:
-    """Return rosbags' types of ROS 2, and vision_msgs' classification."""
-    typesys = needed("rosbags.typesys", "ros", _WHAT)
-    types = typesys.get_typestore(typesys.Stores.LATEST)
-    texts = {
-        "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score\n",
-        "vision_msgs/msg/Classification": (
-            "std_msgs/Header header\nvision_msgs/ObjectHypothesis[] results\n"
-        ),
-    }
-    for name, text in texts.items():
-        types.register(typesys.get_types_from_msg(text, name))
-    return types
+class DdsService:
+    """A service in the layout of rmw_cyclonedds; see `RosService`."""
+
+    def __init__(
+        self, participant: Any, service: str, kind: str, answer: Answer
+    ) -> None:
+        self._kind, self._answer = kind, answer
+        ask, reply = f"{kind}_Request", f"{kind}_Response"
+        requests = _topic(participant, f"rq{service}Request", ask)
+        replies = _topic(participant, f"rr{service}Reply", reply)
+        self._reader = DdsReader(participant, requests, ask, reliable=True)
+        self._writer = DdsWriter(participant, replies, reply)
+
+    def poll(self) -> None:
+        """Answer the requests that have come; one that is damaged has no answer."""
+        for raw in self._reader.take(0.0):
+            start = _CDR_HEAD + _REQUEST_HEAD
+            head, body = raw[_CDR_HEAD:start], raw[:_CDR_HEAD] + raw[start:]
+            try:
+                request = read_message(body, self._reader.kind)
+            except Exception:  # rosbags raises many kinds on damaged bytes
+                continue
+            message = response(self._kind, *self._answer(request))
+            written = write_message(message, f"{self._kind}_Response")
+            self._writer.write_bytes(written[:_CDR_HEAD] + head + written[_CDR_HEAD:])
 
 
-def ros_kind(name: str) -> str | None:
-    """Return `sensor_msgs/msg/Image` of `sensor_msgs::msg::dds_::Image_`, else None."""
-    parts = re.fullmatch(r"(\w+)::msg::dds_::(\w+)_", name)
-    return parts and f"{parts[1]}/msg/{parts[2]}"
+@contextmanager
+def _large_buffers() -> Iterator[None]:
+    """Let sockets hold a dozen frames of 640 x 480, unless the user says otherwise.
+
+    Cyclone's own 1 MB holds three, and what comes beside that is lost. Of a list of
+    configurations the later ones count.
+    """
+    configuration = os.environ.get(_CONFIGURATION, "")
+    os.environ[_CONFIGURATION] = ",".join(filter(None, (_BUFFERS, configuration)))
+    try:
+        yield
+    finally:
+        if configuration:
+            os.environ[_CONFIGURATION] = configuration
+        else:
+            del os.environ[_CONFIGURATION]
 
 
 @cache
@@ -199,16 +226,18 @@ def _carried(made: Any, data: bytes) -> Any:
 
 @cache
 def _struct(kind: str) -> Any:
-    idl = needed("cyclonedds.idl", "ros", _WHAT)
-    package, _, name = kind.split("/")
+    idl = needed("cyclonedds.idl", "ros", WHAT)
+    types = needed("cyclonedds.idl.types", "ros", WHAT)
+    _, group, name = kind.split("/")
     fields = {field: _field(node) for field, node in store().fielddefs[kind][1]}
-    dds_name = f"{package}.msg.dds_.{name}_"
-    return idl.make_idl_struct(f"{name}_", dds_name, fields)
+    if group == "srv":
+        fields = {"client": types.uint64, "number": types.int64, **fields}
+    return idl.make_idl_struct(f"{name}_", wire_kind(kind).replace("::", "."), fields)
 
 
 def _field(node: Any) -> Any:
     """Return what Cyclone DDS calls the type of a field."""
-    types = needed("cyclonedds.idl.types", "ros", _WHAT)
+    types = needed("cyclonedds.idl.types", "ros", WHAT)
     what, about = node
     if what.name == "NAME":
         return _struct(about)
@@ -220,27 +249,35 @@ def _field(node: Any) -> Any:
     return types.sequence[_field(about[0])]
 
 
-def _topic(participant: Any, topic: str, kind: str) -> Any:
-    topics = needed("cyclonedds.topic", "ros", _WHAT)
-    return topics.Topic(participant, f"rt/{topic.strip('/')}", dds_type(kind))
+def _topic(participant: Any, name: str, kind: str) -> Any:
+    topics = needed("cyclonedds.topic", "ros", WHAT)
+    return topics.Topic(participant, name, dds_type(kind))
 
 
-def _quality(*, reliable: bool) -> Any:
-    qos = needed("cyclonedds.qos", "ros", _WHAT)
-    policy = qos.Policy
+def _quality(*, reliable: bool, keep_last: bool = False) -> Any:
+    policy = needed("cyclonedds.qos", "ros", WHAT).Policy
     wait_ns = 100_000_000
-    return qos.Qos(
+    return needed("cyclonedds.qos", "ros", WHAT).Qos(
         policy.Reliability.Reliable(wait_ns)
         if reliable
         else policy.Reliability.BestEffort,
-        policy.History.KeepLast(_DEPTH),
+        policy.Durability.TransientLocal if keep_last else policy.Durability.Volatile,
+        policy.History.KeepLast(DEPTH),
         policy.DataRepresentation(use_cdrv0_representation=True),
     )
 
 
+def _policy(status: Any) -> str:
+    """Return the policy that a status of DDS blames, or ""."""
+    if not status.total_count:
+        return ""
+    number = int(status.last_policy_id)
+    return _POLICIES.get(number, f"policy {number}")
+
+
 def _alive(sample: Any) -> bool:
     """Tell whether what DDS has discovered is still there."""
-    core = needed("cyclonedds.core", "ros", _WHAT)
+    core = needed("cyclonedds.core", "ros", WHAT)
     information = getattr(sample, "sample_info", None)
     return information is None or bool(
         information.instance_state & core.InstanceState.Alive

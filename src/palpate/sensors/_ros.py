@@ -1,6 +1,7 @@
 """A topic of ROS 2 as a sensor: images, clouds or arrays that somebody publishes."""
 
 import time
+from collections import OrderedDict
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,11 +10,32 @@ import numpy as np
 from .._checks import check_count, check_option, check_positive
 from .._types import Array
 from ..touches import TouchesError, frame_of_message, shows_frame
-from . import _dds
 from ._contract import LiveSensor, Reading, SensorError
+from ._dds import DdsNode
+from ._ros_types import MAX_MESSAGE, Header, RosNode, RosReader, read_message
+from ._zenoh import ZenohNode
 
+VIA = ("dds", "zenoh")
 _TICK_S = 0.2
 _MATCH_S = 1.0
+_HEADERS = 4096  # of the newest frames
+
+
+def open_node(domain: int, via: str) -> RosNode:
+    """Return a participant in a domain of ROS over "dds" or "zenoh".
+
+    Raises
+    ------
+    ImportError
+        What carries it is not installed.
+    SensorError
+        The network, or its configuration, is not there.
+    """
+    check_count("domain", domain, at_least=0)
+    if domain > 232:
+        raise ValueError(f"domain must be at most 232, got {domain}.")
+    check_option("via", via, VIA)
+    return DdsNode(domain) if via == "dds" else ZenohNode(domain)
 
 
 class RosSensor(LiveSensor):
@@ -33,6 +55,8 @@ class RosSensor(LiveSensor):
         hears no publisher of best effort, as drivers of cameras are.
     wait_s : float, default=20
         How long connecting waits for the first message.
+    via : {"dds", "zenoh"}, default="dds"
+        What carries it: DDS, which Cyclone and Fast DDS speak, or rmw_zenoh's zenoh.
 
     Notes
     -----
@@ -52,16 +76,20 @@ class RosSensor(LiveSensor):
         domain: int = 0,
         qos: str = "best_effort",
         wait_s: float = 20.0,
+        via: str = "dds",
     ) -> None:
         self.topic = "/" + topic.strip("/")
         self.domain = check_count("domain", domain, at_least=0)
         if self.domain > 232:
             raise ValueError(f"domain must be at most 232, got {domain}.")
+        check_option("via", via, VIA)
+        self._via = via
         check_option("qos", qos, ("best_effort", "reliable"))
         self._reliable = qos == "reliable"
         self._wait_s = check_positive("wait_s", wait_s)
-        self._node: _dds.DdsNode | None = None
-        self._reader: _dds.DdsReader | None = None
+        self._node: RosNode | None = None
+        self._reader: RosReader | None = None
+        self._headers: OrderedDict[float, Header] = OrderedDict()
         self._first: list[Reading] = []
         self._asked_shape = image_shape
         shape = (1, 1) if image_shape is None else image_shape
@@ -72,7 +100,7 @@ class RosSensor(LiveSensor):
 
     def _open(self) -> None:
         end_s = time.monotonic() + self._wait_s
-        self._node = node = _dds.DdsNode(self.domain)
+        self._node = node = open_node(self.domain, self._via)
         try:
             kind = self._kind(node, end_s)
             self._reader = node.subscribe(self.topic, kind, reliable=self._reliable)
@@ -81,10 +109,10 @@ class RosSensor(LiveSensor):
             self._close()
             raise
 
-    def _kind(self, node: _dds.DdsNode, end_s: float) -> str:
+    def _kind(self, node: RosNode, end_s: float) -> str:
         """Wait for a publisher of the topic; return the kind of its messages."""
         while True:
-            seen = node.publishers()
+            seen = node.publishers(self.topic)
             kinds = sorted({one.kind for one in seen if one.topic == self.topic})
             able = [kind for kind in kinds if shows_frame(kind)]
             if len(kinds) == 1 and able:
@@ -99,12 +127,12 @@ class RosSensor(LiveSensor):
                 raise SensorError(
                     f"Nobody publishes {self.topic} in domain {self.domain} (waited "
                     f"{self._wait_s:g} s; topics seen: {others}). Start its publisher, "
-                    "or check the name, domain= and CYCLONEDDS_URI."
+                    f"or check the name, domain= and {node.hint}."
                 )
             if self._stop.wait(0.05):
                 raise SensorError(f"{self.name} was disconnected.")
 
-    def _first_frame(self, reader: _dds.DdsReader, end_s: float) -> Reading:
+    def _first_frame(self, reader: RosReader, end_s: float) -> Reading:
         self.lost = ""
         while True:
             for raw in reader.take(_TICK_S):
@@ -117,7 +145,7 @@ class RosSensor(LiveSensor):
             if waited_s > _MATCH_S and reader.hindrance and not reader.n_publishers:
                 raise SensorError(self._silence(reader))
 
-    def _silence(self, reader: _dds.DdsReader) -> str:
+    def _silence(self, reader: RosReader) -> str:
         """Return why nothing is heard, as far as DDS knows."""
         if not reader.n_publishers:
             if reader.hindrance:
@@ -167,9 +195,9 @@ class RosSensor(LiveSensor):
         assert self._reader is not None
         kind, where = self._reader.kind, f"A message of {self.topic}"
         try:
-            if len(raw) > _dds.MAX_MESSAGE:
+            if len(raw) > MAX_MESSAGE:
                 raise TouchesError(f"{where} must have at most 64 MiB, got {len(raw)}.")
-            message: Any = _dds.store().deserialize_cdr(raw, kind)
+            message: Any = read_message(raw, kind)
             frame = frame_of_message(message, kind, where)
             if frame.size == 0 or (frame.dtype.kind == "f" and np.isinf(frame).any()):
                 raise TouchesError(f"{where} must hold finite readings.")
@@ -178,8 +206,24 @@ class RosSensor(LiveSensor):
         except Exception as error:  # rosbags raises many kinds on damaged bytes
             self._refuse(f"{where} is damaged: {error or type(error).__name__}.")
         else:
-            return Reading(frame, device_time_s=_stamp_s(message))
+            return Reading(frame, device_time_s=self._stamped(message))
         return None
+
+    def _stamped(self, message: Any) -> float | None:
+        """Return when a message was made, in seconds, and keep its header."""
+        header = getattr(message, "header", None)
+        if header is None or not (header.stamp.sec or header.stamp.nanosec):
+            return None
+        kept = Header(header.stamp.sec, header.stamp.nanosec, str(header.frame_id))
+        time_s = float(kept.sec + kept.nanosec / 1e9)
+        self._headers[time_s] = kept
+        if len(self._headers) > _HEADERS:
+            self._headers.popitem(last=False)
+        return time_s
+
+    def header_at(self, device_time_s: float) -> Header | None:
+        """Return the header of the message with this `device_time_s`, None if old."""
+        return self._headers.get(device_time_s)
 
     def _refuse(self, why: str) -> None:
         self._count_missed(1)
@@ -190,10 +234,3 @@ class RosSensor(LiveSensor):
         if self._node is not None:
             self._node.close()
         self._node = None
-
-
-def _stamp_s(message: Any) -> float | None:
-    """Return the stamp of a message's header in seconds; None without one."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    seconds = 0.0 if stamp is None else float(stamp.sec + stamp.nanosec / 1e9)
-    return seconds or None

@@ -65,21 +65,30 @@ class Listeners:
         self.number = 1
         self._lock = threading.Lock()
         self._all: tuple[Listener, ...] = ()
+        self._of_frames: tuple[Listener, ...] = ()
 
     def __len__(self) -> int:
         return len(self._all)
 
-    def add(self, listener: Listener) -> None:
+    @property
+    def n_of_frames(self) -> int:
+        """How many take frames, which cost a picture each."""
+        return len(self._of_frames)
+
+    def add(self, listener: Listener, *, frames: bool = True) -> None:
         with self._lock:
             self._all = (*self._all, listener)
+            if frames:
+                self._of_frames = (*self._of_frames, listener)
 
     def discard(self, listener: Listener) -> None:
         with self._lock:
             self._all = tuple(one for one in self._all if one != listener)
+            self._of_frames = tuple(o for o in self._of_frames if o != listener)
 
     def notify(self, event: Event) -> None:
         event.values["sensor_number"] = self.number
-        for listener in self._all:
+        for listener in self._of_frames if event.kind == "frame" else self._all:
             try:
                 listener(event)
             except Exception:  # one broken listener must not stop the sensor
@@ -321,7 +330,7 @@ class SensorWatch:
             self._found.put((touch, frame.time_s))
 
     def _show(self, frame: Frame) -> None:
-        if not len(self._listeners):
+        if not self._listeners.n_of_frames:
             return
         picture = self._painter.paint(frame.image)
         self._health.count_shown(frame.time_s)

@@ -1,0 +1,155 @@
+"""Messages and services of ROS 2 as rosbags makes and reads them, named as ROS does.
+
+Both wires, DDS and zenoh, carry the same bytes (CDR) and name types alike:
+`sensor_msgs::msg::dds_::Image_` is `sensor_msgs/msg/Image`.
+"""
+
+import re
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple, Protocol
+
+from .._extras import needed
+
+WHAT = "A topic of ROS 2"
+MAX_MESSAGE = 2**26
+DEPTH = 64  # messages that may wait
+STRING, CLASSIFICATION = "std_msgs/msg/String", "vision_msgs/msg/Classification"
+TRIGGER, SET_BOOL = "std_srvs/srv/Trigger", "std_srvs/srv/SetBool"
+# What is not among rosbags' own types, as ROS writes it.
+_MESSAGES = {
+    "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score\n",
+    CLASSIFICATION: "std_msgs/Header header\nvision_msgs/ObjectHypothesis[] results\n",
+}
+_ANSWER = "bool success\nstring message\n"
+_SERVICES = {TRIGGER: ("", _ANSWER), SET_BOOL: ("bool data\n", _ANSWER)}
+
+Answer = Callable[[Any], tuple[bool, str]]
+
+
+class Endpoint(NamedTuple):
+    """A publisher that was discovered: topic and kind as ROS writes them."""
+
+    topic: str
+    kind: str
+
+
+class Header(NamedTuple):
+    """When (`sec`, `nanosec`) and where a message was made."""
+
+    sec: int
+    nanosec: int
+    frame_id: str
+
+
+class RosReader(Protocol):
+    """The messages of one topic, as bytes.
+
+    `n_publishers` is how many are heard now; `hindrance` names the policy that keeps a
+    publisher from being heard, or is empty.
+    """
+
+    kind: str
+
+    @property
+    def n_publishers(self) -> int: ...
+
+    @property
+    def hindrance(self) -> str: ...
+
+    def take(self, wait_s: float) -> list[bytes]:
+        """Return the messages that came, waiting so long for the first."""
+        ...
+
+
+class RosWriter(Protocol):
+    """Writes messages of one kind to one topic, as bytes.
+
+    `hindrance` names the policy that keeps a reader from hearing it, or is empty.
+    """
+
+    @property
+    def hindrance(self) -> str: ...
+
+    def write_bytes(self, raw: bytes) -> None: ...
+
+
+class RosService(Protocol):
+    """A service; `poll` answers the requests that have come."""
+
+    def poll(self) -> None: ...
+
+
+class RosNode(Protocol):
+    """A participant in a domain: it discovers, subscribes, publishes and answers.
+
+    `hint` is what to look at where a topic is not found.
+    """
+
+    hint: str
+
+    def publishers(self, topic: str) -> list[Endpoint]: ...
+
+    def subscribe(self, topic: str, kind: str, *, reliable: bool) -> RosReader: ...
+
+    def publish(self, topic: str, kind: str) -> RosWriter: ...
+
+    def serve(self, service: str, kind: str, answer: Answer) -> RosService: ...
+
+    def close(self) -> None: ...
+
+
+@cache
+def store() -> Any:
+    """Return rosbags' types of ROS 2, with those of vision_msgs and std_srvs."""
+    typesys = needed("rosbags.typesys", "ros", WHAT)
+    types = typesys.get_typestore(typesys.Stores.LATEST)
+    for name, text in _MESSAGES.items():
+        types.register(typesys.get_types_from_msg(text, name))
+    for name, texts in _SERVICES.items():
+        for part, text in zip(("Request", "Response"), texts, strict=True):
+            read = typesys.get_types_from_msg(text, f"{name}_{part}")
+            # rosbags calls these std_srvs/srv/msg/..., ROS does not.
+            types.register({f"{name}_{part}": fields for fields in read.values()})
+    return types
+
+
+def ros_kind(name: str) -> str | None:
+    """Return `sensor_msgs/msg/Image` of `sensor_msgs::msg::dds_::Image_`, else None."""
+    parts = re.fullmatch(r"(\w+)::msg::dds_::(\w+)_", name)
+    return parts and f"{parts[1]}/msg/{parts[2]}"
+
+
+def wire_kind(kind: str) -> str:
+    """Return `sensor_msgs::msg::dds_::Image_` of `sensor_msgs/msg/Image`."""
+    package, group, name = kind.split("/")
+    return f"{package}::{group}::dds_::{name}_"
+
+
+def read_message(raw: bytes, kind: str) -> Any:
+    """Return the message in bytes; damaged ones raise whatever rosbags raises."""
+    return store().deserialize_cdr(raw, kind)
+
+
+def write_message(message: Any, kind: str) -> bytes:
+    """Return a message as bytes, with CDR's head of four."""
+    return bytes(store().serialize_cdr(message, kind))
+
+
+def text_message(text: str) -> Any:
+    """Return a `std_msgs/msg/String`."""
+    return store().types[STRING](text)
+
+
+def response(kind: str, success: bool, message: str) -> Any:
+    """Return the response of a service such as `std_srvs/srv/Trigger`."""
+    return store().types[f"{kind}_Response"](success, message)
+
+
+def classification(header: Header, shares: dict[str, float]) -> Any:
+    """Return a `vision_msgs/msg/Classification`: names and probabilities in order."""
+    types = store().types
+    stamp = types["builtin_interfaces/msg/Time"](header.sec, header.nanosec)
+    head = types["std_msgs/msg/Header"](stamp, header.frame_id)
+    kind = types["vision_msgs/msg/ObjectHypothesis"]
+    return types[CLASSIFICATION](head, [kind(*one) for one in shares.items()])

@@ -1,0 +1,294 @@
+"""Topics and services of ROS 2 over zenoh, without ROS: in the layout of rmw_zenoh.
+
+A message of a topic has the key `DOMAIN/TOPIC/TYPE/HASH` and, beside its bytes, the
+number of the message, its time and its writer. Who is there is told by tokens under
+`@ros2_lv`. Sessions meet at a router (`ros2 run rmw_zenoh_cpp rmw_zenohd`), at
+localhost unless `ZENOH_SESSION_CONFIG_URI` names a file of zenoh's configuration;
+`ZENOH_CONFIG_OVERRIDE` (`KEY=VALUE;...`) changes single values, as for rmw_zenoh.
+"""
+
+import os
+import secrets
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+from .._extras import needed
+from ._contract import SensorError
+from ._ros_types import (
+    DEPTH,
+    WHAT,
+    Answer,
+    Endpoint,
+    read_message,
+    response,
+    ros_kind,
+    store,
+    wire_kind,
+    write_message,
+)
+
+_ROUTER = "tcp/localhost:7447"
+_TOKENS = "@ros2_lv"
+_QUALITY = f"::,{DEPTH}:,:,:,,"  # reliable, volatile, the last 64
+_RECENT_S = 2.0
+_EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
+
+
+class ZenohNode:
+    """A session of zenoh; see `RosNode`.
+
+    Parameters
+    ----------
+    domain : int
+        What `ROS_DOMAIN_ID` is to ROS.
+
+    Raises
+    ------
+    ImportError
+        eclipse-zenoh or rosbags is missing; the message names the extra.
+    SensorError
+        The session cannot be opened: a configuration that is none.
+    """
+
+    hint = f"that a router runs at {_ROUTER} or where ZENOH_SESSION_CONFIG_URI says"
+
+    def __init__(self, domain: int) -> None:
+        zenoh = needed("zenoh", "zenoh", "A topic over zenoh")
+        store()
+        try:
+            self._session = zenoh.open(_configuration(zenoh))
+        except Exception as error:  # ZError, and what a file that is none raises
+            raise SensorError(
+                f"zenoh cannot open a session: {error} Check ZENOH_SESSION_CONFIG_URI "
+                "and ZENOH_CONFIG_OVERRIDE."
+            ) from error
+        self._domain, self._number = domain, 0
+        self._held: list[Any] = []
+        self._watches: dict[str, Any] = {}
+        self._tokens: set[str] = set()
+        self._seen: dict[str, dict[str, float]] = {}  # by topic the time of each kind
+        prefix = f"{_TOKENS}/{domain}/{self._session.zid()}/0"
+        self._prefix, self._node = prefix, "%/%/palpate"
+        self._declare(f"{prefix}/0/NN/{self._node}")
+        self._held.append(
+            self._session.liveliness().declare_subscriber(
+                f"{_TOKENS}/{domain}/**", self._token, history=True
+            )
+        )
+
+    def publishers(self, topic: str) -> list[Endpoint]:
+        """Return the publishers that have told of themselves, or sent on `topic`."""
+        if topic not in self._seen:
+            self._seen[topic] = {}
+            key = f"{self._domain}{topic}/*/*"
+            # Not all who publish in this layout have tokens.
+            watch = self._session.declare_subscriber(key, self._watched(topic))
+            self._watches[topic] = watch
+        senders = [Endpoint(topic, kind) for kind in [*self._seen[topic]]]
+        return [*senders, *_publishers(self._tokens)]
+
+    def subscribe(self, topic: str, kind: str, *, reliable: bool) -> "ZenohReader":
+        """Return what reads the messages of a topic, none from before this call."""
+        watch = self._watches.pop(topic, None)
+        if watch is not None:
+            watch.undeclare()
+        reader = ZenohReader(self._session, self._domain, topic, kind, self._tokens)
+        # What is told of is there already, for those who wait for it.
+        self._declare(self._endpoint("MS", topic, kind, type_hash(kind)))
+        return reader
+
+    def publish(self, topic: str, kind: str) -> "ZenohWriter":
+        """Return what writes messages of a kind to a topic."""
+        key = f"{self._domain}{topic}/{wire_kind(kind)}/{type_hash(kind)}"
+        writer = ZenohWriter(self._session, key)
+        self._declare(self._endpoint("MP", topic, kind, type_hash(kind)))
+        return writer
+
+    def serve(self, service: str, kind: str, answer: Answer) -> "ZenohService":
+        """Return a service that answers requests by a function of the message."""
+        key = f"{self._domain}{service}/{wire_kind(kind)}/*"
+        served = ZenohService(self._session, key, kind, answer)
+        self._declare(self._endpoint("SS", service, kind, service_hash(kind)))
+        return served
+
+    def close(self) -> None:
+        """End the session; readers and writers end with it."""
+        self._held = []
+        self._session.close()
+
+    def _endpoint(self, what: str, name: str, kind: str, hash_: str) -> str:
+        self._number += 1
+        start = f"{self._prefix}/{self._number}/{what}/{self._node}"
+        mangled = name.replace("/", "%")
+        return f"{start}/{mangled}/{wire_kind(kind)}/{hash_}/{_QUALITY}"
+
+    def _declare(self, key: str) -> None:
+        self._held.append(self._session.liveliness().declare_token(key))
+
+    def _token(self, sample: Any) -> None:
+        key = str(sample.key_expr)
+        gone = "DELETE" in str(sample.kind)
+        (self._tokens.discard if gone else self._tokens.add)(key)
+
+    def _watched(self, topic: str) -> Any:
+        def watch(sample: Any) -> None:
+            kind = ros_kind(str(sample.key_expr).split("/")[-2])
+            if kind is not None:
+                self._seen[topic][kind] = time.monotonic()
+
+        return watch
+
+
+class ZenohReader:
+    """The messages of one topic, as bytes; see `RosReader`."""
+
+    hindrance = ""  # zenoh keeps nobody apart by quality of service
+
+    def __init__(
+        self, session: Any, domain: int, topic: str, kind: str, tokens: set[str]
+    ) -> None:
+        self.kind, self._tokens = kind, tokens
+        self._endpoint = Endpoint(topic, kind)
+        self._waiting: deque[bytes] = deque(maxlen=DEPTH)
+        self._arrived, self._last_s = threading.Condition(), float("-inf")
+        key = f"{domain}{topic}/{wire_kind(kind)}/*"
+        self._subscriber = session.declare_subscriber(key, self._put)
+
+    def take(self, wait_s: float) -> list[bytes]:
+        """Return the messages that came, waiting so long for the first."""
+        with self._arrived:
+            self._arrived.wait_for(lambda: bool(self._waiting), wait_s)
+            messages = [*self._waiting]
+            self._waiting.clear()
+        return messages
+
+    @property
+    def n_publishers(self) -> int:
+        """How many have told of themselves, or 1 where one sent a moment ago."""
+        n_tokens = sum(one == self._endpoint for one in _publishers(self._tokens))
+        return n_tokens or int(time.monotonic() - self._last_s < _RECENT_S)
+
+    def _put(self, sample: Any) -> None:
+        raw = sample.payload.to_bytes()
+        with self._arrived:
+            self._last_s = time.monotonic()
+            self._waiting.append(raw)
+            self._arrived.notify()
+
+
+class ZenohWriter:
+    """Writes messages of one kind to one topic; see `RosWriter`."""
+
+    hindrance = ""
+
+    def __init__(self, session: Any, key: str) -> None:
+        self._publisher = session.declare_publisher(key)
+        self._number, self._name = 0, secrets.token_bytes(16)
+
+    def write_bytes(self, raw: bytes) -> None:
+        """Write a message that is bytes already, with CDR's head of four."""
+        self._number += 1
+        beside = _beside(self._number, self._name)
+        self._publisher.put(raw, attachment=beside)
+
+
+class ZenohService:
+    """A service, as zenoh's queries; see `RosService`."""
+
+    def __init__(self, session: Any, key: str, kind: str, answer: Answer) -> None:
+        self._kind, self._answer = kind, answer
+        self._waiting: deque[Any] = deque(maxlen=DEPTH)
+        put = self._waiting.append
+        # Clients of rmw_zenoh ask those only who say that they answer all.
+        self._queryable = session.declare_queryable(key, put, complete=True)
+
+    def poll(self) -> None:
+        """Answer the requests that have come; one that is damaged has no answer."""
+        while self._waiting:
+            query = self._waiting.popleft()
+            try:
+                raw, head = query.payload.to_bytes(), query.attachment.to_bytes()
+                number, name = struct.unpack("<q", head[:8])[0], head[17:33]
+                request = read_message(raw, f"{self._kind}_Request")
+            except Exception:  # rosbags raises many kinds, and parts may be missing
+                query.drop()
+                continue
+            message = response(self._kind, *self._answer(request))
+            written = write_message(message, f"{self._kind}_Response")
+            beside = _beside(number, name)
+            query.reply(query.key_expr, written, attachment=beside)
+            query.drop()
+
+
+@cache
+def type_hash(kind: str) -> str:
+    """Return what ROS calls a message's type hash, `RIHS01_...`."""
+    return str(store().hash_rihs01(kind))
+
+
+@cache
+def service_hash(kind: str) -> str:
+    """Return the type hash of a service: of its request, response and event."""
+    typesys = needed("rosbags.typesys", "ros", WHAT)
+    types, package = store(), kind.rpartition("/")[0]
+    event = (
+        "service_msgs/ServiceEventInfo info\n"
+        f"{kind}_Request[<=1] request\n{kind}_Response[<=1] response\n"
+    )
+    whole = (
+        f"{kind}_Request request_message\n{kind}_Response response_message\n"
+        f"{kind}_Event event_message\n"
+    )
+    for name, text in ((f"{kind}_Event", event), (kind, whole)):
+        for fields in typesys.get_types_from_msg(text, name).values():
+            types.fielddefs[name] = _renamed(fields, f"{package}/msg/", f"{package}/")
+    # ROS hashes a char as the byte that it is since ROS 2, rosbags as a character.
+    info = types.fielddefs[_EVENT_INFO]
+    types.fielddefs[_EVENT_INFO] = _renamed(info, "char", "uint8")
+    return str(types.hash_rihs01(kind))
+
+
+def _renamed(fields: Any, old: str, new: str) -> Any:
+    """Return fields of rosbags in which names of types are others."""
+    if isinstance(fields, str):
+        return fields.replace(old, new)
+    if isinstance(fields, (tuple, list)):
+        return type(fields)(_renamed(one, old, new) for one in fields)
+    return fields
+
+
+def _publishers(tokens: set[str]) -> Iterator[Endpoint]:
+    """Yield what the tokens of publishers tell."""
+    for key in [*tokens]:
+        parts = key.split("/")
+        kind = ros_kind(parts[10]) if len(parts) > 10 and parts[5] == "MP" else None
+        if kind is not None:
+            yield Endpoint(parts[9].replace("%", "/"), kind)
+
+
+def _beside(number: int, name: bytes) -> bytes:
+    """Return what rmw_zenoh puts beside a message: its number, time and writer."""
+    head = struct.pack("<qqB", number, time.time_ns(), len(name))
+    return head + name
+
+
+def _configuration(zenoh: Any) -> Any:
+    path = os.environ.get("ZENOH_SESSION_CONFIG_URI", "")
+    if path:
+        chosen = zenoh.Config.from_file(path)
+    else:
+        chosen = zenoh.Config()
+        chosen.insert_json5("mode", '"peer"')
+        chosen.insert_json5("connect/endpoints", f'["{_ROUTER}"]')
+        chosen.insert_json5("listen/endpoints", '["tcp/localhost:0"]')
+        chosen.insert_json5("scouting/multicast/enabled", "false")
+    for part in os.environ.get("ZENOH_CONFIG_OVERRIDE", "").split(";"):
+        name, _, value = part.partition("=")
+        if name.strip():
+            chosen.insert_json5(name.strip(), value)
+    return chosen

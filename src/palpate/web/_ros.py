@@ -1,0 +1,220 @@
+"""A live session on topics and services of ROS 2: beliefs out, commands in.
+
+Under a prefix such as `/palpate`:
+
+- `belief`, `vision_msgs/msg/Classification`: after each touch its header and names with
+  probabilities, the most probable first; "unknown" is none of the learnt objects.
+- `decision`, `std_msgs/msg/String`: a name, "unknown", or nothing while undecided.
+- `command` (in) and `answer`, `std_msgs/msg/String`: `start`, `object NAME`, `teach
+  [NAME]`, `stop`, `confirm [NAME]`, `learn`, `session`; "done: ..." or "refused: ...".
+- Services `start`, `stop`, `confirm`, `learn`, `session` (`std_srvs/srv/Trigger`) and
+  `teach` (`std_srvs/srv/SetBool`; true is `teach`, false `stop`).
+"""
+
+import sys
+import threading
+import time
+from functools import partial
+from typing import Any
+
+from ..sensors import (
+    CLASSIFICATION,
+    SET_BOOL,
+    STRING,
+    TRIGGER,
+    CalibratedSensor,
+    Header,
+    RosSensor,
+    RosService,
+    classification,
+    open_node,
+    ros_place,
+    text_message,
+)
+from ..sensors import read_message as read
+from ..sensors import write_message as write
+from ._sensor_watch import Event
+from ._session import LiveSession
+from ._teaching import MOST_PER_LESSON
+
+_TICK_S = 0.02
+_LONGEST = 200  # characters of a command
+_COMMANDS = ("start", "object", "teach", "stop", "confirm", "learn", "session")
+
+
+class RosPublisher:
+    """Publishes what a session believes, and does what is asked over the same wire.
+
+    Parameters
+    ----------
+    session : LiveSession
+        What recognises and learns.
+    address : str
+        `ros:PREFIX?domain=0&via=dds`: the prefix of all names, and where;
+        `&services=no` offers none, for a node that does.
+
+    Raises
+    ------
+    AddressError
+        The address is none.
+    SensorError
+        The network is not there.
+    """
+
+    def __init__(self, session: LiveSession, address: str) -> None:
+        self.prefix, domain, via, services = ros_place(address)
+        self._session, self._object, self._warned = session, "", False
+        self._learning = False
+        self._node = node = open_node(domain, via)
+        at = self.prefix.rstrip("/")
+        self._belief = node.publish(f"{at}/belief", CLASSIFICATION)
+        self._decision = node.publish(f"{at}/decision", STRING)
+        self._answer = node.publish(f"{at}/answer", STRING)
+        self._commands = node.subscribe(f"{at}/command", STRING, reliable=True)
+        self._services = self._offered(at) if services else []
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._listen, daemon=True)
+        session.listeners.add(self.take, frames=False)
+        self._thread.start()
+
+    def _offered(self, at: str) -> list[RosService]:
+        serve, plain = self._node.serve, {*_COMMANDS} - {"object", "teach"}
+        return [
+            *(serve(f"{at}/{n}", TRIGGER, partial(self._triggered, n)) for n in plain),
+            serve(f"{at}/teach", SET_BOOL, self._teach),
+        ]
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._session.listeners.discard(self.take)
+        self._stop.set()
+        self._thread.join(timeout=5.0)
+        # DDS ends what nobody holds any more.
+        del self._belief, self._decision, self._answer
+        del self._commands, self._services
+        self._node.close()
+
+    def take(self, event: Event) -> None:
+        """Publish what a "touch" of the session tells, and how learning ended."""
+        if event.kind == "state":
+            self._follow_learning(event.values)
+        if event.kind != "touch":
+            return
+        episode = event.values["episode"]
+        (touch,) = episode["touches"]
+        shares = dict(touch["posterior"])
+        if touch["unknown"] is not None:
+            shares["unknown"] = touch["unknown"]
+        ordered = dict(sorted(shares.items(), key=lambda one: -one[1]))
+        message = classification(self._header(touch), ordered)
+        self._belief.write_bytes(write(message, CLASSIFICATION))
+        decision = episode["decision"] or ""
+        self._decision.write_bytes(write(text_message(decision), STRING))
+
+    def ask(self, command: str) -> tuple[bool, str]:
+        """Do what a command says; return whether it was done, and a sentence."""
+        try:
+            return True, self._do(*command[:_LONGEST].split(maxsplit=1))
+        except (ValueError, OSError, RuntimeError, TypeError) as error:
+            return False, str(error)
+
+    def _do(self, command: str = "", name: str = "") -> str:
+        session = self._session
+        if command not in _COMMANDS:
+            raise ValueError(
+                f"command must be one of {', '.join(_COMMANDS)}, got {command!r}."
+            )
+        if command == "object":
+            self._object = name
+            return f"teach and confirm mean {name or 'what is decided'} now."
+        if command == "start":
+            session.begin_episode()
+            return "The next touch begins an episode."
+        if command == "teach":
+            name = self._named(name)
+            session.teach(name, MOST_PER_LESSON)
+            return f"Touches teach {name}."
+        if command == "stop":
+            session.stop_teaching()
+            return "Touches are recognised."
+        if command == "confirm":
+            return self._confirm(name)
+        if command == "learn":
+            session.learn()
+            return "It is learning; another answer says when it has."
+        session.take_baseline()
+        session.begin_episode()
+        return "The baseline is taken; a session begins."
+
+    def _confirm(self, name: str) -> str:
+        episode = self._session.episode
+        name = name or self._object or episode.decision or ""
+        if name == "unknown":
+            name = ""
+        n_touches = min(len(episode.images), MOST_PER_LESSON)
+        if not n_touches:
+            raise ValueError("confirm must come after touches, got none.")
+        name = self._named(name)
+        self._session.teach(name, n_touches, keep_episode=True)
+        return f"{n_touches} touches are kept as {name}; learn to use them."
+
+    def _named(self, name: str) -> str:
+        if name := name or self._object:
+            return name
+        raise ValueError(
+            "An object must be named, got none. Publish 'object NAME' to "
+            f"{self.prefix.rstrip('/')}/command first."
+        )
+
+    def _triggered(self, command: str, request: Any) -> tuple[bool, str]:
+        return self.ask(command)
+
+    def _teach(self, request: Any) -> tuple[bool, str]:
+        return self.ask("teach" if request.data else "stop")
+
+    def _header(self, touch: dict[str, Any]) -> Header:
+        """Return the header of the message that a touch was seen in, or of now."""
+        watch = self._session.watch
+        sensor = None if watch is None else watch.sensor
+        if isinstance(sensor, CalibratedSensor):
+            sensor = sensor.inner
+        if isinstance(sensor, RosSensor) and touch["device_time_s"] is not None:
+            header = sensor.header_at(touch["device_time_s"])
+            if header is not None:
+                return header
+        seconds, rest = divmod(time.time_ns(), 10**9)
+        return Header(seconds, rest, "" if sensor is None else sensor.name)
+
+    def _listen(self) -> None:
+        while not self._stop.is_set():
+            for raw in self._commands.take(_TICK_S):
+                try:
+                    text = str(read(raw, STRING).data)
+                except Exception:  # rosbags raises many kinds on damaged bytes
+                    continue
+                done, sentence = self.ask(text)
+                self._say(done, sentence)
+            for service in self._services:
+                service.poll()
+            self._warn()
+
+    def _say(self, done: bool, sentence: str) -> None:
+        answer = f"{'done' if done else 'refused'}: {sentence}"
+        self._answer.write_bytes(write(text_message(answer), STRING))
+
+    def _follow_learning(self, state: dict[str, Any]) -> None:
+        """Answer a second time once it has learnt, or could not."""
+        was, self._learning = self._learning, state["learning"]
+        if was and not self._learning:
+            error = state["learn_error"]
+            self._say(not error, error or state["message"])
+
+    def _warn(self) -> None:
+        """Say once that somebody listens who cannot hear."""
+        if not self._warned and (policy := self._belief.hindrance):
+            self._warned = True
+            print(
+                f"Somebody subscribes to {self.prefix}/belief and does not hear it, "
+                f"by its {policy}: it is published reliably, the last 64 kept.",
+                file=sys.stderr,
+            )

@@ -1,0 +1,219 @@
+"""Every kind of file that people have goes into a library, or is refused in a sentence.
+
+`palpate library add` as a shell calls it; what is stored is compared with what numpy,
+h5py, tifffile, zarr, scipy, Pillow, OpenCV and rosbags wrote.
+"""
+
+import json
+
+import numpy as np
+import pytest
+import scipy.io
+from numpy.testing import assert_array_equal
+from PIL import Image
+
+from palpate.library import TouchLibrary
+
+IMAGES = np.random.default_rng(0).integers(0, 256, (4, 5, 6), dtype=np.uint8)
+LABELS = ["cup", "cup", "pen", "pen"]
+
+
+def hdf5(folder, images=IMAGES):
+    with pytest.importorskip("h5py").File(folder / "t.h5", "w") as file:
+        file["images"], file["label"] = images, LABELS
+    return folder / "t.h5"
+
+
+def tiff(folder, images=IMAGES):
+    pytest.importorskip("tifffile").imwrite(
+        folder / "t.tif", images, photometric="minisblack"
+    )
+    return folder / "t.tif"
+
+
+def zarr(folder):
+    group = pytest.importorskip("zarr").open_group(str(folder / "t.zarr"), mode="w")
+    group.create_array("images", data=IMAGES)
+    return folder / "t.zarr"
+
+
+def mat(folder):
+    scipy.io.savemat(folder / "t.mat", {"images": IMAGES, "label": np.array(LABELS)})
+    return folder / "t.mat"
+
+
+def pictures(folder, ending):
+    pad = folder / "cup"
+    pad.mkdir()
+    for number, image in enumerate(IMAGES):
+        how = {"lossless": True} if ending == "webp" else {}
+        Image.fromarray(image).save(pad / f"{number}.{ending}", **how)
+    return folder
+
+
+def labelled(folder):
+    for number, image in enumerate(IMAGES):
+        Image.fromarray(image).save(folder / f"{number}.png")
+    rows = [f"{number}.png,{label}" for number, label in enumerate(LABELS)]
+    (folder / "labels.csv").write_text("\n".join(["file,label", *rows]))
+    return folder
+
+
+def text(folder, name, **how):
+    np.savetxt(folder / name, IMAGES.reshape(4, -1), fmt="%d", **how)
+    return folder / name
+
+
+def clocked(folder):
+    """Five lines or more whose first column rises evenly, without names."""
+    rows = IMAGES.reshape(8, 15)
+    rows = np.column_stack([1e9 + 0.04 * np.arange(8), rows])
+    np.savetxt(folder / "t.csv", rows, delimiter=",")
+    return folder / "t.csv"
+
+
+def raw(folder):
+    IMAGES.astype("<u2").tofile(folder / "t.raw")
+    return folder / "t.raw"
+
+
+def npy(folder):
+    np.save(folder / "t.npy", IMAGES)
+    return folder / "t.npy"
+
+
+def npz(folder):
+    np.savez(folder / "t.npz", X=IMAGES, y=np.array(LABELS))
+    return folder / "t.npz"
+
+
+def bag(folder, generation):
+    """A bag of ROS 1 or 2 of four pictures."""
+    typesys = pytest.importorskip("rosbags.typesys")
+    package = pytest.importorskip(f"rosbags.rosbag{generation}")
+    known = {1: "ROS1_NOETIC", 2: "ROS2_HUMBLE"}[generation]
+    types = typesys.get_typestore(getattr(typesys.Stores, known))
+    kind, made = "sensor_msgs/msg/Image", types.types
+    path = folder / ("t.bag" if generation == 1 else "bag")
+    how = {} if generation == 1 else {"version": 9}
+    with package.Writer(path, **how) as writer:
+        connection = writer.add_connection("/pad", kind, typestore=types)
+        for number, image in enumerate(IMAGES):
+            stamp = made["builtin_interfaces/msg/Time"](5 + number, 0)
+            counted = (number,) if generation == 1 else ()
+            header = made["std_msgs/msg/Header"](*counted, stamp, "pad")
+            message = made[kind](header, 5, 6, "mono8", 0, 6, image.ravel())
+            serialize = getattr(
+                types, {1: "serialize_ros1", 2: "serialize_cdr"}[generation]
+            )
+            writer.write(connection, (5 + number) * 10**9, serialize(message, kind))
+    return path
+
+
+def same(images):
+    assert_array_equal(images, IMAGES)
+
+
+SHAPED, NAMED = ("--shape", "5x6"), ("--object", "cup")
+KINDS = {
+    "hdf5": (hdf5, (), same),
+    "hdf5 of floats": (
+        lambda folder: hdf5(folder, IMAGES / np.float32(4)),
+        (),
+        lambda images: same(images * 4),
+    ),
+    "tiff": (tiff, NAMED, same),
+    "tiff of 16 bits": (
+        lambda folder: tiff(folder, IMAGES.astype(np.uint16) * 257),
+        NAMED,
+        lambda images: same(images // 257),
+    ),
+    "tiff of floats": (
+        lambda folder: tiff(folder, IMAGES.astype(np.float32)),
+        NAMED,
+        same,
+    ),
+    "zarr": (zarr, NAMED, same),
+    "mat": (mat, (), same),
+    "webp": (lambda folder: pictures(folder, "webp"), (), same),
+    "bmp": (lambda folder: pictures(folder, "bmp"), (), same),
+    "png": (lambda folder: pictures(folder, "png"), (), same),
+    "labels.csv": (labelled, (), same),
+    "bag of ROS 1": (lambda folder: bag(folder, 1), NAMED, same),
+    "bag of ROS 2": (lambda folder: bag(folder, 2), NAMED, same),
+    "blanks": (lambda folder: text(folder, "t.txt"), (*SHAPED, *NAMED), same),
+    "csv": (
+        lambda folder: text(folder, "t.csv", delimiter=","),
+        (*SHAPED, *NAMED),
+        same,
+    ),
+    "csv with a clock": (
+        clocked,
+        ("--shape", "3x5", *NAMED),
+        lambda images: same(images.reshape(4, 5, 6)),
+    ),
+    "raw": (raw, (*SHAPED, "--dtype", "<u2", *NAMED), same),
+    "raw of three axes": (
+        raw,
+        ("--shape", "5x2", "--dtype", "<u2", "--channels", "x,y,z", *NAMED),
+        lambda images: same(images.reshape(4, 5, 6)),
+    ),
+    "npy": (npy, NAMED, same),
+    "npz": (npz, (), same),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_file_goes_into_a_library_as_it_is(kind, palpate, tmp_path):
+    write, options, compare = KINDS[kind]
+    (tmp_path / "files").mkdir()
+    path, lab = write(tmp_path / "files"), tmp_path / "lab"
+    done = palpate("library", "add", lab, path, *options, "--json")
+    assert done.returncode == 0, done.stderr
+    json.loads(done.stdout)
+    with TouchLibrary.open(lab) as library:
+        touches = library.touches()
+        assert touches.object is not None
+        compare(touches.images)
+
+
+def test_a_running_topic_is_recorded_not_added(palpate, tmp_path):
+    done = palpate("library", "add", tmp_path / "lab", "ros:/pad?domain=3")
+    assert done.returncode == 1
+    command = f"palpate record NAME --sensor ros:/pad?domain=3 --library {tmp_path}"
+    assert command in done.stderr.replace("\n", "")
+
+
+def cut(folder, write):
+    path = write(folder)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    return path
+
+
+def written(folder, name, content):
+    (folder / name).write_bytes(content)
+    return folder / name
+
+
+REFUSED = {
+    "a pickle": (lambda folder: written(folder, "t.pkl", b"\x80\x04N."), ()),
+    "weights of torch": (lambda folder: written(folder, "t.pt", b"PK\3\4"), ()),
+    "text that is none": (lambda folder: written(folder, "t.csv", b"\xff\xfe,"), ()),
+    "raw without a shape": (raw, ()),
+    "raw that does not fit": (raw, ("--shape", "7x7", "--dtype", "<u2")),
+    "hdf5 cut short": (lambda folder: cut(folder, hdf5), ()),
+    "mat cut short": (lambda folder: cut(folder, mat), ()),
+    "tiff of nothing": (lambda folder: written(folder, "t.tif", b"II*\0"), ()),
+    "a bag of ROS 1 cut short": (lambda folder: cut(folder, lambda f: bag(f, 1)), ()),
+    "a film of nothing": (lambda folder: written(folder, "t.mp4", b"\0" * 64), ()),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_what_cannot_be_read_is_refused_in_a_sentence(kind, palpate, tmp_path):
+    write, options = REFUSED[kind]
+    path = write(tmp_path)
+    done = palpate("library", "add", tmp_path / "lab", path, *options)
+    assert done.returncode in (1, 2)
+    assert "Traceback" not in done.stderr
+    assert path.name in done.stderr.replace("\n", "")

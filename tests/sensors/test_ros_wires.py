@@ -1,0 +1,227 @@
+"""Both wires of ROS 2 below the sensor: services, type hashes, zenoh's keys.
+
+Requests and frames are bytes written by hand, as clients of ROS put them there.
+"""
+
+import json
+import os
+import struct
+import time
+from contextlib import contextmanager
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from palpate.sensors import SensorError, check_sensor, open_node, open_sensor, ros_place
+
+pytest.importorskip("rosbags")
+from palpate.sensors import _ros_types as ros_types
+from palpate.sensors import _zenoh
+
+NUMBER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]) % 50
+DOMAIN, ENDPOINT = 100 + NUMBER, f"tcp/127.0.0.1:{17600 + NUMBER}"
+IMAGE = "sensor_msgs::msg::dds_::Image_/RIHS01_d31d41"
+TRIGGER = b"\0\1\0\0\0"  # CDR of a request without fields
+needs_dds = pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")
+needs_zenoh = pytest.mark.skipif(not find_spec("zenoh"), reason="no zenoh")
+NETWORK = """<CycloneDDS><Domain id="any">
+<General><AllowMulticast>false</AllowMulticast><Interfaces>
+<NetworkInterface address="127.0.0.1"/></Interfaces></General>
+<Discovery><ParticipantIndex>auto</ParticipantIndex>
+<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
+
+
+@pytest.fixture(autouse=True)
+def network(monkeypatch):
+    monkeypatch.setenv("CYCLONEDDS_URI", NETWORK)
+    override = f'connect/endpoints=["{ENDPOINT}"]'
+    monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", override)
+    monkeypatch.delenv("ZENOH_SESSION_CONFIG_URI", raising=False)
+
+
+@contextmanager
+def router():
+    import zenoh
+
+    configuration = zenoh.Config()
+    configuration.insert_json5("mode", '"router"')
+    configuration.insert_json5("listen/endpoints", json.dumps([ENDPOINT]))
+    configuration.insert_json5("scouting/multicast/enabled", "false")
+    with zenoh.open(configuration) as session:
+        yield session
+
+
+def image(level, side=6):
+    """Return a picture of one grey level in CDR, stamped with the level."""
+    raw = struct.pack("<4sIiI4s", b"\0\1\0\0", 100 + level, 5, 4, b"pad\0")
+    raw += struct.pack("<III8s", side, side, 6, b"mono8\0\0")
+    raw += b"\0" * (-len(raw) % 4) + struct.pack("<II", side, side * side)
+    return raw + bytes([level]) * side * side
+
+
+def eventually(true, limit_s=10.0):
+    end_s = time.monotonic() + limit_s
+    while not true() and time.monotonic() < end_s:
+        time.sleep(0.02)
+    return true()
+
+
+# Hashes that ROS publishes: of rmw_zenoh's design, and of std_srvs.
+def test_type_hashes_are_those_of_ros():
+    string = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+    add = "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"
+    assert _zenoh.type_hash(ros_types.STRING) == string
+    name, typesys = (
+        "example_interfaces/srv/AddTwoInts",
+        pytest.importorskip("rosbags.typesys"),
+    )
+    for part, text in (("Request", "int64 a\nint64 b\n"), ("Response", "int64 sum\n")):
+        (fields,) = typesys.get_types_from_msg(text, f"{name}_{part}").values()
+        ros_types.store().register({f"{name}_{part}": fields})
+    assert _zenoh.service_hash(name) == add
+
+
+@needs_dds
+def test_a_service_answers_as_rmw_cyclonedds_asks():
+    from palpate.sensors._dds import DdsReader, DdsWriter, _topic
+
+    node, client = open_node(DOMAIN, "dds"), open_node(DOMAIN, "dds")
+    service = node.serve("/desk/start", ros_types.TRIGGER, lambda _: (True, "begun"))
+    there, kind = client._participant, "std_srvs/srv/Trigger"
+    asks = _topic(there, "rq/desk/startRequest", f"{kind}_Request")
+    answers = _topic(there, "rr/desk/startReply", f"{kind}_Response")
+    writer = DdsWriter(there, asks, f"{kind}_Request")
+    reader = DdsReader(there, answers, f"{kind}_Response", reliable=True)
+    assert eventually(lambda: service._reader.n_publishers and reader.n_publishers)
+    head = struct.pack("<Qq", 77, 5)  # the client, and the number of its request
+    writer.write_bytes(b"\0\1\0\0" + head + b"\0")
+    replies = []
+    for _ in range(100):
+        service.poll()
+        replies += reader.take(0.05)
+        if replies:
+            break
+    # Cyclone fills messages up to four bytes.
+    body = struct.pack("<4sI8s", b"\1\0\0\0", 6, b"begun\0")
+    assert replies == [b"\0\1\0\0" + head + body]
+    client.close()
+    node.close()
+
+
+@needs_zenoh
+def test_a_service_answers_as_rmw_zenoh_asks():
+    import zenoh
+
+    with router() as client:
+        node = open_node(DOMAIN, "zenoh")
+        kind = ros_types.TRIGGER
+        service = node.serve("/desk/start", kind, lambda _: (False, "no"))
+        key = f"{DOMAIN}/desk/start/std_srvs::srv::dds_::Trigger_"
+        key += f"/{_zenoh.service_hash(kind)}"
+        about = struct.pack("<qqB16s", 9, 123, 16, b"gid-of-a-client.")
+        tokens = f"@ros2_lv/{DOMAIN}/*/*/*/SS/*/*/*/%desk%start/*/*/*"
+        assert eventually(lambda: len([*client.liveliness().get(tokens)]) == 1)
+        target = zenoh.QueryTarget.ALL_COMPLETE
+        for payload in (b"", TRIGGER):  # nothing at all has no answer
+            replies = client.get(key, payload=payload, attachment=about, target=target)
+            assert eventually(lambda: bool(service._waiting))
+            service.poll()
+            bodies = [(r.ok.payload.to_bytes(), r.ok.attachment) for r in replies]
+            assert len(bodies) == (payload != b"")
+        raw, beside = bodies[0][0], bodies[0][1].to_bytes()
+        assert raw == b"\0\1\0\0" + struct.pack("<4sI3s", b"\0\0\0\0", 3, b"no\0")
+        assert struct.unpack("<q", beside[:8]) == (9,)
+        assert beside[16:] == b"\x10gid-of-a-client."
+        node.close()
+
+
+@pytest.mark.slow
+@needs_zenoh
+def test_a_sensor_over_zenoh_needs_no_token_and_survives_a_restart():
+    address = f"ros:/zpad?domain={DOMAIN}&via=zenoh"
+    with router() as session, sending(session, "/zpad") as first:
+        sensor = open_sensor(address)
+        assert sensor.image_shape == (6, 6)
+        check_sensor(open_sensor(address))
+        with sensor:
+            frame = sensor.read_next()
+            level = int(frame.image[0, 0])
+            assert np.ptp(frame.image) == 0
+            assert frame.device_time_s == pytest.approx(100 + level, abs=1e-6)
+            assert sensor.header_at(frame.device_time_s) == (100 + level, 5, "pad")
+            first.stop()
+            assert eventually(lambda: "nobody publishes /zpad now" in sensor.lost)
+            with sending(session, "/zpad"):
+                assert sensor.read_next(5.0).image.shape == (6, 6)
+            with sending(session, "/zpad", side=4):
+                eventually(lambda: "gives frames of 4 x 4 of uint8 now" in sensor.lost)
+                assert "it gave 6 x 6" in sensor.lost
+
+
+@contextmanager
+def sending(session, topic, side=6):
+    """Put frames on a topic, 100 a second, without telling of a publisher."""
+    import threading
+
+    ended, level = threading.Event(), iter(range(10**6))
+
+    def send():
+        while not ended.wait(0.01):
+            session.put(f"{DOMAIN}{topic}/{IMAGE}", image(next(level) % 250, side))
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    thread.stop = lambda: (ended.set(), thread.join())
+    try:
+        yield thread
+    finally:
+        thread.stop()
+
+
+def test_where_to_publish_is_one_short_address():
+    assert ros_place("ros:palpate") == ("/palpate", 0, "dds", True)
+    address = "ros:/a/b?domain=3&via=zenoh&services=no"
+    assert ros_place(address) == ("/a/b", 3, "zenoh", False)
+    with pytest.raises(ValueError, match=r"like ros:/palpate.domain=0, got 'camera:0'"):
+        ros_place("camera:0")
+    with pytest.raises(ValueError, match=r"'qos' is no option .* domain, via, serv"):
+        ros_place("ros:/palpate?qos=reliable")
+    with pytest.raises(ValueError, match="domain must be at most 232, got 233"):
+        open_node(233, "dds")
+    with pytest.raises(ValueError, match="via must be"):
+        open_node(0, "carrier pigeon")
+
+
+@needs_zenoh
+def test_without_a_router_or_with_a_configuration_that_is_none_it_says_so(monkeypatch):
+    with pytest.raises(
+        SensorError, match=r"Nobody publishes /zpad .* a router runs at"
+    ):
+        open_sensor(f"ros:/zpad?domain={DOMAIN}&via=zenoh&wait=0.2")
+    monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", "no/such/key=3")
+    with pytest.raises(SensorError, match=r"cannot open a session.*CONFIG_OVERRIDE"):
+        open_sensor(f"ros:/zpad?domain={DOMAIN}&via=zenoh")
+
+
+@needs_dds
+def test_a_subscriber_that_asks_for_more_than_is_offered_is_told_by_its_policy():
+    from cyclonedds.core import Policy, Qos
+    from cyclonedds.sub import DataReader
+
+    from palpate.sensors._dds import _topic
+
+    node, client = open_node(DOMAIN, "dds"), open_node(DOMAIN, "dds")
+    writer = node.publish("/desk/belief", ros_types.STRING)
+    assert writer.hindrance == ""
+    asks = Qos(
+        Policy.Reliability.Reliable(10**9),
+        Policy.Deadline(10**8),
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+    )
+    topic = _topic(client._participant, "rt/desk/belief", ros_types.STRING)
+    reader = DataReader(client._participant, topic, qos=asks)
+    assert eventually(lambda: writer.hindrance == "deadline")
+    del reader, topic
+    client.close()
+    node.close()

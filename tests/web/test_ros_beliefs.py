@@ -1,0 +1,239 @@
+"""Beliefs out and commands in, over real DDS and zenoh: the robot is another process.
+
+The robot's types, bytes and keys are written by hand in `ros_robot.py`.
+"""
+
+import io
+import json
+import os
+import subprocess
+import sys
+import time
+from contextlib import contextmanager, nullcontext
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palpate import ObjectRecogniser, Touches
+from palpate.cli import main
+from palpate.library import TouchLibrary
+from palpate.sensors import STRING, open_node, open_sensor, read_message
+from palpate.web import Event, LiveSession, RosPublisher
+from palpate.web._sensor_watch import Listeners
+
+pytest.importorskip("rosbags")
+
+ROBOT = Path(__file__).parents[1] / "sensors" / "ros_robot.py"
+# A domain and a port a process of tests, so that those side by side do not meet.
+NUMBER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]) % 50
+DOMAIN, ENDPOINT = 150 + NUMBER, f"tcp/127.0.0.1:{17500 + NUMBER}"
+NETWORK = """<CycloneDDS><Domain id="any">
+<General><AllowMulticast>false</AllowMulticast><Interfaces>
+<NetworkInterface address="127.0.0.1"/></Interfaces></General>
+<Discovery><ParticipantIndex>auto</ParticipantIndex>
+<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
+VIA = [
+    pytest.param(
+        "dds",
+        marks=pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds"),
+    ),
+    pytest.param(
+        "zenoh",
+        marks=[
+            pytest.mark.slow,
+            pytest.mark.skipif(not find_spec("zenoh"), reason="no zenoh"),
+        ],
+    ),
+]
+
+
+@pytest.fixture(autouse=True)
+def network(monkeypatch):
+    monkeypatch.setenv("CYCLONEDDS_URI", NETWORK)
+    override = f'connect/endpoints=["{ENDPOINT}"]'
+    monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", override)
+    monkeypatch.delenv("ZENOH_SESSION_CONFIG_URI", raising=False)
+
+
+@contextmanager
+def router():
+    """What `ros2 run rmw_zenoh_cpp rmw_zenohd` starts."""
+    import zenoh
+
+    configuration = zenoh.Config()
+    configuration.insert_json5("mode", '"router"')
+    configuration.insert_json5("listen/endpoints", json.dumps([ENDPOINT]))
+    configuration.insert_json5("scouting/multicast/enabled", "false")
+    with zenoh.open(configuration):
+        yield
+
+
+@contextmanager
+def robot(via, **asked):
+    """Start the robot; yield a function that waits and returns what it wrote."""
+    asked = {"via": via, "domain": DOMAIN, "endpoint": ENDPOINT, **asked}
+    command = [sys.executable, str(ROBOT), json.dumps(asked)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        yield lambda: json.loads(process.communicate(timeout=60)[0])
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture(scope="module")
+def learnt(tmp_path_factory):
+    """A model of ridges along rows and along columns, of the robot's own pad."""
+    spec = spec_from_file_location("ros_robot", ROBOT)
+    hand = module_from_spec(spec)
+    spec.loader.exec_module(hand)
+    rng = np.random.default_rng(0)
+    kinds = ["rows"] * 16 + ["columns"] * 16
+    images = np.stack([hand.pressed(rng, kind, (12, 12)) for kind in kinds])
+    touches = Touches(images, object=kinds, no_contact=np.full((12, 12), 60, np.uint8))
+    path = tmp_path_factory.mktemp("model") / "two.palpate"
+    ObjectRecogniser().fit(touches).save(path)
+    return path
+
+
+@contextmanager
+def recognising(via, model, library=None):
+    """Run a live session on the robot's topic that publishes what it believes."""
+    where = f"domain={DOMAIN}&via={via}"
+    sensor = open_sensor(f"ros:/pad?{where}")
+    with LiveSession(sensor, model=model, library=library) as session:
+        session.take_baseline()
+        publisher = RosPublisher(session, f"ros:/palpate?{where}")
+        try:
+            yield session
+        finally:
+            publisher.close()
+
+
+@pytest.mark.parametrize("via", VIA)
+def test_a_robot_hears_beliefs_with_the_header_of_its_touch(via, learnt):
+    kinds = ["rows", "rows", "columns"]
+    with (
+        router() if via == "zenoh" else nullcontext(),
+        robot(via, kinds=kinds) as wait,
+        recognising(via, learnt) as session,
+    ):
+        heard = wait()
+        beliefs = [
+            {**touch.posterior, "unknown": touch.unknown}
+            for touch in session.episode.touches
+        ]
+        frames_lost = session.health.to_dict()["n_dropped"]
+    assert frames_lost == 0
+    assert [dict(one["results"]) for one in heard["belief"]] == beliefs
+    best = [one["results"][0][0] for one in heard["belief"]]
+    assert best[:2] == ["rows", "rows"]
+    for belief, end in zip(heard["belief"], heard["ends"], strict=True):
+        shares = [share for _, share in belief["results"]]
+        assert shares == sorted(shares, reverse=True)
+        assert sum(shares) == pytest.approx(1.0, abs=1e-9)
+        # To the nanosecond, that of one of the six frames of the press.
+        assert belief["stamp"] in heard["sent"]
+        assert 1 <= heard["sent"].index(end) - heard["sent"].index(belief["stamp"]) <= 6
+        assert belief["frame_id"] == "pad"
+    assert len(heard["decision"]) == len(heard["belief"])
+    assert {one["text"] for one in heard["decision"]} <= {"", "rows", "columns"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("via", VIA)
+def test_what_is_commanded_is_done_or_refused(via, learnt, tmp_path):
+    commands = ["confirm knob", "dance", "start", "teach", "teach lid", "stop"]
+    with (
+        router() if via == "zenoh" else nullcontext(),
+        robot(via, kinds=["rows"] * 3, commands=commands) as wait,
+        recognising(via, learnt, tmp_path / "lab") as session,
+    ):
+        heard = wait()
+        assert session.teacher.lesson is None
+    answers = [one["text"] for one in heard["answer"]]
+    known = "start, object, teach, stop, confirm, learn, session"
+    name_it = "Publish 'object NAME' to /palpate/command first."
+    assert answers == [
+        "done: 3 touches are kept as knob; learn to use them.",
+        f"refused: command must be one of {known}, got 'dance'.",
+        "done: The next touch begins an episode.",
+        f"refused: An object must be named, got none. {name_it}",
+        "done: Touches teach lid.",
+        "done: Touches are recognised.",
+    ]
+    with TouchLibrary.open(tmp_path / "lab") as library:
+        assert library.touches().object.tolist() == ["knob"] * 3
+
+
+def test_a_listener_that_takes_no_frames_is_sent_none():
+    """Frames cost a picture each, and beliefs need none."""
+    listeners, with_frames, without = Listeners(), [], []
+    listeners.add(with_frames.append)
+    listeners.add(without.append, frames=False)
+    for kind in ("frame", "touch", "frame", "state"):
+        listeners.notify(Event(kind))
+    assert [event.kind for event in with_frames] == ["frame", "touch", "frame", "state"]
+    assert [event.kind for event in without] == ["touch", "state"]
+    assert (len(listeners), listeners.n_of_frames) == (2, 1)
+    listeners.discard(with_frames.append)
+    assert (len(listeners), listeners.n_of_frames) == (1, 0)
+
+
+def test_an_address_to_publish_at_is_checked_before_anything_starts(monkeypatch):
+    command = ["palpate", "live", "no.palpate", "--sensor", "sim:mug", "--publish"]
+    for address, why in (("/palpate", "like ros:/palpate"), ("ros:/a?qos=x", "'qos'")):
+        monkeypatch.setattr(sys, "argv", [*command, address])
+        errors = io.StringIO()
+        monkeypatch.setattr(sys, "stderr", errors)
+        with pytest.raises(SystemExit) as stop:
+            main()
+        assert stop.value.code == 2
+        assert why in " ".join(errors.getvalue().replace("│", " ").split())
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")
+def test_the_command_publishes_too(learnt, tmp_path):
+    where = f"domain={DOMAIN}"
+    line = ["live", str(learnt), "--sensor", f"ros:/pad?shape=12x12&{where}"]
+    line += ["--publish", f"ros:/palpate?{where}", "--json", "-n", "3"]
+    line += ["--timeout", "20"]
+    code = "import sys; from palpate.cli import main; sys.argv[0] = 'palpate'; main()"
+    with robot("dds", kinds=["rows"] * 3) as wait:
+        command = [sys.executable, "-c", code, *line]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        (episode,) = json.loads(done.stdout)["episodes"]
+        assert episode["touches"]
+        heard = wait()
+    assert heard["belief"][0]["results"][0][0] == "rows"
+
+
+@pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")
+def test_how_learning_ended_is_a_second_answer():
+    session = LiveSession()
+    node = open_node(DOMAIN, "dds")
+    answers = node.subscribe("/desk/answer", STRING, reliable=True)
+    publisher = RosPublisher(session, f"ros:/desk?domain={DOMAIN}")
+    end_s = time.monotonic() + 10
+    while not answers.n_publishers and time.monotonic() < end_s:
+        time.sleep(0.02)
+    state = {"learning": True, "learn_error": "", "message": "Learnt 2 objects."}
+    for change in (
+        {},
+        {"learning": False},
+        {"learning": False},
+        {},
+        {"learning": False, "learn_error": "Too little to learn."},
+    ):
+        session.listeners.notify(Event("state", {**state, **change}))
+    texts = []
+    while len(texts) < 2 and time.monotonic() < end_s:
+        texts += [read_message(raw, STRING).data for raw in answers.take(0.2)]
+    assert texts == ["done: Learnt 2 objects.", "refused: Too little to learn."]
+    del answers
+    publisher.close()
+    node.close()
