@@ -13,7 +13,6 @@ from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils.validation import check_is_fitted
 
 from .._numbers import log_softmax
 from .._types import Array, Bools, Floats, Indices
@@ -263,11 +262,3 @@ def _some_of_each(rows: Indices, y: Array) -> Iterator[Indices]:
     for name, count in zip(names, counts, strict=True):
         n_kept = min(count, max(4, round(count * _AT_MOST / len(rows))))
         yield rows[y[rows] == name][_spread(count, n_kept)]
-
-
-def is_rehearsed(classifier: object) -> bool:
-    """Return whether a classifier is a pool of machines that know rehearsed sessions."""
-    check_is_fitted(classifier)
-    return isinstance(classifier, EncodingPool) and any(
-        isinstance(one, RehearsedMachine) for one in classifier.machines_.values()
-    )

@@ -80,8 +80,7 @@ def rehearse(
         why = "too much was taught at once" if ranges else unknown
         return pool, {"share": 0.0, "why": why}
     rows = _rows(memory)
-    held = isinstance(touches, Touches)
-    some = touches[rows] if held else touches.touches(rows)  # type: ignore[union-attr]
+    some = touches[rows] if isinstance(touches, Touches) else touches.touches(rows)
     drawn = draw_sessions(encoder, some, ranges, memory, rows, seed)
     differences = _differences(drawn.features)
     parts = _sessions.Parts(np.cumsum([0, *encoder.parts_.values()]))
@@ -182,12 +181,13 @@ def _differences(features: Floats) -> Floats:
     """Return how each touch differs between sessions, (n_sessions * n_touches, ...)."""
     n = len(features)
     away = (features - features.mean(axis=0)) * np.sqrt(n / (n - 1))
-    return away.reshape(-1, features.shape[2])
+    return np.asarray(away.reshape(-1, features.shape[2]))
 
 
 def _falling_off(shape: Iterable[int], slope: Floats) -> Floats:
     axes = [np.linspace(-1, 1, n) for n in shape]
-    return 1 + slope[0] * axes[0][:, np.newaxis] + slope[1] * axes[1]
+    falls: Floats = 1 + slope[0] * axes[0][:, np.newaxis] + slope[1] * axes[1]
+    return falls
 
 
 def _smooth(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:

@@ -25,6 +25,7 @@ from ._evidence import Evidence
 from ._learning import encoded, memory_of
 from ._learnt import HasLearnt, Learnt
 from ._memory import Memory
+from ._recentring import SessionSums, shift_unlabelled
 from ._remounted_encoder import AnyEncoder, RemountedEncoder, wrapped
 
 # Fewer differences between sessions than this do not tell a covariance.
@@ -96,11 +97,11 @@ def remounted(
         )
     features, taught = encoding.features, learnt.taught
     if labels is None:
-        say = learnt.classifier.log_likelihood
-        shift, shares = _sessions.shift_unlabelled(features[counts], say, taught)
+        sums = _sums(learnt, features[counts])
+        shift = shift_unlabelled(sums, taught)
         if not found.get("centred", True):
             shift = np.zeros_like(shift)
-        found["objects"] = round(_sessions.effective_number(shares), 1)
+        found["objects"] = round(_sessions.effective_number(sums.shares), 1)
     else:
         codes = np.searchsorted(learnt.classes, labels)
         shift = _sessions.shift_by_labels(features[counts], codes[counts], taught)
@@ -117,6 +118,12 @@ def remounted(
     one_group = np.zeros(len(new), dtype=np.intp)
     confirmed = memory_of(new, encoding, labels, objects, one_group)
     return learnt.relearnt(learnt.memory.plus(confirmed)), found
+
+
+def _sums(learnt: Learnt, features: Floats) -> SessionSums:
+    """Return what touches of a session without labels sum up to."""
+    said = learnt.classifier.log_likelihood(features)
+    return SessionSums.of(features, softmax(said, axis=1), learnt.taught)
 
 
 def _as_taught(
