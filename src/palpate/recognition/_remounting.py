@@ -95,20 +95,18 @@ def remounted(
             f"touches must show contact, got {len(new)} that look like touching "
             "nothing. Press the sensor on something, or take its baseline anew."
         )
-    features, taught = encoding.features, learnt.taught
+    features = encoding.features
     if labels is None:
         sums = _sums(learnt, features[counts])
-        shift = shift_unlabelled(sums, taught)
-        if not found.get("centred", True):
-            shift = np.zeros_like(shift)
         found["objects"] = round(_sessions.effective_number(sums.shares), 1)
-    else:
-        codes = np.searchsorted(learnt.classes, labels)
-        shift = _sessions.shift_by_labels(features[counts], codes[counts], taught)
+    confirmed = None if labels is None else labels[counts]
+    shift = _shift(learnt, features[counts], confirmed)
+    if labels is None and not found.get("centred", True):
+        shift = np.zeros_like(shift)
     there = wrapped(learnt.encoder).shifted(shift)
     found |= {"n_touches": len(new), "labelled": labels is not None, "gain": gain}
     found["broken"] = 0 if there.broken is None else int(there.broken.sum())
-    variance = max(taught.features.var(axis=0).sum(), 1e-300)
+    variance = max(learnt.taught.features.var(axis=0).sum(), 1e-300)
     found["moved"] = float((shift**2).sum() / variance)
     learnt = replace(learnt, encoder=there)
     if labels is None:
@@ -116,8 +114,16 @@ def remounted(
     objects = labels if new.object is None else new.object
     encoding = replace(encoding, features=features + shift, looks=there.look(new))
     one_group = np.zeros(len(new), dtype=np.intp)
-    confirmed = memory_of(new, encoding, labels, objects, one_group)
-    return learnt.relearnt(learnt.memory.plus(confirmed)), found
+    joined = memory_of(new, encoding, labels, objects, one_group)
+    return learnt.relearnt(learnt.memory.plus(joined)), found
+
+
+def _shift(learnt: Learnt, features: Floats, labels: Array | None) -> Floats:
+    """Return what to add to a session's features, with or without labels."""
+    if labels is None:
+        return shift_unlabelled(_sums(learnt, features), learnt.taught)
+    codes = np.searchsorted(learnt.classes, labels)
+    return _sessions.shift_by_labels(features, codes, learnt.taught)
 
 
 def _sums(learnt: Learnt, features: Floats) -> SessionSums:
@@ -148,10 +154,11 @@ def _as_taught(
         ]
         gain = float(np.exp(np.mean(ratios)))
         other = RemountedEncoder.of(learnt.encoder, new, gain)
-        near = [
-            memory.nearest.log_distances(one.transform(new)).min(axis=1)
-            for one in (kept, other)
-        ]
+        near = []
+        for one in (kept, other):
+            features = one.transform(new)
+            moved = features + _shift(learnt, features, labels)
+            near.append(memory.nearest.log_distances(moved).min(axis=1))
         better = near[0] - near[1]
         if better.mean() > better.std() / np.sqrt(len(better)):
             kept = other
