@@ -6,7 +6,7 @@ from numpy.testing import assert_array_equal
 
 from palpate import Touches
 from palpate.classifiers import EncodingPool, RehearsedMachine
-from palpate.recognition import ObjectRecogniser
+from palpate.recognition import ObjectRecogniser, across_sessions, said_of_sessions
 from palpate.recognition._rehearsal import RANGES, Ranges, in_another_session
 
 SIDE = 14
@@ -142,3 +142,15 @@ def test_every_kind_of_sensor_has_its_ranges():
     assert set(RANGES) == {"dome", "array", "plane", "none"}
     assert RANGES["dome"].gain == 0  # its grey levels are standardised
     assert RANGES["array"].colours == 0
+
+
+def test_what_to_expect_of_another_day_is_said(both):
+    plain, rehearsed = both
+    across = across_sessions(rehearsed)
+    low, high = across["rehearsed"]
+    assert 0 <= low <= high <= 1
+    sentence = said_of_sessions(across)
+    assert f"expect about {100 * low:.0f} to {100 * high:.0f}% right" in sentence
+    # Nothing was rehearsed: nothing is promised.
+    assert "rehearsed" not in across_sessions(plain)
+    assert "how much less" in said_of_sessions(across_sessions(plain))

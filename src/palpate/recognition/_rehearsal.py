@@ -91,12 +91,27 @@ def rehearse(
     result, share = found.pool, found.share
     if share < LEAST_SHARE:
         result, share = pool, 0.0
-    return result, {
+    said = {
         "share": share,
         "told_by": "sessions left out" if known else "rehearsed sessions",
         "right": [float(one) for one in found.right],
         "drawn": [name for name, size in vars(ranges).items() if size],
     }
+    if ranges.gain:
+        said["expected"] = _expected(result, memory, found.right)
+    return result, said
+
+
+def _expected(pool: EncodingPool, memory: Memory, right: Floats) -> list[float]:
+    """Return between what shares a touch is expected to be right in another session.
+
+    Of touches left out as they are, what rehearsed sessions, learnt from half of the
+    touches, leave: the worst and the best of them.
+    """
+    names = pool.classes_[pool.left_out_.argmax(axis=1)]
+    today = float((names == memory.labels[pool.left_out_rows]).mean())
+    left = np.minimum(right[1:] / max(float(right[0]), 1e-9), 1.0)
+    return [today * float(left.min()), today * float(left.max())]
 
 
 def said_of_rehearsal(found: dict[str, Any]) -> str:

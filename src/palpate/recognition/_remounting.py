@@ -246,7 +246,8 @@ def across_sessions(recogniser: HasLearnt) -> dict[str, Any]:
 
     `sessions` per object (least and median), `asked` (touches of objects that another
     session met too) and, where there are any, `expected`: the accuracy after one touch
-    of a session that was left out whole.
+    of a session that was left out whole. `rehearsed`: between what accuracies it was in
+    rehearsed sessions, where those were drawn.
     """
     learnt = recogniser.learnt()
     memory = learnt.memory
@@ -261,6 +262,9 @@ def across_sessions(recogniser: HasLearnt) -> dict[str, Any]:
         said = _said_of_left_out_sessions(learnt, memory.features)
         right = learnt.classes[said.argmax(axis=1)] == memory.labels
         result["expected"] = float(right[asked].mean())
+    found = getattr(recogniser, "chosen_", {}).get("rehearsal", {})
+    if "expected" in found:
+        result["rehearsed"] = list(found["expected"])
     return result
 
 
@@ -272,6 +276,13 @@ def said_of_sessions(across: Mapping[str, Any]) -> str:
         return (
             f"{taught}: expect {expected:.0%} right after one touch in another one "
             f"({across['asked']} touches of sessions left out whole)."
+        )
+    if "rehearsed" in across:
+        low, high = (100 * share for share in across["rehearsed"])
+        return (
+            f"{taught}, and none in two: expect about {low:.0f} to {high:.0f}% right "
+            "after one touch on another day, or mounted anew, as rehearsed sessions "
+            "were; only touches of another session can show it."
         )
     return (
         f"{taught}, and none in two: on another day, or mounted anew, expect less than "
