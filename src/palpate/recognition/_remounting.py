@@ -257,7 +257,8 @@ def across_sessions(recogniser: HasLearnt) -> dict[str, Any]:
         for name in np.unique(memory.objects)
     ]
     asked, median = _met_elsewhere(memory), float(np.median(per_object))
-    result = {"least": min(per_object), "median": median, "asked": int(asked.sum())}
+    result: dict[str, Any] = {"least": min(per_object), "median": median}
+    result["asked"] = int(asked.sum())
     if asked.any():
         said = _said_of_left_out_sessions(learnt, memory.features)
         right = learnt.classes[said.argmax(axis=1)] == memory.labels
