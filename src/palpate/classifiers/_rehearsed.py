@@ -79,6 +79,12 @@ class RehearsedMachine(BayesRule):
         plain = self.plain.log_likelihood(touches)
         return self._both(plain, self.rehearsed.log_likelihood(touches @ self.weighing))
 
+    def log_likelihood_checked(self, touches: Floats) -> Floats:
+        """Do what `log_likelihood` does, for a caller that has checked the touches."""
+        plain = self.plain.log_likelihood_checked(touches)
+        weighed = touches @ self.weighing
+        return self._both(plain, self.rehearsed.log_likelihood_checked(weighed))
+
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches, their groups left out."""
         plain = self.plain.left_out_log_likelihood()
